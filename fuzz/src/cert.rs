@@ -1,11 +1,11 @@
 //! Certificates, statements and name cards, as they come from a file or a peer.
 
-use gdp::NameCard;
-use gdp::cert::{
+use gdp_core::card::NameCard;
+use gdp_core::cert::{
     AdCert, Advert, Claims, Delegation, Invite, Issued, LinkState, MemberCert, Membership, PeerCert, ReadGrant,
     Reading, Revocation, RtCert, Signed, SwitchStatement,
 };
-use gdp::domain::Token;
+use gdp_core::domain::Token;
 
 /// Bytes that are taken for a certificate are its only encoding, and survive their text form.
 pub fn cert(data: &[u8]) {

@@ -1,6 +1,6 @@
 //! Messages on a link's control streams.
 
-use gdp::control::{Request, Response, decode, encode};
+use gdp_proto::control::{Request, Response, decode, encode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 

@@ -1,9 +1,11 @@
 //! What fuzzing of certificates and control messages begins with, as far as it is about trust domains.
 
-use gdp::cert::{Host, Invite, Locator, MemberCert, Membership, PeerCert, Revocation, Signed, SwitchStatement, issue};
-use gdp::control::{Extent, Request, TierEntry, TierKey, TierLeg, TierMessage, TierPush, TierRequest};
-use gdp::domain::{Papers, Token};
-use gdp::{Identity, SigningKey};
+use gdp_core::cert::{
+    Host, Invite, Locator, MemberCert, Membership, PeerCert, Revocation, Signed, SwitchStatement, issue,
+};
+use gdp_core::domain::{Papers, Token};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_proto::control::{Extent, Request, TierEntry, TierKey, TierLeg, TierMessage, TierPush, TierRequest};
 use gdp_wire::Name;
 
 pub struct Domain {

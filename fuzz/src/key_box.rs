@@ -2,10 +2,12 @@
 
 use std::sync::OnceLock;
 
-use gdp::cert::{Claims, Signed, issue};
-use gdp::keys::{KeyBox, KeyStore, open, wrap};
-use gdp::seal::EpochKey;
-use gdp::{Identity, Name};
+use gdp_core::cert::{Claims, Signed, issue};
+use gdp_core::identity::Identity;
+use gdp_core::keys::EpochKey;
+use gdp_core::keys::{KeyBox, open, wrap};
+use gdp_e2e::keys::KeyStore;
+use gdp_wire::Name;
 
 const EPOCH: u32 = 1_800_000_000;
 

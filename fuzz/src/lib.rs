@@ -15,7 +15,7 @@ mod seeds;
 mod segments;
 
 use gdp_tests::frames;
-#[path = "../../gdp-wire/tests/tables/mod.rs"]
+#[path = "../../crates/gdp-wire/tests/tables/mod.rs"]
 mod tables;
 
 pub use call::call;

@@ -1,18 +1,19 @@
 //! What fuzzing begins with, by target and name: a whole and right input of each kind. Made by the code under test, so that they
 //! are messages of this version, and not of the one before.
 
-use gdp::cert::{
+use gdp_core::card::NameCard;
+use gdp_core::cert::{
     AdCert, Adjoining, Advert, AdvertOp, Delegation, Grantee, Issued, LinkState, MemberCert, Membership, Mode,
     ReadGrant, Reading, Revocation, RtCert, Signed, issue,
 };
-use gdp::control::{
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::keys::KeyBox;
+use gdp_e2e::feedback_wire::{Feedback, Missing, Wants};
+use gdp_proto::control::{
     Credential, Crossing, EntityRequest, Extent, FibPush, Flooded, MAX_HOPS, NameRole, Peers, PeersExtent, PeersPush,
     Record, Refusal, RefusalCode, Request, Response, Route, TierLeg, TierMessage, TierRequest, TraceLeg, TraceOn,
     TracedDomain, TracedSwitch, encode,
 };
-use gdp::feedback_wire::{Feedback, Missing, Wants};
-use gdp::keys::KeyBox;
-use gdp::{Identity, NameCard, SigningKey};
 use gdp_wire::{Counter, Name};
 use serde::Serialize;
 

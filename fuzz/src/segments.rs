@@ -7,11 +7,13 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
-use gdp::crypto::{Aead, Backend, TAG_LEN};
-use gdp::seal::{
-    Draft, Encoding, EpochKey, Limits, MIN_PAYLOAD, MessageId, Moment, Reader, Received, SegmentId, Segments, Writer,
+use gdp_core::crypto::{Aead, Backend, TAG_LEN};
+use gdp_core::identity::Identity;
+use gdp_core::keys::EpochKey;
+use gdp_e2e::seal::{
+    Draft, Encoding, Limits, MIN_PAYLOAD, MessageId, Moment, Reader, Received, SegmentId, Segments, Writer,
 };
-use gdp::{Identity, Name};
+use gdp_wire::Name;
 
 /// Steps of an input that are looked at.
 const MAX_STEPS: usize = 64;

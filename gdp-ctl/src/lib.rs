@@ -1,20 +1,7 @@
-//! The daemon of the Global Data Plane and what its command line is made of: the RIB, the switch with its data planes,
-//! the admin socket, the commands. A library so that tests reach all of it; the binary is a thin shell.
+//! The command line of the Global Data Plane. A library so that tests reach all of it; the binary is a thin shell.
+// They panic where stdout or stderr cannot be written.
+#![deny(clippy::print_stdout, clippy::print_stderr)]
 
-pub mod admin;
 pub mod cli;
-pub mod config;
-pub mod crossing;
-mod deadlines;
-pub mod doctor;
-pub mod domain;
-mod feed;
-pub mod folders;
-pub mod plane;
-pub mod rib;
+pub mod client;
 pub mod ros;
-pub mod serve;
-pub mod store;
-pub mod tiers;
-pub mod topology;
-mod unix_time;

@@ -1,7 +1,7 @@
 //! The XDP programs of a switch. Everything that decides is in `gdp_wire::forward`; here is only what the kernel needs
 //! done around it: find the header in the packet, look up in BPF maps, carry the verdict out, count.
 //!
-//! Loaded by `gdp_ctl::plane::kernel`. The modules are the maps, each with the rule of who may write it when; [`packet`] and
+//! Loaded by `gdp_dataplane::kernel`. The modules are the maps, each with the rule of who may write it when; [`packet`] and
 //! [`carrier`], what is around a frame; and [`next_hop`]. Only this file turns outcomes into XDP actions and counters.
 //!
 //! [`gdp_switch`] runs where a frame arrives, [`gdp_egress`] where the kernel has been told to send it. The second is there for the

@@ -5,23 +5,23 @@
 //! Built and loaded by `cargo xtask bench forward` only.
 #![no_std]
 
-#[path = "../../gdp-wire/src/counter.rs"]
+#[path = "../../crates/gdp-wire/src/counter.rs"]
 pub mod counter;
-#[path = "../../gdp-wire/src/fetch.rs"]
+#[path = "../../crates/gdp-wire/src/fetch.rs"]
 pub mod fetch;
-#[path = "../../gdp-wire/src/flat/mod.rs"]
+#[path = "../../crates/gdp-wire/src/flat/mod.rs"]
 pub mod flat;
-#[path = "../../gdp-wire/src/forward/mod.rs"]
+#[path = "../../crates/gdp-wire/src/forward/mod.rs"]
 pub mod forward;
-#[path = "../../gdp-wire/src/header.rs"]
+#[path = "../../crates/gdp-wire/src/header.rs"]
 pub mod header;
-#[path = "../../gdp-wire/src/losses.rs"]
+#[path = "../../crates/gdp-wire/src/losses.rs"]
 pub mod losses;
-#[path = "../../gdp-wire/src/name.rs"]
+#[path = "../../crates/gdp-wire/src/name.rs"]
 mod name;
-#[path = "../../gdp-wire/src/replay.rs"]
+#[path = "../../crates/gdp-wire/src/replay.rs"]
 pub mod replay;
-#[path = "../../gdp-wire/src/table.rs"]
+#[path = "../../crates/gdp-wire/src/table.rs"]
 pub mod table;
 
 pub mod siphash {

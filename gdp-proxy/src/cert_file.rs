@@ -4,8 +4,9 @@
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
-use gdp::file_stamp::FileStamp;
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
+use gdp_core::file_stamp::FileStamp;
+use gdp_wire::Name;
 
 use crate::config::Side;
 use crate::material::{Permission, load_permission};
@@ -79,7 +80,7 @@ impl CertFile {
 mod tests {
     use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-    use gdp::cert::{AdCert, CLOCKS_DIFFER, issue};
+    use gdp_core::cert::{AdCert, CLOCKS_DIFFER, issue};
 
     use super::*;
     use crate::material::Material;

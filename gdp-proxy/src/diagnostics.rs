@@ -1,10 +1,12 @@
 //! What ROS tools show of the proxy: `/diagnostics`, with a status for each topic and direction.
 
 use std::collections::HashMap;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
-use gdp::Name;
+use gdp_util::unix_time::unix_time;
+
 use gdp_msg::Encoding;
+use gdp_wire::Name;
 use serde::Serialize;
 use tokio::time::{Interval, MissedTickBehavior};
 
@@ -114,7 +116,7 @@ impl Diagnostics {
 
     /// To be done once a second.
     pub async fn tell(&mut self, routes: &[RouteStats]) {
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let now = unix_time();
         if let Err(error) = self.tell_once(now, routes).await {
             tracing::warn!("no diagnostics: {error}");
         }

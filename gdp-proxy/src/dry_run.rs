@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::Result;
 use futures::future::join_all;
-use gdp::Name;
+use gdp_wire::Name;
 use serde::Serialize;
 
 use crate::automatic::{card_of, choose, judge};
@@ -238,33 +238,35 @@ impl Of {
     }
 }
 
-impl fmt::Display for Report {
+impl Report {
+    /// For people.
+    pub fn lines(&self) -> impl Iterator<Item = String> {
+        let rows = self.topics.iter().chain(&self.calls).map(Row::to_string);
+        rows.chain(self.imports.iter().map(|name| format!("in  what the catalog {name} lists and matches")))
+    }
+}
+
+impl fmt::Display for Row {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        for row in self.topics.iter().chain(&self.calls) {
-            let sign = match row.direction {
-                Some(Side::Out) => "out",
-                Some(Side::In) => "in",
-                None => "-",
-            };
-            let Row { graph, of, kind, qos, name, called, because, .. } = row;
-            write!(f, "{sign:3} ")?;
-            if let Of::Call { what, .. } = of {
-                write!(f, "{} ", what.as_str())?;
-            }
-            write!(f, "{} [{}] in {graph}", of.name(), kind.as_deref().unwrap_or("type not known"))?;
-            if let Some(qos) = qos {
-                write!(f, " ({qos})")?;
-            }
-            match (name, called) {
-                (Some(name), Some(called)) if called != of.name() => writeln!(f, ": {name} as {called}, {because}")?,
-                (Some(name), _) => writeln!(f, ": {name}, {because}")?,
-                (None, _) => writeln!(f, ": {because}")?,
-            }
+        let sign = match self.direction {
+            Some(Side::Out) => "out",
+            Some(Side::In) => "in",
+            None => "-",
+        };
+        let Self { graph, of, kind, qos, name, called, because, .. } = self;
+        write!(f, "{sign:3} ")?;
+        if let Of::Call { what, .. } = of {
+            write!(f, "{} ", what.as_str())?;
         }
-        for name in &self.imports {
-            writeln!(f, "in  what the catalog {name} lists and matches")?;
+        write!(f, "{} [{}] in {graph}", of.name(), kind.as_deref().unwrap_or("type not known"))?;
+        if let Some(qos) = qos {
+            write!(f, " ({qos})")?;
         }
-        Ok(())
+        match (name, called) {
+            (Some(name), Some(called)) if called != of.name() => write!(f, ": {name} as {called}, {because}"),
+            (Some(name), _) => write!(f, ": {name}, {because}"),
+            (None, _) => write!(f, ": {because}"),
+        }
     }
 }
 
@@ -272,7 +274,7 @@ impl fmt::Display for Report {
 mod tests {
     use std::fs;
 
-    use gdp::cert::{AdCert, issue};
+    use gdp_core::cert::{AdCert, issue};
 
     use super::*;
     use crate::config::CallConfig;
@@ -287,10 +289,11 @@ mod tests {
         let expose = "{owner: owner.pem, catalog: t.card, topics: [/**], services: [/**], deny: [/d], types: [a/msg/B, a/msg/C, a/srv/S]}";
         let mut expose: ExposeConfig = serde_saphyr::from_str(expose).unwrap();
         (expose.owner, expose.catalog) = (files.path("owner.pem"), files.path("other.card"));
-        let catalog = gdp::NameCard::create(files.owner.verify_key(), "catalog", "/robot", "", None).unwrap();
+        let catalog =
+            gdp_core::card::NameCard::create(files.owner.verify_key(), "catalog", "/robot", "", None).unwrap();
         catalog.save_new(&expose.catalog).unwrap();
         config.expose = Some(expose);
-        let card = gdp::NameCard::create(files.owner.verify_key(), "service", "/listed", "", None).unwrap();
+        let card = gdp_core::card::NameCard::create(files.owner.verify_key(), "service", "/listed", "", None).unwrap();
         card.save_new(&files.path("s.card")).unwrap();
         let cert = AdCert { name: card.name(), ..files.claims() };
         fs::write(files.path("s.ad"), issue(&files.owner, &cert).unwrap().to_pem()).unwrap();

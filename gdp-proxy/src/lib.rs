@@ -5,6 +5,8 @@
 //! same for services and actions; [`manager`] runs what is wanted of these, [`proxy`] puts
 //! them together, [`reload`] notices that the file says something else, [`stats`] counts. [`relay`] runs a switch of `gdp-ctl` beside, for others. The fabric is the SDK's business (`gdp::node`): nothing here seals, signs or routes.
 #![deny(unsafe_code)]
+// They panic where stdout or stderr cannot be written.
+#![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod automatic;
 pub mod call;

@@ -1,6 +1,7 @@
 //! The `gdp-proxy` program: arguments, logging and signals. What it does is in the library.
+// They panic where stdout or stderr cannot be written.
+#![deny(clippy::print_stdout, clippy::print_stderr)]
 
-use std::io::IsTerminal;
 use std::num::NonZeroU16;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -13,8 +14,8 @@ use gdp_proxy::dry_run;
 use gdp_proxy::proxy;
 use gdp_proxy::reload::{Loaded, Watch};
 use gdp_proxy::stats::StatsFile;
+use gdp_util::{log, panics, terminal};
 use tokio::signal::unix::{SignalKind, signal};
-use tracing_subscriber::EnvFilter;
 
 /// Carries ROS topics over the Global Data Plane, as a YAML file says; without one it exposes nothing.
 ///
@@ -45,12 +46,13 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
+    panics::end_process();
     let arguments = Arguments::parse();
-    log_to_stderr();
+    let _log = log::start();
     match run(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("gdp-proxy: {error:#}");
+            terminal::note(format_args!("gdp-proxy: {error:#}"));
             ExitCode::FAILURE
         }
     }
@@ -58,13 +60,12 @@ fn main() -> ExitCode {
 
 fn run(arguments: Arguments) -> Result<()> {
     let Some(path) = arguments.config else {
-        println!("{}", serde_json::to_string_pretty(&schema())?);
-        return Ok(());
+        return Ok(terminal::print_json(&serde_json::to_string_pretty(&schema())?)?);
     };
     let loaded = || Loaded::load(&path);
     if arguments.check {
         let Loaded { config, material } = loaded()?;
-        println!(
+        let good = format!(
             "{}: good, {} topics, {} services, {} actions, entity {}",
             path.display(),
             config.topics.len(),
@@ -72,7 +73,7 @@ fn run(arguments: Arguments) -> Result<()> {
             config.actions.len(),
             material.identity.name()
         );
-        return Ok(());
+        return Ok(terminal::print([good])?);
     }
     // Half of the work is that of other threads: of DDS, and of the node.
     let workers = std::thread::available_parallelism().map_or(2, |cores| cores.get().div_ceil(2).max(2));
@@ -84,24 +85,17 @@ fn run(arguments: Arguments) -> Result<()> {
     runtime.block_on(async {
         if let Some(seconds) = arguments.dry_run {
             let report = dry_run::run(&loaded()?, Duration::from_secs(seconds.get().into())).await?;
-            match arguments.json {
-                true => println!("{}", serde_json::to_string(&report)?),
-                false => print!("{report}"),
-            }
-            return Ok(());
+            return Ok(match arguments.json {
+                true => terminal::print_json(&serde_json::to_string(&report)?)?,
+                false => terminal::print(report.lines())?,
+            });
         }
         let stop = stop_signal()?;
+        #[cfg(debug_assertions)]
+        tokio::spawn(panics::inject());
         let watch = Watch::new(&path).context("cannot listen for SIGHUP")?;
         proxy::run(loaded()?, watch, arguments.stats.map(StatsFile::new), stop).await
     })
-}
-
-fn log_to_stderr() {
-    // RustDDS reports ordinary events as information, one line a message, and dumps its state into warnings.
-    let quiet = "info,rustdds=warn,rustdds::rtps=error,ros2_client=error";
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
-    let colours = std::io::stderr().is_terminal();
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
 }
 
 /// Ends when the process is asked to; from now on, signals no longer kill it.

@@ -185,7 +185,7 @@ async fn run(work: &impl Work, stopped: watch::Receiver<bool>) -> Option<anyhow:
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Mutex;
+    use parking_lot::Mutex;
 
     use super::*;
 
@@ -211,7 +211,7 @@ mod tests {
 
     impl Running {
         fn tell(&self, what: &str) {
-            self.told.lock().unwrap().push(format!("{what} {}{}", self.toy.0, self.toy.1));
+            self.told.lock().push(format!("{what} {}{}", self.toy.0, self.toy.1));
         }
     }
 
@@ -247,7 +247,7 @@ mod tests {
     /// Until all that is said has been told; works follow one another meanwhile.
     async fn until(manager: &mut Manager<Toy>, told: &Told, expected: &[&str]) {
         let told = async {
-            while !expected.iter().all(|line| told.lock().unwrap().iter().any(|told| told == line)) {
+            while !expected.iter().all(|line| told.lock().iter().any(|told| told == line)) {
                 tokio::time::sleep(Duration::from_millis(1)).await;
             }
         };
@@ -268,13 +268,13 @@ mod tests {
         let changed = manager.want([Toy(1, "a"), Toy(2, "b"), Toy(4, "a")]);
         assert_eq!(changed, Changed { begun: 2, ended: 2, kept: 1 });
         until(&mut manager, &told, &["end 3a", "begin 2b", "begin 4a"]).await;
-        let log = told.lock().unwrap().clone();
+        let log = told.lock().clone();
         let at = |line: &str| log.iter().position(|told| told == line);
         assert!(at("end 2a") < at("begin 2b") && at("end 1a").is_none(), "{log:?}");
         assert_eq!(manager.stats(), [Toy(1, "a"), Toy(2, "b"), Toy(4, "a")]);
 
         assert_eq!(manager.close().await, [Toy(1, "a"), Toy(2, "b"), Toy(4, "a")]);
-        assert_eq!(told.lock().unwrap().iter().filter(|line| line.starts_with("end")).count(), 5);
+        assert_eq!(told.lock().iter().filter(|line| line.starts_with("end")).count(), 5);
     }
 
     #[tokio::test]
@@ -286,7 +286,7 @@ mod tests {
         manager.want([Toy(1, "a")]);
         manager.want([]);
         manager.close().await;
-        assert_eq!(*told.lock().unwrap(), ["begin 1a", "end 1a"]);
+        assert_eq!(*told.lock(), ["begin 1a", "end 1a"]);
     }
 
     #[tokio::test]
@@ -299,6 +299,6 @@ mod tests {
         let error = tokio::time::timeout(Duration::from_secs(20), manager.failed()).await.unwrap();
         assert_eq!(error.to_string(), "broken");
         manager.close().await;
-        assert!(told.lock().unwrap().iter().any(|line| line == "end 1a"));
+        assert!(told.lock().iter().any(|line| line == "end 1a"));
     }
 }

@@ -7,11 +7,12 @@ use std::fmt::Display;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
 
-use gdp::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
-use gdp::domain::{PaperFiles, Papers, Stamps, Trust};
-use gdp::{Identity, Name, NameCard, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
+use gdp_core::domain::{PaperFiles, Papers, Stamps, Trust};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_wire::Name;
 
 use crate::call;
 use crate::cert_file::CertFile;
@@ -19,6 +20,7 @@ use crate::config::{Config, ExposeConfig, ImportConfig, Side, TopicConfig};
 use crate::relay::Relay;
 use crate::renewal::Renewal;
 use crate::ros2::TypeName;
+use gdp_util::unix_time::unix_seconds;
 
 /// Everything secret or signed that a proxy works with.
 pub struct Material {
@@ -239,12 +241,7 @@ pub(crate) fn load_permission(path: &Path, side: Side, card: &NameCard, entity: 
     let mut text = String::new();
     let file = File::open(path).map_err(|error| error.to_string())?;
     file.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(|error| error.to_string())?;
-    check_permission(side, &text, card, entity, unix_now()).map_err(|error| error.to_string())
-}
-
-/// Seconds since 1970; 0 of a clock that is before that.
-pub(crate) fn unix_now() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs())
+    check_permission(side, &text, card, entity, unix_seconds()).map_err(|error| error.to_string())
 }
 
 fn check_permission(side: Side, text: &str, card: &NameCard, entity: Name, now: u64) -> Result<Permission, CertError> {

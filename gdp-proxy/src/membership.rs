@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use gdp::Node;
-use gdp::domain::{PaperFiles, Stamps};
+use gdp::node::Node;
+use gdp_core::domain::{PaperFiles, Stamps};
 
 /// How often the files are looked at.
 const LOOK: Duration = Duration::from_secs(1);

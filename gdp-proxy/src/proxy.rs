@@ -5,10 +5,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
-use gdp::Node;
-use gdp::domain::PaperFiles;
-use gdp::link::RekeySchedule;
+use gdp::node::Node;
 use gdp::node::{LinkConfig, NodeConfig};
+use gdp_core::domain::PaperFiles;
+use gdp_link::link::RekeySchedule;
 use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::automatic::{self, Automatic, CatalogStats, Links};

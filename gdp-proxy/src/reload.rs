@@ -6,7 +6,8 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use gdp::file_stamp::FileStamp;
+use gdp_core::file_stamp::FileStamp;
+use gdp_util::backoff::Backoff;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::time::MissedTickBehavior;
 
@@ -18,7 +19,7 @@ use crate::material::{Material, MaterialError};
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Before what was refused is tried again though no file is another one, if it may pass by itself: doubled from the first to the second.
-const AGAIN: (Duration, Duration) = (Duration::from_secs(5), Duration::from_secs(60));
+const RETRY: Backoff = Backoff::new(Duration::from_secs(5), Duration::from_secs(60));
 
 /// A configuration with all that it names.
 pub struct Loaded {
@@ -105,7 +106,7 @@ pub struct Watch {
     files: Vec<(PathBuf, Option<FileStamp>, Option<FileStamp>)>,
     /// When what was refused is tried again, how long the next pause is, and what was said of it.
     again: Option<Instant>,
-    pause: Duration,
+    retry: Backoff,
     told: Option<String>,
 }
 
@@ -116,7 +117,7 @@ impl Watch {
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let hangup = signal(SignalKind::hangup())?;
         let (files, again, told) = (vec![], None, None);
-        let mut watch = Self { path: path.into(), hangup, ticks, files, again, pause: AGAIN.0, told };
+        let mut watch = Self { path: path.into(), hangup, ticks, files, again, retry: RETRY, told };
         watch.look_at([]);
         Ok(watch)
     }
@@ -128,15 +129,14 @@ impl Watch {
 
     /// It was loaded, and is what runs.
     pub fn taken(&mut self, loaded: &Loaded) {
-        (self.again, self.pause, self.told) = (None, AGAIN.0, None);
+        (self.again, self.retry, self.told) = (None, RETRY, None);
         self.look_at(loaded.cards());
     }
 
     /// It was not, and what was loaded before goes on. Whether the reason is another one than before.
     pub fn refused(&mut self, loaded: &Loaded, error: &LoadError) -> bool {
         self.look_at(loaded.cards().chain(error.files().iter().map(PathBuf::as_path)));
-        self.again = error.may_pass().then(|| Instant::now() + self.pause);
-        self.pause = (self.pause * 2).min(AGAIN.1);
+        self.again = error.may_pass().then(|| Instant::now() + self.retry.next_delay());
         let said = error.to_string();
         let is_new = self.told.as_ref() != Some(&said);
         self.told = Some(said);
@@ -165,7 +165,7 @@ impl Watch {
             };
             if is_another {
                 // So it is news, whatever comes of it.
-                (self.pause, self.told) = (AGAIN.0, None);
+                (self.retry, self.told) = (RETRY, None);
                 break;
             }
             if self.again.is_some_and(|again| Instant::now() >= again) {
@@ -288,7 +288,7 @@ mod tests {
                 (_, refusal) => panic!("{to}: {refusal:?}"),
             }
         }
-        gdp::SigningKey::generate().unwrap().save_new(&files.path("other.pem")).unwrap();
+        gdp_core::identity::SigningKey::generate().unwrap().save_new(&files.path("other.pem")).unwrap();
         fs::write(&path, text.replace("id.pem", "other.pem")).unwrap();
         let refusal = loaded.load_again(&path).err().unwrap().to_string();
         assert!(refusal.contains("topics[0].cert"), "{refusal}");

@@ -63,7 +63,7 @@ impl Told {
 
 #[cfg(test)]
 mod tests {
-    use gdp::cert::{AdCert, issue};
+    use gdp_core::cert::{AdCert, issue};
 
     use super::*;
     use crate::material::tests::Files;

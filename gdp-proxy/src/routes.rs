@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use gdp::{NameCard, Node};
+use gdp::node::Node;
+use gdp_core::card::NameCard;
 use gdp_ros::types::Types;
 
 use crate::config::Side;

@@ -3,12 +3,13 @@
 
 use std::fmt::Display;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use gdp::Name;
-use gdp::cert::{AdCert, Issued, Reading};
 use gdp::node::{Ended, NodeError};
+use gdp_core::cert::{AdCert, Issued, Reading};
+use gdp_util::backoff::Backoff;
+use gdp_wire::Name;
+use parking_lot::{Mutex, MutexGuard};
 use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::config::Side;
@@ -21,23 +22,8 @@ use crate::twins::Part;
 /// How often it is looked for another certificate, and for what else time brings.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// How long it is waited before a name is asked for again: doubled each time.
-#[derive(Clone, Copy)]
-pub struct Pause(Duration);
-
-impl Pause {
-    const SHORTEST: Duration = Duration::from_millis(500);
-    const LONGEST: Duration = Duration::from_secs(30);
-
-    pub fn new() -> Self {
-        Self(Self::SHORTEST)
-    }
-
-    async fn wait(&mut self) {
-        tokio::time::sleep(self.0).await;
-        self.0 = (self.0 * 2).min(Self::LONGEST);
-    }
-}
+/// Before a name is asked for again that was refused.
+pub const RETRY: Backoff = Backoff::new(Duration::from_millis(500), Duration::from_secs(30));
 
 /// A right to a name, and where it came from.
 pub struct Right<T> {
@@ -163,11 +149,11 @@ impl Standing {
 
     /// Waits until the name is to be asked for again, by another right if there is one by then. A refusal is no reason to end: others may be fine, and
     /// owners, RIBs and clocks mend.
-    pub async fn pause<T: Clone>(&self, error: impl Display, pause: &mut Pause, right: &mut Right<T>) {
-        let message = error.to_string();
-        tracing::warn!(what = %self.title, name = %self.name, "{message}; trying again in {:?}", pause.0);
+    pub async fn pause<T: Clone>(&self, error: impl Display, retry: &mut Backoff, right: &mut Right<T>) {
+        let (message, delay) = (error.to_string(), retry.next_delay());
+        tracing::warn!(what = %self.title, name = %self.name, "{message}; trying again in {delay:?}");
         self.set_status(&message);
-        pause.wait().await;
+        tokio::time::sleep(delay).await;
         if let Some(new) = right.newer() {
             right.held = new;
             right.file.taken();
@@ -198,7 +184,7 @@ impl Standing {
     }
 
     fn progress(&self) -> MutexGuard<'_, Progress> {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+        self.progress.lock()
     }
 }
 
@@ -208,7 +194,7 @@ pub enum RouteError {
     #[error(transparent)]
     Graph(#[from] GraphError),
     #[error(transparent)]
-    Cbor(#[from] gdp::cbor::CborError),
+    Cbor(#[from] gdp_core::cbor::CborError),
     #[error("the node is closed")]
     NodeClosed,
 }

@@ -6,8 +6,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-use gdp::Name;
 use gdp::node::{LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
+use gdp_wire::Name;
 use serde::Serialize;
 
 use crate::automatic::CatalogStats;

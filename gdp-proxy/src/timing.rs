@@ -1,8 +1,10 @@
 //! How long a stage of a message's way takes: percentiles of the latest messages, for the statistics.
 
-use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
+use gdp_util::unix_time::unix_nanos;
+
+use parking_lot::Mutex;
 use serde::Serialize;
 
 /// How many messages the percentiles speak of.
@@ -29,7 +31,7 @@ pub struct Percentiles {
 impl Timing {
     pub fn record(&self, took: Duration) {
         let micros = u32::try_from(took.as_micros()).unwrap_or(u32::MAX);
-        let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut ring = self.0.lock();
         let at = ring.next;
         match ring.latest.get_mut(at) {
             Some(oldest) => *oldest = micros,
@@ -40,21 +42,17 @@ impl Timing {
 
     /// Records what has passed since a time on another machine's clock, as far as the two agree.
     pub fn record_since(&self, unix_ns: u64) {
-        self.record(Duration::from_nanos(unix_now_ns().saturating_sub(unix_ns)));
+        self.record(Duration::from_nanos(unix_nanos().saturating_sub(unix_ns)));
     }
 
     /// `None` before the first message.
     pub fn percentiles(&self) -> Option<Percentiles> {
-        let mut sorted = self.0.lock().unwrap_or_else(PoisonError::into_inner).latest.clone();
+        let mut sorted = self.0.lock().latest.clone();
         sorted.sort_unstable();
         let at =
             |percent: usize| sorted.get((sorted.len() * percent / 100).min(sorted.len().saturating_sub(1))).copied();
         Some(Percentiles { p50: at(50)?, p99: at(99)? })
     }
-}
-
-fn unix_now_ns() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_nanos() as u64)
 }
 
 #[cfg(test)]

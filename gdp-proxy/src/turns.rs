@@ -3,7 +3,8 @@
 use std::pin::Pin;
 use std::time::{Duration, Instant};
 
-use gdp::{Name, Node};
+use gdp::node::Node;
+use gdp_wire::Name;
 
 use crate::standing::Standing;
 use crate::twins::Place;

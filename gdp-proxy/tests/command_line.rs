@@ -6,10 +6,13 @@ use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use gdp::cert::{AdCert, Mode, issue};
-use gdp::{Identity, NameCard, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Mode, issue};
+use gdp_core::identity::{Identity, SigningKey};
 use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 use gdp_ros::roster::Offer;
+use gdp_tests::process::terminate;
+use gdp_tests::programs::own;
 
 #[test]
 fn check_reads_everything_and_says_so() {
@@ -44,7 +47,7 @@ fn a_misspelt_key_is_said_with_its_line_and_what_was_meant() {
 
 #[test]
 fn the_schema_is_printed_without_a_configuration() {
-    let output = Command::new(env!("CARGO_BIN_EXE_gdp-proxy")).arg("--schema").output().unwrap();
+    let output = own(env!("CARGO_BIN_EXE_gdp-proxy")).arg("--schema").output().unwrap();
     assert!(output.status.success(), "{output:?}");
     let schema: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(schema["properties"]["expose"].is_object(), "{schema}");
@@ -118,7 +121,7 @@ fn statistics_that_cannot_be_written_are_a_mistake_said_at_once() {
 
 #[test]
 fn wrong_usage_is_exit_code_2() {
-    let output = Command::new(env!("CARGO_BIN_EXE_gdp-proxy")).arg("--confg").output().unwrap();
+    let output = own(env!("CARGO_BIN_EXE_gdp-proxy")).arg("--confg").output().unwrap();
     assert_eq!(output.status.code(), Some(2));
 }
 
@@ -132,7 +135,7 @@ fn it_waits_for_a_switch_and_ends_at_sigterm() {
         std::thread::yield_now();
     }
     if catches_sigterm(child.id()) {
-        assert!(Command::new("kill").arg(child.id().to_string()).status().unwrap().success());
+        terminate(&child).unwrap();
     } else {
         child.kill().unwrap();
     }
@@ -178,7 +181,7 @@ impl Files {
     }
 
     fn command(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-proxy"));
+        let mut command = own(env!("CARGO_BIN_EXE_gdp-proxy"));
         command.arg("--config").arg(self.path("robot.yaml")).args(arguments);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         command

@@ -16,13 +16,17 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use gdp::cert::{AdCert, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
-use gdp::domain::{PaperFiles, Papers};
 use gdp::node::{LinkState, PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::seal::Encoding;
-use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::config::{DomainConfig, Neighbour, Place, Via};
-use gdp_ctl::serve::{Running, start};
+use gdp::node::{Node, NodeConfig};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
+use gdp_core::domain::{PaperFiles, Papers};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_daemon::config::{DomainConfig, Neighbour, Place, Via};
+use gdp_daemon::serve::{Running, start};
+use gdp_e2e::seal::Encoding;
+use gdp_tests::programs::own;
+use gdp_wire::Name;
 use tokio::time::timeout;
 
 /// How long anything may take on a busy machine.
@@ -149,7 +153,7 @@ impl Site {
     }
 
     fn command(&self) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-proxy"));
+        let mut command = own(env!("CARGO_BIN_EXE_gdp-proxy"));
         command.arg("--config").arg(self.file("robot.yaml")).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }

@@ -11,17 +11,19 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use clap::Parser;
-use gdp::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, issue};
+use gdp::node::{Node, NodeConfig};
 use gdp::node::{PublishOptions, SubscribeOptions};
-use gdp::seal::Encoding;
-use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_e2e::seal::Encoding;
 
 #[derive(Parser)]
 #[command(about = "Publish and subscribe bytes by name")]
 struct Options {
     /// Where the switch is: udp://HOST:PORT, or eth://INTERFACE as root.
     #[arg(long, default_value = "udp://127.0.0.1:31415")]
-    link: gdp::node::LinkTarget,
+    link: gdp_core::link_target::LinkTarget,
     /// Folder of keys and certificates, made if it is not there; without it, all are made anew and forgotten.
     #[arg(long)]
     dir: Option<PathBuf>,

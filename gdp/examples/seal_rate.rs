@@ -6,9 +6,11 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use gdp::crypto::Backend;
-use gdp::seal::{Draft, Encoding, EpochKey, Limits, Moment, Reader, Received, Segments, Writer};
-use gdp::{Identity, Name};
+use gdp_core::crypto::Backend;
+use gdp_core::identity::Identity;
+use gdp_core::keys::EpochKey;
+use gdp_e2e::seal::{Draft, Encoding, Limits, Moment, Reader, Received, Segments, Writer};
+use gdp_wire::Name;
 
 #[derive(Parser)]
 #[command(about = "Measures sealing and opening of signed messages on one core")]

@@ -43,38 +43,40 @@ mod shared_entry;
 mod state;
 mod subscription;
 mod supervisor;
-mod target;
 mod told;
 
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_wire::Name;
+use parking_lot::Mutex;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use self::clock::unix_now;
 use self::home::Home;
 use self::lane::Status;
 use self::publication::Publication;
 use self::receiver::Receiver;
 use self::revoked::Revoked;
-use self::state::{State, Statement, lock};
-use crate::cert::{AdCert, CertError, Issued, Reading as Grant};
-use crate::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode, Request};
-use crate::domain::{DomainError, Papers};
-use crate::identity::Identity;
-use crate::keys::RingError;
-use crate::link::{LinkError, MAX_LANES, RekeySchedule};
-use crate::name::{NamePrefix, NameProof};
-use crate::port::LinkAddr;
-use crate::seal::SealError;
-use crate::secret_file::SecretFileError;
+use self::state::{State, Statement};
+use gdp_core::cert::{AdCert, CertError, Issued, Reading as Grant};
+use gdp_core::domain::{DomainError, Papers};
+use gdp_core::identity::Identity;
+use gdp_core::name::{NamePrefix, NameProof};
+use gdp_core::peer::MAX_LANES;
+use gdp_core::secret_file::SecretFileError;
+use gdp_e2e::keys::RingError;
+use gdp_e2e::seal::SealError;
+use gdp_link::link::{LinkError, RekeySchedule};
+use gdp_link::port::LinkAddr;
+use gdp_proto::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode, Request};
+use gdp_util::unix_time::unix_seconds;
 
 pub use counters::{Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 pub use ending::Ended;
 pub use feedback::{Feedback, FrameError};
+pub use gdp_core::link_target::{LinkTarget, LinkTargetError};
 pub use gdp_wire::ErrorCode;
 pub use lane::{LinkState, LinkStatus};
 pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions, Wants};
@@ -83,7 +85,6 @@ pub use publisher::{Publisher, Unflushed};
 pub use services::{Call, Client, Server};
 pub use subscription::Subscription;
 pub use supervisor::SETTLING;
-pub use target::{LinkTarget, LinkTargetError};
 
 /// How a node finds its switch.
 #[derive(Clone, Debug)]
@@ -385,7 +386,7 @@ impl Node {
         let attachment = state.attached().await?;
         let (mut records, truncated) = state.query(&attachment, prefix.clone(), after).await?;
         records.retain(|record| {
-            let verdict = record.verify(None, unix_now());
+            let verdict = record.verify(None, unix_seconds());
             if let Err(error) = &verdict {
                 tracing::warn!(name = %record.name, %error, "the RIB answered with a record that does not verify");
             }
@@ -436,10 +437,10 @@ impl Node {
 
     /// Detaches: the switch is told, and withdraws everything at once. Publishers and subscriptions are of no use after.
     pub async fn close(&self) {
-        let publications: Vec<_> = lock(&self.0.state.publications).values().cloned().collect();
+        let publications: Vec<_> = self.0.state.publications.lock().values().cloned().collect();
         publications.iter().for_each(|publication| publication.finish(&self.0.state.outlet));
         self.0.stop.send_replace(true);
-        let task = lock(&self.0.supervisor).take();
+        let task = self.0.supervisor.lock().take();
         if let Some(task) = task {
             let _ = task.await;
         }
@@ -458,4 +459,5 @@ fn spawn(name: &str, run: impl FnOnce() + Send + 'static) -> Result<(), LinkErro
 }
 
 #[cfg(test)]
+#[path = "../tests/unit/node/mod.rs"]
 mod tests;

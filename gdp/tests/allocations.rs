@@ -1,9 +1,11 @@
 //! Sealing and opening must not allocate per frame. This file is a program of its own because it counts every
 //! allocation of the process.
 
-use gdp::crypto::Backend;
-use gdp::seal::{Draft, Encoding, EpochKey, Limits, Moment, Reader, Received, Segments, Writer};
-use gdp::{Identity, Name};
+use gdp_core::crypto::Backend;
+use gdp_core::identity::Identity;
+use gdp_core::keys::EpochKey;
+use gdp_e2e::seal::{Draft, Encoding, Limits, Moment, Reader, Received, Segments, Writer};
+use gdp_wire::Name;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 

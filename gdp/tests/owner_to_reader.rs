@@ -1,10 +1,14 @@
 //! The public API from end to end, without a network: an owner makes a name and lets a writer and a reader in, a RIB
 //! checks both, and a message crosses.
 
-use gdp::cert::{self, AdCert, Advert, AdvertOp, CertError, Grantee, Issued, Mode, ReadGrant, Signed, Speaker};
-use gdp::crypto::Backend;
-use gdp::seal::{Encoding, EpochKey, Limits, Moment, Reader, Received, Segments, Writer};
-use gdp::{Identity, Name, NameCard, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert;
+use gdp_core::cert::{AdCert, Advert, AdvertOp, CertError, Grantee, Issued, Mode, ReadGrant, Signed, Speaker};
+use gdp_core::crypto::Backend;
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::keys::EpochKey;
+use gdp_e2e::seal::{Encoding, Limits, Moment, Reader, Received, Segments, Writer};
+use gdp_wire::Name;
 
 const NOW: u64 = 1_800_000_000;
 

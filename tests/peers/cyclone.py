@@ -25,6 +25,7 @@ def arguments():
     p.add_argument("--size", type=int, default=64)
     p.add_argument("--text", default="hello from the robot")
     p.add_argument("--gate", help="send warm-up messages, numbered -1, until this file exists")
+    p.add_argument("--more-topics", type=int, default=0, help="as many writers of other topics, which write nothing")
     p.add_argument("--node", help="announce a ROS node of this name, as rmw_cyclonedds does")
     p.add_argument("--no-wait", action="store_true", help="talk without a listener")
     return p.parse_args()
@@ -121,6 +122,8 @@ def qos():
 def talk(participant):
     writer = DataWriter(participant, Topic(participant, args.topic, String_, qos=qos()), qos=qos())
     node = announce(participant, writers=[writer])
+    topics = [Topic(participant, f"{args.topic}{n}", String_, qos=qos()) for n in range(args.more_topics)]
+    more = [DataWriter(participant, topic, qos=qos()) for topic in topics]
     say(event="ready")
     while not args.no_wait and not writer.get_matched_subscriptions():
         time.sleep(0.01)

@@ -4,17 +4,18 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow, bail};
 use clap::{Args, ValueEnum};
-use gdp::NameCard;
-use gdp::cert::{AdCert, Advert, AdvertOp, Issued, Mode, RtCert, Signed, issue};
-use gdp::control::{EntityRequest, Response};
-use gdp::identity::{Identity, SigningKey};
-use gdp::name::Name;
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Issued, Mode, RtCert, Signed, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::name::Name;
+use gdp_proto::control::{EntityRequest, Response};
 use serde_json::json;
 
 use super::key::Kind;
 use super::paper::Paper;
-use super::{Context, parse_seconds, serial_now, unix_now, validity};
-use crate::admin::{Client, Request};
+use super::{Context, parse_seconds, serial_now, unix_seconds, validity};
+use crate::client::Client;
+use gdp_proto::admin::Request;
 
 /// What the switch is allowed to carry for a statement that a tool makes.
 const ROUTE_SECONDS: u64 = 300;
@@ -148,7 +149,7 @@ impl Session {
         let mut client = context.client()?;
         let status = client.ask_value(&Request::Status)?;
         let switch = status["name"].as_str().and_then(|name| name.parse().ok()).context("the daemon tells no name")?;
-        let claims = RtCert { entity: entity.name(), switch, not_after: unix_now() + ROUTE_SECONDS };
+        let claims = RtCert { entity: entity.name(), switch, not_after: unix_seconds() + ROUTE_SECONDS };
         let request = EntityRequest::Attach { rt_cert: issue(entity.key(), &claims)?, resumes: true, lane: 0 };
         match client.ask_control(&Request::Entity { entity: Some(entity.proof()), request: request.into() })? {
             Response::Attached { serial } => Ok(Self { client, switch, serial }),

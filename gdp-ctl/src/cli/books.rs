@@ -10,9 +10,11 @@ use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use gdp::cert::{Revocation, Signed};
-use gdp::secret_file::{self, SecretFileError};
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{Revocation, Signed};
+use gdp_core::secret_file;
+use gdp_core::secret_file::SecretFileError;
+use gdp_wire::Name;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::books::Books;
 use super::paper::Paper;
-use super::{Context, unix_now};
+use super::{Context, unix_seconds};
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
@@ -33,7 +33,7 @@ pub fn show(file: &Path, card: Option<&Path>, context: &Context) -> anyhow::Resu
     value["verified"] = json!(match card.map(Books::open).transpose()? {
         Some(books) => {
             let (_, revocation) = books.revocation()?.unzip();
-            let verdict = paper.verify(books.card(), revocation.as_ref(), unix_now());
+            let verdict = paper.verify(books.card(), revocation.as_ref(), unix_seconds());
             verdict.with_context(|| file.display().to_string())?
         }
         None => false,

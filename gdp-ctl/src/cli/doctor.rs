@@ -1,4 +1,4 @@
-//! `gdp-ctl doctor`: what a daemon would find here, judged by [`crate::doctor`]. Works without a daemon, and changes nothing.
+//! `gdp-ctl doctor`: what a daemon would find here, judged by [`gdp_daemon::doctor`]. Works without a daemon, and changes nothing.
 
 use std::path::PathBuf;
 
@@ -7,8 +7,9 @@ use clap::Args;
 use serde_json::json;
 
 use super::Context;
-use crate::config::Config;
-use crate::doctor::{self, Finding, Level};
+use gdp_daemon::config::Config;
+use gdp_daemon::doctor;
+use gdp_daemon::doctor::{Finding, Level};
 
 #[derive(Debug, Args)]
 pub struct Options {

@@ -1,13 +1,14 @@
 //! `gdp-ctl fib dump` and `rib dump`: all that the data plane forwards by, all that the RIB knows. Fetched page by page.
 
 use clap::Subcommand;
-use gdp::control::Record;
-use gdp::name::NamePrefix;
+use gdp_core::name::NamePrefix;
+use gdp_proto::control::Record;
 use serde_json::{Value, json};
 
 use super::Context;
 use super::output::{short, table};
-use crate::admin::{Client, ClientError, Request};
+use crate::client::{Client, ClientError};
+use gdp_proto::admin::Request;
 
 #[derive(Debug, Subcommand)]
 pub enum FibCommand {

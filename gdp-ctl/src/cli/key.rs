@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Subcommand, ValueEnum};
-use gdp::identity::{Identity, SigningKey};
+use gdp_core::identity::{Identity, SigningKey};
 use serde_json::{Map, json};
 
 use super::Context;

@@ -5,7 +5,7 @@ use serde_json::Value;
 
 use super::Context;
 use super::output::{short, table};
-use crate::admin::Request;
+use gdp_proto::admin::Request;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {

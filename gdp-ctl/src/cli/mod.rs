@@ -33,18 +33,26 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use gdp_util::terminal::note;
 
-use crate::admin::{Client, ClientError};
-use crate::folders;
-use crate::unix_time::{unix_nanos, unix_now};
+use crate::client::{Client, ClientError};
+use gdp_daemon::folders;
+use gdp_dataplane::object;
+use gdp_util::unix_time::{unix_nanos, unix_seconds};
 use output::Output;
 pub(crate) use paper::Paper;
+
+const VERSION: &str = if object::is_embedded() {
+    concat!(env!("CARGO_PKG_VERSION"), " (with XDP)")
+} else {
+    concat!(env!("CARGO_PKG_VERSION"), " (built without XDP)")
+};
 
 /// Names, certificates and the daemon of the Global Data Plane.
 #[derive(Debug, Parser)]
 #[command(
     name = "gdp-ctl",
-    version,
+    version = VERSION,
     after_help = "Exit status: 0 done, 1 failed or refused, 2 wrong usage, 3 no daemon answers."
 )]
 pub struct Cli {
@@ -137,12 +145,13 @@ impl Context {
 
 /// Runs the command of this process.
 pub fn main() -> ExitCode {
+    gdp_util::panics::end_process();
     let cli = Cli::parse();
     let context = Context { socket: cli.socket, output: Output { json: cli.json } };
     match run(cli.command, &context) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("gdp-ctl: {}", chain(&error));
+            note(format_args!("gdp-ctl: {}", chain(&error)));
             let no_daemon = matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. }));
             ExitCode::from(if no_daemon { 3 } else { 1 })
         }
@@ -194,7 +203,7 @@ fn serial_now() -> u64 {
 /// Beginning and end of what is issued now for so many seconds. A clock that is a little behind must not refuse it.
 fn validity(seconds: u64) -> (u64, u64) {
     const BACKDATED: u64 = 300;
-    let now = unix_now();
+    let now = unix_seconds();
     (now.saturating_sub(BACKDATED), now.saturating_add(seconds))
 }
 

@@ -4,9 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
 use clap::Subcommand;
-use gdp::identity::{SigningKey, VerifyKey};
-use gdp::name::Metadata;
-use gdp::{NameCard, name};
+use gdp_core::card::NameCard;
+use gdp_core::identity::{SigningKey, VerifyKey};
+use gdp_core::name;
+use gdp_core::name::Metadata;
+use gdp_util::terminal::note;
 use serde_json::{Value, json};
 
 use super::Context;
@@ -53,7 +55,7 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::Create { owner, topic, type_name, kind, nonce, meta, output } => {
             if nonce.is_some() {
-                eprintln!("gdp-ctl: warning: with a nonce that can be guessed, so can the topic behind the name");
+                note("gdp-ctl: warning: with a nonce that can be guessed, so can the topic behind the name");
             }
             let card = NameCard::create(public_key(&owner)?, &kind, &topic, &type_name, nonce)?;
             let card = NameCard::new(*card.owner_key(), with_meta(card.metadata().clone(), &meta)?)?;

@@ -1,22 +1,25 @@
 //! What commands have in common that are nodes of the fabric themselves.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
-use gdp::node::{LinkTarget, SubscribeOptions, Subscription};
-use gdp::{Identity, NameCard};
+use gdp::node::{SubscribeOptions, Subscription};
+use gdp_core::card::NameCard;
+use gdp_core::identity::Identity;
+use gdp_core::link_target::LinkTarget;
 use gdp_ros::roster::Dialect;
 use gdp_ros::types::Types;
+use gdp_util::terminal::note;
 
 use super::Context;
 use super::key::Kind;
-use crate::folders;
-use crate::ros::fabric::{Fabric, identity, local_switch};
 use crate::ros::feed::Feed;
-use crate::ros::keyring::{Keyring, called};
-use crate::unix_time::unix_now;
+use crate::ros::{fabric::Fabric, fabric::identity, fabric::local_switch};
+use crate::ros::{keyring::Keyring, keyring::called};
+use gdp_daemon::folders;
+use gdp_util::unix_time::unix_seconds;
 
 /// How often somebody is told that nobody publishes.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -42,7 +45,7 @@ impl NodeOptions {
     pub fn keyring(&self) -> anyhow::Result<Keyring> {
         let keyring = Keyring::open(&self.folder()?)?;
         for reason in &keyring.left_out {
-            eprintln!("gdp-ctl: warning: left out: {reason}");
+            note(format_args!("gdp-ctl: warning: left out: {reason}"));
         }
         Ok(keyring)
     }
@@ -103,7 +106,7 @@ impl Definitions {
 }
 
 pub async fn subscribe(fabric: &Fabric, card: &NameCard, options: SubscribeOptions) -> anyhow::Result<Subscription> {
-    let grant = fabric.keyring.grant(card, fabric.node.name(), unix_now())?;
+    let grant = fabric.keyring.grant(card, fabric.node.name(), unix_seconds())?;
     Ok(fabric.node.subscribe(card.proof(), grant, options).await?)
 }
 
@@ -116,14 +119,9 @@ pub async fn listen(fabric: &Fabric, card: &NameCard, options: SubscribeOptions)
 pub async fn tell_if_silent<T>(fabric: &Fabric, card: &NameCard) -> anyhow::Result<T> {
     tokio::time::sleep(PATIENCE).await;
     if fabric.parties(card).await?.writers.is_empty() {
-        eprintln!("WARNING: topic [{}] does not appear to be published yet", called(card));
+        note(format_args!("WARNING: topic [{}] does not appear to be published yet", called(card)));
     }
     std::future::pending().await
-}
-
-/// Seconds and nanoseconds since 1970.
-pub fn now() -> Duration {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
 }
 
 /// More than none.

@@ -4,11 +4,12 @@ use std::io::Read;
 use std::path::Path;
 
 use anyhow::{Context as _, bail};
-use gdp::cert::{
+use gdp_core::card::NameCard;
+use gdp_core::cert::{
     AdCert, CertError, Claims, Delegation, Grantee, Issued, MAX_CERT_FILE, MemberCert, Membership, PeerCert, ReadGrant,
     Reading, Revocation, RtCert, Signed,
 };
-use gdp::{Name, NameCard};
+use gdp_wire::Name;
 use serde_json::{Value, json};
 
 pub enum Paper {

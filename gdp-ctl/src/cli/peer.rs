@@ -5,8 +5,8 @@ use serde_json::Value;
 
 use super::Context;
 use super::output::{short, table};
-use crate::admin::Request;
-use crate::unix_time::unix_now;
+use gdp_proto::admin::Request;
+use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
@@ -21,7 +21,7 @@ pub fn run(command: &Command, context: &Context) -> anyhow::Result<()> {
 }
 
 fn describe(reply: &Value) -> String {
-    let now = unix_now();
+    let now = unix_seconds();
     let rows: Vec<_> = reply["peers"]
         .as_array()
         .into_iter()
@@ -70,7 +70,7 @@ mod tests {
     fn a_peer_without_a_link_has_a_reason() {
         let (home, away, peer) = (Name::from_bytes([1; 32]), Name::from_bytes([2; 32]), Name::from_bytes([3; 32]));
         let up = json!({"peer": peer, "domain": away, "standing": "border", "rights_given": "peering",
-            "rights_held": "peering,transit", "until": unix_now() + 1000, "link": "up", "via": "e0", "reason": null});
+            "rights_held": "peering,transit", "until": unix_seconds() + 1000, "link": "up", "via": "e0", "reason": null});
         let down = json!({"peer": peer, "domain": null, "standing": null, "link": "down", "via": "e1",
             "reason": "nobody answers", "reason_age_s": 7});
         let text = describe(&json!({"domain": home, "peers": [up, down]}));

@@ -11,7 +11,8 @@ use serde_json::{Value, json};
 use super::Context;
 use super::output::short;
 use super::place::{self, Place, millis};
-use crate::admin::{Client, Request};
+use crate::client::Client;
+use gdp_proto::admin::Request;
 
 /// Ask whether a name answers, once a second.
 ///

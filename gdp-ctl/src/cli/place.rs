@@ -3,12 +3,13 @@
 use std::path::Path;
 
 use anyhow::Context as _;
-use gdp::NameCard;
-use gdp::name::NamePrefix;
+use gdp_core::card::NameCard;
+use gdp_core::name::NamePrefix;
 use gdp_wire::Name;
 use serde_json::Value;
 
-use crate::admin::{Client, Request};
+use crate::client::Client;
+use gdp_proto::admin::Request;
 
 /// Where a name is, as the daemon's switch sees it.
 pub struct Place {

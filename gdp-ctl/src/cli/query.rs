@@ -4,13 +4,15 @@ use std::path::Path;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use gdp::NameCard;
-use gdp::control::{EntityRequest, Record, Response};
-use gdp::name::NamePrefix;
+use gdp_core::card::NameCard;
+use gdp_core::name::NamePrefix;
+use gdp_proto::control::{EntityRequest, Record, Response};
+use gdp_util::terminal::note;
 use serde_json::{Value, json};
 
-use super::{Context, output, unix_now};
-use crate::admin::{Client, Request};
+use super::{Context, output, unix_seconds};
+use crate::client::Client;
+use gdp_proto::admin::Request;
 
 /// Records that are shown at most.
 const MOST: usize = 100_000;
@@ -28,7 +30,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     if records.is_empty() {
         bail!("nobody publishes, reads, serves or calls {prefix}");
     }
-    let now = unix_now();
+    let now = unix_seconds();
     let mut rows = Vec::new();
     let mut values = Vec::new();
     for record in &records {
@@ -47,7 +49,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         values.push(value);
     }
     if truncated {
-        eprintln!("gdp-ctl: there are more; ask with more digits of the name");
+        note("gdp-ctl: there are more; ask with more digits of the name");
     }
     context.output.print(json!({"records": values, "truncated": truncated}), || {
         output::table(["name", "role", "entity", "switch", "expires in"], &rows)
@@ -77,7 +79,7 @@ fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>,
     }
 }
 
-fn describe(record: &Record, now: u64) -> Result<Value, gdp::cert::CertError> {
+fn describe(record: &Record, now: u64) -> Result<Value, gdp_core::cert::CertError> {
     let entity = record.verify(None, now)?.entity;
     let role = record.role()?.to_string();
     Ok(json!({

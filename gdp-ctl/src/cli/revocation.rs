@@ -1,14 +1,17 @@
 //! What `gdp-ctl grant revoke` and `gdp-ctl domain revoke` share: the next revocation of a name, and telling the fabric.
 
 use anyhow::{Context as _, bail};
-use gdp::cert::{MAX_REVOKED, Revocation, Signed};
-use gdp::control::{EntityRequest, Response};
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{MAX_REVOKED, Revocation, Signed};
+use gdp_proto::control::{EntityRequest, Response};
+use gdp_util::terminal::note;
+use gdp_wire::Name;
 use serde_json::{Value, json};
 
 use super::books::{Books, Entry};
 use super::{Context, serial_now};
-use crate::admin::{ClientError, Request};
+use crate::client::ClientError;
+use gdp_proto::admin::Request;
 
 /// Seconds that an expired certificate stays listed: a clock may be so much behind.
 const CLOCKS_DIFFER: u64 = 86400;
@@ -31,11 +34,11 @@ pub fn publish(
         Ok(()) => true,
         // It holds as soon as the fabric knows it; this machine need not be one that is connected.
         Err(error) if anew && matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. })) => {
-            eprintln!(
+            note(format_args!(
                 "gdp-ctl: not published, so it has no effect yet: {error}. Then, or on another machine with a copy of {} beside \
                  one of the card, run `{again}`",
                 file.display()
-            );
+            ));
             false
         }
         Err(error) => {

@@ -1,17 +1,15 @@
 //! `gdp-ctl serve`: runs the daemon until it is told to stop.
 
-use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::Args;
 use tokio::signal::unix::{SignalKind, signal};
-use tracing_subscriber::EnvFilter;
 
 use super::Context;
-use crate::config::{Config, DataPlane};
-use crate::serve;
+use gdp_daemon::config::{Config, DataPlane};
+use gdp_daemon::serve;
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -36,14 +34,7 @@ pub struct Options {
 }
 
 pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
-    let level = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    let colours = std::io::stderr().is_terminal();
-    tracing_subscriber::fmt()
-        .with_env_filter(level)
-        .with_writer(std::io::stderr)
-        .with_target(false)
-        .with_ansi(colours)
-        .init();
+    let _log = gdp_util::log::start();
     let mut config = match &options.config {
         Some(path) => Config::load(path)?,
         None => Config::embedded()?,
@@ -62,6 +53,8 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     runtime.block_on(async {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
         let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for SIGINT")?;
+        #[cfg(debug_assertions)]
+        tokio::spawn(gdp_util::panics::inject());
         let running = serve::start(config).await?;
         tokio::select! {
             _ = terminate.recv() => tracing::info!("SIGTERM: shutting down"),
@@ -70,6 +63,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
         if options.keep && running.outlives() {
             running.resign().await;
             tracing::info!("the kernel forwards on; start the next daemon soon, or run `gdp-ctl xdp detach`");
+            gdp_util::log::flush();
             std::process::exit(0);
         }
         running.stop().await;

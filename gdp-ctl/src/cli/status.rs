@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::Context;
 use super::output::{short, table};
-use crate::admin::Request;
+use gdp_proto::admin::Request;
 
 pub fn run(context: &Context) -> anyhow::Result<()> {
     let status = context.client()?.ask_value(&Request::Status)?;

@@ -1,14 +1,15 @@
 //! `gdp-ctl trace`: every switch and domain on the data path to a name, with the time to each.
 
 use clap::Args;
-use gdp::control::MAX_PATH;
+use gdp_proto::control::MAX_PATH;
 use gdp_wire::Name;
 use serde_json::{Value, json};
 
 use super::Context;
 use super::output::short;
 use super::place::{self, Place, millis};
-use crate::admin::{Client, Request};
+use crate::client::Client;
+use gdp_proto::admin::Request;
 
 /// Probes for one hop, until one is answered.
 const TRIES: usize = 3;

@@ -10,8 +10,8 @@ use serde_json::{Map, Value, json};
 
 use super::Context;
 use super::output::table;
-use crate::plane::pins::{self, BPFFS, Found, Pins, PinsError};
-use crate::plane::{host_pair, kernel};
+use gdp_dataplane::pins::{self, BPFFS, Found, Pins, PinsError};
+use gdp_dataplane::{host_pair, kernel};
 
 #[derive(Debug, Subcommand)]
 pub enum Command {

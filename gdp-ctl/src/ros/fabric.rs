@@ -4,12 +4,16 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use gdp::control::{NameRole, Record};
-use gdp::node::LinkTarget;
-use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
+use gdp::node::{Node, NodeConfig};
+use gdp_core::card::NameCard;
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::link_target::LinkTarget;
+use gdp_proto::control::{NameRole, Record};
+use gdp_wire::Name;
 
 use super::keyring::Keyring;
-use crate::admin::{Client, Request};
+use crate::client::Client;
+use gdp_proto::admin::Request;
 
 /// Records of one name that are counted.
 const MAX_RECORDS: usize = 100_000;

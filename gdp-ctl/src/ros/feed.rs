@@ -5,11 +5,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use gdp::node::Subscription;
-use gdp::seal::Message;
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
+use gdp_e2e::seal::Message;
 use gdp_msg::{Base, Encoding, Mapping, Options, Schema};
 use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, ROSTER, Taken};
 use gdp_ros::types::{TypeError, Types, unsealed};
+use gdp_wire::Name;
 use serde_json::Value;
 
 /// How often publishers that are not heard of are looked for.

@@ -5,9 +5,11 @@
 
 use std::path::{Path, PathBuf};
 
-use gdp::cert::{AdCert, CertError, Issued, Reading};
-use gdp::domain::PaperFiles;
-use gdp::{Name, NameCard, NamePrefix};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, CertError, Issued, Reading};
+use gdp_core::domain::PaperFiles;
+use gdp_core::name::NamePrefix;
+use gdp_wire::Name;
 
 use crate::cli::Paper;
 
@@ -253,8 +255,8 @@ fn newest<'a, T>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gdp::SigningKey;
-    use gdp::cert::{Grantee, ReadGrant, issue};
+    use gdp_core::cert::{Grantee, ReadGrant, issue};
+    use gdp_core::identity::SigningKey;
 
     const NOW: u64 = 1_000_000;
 

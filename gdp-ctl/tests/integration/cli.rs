@@ -1,11 +1,12 @@
 //! The command line as a user or a script meets it: output, files, exit statuses, and messages that name the remedy.
 
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::switch::PATIENCE;
 use crate::user::User;
+use gdp_tests::process::terminate;
 
 #[test]
 fn keys_cards_and_certificates_are_made_without_a_daemon() {
@@ -237,7 +238,7 @@ impl Daemon {
 
     /// As a service manager would.
     fn stop(mut self) -> std::process::ExitStatus {
-        Command::new("kill").arg(self.0.id().to_string()).status().unwrap();
+        terminate(&self.0).unwrap();
         self.0.wait().unwrap()
     }
 }

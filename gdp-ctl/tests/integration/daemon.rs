@@ -5,15 +5,17 @@ use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::switch::{Chain, PATIENCE, config, wait};
-use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, LinkState, Mode, ReadGrant, Reading, RtCert, issue};
-use gdp::control::{EntityRequest, Flooded, MAX_HOPS, Request, Response};
-use gdp::link::{Link, LinkIds};
+use gdp::node::{Node, NodeConfig};
 use gdp::node::{NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::port::{LinkAddr, OutFrame, Port, PortConfig};
-use gdp::seal::Encoding;
-use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::config::{Config, Neighbour, Place, Via};
-use gdp_ctl::serve::{Running, start};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, LinkState, Mode, ReadGrant, Reading, RtCert, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_daemon::config::{Config, Neighbour, Place, Via};
+use gdp_daemon::serve::{Running, start};
+use gdp_e2e::seal::Encoding;
+use gdp_link::link::{Link, LinkIds};
+use gdp_link::port::{LinkAddr, OutFrame, Port, PortConfig};
+use gdp_proto::control::{EntityRequest, Flooded, MAX_HOPS, Request, Response};
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{Header, Name, forward};
 use serde_json::Value;
@@ -175,7 +177,7 @@ async fn an_endpoint_that_the_rib_forgets_attaches_again_by_each_of_its_links() 
     let papers = Papers::new();
     let (_first_port, first) = papers.bare_link(&switch, 0).await;
     let (_second_port, second) = papers.bare_link(&switch, 1).await;
-    let not_after = unix_now() + 4;
+    let not_after = unix_seconds() + 4;
     for at in [(&first, 0), (&second, 1)] {
         papers.attach(&switch, at, not_after).await;
     }
@@ -185,7 +187,7 @@ async fn an_endpoint_that_the_rib_forgets_attaches_again_by_each_of_its_links() 
             panic!("another request")
         };
         assert_eq!(entity, papers.robot.name());
-        papers.attach(&switch, (link, lane), unix_now() + 3600).await;
+        papers.attach(&switch, (link, lane), unix_seconds() + 3600).await;
         responder.respond(Response::Done).await.unwrap();
     }
     switch.stop().await;
@@ -389,7 +391,7 @@ async fn exchange(publisher: &mut Publisher, subscription: &mut Subscription, wh
     }
 }
 
-async fn next(subscription: &mut Subscription) -> gdp::seal::Message {
+async fn next(subscription: &mut Subscription) -> gdp_e2e::seal::Message {
     tokio::time::timeout(PATIENCE, subscription.recv()).await.expect("a message in time").expect("a live subscription")
 }
 
@@ -460,7 +462,7 @@ impl Papers {
             scope: vec![],
             serial: 1,
             not_before: 0,
-            not_after: unix_now() + 3600,
+            not_after: unix_seconds() + 3600,
         };
         issue(&self.owner, &cert).unwrap().into()
     }
@@ -475,7 +477,7 @@ impl Papers {
             to: Grantee::Entity(self.cloud.name()),
             serial: 1,
             not_before: 0,
-            not_after: unix_now() + 3600,
+            not_after: unix_seconds() + 3600,
         };
         issue(&self.owner, &grant).unwrap().into()
     }
@@ -486,6 +488,6 @@ async fn connect(identity: &Identity, at: SocketAddr) -> Node {
     Node::connect(NodeConfig::new(identity.clone(), target)).await.unwrap()
 }
 
-fn unix_now() -> u64 {
+fn unix_seconds() -> u64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs()
 }

@@ -9,13 +9,17 @@ use std::time::Duration;
 
 use crate::member::{Domain, LONG, Place, Settings, now};
 use crate::switch::wait;
-use gdp::cert::{Invite, Membership, PeerCert, Revocation, Signed, issue};
-use gdp::control::{EntityRequest, Response};
-use gdp::domain::{Papers, Token};
-use gdp::node::LinkTarget;
-use gdp::{Identity, Name, NameCard, Node, NodeConfig, NodeError, SigningKey};
-use gdp_ctl::admin::{Client, Request};
-use gdp_ctl::serve::Running;
+use gdp::node::{Node, NodeConfig, NodeError};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{Invite, Membership, PeerCert, Revocation, Signed, issue};
+use gdp_core::domain::{Papers, Token};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::link_target::LinkTarget;
+use gdp_ctl::client::Client;
+use gdp_daemon::serve::Running;
+use gdp_proto::admin::Request;
+use gdp_proto::control::{EntityRequest, Response};
+use gdp_wire::Name;
 use serde_json::Value;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -363,7 +367,7 @@ impl Place {
     fn joined(&self, token: &Token) -> Settings {
         let membership = token.admit(self.name, 0, now() as u64 * 1_000_000_000).unwrap();
         self.put("membership", &membership.to_pem());
-        let domain = gdp::VerifyKey::from_bytes(&token.domain().owner_key).unwrap();
+        let domain = gdp_core::identity::VerifyKey::from_bytes(&token.domain().owner_key).unwrap();
         let metadata = [("kind".to_owned(), "domain".to_owned())].into();
         self.put("domain.card", &NameCard::new(domain, metadata).unwrap().to_json());
         self.settings_in_domain()

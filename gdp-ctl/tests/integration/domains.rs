@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Stdio;
 
 use crate::user::User;
-use gdp_ctl::config::Config;
+use gdp_daemon::config::Config;
 use serde_json::Value;
 
 #[test]

@@ -3,10 +3,10 @@
 
 use std::time::Duration;
 
-use gdp_ctl::rib::Item;
-use gdp_ctl::store::gateway::{Event, Gateway, Op, Watch};
-use gdp_ctl::store::items::{Copy, Place, Writer};
-use gdp_ctl::store::{Endpoint, StoreError};
+use gdp_daemon::store::{Endpoint, StoreError};
+use gdp_daemon::store::{gateway::Event, gateway::Gateway, gateway::Op, gateway::Watch};
+use gdp_daemon::store::{items::Copy, items::Place, items::Writer};
+use gdp_rib::rib::Item;
 use gdp_wire::Name;
 use tokio::time::timeout;
 

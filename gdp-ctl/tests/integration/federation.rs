@@ -8,19 +8,24 @@
 //!      A: hub (RIB) ── robot
 //! ```
 
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 use crate::member::{Domain, LONG, Place, Settings, now};
 use crate::switch::{PATIENCE, wait};
-use gdp::cert::{AdCert, Grantee, Mode, PeerCert, ReadGrant, Revocation, Signed, issue};
-use gdp::control::{EntityRequest, Record, Response};
-use gdp::node::{LinkTarget, PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::seal::Encoding;
-use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::admin::{Client, Request};
-use gdp_ctl::config::Inside;
-use gdp_ctl::serve::Running;
+use gdp::node::{Node, NodeConfig};
+use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, Mode, PeerCert, ReadGrant, Revocation, Signed, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::link_target::LinkTarget;
+use gdp_ctl::client::Client;
+use gdp_daemon::config::Inside;
+use gdp_daemon::serve::Running;
+use gdp_e2e::seal::Encoding;
+use gdp_proto::admin::Request;
+use gdp_proto::control::{EntityRequest, Record, Response};
+use gdp_tests::programs::own;
+use gdp_wire::Name;
 use serde_json::{Value, json};
 use tokio::time::timeout;
 
@@ -254,7 +259,7 @@ async fn attach(identity: &Identity, to: &Place) -> Node {
 async fn trace(place: &Place, name: Name) -> Option<(Value, String)> {
     let socket = place.file("switch.sock");
     let run = move |for_programs: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-ctl"));
+        let mut command = own(env!("CARGO_BIN_EXE_gdp-ctl"));
         command.arg("--socket").arg(&socket).args(for_programs).args(["trace", &name.to_string()]);
         let output = command.env_remove("RUST_LOG").output().unwrap();
         output.status.success().then(|| String::from_utf8(output.stdout).unwrap())

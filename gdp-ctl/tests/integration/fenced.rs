@@ -5,15 +5,15 @@ use std::net::UdpSocket;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use gdp::Identity;
-use gdp::cert::{LinkState, issue};
-use gdp::control::{
+use gdp_core::cert::{LinkState, issue};
+use gdp_core::identity::Identity;
+use gdp_daemon::config::{Config, Neighbour, Place, Via};
+use gdp_daemon::serve::{Running, start};
+use gdp_link::link::{Link, LinkIds};
+use gdp_link::port::{LinkAddr, Port, PortConfig};
+use gdp_proto::control::{
     Extent, FibPush, Flooded, MAX_HOPS, NameRole, Peers, PeersExtent, PeersPush, RefusalCode, Request, Response, Route,
 };
-use gdp::link::{Link, LinkIds};
-use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp_ctl::config::{Config, Neighbour, Place, Via};
-use gdp_ctl::serve::{Running, start};
 use gdp_wire::Name;
 use tempfile::TempDir;
 use tokio::time::timeout;

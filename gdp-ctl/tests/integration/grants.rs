@@ -5,10 +5,11 @@ use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixListener;
 
 use crate::user::User;
-use gdp::cert::{MemberCert, Membership, Revocation, Signed};
-use gdp::control::{EntityRequest, Refusal, RefusalCode, Response};
-use gdp::{Identity, NameCard};
-use gdp_ctl::admin::{Reply, Request, parse_request, reply_line};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{MemberCert, Membership, Revocation, Signed};
+use gdp_core::identity::Identity;
+use gdp_proto::admin::{Reply, Request, parse_request, reply_line};
+use gdp_proto::control::{EntityRequest, Refusal, RefusalCode, Response};
 use serde_json::Value;
 
 #[test]
@@ -178,8 +179,8 @@ fn what_was_tampered_with_is_not_believed() {
     let file = user.file("chatter.card.revocation");
     let ours = std::fs::read_to_string(&file).unwrap();
     let name = Signed::<Revocation>::from_pem(&ours).unwrap().claims_unverified().unwrap().name;
-    let stranger = gdp::SigningKey::generate().unwrap();
-    let forged = gdp::cert::issue(&stranger, &Revocation { name, number: 9, floor: 0, revoked: vec![] }).unwrap();
+    let stranger = gdp_core::identity::SigningKey::generate().unwrap();
+    let forged = gdp_core::cert::issue(&stranger, &Revocation { name, number: 9, floor: 0, revoked: vec![] }).unwrap();
     for (what, text, needle) in
         [("another's", forged.to_pem(), "wrong key"), ("no revocation", "junk".into(), "chatter.card.revocation")]
     {

@@ -4,14 +4,15 @@
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::switch::{PATIENCE, config, wait};
-use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, Revocation, RtCert, issue};
-use gdp::control::{EntityRequest, NameRole, Peers, RefusalCode, Request, Response};
-use gdp::keys::KeyBox;
-use gdp::link::Link;
-use gdp::peers::{Counterparts, PeerEvent};
-use gdp::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
-use gdp::{Identity, NameCard, SigningKey};
-use gdp_ctl::serve::{Running, start};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, Revocation, RtCert, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::keys::KeyBox;
+use gdp_daemon::serve::{Running, start};
+use gdp_link::link::Link;
+use gdp_link::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
+use gdp_proto::control::{EntityRequest, NameRole, Peers, RefusalCode, Request, Response};
+use gdp_proto::peers::{Counterparts, PeerEvent};
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{Header, Name, forward};
 use zerocopy::{FromBytes, IntoBytes};
@@ -26,7 +27,7 @@ async fn counterparts_meet_in_their_inboxes_until_one_is_revoked() {
     let mut robot = Endpoint::attach(&switch, &card, NameRole::Publisher).await;
     let mut cloud = Endpoint::attach(&switch, &card, NameRole::Subscriber).await;
 
-    let (not_before, not_after) = (0, unix_now() + 3600);
+    let (not_before, not_after) = (0, unix_seconds() + 3600);
     let (mode, scope) = (Mode::Unicast, Vec::new());
     let cert = AdCert { name, entity: robot.name(), mode, scope, serial: 1, not_before, not_after };
     let (ad_cert, advert) = (issue(&owner, &cert).unwrap().into(), robot.advert(AdvertOp::Publish, name, &switch));
@@ -85,7 +86,7 @@ impl Endpoint {
         let identity = Identity::generate("proxy").unwrap();
         let port = Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::endpoint(identity.clone())).unwrap();
         let link = port.dial(LinkAddr::udp(switch.udp_addr().unwrap()), Some(switch.name())).await.unwrap();
-        let claims = RtCert { entity: identity.name(), switch: switch.name(), not_after: unix_now() + 3600 };
+        let claims = RtCert { entity: identity.name(), switch: switch.name(), not_after: unix_seconds() + 3600 };
         let rt_cert = issue(identity.key(), &claims).unwrap();
         let counterparts = Counterparts::new(card.proof(), role).unwrap();
         let endpoint = Self { identity, port, link, counterparts, serial: 1, sent: 0 };
@@ -98,7 +99,7 @@ impl Endpoint {
         self.identity.name()
     }
 
-    fn advert(&self, op: AdvertOp, name: Name, switch: &Running) -> gdp::cert::Signed<Advert> {
+    fn advert(&self, op: AdvertOp, name: Name, switch: &Running) -> gdp_core::cert::Signed<Advert> {
         let (entity, switch, box_key) = (self.name(), switch.name(), self.identity.box_public());
         let claims = Advert { op, name, entity, switch, serial: self.serial, lifetime: 60, box_key };
         issue(self.identity.key(), &claims).unwrap()
@@ -115,7 +116,7 @@ impl Endpoint {
     }
 
     fn take(&mut self, peers: &Peers) -> Vec<PeerEvent> {
-        self.counterparts.take(unix_now(), peers).unwrap()
+        self.counterparts.take(unix_seconds(), peers).unwrap()
     }
 
     /// What the RIB tells next.
@@ -152,6 +153,6 @@ impl Endpoint {
     }
 }
 
-fn unix_now() -> u64 {
+fn unix_seconds() -> u64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs()
 }

@@ -5,10 +5,12 @@ use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
 use crate::switch::{Chain, config, wait};
-use gdp::control::{Refusal, RefusalCode, Request, Response, Traced};
-use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp::{Identity, Name};
-use gdp_ctl::serve::{Running, start};
+use gdp_core::identity::Identity;
+use gdp_daemon::serve::{Running, start};
+use gdp_link::port::{LinkAddr, Port, PortConfig};
+use gdp_proto::control::{Refusal, RefusalCode, Request, Response, Traced};
+use gdp_tests::programs::own;
+use gdp_wire::Name;
 use serde_json::Value;
 use tokio::io::{AsyncBufReadExt, BufReader};
 
@@ -155,7 +157,7 @@ impl Chain<'_> {
     }
 
     fn command(&self, i: usize, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-ctl"));
+        let mut command = own(env!("CARGO_BIN_EXE_gdp-ctl"));
         command.arg("--socket").arg(self.folder.join(format!("s{}.sock", i + 1))).args(arguments);
         command.env_remove("RUST_LOG").env_remove("RUST_BACKTRACE");
         command

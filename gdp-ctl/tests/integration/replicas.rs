@@ -11,18 +11,22 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant, SystemTime};
 
-use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, issue};
-use gdp::control::{EntityRequest, RefusalCode, Request, Response};
-use gdp::link::Link;
+use gdp::node::{Node, NodeConfig};
 use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp::seal::Encoding;
-use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_e2e::seal::Encoding;
+use gdp_link::link::Link;
+use gdp_link::port::{LinkAddr, Port, PortConfig};
+use gdp_proto::control::{EntityRequest, RefusalCode, Request, Response};
+use gdp_tests::process::terminate;
+use gdp_tests::programs::own;
 use gdp_wire::Name;
 use serde_json::{Value, json};
 use tokio::time::{sleep, timeout};
@@ -204,7 +208,7 @@ impl Switches {
 
     fn spawn(&mut self, i: usize) {
         let log = fs::File::options().create(true).append(true).open(self.folder.join(format!("s{i}.log"))).unwrap();
-        let daemon = Command::new(env!("CARGO_BIN_EXE_gdp-ctl"))
+        let daemon = own(env!("CARGO_BIN_EXE_gdp-ctl"))
             .args(["serve", "--config"])
             .arg(self.folder.join(format!("s{i}.yaml")))
             .stdin(Stdio::null())
@@ -226,15 +230,15 @@ impl Switches {
     /// Waits until it has ended.
     fn terminate(&mut self, i: usize) {
         if let Some(mut daemon) = self.daemons[i].take() {
-            let told = Command::new("kill").args(["-TERM", &daemon.id().to_string()]).status().unwrap();
-            assert!(told.success() && daemon.wait().unwrap().success());
+            terminate(&daemon).unwrap();
+            assert!(daemon.wait().unwrap().success());
         }
     }
 
     /// Of one that runs, and answers.
     fn status(&self, i: usize) -> Option<Value> {
         self.daemons[i].as_ref()?;
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-ctl"));
+        let mut command = own(env!("CARGO_BIN_EXE_gdp-ctl"));
         command.arg("--socket").arg(self.folder.join(format!("s{i}.sock"))).args(["status", "-j"]);
         serde_json::from_slice(&command.output().unwrap().stdout).ok()
     }
@@ -293,7 +297,7 @@ impl Owner {
             scope: vec![],
             serial: 1,
             not_before: 0,
-            not_after: unix_now() + 3600,
+            not_after: unix_seconds() + 3600,
         };
         issue(&self.0, &cert).unwrap().into()
     }
@@ -313,7 +317,7 @@ impl Owner {
             to: Grantee::Entity(entity.name()),
             serial: 1,
             not_before: 0,
-            not_after: unix_now() + 3600,
+            not_after: unix_seconds() + 3600,
         };
         let grant: Reading = issue(&self.0, &grant).unwrap().into();
         node.subscribe(card.proof(), grant, SubscribeOptions::reliable()).await.unwrap()
@@ -357,13 +361,13 @@ async fn bare_link(identity: &Identity, at: SocketAddr) -> (Port, Link) {
 }
 
 async fn attach(identity: &Identity, link: &Link, switch: Name) {
-    let claims = RtCert { entity: identity.name(), switch, not_after: unix_now() + 3600 };
+    let claims = RtCert { entity: identity.name(), switch, not_after: unix_seconds() + 3600 };
     let rt_cert = issue(identity.key(), &claims).unwrap();
     let request = EntityRequest::Attach { rt_cert, resumes: true, lane: 0 };
     let attached = link.request(&Request::Entity(request)).await.unwrap();
     assert!(matches!(attached, Response::Attached { .. }), "{attached:?}");
 }
 
-fn unix_now() -> u64 {
+fn unix_seconds() -> u64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs()
 }

@@ -3,11 +3,11 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use gdp_ctl::config::{Config, EtcdConfig};
-use gdp_ctl::serve::start;
-use gdp_ctl::store::Endpoint;
-use gdp_ctl::store::gateway::Gateway;
-use gdp_ctl::store::items::Place;
+use gdp_daemon::config::{Config, EtcdConfig};
+use gdp_daemon::serve::start;
+use gdp_daemon::store::Endpoint;
+use gdp_daemon::store::gateway::Gateway;
+use gdp_daemon::store::items::Place;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;

@@ -7,13 +7,16 @@ use std::time::SystemTime;
 
 use crate::owner::Owner;
 use crate::switch::{PATIENCE, config, wait};
-use gdp::cert::{AdCert, CertError, Issued, Mode, Revocation, issue};
-use gdp::control::{EntityRequest, RefusalCode, Response};
 use gdp::node::{Ended, NodeError, PublishOptions};
-use gdp::{Identity, NamePrefix, Node, NodeConfig};
-use gdp_ctl::admin::{Client, Request};
-use gdp_ctl::config::Config;
-use gdp_ctl::serve::{Running, start};
+use gdp::node::{Node, NodeConfig};
+use gdp_core::cert::{AdCert, CertError, Issued, Mode, Revocation, issue};
+use gdp_core::identity::Identity;
+use gdp_core::name::NamePrefix;
+use gdp_ctl::client::Client;
+use gdp_daemon::config::Config;
+use gdp_daemon::serve::{Running, start};
+use gdp_proto::admin::Request;
+use gdp_proto::control::{EntityRequest, RefusalCode, Response};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_rib_that_starts_anew_refuses_what_was_revoked() {
@@ -99,7 +102,7 @@ impl Owner {
         self.ad_cert_of(entity.name(), serial)
     }
 
-    fn ad_cert_of(&self, entity: gdp::Name, serial: u64) -> Issued<AdCert> {
+    fn ad_cert_of(&self, entity: gdp_wire::Name, serial: u64) -> Issued<AdCert> {
         let (name, mode, scope, not_before) = (self.card.name(), Mode::Multicast, Vec::new(), 0);
         let not_after = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs() + 3600;
         let claims = AdCert { name, entity, mode, scope, serial, not_before, not_after };

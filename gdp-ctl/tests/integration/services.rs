@@ -7,12 +7,13 @@ use std::time::SystemTime;
 use crate::owner::Owner;
 use crate::ports::free_addr;
 use crate::switch::{PATIENCE, config, wait};
-use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp::node::{Client, NodeError, Server};
-use gdp::seal::{Encoding, Message};
-use gdp::{Identity, Node, NodeConfig};
-use gdp_ctl::config::{Config, Neighbour, Place, Via};
-use gdp_ctl::serve::{Running, start};
+use gdp::node::{Node, NodeConfig};
+use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::identity::Identity;
+use gdp_daemon::config::{Config, Neighbour, Place, Via};
+use gdp_daemon::serve::{Running, start};
+use gdp_e2e::seal::{Encoding, Message};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn callers_get_their_own_replies_and_are_told_when_nobody_serves() {

@@ -4,15 +4,17 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, ChildStdout, Output, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
-use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, Reading, issue};
+use gdp::node::{Node, NodeConfig};
 use gdp::node::{PublishOptions, Publisher, SubscribeOptions};
-use gdp::seal::{Draft, Encoding};
-use gdp::{Identity, Name, Node, NodeConfig, SigningKey};
-use gdp_ctl::serve::{Running, start};
+use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, Reading, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_daemon::serve::{Running, start};
+use gdp_e2e::seal::{Draft, Encoding};
 use gdp_ros::call::{CALL, Epoch, Failure, FailureCode, Reply, Request};
 use gdp_ros::compression::Packer;
 use gdp_ros::roster::{self, Change, Dialect, Incoming, Kind, Offer, Outgoing, ROSTER};
 use gdp_ros::types::Types;
+use gdp_wire::Name;
 use serde_json::Value;
 
 use crate::owner::Owner;
@@ -344,7 +346,7 @@ impl Drop for Following {
 impl Owner {
     fn of_type(kind: &str, topic: &str, of: &str) -> Self {
         let key = SigningKey::generate().unwrap();
-        let card = gdp::NameCard::create(key.verify_key(), kind, topic, of, None).unwrap();
+        let card = gdp_core::card::NameCard::create(key.verify_key(), kind, topic, of, None).unwrap();
         Self { key, card }
     }
 
@@ -353,7 +355,7 @@ impl Owner {
         issue(&self.key, &ReadGrant { name, to, serial: 1, not_before: 0, not_after }).unwrap().into()
     }
 
-    fn ad(&self, entity: Name) -> gdp::cert::Signed<AdCert> {
+    fn ad(&self, entity: Name) -> gdp_core::cert::Signed<AdCert> {
         let (name, mode, scope) = (self.card.name(), Mode::Unicast, Vec::new());
         issue(&self.key, &AdCert { name, entity, mode, scope, serial: 1, not_before: 0, not_after: tomorrow() })
             .unwrap()

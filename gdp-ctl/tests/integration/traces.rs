@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use crate::member::{Domain, LONG, Place};
 use crate::switch::wait;
-use gdp::control::{Crossing, Refusal, RefusalCode, Request, Response, TraceLeg, TraceOn, TracedDomain};
-use gdp::domain::Papers;
-use gdp::link::{Link, LinkIds};
-use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp::{Identity, Name};
-use gdp_ctl::admin;
-use gdp_ctl::serve::Running;
+use gdp_core::domain::Papers;
+use gdp_core::identity::Identity;
+use gdp_daemon::serve::Running;
+use gdp_link::link::{Link, LinkIds};
+use gdp_link::port::{LinkAddr, Port, PortConfig};
+use gdp_proto::admin;
+use gdp_proto::control::{Crossing, Refusal, RefusalCode, Request, Response, TraceLeg, TraceOn, TracedDomain};
+use gdp_wire::Name;
 use serde_json::Value;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -114,7 +115,7 @@ impl Borders {
         let request =
             admin::Request::Beyond { name: Name::from_bytes([7; 32]), border: self.running.name(), domain, peer };
         let socket = self.inner.file("switch.sock");
-        let asked = move || admin::Client::connect(&socket).unwrap().ask_value(&request).unwrap();
+        let asked = move || gdp_ctl::client::Client::connect(&socket).unwrap().ask_value(&request).unwrap();
         let answer = tokio::task::spawn_blocking(asked).await.unwrap();
         assert_eq!(answer["domains"].as_array().map(Vec::len), Some(1), "{answer}");
         answer["domains"][0].clone()

@@ -2,10 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use std::time::Instant;
 
-use gdp::Name;
+use gdp_wire::Name;
 use tokio::sync::watch;
 
+use super::omissions::{Omissions, Omitted, Reason};
 use crate::config::{CallConfig, MAX_CALLS, MAX_ROUTES, Manner, Side, Thing};
 use crate::graph::Graph;
 use crate::manager::Plan;
@@ -20,8 +22,8 @@ use crate::{call, route};
 pub struct Kept {
     /// The rights to names that were made or learnt here; routes follow them by themselves.
     rights: BTreeMap<(Name, Side), watch::Sender<Permission>>,
-    /// What has been said in the log of what: once, and not whenever a graph changes.
-    pub told: BTreeSet<(String, String)>,
+    /// What is not carried, and what the log has of it.
+    pub omissions: Omissions,
 }
 
 /// One time.
@@ -31,7 +33,7 @@ pub struct Gathering<'a> {
     calls: Gathered<call::Route>,
     names: Names,
     used: BTreeSet<(Name, Side)>,
-    told: BTreeSet<(String, String)>,
+    omitted: Omitted,
 }
 
 /// Of what each name is: a node has a name once in each direction.
@@ -50,7 +52,7 @@ impl<'a> Gathering<'a> {
         let mut names = Names::new();
         let (topics, calls) =
             (Gathered::new(topics, &mut names, MAX_ROUTES), Gathered::new(calls, &mut names, MAX_CALLS));
-        Self { kept, topics, calls, names, used: BTreeSet::new(), told: BTreeSet::new() }
+        Self { kept, topics, calls, names, used: BTreeSet::new(), omitted: Omitted::new() }
     }
 
     /// The right to a name, as it is told to whoever uses it from now on.
@@ -88,26 +90,24 @@ impl<'a> Gathering<'a> {
                 self.calls.add(Planned { config, label, graph, material }, &mut self.names)
             }
         };
-        added.unwrap_or_else(|why| {
-            self.tell(thing, name, why);
+        added.unwrap_or_else(|reason| {
+            self.omit(thing, name, reason);
             false
         })
     }
 
-    /// Says why something is not carried.
-    pub fn tell(&mut self, thing: Thing, name: &TopicName, why: String) {
-        let complaint = (thing.title(name), why);
-        if !self.kept.told.contains(&complaint) {
-            tracing::warn!(what = complaint.0, "not carried: {}", complaint.1);
-        }
-        self.told.insert(complaint);
+    /// Something matches and is not carried.
+    pub fn omit(&mut self, thing: Thing, name: &TopicName, reason: Reason) {
+        self.omitted.insert(thing.title(name), reason);
     }
 
-    /// What was not used this time is not kept.
+    /// What was not used this time is forgotten; what is omitted is logged.
     pub fn finish(self) -> (Vec<Arc<RoutePlan>>, Vec<Arc<CallPlan>>) {
-        let Self { kept, topics, calls, used, told, .. } = self;
+        let Self { kept, topics, calls, used, omitted, .. } = self;
         kept.rights.retain(|key, _| used.contains(key));
-        kept.told = told;
+        for line in kept.omissions.update(Instant::now(), omitted) {
+            tracing::warn!("{line}");
+        }
         (topics.plans, calls.plans)
     }
 }
@@ -119,17 +119,16 @@ impl<R: Carries> Gathered<R> {
     }
 
     /// Whether its place was free; an error says why else it is not added.
-    fn add(&mut self, plan: Planned<R>, names: &mut Names) -> Result<bool, String> {
+    fn add(&mut self, plan: Planned<R>, names: &mut Names) -> Result<bool, Reason> {
         let (plan, most) = (Arc::new(plan), self.most);
         if self.plans.len() >= most {
-            return Err(format!("there are {most} routes already; run a second proxy"));
+            return Err(Reason::NoFreeRoute(most));
         }
         if self.places.contains(&plan.place()) {
             return Ok(false);
         }
         if let Some(other) = names.get(&named(&plan)) {
-            let name = plan.material.card.name();
-            return Err(format!("its name {name:#} is already that of {other}, in the same direction"));
+            return Err(Reason::NameIsTaken { name: plan.material.card.name(), by: other.clone() });
         }
         self.places.insert(plan.place());
         names.insert(named(&plan), R::title(&plan.config));

@@ -4,10 +4,12 @@
 //! that follows from the owner's key, so nobody guesses it. Certificates hold for [`LIFETIME`] and are issued anew when half of it is over: who is taken
 //! off the readers loses the right by then.
 
-use gdp::cert::{AdCert, CertError, Grantee, Issued, Mode, ReadGrant, issue};
-use gdp::crypto::{Backend, CryptoError};
-use gdp::name::Metadata;
-use gdp::{Name, NameCard, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, CertError, Grantee, Issued, Mode, ReadGrant, issue};
+use gdp_core::crypto::{Backend, CryptoError};
+use gdp_core::identity::SigningKey;
+use gdp_core::name::Metadata;
+use gdp_wire::Name;
 
 use super::choice::Exposed;
 use crate::config::{ExposeConfig, Thing};
@@ -41,7 +43,7 @@ pub struct Papers {
 #[derive(Debug, thiserror::Error)]
 pub enum IssueError {
     #[error(transparent)]
-    Card(#[from] gdp::card::CardError),
+    Card(#[from] gdp_core::card::CardError),
     #[error(transparent)]
     Cert(#[from] CertError),
     #[error(transparent)]
@@ -82,7 +84,7 @@ pub fn card_of(
     let said = [("kind", thing.as_str()), ("topic", exposed.name.as_str()), ("type", kind)];
     let mut metadata: Metadata = exposed.manner.meta.clone();
     metadata.extend(said.map(|(key, value)| (key.to_owned(), value.to_owned())));
-    let said = gdp::name::canonical_json(&metadata);
+    let said = gdp_core::name::canonical_json(&metadata);
     let secret = Backend::default().hkdf_sha256(&[], &owner.pkcs8_der(), &[CONTEXT, said.as_bytes()])?;
     metadata.insert("nonce".into(), hex::encode(&secret[..16]));
     Ok(NameCard::new(owner.verify_key(), metadata)?)

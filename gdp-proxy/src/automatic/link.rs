@@ -4,11 +4,13 @@ use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gdp::cert::{AdCert, Issued, Reading};
-use gdp::domain::PaperFiles;
+use gdp::node::Node;
 use gdp::node::{Ended, Overflow, PublishOptions, Publisher, Reliability, SubscribeOptions, Subscription};
-use gdp::{Name, NameCard, Node};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Issued, Reading};
+use gdp_core::domain::PaperFiles;
 use gdp_ros::catalog::{CATALOG, REFRESH};
+use gdp_wire::Name;
 use serde::Serialize;
 use tokio::sync::watch;
 
@@ -16,9 +18,9 @@ use super::listed::{Catalogs, Listed};
 use crate::config::Side;
 use crate::large::beside;
 use crate::manager::{Failure, Manager, Plan, Work};
-use crate::material::unix_now;
 use crate::renewal::Renewal;
-use crate::standing::{Pause, Right, RouteError, Standing, ended_because, ticks};
+use crate::standing::{RETRY, Right, RouteError, Standing, ended_because, ticks};
+use gdp_util::unix_time::unix_seconds;
 
 /// How long one that ends waits for its last word to arrive.
 const FLUSH: Duration = Duration::from_secs(3);
@@ -136,11 +138,11 @@ impl CatalogLink {
         mut catalog: watch::Receiver<Arc<[u8]>>,
         publisher: &mut Option<Publisher>,
     ) -> Result<Infallible, RouteError> {
-        let mut pause = Pause::new();
+        let mut pause = RETRY;
         loop {
             let error = match self.node.publish(self.plan.card.proof(), right.held(), options()).await {
                 Ok(new) => {
-                    pause = Pause::new();
+                    pause = RETRY;
                     self.standing.is_up();
                     ended_because(self.publish(publisher.insert(new), &mut catalog, right).await)?
                 }
@@ -184,13 +186,13 @@ impl CatalogLink {
         listed: &watch::Sender<Arc<[Listed]>>,
         files: Option<&PaperFiles>,
     ) -> Result<Infallible, RouteError> {
-        let mut pause = Pause::new();
+        let mut pause = RETRY;
         let mut catalogs = Catalogs::new(*self.plan.card.owner_key(), self.node.name());
         loop {
             let options = SubscribeOptions::reliable();
             let error = match self.node.subscribe(self.plan.card.proof(), right.held(), options).await {
                 Ok(mut subscription) => {
-                    pause = Pause::new();
+                    pause = RETRY;
                     self.standing.is_up();
                     let to = (&mut catalogs, listed, files);
                     ended_because(self.take(&mut subscription, to, right).await)?
@@ -217,7 +219,7 @@ impl CatalogLink {
                 message = subscription.recv() => match message {
                     Some(message) if message.encoding == CATALOG => {
                         let member = || Some(files?.load().ok()?.membership);
-                        let take = || catalogs.take(&message, member, Instant::now(), unix_now());
+                        let take = || catalogs.take(&message, member, Instant::now(), unix_seconds());
                         // Each name in it has signatures.
                         let taken = beside(message.body.len(), take);
                         taken.unwrap_or_else(|error| {

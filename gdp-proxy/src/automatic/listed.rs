@@ -3,10 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
-use gdp::cert::{Grantee, Issued, Membership, ReadGrant, Reading};
-use gdp::seal::Message;
-use gdp::{Name, NameCard, VerifyKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{Grantee, Issued, Membership, ReadGrant, Reading};
+use gdp_core::identity::VerifyKey;
+use gdp_e2e::seal::Message;
 use gdp_ros::catalog::{Catalog, CatalogError, LEASE};
+use gdp_wire::Name;
 
 use crate::config::{ImportConfig, Thing};
 use crate::ros2::{TopicName, TypeName};
@@ -147,9 +149,10 @@ pub fn chosen<'a>(config: &ImportConfig, listed: &'a [Listed]) -> BTreeMap<(Thin
 mod tests {
     use std::time::Duration;
 
-    use gdp::SigningKey;
-    use gdp::cert::{MemberCert, issue};
-    use gdp::{Identity, name::Metadata};
+    use gdp_core::cert::{MemberCert, issue};
+    use gdp_core::identity::Identity;
+    use gdp_core::identity::SigningKey;
+    use gdp_core::name::Metadata;
     use gdp_ros::catalog::{CATALOG, Entry};
 
     use super::*;

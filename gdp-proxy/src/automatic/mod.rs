@@ -9,17 +9,21 @@ mod gather;
 mod issuer;
 mod link;
 mod listed;
+mod omissions;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
+
+use gdp_util::unix_time::unix_nanos;
 
 use anyhow::{Context, Result, anyhow};
 use futures::future::select_all;
-use gdp::domain::PaperFiles;
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
+use gdp_core::domain::PaperFiles;
 use gdp_ros::catalog::{Catalog, Entry, MAX_ENTRIES, MAX_ENTRY_BYTES};
+use gdp_wire::Name;
 use tokio::sync::watch;
 
 use self::choice::Choice;
@@ -27,6 +31,7 @@ use self::gather::{Gathering, Kept};
 use self::issuer::{Issuer, Papers};
 use self::link::{CatalogPlan, End};
 use self::listed::{Listed, chosen};
+use self::omissions::Reason;
 use crate::config::{ExposeConfig, ImportConfig, Thing};
 use crate::graph::{self, Found, Graph, Onlooker};
 use crate::material::{ImportMaterial, Permission, RouteMaterial};
@@ -184,22 +189,22 @@ impl Expose {
         let mut is_full = None;
         for (thing, called, kind, exposed) in self.choice.iter() {
             if entries.len() >= MAX_ENTRIES {
-                is_full.get_or_insert_with(|| format!("there are {MAX_ENTRIES} names in the catalog already"));
+                is_full = is_full.or(Some(Reason::CatalogHasAllNames));
             }
-            if let Some(why) = &is_full {
-                gathering.tell(thing, called, why.clone());
+            if let Some(reason) = &is_full {
+                gathering.omit(thing, called, reason.clone());
                 continue;
             }
             let card = match self.issuer.card(thing, kind, exposed) {
                 Ok(card) => card,
                 Err(error) => {
-                    gathering.tell(thing, called, error.to_string());
+                    gathering.omit(thing, called, Reason::Failed(error.to_string()));
                     continue;
                 }
             };
             let name = card.name();
             if entries.contains_key(&name) {
-                gathering.tell(thing, called, "remap gives it the name of another".into());
+                gathering.omit(thing, called, Reason::RemappedOntoAnother);
                 continue;
             }
             let Some(issued) = papers(&self.issuer, &mut self.papers, &self.config, &card, now) else { continue };
@@ -208,13 +213,12 @@ impl Expose {
             let size = match entry.size() {
                 Ok(size) => size,
                 Err(error) => {
-                    gathering.tell(thing, called, error.to_string());
+                    gathering.omit(thing, called, Reason::Failed(error.to_string()));
                     continue;
                 }
             };
             if bytes + size > MAX_ENTRY_BYTES {
-                let why = "the catalog is full with as many grants in it; expose less, or give the readers a role in a domain";
-                gathering.tell(thing, called, is_full.insert(why.into()).clone());
+                gathering.omit(thing, called, is_full.insert(Reason::CatalogHasAllBytes).clone());
                 continue;
             }
             let (permission, file) = gathering.right(name, Permission::Publish(issued.cert));
@@ -275,7 +279,7 @@ impl Import {
         for ((thing, called), Listed { card, kind, right, .. }) in chosen(&self.config, &listed) {
             // Both would carry out each call.
             if thing != Thing::Topic && here.contains_key(&(thing, called.clone())) {
-                gathering.tell(thing, &called, "it is served here already; give the import a prefix".into());
+                gathering.omit(thing, &called, Reason::ServedHere);
                 continue;
             }
             let (permission, file) = gathering.right(card.name(), Permission::Read(right.clone()));
@@ -286,11 +290,6 @@ impl Import {
         let end = End::Reads(grant, self.tell.clone(), self.files.clone());
         CatalogPlan { card: catalog, renewal: file, end }
     }
-}
-
-fn unix_nanos() -> u64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
 }
 
 #[cfg(test)]

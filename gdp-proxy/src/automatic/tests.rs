@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use gdp::cert::{AdCert, Grantee, ReadGrant, issue};
-use gdp::{NameCard, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
+use gdp_core::identity::SigningKey;
 
 use super::*;
 use crate::config::{Config, What};
@@ -52,7 +53,8 @@ async fn a_name_that_is_listed_twice_is_read_once_and_the_rest_is_told() {
         let routes = automatic.plan(&explicit, &[]).routes;
         let topics: Vec<_> = routes.iter().map(|plan| plan.config.topic.as_str()).collect();
         assert_eq!(topics, ["/chatter", "/one/a", "/two/b"]);
-        let told: Vec<_> = automatic.kept.told.iter().map(|(what, why)| format!("{what}: {why}")).collect();
+        let told: Vec<_> =
+            automatic.kept.omissions.known().iter().map(|(what, why)| format!("{what}: {why}")).collect();
         assert!(
             told[0].starts_with("topic /one/chatter: its name ")
                 && told[0].contains("is already that of topic /chatter")
@@ -90,8 +92,8 @@ async fn what_finds_no_room_in_the_catalog_is_told_and_the_rest_is_listed() {
     let [CatalogPlan { end: End::Writes(_, list), .. }] = &plans.catalogs[..] else { panic!("one catalog") };
     let listed = Catalog::read(&list.borrow(), owner.verify_key()).unwrap();
     assert!((100..500).contains(&listed.len()), "{}", listed.len());
-    assert_eq!((plans.routes.len(), automatic.kept.told.len()), (listed.len(), 500 - listed.len()));
-    assert!(automatic.kept.told.iter().all(|(_, why)| why.contains("the catalog is full")));
+    assert_eq!((plans.routes.len(), automatic.kept.omissions.known().len()), (listed.len(), 500 - listed.len()));
+    assert!(automatic.kept.omissions.known().iter().all(|(_, reason)| *reason == Reason::CatalogHasAllBytes));
     drop((automatic, plans));
     graph::leave(graphs).await;
 }
@@ -145,7 +147,7 @@ async fn services_are_listed_and_carried_as_calls_unless_the_configuration_lists
     assert_eq!(listed, expected.map(|entry| entry.map(Some)));
     let names: Vec<_> = plans.calls.iter().map(|plan| plan.config.name.as_str()).collect();
     assert_eq!((names, plans.routes.len()), (vec!["/light", "/a", "/untyped"], 1));
-    let told = automatic.kept.told.iter().map(|(what, why)| format!("{what}: {why}")).collect::<Vec<_>>();
+    let told = automatic.kept.omissions.known().iter().map(|(what, why)| format!("{what}: {why}")).collect::<Vec<_>>();
     assert_eq!(told, ["service /b: remap gives it the name of another"]);
     drop((automatic, plans, explicit));
     graph::leave(graphs).await;

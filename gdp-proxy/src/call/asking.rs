@@ -1,20 +1,20 @@
 //! Questions to servers elsewhere: what they serve, calls, and what happens to goals.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
 use futures::StreamExt;
 use futures::future::join_all;
 use futures::stream::FuturesUnordered;
-use gdp::Name;
 use gdp::node::{Client, NodeError};
 use gdp_ros::action::cdr;
 use gdp_ros::call::{CALL, Description, Epoch, Events, Failure, FailureCode, Part, Reply, Request};
 use gdp_ros::services::Converters;
+use gdp_wire::Name;
+use parking_lot::Mutex;
 
 use super::counters::Reason;
-use super::lock;
 use crate::large::beside;
 
 /// For a server's proxy to answer a question about events, which it does once a minute though there are none.
@@ -136,12 +136,12 @@ impl<'a> Asking<'a> {
 
     /// The servers that were found to be others on the way.
     pub fn changed(self) -> Vec<Changed> {
-        self.changed.into_inner().unwrap_or_else(PoisonError::into_inner)
+        self.changed.into_inner()
     }
 
     /// Asks one server. If that is another than the one that was described, it has not seen the request, and is asked once more.
     async fn call(&self, known: &Arc<Known>) -> Result<Bytes, Failed> {
-        let convert = || lock(&known.converters).request.convert(self.request.clone());
+        let convert = || known.converters.lock().request.convert(self.request.clone());
         let body = beside(self.request.len(), convert).map_err(unconvertible)?;
         let failed = match self.exchange(known, known.epoch, body.clone()).await {
             Err(failed) if failed.reason == Reason::Changed => failed,
@@ -151,7 +151,7 @@ impl<'a> Asking<'a> {
         // What is described alike is converted alike.
         let again = now.as_ref().ok().filter(|(epoch, there)| *epoch != known.epoch && *there == known.there);
         let again = again.map(|(epoch, _)| *epoch);
-        lock(&self.changed).push(Changed { known: known.clone(), now });
+        self.changed.lock().push(Changed { known: known.clone(), now });
         match again {
             Some(epoch) => self.exchange(known, epoch, body).await,
             None => Err(failed),
@@ -162,7 +162,7 @@ impl<'a> Asking<'a> {
         let failed = |reason, code, why: &dyn ToString| Failed { failure: Failure::new(code, why.to_string()), reason };
         match ask(self.client, known.instance, &Request::Call { epoch, part: self.part, body }).await {
             Ok(Reply::Answer(body)) => {
-                beside(body.len(), || lock(&known.converters).response.convert(body)).map_err(unconvertible)
+                beside(body.len(), || known.converters.lock().response.convert(body)).map_err(unconvertible)
             }
             Ok(Reply::Failure(failure)) => Err(failure.into()),
             Ok(Reply::Description(..) | Reply::Events(_)) => {

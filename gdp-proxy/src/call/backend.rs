@@ -1,17 +1,16 @@
 //! The local servers behind a name that is called from elsewhere.
 
 use std::collections::HashMap;
-use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp::Name;
 use gdp::node::Call;
 use gdp_ros::action::{Goals, Log, cdr};
 use gdp_ros::call::{Description, Events, Failure, FailureCode, Part};
 use gdp_ros::types::Types;
+use gdp_wire::Name;
+use parking_lot::Mutex;
 
-use super::lock;
 use crate::graph::{Caller, CallerError, Graph, GraphError, Peer};
 use crate::ros2::{self, RawReader, RosError};
 
@@ -104,13 +103,13 @@ impl Backend {
             return Err(Box::new((call, failure)));
         };
         let (caller, now) = (call.client(), Instant::now());
-        if let Err(error) = lock(&action.log).heard(now, caller) {
+        if let Err(error) = action.log.lock().heard(now, caller) {
             return Err(Box::new((call, Failure::new(FailureCode::Busy, error))));
         }
-        match lock(&action.log).after(&caller, after) {
+        match action.log.lock().after(&caller, after) {
             Some(events) => Ok(Some((call, events))),
             None => {
-                lock(&action.questions).insert(caller, (call, after, now));
+                action.questions.lock().insert(caller, (call, after, now));
                 Ok(None)
             }
         }
@@ -119,10 +118,10 @@ impl Backend {
     /// Forgets what is over. Whose questions have waited for long enough, with the answer that there is nothing.
     pub fn sweep(&self) -> Vec<Told> {
         let (Self::Action(action), now) = (self, Instant::now()) else { return vec![] };
-        let mut goals = lock(&action.goals);
+        let mut goals = action.goals.lock();
         goals.sweep(now);
-        lock(&action.log).sweep(now, |caller| goals.has_live(*caller));
-        let mut questions = lock(&action.questions);
+        action.log.lock().sweep(now, |caller| goals.has_live(*caller));
+        let mut questions = action.questions.lock();
         let over = questions.iter().filter(|(_, (_, _, since))| now.saturating_duration_since(*since) >= HOLD);
         let over: Vec<Name> = over.map(|(caller, _)| *caller).collect();
         let over = over.iter().filter_map(|caller| questions.remove(caller));
@@ -133,17 +132,17 @@ impl Backend {
 impl Action {
     async fn send_goal(&self, caller: Name, body: Bytes) -> Result<Bytes, Failure> {
         let goal = cdr::goal_of(&body).map_err(|error| Failure::new(FailureCode::Malformed, error))?;
-        lock(&self.log).heard(Instant::now(), caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
+        self.log.lock().heard(Instant::now(), caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
         // What it says of the goal may come before its answer.
         let is_new = {
-            let mut goals = lock(&self.goals);
+            let mut goals = self.goals.lock();
             let is_new = goals.get(&goal).is_none();
             goals.begin(goal, caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
             is_new
         };
         let answer = self.send_goal.call(body).await;
         if is_new && !answer.as_ref().is_ok_and(|answer| cdr::is_accepted(answer).unwrap_or_default()) {
-            lock(&self.goals).forget(&goal);
+            self.goals.lock().forget(&goal);
         }
         answer
     }
@@ -151,21 +150,21 @@ impl Action {
     async fn get_result(&self, body: Bytes) -> Result<Bytes, Failure> {
         let goal = cdr::goal_of(&body).map_err(|error| Failure::new(FailureCode::Malformed, error))?;
         let answer = self.get_result.call(body).await?;
-        lock(&self.goals).end(Instant::now(), &goal);
+        self.goals.lock().end(Instant::now(), &goal);
         Ok(answer)
     }
 
     fn take_feedback(&self, message: Bytes) -> (Vec<Told>, u64) {
         // Goals of clients here, and of other proxies, are not for anybody.
-        let caller = cdr::goal_of(&message).ok().and_then(|goal| lock(&self.goals).get(&goal));
+        let caller = cdr::goal_of(&message).ok().and_then(|goal| self.goals.lock().get(&goal));
         let Some(caller) = caller else { return (vec![], 0) };
-        let dropped = lock(&self.log).feedback(&caller, message);
+        let dropped = self.log.lock().feedback(&caller, message);
         (self.tell(&caller).into_iter().collect(), dropped)
     }
 
     fn take_status(&self, message: &[u8]) -> Result<Vec<Told>, String> {
         let statuses = cdr::statuses(message).map_err(|error| error.to_string())?;
-        let (now, mut goals, mut log) = (Instant::now(), lock(&self.goals), lock(&self.log));
+        let (now, mut goals, mut log) = (Instant::now(), self.goals.lock(), self.log.lock());
         let callers: Vec<Name> = log.callers().copied().collect();
         for caller in &callers {
             let own = statuses.iter().filter(|status| goals.get(&status.goal) == Some(*caller)).copied();
@@ -178,9 +177,9 @@ impl Action {
 
     /// If it asks.
     fn tell(&self, caller: &Name) -> Option<Told> {
-        let mut questions = lock(&self.questions);
+        let mut questions = self.questions.lock();
         let (_, after, _) = questions.get(caller)?;
-        let events = lock(&self.log).after(caller, *after)?;
+        let events = self.log.lock().after(caller, *after)?;
         questions.remove(caller).map(|(call, ..)| (call, events))
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-use gdp::Name;
+use gdp_wire::Name;
 use serde::Serialize;
 
 use crate::config::{Side, What};

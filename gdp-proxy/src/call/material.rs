@@ -1,6 +1,7 @@
 //! The files that the configuration names for a service or an action, as [`crate::material`] has those of topics.
 
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
+use gdp_wire::Name;
 
 use crate::cert_file::CertFile;
 use crate::config::{CallConfig, Config};
@@ -34,7 +35,7 @@ fn load_one(call: &CallConfig, entity: Name) -> Result<RouteMaterial, (&'static 
 mod tests {
     use std::fs;
 
-    use gdp::cert::{AdCert, issue};
+    use gdp_core::cert::{AdCert, issue};
 
     use super::*;
     use crate::material::tests::Files;

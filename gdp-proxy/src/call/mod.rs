@@ -15,11 +15,12 @@ mod stand;
 
 use std::fmt::Display;
 use std::pin::pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gdp::Node;
+use gdp::node::Node;
 use gdp_ros::types::Types;
+use parking_lot::Mutex;
 
 use crate::config::{CallConfig, Thing, What};
 use crate::graph::Graph;
@@ -135,15 +136,11 @@ impl Route {
 
     /// Whether the servers elsewhere are none that this proxy can call, as far as it knows.
     fn leaves_to_others(&self, now: Instant) -> bool {
-        lock(&self.unfit_until).is_some_and(|until| now < until)
+        self.unfit_until.lock().is_some_and(|until| now < until)
     }
 
     fn is_up(&self, kind: &str) {
         self.standing.set_kind(kind);
         self.standing.is_up();
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -5,11 +5,11 @@ use std::pin::{Pin, pin};
 use bytes::Bytes;
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
-use gdp::Name;
-use gdp::cert::{AdCert, Issued};
 use gdp::node::{Call, NodeError, Server};
+use gdp_core::cert::{AdCert, Issued};
 use gdp_ros::call::{CALL, Description, Epoch, Failure, FailureCode, Part, Reply, Request};
 use gdp_ros::services::service_name;
+use gdp_wire::Name;
 use tokio::sync::{Notify, watch};
 
 use super::backend::{Backend, Told};
@@ -18,7 +18,7 @@ use super::{LAST_WORDS, MAX_PENDING, Route, Way};
 use crate::config::What;
 use crate::graph::{CallerError, Graph, Peer, Servers};
 use crate::ros2::TypeName;
-use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
+use crate::standing::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
 
 /// A local server, as it is offered.
@@ -51,7 +51,7 @@ impl Route {
     ) -> Result<(), RouteError> {
         let Way { graph, node, kind, card, place } = *way;
         let mut servers = Servers::new(graph, &self.config.name, self.config.what);
-        let mut pause = Pause::new();
+        let mut pause = RETRY;
         loop {
             self.standing.set_status("waiting for a local server");
             let found = async {
@@ -73,7 +73,8 @@ impl Route {
                     // Another proxy of the graph may do better.
                     Err(error @ (Unfit::Call(_) | Unfit::Random)) => {
                         place.set_permitted(false);
-                        self.standing.pause(error, &mut Pause::new(), right).await;
+                        let mut retry = RETRY;
+                        self.standing.pause(error, &mut retry, right).await;
                     }
                     Err(error @ Unfit::OtherType { .. }) => {
                         place.set_permitted(false);
@@ -86,7 +87,7 @@ impl Route {
             };
             let Some(served) = unless(&mut over, again).await else { return Ok(()) };
             let Some((offer, mut server)) = served? else { continue };
-            pause = Pause::new();
+            pause = RETRY;
             place.set_permitted(true);
             self.is_up(&offer.description.kind.name);
             self.counters.servers(1);
@@ -118,7 +119,7 @@ impl Route {
         if wanted != *got {
             return Err(Unfit::OtherType { got: got.clone(), wanted });
         }
-        let epoch = Epoch(u64::from_be_bytes(gdp::crypto::random().map_err(|_| Unfit::Random)?));
+        let epoch = Epoch(u64::from_be_bytes(gdp_core::crypto::random().map_err(|_| Unfit::Random)?));
         Ok(Offer { peer, backend, epoch, description, lost: Notify::new() })
     }
 

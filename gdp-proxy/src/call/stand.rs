@@ -1,6 +1,6 @@
 //! What stands in the local graph for servers elsewhere: the server of a service, or what an action's server has.
 
-use std::time::{SystemTime, UNIX_EPOCH};
+use gdp_util::unix_time::unix_nanos;
 
 use bytes::Bytes;
 use gdp_ros::action::cdr;
@@ -112,6 +112,6 @@ impl Stands {
 
 async fn publish(writer: &Mutex<RawWriter>, message: Bytes) -> Result<(), String> {
     let sample = RawSample::parse(message).ok_or("not a CDR encapsulation that ROS 2 uses")?;
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_nanos() as u64);
+    let now = unix_nanos();
     writer.lock().await.write(sample, now).await.map_err(|error| error.to_string())
 }

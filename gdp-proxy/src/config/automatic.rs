@@ -5,9 +5,9 @@ use std::fmt;
 use std::num::NonZeroU32;
 use std::path::PathBuf;
 
-use gdp::Name;
-use gdp::cert::Grantee;
+use gdp_core::cert::Grantee;
 use gdp_ros::catalog::MAX_GRANTS;
+use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{self, MapAccess, Visitor};

@@ -19,11 +19,12 @@ use std::io::{self, Read};
 use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 
-use gdp::Name;
-use gdp::domain::PaperFiles;
-use gdp::link::MAX_LANES;
-use gdp::node::{LinkConfig, LinkTarget};
+use gdp::node::LinkConfig;
+use gdp_core::domain::PaperFiles;
+use gdp_core::link_target::LinkTarget;
+use gdp_core::peer::MAX_LANES;
 use gdp_ros::roster::Dialect;
+use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 

@@ -1,10 +1,9 @@
 //! What the file says about the relay: `relay: true`, or a mapping with what differs from that.
 
 use std::fmt;
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
-use gdp_ctl::config::default_udp;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};
@@ -26,7 +25,12 @@ pub struct RelayConfig {
 
 impl Default for RelayConfig {
     fn default() -> Self {
-        Self { identity: "relay.pem".into(), membership: None, udp: default_udp(), interfaces: Vec::new() }
+        Self {
+            identity: "relay.pem".into(),
+            membership: None,
+            udp: SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), gdp_wire::UDP_PORT),
+            interfaces: Vec::new(),
+        }
     }
 }
 

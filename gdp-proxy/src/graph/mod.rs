@@ -236,6 +236,13 @@ impl Reader<'_> {
 }
 
 impl Writer {
+    /// Its publisher has left: another one may take its place before it is dropped.
+    pub fn vacate(&self) {
+        if let Self::Ros1(writer) = self {
+            writer.vacate();
+        }
+    }
+
     /// Whether a subscriber has found it, or had.
     pub fn is_matched(&self) -> bool {
         match self {

@@ -1,8 +1,9 @@
 //! A topic at a ROS 1 master.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+mod publishers;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
 use bytes::Bytes;
 use futures::FutureExt;
@@ -11,8 +12,9 @@ use gdp_ros1::{
     SourceStates, SubscribeOptions, Subscription,
 };
 use tokio::sync::watch;
-use tokio::task::{JoinHandle, JoinSet};
+use tokio::task::JoinHandle;
 
+use self::publishers::{Publisher, Publishers};
 use super::{Arrived, Event, GraphError, Key, NODE, WriteError};
 use crate::config::Ros1Config;
 use crate::ros2::TopicName;
@@ -23,22 +25,10 @@ use gdp_ros::roster::{Dialect, Kind, Offer};
 const OFFER: Offer =
     Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
 
-/// What is published, as long as somebody writes it.
-type Shared = (MessageType, Weak<gdp_ros1::Publisher>);
-
-/// Nodes that take leave.
-type Leaving = Arc<Mutex<JoinSet<()>>>;
-
 /// The proxy at a master.
 pub struct Master {
     node: Node,
-    config: NodeConfig,
-    /// What this node publishes: whoever writes the same topic shares it, for a node of ROS 1 publishes a topic once.
-    shared: Mutex<HashMap<String, Shared>>,
-    /// Of nodes that were made for one publisher.
-    made: AtomicU32,
-    /// Those of them that take leave of the master.
-    leaving: Leaving,
+    publishers: Publishers,
     twins: Arc<Twins>,
     presence: JoinHandle<()>,
 }
@@ -67,15 +57,7 @@ impl Master {
         let voice = Presence { publisher, subscription: node.subscribe(PRESENCE, options)? };
         let twins: Arc<Twins> = Arc::default();
         let presence = tokio::spawn(twins::beat(twins.clone(), voice));
-        Ok(Self {
-            node,
-            config,
-            twins,
-            presence,
-            shared: Mutex::default(),
-            made: AtomicU32::new(0),
-            leaving: Leaving::default(),
-        })
+        Ok(Self { node, publishers: Publishers::new(config), twins, presence })
     }
 
     /// What other proxies at the master carry.
@@ -93,34 +75,7 @@ impl Master {
 
     pub async fn leave(self) {
         self.presence.abort();
-        let mut leaving = std::mem::take(&mut *self.leaving.lock().unwrap_or_else(PoisonError::into_inner));
-        let ((), ()) = tokio::join!(self.node.leave(), async { while leaving.join_next().await.is_some() {} });
-    }
-
-    fn lock(&self) -> MutexGuard<'_, HashMap<String, Shared>> {
-        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// One publisher for all who write the topic, as long as any does.
-    fn share(
-        &self,
-        topic: &str,
-        kind: MessageType,
-        options: PublishOptions,
-    ) -> Result<Arc<gdp_ros1::Publisher>, GraphError> {
-        let mut shared = self.lock();
-        shared.retain(|_, (_, publisher)| publisher.strong_count() > 0);
-        if let Some((published, publisher)) = shared.get(topic)
-            && let Some(publisher) = publisher.upgrade()
-        {
-            if (&published.name, &published.md5sum) != (&kind.name, &kind.md5sum) {
-                return Err(GraphError::OtherType { topic: topic.into(), published: published.name.clone() });
-            }
-            return Ok(publisher);
-        }
-        let publisher = Arc::new(self.node.publish(topic, kind.clone(), options)?);
-        shared.insert(topic.to_owned(), (kind, Arc::downgrade(&publisher)));
-        Ok(publisher)
+        tokio::join!(self.node.leave(), self.publishers.leave());
     }
 }
 
@@ -241,20 +196,7 @@ pub fn is_proxy(caller_id: &str) -> bool {
 }
 
 /// Stands for a publisher elsewhere.
-pub struct Writer {
-    publisher: Arc<gdp_ros1::Publisher>,
-    /// One that latches has a node for itself: of a node's topic only the last message is latched, and so only one publisher's.
-    node: Option<(Node, Leaving)>,
-}
-
-impl Drop for Writer {
-    fn drop(&mut self) {
-        let Some((node, leaving)) = self.node.take() else { return };
-        let mut leaving = leaving.lock().unwrap_or_else(PoisonError::into_inner);
-        while leaving.try_join_next().is_some() {}
-        leaving.spawn(node.leave());
-    }
-}
+pub struct Writer(Arc<Publisher>);
 
 impl Writer {
     pub async fn new(
@@ -270,49 +212,18 @@ impl Writer {
         let messages = if offers.depth == 0 { QueueLimits::default().messages } else { offers.depth as usize };
         let queue = QueueLimits { messages: messages.max(10), ..QueueLimits::default() };
         let options = PublishOptions { latch: offers.transient_local, queue };
-        if !options.latch {
-            return Ok(Self { publisher: master.share(topic.as_str(), kind, options)?, node: None });
-        }
-        let number = master.made.fetch_add(1, Ordering::Relaxed);
-        let name = format!("{}_at_{number}", master.config.name);
-        let node = Node::start(NodeConfig { name, ..master.config.clone() }).await?;
-        Ok(Self {
-            publisher: Arc::new(node.publish(topic.as_str(), kind, options)?),
-            node: Some((node, master.leaving.clone())),
-        })
+        Ok(Self(master.publishers.publish(&master.node, topic.as_str(), kind, options).await?))
+    }
+
+    pub fn vacate(&self) {
+        self.0.vacate();
     }
 
     pub fn is_matched(&self) -> bool {
-        !self.publisher.subscribers().is_empty()
+        self.0.is_matched()
     }
 
     pub fn write(&self, bytes: Bytes) -> Result<(), WriteError> {
-        self.publisher.publish(bytes).map_err(|error| WriteError::Failed(error.to_string()))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[tokio::test]
-    async fn a_publisher_is_shared_and_forgotten_with_the_last_who_writes_it() {
-        // Nobody answers there.
-        let config = Ros1Config { master: "http://127.0.0.1:1".into(), host: Some("127.0.0.1".into()) };
-        let master = Master::join(&config, "gdp_proxy_test").await.unwrap();
-        let kind = Kind { dialect: Dialect::Ros1, name: "std_msgs/String".into(), hash: vec![] };
-        let writer = async |topic: &str| {
-            let topic = TopicName::parse(topic).unwrap();
-            Writer::new(&master, &topic, &kind, None, STRING_MD5.into(), OFFER).await.unwrap()
-        };
-        let (first, second) = (writer("/kept").await, writer("/kept").await);
-        assert!(Arc::ptr_eq(&first.publisher, &second.publisher));
-        for i in 0..10 {
-            drop(writer(&format!("/t{i}")).await);
-        }
-        drop(writer("/last").await);
-        assert_eq!(master.lock().len(), 2);
-        drop((first, second));
-        master.leave().await;
+        self.0.write(bytes)
     }
 }

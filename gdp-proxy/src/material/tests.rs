@@ -1,6 +1,6 @@
 use super::*;
 use crate::ros2::TopicName;
-use gdp::cert::{Delegation, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
+use gdp_core::cert::{Delegation, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
 use std::fs;
 use std::path::PathBuf;
 
@@ -47,13 +47,24 @@ fn a_certificate_of_the_other_kind_of_another_owner_entity_or_time_is_refused() 
     }
 }
 
+/// In a proxy that is built with relays, `tests/relay.rs` runs one.
+#[cfg(not(feature = "relay"))]
+#[test]
+fn a_relay_is_refused_by_a_proxy_that_is_built_without() {
+    let files = Files::new();
+    let mut config = files.config("");
+    config.relay = Some(crate::config::RelayConfig::default());
+    let refusal = Material::load(&config).err().expect("a refusal").to_string();
+    assert!(refusal.starts_with("relay: ") && refusal.contains("--features relay"), "{refusal}");
+}
+
 /// As one without a battery-backed clock is, until somebody tells it the time.
 #[test]
 fn a_machine_in_1970_is_told_to_look_at_its_clock() {
     let files = Files::new();
-    let ad = issue(&files.owner, &AdCert { not_before: unix_now(), ..files.claims() }).unwrap().to_pem();
+    let ad = issue(&files.owner, &AdCert { not_before: unix_seconds(), ..files.claims() }).unwrap().to_pem();
     let refusal = |now| check_permission(Side::Out, &ad, &files.card, files.entity, now).err();
-    assert!(refusal(unix_now()).is_none());
+    assert!(refusal(unix_seconds()).is_none());
     let said = refusal(0).unwrap().to_string();
     assert!(said.contains("not yet valid") && said.contains("check the clock"), "{said}");
 }

@@ -1,10 +1,11 @@
 //! What other participants of the domain announce: the types of topics, and why an endpoint does not match ours.
 
 use std::collections::{HashMap, HashSet};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use futures::StreamExt;
+use parking_lot::Mutex;
 use rustdds::{
     DomainParticipant, DomainParticipantStatusEvent as Event, EndpointDescription, GUID, QosPolicies, RTPSEntity,
     StatusEvented,
@@ -34,7 +35,7 @@ pub(super) type Writers = HashSet<GUID>;
 impl Discovery {
     /// Remembers which type a topic ought to have, so that it can be said when somebody's differs: as long as what is returned is held.
     pub fn expect(&self, dds_topic: &str, kind: &TypeName) -> Arc<str> {
-        let mut expected = self.expected.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut expected = self.expected.lock();
         expected.retain(|_, kind| kind.strong_count() > 0);
         let kind: Arc<str> = kind.to_dds().into();
         let known = expected.get(dds_topic).and_then(Weak::upgrade).filter(|known| *known == kind);
@@ -113,7 +114,7 @@ impl Discovery {
 
     /// DDS does not match endpoints whose types differ, and says nothing.
     fn compare(&self, whose: &str, endpoint: &EndpointDescription) {
-        let expected = self.expected.lock().unwrap_or_else(PoisonError::into_inner);
+        let expected = self.expected.lock();
         let kind = expected.get(&endpoint.topic_name).and_then(Weak::upgrade);
         if let Some(kind) = kind.filter(|kind| **kind != *endpoint.type_name) {
             tracing::warn!(
@@ -169,7 +170,7 @@ mod tests {
     fn a_type_is_expected_as_long_as_an_endpoint_is_there() {
         let (discovery, string) = (Discovery::default(), TypeName::parse("std_msgs/msg/String").unwrap());
         let topics = || {
-            let expected = discovery.expected.lock().unwrap();
+            let expected = discovery.expected.lock();
             expected.iter().filter(|(_, kind)| kind.strong_count() > 0).count()
         };
         let [reader, writer] = [0, 1].map(|_| discovery.expect("rt/a", &string));
@@ -178,6 +179,6 @@ mod tests {
         drop(reader);
         (0..100).for_each(|i| drop(discovery.expect(&format!("rt/{i}"), &string)));
         let other = discovery.expect("rt/a", &TypeName::parse("std_msgs/msg/Int32").unwrap());
-        assert_eq!((&*other, discovery.expected.lock().unwrap().len()), ("std_msgs::msg::dds_::Int32_", 1));
+        assert_eq!((&*other, discovery.expected.lock().len()), ("std_msgs::msg::dds_::Int32_", 1));
     }
 }

@@ -5,12 +5,13 @@ use std::collections::HashMap;
 use std::convert::Infallible;
 use std::future::poll_fn;
 use std::pin::pin;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
 
 use bytes::Bytes;
 use futures::StreamExt;
+use parking_lot::Mutex;
 use rustdds::dds::adapters::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
 use rustdds::dds::{CreateError, ReadError};
 use rustdds::no_key::{DataWriter, SimpleDataReader};
@@ -150,7 +151,7 @@ impl RawReader {
     /// The next message. Wakes when it arrives, without polling; may be cancelled without losing one.
     pub async fn recv(&self) -> Result<Arrived, Unreadable> {
         let Change { sample, writer, sequence, written_ns, .. } = self.change().await?;
-        let lost = self.gaps.lock().unwrap_or_else(PoisonError::into_inner).before(writer, sequence);
+        let lost = self.gaps.lock().before(writer, sequence);
         Ok(Arrived { writer, sample, written_ns, lost })
     }
 

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use gdp::seal::{self, Message};
+use gdp_e2e::seal;
+use gdp_e2e::seal::Message;
 use gdp_msg::{Encoding, TranscodeError};
 
 use crate::config::{Compression, FramePrefix, TopicConfig};
@@ -117,8 +118,8 @@ fn converter(
 
 #[cfg(test)]
 mod tests {
-    use gdp::Name;
     use gdp_ros::roster::Dialect;
+    use gdp_wire::Name;
 
     use super::*;
     use crate::config::{Conversion, Direction, Manner};

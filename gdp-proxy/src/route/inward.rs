@@ -4,10 +4,10 @@ use std::convert::Infallible;
 use std::time::{Duration, Instant};
 
 use futures::FutureExt;
-use gdp::Name;
-use gdp::cert::Reading;
 use gdp::node::{NodeError, Subscription};
-use gdp::seal::Message;
+use gdp_core::cert::Reading;
+use gdp_e2e::seal::Message;
+use gdp_wire::Name;
 use tokio::time::MissedTickBehavior;
 
 use super::format::Inbound;
@@ -17,7 +17,7 @@ use super::{Route, Way};
 use crate::delivery::subscribe_options;
 use crate::graph::Graph;
 use crate::ros2::{Qos, TypeName};
-use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
+use crate::standing::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
 use crate::twins::Place;
 use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, ROSTER, Taken};
@@ -49,12 +49,12 @@ impl Route {
         let Way { graph, node, kind, card, place } = *way;
         let (incoming, locals) = (Incoming::default(), Locals::new(Instant::now()));
         let mut to = In { graph, own: node.name(), place, kind, incoming, locals, misfit: None };
-        let mut pause = Pause::new();
+        let mut pause = RETRY;
         loop {
             let error = match node.subscribe(card.proof(), right.held(), subscribe_options(&self.config)).await {
                 Ok(mut subscription) => {
                     *self.fabric() = FabricCounters::In(subscription.meter());
-                    pause = Pause::new();
+                    pause = RETRY;
                     self.is_up(place);
                     self.carry_in(&mut to, &mut subscription, right).await?
                 }

@@ -4,7 +4,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gdp::seal::Message;
+use gdp_e2e::seal::Message;
+use gdp_util::backoff::Backoff;
 
 use super::format::Inbound;
 use super::hold::Hold;
@@ -20,8 +21,8 @@ const LINGER: Duration = Duration::from_secs(1);
 /// Bytes that are kept of what one publisher latches.
 const MAX_KEPT_BYTES: usize = 64 << 20;
 
-/// Between attempts to make one: doubled from the first to the second.
-const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
+/// Between attempts to make one.
+const RETRY: Backoff = Backoff::new(Duration::from_secs(1), Duration::from_secs(30));
 
 /// The counterpart of a publisher, or what is known of one that cannot be made.
 pub struct Local {
@@ -43,7 +44,7 @@ enum State {
     Failed {
         why: String,
         again: Instant,
-        pause: Duration,
+        retry: Backoff,
     },
 }
 
@@ -89,11 +90,11 @@ impl Local {
     }
 
     pub fn failed(&mut self, now: Instant, why: String) {
-        let pause = match &self.state {
-            State::Failed { pause, .. } => (*pause * 2).min(RETRY.1),
-            _ => RETRY.0,
+        let mut retry = match &self.state {
+            State::Failed { retry, .. } => *retry,
+            _ => RETRY,
         };
-        self.state = State::Failed { why, again: now + pause, pause };
+        self.state = State::Failed { why, again: now + retry.next_delay(), retry };
     }
 
     /// Nothing is heard of its publisher: subscribers here see it go.

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};
 
-use gdp::Name;
+use gdp_wire::Name;
 
 use super::local::{Local, Made};
 use gdp_ros::roster::{Change, Offer};
@@ -72,7 +72,10 @@ impl Locals {
                 }
             }
         };
-        self.leaving.extend(gone.filter(|made| !made.is_over(now)));
+        if let Some(made) = gone.filter(|made| !made.is_over(now)) {
+            made.writer.vacate();
+            self.leaving.push_back(made);
+        }
         while self.leaving.len() > MAX_LEAVING {
             self.abandoned += self.leaving.pop_front().map_or(0, Made::abandon);
         }
@@ -149,7 +152,7 @@ impl Budget {
 
 #[cfg(test)]
 mod tests {
-    use gdp::seal::{Encoding, Message};
+    use gdp_e2e::seal::{Encoding, Message};
 
     use super::*;
     use gdp_ros::roster::{Dialect, Kind};

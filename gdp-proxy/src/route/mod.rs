@@ -13,24 +13,26 @@ mod pace;
 use std::convert::Infallible;
 use std::fmt::Display;
 use std::pin::pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::Node;
+use gdp::node::Node;
 use gdp::node::{NodeError, Publisher};
+use parking_lot::{Mutex, MutexGuard};
 
 use crate::config::{Side, Thing, TopicConfig};
 use crate::graph::Graph;
 use crate::material::RouteMaterial;
 use crate::ros2::TopicName;
 use crate::routes::{Carries, Way};
-use crate::standing::{EitherRight, Pause, Right, RouteError, Standing};
+use crate::standing::{EitherRight, Right, RouteError, Standing};
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 use crate::tally::Reason as _;
 use crate::turns::Turns;
 use crate::twins::Place;
 use gdp_ros::roster::ROSTER;
 use gdp_ros::types::Types;
+use gdp_util::backoff::Backoff;
 
 /// How long a route that ends waits for what it has sent to arrive.
 const FLUSH: Duration = Duration::from_secs(3);
@@ -147,7 +149,7 @@ impl Route {
     }
 
     /// A refusal: another proxy of the graph may do better meanwhile.
-    async fn pause<T: Clone>(&self, error: NodeError, pause: &mut Pause, right: &mut Right<T>, place: &Place) {
+    async fn pause<T: Clone>(&self, error: NodeError, pause: &mut Backoff, right: &mut Right<T>, place: &Place) {
         place.set_permitted(false);
         self.standing.pause(error, pause, right).await;
     }
@@ -164,7 +166,7 @@ impl Route {
     }
 
     fn fabric(&self) -> MutexGuard<'_, FabricCounters> {
-        self.fabric.lock().unwrap_or_else(PoisonError::into_inner)
+        self.fabric.lock()
     }
 
     fn is_up(&self, place: &Place) {

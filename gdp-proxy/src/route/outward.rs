@@ -5,9 +5,9 @@ use std::convert::Infallible;
 use std::pin::pin;
 use std::time::{Duration, Instant};
 
-use gdp::cert::{AdCert, Issued};
 use gdp::node::{ErrorCode, FrameError, NodeError, Publisher};
-use gdp::seal::Draft;
+use gdp_core::cert::{AdCert, Issued};
+use gdp_e2e::seal::Draft;
 use tokio::runtime::Handle;
 
 use super::format::Outbound;
@@ -16,7 +16,7 @@ use super::{Published, Route, Way};
 use crate::delivery::{lacks, latched, publish_options, stronger};
 use crate::graph::{Arrived, Event, GraphError, Key, Reader};
 use crate::large::is_large;
-use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
+use crate::standing::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
 use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
 
@@ -60,7 +60,7 @@ impl Route {
     ) -> Result<Infallible, RouteError> {
         let Way { node, card, place, .. } = *way;
         let mut out = self.learn(way, self.config.qos.map(Offer::from)).await?;
-        let mut pause = Pause::new();
+        let mut pause = RETRY;
         loop {
             let farewell = out.roster.farewell()?;
             let new = loop {
@@ -71,7 +71,7 @@ impl Route {
                 }
             };
             *self.fabric() = FabricCounters::Out(new.meter());
-            pause = Pause::new();
+            pause = RETRY;
             self.is_up(place);
             self.show_out("up", &out.strangers);
             out.roster.offers().for_each(|(number, offers)| new.latch(&roster::origin(number), latched(&offers)));

@@ -63,7 +63,7 @@ async fn news(twins: &Twins, then: tokio::time::Instant) {
 
 #[cfg(test)]
 mod tests {
-    use gdp::Name;
+    use gdp_wire::Name;
     use tokio::sync::mpsc;
 
     use super::*;

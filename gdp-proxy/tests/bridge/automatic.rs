@@ -3,7 +3,7 @@
 use std::fs;
 use std::time::{Duration, Instant};
 
-use gdp::seal::Encoding;
+use gdp_e2e::seal::Encoding;
 use gdp_proxy::automatic::choice::GRACE;
 use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp::seal::Encoding;
+use gdp_e2e::seal::Encoding;
 use gdp_msg::{Dialect, Mapping, Options, Registry, Schema};
 use gdp_proxy::ros2::{Domain, RawReader, RawSample, TypeName};
 use gdp_ros::roster::{Announcement, Dialect as RosDialect, Kind, Outgoing, ROSTER};

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use gdp::node::Subscription;
-use gdp::seal::Message;
+use gdp_e2e::seal::Message;
 use gdp_proxy::ros2::{Domain, RawReader, RawWriter, TopicName, TypeName};
 use gdp_ros::roster::{Announcement, Dialect, Kind, Offer, Outgoing, ROSTER};
 

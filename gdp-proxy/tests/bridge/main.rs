@@ -4,14 +4,19 @@
 //!    rospy ── proxy ── switch, RIB ── proxy ── rospy, or DDS
 //! ```
 
+mod actionlib;
 mod automatic;
+mod floods;
 mod frames;
 #[path = "../hub/mod.rs"]
 mod hub;
 mod lives;
 #[allow(dead_code, reason = "the tests of the ROS 1 node, whose it is, use the rest")]
-#[path = "../../../gdp-ros1/tests/rospy/master.rs"]
+#[path = "../../../crates/gdp-ros1/tests/rospy/master.rs"]
 mod master;
+#[allow(dead_code, reason = "the tests of vendors, whose it is, use the rest")]
+#[path = "../vendors/peer.rs"]
+mod peer;
 #[allow(dead_code, reason = "the tests of services, which use the site as well, use the rest")]
 mod site;
 mod twins;
@@ -19,7 +24,7 @@ mod twins;
 use std::time::Duration;
 
 use bytes::Bytes;
-use gdp::seal::Encoding;
+use gdp_e2e::seal::Encoding;
 use gdp_proxy::ros2::{Domain, RawSample, TopicName, TypeName};
 use gdp_ros::roster::Offer;
 

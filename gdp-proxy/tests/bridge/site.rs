@@ -2,13 +2,17 @@
 
 use std::fs;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp::node::{Node, NodeConfig};
 use gdp::node::{PublishOptions, Publisher, Server, SubscribeOptions, Subscription};
-use gdp::{Identity, Name, NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::serve::{Running, start};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_daemon::serve::{Running, start};
+use gdp_tests::programs::own;
+use gdp_wire::Name;
 use serde_json::Value;
 
 use crate::hub;
@@ -171,7 +175,7 @@ impl Site {
         self.configure(label, graph, says);
         let folder = self.folder(label);
         let log = fs::File::create(folder.join("log")).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-proxy"));
+        let mut command = own(env!("CARGO_BIN_EXE_gdp-proxy"));
         let stats = folder.join("stats.json");
         command.arg("--config").arg(folder.join("proxy.yaml")).arg("--stats").arg(&stats);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
@@ -225,13 +229,13 @@ impl Topic {
         self.signed_ad_cert(entity).to_pem()
     }
 
-    fn signed_ad_cert(&self, entity: Name) -> gdp::cert::Signed<AdCert> {
+    fn signed_ad_cert(&self, entity: Name) -> gdp_core::cert::Signed<AdCert> {
         let (name, mode, scope, serial) = (self.card.name(), Mode::Multicast, vec![], now());
         let cert = AdCert { name, entity, mode, scope, serial, not_before: 0, not_after: u64::MAX };
         issue(&self.owner, &cert).unwrap()
     }
 
-    fn grant(&self, entity: Name) -> gdp::cert::Signed<ReadGrant> {
+    fn grant(&self, entity: Name) -> gdp_core::cert::Signed<ReadGrant> {
         let (name, to, serial) = (self.card.name(), Grantee::Entity(entity), now());
         issue(&self.owner, &ReadGrant { name, to, serial, not_before: 0, not_after: u64::MAX }).unwrap()
     }

@@ -7,7 +7,7 @@
 #[path = "../hub/mod.rs"]
 mod hub;
 #[allow(dead_code, reason = "the tests of the ROS 1 node, whose it is, use the rest")]
-#[path = "../../../gdp-ros1/tests/rospy/master.rs"]
+#[path = "../../../crates/gdp-ros1/tests/rospy/master.rs"]
 mod master;
 mod patterns;
 mod ros2;

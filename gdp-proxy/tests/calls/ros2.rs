@@ -1,8 +1,8 @@
 //! A DDS domain with rclpy nodes in it.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
+use gdp_tests::programs::own;
 use tempfile::TempDir;
 
 use crate::master::Process;
@@ -34,7 +34,7 @@ impl Ros2 {
     pub fn begin(&self, name: &str, arguments: &[&str]) -> Process {
         let python = target().join("venv/bin/python");
         assert!(python.is_file(), "{} does not exist: run `cargo xtask setup`", python.display());
-        let mut command = Command::new(python);
+        let mut command = own(python);
         command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/calls/peer.py")).arg(name).args(arguments);
         command.env("ROS_DOMAIN_ID", self.id.to_string());
         Process::spawn(name, command, 0, self.folder.path())

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use gdp_ctl::config::{Config, DomainConfig};
+use gdp_daemon::config::{Config, DomainConfig};
 
 /// Its files lie in the folder, as `hub.…`.
 pub fn config(folder: &Path, domain: Option<DomainConfig>) -> Config {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
+use gdp_tests::programs::own;
 use serde_json::Value;
 use tokio::io::{AsyncBufReadExt, BufReader, Lines};
 use tokio::process::{Child, ChildStdout, Command};
@@ -108,13 +109,13 @@ pub async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
 }
 
 fn python(script: &str) -> Command {
-    let mut command = Command::new(existing(target().join("venv/bin/python"), "cargo xtask setup"));
+    let mut command = Command::from(own(existing(target().join("venv/bin/python"), "cargo xtask setup")));
     command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/peers").join(script));
     command
 }
 
 fn compiled(program: &str) -> Command {
-    Command::new(existing(target().join("peers").join(program), "cargo xtask test"))
+    Command::from(own(existing(target().join("peers").join(program), "cargo xtask test")))
 }
 
 /// Cargo's target folder: this test is in `target/PROFILE/deps`.

@@ -1,8 +1,9 @@
 //! The one clock of a node.
 
-use std::time::{Duration, Instant, SystemTime};
+use std::time::Instant;
 
-use crate::seal::Moment;
+use gdp_e2e::seal::Moment;
+use gdp_util::unix_time::unix_nanos;
 
 /// Counts from its making on.
 #[derive(Clone, Copy, Debug)]
@@ -21,18 +22,4 @@ impl Clock {
     pub fn moment(&self) -> Moment {
         Moment { steady_ns: self.now(), unix_ns: unix_nanos() }
     }
-}
-
-/// Nanoseconds since the Unix epoch.
-pub fn unix_nanos() -> u64 {
-    unix().as_nanos() as u64
-}
-
-/// Seconds since the Unix epoch.
-pub fn unix_now() -> u64 {
-    unix().as_secs()
-}
-
-fn unix() -> Duration {
-    SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default()
 }

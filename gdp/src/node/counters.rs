@@ -12,8 +12,8 @@ use super::feedback::Feedback;
 use super::intake::Shared;
 use super::outlet::Outlet;
 use super::publication::Publication;
-use crate::seal::DropReason;
-use crate::transport::{InboundCounters, TopicCounters};
+use gdp_e2e::seal::DropReason;
+use gdp_e2e::transport::{InboundCounters, TopicCounters};
 
 /// Counters that can be read at any time from any task, also once what they count is gone. Clones are the same.
 pub struct Meter<T>(Arc<dyn Fn() -> T + Send + Sync>);

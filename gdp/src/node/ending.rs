@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use tokio::sync::Notify;
 
 use super::NodeError;
-use crate::cert::CertError;
+use gdp_core::cert::CertError;
 
 /// Why a handle is of no more use.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -1,13 +1,13 @@
 //! What the switch says of the frames that a publisher sends.
 
 use std::collections::{BTreeMap, HashMap};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::SystemTime;
 
 use gdp_wire::{ErrorCode, Header, Name};
+use parking_lot::Mutex;
 
 use super::counters::{Count, by_code};
-use super::state::lock;
 
 /// The feedback of all names that a node publishes. Bounded by them: errors about others are not kept.
 pub struct Feedbacks {
@@ -22,17 +22,17 @@ impl Feedbacks {
     }
 
     pub fn of(&self, name: Name) -> Arc<Feedback> {
-        lock(&self.names).entry(name).or_default().clone()
+        self.names.lock().entry(name).or_default().clone()
     }
 
     pub fn forget(&self, name: &Name) {
-        lock(&self.names).remove(name);
+        self.names.lock().remove(name);
     }
 
     /// Takes an error that the switch has sent.
     pub fn add(&self, code: ErrorCode, error: &Header) {
         if error.source == self.node
-            && let Some(feedback) = lock(&self.names).get(&error.destination)
+            && let Some(feedback) = self.names.lock().get(&error.destination)
         {
             feedback.add(code, error);
         }
@@ -61,7 +61,7 @@ pub struct FrameError {
 impl Feedback {
     /// The latest error. It says nothing of frames sent after it.
     pub fn last(&self) -> Option<FrameError> {
-        *lock(&self.last)
+        *self.last.lock()
     }
 
     /// Errors so far, by what they say. Those that did not come are left out.
@@ -73,7 +73,7 @@ impl Feedback {
         self.errors[code.index()].add(1);
         let mtu = (code == ErrorCode::TooBig).then(|| error.complaint().0);
         let last = FrameError { code, mtu, at: SystemTime::now() };
-        *lock(&self.last) = Some(last);
+        *self.last.lock() = Some(last);
     }
 }
 

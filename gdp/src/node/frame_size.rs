@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use gdp_wire::{ErrorCode, Header};
 
-use crate::link::MIN_MTU;
+use gdp_link::link::MIN_MTU;
 
 /// In bytes, header and payload. Only ever falls: a new link begins anew.
 #[derive(Debug)]
@@ -33,23 +33,5 @@ impl FrameSize {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_too_big_lowers_it_and_nothing_raises_it() {
-        let size = FrameSize::default();
-        let learn = |code: ErrorCode, mtu: u32| {
-            let mut error = Header::default();
-            error.become_error(code, mtu);
-            size.learn(code, &error);
-            size.get()
-        };
-        assert_eq!(learn(ErrorCode::NoRoute, 0), u32::MAX);
-        assert_eq!(learn(ErrorCode::TooBig, 1452), 1452);
-        assert_eq!(learn(ErrorCode::TooBig, 1472), 1452);
-        assert_eq!(learn(ErrorCode::TooBig, 7), 1452, "not an MTU");
-        assert_eq!(learn(ErrorCode::NoRoute, 1000), 1452);
-        assert_eq!(learn(ErrorCode::TooBig, 1200), 1200);
-    }
-}
+#[path = "../../tests/unit/node/frame_size.rs"]
+mod tests;

@@ -1,20 +1,20 @@
 //! The node's trust domain, if it is a member of one: what it shows its switches, and which of them it takes.
 
 use std::sync::Arc;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::time::sleep;
 
-use super::clock::unix_now;
-use super::state::lock;
-use crate::cert::{CertError, Revocation, Signed};
-use crate::domain::{Admission, CurrentPapers, DomainError, Papers, Trust};
-use crate::identity::Identity;
-use crate::link::{Link, Role};
-use crate::name::NameProof;
-use crate::revocations::Kept;
+use gdp_core::cert::{CertError, Revocation, Signed};
+use gdp_core::domain::{Admission, CurrentPapers, DomainError, Papers, Trust};
+use gdp_core::identity::Identity;
+use gdp_core::name::NameProof;
+use gdp_core::peer::Role;
+use gdp_core::revocations::Kept;
+use gdp_link::link::Link;
+use gdp_util::unix_time::unix_seconds;
 
 /// How often links are looked at, whether what they rest on has ended.
 const LOOK: Duration = Duration::from_millis(250);
@@ -49,7 +49,7 @@ impl Home {
 
     fn judge_by(&self, link: &Link, shown: Option<&Papers>) -> Result<Admission, DomainError> {
         match &self.trust {
-            Some(trust) => lock(trust).admit(Role::Endpoint, link.peer(), shown, unix_now()),
+            Some(trust) => trust.lock().admit(Role::Endpoint, link.peer(), shown, unix_seconds()),
             None => Ok(Admission::STRANGER),
         }
     }
@@ -57,7 +57,7 @@ impl Home {
     /// Puts renewed papers in place of those there were; a node without any stays so.
     pub fn renew(&self, papers: Arc<Papers>) -> Result<(), DomainError> {
         if let Some(trust) = &self.trust {
-            lock(trust).renew(papers.clone(), true)?;
+            trust.lock().renew(papers.clone(), true)?;
             self.shown.set(papers);
             self.changed();
         }
@@ -79,7 +79,7 @@ impl Home {
         revocation: &Signed<Revocation>,
     ) -> Result<Option<Revocation>, CertError> {
         let Some(trust) = &self.trust else { return Ok(None) };
-        if !lock(trust).take_revocation(proof, revocation)? {
+        if !trust.lock().take_revocation(proof, revocation)? {
             return Ok(None);
         }
         self.changed();
@@ -89,7 +89,7 @@ impl Home {
     /// What the domains have taken back that the node has to do with, as far as it has heard.
     pub fn revocations(&self) -> Vec<Revocation> {
         let Some(trust) = &self.trust else { return Vec::new() };
-        let trust = lock(trust);
+        let trust = trust.lock();
         let of = |kept: &Kept| trust.revocation(&kept.proof.name().ok()?).cloned();
         trust.revocations().filter_map(of).collect()
     }
@@ -99,7 +99,7 @@ impl Home {
         let (mut until, mut seen) = (0, 0);
         loop {
             let changes = self.changes.load(Ordering::Relaxed);
-            if unix_now() > until || changes != seen {
+            if unix_seconds() > until || changes != seen {
                 match self.judge(link) {
                     Ok(admission) => (until, seen) = (admission.until, changes),
                     Err(error) => return link.close(&error.to_string()),

@@ -7,17 +7,17 @@ use std::sync::Arc;
 use gdp_wire::Name;
 use tokio::sync::watch;
 
-use super::clock::unix_now;
 use super::desk::Tray;
 use super::ending::{Ended, Ending};
 use super::options::{PublishOptions, SubscribeOptions};
 use super::parties::{Instance, Parties, Place, joint_right};
 use super::publication::Publication;
-use super::state::{State, lock};
+use super::state::State;
 use super::{NodeError, Stated};
-use crate::control::{NameRole, PathCosts};
-use crate::peers::{Counterpart, PeerEvent};
-use crate::seal::Message;
+use gdp_e2e::seal::Message;
+use gdp_proto::control::{NameRole, PathCosts};
+use gdp_proto::peers::{Counterpart, PeerEvent};
+use gdp_util::unix_time::unix_seconds;
 
 /// By name, and by what this node is in it.
 pub type Services = HashMap<(Name, NameRole), Service>;
@@ -42,7 +42,7 @@ impl State {
     /// Takes requests and replies from now on, as long as the node runs.
     pub fn open_inbox(self: &Arc<Self>) {
         let own = self.identity.name();
-        let mut opened = lock(&self.inbox_opened);
+        let mut opened = self.inbox_opened.lock();
         if std::mem::replace(&mut *opened, true) {
             return;
         }
@@ -56,7 +56,7 @@ impl State {
                 }
             }
             // Whoever waits still waits in vain.
-            lock(&state.calls).clear();
+            state.calls.lock().clear();
         });
     }
 
@@ -64,7 +64,7 @@ impl State {
     /// that: keys that the two have because of another service open it.
     fn take_request(&self, service: Name, request: Message) {
         let now = self.outlet.clock.now();
-        let mut services = lock(&self.services);
+        let mut services = self.services.lock();
         let served = services.get_mut(&(service, NameRole::Server));
         let Some(Service { parties, tray: Some(tray), .. }) = served else {
             return self.counters.requests_refused.add(1);
@@ -80,7 +80,7 @@ impl State {
     /// Only the server that was called may answer, and once.
     fn take_reply(&self, reply: Message) {
         let Some(id) = reply.in_reply_to else { return };
-        let mut calls = lock(&self.calls);
+        let mut calls = self.calls.lock();
         if calls.get(&id).is_some_and(|pending| pending.instance == reply.writer)
             && let Some(pending) = calls.remove(&id)
         {
@@ -92,7 +92,7 @@ impl State {
     pub(super) fn take_parties(&self, name: Name, role: NameRole, events: &[PeerEvent]) {
         {
             // Until the end: what is sent before the way is open would be for nobody, so none is to be chosen that has none.
-            let (now, mut services) = (self.outlet.clock.now(), lock(&self.services));
+            let (now, mut services) = (self.outlet.clock.now(), self.services.lock());
             let joined = events.iter().filter_map(|event| match event {
                 PeerEvent::Joined(right) => Some(right.entity),
                 _ => None,
@@ -101,7 +101,7 @@ impl State {
             let returned: BTreeSet<Name> = joined.filter(|entity| !is_here(entity)).collect();
             let Some(Service { parties, .. }) = services.get_mut(&(name, role)) else { return };
             let mut concerned = parties.take(now, &name, events);
-            concerned.extend(parties.sweep(now, unix_now()));
+            concerned.extend(parties.sweep(now, unix_seconds()));
             self.settle(&services, concerned, &returned);
         }
         // Now that there is a way back.
@@ -110,9 +110,9 @@ impl State {
 
     /// Lets go of parties whose time is over. As [`Self::take_parties`].
     pub(super) fn sweep_parties(&self) {
-        let (now, now_unix) = (self.outlet.clock.now(), unix_now());
+        let (now, now_unix) = (self.outlet.clock.now(), unix_seconds());
         {
-            let mut services = lock(&self.services);
+            let mut services = self.services.lock();
             let gone = services.values_mut().flat_map(|service| service.parties.sweep(now, now_unix)).collect();
             self.settle(&services, gone, &BTreeSet::new());
         }
@@ -121,7 +121,7 @@ impl State {
 
     /// Nothing is called or served any more by this. As [`Self::take_parties`].
     pub(super) fn end_service(&self, name: Name, stated: Stated, why: Ended) {
-        let mut services = lock(&self.services);
+        let mut services = self.services.lock();
         if let Some(mut service) = services.remove(&(name, stated.role())) {
             service.end(why);
             self.settle(&services, service.parties.clear(self.outlet.clock.now()), &BTreeSet::new());
@@ -146,7 +146,7 @@ impl State {
     fn open_way(&self, right: Counterpart, returned: bool) {
         let (entity, own) = (right.entity, self.identity.name());
         let joined = PeerEvent::Joined(right);
-        let known = lock(&self.publications).get(&entity).cloned();
+        let known = self.publications.lock().get(&entity).cloned();
         match known {
             Some(publication) => {
                 if returned {
@@ -154,12 +154,12 @@ impl State {
                     publication.store_again();
                     publication.returned(&self.outlet, &entity);
                 }
-                publication.take(&self.outlet, unix_now(), [joined.clone()]);
+                publication.take(&self.outlet, unix_seconds(), [joined.clone()]);
             }
             None => match Publication::new(entity, &self.identity, &PublishOptions::reliable(), &self.outlet) {
                 Ok(publication) => {
                     // Before anybody can send by it.
-                    publication.take(&self.outlet, unix_now(), [joined.clone()]);
+                    publication.take(&self.outlet, unix_seconds(), [joined.clone()]);
                     self.register(Arc::new(publication));
                 }
                 Err(error) => return tracing::error!(party = %entity, %error, "nothing can be sent to it"),
@@ -178,7 +178,7 @@ impl State {
 
     fn release_requests(&self) {
         let now = self.outlet.clock.now();
-        for Service { parties, tray, .. } in lock(&self.services).values_mut() {
+        for Service { parties, tray, .. } in self.services.lock().values_mut() {
             let Some(tray) = tray else { continue };
             let (released, late) = tray.release(now, |caller| parties.right(caller).is_some());
             self.counters.requests_refused.add(late as u64);
@@ -190,30 +190,30 @@ impl State {
     /// A place at a server of the service: at `one`, or at the one to call next.
     pub(super) fn choose(&self, service: Name, one: Option<&Name>) -> Option<Place> {
         let costs = self.costs();
-        lock(&self.services).get(&(service, NameRole::Caller))?.parties.choose(one, |switch| costs.get(switch).copied())
+        self.services.lock().get(&(service, NameRole::Caller))?.parties.choose(one, |switch| costs.get(switch).copied())
     }
 
     pub(super) fn instances(&self, service: Name) -> Vec<Instance> {
-        let (costs, services) = (self.costs(), lock(&self.services));
+        let (costs, services) = (self.costs(), self.services.lock());
         let called = services.get(&(service, NameRole::Caller));
         called.map_or_else(Vec::new, |called| called.parties.instances(|switch| costs.get(switch).copied()))
     }
 
     pub(super) fn server_changes(&self, service: Name) -> watch::Receiver<()> {
-        let services = lock(&self.services);
+        let services = self.services.lock();
         let called = services.get(&(service, NameRole::Caller));
         // Nothing changes any more about what is not called.
         called.map_or_else(|| watch::channel(()).1, |called| called.parties.changes())
     }
 
     pub(super) fn servers(&self, service: Name) -> usize {
-        lock(&self.services).get(&(service, NameRole::Caller)).map_or(0, |called| called.parties.attached_count())
+        self.services.lock().get(&(service, NameRole::Caller)).map_or(0, |called| called.parties.attached_count())
     }
 
     /// Has the keys of what is sent to the first that would be called stored, so that it has them before the first call.
     pub(super) async fn store_first_boxes(&self, service: Name) -> Result<(), NodeError> {
         let first = self.instances(service).first().map(|instance| instance.name);
-        let publication = first.and_then(|first| lock(&self.publications).get(&first).cloned());
+        let publication = first.and_then(|first| self.publications.lock().get(&first).cloned());
         if let Some(publication) = publication {
             self.store_boxes(&*self.attached().await?, &publication).await;
         }
@@ -223,12 +223,12 @@ impl State {
     /// What paths cost from the switch of the main link, as it last said.
     fn costs(&self) -> Arc<PathCosts> {
         let main = self.outlet.ways().borrow().main;
-        lock(&self.costs).get(main).cloned().unwrap_or_default()
+        self.costs.lock().get(main).cloned().unwrap_or_default()
     }
 
     /// What paths cost from the switch of a link is now this.
     pub(super) fn set_costs(&self, lane: u8, costs: PathCosts) {
-        if let Some(held) = lock(&self.costs).get_mut(usize::from(lane)) {
+        if let Some(held) = self.costs.lock().get_mut(usize::from(lane)) {
             *held = Arc::new(costs);
         }
     }

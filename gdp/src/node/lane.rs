@@ -1,20 +1,20 @@
 //! One of the node's links, for as long as the node lives: where it leads, how it is, what copies wait for it and what went by it.
 //! [`Outlet`](super::outlet) sends by it, its [supervisor](super::supervisor) makes it again when it is lost.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
 
 use gdp_wire::{Header, Name};
+use parking_lot::Mutex;
 use serde::Serialize;
 use tokio::sync::Notify;
 
 use super::choice::Fitness;
 use super::counters::Count;
-use super::state::lock;
 use super::supervisor::Attachment;
 use super::{LinkConfig, LinkTarget};
-use crate::port::SMALLEST_PATH;
-use crate::transport::{Output, Transmit, Uplink, UplinkOptions};
+use gdp_e2e::transport::{Output, Transmit, Uplink, UplinkOptions};
+use gdp_wire::SMALLEST_PATH;
 
 /// How a link is, or all of them are.
 #[derive(Clone)]
@@ -102,12 +102,12 @@ impl Lane {
     }
 
     pub fn status(&self) -> Status {
-        lock(&self.status).clone()
+        self.status.lock().clone()
     }
 
     /// Unless it is closed: that is for good.
     pub fn change(&self, change: impl FnOnce(&mut Status)) {
-        let status = &mut *lock(&self.status);
+        let status = &mut *self.status.lock();
         if !matches!(status, Status::Closed) {
             change(status);
         }
@@ -151,12 +151,12 @@ impl Lane {
             frames_sent: self.frames_sent.get(),
             frames_unsent: self.frames_unsent.get(),
             copies_sent: self.copies_sent.get(),
-            copies_dropped: lock(&self.copies).copies_dropped(),
+            copies_dropped: self.copies.lock().copies_dropped(),
         }
     }
 
     fn state(&self) -> LinkState {
-        match &*lock(&self.status) {
+        match &*self.status.lock() {
             Status::Up(_) if self.is_silent() => LinkState::Silent,
             Status::Up(_) => LinkState::Up,
             Status::Held(..) => LinkState::Held,
@@ -166,7 +166,7 @@ impl Lane {
 
     /// Copies that wait go nowhere: nothing goes by this link at the moment.
     pub fn drop_copies(&self) {
-        lock(&self.copies).drop_copies();
+        self.copies.lock().drop_copies();
     }
 
     /// Takes copies of those frames that are to go by two links.
@@ -174,7 +174,7 @@ impl Lane {
         if transmits.iter().all(|transmit| !transmit.doubled) {
             return;
         }
-        let copies = &mut *lock(&self.copies);
+        let copies = &mut *self.copies.lock();
         if copies.max_payload() != max_payload {
             copies.set_max_payload(now, max_payload);
         }
@@ -183,7 +183,7 @@ impl Lane {
 
     /// Puts copies that may go now into `batch`, up to `most`. Returns when there is more.
     pub fn take_copies(&self, now: u64, batch: &mut Vec<Transmit>, most: usize) -> Option<u64> {
-        let copies = &mut *lock(&self.copies);
+        let copies = &mut *self.copies.lock();
         while batch.len() < most {
             // It has no topics.
             let Some(Output::Send(copy)) = copies.poll(now) else { break };

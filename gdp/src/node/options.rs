@@ -2,10 +2,11 @@
 
 use std::time::Duration;
 
-pub use crate::feedback_wire::Wants;
-pub use crate::keys::Rotation;
-use crate::seal::Limits;
-use crate::transport::{self, History, InboundOptions, Order, TopicOptions};
+pub use gdp_e2e::feedback_wire::Wants;
+pub use gdp_e2e::keys::Rotation;
+use gdp_e2e::seal::Limits;
+use gdp_e2e::transport;
+use gdp_e2e::transport::{History, InboundOptions, Order, TopicOptions};
 
 /// What a publisher promises its readers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

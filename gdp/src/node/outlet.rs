@@ -12,10 +12,11 @@
 //! called by nobody who holds a lock.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_wire::{Header, Name, forward};
+use parking_lot::{Condvar, Mutex};
 use tokio::sync::{Notify, watch};
 use zerocopy::IntoBytes;
 
@@ -26,14 +27,14 @@ use super::gathered::Turns;
 use super::lane::{Lane, LinkStatus, Status};
 use super::pairs::Pairs;
 use super::publication::{Publication, Pushed};
-use super::state::lock;
 use super::supervisor::Attachment;
 use super::{LinkConfig, NodeError};
-use crate::feedback_wire::Feedback;
-use crate::identity::Identity;
-use crate::keys::PairError;
-use crate::port::{BATCH, OutFrame, SMALLEST_PATH, Sent};
-use crate::transport::{Output, Topic, Transmit, Uplink, UplinkOptions};
+use gdp_core::identity::Identity;
+use gdp_e2e::feedback_wire::Feedback;
+use gdp_e2e::keys::PairError;
+use gdp_e2e::transport::{Output, Topic, Transmit, Uplink, UplinkOptions};
+use gdp_link::port::{BATCH, OutFrame, Sent};
+use gdp_wire::SMALLEST_PATH;
 
 /// Batches that a publisher sends itself; the rest of a large message is the sending thread's.
 const OWN_BATCHES: usize = 4;
@@ -188,7 +189,7 @@ impl Outlet {
 
     /// Looks which links to send by. `changed`: how one of them is has changed.
     pub fn choose(&self, changed: bool) {
-        let mut choice = lock(&self.choice);
+        let mut choice = self.choice.lock();
         let (now, before) = (self.clock.now(), choice.main());
         let fitness: Vec<_> = self.lanes.iter().map(Lane::fitness).collect();
         if !choice.look(now, &fitness) && !changed {
@@ -211,7 +212,7 @@ impl Outlet {
         });
         if main != before {
             tracing::info!(from = before, to = main, "another link is the main one");
-            lock(&self.uplink).set_budget(self.lanes[main].budget);
+            self.uplink.lock().set_budget(self.lanes[main].budget);
             self.lanes[main].unstated.notify_one();
         }
         drop(choice);
@@ -223,7 +224,7 @@ impl Outlet {
 
     /// Those that wait are to look whether there is sense in it.
     fn wake_publishers(&self) {
-        lock(&self.publications).values().for_each(|publication| publication.room.notify_waiters());
+        self.publications.lock().values().for_each(|publication| publication.room.notify_waiters());
     }
 
     fn second(&self, lane: Option<usize>) -> Option<(usize, Arc<Attachment>)> {
@@ -244,7 +245,7 @@ impl Outlet {
 
     /// Whether this goes by two links from now on.
     pub fn double(&self, name: Name, doubled: bool) {
-        let mut names = lock(&self.doubled);
+        let mut names = self.doubled.lock();
         if doubled {
             names.insert(name)
         } else {
@@ -264,7 +265,7 @@ impl Outlet {
     /// Bytes of a payload that these links take: the main one, and if anything goes by two, each of them.
     fn max_payload(&self, ways: &Ways) -> Option<usize> {
         let main = ways.status.attachment()?.max_payload();
-        let second = ways.second.as_ref().filter(|_| !lock(&self.doubled).is_empty());
+        let second = ways.second.as_ref().filter(|_| !self.doubled.lock().is_empty());
         Some(second.map_or(main, |(_, second)| main.min(second.max_payload())))
     }
 
@@ -286,11 +287,11 @@ impl Outlet {
     }
 
     pub fn open(&self, publication: Arc<Publication>) {
-        lock(&self.publications).insert(publication.topic, publication);
+        self.publications.lock().insert(publication.topic, publication);
     }
 
     pub fn close(&self, publication: &Publication) {
-        lock(&self.publications).remove(&publication.topic);
+        self.publications.lock().remove(&publication.topic);
         publication.close(self);
     }
 
@@ -298,7 +299,7 @@ impl Outlet {
     pub fn max_payload_of(&self, topic: Topic) -> usize {
         let of_link = self.max_payload(&self.ways.borrow());
         let now = self.clock.now();
-        let mut uplink = lock(&self.uplink);
+        let mut uplink = self.uplink.lock();
         if let Some(of_link) = of_link
             && of_link != uplink.max_payload()
         {
@@ -310,9 +311,9 @@ impl Outlet {
     /// Sends what may go now, and leaves the rest to the sending thread.
     pub fn send(&self) {
         let next = match self.sending.try_lock() {
-            Ok(mut batch) => self.drain(&mut batch, OWN_BATCHES),
+            Some(mut batch) => self.drain(&mut batch, OWN_BATCHES),
             // Who sends at the moment may have looked already.
-            Err(_) => Some(0),
+            None => Some(0),
         };
         self.plan(next);
     }
@@ -320,12 +321,12 @@ impl Outlet {
     /// Says something to a counterpart, if it is one and there is a link; if it is lost, so be it.
     pub fn tell(&self, peer: &Name, feedback: &Feedback) {
         let mut payload = Vec::new();
-        match lock(&self.pairs).seal(peer, feedback, &mut payload) {
+        match self.pairs.lock().seal(peer, feedback, &mut payload) {
             Some(Ok(())) => {}
             Some(Err(error)) => return tracing::warn!(%peer, %error, "feedback could not be sealed"),
             None => return,
         }
-        let doubled = lock(&self.doubled).contains(&feedback.name());
+        let doubled = self.doubled.lock().contains(&feedback.name());
         if self.send_one(*peer, &payload, doubled) {
             self.counters.feedback_sent.add(1);
         }
@@ -333,13 +334,13 @@ impl Outlet {
 
     /// What a counterpart says; `None` if it is none.
     pub fn hear(&self, peer: &Name, payload: &[u8]) -> Option<Result<Feedback, PairError>> {
-        lock(&self.pairs).open(peer, payload)
+        self.pairs.lock().open(peer, payload)
     }
 
     /// The sending thread has something to do at this time, if it does not know.
     pub fn plan(&self, at: Option<u64>) {
         let Some(at) = at else { return };
-        let mut pump = lock(&self.pump);
+        let mut pump = self.pump.lock();
         match pump.asleep {
             Some(until) if until <= at => {}
             Some(_) => {
@@ -352,7 +353,7 @@ impl Outlet {
 
     /// Seals at this time what a topic has gathered.
     pub fn gather(&self, topic: Topic, until: u64) {
-        lock(&self.pump).gathering.insert((until, topic));
+        self.pump.lock().gathering.insert((until, topic));
         self.plan(Some(until));
     }
 
@@ -363,21 +364,21 @@ impl Outlet {
 
     /// After feedback: what it made room for goes.
     pub fn settle(&self) {
-        let next = lock(&self.uplink).next_wake();
+        let next = self.uplink.lock().next_wake();
         self.plan(next);
     }
 
     /// Ends [`Self::pump`].
     pub fn stop(&self) {
-        lock(&self.pump).stop = true;
+        self.pump.lock().stop = true;
         self.turn.notify_one();
     }
 
     /// The sending thread: runs until it is stopped.
     pub fn pump(&self) {
         loop {
-            let next = self.drain(&mut lock(&self.sending), usize::MAX);
-            let mut pump = lock(&self.pump);
+            let next = self.drain(&mut self.sending.lock(), usize::MAX);
+            let mut pump = self.pump.lock();
             if pump.stop {
                 return;
             }
@@ -387,8 +388,7 @@ impl Outlet {
             if chores.is_empty() && !pump.again && until > self.clock.now() {
                 pump.asleep = Some(until);
                 let time = Duration::from_nanos(until.saturating_sub(self.clock.now()));
-                let waited = self.turn.wait_timeout_while(pump, time, |pump| !pump.again && !pump.stop);
-                pump = waited.unwrap_or_else(PoisonError::into_inner).0;
+                self.turn.wait_while_for(&mut pump, |pump| !pump.again && !pump.stop, time);
                 pump.asleep = None;
             }
             pump.again = false;
@@ -411,7 +411,7 @@ impl Outlet {
         let (attachment, max_payload) = (ways.status.attachment()?, self.max_payload(&ways)?);
         for _ in 0..batches {
             let (mut next, mut chores, mut rooms) = (Some(0), Vec::new(), Vec::new());
-            let mut uplink = lock(&self.uplink);
+            let mut uplink = self.uplink.lock();
             let now = self.clock.now();
             if uplink.max_payload() != max_payload {
                 uplink.set_max_payload(now, max_payload);
@@ -440,7 +440,7 @@ impl Outlet {
                 next = next.into_iter().chain(copies).min();
             }
             if !chores.is_empty() {
-                let mut pump = lock(&self.pump);
+                let mut pump = self.pump.lock();
                 pump.chores.append(&mut chores);
                 drop(pump);
                 self.wake();
@@ -519,20 +519,20 @@ impl Outlet {
     }
 
     fn seal_gathered(&self, topic: Topic, due: u64) {
-        let Some(publication) = lock(&self.publications).get(&topic).cloned() else { return };
+        let Some(publication) = self.publications.lock().get(&topic).cloned() else { return };
         if let Err(error) = publication.seal_gathered(self, due) {
             tracing::warn!(name = %publication.name, %error, "messages are lost that waited for others");
         }
     }
 
     fn do_chore(&self, chore: Output) {
-        let of = |topic: &Topic| lock(&self.publications).get(topic).cloned();
+        let of = |topic: &Topic| self.publications.lock().get(topic).cloned();
         match chore {
             Output::Send(_) => unreachable!("frames are sent where they are found"),
             Output::Reseal { topic, message } => {
                 let Some(publication) = of(&topic) else { return };
                 let recut = publication.recut(&message, self.max_payload_of(topic));
-                let mut uplink = lock(&self.uplink);
+                let mut uplink = self.uplink.lock();
                 match recut {
                     Some(smaller) => uplink.resealed(self.clock.now(), topic, smaller),
                     None => uplink.abandon(self.clock.now(), topic, &message),
@@ -540,7 +540,7 @@ impl Outlet {
             }
             Output::Heartbeat { topic, next, oldest } => {
                 let Some(publication) = of(&topic) else { return };
-                let (mut payload, doubled) = (Vec::new(), lock(&self.doubled).contains(&publication.name));
+                let (mut payload, doubled) = (Vec::new(), self.doubled.lock().contains(&publication.name));
                 match publication.heartbeat(next, oldest, &mut payload) {
                     Ok(()) => _ = self.send_one(publication.name, &payload, doubled),
                     Err(error) => tracing::warn!(name = %publication.name, %error, "a heartbeat could not be sealed"),

@@ -5,10 +5,10 @@ use std::collections::HashMap;
 
 use gdp_wire::Name;
 
-use crate::crypto::{CryptoError, PUBLIC_KEY_LEN};
-use crate::feedback_wire::Feedback;
-use crate::identity::Identity;
-use crate::keys::{PairError, PairKey, PairOpener, PairSealer};
+use gdp_core::crypto::{CryptoError, PUBLIC_KEY_LEN};
+use gdp_core::identity::Identity;
+use gdp_e2e::feedback_wire::Feedback;
+use gdp_e2e::keys::{PairError, PairKey, PairOpener, PairSealer};
 
 pub struct Pairs {
     identity: Identity,
@@ -70,27 +70,5 @@ impl Pairs {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::feedback_wire::Wants;
-
-    #[test]
-    fn counterparts_are_kept_as_long_as_a_name_needs_them() {
-        let (own, peer) = (Identity::generate("proxy").unwrap(), Identity::generate("proxy").unwrap());
-        let (mut pairs, mut theirs) = (Pairs::new(own.clone()), Pairs::new(peer.clone()));
-        let hello = Feedback::Hello { name: own.name(), challenge: [1; 16], wants: Wants::Every };
-        let mut payload = Vec::new();
-        assert!(pairs.seal(&peer.name(), &hello, &mut payload).is_none());
-        pairs.introduce(peer.name(), peer.box_public());
-        pairs.introduce(peer.name(), peer.box_public());
-        theirs.introduce(own.name(), own.box_public());
-        pairs.seal(&peer.name(), &hello, &mut payload).unwrap().unwrap();
-        assert_eq!(theirs.open(&own.name(), &payload), Some(Ok(hello)));
-        assert_eq!(theirs.open(&own.name(), &payload), Some(Err(PairError::Replayed)));
-        pairs.part(&peer.name());
-        assert!(pairs.peers.contains_key(&peer.name()));
-        pairs.part(&peer.name());
-        pairs.part(&peer.name());
-        assert!(pairs.peers.is_empty());
-    }
-}
+#[path = "../../tests/unit/node/pairs.rs"]
+mod tests;

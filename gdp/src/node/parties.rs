@@ -9,9 +9,9 @@ use std::sync::atomic::{self, AtomicUsize};
 use gdp_wire::Name;
 use tokio::sync::watch;
 
-use crate::cert::Revocation;
-use crate::crypto::Backend;
-use crate::peers::{Counterpart, PeerEvent};
+use gdp_core::cert::Revocation;
+use gdp_core::crypto::Backend;
+use gdp_proto::peers::{Counterpart, PeerEvent};
 
 /// One that is not attached any more keeps its place for so long, and what is under way between the two stands: links come back.
 const ABSENCE: u64 = 60_000_000_000;
@@ -255,4 +255,5 @@ pub fn joint_right<'a>(rights: impl Iterator<Item = (u64, &'a Counterpart)>) -> 
 }
 
 #[cfg(test)]
+#[path = "../../tests/unit/node/parties.rs"]
 mod tests;

@@ -5,10 +5,11 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep, sleep_until};
 
-use crate::crypto;
+use gdp_core::crypto;
+use gdp_util::backoff::{Backoff, jittered};
 
 /// Between attempts to get the link back, and to state what was refused: doubled from the first to the second.
-const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
+pub const BACKOFF: Backoff = Backoff::new(Duration::from_millis(100), Duration::from_secs(5));
 
 /// What the kernel says of a network that has changed comes in parts.
 const NEWS_SETTLE: Duration = Duration::from_millis(2);
@@ -21,19 +22,12 @@ const HURRIED: Duration = Duration::from_millis(100);
 /// The same where nobody knows which news matter.
 const BLIND: Duration = Duration::from_secs(1);
 
-/// Growing pauses, each between half and the whole of its length, so that many nodes do not return at once.
-pub struct Backoff(Duration);
-
-impl Backoff {
-    pub fn new() -> Self {
-        Self(BACKOFF.0)
-    }
-
-    pub async fn wait(&mut self) {
-        let random = crypto::random::<1>().map_or(255, |[byte]| byte);
-        sleep(self.0 / 2 + self.0 / 512 * u32::from(random)).await;
-        self.0 = (self.0 * 2).min(BACKOFF.1);
-    }
+/// Waits for the next delay, with jitter, so that many nodes do not return at once. A wait that is cut short does not count.
+pub async fn wait(backoff: &mut Backoff) {
+    let random = crypto::random::<1>().map_or(255, |[byte]| byte);
+    let mut next = *backoff;
+    sleep(jittered(next.next_delay(), random)).await;
+    *backoff = next;
 }
 
 /// When news cut pauses short, the last [`AT_ONCE`] times.
@@ -54,7 +48,7 @@ impl Hurry {
             }
         };
         tokio::select! {
-            () = backoff.wait() => return,
+            () = wait(backoff) => return,
             () = hurried => {}
         }
         if is_full {
@@ -62,45 +56,11 @@ impl Hurry {
         }
         self.0.push_back(Instant::now());
         if !blind {
-            *backoff = Backoff::new();
+            backoff.reset();
         }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::future::{pending, ready};
-
-    /// A pause that nothing here waits for.
-    const LONG: Duration = Duration::from_secs(600);
-
-    #[tokio::test]
-    async fn news_cut_a_pause_short_but_not_without_end() {
-        let (mut hurry, start) = (Hurry::default(), Instant::now());
-        for attempts in 0..3 * AT_ONCE {
-            let mut backoff = Backoff(LONG);
-            hurry.pause(&mut backoff, ready(()), false).await;
-            assert_eq!(backoff.0, BACKOFF.0, "it begins anew");
-            let least = attempts / AT_ONCE * AT_ONCE * HURRIED;
-            assert!(start.elapsed() >= least, "{attempts} attempts after {:?}", start.elapsed());
-        }
-        assert!(start.elapsed() < LONG / 2);
-    }
-
-    #[tokio::test]
-    async fn news_that_may_be_of_no_use_leave_pauses_long_and_come_apart() {
-        let (mut hurry, mut backoff, start) = (Hurry::default(), Backoff(LONG), Instant::now());
-        for _ in 0..=AT_ONCE {
-            hurry.pause(&mut backoff, ready(()), true).await;
-        }
-        assert!(start.elapsed() >= AT_ONCE * BLIND && backoff.0 == LONG);
-    }
-
-    #[tokio::test]
-    async fn without_news_pauses_grow() {
-        let (mut hurry, mut backoff) = (Hurry::default(), Backoff(Duration::from_millis(2)));
-        hurry.pause(&mut backoff, pending(), false).await;
-        assert!(backoff.0 == Duration::from_millis(4) && hurry.0.is_empty());
-    }
-}
+#[path = "../../tests/unit/node/pause.rs"]
+mod tests;

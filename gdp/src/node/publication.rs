@@ -2,28 +2,28 @@
 //! how far it is, the receiving thread answers readers, the supervisor wraps keys.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, OnceLock};
 
 use gdp_wire::Name;
+use parking_lot::Mutex;
 use tokio::sync::Notify;
 
-use super::clock::unix_nanos;
 use super::ending::{Ended, Ending};
 use super::gathered::{GATHERING, Gathered};
 use super::latched::LatchedSamples;
 use super::options::PublishOptions;
 use super::outlet::Outlet;
 use super::publisher::Unflushed;
-use super::state::lock;
 use super::{NodeError, Reliability};
-use crate::cert::Revocation;
-use crate::crypto::{Backend, PUBLIC_KEY_LEN};
-use crate::feedback_wire::{Feedback, Wants};
-use crate::identity::Identity;
-use crate::keys::{Boxes, KeyRing, RingError};
-use crate::peers::{Counterpart, PeerEvent};
-use crate::seal::{Draft, Encoding, SealError, Segments, Writer};
-use crate::transport::{Full, Sealed, Topic, TopicCounters};
+use gdp_core::cert::Revocation;
+use gdp_core::crypto::{Backend, PUBLIC_KEY_LEN};
+use gdp_core::identity::Identity;
+use gdp_e2e::feedback_wire::{Feedback, Wants};
+use gdp_e2e::keys::{Boxes, KeyRing, RingError};
+use gdp_e2e::seal::{Draft, Encoding, SealError, Segments, Writer};
+use gdp_e2e::transport::{Full, Sealed, Topic, TopicCounters};
+use gdp_proto::peers::{Counterpart, PeerEvent};
+use gdp_util::unix_time::unix_nanos;
 
 /// A reader that is not attached any more keeps its place and its keys for so long: links come back.
 const ABSENCE: u64 = 60_000_000_000;
@@ -129,7 +129,7 @@ impl Publication {
         let (epoch, key) = ring.current();
         writer.set_epoch(epoch, key)?;
         let session = writer.session();
-        let topic = lock(&outlet.uplink).open(outlet.clock.now(), name, session, (*options).into());
+        let topic = outlet.uplink.lock().open(outlet.clock.now(), name, session, (*options).into());
         let (segments, latched) = (Segments::new(), LatchedSamples::new(options.latched));
         let is_reliable = matches!(options.reliability, Reliability::Reliable { .. });
         let gathered = Gathered::new(is_reliable.then_some(options.history));
@@ -179,7 +179,7 @@ impl Publication {
 
     /// Readers that are attached.
     pub fn readers(&self) -> usize {
-        lock(&self.readers).attached().count()
+        self.readers.lock().attached().count()
     }
 
     /// Those of them that ask for every message, where the newest is offered.
@@ -187,19 +187,19 @@ impl Publication {
         if self.is_reliable {
             0
         } else {
-            lock(&self.readers).attached().filter(|(_, reader)| reader.wants == Wants::Every).count()
+            self.readers.lock().attached().filter(|(_, reader)| reader.wants == Wants::Every).count()
         }
     }
 
     /// What has not gone yet, and what of it whom has not reached.
     pub fn unfinished(&self, outlet: &Outlet) -> Unflushed {
-        let readers = lock(&self.readers);
+        let readers = self.readers.lock();
         let waiting = {
-            let sealing = lock(&self.sealing);
+            let sealing = self.sealing.lock();
             let pending = sealing.pending.as_ref().map_or(0, |sealed| sealed.last() - sealed.first() + 1);
             pending + sealing.gathered.len() as u64
         };
-        let (unsent, lacking) = lock(&outlet.uplink).unfinished(self.topic).unwrap_or_default();
+        let (unsent, lacking) = outlet.uplink.lock().unfinished(self.topic).unwrap_or_default();
         let lacking = lacking.into_iter().filter(|(reader, _)| self.is_reliable && readers.asks_for_all(reader));
         Unflushed { unsent: unsent + waiting, unacknowledged: lacking.collect() }
     }
@@ -213,7 +213,7 @@ impl Publication {
         begun: &mut Option<impl FnOnce(u64)>,
     ) -> Result<Option<(u64, Pushed)>, NodeError> {
         self.check()?;
-        let sealing = &mut *lock(&self.sealing);
+        let sealing = &mut *self.sealing.lock();
         if sealing.pending.is_some() {
             return Ok(None);
         }
@@ -249,7 +249,7 @@ impl Publication {
     /// Seals what was gathered and waits no longer than until `due`.
     pub fn seal_gathered(&self, outlet: &Outlet, due: u64) -> Result<Pushed, NodeError> {
         self.check()?;
-        let sealing = &mut *lock(&self.sealing);
+        let sealing = &mut *self.sealing.lock();
         if sealing.gathered_until > due { Ok(Pushed::Taken) } else { self.seal_all(outlet, sealing) }
     }
 
@@ -275,7 +275,7 @@ impl Publication {
     /// Brings what waits for room into the outbox, and then what is to be sent again.
     pub fn push_waiting(&self, outlet: &Outlet) -> Result<Pushed, NodeError> {
         self.check()?;
-        let sealing = &mut *lock(&self.sealing);
+        let sealing = &mut *self.sealing.lock();
         loop {
             if let Pushed::Waits = self.push_pending(outlet, sealing)? {
                 return Ok(Pushed::Waits);
@@ -299,14 +299,14 @@ impl Publication {
     pub fn latch(&self, outlet: &Outlet) {
         let now = outlet.clock.now();
         {
-            let readers = &mut *lock(&self.readers);
+            let readers = &mut *self.readers.lock();
             let soon = readers.latched_at.is_some_and(|last| now.saturating_sub(last) < BETWEEN_LATCHES);
             if !readers.lacks_latched || soon {
                 return;
             }
             (readers.lacks_latched, readers.latched_at) = (false, Some(now));
         }
-        lock(&self.sealing).latched.again();
+        self.sealing.lock().latched.again();
         self.send_again(outlet);
     }
 
@@ -319,31 +319,31 @@ impl Publication {
 
     /// Sends a message about the name, and keeps it for readers that come later.
     pub fn pin(&self, outlet: &Outlet, encoding: Encoding, body: &[u8]) {
-        lock(&self.sealing).latched.pin(encoding, body);
+        self.sealing.lock().latched.pin(encoding, body);
         self.send_again(outlet);
     }
 
     /// Sends a message about the name.
     pub fn mention(&self, outlet: &Outlet, encoding: Encoding, body: &[u8]) {
-        lock(&self.sealing).latched.mention(encoding, body);
+        self.sealing.lock().latched.mention(encoding, body);
         self.send_again(outlet);
     }
 
     /// Latches so many of this origin.
     pub fn limit_latched(&self, origin: &[u8], most: usize) {
-        lock(&self.sealing).latched.limit(origin, most);
+        self.sealing.lock().latched.limit(origin, most);
     }
 
     /// Latches nothing of this origin any more.
     pub fn forget(&self, outlet: &Outlet, origin: &[u8]) {
         // What was gathered is latched when it is sealed.
         self.finish(outlet);
-        lock(&self.sealing).latched.forget(origin);
+        self.sealing.lock().latched.forget(origin);
     }
 
     fn push_pending(&self, outlet: &Outlet, sealing: &mut Sealing) -> Result<Pushed, NodeError> {
         let Some(sealed) = sealing.pending.take() else { return Ok(Pushed::Taken) };
-        let pushed = lock(&outlet.uplink).push(outlet.clock.now(), self.topic, sealed);
+        let pushed = outlet.uplink.lock().push(outlet.clock.now(), self.topic, sealed);
         match pushed {
             Ok(()) => Ok(Pushed::Taken),
             Err(Full::Wait(sealed)) => {
@@ -356,7 +356,7 @@ impl Publication {
 
     /// The same messages for smaller frames; `None` if they cannot be had any more.
     pub fn recut(&self, message: &Sealed, max_payload: usize) -> Option<Sealed> {
-        let sealing = &mut *lock(&self.sealing);
+        let sealing = &mut *self.sealing.lock();
         let Sealing { writer, ring, segments, .. } = sealing;
         let cut = message.cut().checked_add(1)?;
         if let Err(error) = writer.recut(message.bytes(), cut, max_payload, segments) {
@@ -369,7 +369,7 @@ impl Publication {
 
     /// The payload of a frame that says that all before `next` has gone, and what comes before `oldest` cannot be had again.
     pub fn heartbeat(&self, next: u64, oldest: u64, out: &mut Vec<u8>) -> Result<(), SealError> {
-        let sealing = &mut *lock(&self.sealing);
+        let sealing = &mut *self.sealing.lock();
         sealing.take_key()?;
         let Sealing { writer, segments, .. } = sealing;
         writer.heartbeat(unix_nanos(), next, oldest, segments)?;
@@ -381,7 +381,7 @@ impl Publication {
 
     /// Answers a reader that asks which session this is.
     pub fn welcome(&self, outlet: &Outlet, reader: &Name, challenge: [u8; 16], wants: Wants) -> Option<Feedback> {
-        let readers = &mut *lock(&self.readers);
+        let readers = &mut *self.readers.lock();
         let entry = readers.known.get_mut(reader)?;
         entry.wants = wants;
         if wants == Wants::Every && !self.is_reliable && !std::mem::replace(&mut readers.told_incompatible, true) {
@@ -391,7 +391,7 @@ impl Publication {
             readers.lacks_latched = true;
             // One that asks again has lost what it knew, or has reason to doubt it: it begins with what comes now.
             if entry.greeted.replace(challenge).is_some() {
-                entry.from = lock(&outlet.uplink).join(outlet.clock.now(), self.topic, *reader)?;
+                entry.from = outlet.uplink.lock().join(outlet.clock.now(), self.topic, *reader)?;
             }
         }
         let (name, session, sequence, reliable) = (self.name, self.session, entry.from, self.is_reliable);
@@ -400,16 +400,16 @@ impl Publication {
 
     /// A reader that was away is back. If it has begun anew, what is sent from now on is for it, also what goes before it asks.
     pub fn returned(&self, outlet: &Outlet, reader: &Name) {
-        let readers = &mut *lock(&self.readers);
+        let readers = &mut *self.readers.lock();
         let Some(entry) = readers.known.get_mut(reader) else { return };
-        if let Some(from) = lock(&outlet.uplink).join(outlet.clock.now(), self.topic, *reader) {
+        if let Some(from) = outlet.uplink.lock().join(outlet.clock.now(), self.topic, *reader) {
             (entry.from, entry.greeted) = (from, None);
         }
     }
 
     /// Takes what the RIB told of readers, and was verified.
     pub fn take(&self, outlet: &Outlet, now_unix: u64, events: impl IntoIterator<Item = PeerEvent>) {
-        let readers = &mut *lock(&self.readers);
+        let readers = &mut *self.readers.lock();
         for event in events {
             match event {
                 PeerEvent::Joined(right) => self.join(outlet, readers, right),
@@ -434,22 +434,22 @@ impl Publication {
 
     /// Lets go of readers whose right has ended, or that are absent for long.
     pub fn expire(&self, outlet: &Outlet, now_unix: u64) {
-        self.sweep(outlet, &mut lock(&self.readers), now_unix);
+        self.sweep(outlet, &mut self.readers.lock(), now_unix);
     }
 
     fn join(&self, outlet: &Outlet, readers: &mut Readers, right: Counterpart) {
         let (entity, box_key) = (right.entity, right.box_key);
         if let Some(entry) = readers.known.get_mut(&entity) {
             if entry.right.box_key != box_key {
-                let mut pairs = lock(&outlet.pairs);
+                let mut pairs = outlet.pairs.lock();
                 pairs.introduce(entity, box_key);
                 pairs.part(&entity);
             }
             (entry.right, entry.absent) = (right, None);
             return;
         }
-        lock(&outlet.pairs).introduce(entity, box_key);
-        let mut uplink = lock(&outlet.uplink);
+        outlet.pairs.lock().introduce(entity, box_key);
+        let mut uplink = outlet.uplink.lock();
         // Beyond what the transport keeps account of, readers get what the others get.
         let from = uplink.join(outlet.clock.now(), self.topic, entity).unwrap_or(1);
         readers.known.insert(entity, Reader { right, from, greeted: None, absent: None, wants: Wants::Newest });
@@ -470,19 +470,19 @@ impl Publication {
         });
         let gone: Vec<Name> = ended.map(|(name, _)| *name).chain(longest).collect();
         for reader in gone.into_iter().filter(|reader| known.remove(reader).is_some()) {
-            lock(&outlet.uplink).leave(now, self.topic, &reader);
-            lock(&outlet.pairs).part(&reader);
+            outlet.uplink.lock().leave(now, self.topic, &reader);
+            outlet.pairs.lock().part(&reader);
         }
         let readers: Vec<(Name, [u8; PUBLIC_KEY_LEN])> =
             known.iter().map(|(name, reader)| (*name, reader.right.box_key)).collect();
-        for (reader, why) in lock(&self.sealing).ring.set_readers(&readers) {
+        for (reader, why) in self.sealing.lock().ring.set_readers(&readers) {
             tracing::warn!(name = %self.name, %reader, "it gets no keys: {why}");
         }
     }
 
     /// Boxes to be stored with the RIB next, if there are any.
     pub fn boxes(&self) -> Result<Option<Boxes>, RingError> {
-        let (sealing, now) = (&mut *lock(&self.sealing), unix_nanos());
+        let (sealing, now) = (&mut *self.sealing.lock(), unix_nanos());
         match &sealing.unstored {
             // The clock may have been set back.
             Some(Unstored { at, .. }) if (now..now.saturating_add(LONGEST_PAUSE)).contains(at) => Ok(None),
@@ -493,14 +493,14 @@ impl Publication {
 
     /// The RIB has taken these.
     pub fn boxes_stored(&self, boxes: &Boxes) {
-        let sealing = &mut *lock(&self.sealing);
+        let sealing = &mut *self.sealing.lock();
         sealing.unstored = None;
         sealing.ring.boxes_stored(boxes.epoch);
     }
 
     /// The RIB has not: they are offered again, and if it has no room for them, less and less often.
     pub fn boxes_failed(&self, boxes: Boxes, no_room: bool) {
-        let sealing = &mut *lock(&self.sealing);
+        let sealing = &mut *self.sealing.lock();
         let before = sealing.unstored.take().filter(|_| no_room);
         let pause = before.map_or(FIRST_PAUSE, |before| (2 * before.pause).min(LONGEST_PAUSE));
         sealing.unstored = Some(Unstored { boxes, at: unix_nanos() + pause, pause });
@@ -508,13 +508,13 @@ impl Publication {
 
     /// The RIB never takes these, unless [something else](Self::stated) is stated.
     pub fn boxes_refused(&self) {
-        let sealing = &mut *lock(&self.sealing);
+        let sealing = &mut *self.sealing.lock();
         (sealing.unstored, sealing.refused) = (None, true);
     }
 
     /// The RIB knows by now what the right to it is.
     pub fn stated(&self) {
-        let refused = std::mem::take(&mut lock(&self.sealing).refused);
+        let refused = std::mem::take(&mut self.sealing.lock().refused);
         if refused {
             self.store_again();
         }
@@ -522,33 +522,33 @@ impl Publication {
 
     /// The RIB may have lost the boxes.
     pub fn store_again(&self) {
-        let sealing = &mut *lock(&self.sealing);
+        let sealing = &mut *self.sealing.lock();
         (sealing.unstored, sealing.refused) = (None, false);
         sealing.ring.republish();
     }
 
     /// When there may be boxes, in Unix nanoseconds.
     pub fn boxes_at(&self) -> u64 {
-        let sealing = lock(&self.sealing);
+        let sealing = self.sealing.lock();
         sealing.unstored.as_ref().map_or_else(|| sealing.ring.wake_at(), |unstored| unstored.at)
     }
 
     /// What became of messages and frames so far, also once it is closed.
     pub fn counters(&self, outlet: &Outlet) -> TopicCounters {
-        let now = lock(&outlet.uplink).counters(self.topic);
+        let now = outlet.uplink.lock().counters(self.topic);
         now.or_else(|| self.last_counters.get().copied()).unwrap_or_default()
     }
 
     /// Nothing is published any more.
     pub fn close(&self, outlet: &Outlet) {
         {
-            let mut uplink = lock(&outlet.uplink);
+            let mut uplink = outlet.uplink.lock();
             uplink.counters(self.topic).map(|last| self.last_counters.set(last));
             uplink.close(self.topic);
         }
         self.ending.end(Ended::Closed);
-        let readers = std::mem::take(&mut lock(&self.readers).known);
-        let mut pairs = lock(&outlet.pairs);
+        let readers = std::mem::take(&mut self.readers.lock().known);
+        let mut pairs = outlet.pairs.lock();
         readers.keys().for_each(|reader| pairs.part(reader));
     }
 }

@@ -11,10 +11,10 @@ use super::counters::{Meter, PublisherCounters};
 use super::ending::Ended;
 use super::outlet::Outlet;
 use super::publication::{Publication, Pushed};
-use super::state::{Statement, lock};
+use super::state::Statement;
 use super::{Feedback, Handle, NodeError, Stated};
-use crate::cert::{AdCert, Issued};
-use crate::seal::{Draft, Encoding};
+use gdp_core::cert::{AdCert, Issued};
+use gdp_e2e::seal::{Draft, Encoding};
 
 /// How often it is looked whether everything has gone.
 const LOOK: Duration = Duration::from_millis(2);
@@ -109,7 +109,7 @@ impl Publisher {
     /// its turn. Returns the sequence number. Waits only if the name is reliable and the history full; a message that it was
     /// cancelled in waiting for is sent all the same. While the link to the switch is lost, what is best effort fails at once, and
     /// what is reliable is kept; but to a switch whose daemon fell silent frames are sent on, as long as its data plane answers
-    /// ([`crate::link::HOLD`]).
+    /// ([`gdp_core::peer::GRACEFUL_RESTART_TIME`]).
     pub async fn send(&mut self, encoding: Encoding, body: &[u8]) -> Result<u64, NodeError> {
         self.send_batch(&[Draft::new(encoding, body)]).await
     }
@@ -125,7 +125,7 @@ impl Publisher {
             room.as_mut().enable();
             self.publication.check()?;
             self.publication.check_link(outlet)?;
-            if lock(&outlet.uplink).has_turn(self.publication.topic) {
+            if outlet.uplink.lock().has_turn(self.publication.topic) {
                 return Ok(());
             }
             room.await;

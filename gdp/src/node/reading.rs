@@ -6,11 +6,12 @@ use std::collections::{HashMap, VecDeque};
 use gdp_wire::Name;
 
 use super::intake::Change;
-use crate::cert::{Revocation, Signed};
-use crate::crypto::PUBLIC_KEY_LEN;
-use crate::identity::Identity;
-use crate::keys::{KeyBox, KeyStore, MAX_WRITERS, StoreError};
-use crate::peers::{Counterpart, PeerEvent};
+use gdp_core::cert::{Revocation, Signed};
+use gdp_core::crypto::PUBLIC_KEY_LEN;
+use gdp_core::identity::Identity;
+use gdp_core::keys::KeyBox;
+use gdp_e2e::keys::{KeyStore, MAX_WRITERS, StoreError};
+use gdp_proto::peers::{Counterpart, PeerEvent};
 
 /// Writers of one name that are believed at once, and boxes of writers that are not known yet, which may be told of in another message.
 struct Bounds {

@@ -12,10 +12,10 @@ use super::desk::Desk;
 use super::ending::{Ended, Ending};
 use super::parties::{Instance, Place};
 use super::publisher::send_through;
-use super::state::{State, Statement, lock};
+use super::state::{State, Statement};
 use super::{Handle, NodeError, Stated};
-use crate::cert::{AdCert, Issued, Reading};
-use crate::seal::{Draft, Encoding, Message, MessageId};
+use gdp_core::cert::{AdCert, Issued, Reading};
+use gdp_e2e::seal::{Draft, Encoding, Message, MessageId};
 
 /// Calls of a node that may wait for their replies at once.
 const MAX_CALLS: usize = 4096;
@@ -87,7 +87,7 @@ impl Call {
         let state = &self.node.state;
         let Message { session, sequence, writer, .. } = self.request;
         let gone = || NodeError::Detached(format!("the caller {writer:#} is gone"));
-        let publication = lock(&state.publications).get(&writer).cloned().ok_or_else(gone)?;
+        let publication = state.publications.lock().get(&writer).cloned().ok_or_else(gone)?;
         let in_reply_to = Some(MessageId { session, sequence });
         let draft = Draft { in_reply_to, ..Draft::new(encoding, body) };
         send_through(&publication, &state.outlet, &[draft], |_| {}).await.map(drop)
@@ -165,8 +165,8 @@ impl Client {
         let left = || NodeError::InstanceLeft { service, instance };
         // There is no way to one that has only just come, and none any more to one that has left.
         let absent = || if place.has_left() { left() } else { NodeError::NoInstance { service, instance } };
-        let publication = lock(&state.publications).get(&instance).cloned().ok_or_else(absent)?;
-        let waiting = lock(&state.calls).len();
+        let publication = state.publications.lock().get(&instance).cloned().ok_or_else(absent)?;
+        let waiting = state.calls.lock().len();
         if waiting >= MAX_CALLS {
             return Err(NodeError::TooManyCalls(waiting));
         }
@@ -176,7 +176,7 @@ impl Client {
         let begun = |sequence| {
             let id = MessageId { session, sequence };
             guard.id = Some(id);
-            lock(&state.calls).insert(id, Pending { instance, reply });
+            state.calls.lock().insert(id, Pending { instance, reply });
         };
         let draft = Draft { service: Some(service), ..Draft::new(encoding, body) };
         let drafts = [draft];
@@ -208,6 +208,6 @@ struct Waiting<'a> {
 
 impl Drop for Waiting<'_> {
     fn drop(&mut self) {
-        self.id.map(|id| lock(&self.state.calls).remove(&id));
+        self.id.map(|id| self.state.calls.lock().remove(&id));
     }
 }

@@ -1,11 +1,12 @@
 //! The entry of the node's link, which frames are tagged and checked by. Publishers and the receiving thread read it, batch by
 //! batch; the supervisor writes it when keys change. Once a write has returned, every batch that begins meets it.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use gdp_wire::LinkEntry;
+use parking_lot::{Mutex, MutexGuard};
 
-use crate::link::KeyedEntry;
+use gdp_link::link::KeyedEntry;
 
 /// Clones are the same entry.
 #[derive(Clone)]
@@ -25,6 +26,6 @@ impl SharedEntry {
     }
 
     fn lock(&self) -> MutexGuard<'_, KeyedEntry> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.lock()
     }
 }

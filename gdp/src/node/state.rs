@@ -2,13 +2,13 @@
 //! tasks. Requests go out from here; when, is the supervisor's business.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_wire::Name;
+use parking_lot::Mutex;
 use tokio::sync::mpsc;
 
-use super::clock::unix_now;
 use super::counters::Counters;
 use super::desk::{self, Desk};
 use super::ending::{Ended, Ending};
@@ -28,12 +28,15 @@ use super::services::Pending;
 use super::subscription::Queue;
 use super::supervisor::{Attachment, Event};
 use super::{LinkConfig, NodeError, Stated};
-use crate::cert::{AdCert, Advert, AdvertOp, CertError, Issued, Reading as Grant, Revocation, RtCert, Signed, issue};
-use crate::control::{EntityRequest, NameRole, PathCosts, Record, RecordPlace, RefusalCode, Request, Response};
-use crate::identity::Identity;
-use crate::name::{NamePrefix, NameProof};
-use crate::peers::Counterparts;
-use crate::seal::MessageId;
+use gdp_core::cert::{
+    AdCert, Advert, AdvertOp, CertError, Issued, Reading as Grant, Revocation, RtCert, Signed, issue,
+};
+use gdp_core::identity::Identity;
+use gdp_core::name::{NamePrefix, NameProof};
+use gdp_e2e::seal::MessageId;
+use gdp_proto::control::{EntityRequest, NameRole, PathCosts, Record, RecordPlace, RefusalCode, Request, Response};
+use gdp_proto::peers::Counterparts;
+use gdp_util::unix_time::unix_seconds;
 
 /// Seconds that certificates for the switch and statements to the RIB hold; they are renewed long before.
 pub const LIFETIME: u32 = 24 * 3600;
@@ -194,9 +197,9 @@ impl State {
 
     /// Whether this node's own right in a name holds under a revocation of it.
     pub fn check_own(&self, name: Name, role: NameRole, revocation: &Revocation) -> Result<(), CertError> {
-        let (statements, own) = (lock(&self.statements), self.identity.name());
+        let (statements, own) = (self.statements.lock(), self.identity.name());
         let standing = statements.get(&(name, Stated::of(role)));
-        standing.map_or(Ok(()), |it| it.statement.verify(own, Some(revocation), unix_now()).map(drop))
+        standing.map_or(Ok(()), |it| it.statement.verify(own, Some(revocation), unix_seconds()).map(drop))
     }
 
     /// The name that a right is about, if it holds.
@@ -204,12 +207,12 @@ impl State {
         let name = statement.proof().name()?;
         let revoked = self.revoked.of(&name);
         let revocation = revoked.as_ref().map(|(_, claims)| claims);
-        statement.verify(self.identity.name(), revocation, unix_now()).map(|(name, _)| name)
+        statement.verify(self.identity.name(), revocation, unix_seconds()).map(|(name, _)| name)
     }
 
     /// The statements whose right has ended by itself, and the errors that say so.
     pub fn expired(&self, now: u64) -> Vec<(Name, Stated, CertError)> {
-        let (statements, own) = (lock(&self.statements), self.identity.name());
+        let (statements, own) = (self.statements.lock(), self.identity.name());
         let late = statements.iter().filter(|(_, standing)| !standing.over && standing.not_after < now);
         let error = |standing: &Standing| standing.statement.verify(own, None, now).err();
         late.filter_map(|((name, stated), standing)| Some((*name, *stated, error(standing)?))).collect()
@@ -217,25 +220,25 @@ impl State {
 
     /// This node's own right in a name has ended.
     pub fn end(&self, name: Name, role: NameRole, error: CertError) {
-        match lock(&self.statements).get_mut(&(name, Stated::of(role))) {
+        match self.statements.lock().get_mut(&(name, Stated::of(role))) {
             Some(standing) if !standing.over => standing.over = true,
             _ => return,
         }
         tracing::warn!(%name, %error, "the right of this node as a {role} has ended");
         match role {
             NameRole::Publisher => {
-                if let Some(publication) = lock(&self.publications).get(&name) {
+                if let Some(publication) = self.publications.lock().get(&name) {
                     publication.end(error.into());
                 }
             }
             NameRole::Subscriber => {
-                if let Some(ending) = lock(&self.subscriptions).get(&name) {
+                if let Some(ending) = self.subscriptions.lock().get(&name) {
                     ending.end(error.into());
                 }
                 self.command(Command::Unsubscribe { name });
             }
             NameRole::Server | NameRole::Caller => {
-                if let Some(service) = lock(&self.services).get_mut(&(name, role)) {
+                if let Some(service) = self.services.lock().get_mut(&(name, role)) {
                     service.end(error.into());
                 }
             }
@@ -244,9 +247,9 @@ impl State {
 
     /// The node is closed.
     pub fn close(&self) {
-        lock(&self.publications).values().for_each(|publication| publication.end(Ended::Closed));
-        lock(&self.subscriptions).values().for_each(|ending| ending.end(Ended::Closed));
-        lock(&self.services).values_mut().for_each(|service| service.end(Ended::Closed));
+        self.publications.lock().values().for_each(|publication| publication.end(Ended::Closed));
+        self.subscriptions.lock().values().for_each(|ending| ending.end(Ended::Closed));
+        self.services.lock().values_mut().for_each(|service| service.end(Ended::Closed));
     }
 
     /// Puts another right in the place of the one that something is stated by. The RIB has it then, or gets it with the next link; if
@@ -257,14 +260,14 @@ impl State {
         stated: Stated,
         renewed: impl FnOnce(NameProof) -> Statement,
     ) -> Result<(), NodeError> {
-        let proof = lock(&self.statements).get(&(name, stated)).map(|standing| *standing.statement.proof());
+        let proof = self.statements.lock().get(&(name, stated)).map(|standing| *standing.statement.proof());
         let statement = renewed(proof.ok_or(NodeError::Closed)?);
         let revocation = {
-            let known = lock(&self.counterparts);
+            let known = self.counterparts.lock();
             known.get(&(name, stated.role())).and_then(|counterparts| counterparts.revocation().cloned())
         };
-        let (_, not_after) = statement.verify(self.identity.name(), revocation.as_ref(), unix_now())?;
-        let old = match lock(&self.statements).get_mut(&(name, stated)) {
+        let (_, not_after) = statement.verify(self.identity.name(), revocation.as_ref(), unix_seconds())?;
+        let old = match self.statements.lock().get_mut(&(name, stated)) {
             Some(standing) if !standing.over => {
                 let new = Standing { statement, not_after, duplicate: standing.duplicate, done: 0, over: false };
                 std::mem::replace(standing, new)
@@ -279,7 +282,7 @@ impl State {
                 Ok(())
             }
             Err(error) if !error.may_pass() => {
-                if let Some(standing) = lock(&self.statements).get_mut(&(name, stated)) {
+                if let Some(standing) = self.statements.lock().get_mut(&(name, stated)) {
                     *standing = Standing { done: 0, over: standing.over, ..old };
                 }
                 self.restate();
@@ -303,10 +306,10 @@ impl State {
         duplicate: bool,
         register: impl FnOnce(),
     ) -> Result<(), NodeError> {
-        let (_, not_after) = statement.verify(self.identity.name(), None, unix_now())?;
+        let (_, not_after) = statement.verify(self.identity.name(), None, unix_seconds())?;
         let mut counterparts = Counterparts::new(*statement.proof(), stated.role())?;
         self.revoked.of(&name).into_iter().for_each(|revocation| counterparts.recall(revocation));
-        let (mut known, mut statements) = (lock(&self.counterparts), lock(&self.statements));
+        let (mut known, mut statements) = (self.counterparts.lock(), self.statements.lock());
         // Under the lock: what comes from now on, `domain_revoked` tells.
         self.home.revocations().iter().for_each(|claims| drop(counterparts.domain_revoked(claims)));
         if statements.contains_key(&(name, stated)) {
@@ -320,7 +323,7 @@ impl State {
     }
 
     pub fn is_stated(&self, name: Name, stated: Stated) -> bool {
-        lock(&self.statements).contains_key(&(name, stated))
+        self.statements.lock().contains_key(&(name, stated))
     }
 
     /// Serves or calls what is stated: returns the end of that, and of what is served where requests come.
@@ -334,7 +337,7 @@ impl State {
         let ((tray, desk), ending) = (desk::new(), Arc::<Ending>::default());
         let tray = (stated == Stated::Served).then_some(tray);
         let service = Service { parties: Parties::new(self.identity.name()), ending: ending.clone(), tray };
-        let register = || _ = lock(&self.services).insert((name, stated.role()), service);
+        let register = || _ = self.services.lock().insert((name, stated.role()), service);
         self.begin(name, stated, statement, false, register)?;
         Ok((desk, ending))
     }
@@ -355,12 +358,12 @@ impl State {
 
     pub fn register(&self, publication: Arc<Publication>) {
         self.outlet.open(publication.clone());
-        lock(&self.publications).insert(publication.name, publication.clone());
+        self.publications.lock().insert(publication.name, publication.clone());
         self.command(Command::Publish { publication });
     }
 
     pub fn unregister(&self, name: Name) {
-        if let Some(publication) = lock(&self.publications).remove(&name) {
+        if let Some(publication) = self.publications.lock().remove(&name) {
             self.command(Command::Unpublish { name });
             self.outlet.close(&publication);
         }
@@ -384,8 +387,8 @@ impl State {
     pub fn listen(&self, name: Name, options: SubscribeOptions) -> (Queue, Arc<Ending>) {
         let (sender, receiver) = mpsc::channel(options.queue.max(1));
         let (shared, ended) = (Arc::<Shared>::default(), Arc::<Ending>::default());
-        lock(&self.readings).insert(name, Reading::new(name, &self.identity));
-        lock(&self.subscriptions).insert(name, ended.clone());
+        self.readings.lock().insert(name, Reading::new(name, &self.identity));
+        self.subscriptions.lock().insert(name, ended.clone());
         let intake = Intake::new(name, options, sender, shared.clone());
         self.command(Command::Subscribe { name, intake: Box::new(intake) });
         (Queue::new(name, receiver, shared), ended)
@@ -396,14 +399,14 @@ impl State {
         // The statement last: until then nobody else can begin the same.
         match stated {
             Stated::Served | Stated::Called => {
-                let mut known = lock(&self.counterparts);
+                let mut known = self.counterparts.lock();
                 self.end_service(name, stated, Ended::Closed);
                 known.remove(&(name, stated.role()));
             }
             Stated::Subscribed => {
-                lock(&self.subscriptions).remove(&name).into_iter().for_each(|ending| ending.end(Ended::Closed));
-                if let Some(reading) = lock(&self.readings).remove(&name) {
-                    let mut pairs = lock(&self.outlet.pairs);
+                self.subscriptions.lock().remove(&name).into_iter().for_each(|ending| ending.end(Ended::Closed));
+                if let Some(reading) = self.readings.lock().remove(&name) {
+                    let mut pairs = self.outlet.pairs.lock();
                     reading.writers().for_each(|writer| pairs.part(writer));
                 }
                 self.command(Command::Unsubscribe { name });
@@ -413,9 +416,9 @@ impl State {
                 self.unregister(name);
             }
         }
-        lock(&self.counterparts).remove(&(name, stated.role()));
+        self.counterparts.lock().remove(&(name, stated.role()));
         {
-            let mut statements = lock(&self.statements);
+            let mut statements = self.statements.lock();
             statements.remove(&(name, stated));
             self.outlet.double(name, is_doubled(&statements, &name));
         }
@@ -431,14 +434,14 @@ impl State {
     pub async fn attach(&self, attachment: &Attachment) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
         self.attach_locked(attachment, &mut serial).await?;
-        lock(&self.publications).values().for_each(|publication| publication.store_again());
-        lock(&self.statements).values_mut().for_each(|standing| standing.done &= !bit(attachment));
+        self.publications.lock().values().for_each(|publication| publication.store_again());
+        self.statements.lock().values_mut().for_each(|standing| standing.done &= !bit(attachment));
         Ok(())
     }
 
     async fn attach_locked(&self, attachment: &Attachment, serial: &mut Option<u64>) -> Result<(), NodeError> {
         let switch = attachment.link.peer().name;
-        let not_after = unix_now() + u64::from(LIFETIME);
+        let not_after = unix_seconds() + u64::from(LIFETIME);
         let rt_cert = issue(self.identity.key(), &RtCert { entity: self.identity.name(), switch, not_after })?;
         // A node that has spoken before goes on; one that has just started does not know what another process had stated.
         let (resumes, lane) = (serial.is_some(), attachment.lane);
@@ -460,7 +463,7 @@ impl State {
         let mut serial = self.serial.lock().await;
         let several = self.outlet.lanes().len() > 1;
         let (statement, everywhere) = {
-            let mut statements = lock(&self.statements);
+            let mut statements = self.statements.lock();
             let Some(standing) = statements.get_mut(&(name, stated)) else { return Ok(()) };
             let everywhere = several && (stated.sends() || standing.duplicate);
             let belongs = everywhere || self.outlet.ways().borrow().main == usize::from(attachment.lane);
@@ -482,10 +485,10 @@ impl State {
         // Something newer may have come before; then the RIB tells the whole once more.
         let _ = self.take_peers(name, stated.role(), &peers);
         // Unless another was put in its place meanwhile.
-        if let Some(standing) = lock(&self.statements).get_mut(&(name, stated)).filter(|it| it.statement == statement) {
+        if let Some(standing) = self.statements.lock().get_mut(&(name, stated)).filter(|it| it.statement == statement) {
             standing.done = if everywhere { standing.done | bit(attachment) } else { bit(attachment) };
         }
-        if let Some(publication) = lock(&self.publications).get(&name).filter(|_| stated == Stated::Published) {
+        if let Some(publication) = self.publications.lock().get(&name).filter(|_| stated == Stated::Published) {
             publication.stated();
         }
         if everywhere {
@@ -497,7 +500,7 @@ impl State {
 
     /// States everything that stands; `false` if something was refused or did not get through, and should be tried again.
     pub async fn state_all(&self, attachment: &Attachment) -> bool {
-        let standing: Vec<_> = lock(&self.statements).keys().copied().collect();
+        let standing: Vec<_> = self.statements.lock().keys().copied().collect();
         let mut all = true;
         for (name, stated) in standing {
             if let Err(error) = self.state(attachment, name, stated).await {
@@ -515,17 +518,17 @@ impl State {
     /// Withdraws a name. What else stands about it goes with it, and is to be stated again.
     pub async fn state_withdrawal(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
-        if lock(&self.statements).contains_key(&(name, stated)) {
+        if self.statements.lock().contains_key(&(name, stated)) {
             return Ok(());
         }
         let request = |advert| EntityRequest::Withdraw { advert };
         self.ask_signed(attachment, &mut serial, AdvertOp::Withdraw, name, request).await?;
         for other in Stated::ALL {
-            if let Some(standing) = lock(&self.statements).get_mut(&(name, other)) {
+            if let Some(standing) = self.statements.lock().get_mut(&(name, other)) {
                 standing.done = 0;
                 self.restate();
                 // Its keys went with it.
-                if let Some(publication) = lock(&self.publications).get(&name).filter(|_| other == Stated::Published) {
+                if let Some(publication) = self.publications.lock().get(&name).filter(|_| other == Stated::Published) {
                     publication.store_again();
                 }
             }
@@ -614,8 +617,4 @@ fn bit(attachment: &Attachment) -> u8 {
 
 pub async fn ask(attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
     Ok(attachment.link.request(&Request::Entity(request)).await?.accepted()?)
-}
-
-pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }

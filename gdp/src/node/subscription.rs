@@ -12,8 +12,8 @@ use super::intake::Shared;
 use super::receiver::Command;
 use super::state::{State, Statement};
 use super::{Handle, NodeError, Stated};
-use crate::cert::Reading;
-use crate::seal::Message;
+use gdp_core::cert::Reading;
+use gdp_e2e::seal::Message;
 
 /// Verified messages from the receiving thread.
 pub struct Queue {

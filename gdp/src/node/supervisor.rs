@@ -19,18 +19,22 @@ use super::frame_size::FrameSize;
 use super::lane::{Lane, Status};
 use super::network::{Network, Way, until_led};
 use super::outlet::Ways;
-use super::pause::{Backoff, Hurry};
+use super::pause::{BACKOFF, Hurry, wait};
 use super::receiver::Command;
 use super::shared_entry::SharedEntry;
 use super::state::{self, State};
 use super::{LinkConfig, LinkTarget, NodeError, Stated};
-use crate::cert::{Revocation, Signed};
-use crate::control::{Refusal, RefusalCode, Request, Response};
-use crate::crypto;
-use crate::link::liveness::{Liveness, Pace, Step};
-use crate::link::{HOLD, Link, LinkError, LinkKeys, RekeySchedule, Responder, Role};
-use crate::name::NameProof;
-use crate::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, SMALLEST_PATH, interface_index};
+use gdp_core::cert::{Revocation, Signed};
+use gdp_core::crypto;
+use gdp_core::name::NameProof;
+use gdp_core::peer::GRACEFUL_RESTART_TIME;
+use gdp_core::peer::Role;
+use gdp_link::link::{Link, LinkError, LinkKeys, RekeySchedule, Responder};
+use gdp_link::link::{liveness::Liveness, liveness::Pace, liveness::Step};
+use gdp_link::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, interface_index};
+use gdp_proto::control::{Refusal, RefusalCode, Request, Response};
+use gdp_util::backoff::Backoff;
+use gdp_wire::SMALLEST_PATH;
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -272,7 +276,7 @@ impl Supervisor {
 
     /// The first link, within `patience`. What waiting cannot mend is an error at once.
     async fn connect(&mut self, patience: Duration) -> Result<Arc<Attachment>, NodeError> {
-        let mut backoff = Backoff::new();
+        let mut backoff = BACKOFF;
         let attempts = async {
             loop {
                 match self.attempt(None).await {
@@ -327,7 +331,7 @@ impl Supervisor {
             tracing::warn!(switch = %self.target, %reason, "lost the link to the switch");
             attachment = if attachment.link.fell_silent() {
                 self.state.outlet.set_status(self.lane(), Status::Held(attachment.clone(), reason));
-                let held = Held { attachment, until: Instant::now() + HOLD };
+                let held = Held { attachment, until: Instant::now() + GRACEFUL_RESTART_TIME };
                 self.reconnect_while_held(&held).await
             } else {
                 self.state.outlet.set_status(self.lane(), Status::Down(reason));
@@ -353,7 +357,7 @@ impl Supervisor {
     }
 
     async fn reconnect(&mut self, held: Option<&Held>) -> Arc<Attachment> {
-        let mut backoff = Backoff::new();
+        let mut backoff = BACKOFF;
         loop {
             self.pause(&mut backoff).await;
             match self.attempt(held).await {
@@ -574,7 +578,7 @@ fn no_interface(name: &str, source: std::io::Error) -> LinkError {
 /// States what stands, again when something was refused that time may mend or a withdrawal took it along, and in time
 /// before it runs out.
 async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
-    let mut backoff = Backoff::new();
+    let mut backoff = BACKOFF;
     let mut renewal = Instant::now() + RENEWAL;
     let (lane, mut preferred) = (state.outlet.lane(&attachment), None);
     loop {
@@ -584,16 +588,16 @@ async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
         };
         if turn.is_some() && turn != preferred {
             if !prefer(&state, &attachment).await {
-                backoff.wait().await;
+                wait(&mut backoff).await;
                 continue;
             }
             preferred = turn;
         }
         if !state.state_all(&attachment).await {
-            backoff.wait().await;
+            wait(&mut backoff).await;
             continue;
         }
-        backoff = Backoff::new();
+        backoff = BACKOFF;
         tokio::select! {
             () = lane.unstated.notified() => {}
             () = sleep_until(renewal) => {
@@ -717,12 +721,12 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
 
 /// Attaches over the link there is, and has everything stated again. The switch may only be about to find its way to the RIB.
 async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), NodeError> {
-    let mut backoff = Backoff::new();
+    let mut backoff = BACKOFF;
     while let Err(error) = state.attach(attachment).await {
         if !error.may_pass() || attachment.link.close_reason().is_some() {
             return Err(error);
         }
-        backoff.wait().await;
+        wait(&mut backoff).await;
     }
     state.outlet.lane(attachment).unstated.notify_one();
     Ok(())
@@ -745,7 +749,7 @@ async fn handle_all(state: &Arc<State>, mut events: mpsc::UnboundedReceiver<Even
 async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
     match event {
         Event::Withdraw { name, stated } => {
-            let mut backoff = Backoff::new();
+            let mut backoff = BACKOFF;
             while let Err(error) = state.state_withdrawal(&attachment, name, stated).await {
                 match error {
                     // It went with an attachment that ended.
@@ -755,7 +759,7 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
                     _ if attachment.link.close_reason().is_some() => return state.withdraw_later(name, stated),
                     error => tracing::warn!(%name, %error, "could not be withdrawn; trying again"),
                 }
-                backoff.wait().await;
+                wait(&mut backoff).await;
             }
         }
         Event::Revoke { proof, revocation } => {
@@ -775,16 +779,5 @@ impl Drop for AbortOnDrop {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::io::{Error, ErrorKind};
-
-    #[test]
-    fn a_robot_that_has_no_network_yet_tries_again() {
-        let host = "edge.local".to_owned();
-        let unresolved = NodeError::NoAddress { host, source: ErrorKind::NotFound.into() };
-        let interface = LinkError::Io { what: "interface r0".into(), source: Error::from_raw_os_error(libc::ENODEV) };
-        assert!(unresolved.may_pass());
-        assert!(!NodeError::from(interface).may_pass(), "more likely a misspelt name");
-    }
-}
+#[path = "../../tests/unit/node/supervisor.rs"]
+mod tests;

@@ -9,15 +9,15 @@ use tokio::sync::Notify;
 use tokio::time::Instant;
 
 use super::NodeError;
-use super::clock::{unix_nanos, unix_now};
 use super::publication::Publication;
 use super::reading::{Effect, Reading};
 use super::receiver::Command;
-use super::state::{State, ask, lock};
+use super::state::{State, ask};
 use super::supervisor::{Attachment, Event};
-use crate::cert::Revocation;
-use crate::control::{EntityRequest, NameRole, Peers, RefusalCode, Response};
-use crate::peers::{OutOfStep, PeerEvent};
+use gdp_core::cert::Revocation;
+use gdp_proto::control::{EntityRequest, NameRole, Peers, RefusalCode, Response};
+use gdp_proto::peers::{OutOfStep, PeerEvent};
+use gdp_util::unix_time::{unix_nanos, unix_seconds};
 
 /// How often it is looked for what has ended.
 const LOOK: Duration = Duration::from_secs(1);
@@ -29,9 +29,9 @@ impl State {
             return self.take_boxes(peers);
         }
         // Held throughout, so that what follows comes in the order in which it was told.
-        let mut all = lock(&self.counterparts);
+        let mut all = self.counterparts.lock();
         let counterparts = all.get_mut(&(name, role))?;
-        match counterparts.take(unix_now(), peers) {
+        match counterparts.take(unix_seconds(), peers) {
             Ok(events) => {
                 for event in &events {
                     let proof = *counterparts.proof();
@@ -58,7 +58,7 @@ impl State {
     /// A domain has taken something back.
     pub fn domain_revoked(&self, claims: &Revocation) {
         // As in `take_peers`.
-        let mut all = lock(&self.counterparts);
+        let mut all = self.counterparts.lock();
         for ((name, role), counterparts) in all.iter_mut() {
             let events = counterparts.domain_revoked(claims);
             if !events.is_empty() {
@@ -77,8 +77,8 @@ impl State {
         match role {
             NameRole::Server | NameRole::Caller => self.take_parties(name, role, &events),
             NameRole::Publisher => {
-                if let Some(publication) = lock(&self.publications).get(&name) {
-                    publication.take(&self.outlet, unix_now(), events);
+                if let Some(publication) = self.publications.lock().get(&name) {
+                    publication.take(&self.outlet, unix_seconds(), events);
                     self.outlet.upkeep.notify_one();
                 }
             }
@@ -93,7 +93,7 @@ impl State {
     /// Carries out what follows before the reading changes again: the receiving thread has no use for keys of a writer that it has not
     /// heard of yet.
     pub(super) fn change_reading(&self, name: Name, change: impl FnOnce(&mut Reading) -> Vec<Effect>) {
-        if let Some(reading) = lock(&self.readings).get_mut(&name) {
+        if let Some(reading) = self.readings.lock().get_mut(&name) {
             self.carry_out(name, change(reading));
         }
     }
@@ -101,7 +101,7 @@ impl State {
     /// Keys of what is sent to this node's own name; to be verified as those of any name.
     fn take_boxes(&self, peers: &Peers) -> Option<Result<(), OutOfStep>> {
         let own = self.identity.name();
-        if !lock(&self.readings).contains_key(&own) {
+        if !self.readings.lock().contains_key(&own) {
             return None;
         }
         self.take_writers(own, peers.boxes.iter().cloned().map(PeerEvent::KeyBox).collect());
@@ -113,8 +113,8 @@ impl State {
         for effect in effects {
             match effect {
                 Effect::Change(change) => changes.push(change),
-                Effect::Introduce(writer, box_key) => lock(&self.outlet.pairs).introduce(writer, box_key),
-                Effect::Part(writer) => lock(&self.outlet.pairs).part(&writer),
+                Effect::Introduce(writer, box_key) => self.outlet.pairs.lock().introduce(writer, box_key),
+                Effect::Part(writer) => self.outlet.pairs.lock().part(&writer),
             }
         }
         if !changes.is_empty() {
@@ -139,7 +139,7 @@ impl State {
                 let state = self.clone();
                 let _ = tokio::task::spawn_blocking(move || state.revoked.save()).await;
             }
-            let publications: Vec<_> = lock(&self.publications).values().cloned().collect();
+            let publications: Vec<_> = self.publications.lock().values().cloned().collect();
             publications.iter().for_each(|publication| publication.latch(&self.outlet));
             boxes.notify_one();
             let next = publications.iter().map(|publication| publication.boxes_at()).min().unwrap_or(u64::MAX);
@@ -155,7 +155,7 @@ impl State {
     async fn store_all_boxes(&self, due: &Notify) {
         loop {
             due.notified().await;
-            let publications: Vec<_> = lock(&self.publications).values().cloned().collect();
+            let publications: Vec<_> = self.publications.lock().values().cloned().collect();
             for publication in &publications {
                 if let Ok(attachment) = self.attached_now() {
                     self.store_boxes(&attachment, publication).await;
@@ -165,9 +165,9 @@ impl State {
     }
 
     fn expire(&self) {
-        let now = unix_now();
+        let now = unix_seconds();
         {
-            let mut counterparts = lock(&self.counterparts);
+            let mut counterparts = self.counterparts.lock();
             for ((name, role), known) in counterparts.iter_mut() {
                 let events = known.expire(now);
                 if !events.is_empty() {
@@ -179,8 +179,8 @@ impl State {
         for (name, stated, error) in self.expired(now) {
             self.end(name, stated.role(), error);
         }
-        lock(&self.publications).values().for_each(|publication| publication.expire(&self.outlet, now));
-        for (name, reading) in lock(&self.readings).iter_mut() {
+        self.publications.lock().values().for_each(|publication| publication.expire(&self.outlet, now));
+        for (name, reading) in self.readings.lock().iter_mut() {
             self.carry_out(*name, reading.expire(unix_nanos()));
         }
     }

@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
-use gdp::Identity;
-use gdp::control::{EntityRequest, Response};
-use gdp_ctl::rib::{Limits, Now, Rib, Run};
+use gdp_core::identity::Identity;
+use gdp_proto::control::{EntityRequest, Response};
+use gdp_rib::rib::{Limits, Now, Rib, Run};
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 
 use crate::Bench;

@@ -4,10 +4,11 @@ use std::ops::Range;
 use std::time::SystemTime;
 
 use anyhow::Result;
-use gdp::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, Signed, issue};
-use gdp::control::EntityRequest;
-use gdp::name::{NameProof, derive};
-use gdp::{Identity, Name, SigningKey};
+use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, Signed, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::name::{NameProof, derive};
+use gdp_proto::control::EntityRequest;
+use gdp_wire::Name;
 
 /// Names that one entity has, at most: a RIB takes no more.
 pub const NAMES_OF_ONE: usize = 16_384;

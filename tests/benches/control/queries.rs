@@ -6,12 +6,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use gdp::Identity;
-use gdp::control::{EntityRequest, Request, Response};
-use gdp::link::Link;
-use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp_ctl::config::Config;
-use gdp_ctl::serve::{Running, start};
+use gdp_core::identity::Identity;
+use gdp_daemon::config::Config;
+use gdp_daemon::serve::{Running, start};
+use gdp_link::link::Link;
+use gdp_link::port::{LinkAddr, Port, PortConfig};
+use gdp_proto::control::{EntityRequest, Request, Response};
 use gdp_tests::measure::figure::{Aim, Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 

@@ -8,13 +8,15 @@ use std::thread::ScopedJoinHandle;
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result, bail, ensure};
-use gdp::control::{EntityRequest, Response};
-use gdp::{Identity, Name};
-use gdp_ctl::admin::{Client, Request};
+use gdp_core::identity::Identity;
+use gdp_ctl::client::Client;
+use gdp_proto::admin::Request;
+use gdp_proto::control::{EntityRequest, Response};
 use gdp_tests::Tools;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::ring::{CLOUD_AT, ROBOT_AT, Ring};
 use gdp_tests::wait::{PATIENCE, check_interrupt, wait_for};
+use gdp_wire::Name;
 
 use crate::Bench;
 use crate::owner::Owner;

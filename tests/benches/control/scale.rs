@@ -10,15 +10,18 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
-use gdp::cert::domain::roles;
-use gdp::cert::{Host, MemberCert, Membership, Revocation, SwitchStatement, issue};
-use gdp::control::{self, EntityRequest, RecordPlace, Response, TierRequest, TierResponse};
-use gdp::revocations::Kept;
-use gdp::{Identity, Name};
-use gdp_ctl::rib::{Limits, Now, Rib, Run};
-use gdp_ctl::tiers::{self, Change, Effect, Hosted, Item, Reply, Revoked, Sent, Tiers};
-use gdp_ctl::topology::Paths;
+use gdp_core::cert::domain::roles;
+use gdp_core::cert::{Host, MemberCert, Membership, Revocation, SwitchStatement, issue};
+use gdp_core::identity::Identity;
+use gdp_core::revocations::Kept;
+use gdp_proto::control;
+use gdp_proto::control::{EntityRequest, RecordPlace, Response, TierRequest, TierResponse};
+use gdp_rib::rib::{Limits, Now, Rib, Run};
+use gdp_rib::tiers;
+use gdp_rib::tiers::{Change, Effect, Hosted, Item, Reply, Revoked, Sent, Tiers};
+use gdp_rib::topology::Paths;
 use gdp_tests::measure::figure::{Figure, Measure, Unit};
+use gdp_wire::Name;
 
 use crate::Bench;
 use crate::memory::held;

@@ -4,9 +4,9 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
-use gdp::Identity;
-use gdp::control::{EntityRequest, Response};
-use gdp_ctl::rib::{Limits, Now, Rib, Run};
+use gdp_core::identity::Identity;
+use gdp_proto::control::{EntityRequest, Response};
+use gdp_rib::rib::{Limits, Now, Rib, Run};
 use gdp_tests::measure::cpu;
 use gdp_tests::measure::figure::{Aim, Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};

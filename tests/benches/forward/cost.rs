@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, ensure};
 use aya::maps::DevMap;
 use aya::programs::{TestRun, TestRunOptions};
-use gdp_ctl::plane::kernel::{Buffers, KernelPlane};
+use gdp_dataplane::kernel::{Buffers, KernelPlane};
 use gdp_tests::frames::Frame;
 use gdp_tests::measure::figure::{Aim, Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};

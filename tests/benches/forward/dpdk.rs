@@ -6,24 +6,24 @@
 
 use std::cell::RefCell;
 use std::hint::black_box;
-use std::process::Command;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::port::LinkAddr;
-use gdp_ctl::plane::dpdk::LoopReader;
-use gdp_ctl::plane::forwarder::Shared;
-use gdp_ctl::plane::link_memory::LinkMemory;
-use gdp_ctl::plane::tables::UserTables;
+use gdp_dataplane::dpdk::LoopReader;
+use gdp_dataplane::forwarder::Shared;
+use gdp_dataplane::link_memory::LinkMemory;
+use gdp_dataplane::tables::UserTables;
 use gdp_dpdk::forwarding::{Counts, Forwarding, Sink};
 use gdp_dpdk::local::Local;
 use gdp_dpdk::port::{Receive, Send};
 use gdp_dpdk::siphash::Tags;
 use gdp_dpdk::view::Reader as _;
 use gdp_dpdk::{Burst, Eal, EalConfig, Mbuf, Pool, Port, PortConfig};
+use gdp_link::port::LinkAddr;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
+use gdp_tests::programs::Executable as _;
 use gdp_wire::{Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, Name, forward};
 use zerocopy::IntoBytes;
 
@@ -62,7 +62,7 @@ const PORT: u32 = 1;
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let site = RefCell::new(Site::new()?);
     let device = format!("net_null7,size={LENGTH}");
-    let mut testpmd = Testpmd::start(|program| Ok(Command::new(program)), &[device])?;
+    let mut testpmd = Testpmd::start(|program| Ok(program.command()), &[device])?;
     let duration = bench.duration();
     let mut contenders = vec![Contender::new(TESTPMD, HOT, move || {
         Ok(Sample { value: 1e9 / testpmd.rate(duration)?, ..Sample::default() })

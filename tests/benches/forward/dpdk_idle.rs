@@ -4,12 +4,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use gdp::port::interface_index;
-use gdp_ctl::plane::dpdk::LoopReader;
-use gdp_ctl::plane::forwarder::Shared;
-use gdp_ctl::plane::link_memory::LinkMemory;
-use gdp_ctl::plane::tables::UserTables;
+use gdp_dataplane::dpdk::LoopReader;
+use gdp_dataplane::forwarder::Shared;
+use gdp_dataplane::link_memory::LinkMemory;
+use gdp_dataplane::tables::UserTables;
 use gdp_dpdk::{Eal, EalConfig, Idle, Switch, SwitchConfig};
+use gdp_link::port::interface_index;
 use gdp_tests::measure::figure::{Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_tests::netns::Namespace;

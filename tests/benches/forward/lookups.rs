@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use aya::maps::{Array, HashMap, MapData};
 use aya::programs::{TestRun, TestRunOptions, Xdp};
 use aya::{Ebpf, EbpfLoader};
-use gdp_ctl::plane::fib::Fib;
+use gdp_dataplane::fib::Fib;
 use gdp_wire::{FibEntry, Name, flat};
 
 #[path = "../../../gdp-ebpf/src/bench_names.rs"]

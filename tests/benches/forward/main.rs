@@ -43,7 +43,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::Parser;
-use gdp_ctl::plane::kernel::KernelPlane;
+use gdp_dataplane::kernel::KernelPlane;
 use gdp_tests::measure::{self, Row, Wanted};
 
 #[derive(Parser)]

@@ -4,12 +4,13 @@ use std::cell::RefCell;
 
 use anyhow::{Context, Result};
 use aya::maps::{DevMap, MapData};
-use gdp::port::Interface;
-use gdp_ctl::plane::Wanted;
+use gdp_dataplane::Wanted;
+use gdp_link::port::Interface;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::frames::Frame;
 use gdp_tests::frames::carrier::Carrier;
 use gdp_tests::netns::{Namespace, execute};
+use gdp_tests::programs::Program;
 use gdp_wire::{Counter, Header, LinkEntry};
 
 use crate::Bench;
@@ -186,7 +187,7 @@ pub fn refresh_gro(node: &Namespace) -> Result<()> {
     let links = node.ip(&["-o", "link"])?;
     for interface in ["l0", "r0"].iter().filter(|name| links.contains(&format!(" {name}@"))) {
         for state in ["off", "on"] {
-            execute(node.command("ethtool")?.args(["-K", interface, "gro", state]))?;
+            execute(node.command(Program::Ethtool)?.args(["-K", interface, "gro", state]))?;
         }
     }
     Ok(())

@@ -9,7 +9,7 @@
 use std::cell::RefCell;
 
 use anyhow::{Result, ensure};
-use gdp_ctl::plane::PlaneConfig;
+use gdp_dataplane::PlaneConfig;
 use gdp_tests::frames::Frame;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};

@@ -9,7 +9,7 @@ use std::ptr::null_mut;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use anyhow::{Context, Result, ensure};
-use gdp::port::BATCH;
+use gdp_link::port::BATCH;
 use gdp_wire::ETHERTYPE;
 
 /// Bytes a frame has at most, with what the kernel puts before it.

@@ -17,8 +17,8 @@ use std::os::fd::AsRawFd;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::identity::Identity;
-use gdp::port::{BATCH, Interface, LinkAddr, OutFrame, Port, PortConfig};
+use gdp_core::identity::Identity;
+use gdp_link::port::{BATCH, Interface, LinkAddr, OutFrame, Port, PortConfig};
 use gdp_tests::measure::figure::{Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_tests::packet::ETHERNET;

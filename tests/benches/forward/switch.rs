@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::identity::Identity;
-use gdp::link::LinkIds;
-use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp_ctl::plane::dpdk::{DpdkConfig, DpdkPort};
-use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted};
+use gdp_core::identity::Identity;
+use gdp_dataplane::dpdk::{DpdkConfig, DpdkPort};
+use gdp_dataplane::{PlaneConfig, PlaneRoute, Planes, Wanted};
+use gdp_link::link::LinkIds;
+use gdp_link::port::{LinkAddr, Port, PortConfig};
 use gdp_tests::measure::cpu;
 use gdp_tests::netns::{Entered, Namespace};
 use gdp_wire::table::ip_words;

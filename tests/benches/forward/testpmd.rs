@@ -7,6 +7,7 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use gdp_tests::programs::Program;
 
 /// How long it may take to begin, or to answer.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -21,10 +22,10 @@ pub struct Testpmd {
 
 impl Testpmd {
     /// `at`: makes a command where it is to run. Forwards between these devices, or what comes from one to itself.
-    pub fn start(at: impl FnOnce(&str) -> Result<Command>, devices: &[String]) -> Result<Self> {
+    pub fn start(at: impl FnOnce(Program) -> Result<Command>, devices: &[String]) -> Result<Self> {
         // Line by line: otherwise answers would wait for more of them.
-        let mut command = at("stdbuf")?;
-        command.args(["-oL", "dpdk-testpmd"]);
+        let mut command = at(Program::Stdbuf)?;
+        command.args(["-oL", Program::DpdkTestpmd.name()]);
         command.args(["-l", "0,1", "--no-huge", "-m", "256", "--no-pci", "--no-telemetry"]);
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);

@@ -13,7 +13,7 @@ use aya::maps::{Array, DevMap, Map, MapData, MapError};
 use aya::programs::xdp::XdpMode;
 use aya::programs::{ProgramError, TestRun, TestRunAttrs, TestRunOptions, Xdp};
 use aya::{Ebpf, Pod};
-use gdp::port::Interface;
+use gdp_link::port::Interface;
 use gdp_tests::chain::Chain;
 use gdp_tests::measure::cpu;
 use gdp_tests::measure::rounds::Sample;

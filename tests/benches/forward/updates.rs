@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
-use gdp::port::Interface;
-use gdp_ctl::plane::kernel::{KernelPlane, Mode};
+use gdp_dataplane::kernel::{KernelPlane, Mode};
+use gdp_link::port::Interface;
 use gdp_tests::measure::cpu;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};

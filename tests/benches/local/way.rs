@@ -6,10 +6,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::identity::Identity;
-use gdp::link::LinkIds;
-use gdp::port::{BATCH, DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
-use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted, host_pair};
+use gdp_core::identity::Identity;
+use gdp_dataplane::{PlaneConfig, PlaneRoute, Planes, Wanted, host_pair};
+use gdp_link::link::LinkIds;
+use gdp_link::port::{BATCH, DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_wire::table::{ip_words, mac_words};
 use gdp_wire::{Carrier, Counter, Header, LinkEntry, LinkRole, Name, forward};

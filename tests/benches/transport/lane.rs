@@ -1,10 +1,11 @@
 //! A flow of messages of one size, and what became of them.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
+use parking_lot::Mutex;
 
 /// What is sent.
 #[derive(Clone, Copy, Debug)]
@@ -80,21 +81,21 @@ impl Lane {
         }
         let now = self.now();
         if let Some(stamp) = body.first_chunk::<STAMP>().filter(|_| self.load.every.is_some()) {
-            lock(&self.latencies).push(now.saturating_sub(u64::from_be_bytes(*stamp)));
+            self.latencies.lock().push(now.saturating_sub(u64::from_be_bytes(*stamp)));
         }
-        let mut received = lock(&self.received);
+        let mut received = self.received.lock();
         *received = Received { count: received.count + 1, last: now };
     }
 
     /// Keeps the first error of either end.
     pub fn note(&self, result: Result<()>) {
         if let Err(error) = result {
-            lock(&self.failure).get_or_insert(error);
+            self.failure.lock().get_or_insert(error);
         }
     }
 
     pub fn check(&self) -> Result<()> {
-        match lock(&self.failure).take() {
+        match self.failure.lock().take() {
             Some(error) if !self.stopped.load(Ordering::Relaxed) => Err(error),
             _ => Ok(()),
         }
@@ -106,12 +107,12 @@ impl Lane {
     }
 
     pub fn received(&self) -> Received {
-        *lock(&self.received)
+        *self.received.lock()
     }
 
     /// Since the last call.
     pub fn take_latencies(&self) -> Vec<u64> {
-        std::mem::take(&mut lock(&self.latencies))
+        std::mem::take(&mut self.latencies.lock())
     }
 
     pub fn stop(&self) {
@@ -151,10 +152,6 @@ impl Lane {
     fn now(&self) -> u64 {
         self.began.elapsed().as_nanos() as u64
     }
-}
-
-fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
-    of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Reads messages of a lane from a stream, one behind the other, until it ends.

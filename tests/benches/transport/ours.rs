@@ -4,10 +4,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
-use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp::node::{Node, NodeConfig};
 use gdp::node::{PublishOptions, Publisher, SETTLING, SubscribeOptions, Subscription, Wants};
-use gdp::seal::Encoding;
-use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_e2e::seal::Encoding;
 use tokio::sync::oneshot;
 
 use crate::lane::{Lane, Sender};

@@ -1,14 +1,16 @@
-//! Signed messages of 64 B per second, straight through `gdp::seal` on one CPU: sealed and signed in batches, opened and verified.
+//! Signed messages of 64 B per second, straight through `gdp_e2e::seal` on one CPU: sealed and signed in batches, opened and verified.
 
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-use gdp::crypto::Backend;
-use gdp::seal::{Draft, Encoding, EpochKey, Limits, Moment, Reader, Received, Segments, Writer};
-use gdp::{Identity, Name};
+use gdp_core::crypto::Backend;
+use gdp_core::identity::Identity;
+use gdp_core::keys::EpochKey;
+use gdp_e2e::seal::{Draft, Encoding, Limits, Moment, Reader, Received, Segments, Writer};
 use gdp_tests::measure::cpu;
 use gdp_tests::measure::figure::{Aim, Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
+use gdp_wire::Name;
 
 use crate::Bench;
 

@@ -3,10 +3,10 @@
 use std::net::{Ipv4Addr, SocketAddr};
 
 use anyhow::{Context, Result, ensure};
-use gdp::link::RekeySchedule;
-use gdp_ctl::config::{Config, DataPlane};
-use gdp_ctl::serve::{Running, start};
+use gdp_daemon::config::{Config, DataPlane};
+use gdp_daemon::serve::{Running, start};
 use gdp_faults::Faults;
+use gdp_link::link::RekeySchedule;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::measure::cpu;
 use gdp_tests::netns::Namespace;

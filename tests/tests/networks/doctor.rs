@@ -16,6 +16,7 @@ use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
+use gdp_tests::programs::{Executable as _, Program, own};
 use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::{Value, json};
 
@@ -54,7 +55,8 @@ fn a_foreign_program_is_named_by_doctor_and_by_serve() -> Result<()> {
     let remedy = finding["remedy"].as_str().unwrap_or_default();
     let command = remedy.split('`').nth(1).with_context(|| remedy.to_owned())?;
     let words: Vec<&str> = command.split(' ').collect();
-    execute(site.switch.command(words[0])?.args(&words[1..]))?;
+    ensure!(words[0] == Program::Ip.name(), "{remedy}");
+    execute(site.switch.command(Program::Ip)?.args(&words[1..]))?;
     ensure!(site.doctor(0)?.one("program")?["level"] == "ok");
     Ok(())
 }
@@ -80,7 +82,7 @@ fn a_program_that_a_link_holds_has_another_remedy() -> Result<()> {
 #[test]
 fn a_veth_whose_peer_takes_no_redirects_is_a_warning() -> Result<()> {
     let site = Site::build()?;
-    let gro = |state| execute(site.end.command("ethtool")?.args(["-K", "e0", "gro", state]));
+    let gro = |state| execute(site.end.command(Program::Ethtool)?.args(["-K", "e0", "gro", state]));
     gro("off")?;
     let finding = site.doctor(0)?.one("redirects")?;
     ensure!(finding["level"] == "warning", "{finding:#}");
@@ -118,7 +120,7 @@ fn what_else_keeps_a_daemon_from_running_fails() -> Result<()> {
     for (dropped, lacks) in
         [("-bpf,-sys_admin,-net_raw", "CAP_BPF, CAP_NET_RAW"), ("-perfmon,-sys_admin", "CAP_PERFMON")]
     {
-        let mut without = site.switch.command("setpriv")?;
+        let mut without = site.switch.command(Program::Setpriv)?;
         without.args(["--bounding-set", dropped]).arg(site.tools.gdp_ctl()?);
         without.args(["doctor", "-j", "--config"]).arg(&config).env("GDP_EBPF_OBJECT", site.tools.ebpf_object()?);
         let diagnosis = Diagnosis::of(&without.output()?, 1)?;
@@ -221,7 +223,7 @@ impl Site {
         let mut daemon = Process::spawn("daemon", command, self.files.path())?;
         let status = wait_for("the daemon", PATIENCE, || {
             daemon.check_alive()?;
-            let mut ctl = Command::new(self.tools.gdp_ctl()?);
+            let mut ctl = own(self.tools.gdp_ctl()?);
             let output = ctl.arg("--socket").arg(self.files.path().join("socket")).args(["status", "-j"]).output()?;
             // It answers before it has looked at its interfaces.
             let status = serde_json::from_slice::<Value>(&output.stdout).ok();
@@ -248,7 +250,7 @@ impl Site {
     fn attach_foreign(&self) -> Result<u32> {
         let place = self.files.path().join(FOREIGN);
         std::fs::create_dir(&place)?;
-        execute(Command::new("mount").args(["-t", "bpf", "bpf"]).arg(&place))?;
+        execute(Program::Mount.command().args(["-t", "bpf", "bpf"]).arg(&place))?;
         let mut ebpf = self.foreign()?;
         let program: &mut Xdp = ebpf.program_mut("gdp_pass").context("gdp_pass")?.try_into()?;
         let pin = place.join("program");
@@ -262,7 +264,7 @@ impl Drop for Site {
     fn drop(&mut self) {
         for place in [BPFFS, FOREIGN] {
             // Not every test has both.
-            let _ = execute(Command::new("umount").arg("--lazy").arg(self.files.path().join(place)));
+            let _ = execute(Program::Umount.command().arg("--lazy").arg(self.files.path().join(place)));
         }
     }
 }

@@ -8,11 +8,12 @@
 use std::fs;
 use std::io::Write;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
+use gdp_tests::programs::own;
 use gdp_tests::tools::Tools;
 use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::{Value, json};
@@ -92,7 +93,7 @@ fn serve(tools: &Tools, at: &Namespace, label: &str, config: &Path, folder: &Pat
 
 /// As somebody who pastes the line.
 fn join(tools: &Tools, folder: &Path, token: &str) -> Result<Value> {
-    let mut command = Command::new(tools.gdp_ctl()?);
+    let mut command = own(tools.gdp_ctl()?);
     command.args(["-j", "domain", "join", "-", "-o", "new"]).current_dir(folder);
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
     child.stdin.take().context("a pipe")?.write_all(token.as_bytes())?;
@@ -102,7 +103,7 @@ fn join(tools: &Tools, folder: &Path, token: &str) -> Result<Value> {
 }
 
 fn ctl(tools: &Tools, folder: &Path, arguments: &[&str]) -> Result<Value> {
-    let mut command = Command::new(tools.gdp_ctl()?);
+    let mut command = own(tools.gdp_ctl()?);
     let output = execute(command.args(arguments).arg("-j").current_dir(folder))?;
     serde_json::from_str(&output).with_context(|| format!("not JSON: {output}"))
 }

@@ -6,8 +6,8 @@ use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp_ctl::plane::dpdk::{DpdkConfig, DpdkPort};
-use gdp_ctl::plane::{PlaneConfig, PlaneError, Planes, Wanted};
+use gdp_dataplane::dpdk::{DpdkConfig, DpdkPort};
+use gdp_dataplane::{PlaneConfig, PlaneError, Planes, Wanted};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions};

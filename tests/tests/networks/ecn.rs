@@ -12,18 +12,22 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp::identity::Identity;
-use gdp::node::{LinkTarget, PublishOptions, SubscribeOptions};
-use gdp::seal::Encoding;
-use gdp::transport::TopicCounters;
-use gdp::{NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
-use gdp_ctl::serve::{Running, start};
+use gdp::node::{Node, NodeConfig};
+use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::identity::Identity;
+use gdp_core::identity::SigningKey;
+use gdp_core::link_target::LinkTarget;
+use gdp_daemon::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_daemon::serve::{Running, start};
+use gdp_e2e::seal::Encoding;
+use gdp_e2e::transport::TopicCounters;
 use gdp_faults::Faults;
 use gdp_tests::Tools;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::netns::{Namespace, execute};
+use gdp_tests::programs::Program;
 use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_tests::wire::Wire;
 use serde_json::Value;
@@ -79,7 +83,7 @@ fn nobody_speaks_of_congestion_where_nothing_is_marked() -> Result<()> {
 fn the_userspace_plane_marks_what_waits() -> Result<()> {
     let site = Site::build([ETHERNET; 3], None, DataPlane::Userspace)?;
     let command = "qdisc add dev r0 root tbf rate 100mbit burst 10kb limit 8mb";
-    execute(site.chain.switches()[0].command("tc")?.args(command.split(' ')))?;
+    execute(site.chain.switches()[0].command(Program::Tc)?.args(command.split(' ')))?;
     let told = site.carry_messages(false)?;
     ensure!(told.marked > 0 && told.slowed > 0, "{told:?}");
     Ok(())

@@ -3,14 +3,14 @@
 //!
 //! All keep what they know of links from frame to frame, so replays, late frames and counts beyond 2³² are among the cases.
 
-#[path = "../../../gdp-wire/tests/tables/mod.rs"]
+#[path = "../../../crates/gdp-wire/tests/tables/mod.rs"]
 mod tables;
 
 use crate::frames;
 use anyhow::{Context, Result, ensure};
-use gdp_ctl::plane::kernel::{Buffers, KernelPlane};
-use gdp_ctl::plane::link_memory::LinkMemory;
-use gdp_ctl::plane::tables::UserTables;
+use gdp_dataplane::kernel::{Buffers, KernelPlane};
+use gdp_dataplane::link_memory::LinkMemory;
+use gdp_dataplane::tables::UserTables;
 use gdp_dpdk::Burst;
 use gdp_dpdk::forwarding::Counts;
 use gdp_wire::Counter;

@@ -1,7 +1,6 @@
 //! The harness itself: what the other tests rely on, without any of the project's programs.
 
 use std::net::UdpSocket;
-use std::process::Command;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
@@ -11,6 +10,7 @@ use gdp_tests::netns::{Namespace, execute};
 use gdp_tests::packet::GDP_ETHERTYPE;
 use gdp_tests::peers::{Conversation, Side, Traffic, Vendor};
 use gdp_tests::process::Process;
+use gdp_tests::programs::{Executable as _, Program};
 use gdp_tests::wait::{PATIENCE, wait_for};
 
 #[test]
@@ -58,7 +58,7 @@ fn guards_clean_up_after_a_panic() -> Result<()> {
     let panicked = std::thread::spawn(move || {
         let namespace = Namespace::create("panic").expect("create");
         let folder = tempfile::tempdir().expect("folder");
-        let mut sleep = namespace.command("sleep").expect("command");
+        let mut sleep = namespace.command(Program::Sleep).expect("command");
         sleep.arg("1000");
         let process = Process::spawn("sleep", sleep, folder.path()).expect("spawn");
         sender.send((namespace.name().to_owned(), process.pid())).expect("send");
@@ -80,7 +80,7 @@ fn entering_a_namespace_ends_with_its_guard() -> Result<()> {
     {
         let _inside = namespace.enter()?;
         ensure!(std::fs::read_link("/proc/thread-self/ns/net")? != here);
-        let links = execute(Command::new("ip").args(["-o", "link"]))?;
+        let links = execute(Program::Ip.command().args(["-o", "link"]))?;
         ensure!(links.lines().all(|line| !line.contains("eth0")), "{links}");
     }
     ensure!(std::fs::read_link("/proc/thread-self/ns/net")? == here);

@@ -6,9 +6,9 @@ mod half_open;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::identity::Identity;
-use gdp::link::Link;
-use gdp::port::{InFrame, OutFrame, Port, PortConfig, RecvBatch};
+use gdp_core::identity::Identity;
+use gdp_link::link::Link;
+use gdp_link::port::{InFrame, OutFrame, Port, PortConfig, RecvBatch};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions};

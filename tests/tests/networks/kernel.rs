@@ -1,18 +1,18 @@
 //! The XDP switch under `BPF_PROG_TEST_RUN`: the real program in the real kernel, one frame at a time. Nothing is sent; but it asks
 //! the routing table of a network namespace where links over UDP lead.
 
-use std::process::Command;
 use std::sync::Barrier;
 
 use anyhow::{Context, Result, ensure};
-use gdp_ctl::plane::kernel::{self, Action, Buffers, KernelPlane, LoadError, UpdateError};
-use gdp_ctl::plane::link_memory::LinkMemory;
-use gdp_ctl::plane::pins::{self, Pins};
-use gdp_ctl::plane::userspace::{Outcome, handle};
+use gdp_dataplane::kernel::{self, Action, Buffers, KernelPlane, LoadError, UpdateError};
+use gdp_dataplane::link_memory::LinkMemory;
+use gdp_dataplane::pins::{self, Pins};
+use gdp_dataplane::userspace::{Outcome, handle};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
 use gdp_tests::frames::fixtures::{self, Expected, Fixtures, Switch, Verdict};
 use gdp_tests::netns::execute;
+use gdp_tests::programs::{Executable as _, Program};
 use gdp_wire::{Counter, FibEntry, Name, replay};
 
 use crate::planes::dpdk::DpdkSwitch;
@@ -280,7 +280,7 @@ struct Bpffs(tempfile::TempDir);
 
 impl Drop for Bpffs {
     fn drop(&mut self) {
-        let _ = execute(Command::new("umount").arg("--lazy").arg(self.0.path()));
+        let _ = execute(Program::Umount.command().arg("--lazy").arg(self.0.path()));
     }
 }
 

@@ -8,15 +8,16 @@ use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, ensure};
-use gdp::identity::Identity;
-use gdp::link::LinkIds;
-use gdp::port::{Interface, LinkAddr, Port, PortConfig};
-use gdp_ctl::plane::{PlaneConfig, PlaneError, PlaneRoute, Planes, Wanted};
+use gdp_core::identity::Identity;
+use gdp_dataplane::{PlaneConfig, PlaneError, PlaneRoute, Planes, Wanted};
+use gdp_link::link::LinkIds;
+use gdp_link::port::{Interface, LinkAddr, Port, PortConfig};
 use gdp_tests::Tools;
 use gdp_tests::frames::Frame;
 use gdp_tests::frames::carrier::Carrier as Carried;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
+use gdp_tests::programs::Program;
 use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name};
 
@@ -248,7 +249,7 @@ fn a_vlan_is_served_on_the_interface_below_it() -> Result<()> {
     let _inside = site.switch.enter()?;
     let lower = Interface::find("l0")?;
     switch.planes.detach(lower.index);
-    let vlan = gdp::port::Vlan { lower: lower.name, lower_index: lower.index, id: 5 };
+    let vlan = gdp_link::port::Vlan { lower: lower.name, lower_index: lower.index, id: 5 };
     let interface = Interface { vlan: Some(vlan), ..Interface::find("v0")? };
     let port = {
         let _runtime = switch.runtime.enter();
@@ -442,7 +443,7 @@ impl Site {
 }
 
 fn gro(side: &Namespace, state: &str) -> Result<()> {
-    execute(side.command("ethtool")?.args(["-K", "e0", "gro", state])).map(drop)
+    execute(side.command(Program::Ethtool)?.args(["-K", "e0", "gro", state])).map(drop)
 }
 
 struct Switch {

@@ -8,9 +8,10 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use gdp::Identity;
-use gdp::link::{IDLE_TIMEOUT, Link, LinkError, LinkIds, Role};
-use gdp::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
+use gdp_core::identity::Identity;
+use gdp_core::peer::Role;
+use gdp_link::link::{IDLE_TIMEOUT, Link, LinkError, LinkIds};
+use gdp_link::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_wire::{Header, forward, replay};
 use zerocopy::{FromBytes, IntoBytes};

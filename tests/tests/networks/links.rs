@@ -8,19 +8,19 @@
 
 use std::fs;
 use std::path::PathBuf;
-use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::identity::Identity;
 use gdp::node::{LinkState, PublishOptions, SubscribeOptions};
+use gdp_core::identity::Identity;
 use gdp_faults::Faults;
 use gdp_tests::Tools;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
+use gdp_tests::programs::own;
 use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_tests::wire::Wire;
 use serde_json::{Value, json};
@@ -273,7 +273,7 @@ impl Site {
 
     /// Makes a switch's key; its name.
     fn key(&self, number: usize) -> Result<String> {
-        let mut command = Command::new(Tools::beside_this_test()?.gdp_ctl()?);
+        let mut command = own(Tools::beside_this_test()?.gdp_ctl()?);
         command.args(["key", "generate", "--kind", "switch", "-j"]).arg(self.path(&format!("s{number}.pem")));
         let made: Value = serde_json::from_str(&execute(&mut command)?)?;
         made["name"].as_str().map(str::to_owned).context("its name")

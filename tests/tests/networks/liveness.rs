@@ -4,7 +4,8 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::link::{HOLD, IDLE_TIMEOUT, liveness::Pace};
+use gdp_core::peer::GRACEFUL_RESTART_TIME;
+use gdp_link::link::{IDLE_TIMEOUT, liveness::Pace};
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions};
@@ -15,7 +16,7 @@ use serde_json::Value;
 /// Until a link that nothing answers on is given up: QUIC's silence, the echoes', and as long again for a loaded machine. Far
 /// less than the hold.
 const GIVEN_UP: Duration = Duration::from_secs(2 * (IDLE_TIMEOUT.as_secs() + 1));
-const _: () = assert!(GIVEN_UP.as_secs() < HOLD.as_secs() / 2);
+const _: () = assert!(GIVEN_UP.as_secs() < GRACEFUL_RESTART_TIME.as_secs() / 2);
 
 #[test]
 fn a_switch_whose_daemon_died_is_held_by_its_neighbours_while_its_kernel_forwards() -> Result<()> {

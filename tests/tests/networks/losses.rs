@@ -8,13 +8,14 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, ensure};
-use gdp_ctl::plane::kernel::{KernelPlane, Mode, pinned_stats};
-use gdp_ctl::plane::pins::{self, Pins};
+use gdp_dataplane::kernel::{KernelPlane, Mode, pinned_stats};
+use gdp_dataplane::pins::{self, Pins};
 use gdp_tests::Tools;
 use gdp_tests::fabric::Mounted;
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
+use gdp_tests::programs::Program;
 use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_wire::table::{ANY_WRITER, Carrier};
 use gdp_wire::{Counter, ETHERTYPE, FibEntry, LinkEntry, LinkRole, Name, SwitchConfig};
@@ -33,22 +34,22 @@ fn what_an_interface_does_not_take_any_more_is_counted() -> Result<()> {
     ensure!(site.lost()? == (0, 0));
 
     // The kernel refuses each frame as it is redirected: a veth says that it takes none.
-    site.right_end(&["ethtool", "-K", "e0", "gro", "off"])?;
+    site.right_end(Program::Ethtool, &["-K", "e0", "gro", "off"])?;
     site.send(0, 101..=150)?;
     site.settled(150, 100)?;
     ensure!(site.lost()? == (50, 50), "{:?}", site.lost());
 
     // It takes them again, and its other end goes down: the driver refuses whole batches.
-    site.right_end(&["ethtool", "-K", "e0", "gro", "on"])?;
+    site.right_end(Program::Ethtool, &["-K", "e0", "gro", "on"])?;
     site.send(0, 151..=160)?;
     site.settled(160, 110)?;
-    site.right_end(&["ip", "link", "set", "e0", "down"])?;
+    site.right_end(Program::Ip, &["link", "set", "e0", "down"])?;
     site.send(0, 161..=200)?;
     site.settled(200, 110)?;
     ensure!(site.lost()? == (90, 90), "{:?}", site.lost());
 
     // The interface itself goes down.
-    site.right_end(&["ip", "link", "set", "e0", "up"])?;
+    site.right_end(Program::Ip, &["link", "set", "e0", "up"])?;
     site.switch.ip(&["link", "set", "r0", "down"])?;
     site.send(0, 201..=210)?;
     site.settled(210, 110)?;
@@ -64,14 +65,14 @@ fn in_generic_mode_only_what_the_kernel_refuses_is_counted() -> Result<()> {
     site.start(Mode::Generic, None)?;
     site.send(0, 1..=10)?;
     site.settled(10, 10)?;
-    site.right_end(&["ip", "link", "set", "e0", "down"])?;
+    site.right_end(Program::Ip, &["link", "set", "e0", "down"])?;
     site.send(0, 11..=15)?;
     wait_for("the interface to count", PATIENCE, || {
         Ok((site.statistic(&site.switch, "r0", "tx", "dropped")? == 5).then_some(()))
     })?;
     ensure!(site.lost()? == (0, 0), "{:?}", site.lost());
 
-    site.right_end(&["ip", "link", "set", "e0", "up"])?;
+    site.right_end(Program::Ip, &["link", "set", "e0", "up"])?;
     site.switch.ip(&["link", "set", "r0", "down"])?;
     site.send(0, 16..=20)?;
     wait_for("five lost frames", PATIENCE, || Ok((site.lost()? == (5, 5)).then_some(())))?;
@@ -123,7 +124,7 @@ fn losses_are_counted_while_no_daemon_runs_and_by_the_next_one() -> Result<()> {
     let pins = || Pins::open(&mounted.0, &TOPIC);
     let mut site = Site::build()?;
     site.start(Mode::Native, Some(pins()?))?;
-    site.right_end(&["ip", "link", "set", "e0", "down"])?;
+    site.right_end(Program::Ip, &["link", "set", "e0", "down"])?;
     site.send(0, 1..=10)?;
     site.settled(10, 0)?;
 
@@ -148,7 +149,7 @@ fn the_losses_of_others_are_not_counted() -> Result<()> {
     let theirs = Site::running()?;
     let ours = Site::running()?;
     ensure!(theirs.ifindex(RIGHT)? == ours.ifindex(RIGHT)?, "two of the same number");
-    theirs.right_end(&["ip", "link", "set", "e0", "down"])?;
+    theirs.right_end(Program::Ip, &["link", "set", "e0", "down"])?;
     theirs.send(0, 1..=20)?;
     theirs.settled(20, 0)?;
     ensure!((theirs.lost()?, ours.lost()?) == ((20, 20), (0, 0)));
@@ -243,8 +244,8 @@ impl Site {
         ifindex(LINKS[i].1)
     }
 
-    fn right_end(&self, command: &[&str]) -> Result<()> {
-        execute(self.ends[RIGHT].command(command[0])?.args(&command[1..])).map(drop)
+    fn right_end(&self, program: Program, arguments: &[&str]) -> Result<()> {
+        execute(self.ends[RIGHT].command(program)?.args(arguments)).map(drop)
     }
 }
 

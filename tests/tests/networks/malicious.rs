@@ -12,9 +12,9 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::Result;
-use gdp::Identity;
 use gdp::node::{PublishOptions, SubscribeOptions};
-use gdp::seal::Encoding;
+use gdp_core::identity::Identity;
+use gdp_e2e::seal::Encoding;
 
 use crate::evil::{Owner, Switch, node};
 use gdp_tests::wait::PATIENCE;
@@ -42,7 +42,7 @@ async fn nothing_is_refused_while_everybody_is_honest() -> Result<()> {
 fn every_test_that_the_security_model_names_exists() -> Result<()> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut functions = BTreeSet::new();
-    for folder in ["gdp", "gdp-ctl", "tests"] {
+    for folder in ["crates", "gdp", "gdp-ctl", "tests"] {
         collect_functions(&root.join(folder), &mut functions)?;
     }
     let model = std::fs::read_to_string(root.join("docs/security.md"))?;

@@ -10,13 +10,15 @@
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result, ensure};
-use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp::link::RekeySchedule;
+use gdp::node::{Node, NodeConfig};
 use gdp::node::{Publisher, Subscription};
-use gdp::seal::Encoding;
-use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
-use gdp_ctl::serve::{Running, start};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_daemon::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_daemon::serve::{Running, start};
+use gdp_e2e::seal::Encoding;
+use gdp_link::link::RekeySchedule;
 use gdp_tests::Tools;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::packet::is_gdp_data;

@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
-use gdp::Name;
-use gdp::control::{EntityRequest, NameRole, Record, Response};
-use gdp_ctl::admin::{Client, Request};
+use gdp_ctl::client::Client;
+use gdp_proto::admin::Request;
+use gdp_proto::control::{EntityRequest, NameRole, Record, Response};
 use gdp_tests::Tools;
 use gdp_tests::replicas::{CLOUD_AT, FIRST_LEADER, ROBOT_AT, Replicas};
 use gdp_tests::wait::PATIENCE;
+use gdp_wire::Name;
 
 use crate::traffic::Traffic;
 

@@ -4,10 +4,10 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
-use gdp::port::Interface;
-use gdp_ctl::plane::group_places::Member;
-use gdp_ctl::plane::kernel::{KernelPlane, Mode, pinned_stats};
-use gdp_ctl::plane::{PinPlace, PlaneConfig, pins};
+use gdp_dataplane::group_places::Member;
+use gdp_dataplane::kernel::{KernelPlane, Mode, pinned_stats};
+use gdp_dataplane::{PinPlace, PlaneConfig, pins};
+use gdp_link::port::Interface;
 use gdp_tests::Tools;
 use gdp_tests::fabric::Mounted;
 use gdp_tests::frames::fixtures::{self, Bytes, Fixtures, Verdict};

@@ -12,26 +12,28 @@
 use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::identity::Identity;
-use gdp::link::LinkIds;
-use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp_ctl::plane::kernel::pinned_stats;
-use gdp_ctl::plane::{PinPlace, PlaneConfig, pins};
+use gdp_core::identity::Identity;
+use gdp_dataplane::kernel::pinned_stats;
+use gdp_dataplane::{PinPlace, PlaneConfig, pins};
+use gdp_link::link::LinkIds;
+use gdp_link::port::{LinkAddr, Port, PortConfig};
 use gdp_tests::Tools;
 use gdp_tests::fabric::Mounted;
 use gdp_tests::frames::{Frame, carrier};
 use gdp_tests::netns::{Door, End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::process::Process;
+use gdp_tests::programs::Program;
 use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_wire::table::ip_words;
 use gdp_wire::{Carrier, Counter, LinkEntry, Name};
+use parking_lot::Mutex;
 use tokio::runtime::Runtime;
 
 use crate::star::{Far, Leaf, OWN_BIT, Plane, Star, Switch, WRITER, check_copy, xdp};
@@ -496,7 +498,7 @@ fn build_routes(switch: &Namespace, router: &Namespace, cloud: &Namespace) -> Re
     for (way, here, there) in [(0, "r0", "s0"), (1, "r1", "s1")] {
         veth(&end(switch, here, switch_mac(way)), &end(router, there, router_mac(way)), 1500)?;
         for state in ["off", "on"] {
-            execute(router.command("ethtool")?.args(["-K", there, "gro", state]))?;
+            execute(router.command(Program::Ethtool)?.args(["-K", there, "gro", state]))?;
         }
     }
     veth(&end(router, "c0", [2, 0, 0, 6, 0, 1]), &end(cloud, "e0", [2, 0, 0, 6, 0, 2]), 1500)?;
@@ -559,13 +561,13 @@ impl Routed {
     }
 
     fn received(&self, link: u32) -> u64 {
-        let came = lock(&self.inbox.frames).get(&link).map_or(0, Vec::len) as u64;
-        came.min(lock(&self.inbox.passed_on).get(&link).copied().unwrap_or(0))
+        let came = self.inbox.frames.lock().get(&link).map_or(0, Vec::len) as u64;
+        came.min(self.inbox.passed_on.lock().get(&link).copied().unwrap_or(0))
     }
 
     fn take(&self) -> Taken {
-        lock(&self.inbox.passed_on).clear();
-        std::mem::take(&mut lock(&self.inbox.frames))
+        self.inbox.passed_on.lock().clear();
+        std::mem::take(&mut self.inbox.frames.lock())
     }
 }
 
@@ -584,15 +586,11 @@ impl Inbox {
             };
             let Some(link) = link_in(&frame) else { continue };
             match way {
-                Some(way) => lock(&self.frames).entry(link).or_default().push((way, frame)),
-                None => *lock(&self.passed_on).entry(link).or_default() += 1,
+                Some(way) => self.frames.lock().entry(link).or_default().push((way, frame)),
+                None => *self.passed_on.lock().entry(link).or_default() += 1,
             }
         }
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The link id in a packet, if that carries a data frame over UDP.

@@ -11,7 +11,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::link::IDLE_TIMEOUT;
+use gdp_link::link::IDLE_TIMEOUT;
 use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions};

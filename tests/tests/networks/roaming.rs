@@ -4,10 +4,10 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::domain::{PaperFiles, Papers};
-use gdp::identity::Identity;
 use gdp::node::{LinkState, PublishOptions, SubscribeOptions};
-use gdp::{Name, SigningKey};
+use gdp_core::domain::{PaperFiles, Papers};
+use gdp_core::identity::Identity;
+use gdp_core::identity::SigningKey;
 use gdp_tests::Tools;
 use gdp_tests::fabric::{TOPIC, TYPE};
 use gdp_tests::federation::{CLOUD_LINK, Federation, ROBOT_LINKS, Site};
@@ -15,6 +15,7 @@ use gdp_tests::netns::Namespace;
 use gdp_tests::packet::gdp_data_in_udp;
 use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
 use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_wire::Name;
 
 use crate::flows::{Flow, Heard, Party, Topic};
 

@@ -8,19 +8,21 @@
 
 use std::fs;
 use std::path::PathBuf;
-use std::process::Command;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp::identity::Identity;
+use gdp::node::{Node, NodeConfig};
 use gdp::node::{Publisher, Subscription};
-use gdp::seal::Encoding;
-use gdp::{NameCard, Node, NodeConfig, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::identity::Identity;
+use gdp_core::identity::SigningKey;
+use gdp_e2e::seal::Encoding;
 use gdp_tests::Tools;
 use gdp_tests::fabric::Mounted;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
+use gdp_tests::programs::{Program, own};
 use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::{Value, json};
 
@@ -68,7 +70,7 @@ fn frames_of_nodes_beside_their_switch_do_not_meet_its_daemon() -> Result<()> {
 #[test]
 fn what_the_kernel_leaves_to_the_daemon_arrives_there() -> Result<()> {
     let site = Site::build("xdp")?;
-    execute(site.remote.command("ethtool")?.args(["-K", "e0", "gro", "off"]))?;
+    execute(site.remote.command(Program::Ethtool)?.args(["-K", "e0", "gro", "off"]))?;
     let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let remote = Party::connect(&site.remote, ROOT, "eth://e0")?;
     let mut way = Way::open(&near, &remote)?;
@@ -248,7 +250,7 @@ impl Site {
     }
 
     fn status(&self) -> Result<Value> {
-        let mut command = Command::new(self.tools.gdp_ctl()?);
+        let mut command = own(self.tools.gdp_ctl()?);
         command.args(["status", "-j", "--socket"]).arg(self.folder.path().join("switch.sock"));
         Ok(serde_json::from_str(&execute(&mut command)?)?)
     }

@@ -4,11 +4,11 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::Name;
 use gdp::node::{PublishOptions, SubscribeOptions};
 use gdp_tests::Tools;
 use gdp_tests::federation::{CLOUD_LINK, Federation, ROBOT_LINKS};
 use gdp_tests::wait::wait_for;
+use gdp_wire::Name;
 
 use crate::flows::{Flow, Topic};
 use crate::roaming::party;

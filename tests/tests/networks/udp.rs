@@ -12,16 +12,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::identity::Identity;
-use gdp::link::{Link, LinkIds};
-use gdp::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch, UDP_MTU};
-use gdp_ctl::plane::kernel::KernelPlane;
-use gdp_ctl::plane::pins::Pins;
-use gdp_ctl::plane::{PinPlace, PlaneConfig, PlaneRoute, Planes, Wanted};
+use gdp_core::identity::Identity;
+use gdp_dataplane::kernel::KernelPlane;
+use gdp_dataplane::pins::Pins;
+use gdp_dataplane::{PinPlace, PlaneConfig, PlaneRoute, Planes, Wanted};
+use gdp_link::link::{Link, LinkIds};
+use gdp_link::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch, UDP_MTU};
 use gdp_tests::Tools;
 use gdp_tests::frames::carrier::internet_checksum;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
+use gdp_tests::programs::{Executable as _, Program};
 use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE, ip_words};
 use gdp_wire::{Carrier, Counter, ErrorCode, FrameType, Header, LinkEntry, Name, SwitchConfig, forward, replay};
@@ -350,7 +351,7 @@ fn links_over_udp_are_taken_over_from_an_earlier_daemon() -> Result<()> {
     let mut planes = Planes::open(config)?;
     let left = planes.left().map(|left| left.links.clone()).unwrap_or_default();
     planes.detach_all();
-    execute(std::process::Command::new("umount").arg("--lazy").arg(folder.path()))?;
+    execute(Program::Umount.command().arg("--lazy").arg(folder.path()))?;
     let mut left: Vec<_> = left.into_iter().map(|(entry, to)| (entry, to.to_string())).collect();
     left.sort_by_key(|(entry, _)| entry.id);
     // Which interface the link-local address is on is not in its entry.
@@ -404,7 +405,7 @@ impl Site {
         veth(&end(&router, "c0", [2, 0, 0, 0, 3, 1]), &end(&cloud, "e0", [2, 0, 0, 0, 3, 2]), mtu)?;
         for (side, interface) in [(&robot, "e0"), (&router, "s0")] {
             for state in ["off", "on"] {
-                execute(side.command("ethtool")?.args(["-K", interface, "gro", state]))?;
+                execute(side.command(Program::Ethtool)?.args(["-K", interface, "gro", state]))?;
             }
         }
         for (side, command) in [
@@ -438,7 +439,7 @@ impl Site {
             planes.attach(ports[0].interface().context("an interface")?, ports[0].data())?;
             let reports = planes.attach_udp(ports[1].data(), ports[1].udp_addr().context("an address")?, None)?;
             let native =
-                |report: &gdp_ctl::plane::InterfacePlane| report.kind == "xdp-native" && report.interface == "r0";
+                |report: &gdp_dataplane::InterfacePlane| report.kind == "xdp-native" && report.interface == "r0";
             ensure!(wanted == Wanted::Userspace || matches!(&reports[..], [report] if native(report)), "{reports:?}");
             planes.set_own_bit(OWN_BIT)?;
             (planes, ports)

@@ -9,16 +9,19 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-use gdp::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp::identity::Identity;
+use gdp::node::{Node, NodeConfig};
 use gdp::node::{PublishOptions, SubscribeOptions};
-use gdp::seal::Encoding;
-use gdp::{NameCard, Node, NodeConfig, SigningKey};
-use gdp_ctl::config::{Config, DataPlane, Neighbour, Place, Via};
-use gdp_ctl::plane::dpdk::{DpdkConfig, DpdkPort};
-use gdp_ctl::serve::{Running, start};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
+use gdp_core::identity::Identity;
+use gdp_core::identity::SigningKey;
+use gdp_daemon::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_daemon::serve::{Running, start};
+use gdp_dataplane::dpdk::{DpdkConfig, DpdkPort};
+use gdp_e2e::seal::Encoding;
 use gdp_tests::Tools;
 use gdp_tests::netns::{End, Namespace, execute, veth};
+use gdp_tests::programs::Program;
 use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::Value;
 
@@ -126,7 +129,7 @@ impl Site {
         veth(&end(&cloud, "f0", 7), &end(&far, "e0", 8), 1500)?;
         for (side, interface) in [(&robot, "e0"), (&router, "s0"), (&router, "c0"), (&far, "e0")] {
             for state in ["off", "on"] {
-                execute(side.command("ethtool")?.args(["-K", interface, "gro", state]))?;
+                execute(side.command(Program::Ethtool)?.args(["-K", interface, "gro", state]))?;
             }
         }
         for (side, command) in [

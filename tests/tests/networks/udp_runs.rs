@@ -10,9 +10,10 @@
 use std::net::SocketAddr;
 
 use anyhow::{Result, ensure};
-use gdp::Identity;
-use gdp::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch, Sent};
+use gdp_core::identity::Identity;
+use gdp_link::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch, Sent};
 use gdp_tests::netns::{End, Namespace, execute, veth};
+use gdp_tests::programs::Program;
 use gdp_tests::wait::{PATIENCE, wait_for};
 
 const FRAMES: usize = 500;
@@ -82,7 +83,7 @@ impl Cable {
 
     fn set(&self, feature: &str, to: &str) -> Result<()> {
         for (namespace, interface) in [(&self.sender, "a0"), (&self.receiver, "b0")] {
-            execute(namespace.command("ethtool")?.args(["-K", interface, feature, to]))?;
+            execute(namespace.command(Program::Ethtool)?.args(["-K", interface, feature, to]))?;
         }
         Ok(())
     }

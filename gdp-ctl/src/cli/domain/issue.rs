@@ -4,15 +4,16 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use gdp::cert::domain::roles;
-use gdp::cert::{Claims, Invite, MemberCert, Membership, PeerCert, PeerRights, issue};
-use gdp::domain::Token;
-use gdp::identity::{Identity, SigningKey};
-use gdp::node::LinkTarget;
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
+use gdp_core::cert::domain::roles;
+use gdp_core::cert::{Claims, Invite, MemberCert, Membership, PeerCert, PeerRights, issue};
+use gdp_core::domain::Token;
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_core::link_target::LinkTarget;
+use gdp_wire::Name;
 use serde_json::json;
 
-use super::super::{Context, output, unix_now, validity};
+use super::super::{Context, output, unix_seconds, validity};
 use super::ledger::{Issue, To};
 use super::{House, card_beside, expect_new};
 
@@ -119,7 +120,7 @@ pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
     let (entity, role) = (options.entity, options.role.clone());
     let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
     let membership = Membership::issue(&house.identity, &claims)?;
-    membership.verify(domain, house.revocation.as_ref(), unix_now())?;
+    membership.verify(domain, house.revocation.as_ref(), unix_seconds())?;
     let to = To::Member { entity, role };
     house.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
     output::write_new(&options.output, &membership.to_pem())?;
@@ -163,7 +164,7 @@ pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
     let (peer, rights) = (options.domain, options.rights);
     let claims = PeerCert { domain, peer, rights, serial, not_before, not_after };
     let signed = issue(house.identity.key(), &claims)?;
-    signed.verify_peer(&house.identity.proof(), house.revocation.as_ref(), unix_now())?;
+    signed.verify_peer(&house.identity.proof(), house.revocation.as_ref(), unix_seconds())?;
     let to = To::Peer { domain: peer, rights };
     house.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
     output::write_new(&options.output, &signed.to_pem())?;

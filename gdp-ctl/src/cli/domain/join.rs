@@ -6,12 +6,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use gdp::cert::domain::roles;
-use gdp::domain::Token;
-use gdp::identity::Identity;
-use gdp::name::{self, Metadata};
-use gdp::node::LinkTarget;
-use gdp::{NameCard, VerifyKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::domain::roles;
+use gdp_core::domain::Token;
+use gdp_core::identity::Identity;
+use gdp_core::identity::VerifyKey;
+use gdp_core::link_target::LinkTarget;
+use gdp_core::name;
+use gdp_core::name::Metadata;
 use serde_json::json;
 
 use super::super::{Context, output, serial_now, validity};

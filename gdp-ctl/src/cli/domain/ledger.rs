@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use gdp::Name;
-use gdp::cert::{Claims, Invite, MemberCert, PeerCert, PeerRights, Revocation};
+use gdp_core::cert::{Claims, Invite, MemberCert, PeerCert, PeerRights, Revocation};
+use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 

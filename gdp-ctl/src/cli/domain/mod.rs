@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use clap::Subcommand;
-use gdp::cert::Revocation;
-use gdp::identity::{Identity, SigningKey};
+use gdp_core::cert::Revocation;
+use gdp_core::identity::{Identity, SigningKey};
 
 use super::Context;
 use super::books::Books;

@@ -4,13 +4,13 @@ use std::path::Path;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use gdp::Name;
-use gdp::cert::issue;
-use gdp::domain::Token;
+use gdp_core::cert::issue;
+use gdp_core::domain::Token;
+use gdp_wire::Name;
 
 use super::super::paper::Paper;
 use super::super::revocation::{next, publish};
-use super::super::{Context, unix_now};
+use super::super::{Context, unix_seconds};
 use super::House;
 use super::issue::KeyOptions;
 use super::ledger::To;
@@ -41,7 +41,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let floor = options.all.then_some(house.serial);
         let chosen = options.chosen(&house)?;
         let (name, known) = (house.identity.name(), house.revocation.as_ref());
-        let claims = next(name, known, &house.issued, &chosen, floor, unix_now())?;
+        let claims = next(name, known, &house.issued, &chosen, floor, unix_seconds())?;
         let signed = issue(house.identity.key(), &claims)?;
         house.books.keep_revocation(&signed)?;
         (signed, claims)

@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use gdp::NameCard;
-use gdp::domain::Token;
+use gdp_core::card::NameCard;
+use gdp_core::domain::Token;
 use serde_json::{Value, json};
 
 use super::super::books::Books;
 use super::super::revocation::describe_revocation;
-use super::super::{Context, cert, output, unix_now};
+use super::super::{Context, cert, output, unix_seconds};
 use super::join::read_token;
 use super::ledger::Issue;
 
@@ -51,7 +51,7 @@ fn token(token: &Token, context: &Context) -> anyhow::Result<()> {
 
 fn domain(card: &Path, context: &Context) -> anyhow::Result<()> {
     let books = Books::open(card)?;
-    let (issued, (_, revocation), now) = (books.ledger::<Issue>()?, books.revocation()?.unzip(), unix_now());
+    let (issued, (_, revocation), now) = (books.ledger::<Issue>()?, books.revocation()?.unzip(), unix_seconds());
     let state = |issue: &Issue| issue.state(revocation.as_ref(), now);
     let name = books.card().name();
     let value = json!({

@@ -4,16 +4,17 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
 use clap::{ArgGroup, Args, ValueEnum};
-use gdp::cert::{
+use gdp_core::card::NameCard;
+use gdp_core::cert::{
     AboutName, AdCert, Claims, Delegation, Grantee, Issued, Mode, ReadGrant, Revocation, Signed, Validity, issue,
 };
-use gdp::identity::{SigningKey, VerifyKey};
-use gdp::{Name, NameCard};
+use gdp_core::identity::{SigningKey, VerifyKey};
+use gdp_wire::Name;
 use serde_json::json;
 
 use super::super::books::Books;
 use super::super::revocation::next_serial;
-use super::super::{Context, output, parse_seconds, unix_now, validity};
+use super::super::{Context, output, parse_seconds, unix_seconds, validity};
 use super::ledger::{Grant, Holder};
 
 #[derive(Debug, Args)]
@@ -140,7 +141,8 @@ impl<'b> Issuer<'b> {
             Some(file) => {
                 let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
                 let signed = Signed::<Delegation>::from_pem(&text).with_context(|| file.display().to_string())?;
-                let claims = signed.verify(card.owner_key(), unix_now()).with_context(|| file.display().to_string())?;
+                let claims =
+                    signed.verify(card.owner_key(), unix_seconds()).with_context(|| file.display().to_string())?;
                 if claims.delegate != key.verify_key() {
                     bail!("{} is for another key than {}", file.display(), options.key.display());
                 }
@@ -164,7 +166,7 @@ impl<'b> Issuer<'b> {
     /// The text of a certificate and what it says; refused if whoever gets it would refuse it.
     fn issue<T: AboutName>(&self, claims: &T) -> anyhow::Result<(String, serde_json::Value)> {
         let issued = Issued { cert: issue(&self.key, claims)?, delegation: self.delegation.clone() };
-        issued.verify(&self.card.proof(), self.revocation.as_ref(), unix_now())?;
+        issued.verify(&self.card.proof(), self.revocation.as_ref(), unix_seconds())?;
         Ok((issued.to_pem(), json!({"kind": T::KIND, "claims": claims})))
     }
 }

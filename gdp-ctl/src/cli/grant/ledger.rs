@@ -3,9 +3,9 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use gdp::Name;
-use gdp::cert::Grantee;
-use gdp::identity::VerifyKey;
+use gdp_core::cert::Grantee;
+use gdp_core::identity::VerifyKey;
+use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
 use super::super::books;

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use gdp::cert::{AdCert, Claims, Delegation, ReadGrant, Revocation};
+use gdp_core::cert::{AdCert, Claims, Delegation, ReadGrant, Revocation};
 use serde_json::{Value, json};
 
 use super::super::books::Books;
 use super::super::revocation::describe_revocation;
-use super::super::{Context, output, unix_now};
+use super::super::{Context, output, unix_seconds};
 use super::ledger::{Grant, Holder};
 
 #[derive(Debug, Args)]
@@ -20,7 +20,7 @@ pub struct Options {
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let books = Books::open(&options.card)?;
     let (grants, (_, revocation)) = (books.ledger::<Grant>()?, books.revocation()?.unzip());
-    let now = unix_now();
+    let now = unix_seconds();
     let state = |grant: &Grant| state(grant, revocation.as_ref(), now);
     let value = json!({
         "name": books.card().name(),

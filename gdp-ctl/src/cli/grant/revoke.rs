@@ -4,14 +4,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use gdp::cert::{Revocation, Signed, issue};
-use gdp::identity::{SigningKey, VerifyKey};
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{Revocation, Signed, issue};
+use gdp_core::identity::{SigningKey, VerifyKey};
+use gdp_wire::Name;
 
 use super::super::books::Books;
 use super::super::paper::Paper;
 use super::super::revocation::{next, next_serial, publish};
-use super::super::{Context, unix_now};
+use super::super::{Context, unix_seconds};
 use super::ledger::{Grant, Holder};
 
 #[derive(Debug, Args)]
@@ -73,7 +74,7 @@ impl Options {
         }
         let grants = books.ledger::<Grant>()?;
         let floor = if self.all { Some(next_serial(&grants, known)?) } else { None };
-        let claims = next(card.name(), known, &grants, &self.chosen(card, &grants)?, floor, unix_now())?;
+        let claims = next(card.name(), known, &grants, &self.chosen(card, &grants)?, floor, unix_seconds())?;
         Ok((issue(&key, &claims)?, claims))
     }
 

@@ -6,21 +6,24 @@ use std::time::Duration;
 use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp::node::{Client, NodeError};
-use gdp::seal::Message;
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
+use gdp_e2e::seal::Message;
 use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
 use gdp_ros::call::{CALL, Description, Epoch, Part, Reply, Request};
+use gdp_util::terminal::note;
+use gdp_wire::Name;
 use serde_json::{Value, json};
 
 use super::super::Context;
-use super::super::node::{Definitions, NodeOptions, now, unless_interrupted};
+use super::super::node::{Definitions, NodeOptions, unless_interrupted};
 use crate::ros::fabric::Fabric;
 use crate::ros::fill::fill;
 use crate::ros::given::Given;
 use crate::ros::keyring::called;
 use crate::ros::python;
 use crate::ros::view::View;
-use crate::unix_time::unix_now;
+use gdp_util::unix_time::unix_seconds;
+use gdp_util::unix_time::unix_time;
 
 /// How long, how often, and how soon again a server is asked what it serves.
 const ATTEMPT: Duration = Duration::from_secs(2);
@@ -49,12 +52,12 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let card = keyring.find(&options.what, "service")?;
     let (given, wanted) = (Given::parse(&options.values)?, TypeName::parse(&options.type_name)?);
     let ask = async |fabric: &Fabric| {
-        let grant = fabric.keyring.grant(&card, fabric.node.name(), unix_now())?;
+        let grant = fabric.keyring.grant(&card, fabric.node.name(), unix_seconds())?;
         let client = fabric.node.client(card.proof(), grant).await?;
         let server = Server::find(&client, &card).await?;
         server.check(&wanted, &card)?;
         let [request, response] = types.service_schemas(&server.description)?.map(Half::new);
-        let json = fill(&request.schema, &given, (now().as_secs(), now().subsec_nanos()))?;
+        let json = fill(&request.schema, &given, (unix_time().as_secs(), unix_time().subsec_nanos()))?;
         if !context.output.json {
             let text = request.text(&json)?;
             context.output.print(json!({}), || format!("requester: making request: {text}\n"))?;
@@ -81,7 +84,7 @@ impl Server {
     async fn find(client: &Client, card: &NameCard) -> anyhow::Result<Self> {
         let mut changes = client.changes();
         if client.servers() == 0 {
-            eprintln!("waiting for service {} to become available...", called(card));
+            note(format_args!("waiting for service {} to become available...", called(card)));
         }
         while client.servers() == 0 {
             changes.changed().await.context("the right to call it has ended")?;

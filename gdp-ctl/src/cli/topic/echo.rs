@@ -5,19 +5,20 @@ use std::time::Duration;
 use anyhow::bail;
 use base64ct::{Base64, Encoding as _};
 use clap::Args;
-use gdp::NameCard;
 use gdp::node::SubscribeOptions;
+use gdp_core::card::NameCard;
 use gdp_ros::compression::unpacked;
+use gdp_util::terminal::note;
 use serde_json::json;
 
 use super::super::Context;
 use super::super::node::{Definitions, NodeOptions, listen, parse_positive, tell_if_silent, unless_interrupted};
 use crate::ros::fabric::Fabric;
-use crate::ros::feed::{Decoder, Feed, Heard};
 use crate::ros::keyring::called;
 use crate::ros::python;
-use crate::ros::view::{Limits, View};
-use crate::ros::yaml::{Item, document};
+use crate::ros::{feed::Decoder, feed::Feed, feed::Heard};
+use crate::ros::{view::Limits, view::View};
+use crate::ros::{yaml::Item, yaml::document};
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -99,12 +100,12 @@ async fn print_all(
 ) -> anyhow::Result<()> {
     while let Some(heard) = feed.next().await {
         for said in feed.take_said() {
-            eprintln!("gdp-ctl: {said}");
+            note(format_args!("gdp-ctl: {said}"));
         }
         match print(options, context, card, decoder, &heard) {
             Ok(()) => *shown += 1,
             // The next one may be another's.
-            Err(Failed::Message(error)) => eprintln!("gdp-ctl: {error}"),
+            Err(Failed::Message(error)) => note(format_args!("gdp-ctl: {error}")),
             Err(Failed::Output(error)) => return Err(error),
         }
         if options.once && *shown > 0 {

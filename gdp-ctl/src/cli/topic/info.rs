@@ -4,15 +4,16 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use gdp::node::SubscribeOptions;
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
 use gdp_ros::roster::{Dialect, Kind, Offer};
+use gdp_wire::Name;
 use serde_json::{Value, json};
 
 use super::super::Context;
 use super::super::node::{NodeOptions, listen, unless_interrupted};
-use crate::ros::fabric::{Fabric, Parties};
-use crate::ros::feed::{Feed, Publisher};
 use crate::ros::keyring::called;
+use crate::ros::{fabric::Fabric, fabric::Parties};
+use crate::ros::{feed::Feed, feed::Publisher};
 
 /// For what the writers say of their publishers.
 const PATIENCE: Duration = Duration::from_secs(3);

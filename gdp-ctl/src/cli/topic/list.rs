@@ -1,13 +1,14 @@
 //! `gdp-ctl topic list`, and likewise of services and actions: what the keyring has cards of, and who is there.
 
 use clap::Args;
-use gdp::{Name, NameCard};
+use gdp_core::card::NameCard;
+use gdp_wire::Name;
 use serde_json::{Value, json};
 
 use super::super::Context;
 use super::super::node::{NodeOptions, unless_interrupted};
-use crate::ros::fabric::{Fabric, Parties};
 use crate::ros::keyring::called;
+use crate::ros::{fabric::Fabric, fabric::Parties};
 
 #[derive(Debug, Args)]
 pub struct ListOptions {

@@ -5,19 +5,21 @@ use std::time::{Duration, Instant};
 
 use anyhow::bail;
 use clap::Args;
-use gdp::NameCard;
 use gdp::node::SubscribeOptions;
-use gdp::seal::Message;
+use gdp_core::card::NameCard;
+use gdp_e2e::seal::Message;
 use gdp_ros::compression::unpacked;
 use gdp_ros::roster::ROSTER;
+use gdp_util::terminal::note;
 use serde_json::{Value, json};
 
 use super::super::Context;
-use super::super::node::{Definitions, NodeOptions, listen, now, subscribe, tell_if_silent, unless_interrupted};
+use super::super::node::{Definitions, NodeOptions, listen, subscribe, tell_if_silent, unless_interrupted};
 use crate::ros::fabric::Fabric;
 use crate::ros::feed::Decoder;
-use crate::ros::figures::{Delays, Intervals, Sizes, Spread, seconds};
 use crate::ros::keyring::called;
+use crate::ros::{figures::Delays, figures::Intervals, figures::Sizes, figures::Spread, figures::seconds};
+use gdp_util::unix_time::unix_time;
 
 const PERIOD: Duration = Duration::from_secs(1);
 
@@ -77,7 +79,7 @@ pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
         Figure::Came(at, message) => {
             match unpacked(message.encoding, message.body.clone()) {
                 Ok((_, body)) => sizes.came(at, body.len()),
-                Err(error) => eprintln!("gdp-ctl: {error}"),
+                Err(error) => note(format_args!("gdp-ctl: {error}")),
             }
             Ok(())
         }
@@ -143,17 +145,17 @@ pub fn delay(options: &DelayOptions, context: &Context) -> anyhow::Result<()> {
             let stamped = match decoder.decode(&heard) {
                 Ok(decoded) => stamp(&decoded.value),
                 Err(error) => {
-                    eprintln!("gdp-ctl: {error}");
+                    note(format_args!("gdp-ctl: {error}"));
                     continue;
                 }
             };
             if stamped.is_none() && !std::mem::replace(&mut told, true) {
-                eprintln!(
-                    "gdp-ctl: messages have no header with a stamp: the delay is since they were sent into the fabric"
+                note(
+                    "gdp-ctl: messages have no header with a stamp: the delay is since they were sent into the fabric",
                 );
             }
             let sent = heard.message.latched.map_or(heard.message.timestamp_ns, |first| first.timestamp_ns);
-            delays.came((now().as_nanos() as i128 - stamped.unwrap_or(sent.into())) as i64);
+            delays.came((unix_time().as_nanos() as i128 - stamped.unwrap_or(sent.into())) as i64);
         }
     };
     run(options, context, keyring, &card, all)

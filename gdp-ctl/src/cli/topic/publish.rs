@@ -5,21 +5,23 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use clap::{Args, ValueEnum};
 use gdp::node::{Overflow, PublishOptions, Publisher, Reliability};
-use gdp::seal::Draft;
+use gdp_e2e::seal::Draft;
 use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
 use gdp_ros::roster::{self, Announcement, Dialect, Kind, Offer, Outgoing, ROSTER};
 use gdp_ros::types::{Types, sealed};
+use gdp_util::terminal::note;
 use serde_json::json;
 
 use super::super::Context;
-use super::super::node::{Definitions, NodeOptions, now, parse_positive};
+use super::super::node::{Definitions, NodeOptions, parse_positive};
 use crate::ros::fabric::Fabric;
 use crate::ros::fill::fill;
 use crate::ros::given::Given;
 use crate::ros::keyring::called;
 use crate::ros::python;
 use crate::ros::view::View;
-use crate::unix_time::unix_now;
+use gdp_util::unix_time::unix_seconds;
+use gdp_util::unix_time::unix_time;
 
 /// What ROS readers behind a proxy need to find what stands there for this publisher, before the first of a few messages.
 const DISCOVERY: Duration = Duration::from_secs(1);
@@ -94,7 +96,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     // Before the fabric is asked for anything.
     maker.make()?;
     options.node.with_fabric(keyring, context, async |fabric: &Fabric| {
-        let ad = fabric.keyring.ad(&card, fabric.node.name(), unix_now())?;
+        let ad = fabric.keyring.ad(&card, fabric.node.name(), unix_seconds())?;
         let publisher = fabric.node.publish(card.proof(), ad, publish_options(options)).await?;
         let mut source = Source::new(publisher, &maker, offer(options));
         tokio::select! {
@@ -160,7 +162,7 @@ impl Maker {
 
     /// With the present time where `now` is given.
     fn make(&mut self) -> anyhow::Result<Made> {
-        let now = now();
+        let now = unix_time();
         let json = fill(&self.schema, &self.given, (now.as_secs(), now.subsec_nanos()))?;
         let mut body = Vec::new();
         self.mapping.transcode(json.to_string().as_bytes(), &mut body, &Limits::default()).map_err(|error| {
@@ -230,7 +232,7 @@ impl Source {
         let mut told = false;
         while self.publisher.readers() < readers {
             if !std::mem::replace(&mut told, true) {
-                eprintln!("Waiting for at least {readers} matching subscription(s)...");
+                note(format_args!("Waiting for at least {readers} matching subscription(s)..."));
             }
             tokio::time::sleep(LOOK).await;
             self.announce()?;

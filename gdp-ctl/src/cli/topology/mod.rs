@@ -7,12 +7,13 @@ mod svg;
 use std::collections::BTreeMap;
 
 use clap::Args;
-use gdp::control::Record;
+use gdp_proto::control::Record;
 use serde_json::Value;
 
 use super::Context;
 use super::output::{short, table};
-use crate::admin::{Client, Request};
+use crate::client::Client;
+use gdp_proto::admin::Request;
 
 /// Records that are looked through for the names at each switch.
 const MOST_RECORDS: usize = 10_000;

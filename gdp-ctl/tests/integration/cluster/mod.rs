@@ -1,10 +1,11 @@
 //! A cluster of real etcd members on the loopback interface, each a process with its data in a temporary folder.
 
 use std::net::{Ipv4Addr, TcpStream};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-use gdp_ctl::store::Endpoint;
+use gdp_daemon::store::Endpoint;
+use gdp_tests::programs::{Executable as _, Program};
 use tempfile::TempDir;
 
 use crate::ports::free_addr;
@@ -74,7 +75,8 @@ impl Cluster {
     /// What `etcdctl` says of these arguments, at members that run.
     pub fn etcdctl(&self, members: &[usize], arguments: &[&str]) -> String {
         let urls: Vec<_> = members.iter().map(|i| format!("http://127.0.0.1:{}", self.members[*i].client)).collect();
-        let output = Command::new("etcdctl")
+        let output = Program::Etcdctl
+            .command()
             .env("ETCDCTL_API", "3")
             .arg(format!("--endpoints={}", urls.join(",")))
             .args(arguments)
@@ -92,7 +94,8 @@ impl Cluster {
         let log =
             std::fs::File::options().create(true).append(true).open(folder.join(format!("m{index}.log"))).unwrap();
         let member = &self.members[index];
-        let process = Command::new("etcd")
+        let process = Program::Etcd
+            .command()
             .arg(format!("--name=m{index}"))
             .arg(format!("--data-dir={}", folder.join(format!("m{index}")).display()))
             .arg(format!("--listen-client-urls={}", url(member.client)))

@@ -5,11 +5,13 @@ use std::path::PathBuf;
 use std::sync::Mutex;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use gdp::cert::{MemberCert, Membership, PeerCert, Signed, issue};
-use gdp::domain::PaperFiles;
-use gdp::{Identity, Name, NameCard};
-use gdp_ctl::config::{Config, DomainConfig, Inside, Neighbour, Place as At, Via};
-use gdp_ctl::serve::{Running, start};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{MemberCert, Membership, PeerCert, Signed, issue};
+use gdp_core::domain::PaperFiles;
+use gdp_core::identity::Identity;
+use gdp_daemon::config::{Config, DomainConfig, Inside, Neighbour, Place as At, Via};
+use gdp_daemon::serve::{Running, start};
+use gdp_wire::Name;
 
 use crate::ports::free_addr;
 use crate::switch::config;

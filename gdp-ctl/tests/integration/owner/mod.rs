@@ -1,6 +1,7 @@
 //! The owner of a name, for tests that issue its certificates themselves.
 
-use gdp::{NameCard, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::identity::SigningKey;
 
 pub struct Owner {
     pub key: SigningKey,

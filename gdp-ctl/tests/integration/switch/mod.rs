@@ -4,8 +4,8 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use gdp::Identity;
-use gdp_ctl::config::{Config, Neighbour, Place, Via};
+use gdp_core::identity::Identity;
+use gdp_daemon::config::{Config, Neighbour, Place, Via};
 use gdp_wire::Name;
 
 use crate::ports::free_addr;

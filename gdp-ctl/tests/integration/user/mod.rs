@@ -2,6 +2,7 @@
 
 use std::process::{Command, Output};
 
+use gdp_tests::programs::own;
 use serde_json::Value;
 
 /// A folder, and commands run in it.
@@ -19,7 +20,7 @@ impl User {
     }
 
     pub fn command(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_gdp-ctl"));
+        let mut command = own(env!("CARGO_BIN_EXE_gdp-ctl"));
         command.args(arguments).current_dir(self.folder.path()).env("GDP_SOCKET", self.file("ctl.sock"));
         command.env_remove("RUST_LOG").env_remove("RUST_BACKTRACE");
         command

@@ -5,25 +5,26 @@ mod servers;
 
 use std::collections::BTreeMap;
 use std::pin::{Pin, pin};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Instant;
 
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
-use gdp::Name;
-use gdp::cert::Reading;
 use gdp::node::{Client, NodeError};
+use gdp_core::cert::Reading;
 use gdp_ros::action::{Board, Goals, cdr};
 use gdp_ros::call::{Description, Event, Events, Part};
+use gdp_wire::Name;
+use parking_lot::Mutex;
 use tokio::sync::watch;
 
 use super::asking::{Changed, Described, Known, News};
 use super::counters::Reason;
 use super::outbox::Outbox;
 use super::stand::Stands;
-use super::{LAST_WORDS, Route, Way, lock};
+use super::{LAST_WORDS, Route, Way};
 use crate::graph::Asked;
-use crate::standing::{Pause, Right, RouteError, ended_because, ticks};
+use crate::standing::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
 use servers::{ask_for_events, withdraw};
 
@@ -74,12 +75,12 @@ impl Route {
         right: &mut Right<Reading>,
         mut over: Pin<&mut (impl Future<Output = ()> + Send)>,
     ) -> Result<(), RouteError> {
-        let mut pause = Pause::new();
+        let mut pause = RETRY;
         loop {
             let error = match unless(&mut over, way.node.client(way.card.proof(), right.held())).await {
                 None => return Ok(()),
                 Some(Ok(client)) => {
-                    pause = Pause::new();
+                    pause = RETRY;
                     way.place.set_permitted(!self.leaves_to_others(Instant::now()));
                     match self.carry_in(way, &client, right, &mut over).await? {
                         Some(error) => error,
@@ -133,7 +134,7 @@ impl Route {
                 _ = ticks.tick() => {
                     self.standing.renew(right, async |new| client.renew(new).await).await;
                     let now = Instant::now();
-                    lock(to.goals).sweep(now);
+                    to.goals.lock().sweep(now);
                     if to.board.sweep(now) {
                         to.show();
                     }
@@ -211,7 +212,7 @@ impl Route {
             let taken = match event {
                 Event::Feedback(message) => match cdr::goal_of(&message) {
                     Err(error) => Err(error.to_string()),
-                    Ok(goal) if lock(to.goals).get(&goal).is_some_and(|of| of != instance) => {
+                    Ok(goal) if to.goals.lock().get(&goal).is_some_and(|of| of != instance) => {
                         Err("feedback about a goal that another server has".into())
                     }
                     Ok(_) => {
@@ -221,7 +222,7 @@ impl Route {
                 },
                 Event::Status(message) => match to.board.say(instance, &message) {
                     Ok(ended) => {
-                        let (now, mut goals) = (Instant::now(), lock(to.goals));
+                        let (now, mut goals) = (Instant::now(), to.goals.lock());
                         for cdr::Status { goal, .. } in ended {
                             if goals.get(&goal) == Some(instance) {
                                 goals.end(now, &goal);
@@ -264,7 +265,7 @@ impl In<'_> {
 
     /// Those that a server has, or had.
     fn lose_goals(&mut self, now: Instant, server: Name) {
-        lock(self.goals).end_all(now, server);
+        self.goals.lock().end_all(now, server);
         if self.board.leave(now, &server) {
             self.show();
         }

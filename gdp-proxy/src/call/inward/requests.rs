@@ -3,14 +3,14 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use gdp::Name;
 use gdp_ros::action::{GoalId, cdr};
 use gdp_ros::call::{Failure, FailureCode, Part};
+use gdp_wire::Name;
 
+use super::super::MAX_PENDING;
 use super::super::asking::{Asking, Failed, Known};
 use super::super::counters::Reason;
 use super::super::stand::Stands;
-use super::super::{MAX_PENDING, lock};
 use super::{Calls, In, Remote, Route};
 use crate::graph::Asked;
 
@@ -43,8 +43,8 @@ impl Route {
             match (part, &answer) {
                 (Part::SendGoal, Some(Ok(response))) if cdr::is_accepted(response).unwrap_or_default() => {}
                 // Another request may have begun it before.
-                (Part::SendGoal, _) if is_new => lock(goals).forget(&goal),
-                (Part::GetResult, Some(Ok(_))) => lock(goals).end(Instant::now(), &goal),
+                (Part::SendGoal, _) if is_new => goals.lock().forget(&goal),
+                (Part::GetResult, Some(Ok(_))) => goals.lock().end(Instant::now(), &goal),
                 _ => {}
             }
             let answered = match answer {
@@ -77,7 +77,7 @@ impl Route {
             return Ok((all.into_iter().take(1).collect(), false));
         }
         let malformed = |error| Failure::new(FailureCode::Malformed, error);
-        let (goal, mut goals): (GoalId, _) = (cdr::goal_of(request).map_err(malformed)?, lock(to.goals));
+        let (goal, mut goals): (GoalId, _) = (cdr::goal_of(request).map_err(malformed)?, to.goals.lock());
         match (part, goals.get(&goal)) {
             // What was begun at one is continued there.
             (_, Some(of)) => Ok((known(&of).into_iter().collect(), false)),

@@ -1,19 +1,20 @@
 //! Which servers elsewhere there are, and which of them can be called.
 
 use std::pin::Pin;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp::Name;
 use gdp::node::Client;
 use gdp_ros::call::{Description, Epoch};
 use gdp_ros::services::service_name;
+use gdp_wire::Name;
+use parking_lot::Mutex;
 
+use super::super::LAST_WORDS;
 use super::super::asking::{Changed, Described, Known, describe, events};
 use super::super::outbox::Outbox;
 use super::super::stand::Stands;
-use super::super::{LAST_WORDS, lock};
 use super::{Doing, Done, In, Remote, Route};
 use crate::config::What;
 use crate::graph::GraphError;
@@ -59,7 +60,7 @@ impl Route {
         // Another proxy of the graph may know more; if it does not either, neither is asked all the time.
         let now = Instant::now();
         if is_unfit {
-            *lock(&self.unfit_until) = Some(now + ASK_AGAIN);
+            *self.unfit_until.lock() = Some(now + ASK_AGAIN);
         }
         to.way.place.set_permitted(known > 0 || !self.leaves_to_others(now));
         self.counters.servers(known);

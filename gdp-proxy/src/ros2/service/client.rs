@@ -1,8 +1,9 @@
 //! The side that asks.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use rustdds::{GUID, WriteOptionsBuilder};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -104,7 +105,7 @@ impl Client {
             }
         };
         let (sender, arrival) = oneshot::channel();
-        let mut calls = lock(&self.calls);
+        let mut calls = self.calls.lock();
         match calls.early.remove(&key) {
             Some(reply) => _ = sender.send(reply),
             None => _ = calls.waiting.insert(key, sender),
@@ -124,7 +125,7 @@ struct Writing<'a>(&'a Mutex<Calls>);
 
 impl<'a> Writing<'a> {
     fn begin(calls: &'a Mutex<Calls>) -> Result<Self, CallError> {
-        let mut locked = lock(calls);
+        let mut locked = calls.lock();
         if locked.waiting.len() >= MAX_CALLS {
             return Err(CallError::Busy);
         }
@@ -135,7 +136,7 @@ impl<'a> Writing<'a> {
 
 impl Drop for Writing<'_> {
     fn drop(&mut self) {
-        let mut calls = lock(self.0);
+        let mut calls = self.0.lock();
         calls.writing = false;
         calls.early.clear();
     }
@@ -149,7 +150,7 @@ struct Pending {
 
 impl Drop for Pending {
     fn drop(&mut self) {
-        lock(&self.calls).waiting.remove(&self.key);
+        self.calls.lock().waiting.remove(&self.key);
     }
 }
 
@@ -169,7 +170,7 @@ async fn listen(replies: Arc<RawReader>, own: [GUID; 2], mapping: Mapping, calls
             }
         };
         let Some(key) = own_key(&id, own) else { continue };
-        let mut calls = lock(&calls);
+        let mut calls = calls.lock();
         match calls.waiting.remove(&key) {
             Some(call) => _ = call.send(sample),
             None if calls.writing && calls.early.len() < MAX_EARLY => _ = calls.early.insert(key, sample),
@@ -187,8 +188,4 @@ fn own_key(id: &RequestId, own: [GUID; 2]) -> Option<Key> {
         Id::Header(header) => (header[..8] == own[1].to_bytes()[8..]).then_some(Key::Header(header)),
         Id::Sample(asked) => own.contains(&asked.writer_guid).then_some(Key::Sequence(asked.sequence_number.into())),
     }
-}
-
-fn lock(calls: &Mutex<Calls>) -> std::sync::MutexGuard<'_, Calls> {
-    calls.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -24,8 +24,9 @@ pub use switch::{Frame, Switch};
 
 use anyhow::Result;
 use gdp::node::NodeCounters;
-use gdp::seal::Message;
-use gdp::{Identity, Node, NodeConfig};
+use gdp::node::{Node, NodeConfig};
+use gdp_core::identity::Identity;
+use gdp_e2e::seal::Message;
 use gdp_tests::wait::{PATIENCE, wait_for};
 
 /// Waits for a condition with a deadline.

@@ -4,9 +4,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Result;
-use gdp::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, Revocation, Signed, issue};
+use gdp::node::Node;
 use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::{Name, NameCard, Node, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, Revocation, Signed, issue};
+use gdp_core::identity::SigningKey;
+use gdp_wire::Name;
 
 /// The owner of one name, and all it gives out.
 pub struct Owner {
@@ -68,6 +71,6 @@ fn now() -> (u64, u64) {
 }
 
 /// The serial of the first certificate in it.
-pub fn serial(serials: Result<Vec<(&'static str, u64)>, gdp::cert::CertError>) -> Result<u64> {
+pub fn serial(serials: Result<Vec<(&'static str, u64)>, gdp_core::cert::CertError>) -> Result<u64> {
     Ok(serials?[0].1)
 }

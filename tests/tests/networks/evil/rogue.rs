@@ -3,12 +3,14 @@
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, bail};
-use gdp::cert::{Advert, RtCert, Signed, issue};
-use gdp::control::{Credential, EntityRequest, NameRole, Peers, Record, Response};
-use gdp::crypto::{self, Backend, TAG_LEN};
-use gdp::keys::{self, KeyBox};
-use gdp::seal::{Encoding, EpochKey, Limits, Message, Moment, Reader, Received, Segments, Writer};
-use gdp::{Identity, Name};
+use gdp_core::cert::{Advert, RtCert, Signed, issue};
+use gdp_core::crypto;
+use gdp_core::crypto::{Backend, TAG_LEN};
+use gdp_core::identity::Identity;
+use gdp_core::keys::{self, EpochKey, KeyBox};
+use gdp_e2e::seal::{Encoding, Limits, Message, Moment, Reader, Received, Segments, Writer};
+use gdp_proto::control::{Credential, EntityRequest, NameRole, Peers, Record, Response};
+use gdp_wire::Name;
 
 use super::{Frame, Owner, Switch, eventually};
 

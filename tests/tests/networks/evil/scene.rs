@@ -1,12 +1,15 @@
 //! What most tests begin with: a robot that publishes a name, and a cloud that reads it.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use gdp::node::Node;
 use gdp::node::{NodeCounters, PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::seal::{Encoding, Message};
-use gdp::{Identity, Name, Node};
+use gdp_core::identity::Identity;
+use gdp_e2e::seal::{Encoding, Message};
+use gdp_wire::Name;
+use parking_lot::Mutex;
 use tokio::time::timeout;
 
 use crate::patient::patient;
@@ -100,16 +103,16 @@ pub struct Recording(Arc<Mutex<Vec<Frame>>>);
 
 impl Recording {
     pub fn add(&self, frames: &[Frame]) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(frames);
+        self.0.lock().extend_from_slice(frames);
     }
 
     pub fn frames(&self) -> Vec<Frame> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.0.lock().clone()
     }
 
     /// The last that went there.
     pub fn last(&self, destination: Name) -> Option<Frame> {
-        let frames = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let frames = self.0.lock();
         frames.iter().rev().find(|frame| frame.destination == destination).cloned()
     }
 

@@ -2,27 +2,29 @@
 
 use std::collections::HashMap;
 use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Result;
-use gdp::cert::{Revocation, Signed};
-use gdp::control::{
+use gdp_core::cert::{Revocation, Signed};
+use gdp_core::identity::Identity;
+use gdp_core::keys::KeyBox;
+use gdp_core::link_target::LinkTarget;
+use gdp_core::name::NameProof;
+use gdp_link::link::{Link, LinkIds};
+use gdp_link::port::{DataSocket, OutFrame, Port, PortConfig, RecvBatch};
+use gdp_proto::control::{
     EntityRequest, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode, Request, Response,
 };
-use gdp::keys::KeyBox;
-use gdp::link::{Link, LinkIds};
-use gdp::name::NameProof;
-use gdp::node::LinkTarget;
-use gdp::port::{DataSocket, OutFrame, Port, PortConfig, RecvBatch};
-use gdp::{Identity, Name};
-use gdp_ctl::rib::fib::Pushed;
-use gdp_ctl::rib::{Effect, Limits, Now, Rib, Run, Told};
+use gdp_rib::rib::fib::Pushed;
+use gdp_rib::rib::{Effect, Limits, Now, Rib, Run, Told};
+use gdp_wire::Name;
 use gdp_wire::replay::{self, Window};
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{FrameType, Header, forward};
+use parking_lot::{Mutex, MutexGuard};
 use tokio::runtime::Handle;
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -223,7 +225,7 @@ impl Drop for Switch {
 
 impl Inner {
     fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock()
     }
 
     fn now(&self) -> Now {

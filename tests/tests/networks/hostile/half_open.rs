@@ -14,8 +14,8 @@ use std::task::{Context as TaskContext, Poll};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::identity::Identity;
-use gdp::{Node, NodeConfig};
+use gdp::node::{Node, NodeConfig};
+use gdp_core::identity::Identity;
 use gdp_tests::Tools;
 use gdp_tests::fabric::{Authority, Switch};
 use gdp_tests::netns::{End, Namespace, veth};

@@ -5,10 +5,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result};
-use gdp::control::{NameRole, Response};
-use gdp::crypto::{self, Backend};
-use gdp::seal::Writer;
-use gdp::{Identity, Name};
+use gdp_core::crypto;
+use gdp_core::crypto::Backend;
+use gdp_core::identity::Identity;
+use gdp_e2e::seal::Writer;
+use gdp_proto::control::{NameRole, Response};
+use gdp_wire::Name;
 
 use crate::evil::{Frame, Recording, Rogue, Scene, dropped};
 
@@ -41,7 +43,7 @@ async fn a_flood_of_what_is_not_authentic_stops_nobody_and_takes_no_memory() -> 
     let last = changed.len() - 1;
     changed[last] ^= 1;
     let mut far = Writer::new(topic, robot, rogue.identity.key().clone(), Backend::default())?;
-    far.set_epoch(7, &gdp::seal::EpochKey::generate()?)?;
+    far.set_epoch(7, &gdp_core::keys::EpochKey::generate()?)?;
     let kinds = [
         ("seal_forged", vec![to_cloud(topic, robot, changed)]),
         ("seal_unknown_writer", vec![to_cloud(topic, Identity::generate("proxy")?.name(), honest.payload.clone())]),

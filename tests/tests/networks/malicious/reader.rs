@@ -4,13 +4,13 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use gdp::Name;
-use gdp::control::{NameRole, RefusalCode, Response};
-use gdp::crypto::Backend;
-use gdp::feedback_wire::{Feedback, Missing};
-use gdp::keys::PairKey;
 use gdp::node::{PublishOptions, SubscribeOptions};
-use gdp::seal::{Encoding, Segments, Writer};
+use gdp_core::crypto::Backend;
+use gdp_e2e::feedback_wire::{Feedback, Missing};
+use gdp_e2e::keys::PairKey;
+use gdp_e2e::seal::{Encoding, Segments, Writer};
+use gdp_proto::control::{NameRole, RefusalCode, Response};
+use gdp_wire::Name;
 
 use super::rib::revoke;
 use crate::evil::{Frame, Recording, Rogue, Scene, bodies, dropped, drops, eventually, frames, serial};
@@ -145,7 +145,7 @@ async fn who_has_no_grant_is_refused_and_what_reaches_it_does_not_open() -> Resu
     let mut scene = Scene::best_effort().await?;
     let (name, recording) = (scene.owner.name(), Recording::of(&scene.switch));
     let mut rogue = Rogue::attach(&scene.switch)?;
-    let grant = gdp::control::Credential::Reader(scene.owner.impostor()?.grant(rogue.name())?);
+    let grant = gdp_proto::control::Credential::Reader(scene.owner.impostor()?.grant(rogue.name())?);
     match rogue.state_with(&scene.switch, &scene.owner, NameRole::Subscriber, grant)? {
         Response::Refused(refused) => assert_eq!(refused.code, RefusalCode::BadSignature),
         other => panic!("not refused: {other:?}"),
@@ -164,7 +164,12 @@ async fn a_revoked_reader_reads_nothing_of_the_next_epoch() -> Result<()> {
     let mut rogue = Rogue::attach(switch)?;
     let grant = scene.owner.grant(rogue.name())?;
     let serial = serial(grant.grant.serials())?;
-    rogue.state_with(switch, &scene.owner, NameRole::Subscriber, gdp::control::Credential::Reader(grant.clone()))?;
+    rogue.state_with(
+        switch,
+        &scene.owner,
+        NameRole::Subscriber,
+        gdp_proto::control::Credential::Reader(grant.clone()),
+    )?;
     let (name, recording) = (scene.owner.name(), Recording::of(switch));
     rogue.await_key(switch, name, &scene.robot_identity)?;
     scene.passes(b"before").await?;
@@ -187,8 +192,12 @@ async fn a_revoked_reader_reads_nothing_of_the_next_epoch() -> Result<()> {
     assert!(!read.contains(&&b"after"[..]) && !read.contains(&&sent[sent.len() - 1][..]), "{read:?}");
     assert_eq!(read.len(), sent.len(), "of the epoch before it has everything, which is no news to it");
     // Nor does it come back.
-    let stated =
-        rogue.state_with(&scene.switch, &scene.owner, NameRole::Subscriber, gdp::control::Credential::Reader(grant))?;
+    let stated = rogue.state_with(
+        &scene.switch,
+        &scene.owner,
+        NameRole::Subscriber,
+        gdp_proto::control::Credential::Reader(grant),
+    )?;
     assert!(matches!(&stated, Response::Refused(refused) if refused.code == RefusalCode::Revoked), "{stated:?}");
     Ok(())
 }
@@ -225,7 +234,7 @@ async fn a_stolen_robot_that_is_revoked_is_not_heard_and_hears_nothing() -> Resu
     assert!(error.to_string().contains("revoked"), "{error}");
     scene.delivered().await;
     let mut thief = Writer::new(scene.owner.name(), robot, scene.robot_identity.key().clone(), Backend::default())?;
-    thief.set_epoch(1, &gdp::seal::EpochKey::generate()?)?;
+    thief.set_epoch(1, &gdp_core::keys::EpochKey::generate()?)?;
     let rogue = Rogue::attach(&scene.switch)?;
     scene.switch.inject(&rogue.sealed(&mut thief, robot, b"stolen", scene.cloud.name())?);
     scene.drops("seal_unknown_writer", 1)?;

@@ -3,13 +3,14 @@
 use std::sync::{Arc, Mutex};
 
 use anyhow::Result;
-use gdp::cert::Signed;
-use gdp::control::{Credential, EntityRequest, NameRole, Response};
-use gdp::crypto::Backend;
-use gdp::keys::{self, KeyBox};
 use gdp::node::{PublishOptions, SubscribeOptions};
-use gdp::seal::{Encoding, EpochKey, Writer};
-use gdp::{Identity, Name};
+use gdp_core::cert::Signed;
+use gdp_core::crypto::Backend;
+use gdp_core::identity::Identity;
+use gdp_core::keys::{self, EpochKey, KeyBox};
+use gdp_e2e::seal::{Encoding, Writer};
+use gdp_proto::control::{Credential, EntityRequest, NameRole, Response};
+use gdp_wire::Name;
 
 use crate::evil::{Frame, Owner, Recording, Rogue, Scene, Switch, drops, eventually, node, serial};
 use gdp_tests::wait::PATIENCE;
@@ -39,7 +40,7 @@ async fn who_has_no_certificate_of_the_owner_is_not_believed_to_write() -> Resul
     scene.passes(b"true").await
 }
 
-fn writers(switch: &Switch, name: Name) -> Vec<gdp::control::Record> {
+fn writers(switch: &Switch, name: Name) -> Vec<gdp_proto::control::Record> {
     switch.records().into_iter().filter(|record| record.name == name && record.is_writer()).collect()
 }
 
@@ -111,7 +112,7 @@ async fn boxes_of_others_are_not_opened() -> Result<()> {
     // Signed by the rogue, who is no writer; and in the name of the robot, with the rogue's own key.
     let own = keys::wrap(name, &rogue.identity, reader, u32::MAX, &key)?;
     let claims = KeyBox { writer: robot.name(), ..own.claims_unverified()? };
-    let in_its_name = gdp::cert::issue(rogue.identity.key(), &claims)?;
+    let in_its_name = gdp_core::cert::issue(rogue.identity.key(), &claims)?;
     let told = switch
         .tell(cloud.name(), (name, NameRole::Subscriber), writers(switch, name), None, vec![own, in_its_name])
         .await?;
@@ -161,7 +162,7 @@ async fn a_revocation_that_was_heard_is_never_taken_back() -> Result<()> {
     scene.passes(b"true").await
 }
 
-pub fn revoke(switch: &Switch, owner: &Owner, revocation: &Signed<gdp::cert::Revocation>) -> Response {
+pub fn revoke(switch: &Switch, owner: &Owner, revocation: &Signed<gdp_core::cert::Revocation>) -> Response {
     let request = EntityRequest::Revoke { proof: owner.card.proof(), revocation: revocation.clone() };
     switch.ask(None, &request)
 }

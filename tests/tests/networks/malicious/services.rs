@@ -5,13 +5,15 @@
 use std::sync::{Arc, Mutex};
 
 use anyhow::{Context, Result};
-use gdp::cert::{Signed, issue};
-use gdp::control::{EntityRequest, NameRole, RefusalCode, Response};
-use gdp::crypto::Backend;
-use gdp::keys::{self, KeyBox};
+use gdp::node::Node;
 use gdp::node::{Client, Server};
-use gdp::seal::{Draft, Encoding, EpochKey, MessageId, Segments, Writer};
-use gdp::{Identity, Name, Node};
+use gdp_core::cert::{Signed, issue};
+use gdp_core::crypto::Backend;
+use gdp_core::identity::Identity;
+use gdp_core::keys::{self, EpochKey, KeyBox};
+use gdp_e2e::seal::{Draft, Encoding, MessageId, Segments, Writer};
+use gdp_proto::control::{EntityRequest, NameRole, RefusalCode, Response};
+use gdp_wire::Name;
 use tokio::time::timeout;
 
 use crate::evil::{Frame, Owner, Rogue, Switch, drops, eventually, frames, node};

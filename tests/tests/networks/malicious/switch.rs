@@ -5,8 +5,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use gdp::node::{PublishOptions, SubscribeOptions};
-use gdp::seal::Encoding;
-use gdp::{Identity, Name};
+use gdp_core::identity::Identity;
+use gdp_e2e::seal::Encoding;
+use gdp_wire::Name;
 use tokio::runtime::Handle;
 use tokio::time::timeout;
 

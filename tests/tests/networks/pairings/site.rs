@@ -16,6 +16,7 @@ use gdp_tests::Tools;
 use gdp_tests::fabric::{Authority, Switch};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_tests::process::Process;
+use gdp_tests::programs::Program;
 use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::{Value, json};
 use tempfile::TempDir;
@@ -223,14 +224,14 @@ fn network() -> Result<[Namespace; 4]> {
 }
 
 fn master(label: &str, at: &Namespace, folder: &Path) -> Result<Process> {
-    let mut command = ros1(at, folder, Path::new("/usr/bin/rosmaster"))?;
+    let mut command = ros1(at, folder, Path::new(Program::Rosmaster.name()))?;
     command.args(["--core", "-p", "11311"]);
     Process::spawn(&format!("{label}-master"), command, folder)
 }
 
 /// A program of Debian's ROS 1, in the Python that it is installed for; another may come first in `PATH`.
 fn ros1(at: &Namespace, folder: &Path, program: &Path) -> Result<Command> {
-    let mut command = at.command("/usr/bin/python3")?;
+    let mut command = at.command(Program::Python3)?;
     command.arg(program).env("ROS_MASTER_URI", MASTER).env("ROS_HOSTNAME", "localhost").env_remove("ROS_IP");
     command.env("ROS_HOME", folder).env("ROS_LOG_DIR", folder);
     Ok(command)

@@ -3,13 +3,13 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use gdp_tests::Tools;
 use gdp_tests::netns::{Namespace, execute};
 use gdp_tests::process::Process;
+use gdp_tests::programs::Executable as _;
 use serde_json::{Value, json};
 
 use super::site::{Carried, Site, Vendor};
@@ -56,7 +56,7 @@ fn every_source_is_heard_at_every_sink_with_every_type() -> Result<()> {
 fn start() -> Result<(Site, Value)> {
     let (tools, files) = (Tools::beside_this_test()?, Site::files()?);
     let folder = files.path();
-    execute(Command::new(tools.python()?).arg(tools.peer("any/samples.py")).arg(folder))?;
+    execute(tools.python()?.command().arg(tools.peer("any/samples.py")).arg(folder))?;
     let index: Value = serde_json::from_str(&fs::read_to_string(folder.join("index.json"))?)?;
     let types: Value = KEYS.iter().map(|key| ((*key).to_owned(), index[key]["type"].clone())).collect();
     let mut carried = Vec::new();

@@ -4,10 +4,10 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
-use gdp_ctl::plane::dpdk::{LoopReader, LoopView};
-use gdp_ctl::plane::forwarder::Shared;
-use gdp_ctl::plane::link_memory::LinkMemory;
-use gdp_ctl::plane::tables::UserTables;
+use gdp_dataplane::dpdk::{LoopReader, LoopView};
+use gdp_dataplane::forwarder::Shared;
+use gdp_dataplane::link_memory::LinkMemory;
+use gdp_dataplane::tables::UserTables;
 use gdp_dpdk::forwarding::{Counts, Forwarding, Sink};
 use gdp_dpdk::local::{Local, NextHop};
 use gdp_dpdk::view::Reader as _;

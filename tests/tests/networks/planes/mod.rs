@@ -3,13 +3,13 @@
 pub mod dpdk;
 
 use anyhow::{Context, Result, bail, ensure};
-use gdp::port::Interface;
-use gdp_ctl::plane::group_places::Member;
-use gdp_ctl::plane::kernel::{Action, Buffers, KernelPlane};
-use gdp_ctl::plane::link_memory::LinkMemory;
-use gdp_ctl::plane::tables::UserTables;
-use gdp_ctl::plane::udp::Routing;
-use gdp_ctl::plane::userspace::{Outcome, copies, handle};
+use gdp_dataplane::group_places::Member;
+use gdp_dataplane::kernel::{Action, Buffers, KernelPlane};
+use gdp_dataplane::link_memory::LinkMemory;
+use gdp_dataplane::tables::UserTables;
+use gdp_dataplane::udp::Routing;
+use gdp_dataplane::userspace::{Outcome, copies, handle};
+use gdp_link::port::Interface;
 use gdp_tests::Tools;
 use gdp_tests::frames::fixtures::{Fate, Switch, Verdict};
 use gdp_tests::netns::{End, Entered, Namespace, veth};
@@ -101,7 +101,7 @@ pub fn user_tables_with(switch: &Switch, link_memory: LinkMemory) -> UserTables 
     let mut tables = UserTables::new(link_memory, 1024).expect("memory");
     for link in switch.links() {
         // Only to be told apart.
-        let to = gdp::port::LinkAddr::Ethernet { ifindex: link.port, mac: [0; 6] };
+        let to = gdp_link::port::LinkAddr::Ethernet { ifindex: link.port, mac: [0; 6] };
         tables.set_link(link, to);
     }
     switch.groups().for_each(|(group, readers)| tables.set_group(group, readers));

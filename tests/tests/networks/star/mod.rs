@@ -6,22 +6,23 @@
 //!            └ p2 ──── w2 ┘
 //! ```
 use std::collections::HashMap;
-use std::process::Command;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::identity::Identity;
-use gdp::link::LinkIds;
-use gdp::port::{LinkAddr, Port, PortConfig};
-use gdp_ctl::plane::{PlaneConfig, PlaneRoute, Planes, Wanted};
+use gdp_core::identity::Identity;
+use gdp_dataplane::{PlaneConfig, PlaneRoute, Planes, Wanted};
+use gdp_link::link::LinkIds;
+use gdp_link::port::{LinkAddr, Port, PortConfig};
 use gdp_tests::frames::Frame;
 use gdp_tests::netns::{Door, End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
+use gdp_tests::programs::{Executable as _, Program};
 use gdp_tests::wait::{PATIENCE, wait_for};
 use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name};
+use parking_lot::Mutex;
 
 pub const OWN_BIT: u64 = 1 << 5;
 
@@ -121,14 +122,15 @@ impl Star {
 
     /// Off: the interface takes no redirected frames.
     pub fn set_gro(&self, interface: usize, state: &str) -> Result<()> {
-        execute(self.far.command("ethtool")?.args(["-K", &far_port(interface), "gro", state])).map(drop)
+        execute(self.far.command(Program::Ethtool)?.args(["-K", &far_port(interface), "gro", state])).map(drop)
     }
 
     /// From now on a thread of its own takes what arrives on the first interface, so that it finds several frames at a time.
     /// Otherwise the writer itself does, after each.
     pub fn take_in_batches(&self) -> Result<()> {
         let threaded = "echo 1 > /sys/class/net/p0/threaded";
-        execute(Command::new("ip").args(["netns", "exec", self.switch.name(), "sh", "-c", threaded])).map(drop)
+        execute(Program::Ip.command().args(["netns", "exec", self.switch.name(), Program::Sh.name(), "-c", threaded]))
+            .map(drop)
     }
 
     /// A switch on all interfaces with these links.
@@ -318,8 +320,8 @@ impl Drop for Far {
 }
 
 impl Inbox {
-    fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<u32, Vec<Vec<u8>>>> {
-        self.frames.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> parking_lot::MutexGuard<'_, HashMap<u32, Vec<Vec<u8>>>> {
+        self.frames.lock()
     }
 
     fn fill_from(&self, socket: &PacketSocket) {

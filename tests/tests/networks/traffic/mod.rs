@@ -6,10 +6,12 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use gdp::cert::{Issued, Reading};
+use gdp::node::{Node, NodeConfig};
 use gdp::node::{PublishOptions, SubscribeOptions};
-use gdp::seal::Encoding;
-use gdp::{Identity, NameCard, Node, NodeConfig, SigningKey};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{Issued, Reading};
+use gdp_core::identity::{Identity, SigningKey};
+use gdp_e2e::seal::Encoding;
 use gdp_tests::netns::Namespace;
 use gdp_tests::wait::{PATIENCE, wait_for};
 use tokio::time::MissedTickBehavior;

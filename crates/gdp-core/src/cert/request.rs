@@ -1,0 +1,115 @@
+//! The checks that a request must pass before anything is stored: derivation of the name, the certificate, the entity's own
+//! statement, and that all of them are about the same name, entity and switch. Scope and transit rights between domains are
+//! checked where domains meet, not here.
+
+use super::issued::{expect_entity, expect_name};
+use super::{AdCert, Advert, AdvertOp, CertError, Issued, ReadGrant, Reading, Revocation, Signed};
+use crate::identity::VerifyKey;
+use crate::name::{Name, NameProof};
+
+/// Who asks, as its link or an earlier verification showed, and when.
+#[derive(Clone, Debug)]
+pub struct Speaker {
+    pub entity: Name,
+    pub entity_key: VerifyKey,
+    /// The switch it is attached to.
+    pub switch: Name,
+    /// The highest serial seen of the entity: a statement must be above it.
+    pub floor: u64,
+    /// Unix seconds.
+    pub now: u64,
+}
+
+/// May `speaker` publish or serve the name that `proof` shows? `revocation` is the newest that is known of it. Returns
+/// the certificate, with the validity of its chain, and the statement.
+pub fn authorise_advertise(
+    speaker: &Speaker,
+    proof: &NameProof,
+    cert: &Issued<AdCert>,
+    advert: &Signed<Advert>,
+    revocation: Option<&Revocation>,
+) -> Result<(AdCert, Advert), CertError> {
+    let claims = cert.verify(proof, revocation, speaker.now)?;
+    expect_entity(speaker.entity, claims.entity)?;
+    let advert = speaker.verify_statement(claims.name, Side::Writer, advert)?;
+    Ok((claims, advert))
+}
+
+/// May `speaker` subscribe to or call the name that `proof` shows? As [`authorise_advertise`].
+pub fn authorise_subscribe(
+    speaker: &Speaker,
+    proof: &NameProof,
+    grant: &Reading,
+    advert: &Signed<Advert>,
+    revocation: Option<&Revocation>,
+) -> Result<(ReadGrant, Advert), CertError> {
+    let claims = grant.verify(proof, speaker.entity, revocation, speaker.now)?;
+    let advert = speaker.verify_statement(claims.name, Side::Reader, advert)?;
+    Ok((claims, advert))
+}
+
+/// An entity may always withdraw what it stated itself.
+pub fn authorise_withdraw(speaker: &Speaker, advert: &Signed<Advert>) -> Result<Advert, CertError> {
+    let name = advert.claims_unverified()?.name;
+    speaker.verify_statement(name, Side::Neither, advert)
+}
+
+impl Speaker {
+    fn verify_statement(&self, name: Name, side: Side, advert: &Signed<Advert>) -> Result<Advert, CertError> {
+        let advert = verify_statement(advert, side, name, (self.entity, &self.entity_key), self.switch)?;
+        if advert.serial <= self.floor {
+            return Err(CertError::ReplayedSerial { got: advert.serial, floor: self.floor });
+        }
+        Ok(advert)
+    }
+}
+
+/// Which right a statement makes use of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// That of an AdCert.
+    Writer,
+    /// That of a ReadGrant.
+    Reader,
+    /// None: it only takes back.
+    Neither,
+}
+
+impl Side {
+    fn of(op: AdvertOp) -> Self {
+        match op {
+            AdvertOp::Publish | AdvertOp::Serve => Self::Writer,
+            AdvertOp::Subscribe | AdvertOp::Call => Self::Reader,
+            AdvertOp::Withdraw => Self::Neither,
+        }
+    }
+
+    fn ops(self) -> &'static str {
+        match self {
+            Self::Writer => "publish or serve",
+            Self::Reader => "subscribe or call",
+            Self::Neither => "withdraw",
+        }
+    }
+}
+
+/// That `entity` itself states about `name`, at `switch`, something for which it needs the right of this side.
+pub fn verify_statement(
+    advert: &Signed<Advert>,
+    side: Side,
+    name: Name,
+    (entity, key): (Name, &VerifyKey),
+    switch: Name,
+) -> Result<Advert, CertError> {
+    // A statement is bounded by its serial and its lifetime, not by a time of its own.
+    let advert = advert.verify_signature(key)?;
+    if Side::of(advert.op) != side {
+        return Err(CertError::WrongOperation { expected: side.ops(), got: advert.op });
+    }
+    expect_name(name, advert.name)?;
+    expect_entity(entity, advert.entity)?;
+    if advert.switch != switch {
+        return Err(CertError::WrongSwitch { expected: switch, got: advert.switch });
+    }
+    Ok(advert)
+}

@@ -1,0 +1,228 @@
+//! The few primitives everything else is built from, with two interchangeable back ends: aws-lc-rs (default, fast) and
+//! RustCrypto (portable). Both are always compiled, and the tests check each against the other. No protocol lives here.
+//!
+//! ECDSA signatures are 64 bytes `r ‖ s`. A high `s` is accepted, as RFC 9053 and both back ends do: nothing in this
+//! project identifies anything by its signature bytes, so that a signature can be restated is of no use to anybody.
+
+mod aws_lc;
+mod hpke;
+mod parsed;
+mod rust_crypto;
+
+use std::fmt;
+
+pub use parsed::parsed;
+
+pub const TAG_LEN: usize = 16;
+pub const NONCE_LEN: usize = 12;
+pub const SIGNATURE_LEN: usize = 64;
+/// SEC1 compressed P-256 point.
+pub const PUBLIC_KEY_LEN: usize = 33;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CryptoError {
+    #[error("authentication failed: the data was not sealed with this key, or was changed")]
+    Forged,
+    #[error("the signature does not fit the data and the key")]
+    BadSignature,
+    #[error("not a P-256 public key: 33 bytes, a compressed point on the curve")]
+    BadPublicKey,
+    #[error("not a P-256 private key")]
+    BadPrivateKey,
+    #[error("the system's random number generator failed")]
+    NoRandom,
+    #[error("the cryptographic library failed; the input may be too large for it")]
+    Internal,
+}
+
+/// Which implementation does the work. Their outputs are interchangeable.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Backend {
+    #[default]
+    AwsLc,
+    RustCrypto,
+}
+
+impl Backend {
+    pub const ALL: [Self; 2] = [Self::AwsLc, Self::RustCrypto];
+
+    /// SHA-256 of the concatenation of `parts`.
+    pub fn sha256(self, parts: &[&[u8]]) -> [u8; 32] {
+        match self {
+            Self::AwsLc => aws_lc::sha256(parts),
+            Self::RustCrypto => rust_crypto::sha256(parts),
+        }
+    }
+
+    /// HKDF-SHA256 (RFC 5869), 32 bytes, with `info` as the concatenation of its parts.
+    pub fn hkdf_sha256(
+        self,
+        salt: &[u8],
+        ikm: &[u8],
+        info: &[&[u8]],
+    ) -> Result<zeroize::Zeroizing<[u8; 32]>, CryptoError> {
+        match self {
+            Self::AwsLc => aws_lc::hkdf_sha256(salt, ikm, info),
+            Self::RustCrypto => rust_crypto::hkdf_sha256(salt, ikm, info),
+        }
+    }
+
+    /// AES-256-GCM under `key`.
+    pub fn aead(self, key: &[u8; 32]) -> Result<Aead, CryptoError> {
+        Ok(Aead(match self {
+            Self::AwsLc => AeadImpl::AwsLc(aws_lc::Aead::new(key)?),
+            Self::RustCrypto => AeadImpl::RustCrypto(Box::new(rust_crypto::Aead::new(key))),
+        }))
+    }
+
+    /// A parsed public key, for verifying many signatures.
+    pub fn verifier(self, public: &[u8; PUBLIC_KEY_LEN]) -> Result<Verifier, CryptoError> {
+        Ok(Verifier(match self {
+            Self::AwsLc => VerifierImpl::AwsLc(aws_lc::Verifier::new(public)?),
+            Self::RustCrypto => VerifierImpl::RustCrypto(rust_crypto::Verifier::new(public)?),
+        }))
+    }
+
+    /// A key pair that signs, from a PKCS#8 P-256 private key.
+    pub fn signer(self, pkcs8_der: &[u8]) -> Result<Signer, CryptoError> {
+        Ok(Signer(match self {
+            Self::AwsLc => SignerImpl::AwsLc(aws_lc::Signer::new(pkcs8_der)?),
+            Self::RustCrypto => SignerImpl::RustCrypto(rust_crypto::Signer::new(pkcs8_der)?),
+        }))
+    }
+
+    /// The public key, SEC1 compressed, of a private P-256 key: 32 bytes, big endian.
+    pub fn agreement_public(self, secret: &[u8; 32]) -> Result<[u8; PUBLIC_KEY_LEN], CryptoError> {
+        match self {
+            Self::AwsLc => aws_lc::agreement_public(secret),
+            Self::RustCrypto => rust_crypto::agreement_public(secret),
+        }
+    }
+
+    /// ECDH on P-256: the x coordinate that both sides get. To be put through [`Self::hkdf_sha256`].
+    pub fn agree(
+        self,
+        secret: &[u8; 32],
+        public: &[u8; PUBLIC_KEY_LEN],
+    ) -> Result<zeroize::Zeroizing<[u8; 32]>, CryptoError> {
+        match self {
+            Self::AwsLc => aws_lc::agree(secret, public),
+            Self::RustCrypto => rust_crypto::agree(secret, public),
+        }
+    }
+}
+
+/// AES-256-GCM with detached 16-byte tags. A nonce must never seal twice under one key: that is the caller's duty.
+pub struct Aead(AeadImpl);
+
+enum AeadImpl {
+    AwsLc(aws_lc::Aead),
+    RustCrypto(Box<rust_crypto::Aead>),
+}
+
+impl Aead {
+    /// Encrypts `data` in place and returns the tag.
+    pub fn seal(&self, nonce: &[u8; NONCE_LEN], aad: &[u8], data: &mut [u8]) -> Result<[u8; TAG_LEN], CryptoError> {
+        match &self.0 {
+            AeadImpl::AwsLc(aead) => aead.seal(nonce, aad, data),
+            AeadImpl::RustCrypto(aead) => aead.seal(nonce, aad, data),
+        }
+    }
+
+    /// Decrypts `ciphertext` into `out`, which must be as long. After an error the content of `out` is unspecified.
+    pub fn open(
+        &self,
+        nonce: &[u8; NONCE_LEN],
+        aad: &[u8],
+        ciphertext: &[u8],
+        tag: &[u8; TAG_LEN],
+        out: &mut [u8],
+    ) -> Result<(), CryptoError> {
+        match &self.0 {
+            AeadImpl::AwsLc(aead) => aead.open(nonce, aad, ciphertext, tag, out),
+            AeadImpl::RustCrypto(aead) => aead.open(nonce, aad, ciphertext, tag, out),
+        }
+    }
+}
+
+impl fmt::Debug for Aead {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Aead(…)")
+    }
+}
+
+/// ECDSA P-256 with SHA-256.
+pub struct Verifier(VerifierImpl);
+
+enum VerifierImpl {
+    AwsLc(aws_lc::Verifier),
+    RustCrypto(rust_crypto::Verifier),
+}
+
+impl Verifier {
+    pub fn verify(&self, message: &[u8], signature: &[u8; SIGNATURE_LEN]) -> Result<(), CryptoError> {
+        match &self.0 {
+            VerifierImpl::AwsLc(verifier) => verifier.verify(message, signature),
+            VerifierImpl::RustCrypto(verifier) => verifier.verify(message, signature),
+        }
+    }
+}
+
+impl fmt::Debug for Verifier {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Verifier(…)")
+    }
+}
+
+/// ECDSA P-256 with SHA-256. Clears its key when dropped.
+pub struct Signer(SignerImpl);
+
+enum SignerImpl {
+    AwsLc(aws_lc::Signer),
+    RustCrypto(rust_crypto::Signer),
+}
+
+impl Signer {
+    pub fn sign(&self, message: &[u8]) -> Result<[u8; SIGNATURE_LEN], CryptoError> {
+        match &self.0 {
+            SignerImpl::AwsLc(signer) => signer.sign(message),
+            SignerImpl::RustCrypto(signer) => Ok(signer.sign(message)),
+        }
+    }
+}
+
+impl fmt::Debug for Signer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Signer(…)")
+    }
+}
+
+/// What [`hpke_seal`] adds to a plaintext, in bytes.
+pub const HPKE_OVERHEAD: usize = hpke::OVERHEAD;
+
+/// Seals `plaintext` for who holds the private half of `public` (RFC 9180, base mode, DHKEM(P-256, HKDF-SHA256), HKDF-SHA256,
+/// AES-256-GCM, no additional data): the encapsulated key, 65 bytes, then ciphertext and tag. It does not say who sealed.
+pub fn hpke_seal(public: &[u8; PUBLIC_KEY_LEN], info: &[u8], plaintext: &[u8]) -> Result<Vec<u8>, CryptoError> {
+    hpke::seal(public, info, plaintext)
+}
+
+/// Opens what [`hpke_seal`] sealed with the same `info`.
+pub fn hpke_open(secret: &[u8; 32], info: &[u8], sealed: &[u8]) -> Result<zeroize::Zeroizing<Vec<u8>>, CryptoError> {
+    hpke::open(secret, info, sealed)
+}
+
+/// Whether two secrets are the same, in a time that does not tell where they differ.
+pub fn same_secret(a: &[u8; 32], b: &[u8; 32]) -> bool {
+    aws_lc_rs::constant_time::verify_slices_are_equal(a, b).is_ok()
+}
+
+/// Random bytes from the system, fit for keys, sessions and nonces.
+pub fn random<const N: usize>() -> Result<[u8; N], CryptoError> {
+    let mut bytes = [0u8; N];
+    getrandom::fill(&mut bytes).map_err(|_| CryptoError::NoRandom)?;
+    Ok(bytes)
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/crypto.rs"]
+mod tests;

@@ -1,0 +1,44 @@
+//! Public keys that were parsed lately. A point takes as long to decompress as half a verification, and what one owner or entity signs
+//! comes again and again, each time with the key beside it. A few keys for each thread, whatever comes.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use super::{Backend, CryptoError, PUBLIC_KEY_LEN, Verifier};
+
+const KEPT: usize = 64;
+
+type Entry = ([u8; PUBLIC_KEY_LEN], Rc<Verifier>);
+
+#[derive(Default)]
+struct Lately {
+    keys: Vec<Entry>,
+    /// Whose place the next one takes.
+    oldest: usize,
+}
+
+thread_local! {
+    static LATELY: RefCell<Lately> = RefCell::default();
+}
+
+/// The key for verifying, by the default back end.
+pub fn parsed(public: &[u8; PUBLIC_KEY_LEN]) -> Result<Rc<Verifier>, CryptoError> {
+    LATELY.with_borrow_mut(|lately| {
+        if let Some((_, known)) = lately.keys.iter().find(|(key, _)| key == public) {
+            return Ok(known.clone());
+        }
+        let entry = (*public, Rc::new(Backend::default().verifier(public)?));
+        let verifier = entry.1.clone();
+        if lately.keys.len() < KEPT {
+            lately.keys.push(entry);
+        } else {
+            lately.keys[lately.oldest] = entry;
+            lately.oldest = (lately.oldest + 1) % KEPT;
+        }
+        Ok(verifier)
+    })
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/crypto/parsed.rs"]
+mod tests;

@@ -1,0 +1,347 @@
+//! Trust domains, as their members apply them: what an entity shows on its links ([`Papers`]), and whom it takes a link with
+//! ([`Trust`]). No I/O and no clock. Switches and nodes call this; the certificates are in [`crate::cert::domain`], the
+//! invitation that a person carries in [`token`].
+
+mod files;
+pub mod token;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
+
+use crate::cert::domain::roles;
+use crate::cert::{CertError, MemberCert, Membership, PeerCert, PeerRights, Revocation, Signed};
+use crate::name::{Name, NameProof};
+use crate::peer::{Peer, Role};
+use crate::revocations::Kept;
+
+pub use files::{PaperFileError, PaperFiles, Stamps};
+pub use token::{Token, TokenError};
+
+/// Certificates for other domains that one entity shows.
+pub const MAX_PEERS: usize = 16;
+
+/// Bytes of all that is signed in what one entity shows.
+pub const MAX_PAPERS: usize = 12 << 10;
+
+/// What an entity shows of its domain on a link.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Papers {
+    pub membership: Membership,
+    /// What its domain lets other domains do.
+    pub peers: Vec<Signed<PeerCert>>,
+}
+
+impl Papers {
+    pub fn check_bounds(&self) -> Result<(), CertError> {
+        let size = self.membership.size() + self.peers.iter().map(|peer| peer.as_bytes().len()).sum::<usize>();
+        if self.peers.len() > MAX_PEERS || size > MAX_PAPERS {
+            return Err(CertError::Malformed(format!(
+                "{} peer certificates, {size} bytes in all, where {MAX_PEERS} and {MAX_PAPERS} are allowed",
+                self.peers.len()
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// What an entity shows now, on all its ports. Clones are the same.
+#[derive(Clone, Debug, Default)]
+pub struct CurrentPapers(Arc<Mutex<Option<Arc<Papers>>>>);
+
+impl CurrentPapers {
+    pub fn get(&self) -> Option<Arc<Papers>> {
+        self.0.lock().clone()
+    }
+
+    pub fn set(&self, papers: Arc<Papers>) {
+        *self.0.lock() = Some(papers);
+    }
+}
+
+/// What a peer is to this side's domain.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// Shows nothing of a domain, and need not.
+    Stranger,
+    Member {
+        role: String,
+    },
+    /// The border switch of another domain. `ours` is what this domain lets that one do, `theirs` the reverse.
+    Border {
+        domain: Name,
+        ours: PeerRights,
+        theirs: PeerRights,
+    },
+    /// An endpoint of another domain.
+    Visitor {
+        domain: Name,
+    },
+    /// Of an endpoint: a switch of another domain, to which it pays a visit.
+    Host {
+        domain: Name,
+    },
+}
+
+impl Standing {
+    pub fn as_str(&self) -> &'static str {
+        match self {
+            Self::Stranger => "stranger",
+            Self::Member { .. } => "member",
+            Self::Border { .. } => "border",
+            Self::Visitor { .. } => "visitor",
+            Self::Host { .. } => "host",
+        }
+    }
+
+    pub fn is_border(&self) -> bool {
+        matches!(self, Self::Border { .. })
+    }
+}
+
+/// That a peer may have a link.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Admission {
+    pub standing: Standing,
+    /// The last Unix second at which all of it holds.
+    pub until: u64,
+}
+
+impl Admission {
+    /// Of one that need not show anything.
+    pub const STRANGER: Self = Self { standing: Standing::Stranger, until: u64::MAX };
+}
+
+/// Why a peer gets no link, or an entity cannot be what its files say. Both sides read it: it names the certificate and the remedy.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DomainError {
+    #[error(
+        "{peer:#} shows no membership, and this is for members of domain {home:#}: have that domain admit it (`gdp-ctl domain admit` or `invite`)"
+    )]
+    NoMembership { peer: Name, home: Name },
+    #[error("the {what} with serial {serial} of {of:#}, issued by domain {domain:#}: {source}")]
+    Paper { what: &'static str, serial: u64, of: Name, domain: Name, source: Box<CertError> },
+    #[error("what {of:#} shows of its domain cannot be read: {source}")]
+    Unreadable { of: Name, source: Box<CertError> },
+    #[error(
+        "{peer:#} is {role} in domain {domain:#}, and a switch there has the role switch, rib or border: have it admitted as one"
+    )]
+    NotASwitch { peer: Name, role: String, domain: Name },
+    #[error(
+        "{peer:#} is of domain {domain:#}, which domain {home:#} does not know: issue `gdp-ctl domain peer {domain}` with the key of {home:#}, and list it under peers"
+    )]
+    Foreign { peer: Name, domain: Name, home: Name },
+    #[error(
+        "domain {domain:#} has not issued a PeerCert to domain {home:#}, or {peer:#} does not show it: issue it with the key of {domain:#}, and list it under peers there"
+    )]
+    OneSided { peer: Name, domain: Name, home: Name },
+    #[error(
+        "the PeerCert with serial {serial} of domain {domain:#} gives domain {to:#} {has}, and {right} is needed: have one issued with it"
+    )]
+    NoRight { domain: Name, to: Name, serial: u64, has: PeerRights, right: &'static str },
+    #[error(
+        "{of:#} is {role} in domain {domain:#}, and links between domains are for border switches: have it admitted with role border"
+    )]
+    NotABorder { of: Name, role: String, domain: Name },
+}
+
+/// Whom an entity takes links with, by the domain it is a member of.
+#[derive(Debug)]
+pub struct Trust {
+    entity: Name,
+    home: Name,
+    papers: Arc<Papers>,
+    members_only: bool,
+    revocations: BTreeMap<Name, (Kept, Revocation)>,
+}
+
+impl Trust {
+    /// For an entity that is what `papers` says. That these hold now is looked at with each link: a machine may start without a clock.
+    /// `members_only`: no endpoint gets a link without a membership.
+    pub fn new(entity: Name, papers: Arc<Papers>, members_only: bool) -> Result<Self, DomainError> {
+        let home = check_own(entity, &papers)?;
+        Ok(Self { entity, home, papers, members_only, revocations: BTreeMap::new() })
+    }
+
+    /// Puts renewed papers in place of those there are, and with them what the configuration says.
+    pub fn renew(&mut self, papers: Arc<Papers>, members_only: bool) -> Result<(), DomainError> {
+        let home = check_own(self.entity, &papers)?;
+        (self.home, self.papers, self.members_only) = (home, papers, members_only);
+        Ok(())
+    }
+
+    pub fn home(&self) -> Name {
+        self.home
+    }
+
+    pub fn papers(&self) -> &Arc<Papers> {
+        &self.papers
+    }
+
+    pub fn members_only(&self) -> bool {
+        self.members_only
+    }
+
+    /// What this entity is in its domain; an error if that does not hold at `now` (Unix seconds).
+    pub fn own(&self, now: u64) -> Result<MemberCert, DomainError> {
+        self.member(self.entity, &self.papers.membership, self.home, now)
+    }
+
+    /// Whether `peer` may have a link with this entity, whose own part in links is `own`; `shown` is what the peer shows.
+    pub fn admit(&self, own: Role, peer: &Peer, shown: Option<&Papers>, now: u64) -> Result<Admission, DomainError> {
+        let Some(shown) = shown else {
+            if own == Role::Switch && peer.role == Role::Endpoint && !self.members_only {
+                return Ok(Admission::STRANGER);
+            }
+            return Err(DomainError::NoMembership { peer: peer.name, home: self.home });
+        };
+        let own_cert = self.own(now)?;
+        let unreadable = |source: CertError| DomainError::Unreadable { of: peer.name, source: source.into() };
+        shown.check_bounds().map_err(unreadable)?;
+        let domain = shown.membership.domain.name().map_err(|error| unreadable(error.into()))?;
+        if domain == self.home {
+            let cert = self.member(peer.name, &shown.membership, domain, now)?;
+            if peer.role == Role::Switch && !roles::is_switch(&cert.role) {
+                return Err(DomainError::NotASwitch { peer: peer.name, role: cert.role, domain });
+            }
+            let until = own_cert.not_after.min(cert.not_after);
+            return Ok(Admission { standing: Standing::Member { role: cert.role }, until });
+        }
+        let home = self.home;
+        let ours = self.granted(&self.papers, home, domain, now)?.ok_or(DomainError::Foreign {
+            peer: peer.name,
+            domain,
+            home,
+        })?;
+        let cert = self.member(peer.name, &shown.membership, domain, now)?;
+        if peer.role == Role::Switch && !roles::is_switch(&cert.role) {
+            return Err(DomainError::NotASwitch { peer: peer.name, role: cert.role, domain });
+        }
+        let mut until = own_cert.not_after.min(ours.not_after).min(cert.not_after);
+        let standing = match (own, peer.role) {
+            (Role::Switch, Role::Switch) => {
+                let theirs = self.granted(shown, domain, home, now)?.ok_or(DomainError::OneSided {
+                    peer: peer.name,
+                    domain,
+                    home,
+                })?;
+                for cert in [&ours, &theirs] {
+                    needs(cert, cert.rights.peering, "peering")?;
+                }
+                for (of, cert, domain) in [(self.entity, &own_cert, home), (peer.name, &cert, domain)] {
+                    if cert.role != roles::BORDER {
+                        return Err(DomainError::NotABorder { of, role: cert.role.clone(), domain });
+                    }
+                }
+                until = until.min(theirs.not_after);
+                Standing::Border { domain, ours: ours.rights, theirs: theirs.rights }
+            }
+            (Role::Switch, Role::Endpoint) => {
+                needs(&ours, ours.rights.visit, "visit")?;
+                Standing::Visitor { domain }
+            }
+            // That it may visit is for its host to know.
+            (Role::Endpoint, _) => Standing::Host { domain },
+        };
+        Ok(Admission { standing, until })
+    }
+
+    /// Takes in what a domain has revoked. Whether that is news; nothing of domains that this one has nothing to do with is kept.
+    pub fn take_revocation(&mut self, proof: &NameProof, signed: &Signed<Revocation>) -> Result<bool, CertError> {
+        // Anybody may send one: those of no interest cost no more than this.
+        if !self.knows(&proof.name()?) {
+            return Ok(false);
+        }
+        let kept = Kept { proof: *proof, revocation: signed.clone(), origin: None };
+        let claims = kept.verify()?;
+        let held = self.revocation(&claims.name);
+        claims.check_replaces(held)?;
+        if held == Some(&claims) {
+            return Ok(false);
+        }
+        self.revocations.insert(claims.name, (kept, claims));
+        Ok(true)
+    }
+
+    /// Whether a domain is this entity's own, or one that has been given rights.
+    pub fn knows(&self, domain: &Name) -> bool {
+        let is_peer = |signed: &Signed<PeerCert>| signed.claims_unverified().is_ok_and(|claims| claims.peer == *domain);
+        *domain == self.home || self.papers.peers.iter().any(is_peer)
+    }
+
+    /// The newest revocation of each domain, with the name proof that shows its key.
+    pub fn revocations(&self) -> impl Iterator<Item = &Kept> {
+        self.revocations.values().map(|(kept, _)| kept)
+    }
+
+    pub fn revocation(&self, domain: &Name) -> Option<&Revocation> {
+        self.revocations.get(domain).map(|(_, claims)| claims)
+    }
+
+    /// The certificate of a member of `domain`, if it holds.
+    fn member(&self, of: Name, membership: &Membership, domain: Name, now: u64) -> Result<MemberCert, DomainError> {
+        let unreadable = |source: CertError| DomainError::Unreadable { of, source: source.into() };
+        let serial = membership.serial_unverified().map_err(unreadable)?;
+        let what = if membership.invite.is_some() { "invitation" } else { "MemberCert" };
+        let wrong = |source: CertError| DomainError::Paper { what, serial, of, domain, source: source.into() };
+        let cert = membership.verify(domain, self.revocation(&domain), now).map_err(wrong)?;
+        if cert.entity != of {
+            return Err(wrong(CertError::WrongEntity { expected: of, got: cert.entity }));
+        }
+        Ok(cert)
+    }
+
+    /// What `domain`, whose member shows `papers`, lets `to` do, if it has stated anything. Of several certificates the newest
+    /// that holds counts.
+    fn granted(&self, papers: &Papers, domain: Name, to: Name, now: u64) -> Result<Option<PeerCert>, DomainError> {
+        let (mut newest, mut failure) = (None::<PeerCert>, None);
+        for signed in &papers.peers {
+            let Ok(claims) = signed.claims_unverified() else { continue };
+            if claims.peer != to || newest.as_ref().is_some_and(|newest| newest.serial > claims.serial) {
+                continue;
+            }
+            match signed.verify_peer(&papers.membership.domain, self.revocation(&domain), now) {
+                Ok(claims) => newest = Some(claims),
+                Err(source) => {
+                    let (what, serial, source) = ("PeerCert", claims.serial, source.into());
+                    failure = Some(DomainError::Paper { what, serial, of: to, domain, source });
+                }
+            }
+        }
+        if newest.is_some() {
+            return Ok(newest);
+        }
+        failure.map_or(Ok(None), Err)
+    }
+}
+
+fn needs(cert: &PeerCert, held: bool, right: &'static str) -> Result<(), DomainError> {
+    let PeerCert { domain, peer: to, serial, rights: has, .. } = *cert;
+    if held { Ok(()) } else { Err(DomainError::NoRight { domain, to, serial, has, right }) }
+}
+
+/// The domain that an entity's own papers are of, if the signatures in them are right.
+fn check_own(entity: Name, papers: &Papers) -> Result<Name, DomainError> {
+    let unreadable = |source: CertError| DomainError::Unreadable { of: entity, source: source.into() };
+    papers.check_bounds().map_err(unreadable)?;
+    let domain = papers.membership.domain.name().map_err(|error| unreadable(error.into()))?;
+    let cert = papers.membership.verify_signatures(domain).map_err(unreadable)?;
+    if cert.entity != entity {
+        return Err(unreadable(CertError::WrongEntity { expected: entity, got: cert.entity }));
+    }
+    let key = papers.membership.domain.verify_key().map_err(|error| unreadable(error.into()))?;
+    for signed in &papers.peers {
+        let claims = signed.verify_signature(&key).map_err(unreadable)?;
+        if claims.domain != domain {
+            return Err(unreadable(CertError::WrongDomain { expected: domain, got: claims.domain }));
+        }
+    }
+    Ok(domain)
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/domain.rs"]
+mod tests;

@@ -1,0 +1,151 @@
+//! An invitation as one line of text: `gdp1` and base64url (RFC 4648 §5, no padding) of deterministic CBOR. It holds a private key:
+//! whoever has the line can be the one that is admitted.
+
+use base64ct::{Base64UrlUnpadded, Encoding};
+use serde::{Deserialize, Serialize};
+use zeroize::{Zeroize, Zeroizing};
+
+use crate::cbor;
+use crate::cbor::CborError;
+use crate::cert::{CertError, Invite, MemberCert, Membership, Signed, issue};
+use crate::identity::SigningKey;
+use crate::link_target::LinkTarget;
+use crate::name::{Name, NameProof};
+
+const PREFIX: &str = "gdp1";
+
+/// Bytes of the CBOR; a usual one has about 700.
+const MAX_TOKEN: usize = 4096;
+
+#[derive(Debug, thiserror::Error)]
+pub enum TokenError {
+    #[error("not an invitation: it is one line that begins with gdp1, as `gdp-ctl domain invite` prints it")]
+    NotAToken,
+    #[error("the invitation is damaged ({0}); copy the whole line")]
+    Damaged(String),
+    #[error(transparent)]
+    Cert(#[from] CertError),
+}
+
+impl From<CborError> for TokenError {
+    fn from(error: CborError) -> Self {
+        Self::Damaged(error.to_string())
+    }
+}
+
+/// An invitation with the key that it gives a right to, and where to go with it.
+#[derive(Clone, Debug)]
+pub struct Token {
+    domain: NameProof,
+    invite: Signed<Invite>,
+    key: SigningKey,
+    at: LinkTarget,
+    switch: Option<Name>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Form {
+    domain: NameProof,
+    invite: Signed<Invite>,
+    #[serde(with = "crate::cbor::array")]
+    key: [u8; 32],
+    at: String,
+    switch: Option<Name>,
+}
+
+impl Drop for Form {
+    fn drop(&mut self) {
+        self.key.zeroize();
+    }
+}
+
+impl Token {
+    /// `at` is where the fabric is to be reached, `switch` who must be there.
+    pub fn new(
+        domain: NameProof,
+        invite: Signed<Invite>,
+        key: SigningKey,
+        at: LinkTarget,
+        switch: Option<Name>,
+    ) -> Result<Self, CertError> {
+        let token = Self { domain, invite, key, at, switch };
+        token.invite()?;
+        Ok(token)
+    }
+
+    /// What the domain says with it, at any time.
+    pub fn invite(&self) -> Result<Invite, CertError> {
+        let (domain, key) = (self.domain.name()?, self.domain.verify_key()?);
+        let claims = self.invite.verify_signature(&key)?;
+        if claims.domain != domain {
+            return Err(CertError::WrongDomain { expected: domain, got: claims.domain });
+        }
+        let got = self.key.verify_key();
+        if claims.key != got {
+            return Err(CertError::WrongKey { what: "Invite", expected: claims.key.to_string(), got: got.to_string() });
+        }
+        Ok(claims)
+    }
+
+    #[cfg(test)]
+    pub(super) fn invite_signed(&self) -> &Signed<Invite> {
+        &self.invite
+    }
+
+    pub fn domain(&self) -> &NameProof {
+        &self.domain
+    }
+
+    pub fn at(&self) -> &LinkTarget {
+        &self.at
+    }
+
+    pub fn switch(&self) -> Option<Name> {
+        self.switch
+    }
+
+    /// Makes `entity` the member. `serial` is the time in nanoseconds; the invitation has to hold then.
+    pub fn admit(&self, entity: Name, not_before: u64, serial: u64) -> Result<Membership, CertError> {
+        let invite = self.invite()?;
+        let now = serial / 1_000_000_000;
+        crate::cert::Claims::validity(&invite).check(now)?;
+        let Invite { domain, role, serial: invited, member_until: not_after, .. } = invite;
+        let claims = MemberCert { domain, entity, role, serial: serial.max(invited), not_before, not_after };
+        let cert = issue(&self.key, &claims)?;
+        let membership = Membership { domain: self.domain, cert, invite: Some(self.invite.clone()) };
+        membership.verify(domain, None, now)?;
+        Ok(membership)
+    }
+
+    /// The line. Keep it from logs and lists of processes.
+    pub fn to_line(&self) -> Zeroizing<String> {
+        let form = Form {
+            domain: self.domain,
+            invite: self.invite.clone(),
+            key: *self.key.secret_bytes(),
+            at: self.at.to_string(),
+            switch: self.switch,
+        };
+        let bytes = Zeroizing::new(cbor::encode(&form).expect("byte strings and text have an encoding"));
+        let encoded = Zeroizing::new(Base64UrlUnpadded::encode_string(&bytes));
+        Zeroizing::new(format!("{PREFIX}{}", *encoded))
+    }
+
+    /// Reads a line, and checks what the domain signed in it. Nothing of the line is in an error.
+    pub fn from_line(line: &str) -> Result<Self, TokenError> {
+        let encoded = line.trim().strip_prefix(PREFIX).ok_or(TokenError::NotAToken)?;
+        if encoded.len() > 2 * MAX_TOKEN {
+            return Err(TokenError::Damaged("it is too long".into()));
+        }
+        let bytes = Base64UrlUnpadded::decode_vec(encoded)
+            .map(Zeroizing::new)
+            .map_err(|_| TokenError::Damaged("not base64url".into()))?;
+        let form: Form =
+            cbor::decode(&bytes, MAX_TOKEN).map_err(|_| TokenError::Damaged("not an invitation".into()))?;
+        let damaged = |what: &str| TokenError::Damaged(what.into());
+        let key = SigningKey::from_secret_bytes(&form.key).map_err(|_| damaged("its key is none"))?;
+        let at = form.at.parse().map_err(|_| damaged("it names no place to dial"))?;
+        Ok(Self::new(form.domain, form.invite.clone(), key, at, form.switch)?)
+    }
+}

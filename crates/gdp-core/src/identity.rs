@@ -1,0 +1,255 @@
+//! P-256 keys, and the entity one of them makes. Private keys live in PKCS#8 PEM files of mode 0600, never in a log and
+//! no longer in memory than their owner.
+
+use crate::crypto;
+use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN, SIGNATURE_LEN, Signer, Verifier};
+use crate::keys::BoxKey;
+use crate::name;
+use crate::name::{Metadata, Name, NameProof};
+use crate::secret_file;
+use crate::secret_file::SecretFileError;
+use p256::SecretKey;
+use p256::elliptic_curve::sec1::ToSec1Point;
+use p256::pkcs8::{DecodePrivateKey, EncodePrivateKey, LineEnding};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use std::fmt;
+use std::path::Path;
+use std::str::FromStr;
+use std::sync::Arc;
+use zeroize::Zeroizing;
+
+/// A PEM file of a P-256 key has about 240 bytes.
+const MAX_KEY_FILE: usize = 4096;
+
+/// A private P-256 key. Clones share one copy, which is cleared with the last of them.
+#[derive(Clone)]
+pub struct SigningKey(Arc<Inner>);
+
+struct Inner {
+    secret: SecretKey,
+    public: [u8; PUBLIC_KEY_LEN],
+    signer: Signer,
+    box_key: BoxKey,
+}
+
+impl SigningKey {
+    pub fn generate() -> Result<Self, CryptoError> {
+        loop {
+            let candidate = Zeroizing::new(crypto::random::<32>()?);
+            // One in 2^32 candidates is not below the group order.
+            if let Ok(secret) = SecretKey::from_slice(candidate.as_slice()) {
+                return Self::from_secret(secret);
+            }
+        }
+    }
+
+    /// Reads a PKCS#8 PEM file. One that others may read or write is refused.
+    pub fn load(path: &Path) -> Result<Self, SecretFileError> {
+        let malformed = |reason: String| SecretFileError::malformed(path, reason);
+        let content = secret_file::read(path, MAX_KEY_FILE)?;
+        let text = std::str::from_utf8(&content).map_err(|_| malformed("not a PEM file".into()))?;
+        let secret = SecretKey::from_pkcs8_pem(text).map_err(|e| {
+            malformed(format!(
+                "not a P-256 private key in PKCS#8 PEM form ({e}); `openssl pkcs8 -topk8 -nocrypt` converts other forms"
+            ))
+        })?;
+        Self::from_secret(secret).map_err(|e| malformed(e.to_string()))
+    }
+
+    /// Writes a new PKCS#8 PEM file of mode 0600. An existing file is never overwritten.
+    pub fn save_new(&self, path: &Path) -> Result<(), SecretFileError> {
+        let pem = self.0.secret.to_pkcs8_pem(LineEnding::LF).map_err(|e| SecretFileError::malformed(path, e))?;
+        secret_file::create(path, pem.as_bytes())
+    }
+
+    /// Loads `path`, or creates it with a new key. Of two processes that create it at once, both get the same key.
+    pub fn load_or_generate(path: &Path) -> Result<Self, SecretFileError> {
+        match Self::load(path) {
+            Err(e) if e.is_not_found() => {}
+            result => return result,
+        }
+        let key = Self::generate().map_err(|e| SecretFileError::malformed(path, e))?;
+        match key.save_new(path) {
+            Ok(()) => Ok(key),
+            Err(SecretFileError::Exists(_)) => Self::load(path),
+            Err(e) => Err(e),
+        }
+    }
+
+    /// The public key, SEC1 compressed.
+    pub fn public(&self) -> [u8; PUBLIC_KEY_LEN] {
+        self.0.public
+    }
+
+    pub fn verify_key(&self) -> VerifyKey {
+        VerifyKey(self.0.public)
+    }
+
+    /// ECDSA with SHA-256, `r ‖ s`. The caller separates domains: what is signed for one purpose must not be a valid
+    /// input of another.
+    pub fn sign(&self, message: &[u8]) -> Result<[u8; SIGNATURE_LEN], CryptoError> {
+        self.0.signer.sign(message)
+    }
+
+    /// A signer of the chosen back end, for the places that let it be chosen.
+    pub fn signer(&self, backend: Backend) -> Result<Signer, CryptoError> {
+        backend.signer(&self.pkcs8_der())
+    }
+
+    /// PKCS#8 DER, for a TLS certificate of this key.
+    pub fn pkcs8_der(&self) -> Zeroizing<Vec<u8>> {
+        pkcs8_der(&self.0.secret)
+    }
+
+    /// The scalar, to be carried in an invitation.
+    pub(crate) fn secret_bytes(&self) -> Zeroizing<[u8; 32]> {
+        Zeroizing::new(self.0.secret.to_bytes().into())
+    }
+
+    /// The key with this scalar (big-endian).
+    ///
+    /// # Errors
+    ///
+    /// [`CryptoError::BadPrivateKey`] for zero and for scalars that are not below the group order.
+    pub fn from_secret_bytes(bytes: &[u8; 32]) -> Result<Self, CryptoError> {
+        Self::from_secret(SecretKey::from_slice(bytes).map_err(|_| CryptoError::BadPrivateKey)?)
+    }
+
+    fn from_secret(secret: SecretKey) -> Result<Self, CryptoError> {
+        let point = secret.public_key().to_sec1_point(true);
+        let public = point.as_bytes().try_into().map_err(|_| CryptoError::BadPrivateKey)?;
+        let signer = Backend::default().signer(&pkcs8_der(&secret))?;
+        let scalar: Zeroizing<[u8; 32]> = Zeroizing::new(secret.to_bytes().into());
+        let box_key = BoxKey::derive(&scalar)?;
+        Ok(Self(Arc::new(Inner { secret, public, signer, box_key })))
+    }
+}
+
+/// The encoding of a valid P-256 key has a fixed shape of about 140 bytes: it cannot fail.
+fn pkcs8_der(secret: &SecretKey) -> Zeroizing<Vec<u8>> {
+    secret.to_pkcs8_der().expect("a P-256 key always has a PKCS#8 form").to_bytes()
+}
+
+impl fmt::Debug for SigningKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "SigningKey(public {})", hex::encode(self.0.public))
+    }
+}
+
+/// A public P-256 key, SEC1 compressed, known to be a point on the curve. Text form: 66 hex digits.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct VerifyKey([u8; PUBLIC_KEY_LEN]);
+
+impl VerifyKey {
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CryptoError> {
+        let bytes = bytes.try_into().map_err(|_| CryptoError::BadPublicKey)?;
+        crypto::parsed(&bytes)?;
+        Ok(Self(bytes))
+    }
+
+    pub fn as_bytes(&self) -> &[u8; PUBLIC_KEY_LEN] {
+        &self.0
+    }
+
+    /// Checks one signature. To check many, keep a [`Self::verifier`].
+    pub fn verify(&self, message: &[u8], signature: &[u8; SIGNATURE_LEN]) -> Result<(), CryptoError> {
+        crypto::parsed(&self.0)?.verify(message, signature)
+    }
+
+    pub fn verifier(&self, backend: Backend) -> Result<Verifier, CryptoError> {
+        backend.verifier(&self.0)
+    }
+}
+
+impl fmt::Display for VerifyKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&hex::encode(self.0))
+    }
+}
+
+impl fmt::Debug for VerifyKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "VerifyKey({self})")
+    }
+}
+
+impl FromStr for VerifyKey {
+    type Err = CryptoError;
+
+    fn from_str(text: &str) -> Result<Self, CryptoError> {
+        let mut bytes = [0u8; PUBLIC_KEY_LEN];
+        hex::decode_to_slice(text, &mut bytes).map_err(|_| CryptoError::BadPublicKey)?;
+        Self::from_bytes(&bytes)
+    }
+}
+
+impl Serialize for VerifyKey {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        crate::cbor::array::serialize(&self.0, serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for VerifyKey {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let bytes: [u8; PUBLIC_KEY_LEN] = crate::cbor::array::deserialize(deserializer)?;
+        Self::from_bytes(&bytes).map_err(de::Error::custom)
+    }
+}
+
+/// An entity: a proxy, switch, RIB or domain. Its name follows from its own key and its metadata, `{kind: …}`.
+#[derive(Clone, Debug)]
+pub struct Identity {
+    key: SigningKey,
+    metadata: Metadata,
+    proof: NameProof,
+    name: Name,
+}
+
+impl Identity {
+    /// `kind` is `switch`, `proxy`, `rib`, `tool`, …
+    pub fn new(key: SigningKey, kind: &str) -> Self {
+        let metadata = Metadata::from([("kind".to_owned(), kind.to_owned())]);
+        let proof = NameProof { owner_key: key.public(), digest: name::inner_digest(&metadata) };
+        let name = name::derive(&proof.owner_key, &proof.digest);
+        Self { key, metadata, proof, name }
+    }
+
+    pub fn generate(kind: &str) -> Result<Self, CryptoError> {
+        Ok(Self::new(SigningKey::generate()?, kind))
+    }
+
+    /// The identity whose key is in the PEM file `path`, which is created if there is none.
+    pub fn load_or_generate(path: &Path, kind: &str) -> Result<Self, SecretFileError> {
+        Ok(Self::new(SigningKey::load_or_generate(path)?, kind))
+    }
+
+    pub fn key(&self) -> &SigningKey {
+        &self.key
+    }
+
+    pub fn metadata(&self) -> &Metadata {
+        &self.metadata
+    }
+
+    pub fn proof(&self) -> NameProof {
+        self.proof
+    }
+
+    pub fn name(&self) -> Name {
+        self.name
+    }
+
+    /// What keys are wrapped to it with, and agreed upon with it.
+    pub fn box_key(&self) -> &BoxKey {
+        &self.key.0.box_key
+    }
+
+    /// The public half of [`Self::box_key`], SEC1 compressed.
+    pub fn box_public(&self) -> [u8; PUBLIC_KEY_LEN] {
+        self.box_key().public()
+    }
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/identity.rs"]
+mod tests;

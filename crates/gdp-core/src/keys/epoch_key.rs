@@ -1,0 +1,60 @@
+//! The secret that the writers and readers of a name share for an epoch. Sessions derive their own keys from it.
+
+use crate::crypto;
+use crate::crypto::{Aead, Backend, CryptoError};
+use crate::name::Name;
+use std::fmt;
+use zeroize::Zeroizing;
+
+/// What a session's key is derived with.
+pub const SESSION_CONTEXT: &[u8] = b"gdp/session/1";
+
+#[derive(Clone)]
+pub struct EpochKey(Zeroizing<[u8; 32]>);
+
+impl EpochKey {
+    pub fn generate() -> Result<Self, CryptoError> {
+        Ok(Self(Zeroizing::new(crypto::random()?)))
+    }
+
+    pub fn from_bytes(bytes: [u8; 32]) -> Self {
+        Self(Zeroizing::new(bytes))
+    }
+
+    /// `None` if these are not 32 bytes.
+    pub fn from_slice(bytes: &[u8]) -> Option<Self> {
+        let mut key = Zeroizing::new([0u8; 32]);
+        if bytes.len() != key.len() {
+            return None;
+        }
+        key.copy_from_slice(bytes);
+        Some(Self(key))
+    }
+
+    /// For wrapping it, and for nothing else.
+    pub fn as_bytes(&self) -> &[u8; 32] {
+        &self.0
+    }
+
+    /// `HKDF-SHA256(epoch key, salt = session, info = "gdp/session/1" ‖ name ‖ writer)`.
+    pub fn session_aead(
+        &self,
+        backend: Backend,
+        name: &Name,
+        writer: &Name,
+        session: &[u8; 16],
+    ) -> Result<Aead, CryptoError> {
+        let info: [&[u8]; 3] = [SESSION_CONTEXT, name.as_bytes(), writer.as_bytes()];
+        backend.aead(&*backend.hkdf_sha256(session, self.0.as_slice(), &info)?)
+    }
+}
+
+impl fmt::Debug for EpochKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("EpochKey(…)")
+    }
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/keys/epoch_key.rs"]
+mod tests;

@@ -1,0 +1,9 @@
+//! Keys that messages are sealed with, and how they are wrapped for each reader (HPKE, RFC 9180).
+
+mod box_key;
+mod epoch_key;
+mod key_box;
+
+pub use box_key::BoxKey;
+pub use epoch_key::EpochKey;
+pub use key_box::{KeyBox, open, wrap};

@@ -1,0 +1,156 @@
+//! Derives names from owner key and metadata, and parses the prefixes that commands accept.
+//! The bytes are specified in `docs/wire-format.md`, "Names":
+//! `name = SHA-256("gdp/name/1" ‖ owner key ‖ SHA-256(JCS(metadata)))`.
+
+use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN};
+use crate::identity::VerifyKey;
+pub use gdp_wire::Name;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::str::FromStr;
+
+/// The string map a name is derived from. Its order in memory is not the order of its canonical form.
+pub type Metadata = BTreeMap<String, String>;
+
+/// SHA-256 of the canonical JSON (RFC 8785) of `metadata`.
+pub fn inner_digest(metadata: &Metadata) -> [u8; 32] {
+    Backend::default().sha256(&[canonical_json(metadata).as_bytes()])
+}
+
+/// The name of what `owner_key` (SEC1 compressed) calls by the metadata with this inner digest.
+pub fn derive(owner_key: &[u8; PUBLIC_KEY_LEN], digest: &[u8; 32]) -> Name {
+    Name::from_bytes(Backend::default().sha256(&[b"gdp/name/1", owner_key, digest]))
+}
+
+/// RFC 8785 for a map of strings: keys ordered by their UTF-16 code units, no white space, the fewest escapes.
+pub fn canonical_json(metadata: &Metadata) -> String {
+    let mut entries: Vec<(&String, &String)> = metadata.iter().collect();
+    entries.sort_by(|a, b| a.0.encode_utf16().cmp(b.0.encode_utf16()));
+    let mut json = String::from("{");
+    for (i, (key, value)) in entries.into_iter().enumerate() {
+        if i > 0 {
+            json.push(',');
+        }
+        push_string(&mut json, key);
+        json.push(':');
+        push_string(&mut json, value);
+    }
+    json.push('}');
+    json
+}
+
+/// RFC 8785 §3.2.2.2.
+fn push_string(json: &mut String, text: &str) {
+    json.push('"');
+    for c in text.chars() {
+        match c {
+            '"' => json.push_str("\\\""),
+            '\\' => json.push_str("\\\\"),
+            '\u{8}' => json.push_str("\\b"),
+            '\t' => json.push_str("\\t"),
+            '\n' => json.push_str("\\n"),
+            '\u{c}' => json.push_str("\\f"),
+            '\r' => json.push_str("\\r"),
+            c if c < ' ' => json.push_str(&format!("\\u{:04x}", c as u32)),
+            c => json.push(c),
+        }
+    }
+    json.push('"');
+}
+
+/// Shows how a name was made without telling the metadata.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NameProof {
+    /// SEC1 compressed.
+    #[serde(with = "crate::cbor::array")]
+    pub owner_key: [u8; PUBLIC_KEY_LEN],
+    #[serde(with = "crate::cbor::array")]
+    pub digest: [u8; 32],
+}
+
+impl NameProof {
+    /// The name this proves. Refuses an owner key that is no point on the curve: nobody could sign for its names.
+    pub fn name(&self) -> Result<Name, CryptoError> {
+        self.verify_key()?;
+        Ok(derive(&self.owner_key, &self.digest))
+    }
+
+    /// The owner's key: what certificates about the name must verify under.
+    pub fn verify_key(&self) -> Result<VerifyKey, CryptoError> {
+        VerifyKey::from_bytes(&self.owner_key)
+    }
+}
+
+impl fmt::Debug for NameProof {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "NameProof {{ owner_key: {}, digest: {} }}", hex::encode(self.owner_key), hex::encode(self.digest))
+    }
+}
+
+/// The first 1 to 64 hex digits of a name, as a person types them.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct NamePrefix(String);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("not the beginning of a name: 1 to 64 hex digits are expected")]
+pub struct NamePrefixError;
+
+impl NamePrefix {
+    pub fn matches(&self, name: &Name) -> bool {
+        name.to_string().starts_with(&self.0)
+    }
+
+    /// The name itself, if the prefix is all of it.
+    pub fn full(&self) -> Option<Name> {
+        self.0.parse().ok()
+    }
+
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl From<Name> for NamePrefix {
+    fn from(name: Name) -> Self {
+        Self(name.to_string())
+    }
+}
+
+impl FromStr for NamePrefix {
+    type Err = NamePrefixError;
+
+    fn from_str(text: &str) -> Result<Self, NamePrefixError> {
+        if (1..=64).contains(&text.len()) && text.bytes().all(|c| c.is_ascii_hexdigit()) {
+            Ok(Self(text.to_ascii_lowercase()))
+        } else {
+            Err(NamePrefixError)
+        }
+    }
+}
+
+impl TryFrom<String> for NamePrefix {
+    type Error = NamePrefixError;
+
+    fn try_from(text: String) -> Result<Self, NamePrefixError> {
+        text.parse()
+    }
+}
+
+impl From<NamePrefix> for String {
+    fn from(prefix: NamePrefix) -> Self {
+        prefix.0
+    }
+}
+
+impl fmt::Display for NamePrefix {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/name.rs"]
+mod tests;

@@ -1,0 +1,44 @@
+//! The entity at the other end of a link.
+
+use std::time::Duration;
+
+use gdp_wire::table::LinkRole;
+use serde::{Deserialize, Serialize};
+
+use crate::identity::VerifyKey;
+use crate::name::{Name, NameProof};
+
+/// How long keys and routes of a lost link stay in use, unless a new link replaces it earlier (RFC 4724, section 4.2).
+///
+/// The daemon of a switch may be gone while its kernel forwards on: the neighbour's data plane must answer echoes meanwhile.
+pub const GRACEFUL_RESTART_TIME: Duration = Duration::from_secs(60);
+
+/// Links that an endpoint has at once, to one switch or several.
+pub const MAX_LANES: usize = 4;
+
+/// What an entity is on its links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Role {
+    Endpoint,
+    Switch,
+}
+
+impl From<Role> for LinkRole {
+    fn from(role: Role) -> Self {
+        match role {
+            Role::Endpoint => Self::Endpoint,
+            Role::Switch => Self::Switch,
+        }
+    }
+}
+
+/// Who is at the other end. The key is proven and the name derived from it; the role is what it says of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Peer {
+    pub name: Name,
+    pub proof: NameProof,
+    pub key: VerifyKey,
+    pub role: Role,
+    /// Of an endpoint: which of its links this is, of those it has at once; below [`MAX_LANES`].
+    pub lane: u8,
+}

@@ -1,0 +1,112 @@
+//! Files that hold secrets: created at mode 0600 and never visible wider or half-written, refused when anybody but the
+//! owner may touch them. Used for private keys and what the command line remembers of a name; the content is the caller's
+//! business.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use zeroize::Zeroizing;
+
+#[derive(Debug, thiserror::Error)]
+pub enum SecretFileError {
+    #[error("{}: cannot {action}: {source}", path.display())]
+    Io { path: PathBuf, action: &'static str, source: io::Error },
+    #[error("{}: a file of this name exists and is not overwritten; choose another name or remove it", .0.display())]
+    Exists(PathBuf),
+    #[error("{}: not a regular file", .0.display())]
+    NotAFile(PathBuf),
+    #[error("{}: mode {mode:04o} lets others at a secret; run `chmod 600 {}`", path.display(), path.display())]
+    TooOpen { path: PathBuf, mode: u32 },
+    #[error("{}: longer than {max} bytes, so not what it should be", path.display())]
+    TooLong { path: PathBuf, max: usize },
+    #[error("{}: {reason}", path.display())]
+    Malformed { path: PathBuf, reason: String },
+}
+
+impl SecretFileError {
+    pub fn is_not_found(&self) -> bool {
+        matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
+    }
+
+    /// What is in the file is not what belongs there, for this reason.
+    pub fn malformed(path: &Path, reason: impl ToString) -> Self {
+        Self::Malformed { path: path.into(), reason: reason.to_string() }
+    }
+}
+
+/// Creates `path` with `content`. The bytes are written and synced under a temporary name and then linked to the final
+/// one, which fails if that exists: whoever opens `path` sees the whole content or no file.
+pub(crate) fn create(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
+    with_temporary(path, content, |temporary| {
+        fs::hard_link(temporary, path).map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists => SecretFileError::Exists(path.into()),
+            _ => SecretFileError::Io { path: path.into(), action: "create", source },
+        })
+    })
+}
+
+/// As [`create`], but takes the place of a file that is there. After a crash there is the one or the other, whole.
+pub fn replace(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
+    let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
+    with_temporary(path, content, |temporary| {
+        fs::rename(temporary, path).map_err(io("replace"))?;
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("keep"))
+    })
+}
+
+fn with_temporary(
+    path: &Path,
+    content: &[u8],
+    place: impl FnOnce(&Path) -> Result<(), SecretFileError>,
+) -> Result<(), SecretFileError> {
+    let io = |source| SecretFileError::Io { path: path.into(), action: "create", source };
+    let suffix = crate::crypto::random::<8>().map_err(|e| io(io::Error::other(e)))?;
+    let mut file_name = path.file_name().ok_or_else(|| SecretFileError::NotAFile(path.into()))?.to_owned();
+    file_name.push(format!(".{}.tmp", hex::encode(suffix)));
+    let temporary = path.with_file_name(file_name);
+
+    let written = OpenOptions::new()
+        .write(true)
+        .create_new(true)
+        .mode(0o600)
+        .open(&temporary)
+        .and_then(|mut file| file.write_all(content).and_then(|()| file.sync_all()));
+    let result = written.map_err(io).and_then(|()| place(&temporary));
+    // Nothing to do about a failure: the file has moved, was not created, or its name is of no interest to anybody.
+    let _ = fs::remove_file(&temporary);
+    result
+}
+
+/// The whole of `path`, at most `max` bytes. A symbolic link is followed; what counts is the file it leads to.
+pub fn read(path: &Path, max: usize) -> Result<Zeroizing<Vec<u8>>, SecretFileError> {
+    let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
+    // Without O_NONBLOCK, opening a FIFO would wait for a writer.
+    let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(io("open"))?;
+    check(path, &file)?;
+    let mut content = Zeroizing::new(Vec::with_capacity(max + 1));
+    file.take(max as u64 + 1).read_to_end(&mut content).map_err(io("read"))?;
+    if content.len() > max {
+        return Err(SecretFileError::TooLong { path: path.into(), max });
+    }
+    Ok(content)
+}
+
+/// Looks at the open file, not at its name, so that nothing can be exchanged in between.
+fn check(path: &Path, file: &File) -> Result<(), SecretFileError> {
+    let metadata =
+        file.metadata().map_err(|source| SecretFileError::Io { path: path.into(), action: "examine", source })?;
+    if !metadata.is_file() {
+        return Err(SecretFileError::NotAFile(path.into()));
+    }
+    let mode = metadata.permissions().mode() & 0o7777;
+    if mode & 0o077 != 0 {
+        return Err(SecretFileError::TooOpen { path: path.into(), mode });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/secret_file.rs"]
+mod tests;

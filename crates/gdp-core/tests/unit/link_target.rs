@@ -1,0 +1,46 @@
+//! Unit tests of `link_target`.
+
+use super::*;
+
+#[test]
+fn targets_survive_their_text() {
+    for text in [
+        "eth://r0",
+        "eth://r0/02:00:00:00:00:01",
+        "udp://127.0.0.1:31415",
+        "udp://[::1]:9",
+        "udp://edge.local:1",
+        "udp://edge.local:1%wwan0",
+        "udp://[::1]:9%wlan0",
+    ] {
+        assert_eq!(text.parse::<LinkTarget>().unwrap().to_string(), text);
+    }
+    assert_eq!("udp://edge".parse::<LinkTarget>().unwrap().to_string(), "udp://edge:31415");
+}
+
+#[test]
+fn anything_else_is_refused() {
+    for text in [
+        "",
+        "r0",
+        "eth://",
+        "eth:///02:00:00:00:00:01",
+        "eth://r0/02",
+        "eth://an-interface-too-long",
+        "udp://",
+        "udp://:1",
+        "udp://host:",
+        "udp://host:0",
+        "udp://host:65536",
+        "udp://::1",
+        "udp://[::1",
+        "udp://[host]:1",
+        "udp://a/b",
+        "udp://a%",
+        "udp://a%w/0",
+        "udp://a%an-interface-too-long",
+        "tcp://host:1",
+    ] {
+        assert!(text.parse::<LinkTarget>().is_err(), "{text}");
+    }
+}

@@ -1,0 +1,648 @@
+//! The daemon's configuration file, and what it is without one. Strict YAML: unknown keys are refused. Read once, at
+//! start; paths in it are relative to its folder.
+
+mod dpdk;
+mod etcd;
+
+use std::fmt;
+use std::fs;
+use std::io::Read;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+
+use gdp_core::cert::MAX_ADDRESSES;
+use gdp_core::domain::{MAX_PEERS, PaperFiles};
+use gdp_link::link::RekeySchedule;
+use gdp_wire::Name;
+use serde::{Deserialize, Deserializer};
+
+use self::dpdk::DpdkEntry;
+pub use self::etcd::EtcdConfig;
+use self::etcd::EtcdEntry;
+use crate::folders;
+use gdp_dataplane::FIB_CAPACITY;
+use gdp_dataplane::dpdk::DpdkConfig;
+use gdp_dataplane::pins::BPFFS;
+
+/// A configuration is a page of text; more is a wrong file.
+const MAX_FILE: u64 = 256 * 1024;
+
+/// What `gdp-ctl serve` runs with.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The switch's private key; made if there is none.
+    pub identity: PathBuf,
+    /// The admin socket.
+    pub socket: PathBuf,
+    /// Ethernet interfaces to run on; `None`: all that are up.
+    pub interfaces: Option<Vec<String>>,
+    /// Where to take links over UDP, if at all.
+    pub udp: Option<SocketAddr>,
+    pub data_plane: DataPlane,
+    /// For the DPDK plane.
+    pub dpdk: DpdkConfig,
+    /// Whether this daemon is the RIB. If not, the topology leads to it.
+    pub rib: bool,
+    pub neighbours: Vec<Neighbour>,
+    pub ebpf_object: Option<PathBuf>,
+    pub fib_capacity: u32,
+    /// The BPF file system in which XDP outlives the daemon; `None`: it ends with it.
+    pub bpffs: Option<PathBuf>,
+    /// The trust domain it is a member of; without, it takes any neighbour that is listed and any endpoint.
+    pub domain: Option<DomainConfig>,
+    /// Of a border: the addresses at which those of other domains reach it, best first.
+    pub public: Vec<SocketAddr>,
+    /// Where the RIB is kept, if it is one of several replicas.
+    pub etcd: Option<EtcdConfig>,
+    /// When the keys of links are replaced. No option of the file.
+    pub rekey: RekeySchedule,
+}
+
+/// What makes a daemon a member of a trust domain.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DomainConfig {
+    /// Read again when they change.
+    pub files: PaperFiles,
+    /// Whether endpoints without a membership get no link.
+    pub members_only: bool,
+    pub trace: Inside,
+}
+
+/// What a border shows other domains that trace a name through this one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Inside {
+    /// That frames get through, and in what time.
+    #[default]
+    Masked,
+    /// Every switch.
+    Open,
+}
+
+/// Which data plane the user wants.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum DataPlane {
+    /// XDP where it attaches, else the userspace plane.
+    #[default]
+    Auto,
+    /// XDP on every Ethernet interface, or no start.
+    Xdp,
+    /// DPDK on the devices that the configuration lists for it, or no start.
+    Dpdk,
+    /// The userspace plane alone.
+    Userspace,
+}
+
+/// A switch this one has a link with, and what crossing the link costs; none: as its round-trip time says, see
+/// [`gdp_rib::topology::cost`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Neighbour {
+    pub place: Place,
+    pub cost: Option<u32>,
+    /// This side makes the link. Otherwise the one with the smaller name does.
+    pub dial: bool,
+    /// It is a border of another domain, whose RIB is above this one's. Parents are asked in the order of the list.
+    pub parent: bool,
+}
+
+/// A neighbouring switch and where it is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    pub switch: Name,
+    pub via: Via,
+}
+
+/// How a neighbour is reached.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum Via {
+    /// On the segment of this interface; its address is discovered.
+    Interface(String),
+    Udp(SocketAddr),
+}
+
+impl Via {
+    /// Whether it is through the same interface, or both over UDP.
+    pub fn same_port(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Interface(a), Self::Interface(b)) => a == b,
+            (Self::Udp(_), Self::Udp(_)) => true,
+            _ => false,
+        }
+    }
+}
+
+impl fmt::Display for Via {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Interface(name) => f.write_str(name),
+            Self::Udp(addr) => write!(f, "udp {addr}"),
+        }
+    }
+}
+
+/// Why a configuration is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    #[error("cannot read the configuration {}: {source}", path.display())]
+    Io { path: PathBuf, source: std::io::Error },
+    #[error("{}: {reason}", path.display())]
+    Invalid { path: PathBuf, reason: String },
+    #[error("{0}")]
+    Folder(#[from] folders::NoFolder),
+}
+
+impl Config {
+    /// A switch without privileges, on this UDP address alone, with nothing around it; whoever makes it says what else it is.
+    pub fn userspace(identity: PathBuf, udp: SocketAddr) -> Self {
+        Self {
+            socket: identity.with_extension("sock"),
+            identity,
+            interfaces: Some(Vec::new()),
+            udp: Some(udp),
+            data_plane: DataPlane::Userspace,
+            dpdk: DpdkConfig::default(),
+            rib: false,
+            neighbours: Vec::new(),
+            ebpf_object: None,
+            fib_capacity: FIB_CAPACITY,
+            bpffs: None,
+            domain: None,
+            public: Vec::new(),
+            etcd: None,
+            rekey: RekeySchedule::default(),
+        }
+    }
+
+    /// What a daemon without a configuration runs with: RIB and switch on all Ethernet interfaces (as root) and on UDP.
+    pub fn embedded() -> Result<Self, ConfigError> {
+        Ok(Self {
+            socket: folders::admin_socket()?,
+            interfaces: None,
+            data_plane: DataPlane::Auto,
+            rib: true,
+            bpffs: default_bpffs(),
+            ..Self::userspace(folders::state()?.join("switch.pem"), default_udp())
+        })
+    }
+
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let io = |source| ConfigError::Io { path: path.into(), source };
+        let mut text = String::new();
+        fs::File::open(path).map_err(io)?.take(MAX_FILE + 1).read_to_string(&mut text).map_err(io)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        if text.len() as u64 > MAX_FILE {
+            let reason = format!("longer than {MAX_FILE} bytes, so not a configuration");
+            return Err(ConfigError::Invalid { path: path.into(), reason });
+        }
+        Self::parse(&text, folder).map_err(|error| match error {
+            ParseError::Invalid(reason) => ConfigError::Invalid { path: path.into(), reason },
+            ParseError::Folder(error) => error.into(),
+        })
+    }
+
+    fn parse(text: &str, folder: &Path) -> Result<Self, ParseError> {
+        let file: File = if text.trim().is_empty() {
+            File { bpffs: default_bpffs(), ..File::default() }
+        } else {
+            // A snippet would put the text into the log, and the file may be a key, given by mistake.
+            let options = serde_saphyr::options! { with_snippet: false };
+            serde_saphyr::from_str_with_options(text, options)
+                .map_err(|error| ParseError::Invalid(error.to_string()))?
+        };
+        file.check(folder)
+    }
+}
+
+#[derive(Debug)]
+enum ParseError {
+    Invalid(String),
+    Folder(folders::NoFolder),
+}
+
+impl From<folders::NoFolder> for ParseError {
+    fn from(error: folders::NoFolder) -> Self {
+        Self::Folder(error)
+    }
+}
+
+/// The file as it is written.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct File {
+    identity: Option<PathBuf>,
+    socket: Option<PathBuf>,
+    interfaces: Option<Vec<String>>,
+    udp: Udp,
+    data_plane: DataPlane,
+    dpdk: DpdkEntry,
+    rib: Option<bool>,
+    /// A neighbour like others; that there is one says that the RIB is elsewhere.
+    uplink: Option<PlaceEntry>,
+    neighbours: Vec<PlaceEntry>,
+    ebpf_object: Option<PathBuf>,
+    fib_capacity: Option<u32>,
+    /// `null` turns it off.
+    #[serde(default = "default_bpffs")]
+    bpffs: Option<PathBuf>,
+    domain: Option<DomainEntry>,
+    public: Vec<SocketAddr>,
+    etcd: Option<EtcdEntry>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DomainEntry {
+    card: PathBuf,
+    membership: PathBuf,
+    #[serde(default)]
+    peers: Vec<PathBuf>,
+    #[serde(default)]
+    members_only: bool,
+    #[serde(default)]
+    trace: Inside,
+}
+
+/// Absent is not the same as `null`, which turns UDP off.
+#[derive(Debug, Default)]
+enum Udp {
+    #[default]
+    Absent,
+    Off,
+    On(SocketAddr),
+}
+
+impl<'de> Deserialize<'de> for Udp {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let addr = Option::<String>::deserialize(deserializer)?;
+        let Some(addr) = addr else { return Ok(Self::Off) };
+        let problem = |_| format!("udp: {addr:?} is not an address and port such as 0.0.0.0:31415 or [::]:31415");
+        addr.parse().map(Self::On).map_err(problem).map_err(serde::de::Error::custom)
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlaceEntry {
+    switch: Name,
+    interface: Option<String>,
+    udp: Option<SocketAddr>,
+    cost: Option<u32>,
+    #[serde(default)]
+    dial: bool,
+    #[serde(default)]
+    parent: bool,
+}
+
+impl File {
+    fn check(self, folder: &Path) -> Result<Config, ParseError> {
+        let invalid = |reason: String| Err(ParseError::Invalid(reason));
+        let mut neighbours = Vec::new();
+        for entry in self.neighbours {
+            let neighbour = entry.neighbour("neighbours")?;
+            if neighbours.iter().any(|n: &Neighbour| n.place.switch == neighbour.place.switch) {
+                return invalid(format!("neighbours: {} is listed twice", neighbour.place.switch));
+            }
+            neighbours.push(neighbour);
+        }
+        let uplink_cost = self.uplink.as_ref().and_then(|entry| entry.cost);
+        let uplink = self.uplink.map(|entry| entry.neighbour("uplink")).transpose()?;
+        let rib = self.rib.unwrap_or(uplink.is_none());
+        match &uplink {
+            Some(_) if rib => {
+                return invalid("uplink: this daemon is the RIB (rib: true); remove one of the two".into());
+            }
+            None if !rib && neighbours.is_empty() => {
+                return invalid(
+                    "rib: false needs a neighbour by which the RIB is reached: neighbours: [{interface: …, switch: …}]"
+                        .into(),
+                );
+            }
+            _ => {}
+        }
+        if let Some(uplink) = uplink {
+            let switch = uplink.place.switch;
+            match neighbours.iter_mut().find(|n| n.place.switch == switch) {
+                Some(listed) if listed.place != uplink.place => {
+                    return invalid(format!("uplink: {switch} is another place in neighbours"));
+                }
+                Some(listed) if uplink_cost.is_some() && uplink_cost != listed.cost => {
+                    return invalid(format!("uplink: {switch} has another cost in neighbours; remove one of the two"));
+                }
+                Some(listed) => listed.dial |= uplink.dial,
+                None => neighbours.push(uplink),
+            }
+        }
+        if let (Udp::Off, Some(over_udp)) = (&self.udp, neighbours.iter().find(|n| matches!(n.place.via, Via::Udp(_))))
+        {
+            let switch = over_udp.place.switch;
+            return invalid(format!("udp: null turns UDP off, but the neighbour {switch} is reached over it"));
+        }
+        if let Some(interfaces) = &self.interfaces {
+            for neighbour in &neighbours {
+                if let Via::Interface(name) = &neighbour.place.via
+                    && !interfaces.contains(name)
+                {
+                    return invalid(format!(
+                        "neighbours: {} is on {name}, which interfaces does not list",
+                        neighbour.place.switch
+                    ));
+                }
+            }
+        }
+        let fib_capacity = self.fib_capacity.unwrap_or(FIB_CAPACITY);
+        if !(1..=1 << 24).contains(&fib_capacity) {
+            return invalid(format!("fib_capacity: {fib_capacity} is not between 1 and {}", 1 << 24));
+        }
+        if let Some(domain) = &self.domain
+            && domain.peers.len() > MAX_PEERS
+        {
+            return invalid(format!("domain: {} peers, where at most {MAX_PEERS} are shown", domain.peers.len()));
+        }
+        if self.public.len() > MAX_ADDRESSES {
+            return invalid(format!("public: {} addresses, where at most {MAX_ADDRESSES} are told", self.public.len()));
+        }
+        let etcd = self.etcd.map(|entry| entry.check(rib)).transpose().map_err(ParseError::Invalid)?;
+        let dpdk = self.dpdk.check().map_err(ParseError::Invalid)?;
+        if self.data_plane == DataPlane::Dpdk && dpdk.ports.is_empty() {
+            return invalid(
+                "data_plane: dpdk needs devices: dpdk: {ports: [{interface: gdp0, device: 0000:02:00.0}]}".into(),
+            );
+        }
+        let here = |path: PathBuf| folder.join(path);
+        Ok(Config {
+            identity: match self.identity {
+                Some(path) => here(path),
+                None => folders::state()?.join("switch.pem"),
+            },
+            socket: match self.socket {
+                Some(path) => here(path),
+                None => folders::admin_socket()?,
+            },
+            interfaces: self.interfaces,
+            udp: match self.udp {
+                Udp::Absent => Some(default_udp()),
+                Udp::Off => None,
+                Udp::On(addr) => Some(addr),
+            },
+            data_plane: self.data_plane,
+            dpdk,
+            rib,
+            neighbours,
+            ebpf_object: self.ebpf_object.map(here),
+            fib_capacity,
+            bpffs: self.bpffs.map(here),
+            public: self.public,
+            domain: self.domain.map(|entry| DomainConfig {
+                files: PaperFiles {
+                    card: here(entry.card),
+                    membership: here(entry.membership),
+                    peers: entry.peers.into_iter().map(here).collect(),
+                },
+                members_only: entry.members_only,
+                trace: entry.trace,
+            }),
+            etcd,
+            rekey: RekeySchedule::default(),
+        })
+    }
+}
+
+impl PlaceEntry {
+    fn neighbour(self, key: &str) -> Result<Neighbour, ParseError> {
+        let cost = self.cost;
+        if cost == Some(0) {
+            return Err(ParseError::Invalid(format!("{key}: cost of {} is 0; the least is 1", self.switch)));
+        }
+        let (dial, parent) = (self.dial, self.parent);
+        Ok(Neighbour { place: self.place(key)?, cost, dial, parent })
+    }
+
+    fn place(self, key: &str) -> Result<Place, ParseError> {
+        let via = match (self.interface, self.udp) {
+            (Some(name), None) => Via::Interface(name),
+            (None, Some(addr)) => Via::Udp(addr),
+            _ => {
+                let switch = self.switch;
+                let reason = format!("{key}: {switch} needs either interface: NAME or udp: ADDRESS:PORT");
+                return Err(ParseError::Invalid(reason));
+            }
+        };
+        Ok(Place { switch: self.switch, via })
+    }
+}
+
+fn default_bpffs() -> Option<PathBuf> {
+    Some(BPFFS.into())
+}
+
+/// Where links over UDP are taken unless it is said.
+pub fn default_udp() -> SocketAddr {
+    (Ipv4Addr::UNSPECIFIED, gdp_wire::UDP_PORT).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const S: &str = "75e1000000000000000000000000000000000000000000000000000000000000";
+
+    fn parse(text: &str) -> Result<Config, String> {
+        Config::parse(text, Path::new("/etc/gdp")).map_err(|error| match error {
+            ParseError::Invalid(reason) => reason,
+            ParseError::Folder(error) => error.to_string(),
+        })
+    }
+
+    #[test]
+    fn a_whole_configuration() {
+        let text = format!(
+            "identity: s1.pem\nsocket: /run/s1.sock\ninterfaces: [l0, r0]\nudp: null\ndata_plane: xdp\nrib: false\n\
+             neighbours: [{{interface: l0, switch: {S}, cost: 3}}]\nuplink: {{interface: l0, switch: {S}}}\n"
+        );
+        let config = parse(&text).unwrap();
+        assert_eq!(config.identity, Path::new("/etc/gdp/s1.pem"));
+        assert_eq!(config.socket, Path::new("/run/s1.sock"));
+        assert_eq!((config.udp, config.data_plane, config.rib), (None, DataPlane::Xdp, false));
+        assert_eq!(config.neighbours.len(), 1);
+        assert_eq!(config.neighbours[0].cost, Some(3));
+    }
+
+    #[test]
+    fn what_is_left_out_has_a_default() {
+        for text in ["", "identity: k.pem\nsocket: s\n"] {
+            let config = parse(text).unwrap();
+            assert!(config.rib && config.interfaces.is_none() && config.neighbours.is_empty(), "{text:?}");
+            assert_eq!(config.udp, Some(default_udp()));
+            assert_eq!(config.bpffs.as_deref(), Some(Path::new("/sys/fs/bpf")));
+        }
+        let config = parse(&format!("udp: '[::1]:5'\nuplink: {{udp: '127.0.0.1:9', switch: {S}}}")).unwrap();
+        assert_eq!(config.udp, Some("[::1]:5".parse().unwrap()));
+        assert!(!config.rib);
+        assert_eq!(config.neighbours.len(), 1, "the uplink is a neighbour");
+        let config = parse(&format!("uplink: {{interface: a, switch: {S}, cost: 7}}")).unwrap();
+        assert_eq!(config.neighbours[0].cost, Some(7));
+        assert!(!parse(&format!("rib: false\nneighbours: [{{interface: a, switch: {S}}}]")).unwrap().rib);
+        assert_eq!(parse("bpffs: null").unwrap().bpffs, None);
+    }
+
+    #[test]
+    fn a_domain_its_parents_and_who_dials() {
+        let config = parse("").unwrap();
+        assert_eq!(config.domain, None);
+        let text = "domain: {card: domain.card, membership: /m, peers: [away.peer], members_only: true}\n";
+        let domain = parse(text).unwrap().domain.unwrap();
+        assert_eq!(domain.files.card, Path::new("/etc/gdp/domain.card"));
+        assert_eq!(domain.files.membership, Path::new("/m"));
+        assert_eq!(domain.files.peers, [Path::new("/etc/gdp/away.peer")]);
+        assert!(domain.members_only && domain.trace == Inside::Masked);
+        let text = "domain: {card: c, membership: m, trace: open}";
+        assert_eq!(parse(text).unwrap().domain.unwrap().trace, Inside::Open);
+        let config = parse(&format!("uplink: {{udp: '127.0.0.1:9', switch: {S}, dial: true}}")).unwrap();
+        assert!(
+            config.neighbours[0].dial
+                && !parse(&format!("uplink: {{interface: a, switch: {S}}}")).unwrap().neighbours[0].dial
+        );
+        let config =
+            parse(&format!("public: ['192.0.2.1:9']\nneighbours: [{{interface: a, switch: {S}, parent: true}}]"))
+                .unwrap();
+        assert!(config.neighbours[0].parent && !config.neighbours[0].dial);
+        assert_eq!(config.public, ["192.0.2.1:9".parse().unwrap()]);
+    }
+
+    #[test]
+    fn replicas_of_a_rib() {
+        assert_eq!(parse("").unwrap().etcd, None);
+        let etcd = parse("etcd: {endpoints: ['http://10.0.0.1:2379', 'http://b:2379']}").unwrap().etcd.unwrap();
+        let shown: Vec<_> = etcd.endpoints.iter().map(ToString::to_string).collect();
+        assert_eq!(shown, ["http://10.0.0.1:2379", "http://b:2379"]);
+        assert_eq!(etcd.prefix, "gdp/rib");
+        for (section, needle) in [
+            ("{}", "endpoints"),
+            ("{endpoints: []}", "0 endpoints"),
+            ("{endpoints: ['http://a:1', 'http://a:1/']}", "listed twice"),
+            ("{endpoints: ['https://a:1']}", "TLS"),
+            ("{endpoints: [a]}", "is not an endpoint"),
+            ("{endpoints: ['http://a:1'], prefix: /rib}", "slash"),
+            ("{endpoints: ['http://a:1'], prefix: ''}", "visible"),
+            ("{endpoints: ['http://a:1'], prefix: 'a b'}", "visible"),
+            ("{endpoints: ['http://a:1'], user: x}", "user"),
+        ] {
+            let error = parse(&format!("etcd: {section}")).expect_err(section);
+            assert!(error.contains(needle), "{section}: {error}");
+        }
+        let elsewhere = format!("uplink: {{interface: a, switch: {S}}}\netcd: {{endpoints: ['http://a:1']}}");
+        assert!(parse(&elsewhere).unwrap_err().contains("this daemon is none"));
+    }
+
+    #[test]
+    fn devices_for_dpdk() {
+        let config = parse("").unwrap();
+        assert_eq!((config.data_plane, config.dpdk), (DataPlane::Auto, DpdkConfig::default()));
+        let text = "data_plane: dpdk\ndpdk: {huge_pages: true, memory_mib: 512, cores: [2, 3], idle_us: 0, ports: [\
+                    {interface: gdp0, device: '0000:02:00.0', mtu: 1600}, {interface: gdp1, device: 'net_af_xdp0,iface=eth1'}]}";
+        let config = parse(text).unwrap();
+        assert_eq!(config.data_plane, DataPlane::Dpdk);
+        let DpdkConfig { ports, huge_pages, memory_mib, cores, idle } = config.dpdk;
+        assert!(huge_pages && idle.is_zero());
+        assert_eq!((memory_mib, &cores[..]), (512, &[2, 3][..]));
+        let devices: Vec<_> = ports.iter().map(|port| (&port.interface[..], port.pci(), port.carrier())).collect();
+        assert_eq!(devices, [("gdp0", Some("0000:02:00.0"), None), ("gdp1", None, Some("eth1"))]);
+        assert_eq!(
+            ports.iter().map(|port| (port.mtu, port.mtu())).collect::<Vec<_>>(),
+            [(Some(1600), 1600), (None, 1500)]
+        );
+        let jumbo = "{ports: [{interface: a, mtu: 9000, device: 'net_af_packet0,iface=b,framesz=9216,blocksz=36864'}]}";
+        assert_eq!(parse(&format!("dpdk: {jumbo}")).unwrap().dpdk.room(), 9216);
+
+        for (section, needle) in [
+            ("{port: []}", "port"),
+            ("{ports: [{interface: gdp0}]}", "device"),
+            ("{ports: [{interface: a/b, device: net_null0}]}", "no name for an interface"),
+            ("{ports: [{interface: a, device: 'a b'}]}", "is no device"),
+            ("{ports: [{interface: eth0, device: 'net_af_xdp0,iface=eth0'}]}", "another name"),
+            ("{ports: [{interface: a, device: b}, {interface: a, device: c}]}", "listed twice"),
+            ("{memory_mib: 1}", "memory_mib"),
+            ("{idle_us: 1000000}", "idle_us"),
+            ("{cores: [-1]}", "invalid u64"),
+            ("{cores: [1, 1]}", "cores"),
+            ("{cores: [5000]}", "cores"),
+            ("{ports: [{interface: a, device: '02:00.0'}]}", "lspci -D"),
+            ("{ports: [{interface: a, device: '0000:02:00.0'}]}", "huge_pages"),
+            ("{ports: [{interface: a, device: 'net_x0,iface=b'}, {interface: c, device: 'net_x0,iface=d'}]}", "net_x0"),
+            (
+                "{ports: [{interface: a, device: net_null0, mtu: 1000}]}",
+                "a: an mtu of 1000 is not between 1280 and 9190",
+            ),
+            ("{ports: [{interface: a, device: net_null0, mtu: 9191}]}", "9190"),
+            ("{ports: [{interface: a, device: net_null0, mtu: 70000}]}", "70000"),
+            (
+                "{ports: [{interface: a, device: 'net_af_packet0,iface=b', mtu: 4000}]}",
+                "needs framesz=4096,blocksz=4096",
+            ),
+            (
+                "{ports: [{interface: a, device: 'net_af_packet0,iface=b,framesz=8192', mtu: 4000}]}",
+                "blocksz=4096 is no multiple of framesz=8192",
+            ),
+            ("{ports: [{interface: a, device: 'net_af_packet0,iface=b,framesz=65536'}]}", "framesz=9216"),
+            (
+                "{ports: [{interface: a, device: 'net_af_packet0,iface=b,framesz=9216', mtu: 9190}]}",
+                "an mtu of 9136 at most",
+            ),
+            ("{ports: [{interface: a, device: 'net_af_xdp0,iface=b', mtu: 4000}]}", "no port has an mtu above 2790"),
+            (
+                "{ports: [{interface: a, device: net_null0, mtu: 4000}, {interface: b, device: 'net_af_xdp0,iface=c'}]}",
+                "a page",
+            ),
+            ("{ports: [{interface: a, device: 'net_x0,iface=b'}, {interface: c, device: 'net_x1,iface=b'}]}", "twice"),
+        ] {
+            let error = parse(&format!("dpdk: {section}")).expect_err(section);
+            assert!(error.contains(needle), "{section}: {error}");
+        }
+        assert!(parse("data_plane: dpdk").unwrap_err().contains("needs devices"));
+    }
+
+    #[test]
+    fn a_secret_given_by_mistake_is_not_repeated() {
+        for text in ["-----BEGIN PRIVATE KEY-----\nc2VjcmV0\n", "identity: [c2VjcmV0", "c2VjcmV0"] {
+            let error = parse(text).expect_err(text);
+            assert!(!error.contains("c2VjcmV0"), "{error}");
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (text, needle) in [
+            ("identiti: x", "identiti"),
+            ("udp: nowhere", "is not an address and port"),
+            ("public: [a, b]", "invalid socket address"),
+            (&format!("public: [{}]", ["'192.0.2.1:9'"; 9].join(", ")), "at most 8"),
+            ("data_plane: fast", "fast"),
+            ("rib: false", "needs a neighbour"),
+            (&format!("rib: true\nuplink: {{interface: a, switch: {S}}}"), "remove one"),
+            (&format!("uplink: {{switch: {S}}}"), "needs either interface"),
+            ("uplink: {interface: a, switch: 75e}", "64 hex digits"),
+            (&format!("neighbours: [{{interface: a, switch: {S}, cost: 0}}]"), "the least is 1"),
+            (&format!("neighbours: [{{interface: a, switch: {S}}}, {{interface: b, switch: {S}}}]"), "listed twice"),
+            (&format!("interfaces: [b]\nneighbours: [{{interface: a, switch: {S}}}]"), "does not list"),
+            (
+                &format!("neighbours: [{{interface: a, switch: {S}}}]\nuplink: {{interface: b, switch: {S}}}"),
+                "another place",
+            ),
+            (
+                &format!("neighbours: [{{interface: a, switch: {S}}}]\nuplink: {{interface: a, switch: {S}, cost: 3}}"),
+                "another cost",
+            ),
+            (&format!("uplink: {{interface: a, switch: {S}, cost: 0}}"), "the least is 1"),
+            (&format!("udp: null\nuplink: {{udp: '127.0.0.1:9', switch: {S}}}"), "turns UDP off"),
+            ("fib_capacity: 0", "fib_capacity"),
+            ("domain: {card: c}", "membership"),
+            ("domain: {card: c, membership: m, members: true}", "members"),
+            ("domain: {card: c, membership: m, trace: all}", "all"),
+            (&format!("domain: {{card: c, membership: m, peers: [{}x]}}", "x, ".repeat(16)), "at most 16"),
+        ] {
+            let error = parse(text).expect_err(text);
+            assert!(error.contains(needle), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! The section `dpdk` of the configuration: the devices that the DPDK plane drives by itself, and what it may take for that.
+
+use std::time::Duration;
+
+use serde::Deserialize;
+
+use gdp_dataplane::dpdk::{BEFORE_XDP, BESIDE, DpdkConfig, DpdkPort, LARGEST_ROOM};
+
+const MAX_PORTS: usize = 32;
+
+/// Bytes of an interface's name.
+const MAX_INTERFACE: usize = 15;
+
+/// As the kernel's sets of cores have room for; and DPDK has for threads, with some to spare.
+const MAX_CORE: usize = libc::CPU_SETSIZE as usize;
+const MAX_LOOPS: usize = 64;
+
+/// MiB of memory.
+const MEMORY: std::ops::RangeInclusive<u32> = 64..=65536;
+
+/// From what IPv6 needs to what fits the largest packet.
+const MTU: std::ops::RangeInclusive<u16> = 1280..=(LARGEST_ROOM - BESIDE) as u16;
+
+/// What `net_af_packet` has for a packet and for several, unless it is told otherwise; and what the kernel puts in front of a packet there,
+/// its Ethernet header included.
+const FRAMESZ: usize = 2048;
+const BLOCKSZ: usize = 4096;
+const BEFORE_PACKET: usize = 80;
+
+/// Pairs of these that go together: what is for several is whole pages.
+const FRAMES: [(usize, usize); 4] = [(FRAMESZ, BLOCKSZ), (4096, 4096), (8192, 8192), (LARGEST_ROOM, 4 * LARGEST_ROOM)];
+
+/// Of the room for packets where `net_af_xdp` is among the devices: with what goes in front, it is to fit a page.
+const LARGEST_XDP: usize = 3072;
+
+/// The longest sleep of a loop.
+const MAX_IDLE_US: u32 = 100_000;
+
+/// As it is written.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct DpdkEntry {
+    ports: Vec<PortEntry>,
+    huge_pages: bool,
+    memory_mib: Option<u32>,
+    cores: Vec<usize>,
+    idle_us: Option<u32>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PortEntry {
+    interface: String,
+    device: String,
+    mtu: Option<u32>,
+}
+
+impl DpdkEntry {
+    pub fn check(self) -> Result<DpdkConfig, String> {
+        let default = DpdkConfig::default();
+        let mut ports: Vec<DpdkPort> = Vec::new();
+        for PortEntry { interface, device, mtu } in self.ports {
+            let is_name = (1..=MAX_INTERFACE).contains(&interface.len())
+                && !interface.contains(|c: char| c == '/' || !c.is_ascii_graphic());
+            if !is_name {
+                return Err(format!(
+                    "dpdk: {interface:?} is no name for an interface: 1 to {MAX_INTERFACE} visible characters without a slash"
+                ));
+            }
+            if device.is_empty() || !device.chars().all(|c| c.is_ascii_graphic()) {
+                return Err(format!(
+                    "dpdk: {device:?} is no device; one is a PCI address such as 0000:02:00.0, or a driver with its arguments such as \
+                     net_af_xdp0,iface=eth0"
+                ));
+            }
+            let mtu = mtu.map(|mtu| check_mtu(&interface, mtu)).transpose()?;
+            let port = DpdkPort { interface, device, mtu };
+            if port.carrier() == Some(&port.interface) {
+                return Err(format!(
+                    "dpdk: {} cannot be both the device and the host's side of it; give that another name, such as gdp0, and the addresses of \
+                     {} with it",
+                    port.interface, port.interface
+                ));
+            }
+            let is_same = |other: &DpdkPort| {
+                let same_carrier = port.carrier().is_some() && other.carrier() == port.carrier();
+                other.interface == port.interface || other.name() == port.name() || same_carrier
+            };
+            if ports.iter().any(is_same) {
+                return Err(format!("dpdk: {} or {} is listed twice", port.interface, port.name()));
+            }
+            if port.name().contains(':') && port.pci().is_none() {
+                return Err(format!("dpdk: {} is no PCI address as `lspci -D` has them: 0000:02:00.0", port.name()));
+            }
+            if port.pci().is_some() && !self.huge_pages {
+                return Err(format!("dpdk: {} is a network card, which needs huge_pages: true", port.name()));
+            }
+            if port.is_af_packet() {
+                check_frames(&port)?;
+            }
+            ports.push(port);
+        }
+        if ports.len() > MAX_PORTS {
+            return Err(format!("dpdk: {} ports, where at most {MAX_PORTS} are driven", ports.len()));
+        }
+        let memory_mib = self.memory_mib.unwrap_or(default.memory_mib);
+        if !MEMORY.contains(&memory_mib) {
+            return Err(format!(
+                "dpdk: memory_mib: {memory_mib} is not between {} and {}",
+                MEMORY.start(),
+                MEMORY.end()
+            ));
+        }
+        let idle = self.idle_us.map_or(default.idle, |idle| Duration::from_micros(idle.into()));
+        if idle > Duration::from_micros(MAX_IDLE_US.into()) {
+            return Err(format!("dpdk: idle_us: loops sleep {MAX_IDLE_US} µs at most; 0 is not at all"));
+        }
+        let mut cores = self.cores.clone();
+        cores.sort_unstable();
+        cores.dedup();
+        if cores.len() != self.cores.len()
+            || cores.last().is_some_and(|core| *core >= MAX_CORE)
+            || cores.len() > MAX_LOOPS
+        {
+            return Err(format!("dpdk: cores: at most {MAX_LOOPS} different ones below {MAX_CORE}"));
+        }
+        let config = DpdkConfig { ports, huge_pages: self.huge_pages, memory_mib, cores: self.cores, idle };
+        let xdp = config.ports.iter().find(|port| port.is_af_xdp()).filter(|_| config.room() > LARGEST_XDP);
+        if let Some(xdp) = xdp {
+            return Err(format!(
+                "dpdk: {} takes packets that fit a page: with it no port has an mtu above {}, or framesz above {LARGEST_XDP}",
+                xdp.name(),
+                LARGEST_XDP - BESIDE - BEFORE_XDP
+            ));
+        }
+        Ok(config)
+    }
+}
+
+fn check_mtu(interface: &str, mtu: u32) -> Result<u16, String> {
+    let within = u16::try_from(mtu).ok().filter(|mtu| MTU.contains(mtu));
+    within.ok_or_else(|| format!("dpdk: {interface}: an mtu of {mtu} is not between {} and {}", MTU.start(), MTU.end()))
+}
+
+/// Whether what `net_af_packet` has for packets is enough for them, as its arguments say.
+fn check_frames(port: &DpdkPort) -> Result<(), String> {
+    let (name, mtu) = (port.name(), port.mtu());
+    let (framesz, blocksz) = (port.argument("framesz").unwrap_or(FRAMESZ), port.argument("blocksz").unwrap_or(BLOCKSZ));
+    let needed = usize::from(mtu) + BEFORE_PACKET;
+    let fits = FRAMES.into_iter().find(|(framesz, _)| *framesz >= needed);
+    let Some((enough, for_several)) = fits.filter(|_| framesz <= LARGEST_ROOM) else {
+        let most = LARGEST_ROOM - BEFORE_PACKET;
+        return Err(format!("dpdk: {name}: there is room for an mtu of {most} at most, with framesz={LARGEST_ROOM}"));
+    };
+    if framesz < needed {
+        return Err(format!(
+            "dpdk: {name}: an mtu of {mtu} needs framesz={enough},blocksz={for_several} among its arguments"
+        ));
+    }
+    // Otherwise the driver looks for packets where they are not.
+    if !blocksz.is_multiple_of(framesz) {
+        return Err(format!("dpdk: {name}: blocksz={blocksz} is no multiple of framesz={framesz}"));
+    }
+    Ok(())
+}

@@ -1,0 +1,281 @@
+//! Asks the system. Attaches nothing and leaves nothing behind: the eBPF object is loaded and let go, the port bound and
+//! let go.
+
+use std::ffi::CString;
+use std::io;
+use std::net::{SocketAddr, UdpSocket};
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
+
+use super::facts::{
+    Bpffs, Clock, Dpdk, DpdkDevice, DpdkPort, Facts, Interface, LeftOver, Loaded, Owner, PortState, Udp, Wanted,
+};
+use crate::config::{Config, DataPlane};
+use crate::folders;
+use gdp_dataplane::device::Device;
+use gdp_dataplane::dpdk::DpdkConfig;
+use gdp_dataplane::host_pair;
+use gdp_dataplane::kernel::KernelPlane;
+use gdp_dataplane::kernel_version::KernelVersion;
+use gdp_dataplane::losses;
+use gdp_dataplane::object::Object;
+use gdp_dataplane::pins::{self, Pins, PinsError};
+use gdp_dataplane::xdp_features::XdpFeatures;
+use gdp_util::unix_time::unix_seconds;
+
+/// What a daemon with this configuration would find, in this network namespace.
+pub fn facts(config: &Config) -> Facts {
+    let wanted = wanted(config);
+    Facts {
+        clock: clock(),
+        wanted,
+        dpdk: matches!(wanted, Wanted::Dpdk).then(|| dpdk(&config.dpdk)),
+        kernel: KernelVersion::running(),
+        missing_capabilities: missing_capabilities(),
+        losses: losses::net_devices().map(drop).map_err(|error| error.to_string()),
+        bpffs: config.bpffs.as_deref().map(bpffs),
+        object: match wanted {
+            Wanted::Xdp => load(config),
+            Wanted::Dpdk => Err("DPDK does without XDP".into()),
+            Wanted::Userspace(why) => Err(why.into()),
+        },
+        left_over: config.bpffs.as_deref().map(left_over).unwrap_or_default(),
+        udp: config.udp.map(udp),
+        interfaces: interfaces(config).map_err(|error| format!("cannot ask for interfaces: {error}")),
+    }
+}
+
+fn wanted(config: &Config) -> Wanted {
+    match config.data_plane {
+        DataPlane::Userspace => Wanted::Userspace("`data_plane: userspace` is configured"),
+        DataPlane::Auto if !folders::is_root() && config.interfaces.is_none() => {
+            Wanted::Userspace("this is not root and no `interfaces` are configured")
+        }
+        DataPlane::Dpdk => Wanted::Dpdk,
+        DataPlane::Auto | DataPlane::Xdp => Wanted::Xdp,
+    }
+}
+
+fn dpdk(config: &DpdkConfig) -> Dpdk {
+    let all = Device::list().unwrap_or_default();
+    let port = |port: &gdp_dataplane::dpdk::DpdkPort| DpdkPort {
+        interface: port.interface.clone(),
+        name: port.name().to_owned(),
+        state: match (port.carrier(), port.pci()) {
+            (Some(name), _) => {
+                let found = all.iter().find(|device| device.name == name).cloned();
+                DpdkDevice::Interface { name: name.to_owned(), found }
+            }
+            (None, Some(_)) => DpdkDevice::Card(card(port.name())),
+            (None, None) => DpdkDevice::Other,
+        },
+    };
+    Dpdk {
+        built: cfg!(feature = "dpdk"),
+        root: folders::is_root(),
+        huge_pages: config.huge_pages.then(free_huge_pages),
+        ports: config.ports.iter().map(port).collect(),
+    }
+}
+
+/// The driver of the network card at this address; none if it is not there.
+fn card(address: &str) -> Option<Option<String>> {
+    let folder = Path::new("/sys/bus/pci/devices").join(address);
+    let driver = || Some(std::fs::read_link(folder.join("driver")).ok()?.file_name()?.to_string_lossy().into_owned());
+    folder.exists().then(driver)
+}
+
+fn free_huge_pages() -> u64 {
+    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let free = text.lines().find_map(|line| line.strip_prefix("HugePages_Free:"));
+    free.and_then(|number| number.trim().parse().ok()).unwrap_or(0)
+}
+
+fn clock() -> Clock {
+    // SAFETY: zero is a valid value, and asks for nothing to be changed.
+    let mut state: libc::timex = unsafe { std::mem::zeroed() };
+    // SAFETY: a structure that outlives the call.
+    let result = unsafe { libc::adjtimex(&raw mut state) };
+    Clock { unix: unix_seconds(), synchronised: result >= 0 && result != libc::TIME_ERROR }
+}
+
+const CAP_SYS_ADMIN: u32 = 21;
+
+fn missing_capabilities() -> Vec<&'static str> {
+    /// With whether CAP_SYS_ADMIN includes it.
+    const NEEDED: [(&str, u32, bool); 4] =
+        [("CAP_BPF", 39, true), ("CAP_PERFMON", 38, true), ("CAP_NET_ADMIN", 12, false), ("CAP_NET_RAW", 13, false)];
+    let has = capabilities();
+    let missing = NEEDED.into_iter().filter(|(_, number, by_admin)| !(has(*number) || *by_admin && has(CAP_SYS_ADMIN)));
+    missing.map(|(name, ..)| name).collect()
+}
+
+/// Whether this process has the capability of a number.
+fn capabilities() -> impl Fn(u32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
+    let effective = effective.and_then(|digits| u64::from_str_radix(digits.trim(), 16).ok()).unwrap_or(0);
+    move |number| effective & 1 << number != 0
+}
+
+fn bpffs(at: &Path) -> Bpffs {
+    let path = at.display().to_string();
+    if !pins::is_mounted(at) {
+        let empty = std::fs::read_dir(at).map_or(true, |mut entries| entries.next().is_none());
+        if !empty {
+            return Bpffs::Occupied { path };
+        }
+        let namespace = |process: &str| std::fs::read_link(format!("/proc/{process}/ns/mnt")).ok();
+        let private = namespace("1").is_some_and(|first| namespace("self") != Some(first));
+        return Bpffs::Missing { path, may_mount: capabilities()(CAP_SYS_ADMIN), private };
+    }
+    let writable = CString::new(at.as_os_str().as_bytes()).map_err(io::Error::from).and_then(|text| {
+        // SAFETY: a C string that outlives the call.
+        match unsafe { libc::access(text.as_ptr(), libc::W_OK | libc::X_OK) } {
+            0 => Ok(()),
+            _ => Err(io::Error::last_os_error()),
+        }
+    });
+    match writable {
+        Ok(()) => Bpffs::Mounted { path },
+        Err(error) => Bpffs::ReadOnly { path, reason: error.to_string() },
+    }
+}
+
+fn load(config: &Config) -> Result<Loaded, String> {
+    let object = Object::find(config.ebpf_object.as_deref()).map_err(|error| error.to_string())?;
+    let plane = KernelPlane::load(object.clone(), config.fib_capacity).map_err(|error| error.to_string())?;
+    Ok(Loaded { object: object.to_string(), names: config.fib_capacity, jitted: plane.is_jitted() })
+}
+
+fn left_over(bpffs: &Path) -> Vec<LeftOver> {
+    let found = pins::find(bpffs).unwrap_or_default();
+    let found = found.iter().map(|found| LeftOver {
+        folder: found.folder.display().to_string(),
+        abi: found.abi,
+        daemon: matches!(Pins::of(found), Err(PinsError::InUse(_))),
+        here: found.is_of_this_namespace(),
+    });
+    found.collect()
+}
+
+fn udp(address: SocketAddr) -> Udp {
+    let state = match UdpSocket::bind(address) {
+        Ok(_) => PortState::Free,
+        Err(error) if error.kind() != io::ErrorKind::AddrInUse => PortState::Refused(error.to_string()),
+        Err(_) => match holder(address.port()) {
+            Some((name, _)) if name == "gdp-ctl" => PortState::Daemon,
+            Some((name, pid)) => PortState::Taken(Some(format!("{name} (process {pid})"))),
+            None => PortState::Taken(None),
+        },
+    };
+    Udp { address, state, zero_checksum_v6: zero_checksum().map_err(|error| error.to_string()) }
+}
+
+/// The program that has a UDP port of this network namespace, if this process may know.
+fn holder(port: u16) -> Option<(String, u32)> {
+    let tables = ["/proc/thread-self/net/udp", "/proc/thread-self/net/udp6"].map(std::fs::read_to_string);
+    let inodes: Vec<String> = tables.iter().flatten().flat_map(|table| sockets_at(table, port)).collect();
+    let processes = std::fs::read_dir("/proc").ok()?.flatten();
+    processes.filter_map(|entry| Some((entry.file_name().to_str()?.parse().ok()?, entry.path()))).find_map(
+        |(pid, path)| {
+            let mut open = std::fs::read_dir(path.join("fd")).ok()?.flatten();
+            open.find(|fd| {
+                std::fs::read_link(fd.path())
+                    .is_ok_and(|to| inodes.iter().any(|inode| to == Path::new(&format!("socket:[{inode}]"))))
+            })?;
+            Some((std::fs::read_to_string(path.join("comm")).ok()?.trim_end().to_owned(), pid))
+        },
+    )
+}
+
+/// Inode numbers of the sockets at a local port, from a table of `/proc/net`.
+fn sockets_at(table: &str, port: u16) -> impl Iterator<Item = String> {
+    table.lines().filter_map(move |line| {
+        let mut fields = line.split_whitespace();
+        let (_, digits) = fields.nth(1)?.rsplit_once(':')?;
+        (u16::from_str_radix(digits, 16) == Ok(port)).then(|| fields.nth(7).map(str::to_owned))?
+    })
+}
+
+fn zero_checksum() -> io::Result<()> {
+    const UDP_NO_CHECK6_RX: libc::c_int = 102;
+    // SAFETY: no pointers; the descriptor is owned at once.
+    let socket = unsafe {
+        match libc::socket(libc::AF_INET6, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0) {
+            -1 => return Err(io::Error::last_os_error()),
+            fd => OwnedFd::from_raw_fd(fd),
+        }
+    };
+    let (on, length) = (1i32, size_of::<i32>() as u32);
+    // SAFETY: pointer and length are of one live integer.
+    match unsafe {
+        libc::setsockopt(socket.as_raw_fd(), libc::SOL_UDP, UDP_NO_CHECK6_RX, (&raw const on).cast(), length)
+    } {
+        0 => Ok(()),
+        _ => Err(io::Error::last_os_error()),
+    }
+}
+
+/// Those configured; otherwise all Ethernet interfaces that are up, as the daemon does. With DPDK those of its ports, which are there only
+/// while a daemon runs.
+fn interfaces(config: &Config) -> io::Result<Vec<Result<Interface, String>>> {
+    let all = Device::list()?;
+    let features = XdpFeatures::open().ok();
+    let is_dpdk = config.data_plane == DataPlane::Dpdk;
+    let is_port = |name: &str| is_dpdk && config.dpdk.ports.iter().any(|port| port.interface == name);
+    let wanted: Vec<Result<&Device, String>> = match &config.interfaces {
+        Some(names) => {
+            let find = |name: &String| all.iter().find(|device| device.name == *name).ok_or_else(|| name.clone());
+            names.iter().map(find).filter(|found| !found.as_ref().is_err_and(|name| is_port(name))).collect()
+        }
+        None if is_dpdk => all.iter().filter(|device| is_port(&device.name)).map(Ok).collect(),
+        None if folders::is_root() => all
+            .iter()
+            .filter(|device| device.ethernet && device.up && !host_pair::is_end(&device.name))
+            .map(Ok)
+            .collect(),
+        None => Vec::new(),
+    };
+    let look = |device: &Device| {
+        Ok(Interface {
+            device: device.clone(),
+            offloads: device.offloads()?,
+            features: features.as_ref().and_then(|features| features.of(device.index).ok()),
+            owner: match &device.program {
+                Some(program) if !program.is_switch() => Owner::Foreign,
+                _ => Owner::Switch,
+            },
+            has_vlans: all.iter().any(|other| other.kind == "vlan" && other.lower == Some(device.index)),
+        })
+    };
+    wanted.into_iter().map(|device| device.map_or_else(|name| Ok(Err(name)), |device| look(device).map(Ok))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sockets_are_found_by_port() {
+        let table = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode ref pointer drops\n \
+                     401: 00000000:7AB7 00000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 4711 2 0 0\n \
+                     402: 0100007F:7AB8 00000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 4712 2 0 0\n";
+        assert_eq!(sockets_at(table, 31415).collect::<Vec<_>>(), ["4711"]);
+        assert_eq!(sockets_at("nonsense\n a b:zz", 1).count(), 0);
+    }
+
+    #[test]
+    fn a_port_that_is_taken_is_found_with_who_has_it() {
+        let mine = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let found = udp(mine.local_addr().unwrap());
+        let PortState::Taken(Some(holder)) = &found.state else { panic!("{found:?}") };
+        assert!(holder.ends_with(&format!("(process {})", std::process::id())), "{holder}");
+        let address = mine.local_addr().unwrap();
+        drop(mine);
+        assert!(matches!(udp(address).state, PortState::Free));
+        let elsewhere = udp("192.0.2.1:9".parse().unwrap());
+        assert!(matches!(elsewhere.state, PortState::Refused(_)), "{elsewhere:?}");
+    }
+}

@@ -1,0 +1,10 @@
+//! The daemon: a switch, perhaps the RIB of its domain, the admin socket, and what they store.
+// They panic where stdout or stderr cannot be written.
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
+pub mod config;
+pub mod doctor;
+pub mod domain;
+pub mod folders;
+pub mod serve;
+pub mod store;

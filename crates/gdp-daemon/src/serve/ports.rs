@@ -1,0 +1,277 @@
+//! The places links are made on: opens a port and a data plane on each, takes in the links that peers make, makes those to
+//! configured neighbours, and starts over when an interface is made anew.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::StreamExt;
+use gdp_core::crypto;
+use gdp_link::link::{Link, LinkError};
+use gdp_link::port::{Interface, LinkAddr, Port};
+use gdp_util::backoff::{Backoff, jittered};
+use gdp_wire::Name;
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep, timeout};
+
+use super::{Daemon, StartError, interfaces, links};
+use crate::config::{Place, Via};
+use gdp_dataplane::host_pair;
+
+/// How long a neighbour may take to answer discovery.
+const DISCOVERY: Duration = Duration::from_secs(2);
+
+/// Between attempts to reach a neighbour: doubled from the first to the second.
+const LONGEST_DELAY: Duration = Duration::from_secs(3);
+const RETRY: Backoff = Backoff::new(Duration::from_millis(100), LONGEST_DELAY);
+
+/// Interfaces are looked at this often, even if netlink said nothing.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// Opens a port on an interface and has the data planes take it over.
+pub fn open_ethernet(daemon: &Arc<Daemon>, name: &str) -> Result<Arc<Port>, StartError> {
+    let port = Arc::new(Port::ethernet(name, &daemon.port_config)?);
+    let Some(interface) = port.interface() else { return Ok(port) };
+    let report = daemon.core().planes.attach(interface, port.data())?;
+    let reason = if report.reason.is_empty() { String::new() } else { format!(": {}", report.reason) };
+    tracing::info!("{name}: data plane {}{reason}", report.kind);
+    Ok(port)
+}
+
+/// Opens the UDP port.
+pub async fn open_udp(daemon: &Arc<Daemon>, bind: std::net::SocketAddr) -> Result<Arc<Port>, StartError> {
+    let port = Arc::new(Port::udp(bind, &daemon.port_config)?);
+    let addr = port.udp_addr().unwrap_or(bind);
+    let pair = open_host_pair(daemon, addr).await;
+    let (reports, in_userspace, pair) = {
+        let planes = &mut daemon.core().planes;
+        (planes.attach_udp(port.data(), addr, pair)?, planes.udp_in_userspace(), planes.host_pair())
+    };
+    port.set_host_pair(pair);
+    for report in reports {
+        tracing::info!("udp {addr} on {}: data plane {}: {}", report.interface, report.kind, report.reason);
+    }
+    for (family, reason) in ["IPv4", "IPv6"].iter().zip(in_userspace) {
+        if let Some(reason) = reason {
+            tracing::info!("udp {addr}: links over {family} are sent on by the userspace plane: {reason}");
+        }
+    }
+    Ok(port)
+}
+
+/// The interfaces by which endpoints on this host reach the kernel plane, if there can be any; otherwise says why not.
+async fn open_host_pair(daemon: &Daemon, bound: std::net::SocketAddr) -> Option<host_pair::Ends> {
+    let possible = daemon.core().planes.takes_pair(bound);
+    let opened = match possible {
+        Ok(()) => host_pair::open(&daemon.name).await.map_err(|error| error.to_string()),
+        Err(reason) => Err(reason),
+    };
+    match opened {
+        Ok(ends) => Some(ends),
+        Err(reason) => {
+            tracing::info!("udp {bound}: frames of endpoints on this host go through the daemon: {reason}");
+            remove_host_pair(daemon).await;
+            None
+        }
+    }
+}
+
+/// Removes what this daemon, or an earlier one, made for endpoints on this host.
+pub async fn remove_host_pair(daemon: &Daemon) {
+    if let Err(error) = host_pair::remove(&daemon.name.to_string()).await {
+        tracing::warn!(%error, "an interface of this switch stays");
+    }
+}
+
+/// Runs a port until the daemon ends.
+pub async fn run_udp(
+    daemon: Arc<Daemon>,
+    port: Arc<Port>,
+    bind: std::net::SocketAddr,
+    mut changes: watch::Receiver<()>,
+) {
+    let follow_interfaces = async {
+        loop {
+            look(&mut changes).await;
+            refresh(&daemon);
+            let pair = daemon.core().planes.host_pair();
+            port.set_host_pair(pair);
+            if pair.is_none() {
+                daemon.core().close_links_by_pair();
+            }
+        }
+    };
+    let via = Via::Udp(bind);
+    tokio::select! {
+        () = run(&daemon, &port, &via) => {}
+        () = follow_interfaces => {}
+    }
+}
+
+/// Keeps a port on an interface, through its absence and return.
+pub async fn run_ethernet(
+    daemon: Arc<Daemon>,
+    name: String,
+    mut port: Option<Arc<Port>>,
+    mut changes: watch::Receiver<()>,
+) {
+    loop {
+        let open = match port.take() {
+            Some(port) => port,
+            None => match open_ethernet(&daemon, &name) {
+                Ok(port) => port,
+                Err(error) => {
+                    tracing::debug!(interface = name, %error, "not usable yet");
+                    look(&mut changes).await;
+                    continue;
+                }
+            },
+        };
+        daemon.ports().insert(name.clone(), open.clone());
+        let via = Via::Interface(name.clone());
+        tokio::select! {
+            () = run(&daemon, &open, &via) => {}
+            () = gone(&daemon, &open, &mut changes) => {}
+        }
+        tracing::warn!(interface = name, "the interface is gone or was made anew");
+        daemon.ports().remove(&name);
+        open.close("the interface is gone").await;
+        if let Some(interface) = open.interface() {
+            daemon.core().planes.detach(interface.index);
+        }
+    }
+}
+
+/// Until the interface is not the one that was opened.
+async fn gone(daemon: &Arc<Daemon>, port: &Port, changes: &mut watch::Receiver<()>) {
+    let Some(opened) = port.interface() else { return std::future::pending().await };
+    loop {
+        look(changes).await;
+        match Interface::find(&opened.name) {
+            Ok(now) if now.index == opened.index && now.mac == opened.mac && now.mtu == opened.mtu => {}
+            _ => return,
+        }
+        refresh(daemon);
+    }
+}
+
+fn refresh(daemon: &Daemon) {
+    if let Err(error) = daemon.core().planes.refresh() {
+        tracing::error!(%error, "the data planes could not be refreshed");
+    }
+}
+
+/// Waits for a change of interfaces, but not for long.
+pub async fn look(changes: &mut watch::Receiver<()>) {
+    if let Ok(Err(_)) = timeout(LOOK, changes.changed()).await {
+        sleep(LOOK).await;
+    }
+}
+
+async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
+    let own = daemon.name;
+    // Of two neighbours the one with the smaller name dials, unless it is said otherwise.
+    let to_dial: Vec<Place> = {
+        let core = daemon.core();
+        let near = core.neighbours.iter().filter(|n| n.place.via.same_port(via));
+        near.filter(|n| n.dial || own.as_bytes() < n.place.switch.as_bytes()).map(|n| n.place.clone()).collect()
+    };
+    let dials = futures::future::join_all(
+        to_dial.into_iter().map(|place| keep_link(daemon, port, place.switch, vec![place.via])),
+    );
+    tokio::join!(accept(daemon, port, via), dials);
+}
+
+async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
+    while let Some(result) = port.accept().await {
+        match result {
+            // The RIB may take its time to answer.
+            Ok(link) if links::must_ask(daemon, &link) => {
+                let (daemon, via) = (daemon.clone(), via.clone());
+                daemon.clone().spawn(async move { take(&daemon, link, via).await });
+            }
+            Ok(link) => take(daemon, link, via.clone()).await,
+            Err(error) => tracing::debug!(%via, %error, "a peer did not get a link"),
+        }
+    }
+}
+
+async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
+    let peer = link.peer().name;
+    if let Err(reason) = links::take(daemon, link, via.clone()).await {
+        daemon.core().refused(peer, &via, &reason);
+        tracing::warn!(peer = %format_args!("{peer:#}"), %reason, "refused a link");
+    }
+}
+
+/// Makes the link to a neighbour, and again whenever it is lost: by one of the ways to it after the other, from the one that was good
+/// last. One that does not last, as when the neighbour does not want it, is not made again at once. Ends at once if there is no way.
+pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, ways: Vec<Via>) {
+    let (mut retry, mut told) = (RETRY, HashMap::new());
+    let mut turns = ways.iter().cycle().peekable();
+    while let Some(via) = turns.peek().copied() {
+        let existing = daemon.core().link_to(&switch);
+        let problem = match existing {
+            Some(link) => {
+                let up = Instant::now();
+                let reason = link.closed().await;
+                if up.elapsed() > LONGEST_DELAY {
+                    retry.reset();
+                }
+                reason
+            }
+            None => {
+                let problem = match dial(port, switch, via).await {
+                    Ok(link) => match links::take(daemon, link, via.clone()).await {
+                        Ok(()) => continue,
+                        Err(reason) => format!("refused a link: {reason}"),
+                    },
+                    Err(error) => error.to_string(),
+                };
+                turns.next();
+                problem
+            }
+        };
+        if told.insert(via, problem.clone()).is_none_or(|before| before != problem) {
+            daemon.core().refused(switch, via, &problem);
+            tracing::warn!(switch = %format_args!("{switch:#}"), %via, "no link: {problem}; trying on");
+        }
+        // Neighbours that start together do not stay in step.
+        let random = crypto::random::<1>().map_or(0, |[byte]| byte);
+        sleep(jittered(retry.next_delay(), random)).await;
+    }
+}
+
+async fn dial(port: &Port, switch: Name, via: &Via) -> Result<Link, LinkError> {
+    let to = match via {
+        Via::Udp(addr) => LinkAddr::udp(*addr),
+        Via::Interface(_) => find(port, switch).await?,
+    };
+    port.dial(to, Some(switch)).await
+}
+
+async fn find(port: &Port, switch: Name) -> Result<LinkAddr, LinkError> {
+    let answers = port.discover(Some(switch), DISCOVERY).await;
+    let found = answers.into_iter().find(|(_, name)| *name == switch);
+    let silent = || LinkError::Timeout { what: "a neighbour's answer to discovery", after: DISCOVERY };
+    found.map(|(addr, _)| addr).ok_or_else(silent)
+}
+
+/// Tells when interfaces change.
+pub fn watch_interfaces(daemon: &Arc<Daemon>) -> watch::Receiver<()> {
+    let (sender, receiver) = watch::channel(());
+    match interfaces::changes() {
+        Ok(mut changes) => daemon.spawn(async move {
+            while changes.next().await.is_some() {
+                let _ = sender.send(());
+            }
+        }),
+        Err(error) => {
+            tracing::warn!(%error, "no news of interfaces from the kernel; looking every {} s", LOOK.as_secs());
+            daemon.spawn(async move {
+                sender.closed().await;
+            });
+        }
+    }
+    receiver
+}

@@ -1,0 +1,117 @@
+//! Tells the RIB that this switch is there, and who is attached to it: when it first reaches that RIB, and whenever the RIB may hold
+//! something else. Keeps the RIB's clock, if the RIB is here.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp_proto::control::{RefusalCode, Response};
+use gdp_util::backoff::Backoff;
+use tokio::time::{Instant, sleep_until, timeout};
+
+use super::Daemon;
+use super::control::{Report, Reporting};
+use super::core::Next;
+use super::federation::Federation;
+
+/// Between attempts to report: doubled from the first to the second.
+const RETRY: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
+
+/// The RIB's clock is looked at this often at least.
+const LONGEST_SLEEP: Duration = Duration::from_secs(10);
+
+/// And not more often than this, unless something happened.
+const SHORTEST_SLEEP: Duration = Duration::from_millis(10);
+
+/// Reports until the daemon ends.
+pub async fn report(daemon: Arc<Daemon>) {
+    loop {
+        daemon.report.notified().await;
+        let mut retry = RETRY;
+        while !report_once(&daemon).await {
+            // News, such as another path, is worth another attempt at once.
+            let _ = timeout(retry.next_delay(), daemon.report.notified()).await;
+        }
+    }
+}
+
+/// Whether there is nothing to report for now, or no way: then news of the topology brings the next attempt.
+async fn report_once(daemon: &Arc<Daemon>) -> bool {
+    if let Some(taken) = report_here(daemon).await {
+        return taken;
+    }
+    let Some(Reporting { by, run, follows, link, request }) = daemon.core().report_to_send() else { return true };
+    match link.request(&request).await {
+        // As long as the map is being drawn.
+        Ok(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => {
+            tracing::debug!(%refusal, "the report did not get to the RIB");
+            false
+        }
+        Ok(Response::Refused(refusal)) => {
+            tracing::warn!(%refusal, "the report to the RIB was refused");
+            false
+        }
+        Err(error) => {
+            tracing::debug!(%error, "the report to the RIB was not answered");
+            false
+        }
+        Ok(Response::Reported { run: of_rib }) => {
+            tracing::info!(at = %format_args!("{by:#}"), "the RIB has taken this switch's report");
+            daemon.core().report_taken(Report::Taken { by, run }, of_rib, follows)
+        }
+        Ok(other) => {
+            tracing::warn!(?other, "the report to the RIB was answered with something else");
+            false
+        }
+    }
+}
+
+/// Reports to the RIB here, as other switches do. None: it is elsewhere.
+async fn report_here(daemon: &Arc<Daemon>) -> Option<bool> {
+    let (by, follows, next) = {
+        let mut core = daemon.core();
+        let (switch, now, own_bit) = (core.identity.proof(), core.now(), core.routes.own_bit());
+        let (attached, was): (Vec<_>, _) = (core.attached.iter().copied().collect(), core.report);
+        let rib = core.rib.as_mut()?;
+        if matches!(was, Report::Taken { .. }) {
+            return Some(true);
+        }
+        let response = rib.report(now, &switch, &attached, own_bit);
+        core.report = Report::Sent;
+        let next = core.store_first(Next::Answer(response));
+        (core.name(), core.fence.follows(), next)
+    };
+    let response = daemon.complete(next).await;
+    let mut core = daemon.core();
+    Some(match response {
+        // The RIB here runs as long as this daemon: whatever its number, there is no other.
+        Response::Reported { run } => core.report_taken(Report::Taken { by, run: 0 }, run, follows),
+        other => {
+            tracing::warn!(?other, "the RIB does not take its own switch's report");
+            false
+        }
+    })
+}
+
+/// Lets end in the RIB what ends by itself, and retries what is to be retried.
+pub async fn rib_clock(daemon: Arc<Daemon>) {
+    loop {
+        let next = {
+            let mut core = daemon.core();
+            let now = core.now();
+            let federation = core.federation.as_ref().and_then(Federation::next_tick);
+            let next = core.rib.as_mut().and_then(|rib| {
+                rib.tick(now);
+                rib.next_tick().into_iter().chain(federation).min()
+            });
+            next.and_then(|clock| core.instant(clock))
+        };
+        daemon.dispatch_effects();
+        let latest = Instant::now() + LONGEST_SLEEP;
+        let next = next.map_or(latest, Instant::from_std);
+        let wake = next.min(latest).max(Instant::now() + SHORTEST_SLEEP);
+        tokio::select! {
+            () = sleep_until(wake) => {}
+            () = daemon.rib_changed.notified() => {}
+        }
+    }
+}

@@ -1,0 +1,460 @@
+//! What this switch's FIB says, in names, and what that means in links: pushes from the RIB, paths from the topology, and links
+//! coming and going go in, changes of the data plane's tables come out. Sans-IO.
+//!
+//! There are two layers. What the RIB has said since it started is known. What an earlier daemon left, or the RIB before this one
+//! said, is held: it counts besides, until the RIB takes it back or says that it knows all there is to know. Of paths, those are
+//! known that the topology has, and those held by which an earlier daemon forwarded.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+
+use gdp_link::link::KeyedEntry;
+use gdp_proto::control::{Extent, FibPush, Route};
+use gdp_wire::table::{ANY_WRITER, EGRESS_SET_SIZE};
+use gdp_wire::{LinkRole, Name};
+
+use super::ends::Ends;
+use gdp_dataplane::{Left, PlaneRoute};
+use gdp_rib::topology::Paths;
+
+/// One change of the data plane's tables. To be carried out in order.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// This switch's own egress bit, as a mask.
+    OwnBit(u64),
+    /// Which egress switches the neighbour on this link leads to.
+    Reach {
+        link: u32,
+        bits: u64,
+    },
+    NextHops(Box<[u32; EGRESS_SET_SIZE as usize]>),
+    Set(Name, PlaneRoute),
+    Remove(Name),
+}
+
+/// A push that does not follow what the switch holds: it needs the whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the switch holds generation {held}, so it cannot apply a change to generation {got}; send the whole FIB")]
+pub struct OutOfStep {
+    pub held: u64,
+    pub got: u64,
+}
+
+/// The FIB in names, and the links those names are at.
+#[derive(Debug, Default)]
+pub struct Routes {
+    own_bit: Option<u8>,
+    /// Another switch has the same one, and had it before.
+    bit_is_lost: bool,
+    known: Layer,
+    held: Layer,
+    /// Of the RIB that said what is known.
+    run: Option<u64>,
+    generation: u64,
+    /// What a transfer of the whole has not confirmed yet, and its next part.
+    sweep: Option<(HashSet<Name>, u32)>,
+    switches: HashMap<Name, Ends>,
+    endpoints: HashMap<Name, Ends>,
+    /// Switches of other domains.
+    borders: HashMap<Name, Ends>,
+    /// Names that each local endpoint reads or writes; and that what is behind a border reads, writes, or is called by.
+    concerned: HashMap<Name, BTreeSet<Name>>,
+}
+
+#[derive(Debug, Default)]
+struct Layer {
+    /// Egress bits by neighbour.
+    reach: BTreeMap<Name, u64>,
+    routes: HashMap<Name, Way>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Way {
+    route: Route,
+    /// Its writers are not known one by one: any endpoint may send to the name, as itself.
+    anyone: bool,
+}
+
+impl Routes {
+    /// Holds what an earlier daemon left, of which `links` are still there.
+    pub fn adopt(&mut self, left: &Left, links: &[(KeyedEntry, LinkRole)]) -> Vec<Change> {
+        self.own_bit = (left.own_bit != 0).then(|| left.own_bit.trailing_zeros() as u8);
+        let peers: HashMap<u32, (Name, LinkRole)> =
+            links.iter().map(|(link, role)| (link.id, (link.peer, *role))).collect();
+        let sent_on: HashSet<u32> =
+            left.routes.iter().flat_map(|(_, route)| &route.readers).chain(&left.next_hops).copied().collect();
+        let (used, unused): (Vec<_>, Vec<_>) = links.iter().partition(|(link, _)| sent_on.contains(&link.id));
+        for (link, role) in unused.into_iter().chain(used) {
+            self.ends(*role).entry(link.peer).or_default().adopt(link.lane as u8, link.id);
+        }
+        for (bit, link) in left.next_hops.iter().enumerate() {
+            if let Some((peer, _)) = peers.get(link) {
+                *self.held.reach.entry(*peer).or_default() |= 1 << bit;
+            }
+        }
+        let names = |links: &[u32]| -> Vec<Name> {
+            let names: BTreeSet<Name> = links.iter().filter_map(|link| Some(peers.get(link)?.0)).collect();
+            names.into_iter().collect()
+        };
+        let mut changes = Vec::new();
+        for (name, plane) in &left.routes {
+            let (locals, writers) = (names(&plane.readers), names(&plane.writers));
+            let arrives_by = names(&plane.sources);
+            let is_of = |link: &u32, local: &Name| peers.get(link).is_some_and(|(peer, _)| peer == local);
+            let mut everywhere = Vec::new();
+            for local in &locals {
+                let mut links = plane.readers.iter().filter(|link| is_of(link, local));
+                match (links.next(), links.next(), self.endpoints.get_mut(local)) {
+                    (Some(_), Some(_), _) => everywhere.push(*local),
+                    (Some(only), None, Some(ends)) => ends.prefer(*only),
+                    _ => {}
+                }
+            }
+            let route = Route { name: *name, egress_bits: plane.egress_bits, locals, everywhere, writers, arrives_by };
+            let way = Way { route, anyone: plane.writers.contains(&ANY_WRITER) };
+            let change = self.update(name, |routes| drop(routes.held.routes.insert(*name, way)));
+            changes.extend(change.filter(|change| *change != Change::Set(*name, plane.clone())));
+        }
+        changes
+    }
+
+    /// Applies a push from the RIB.
+    pub fn push(&mut self, push: &FibPush) -> Result<Vec<Change>, OutOfStep> {
+        self.check_order(push)?;
+        if self.run != Some(push.run) {
+            self.hold_what_is_known();
+            self.run = Some(push.run);
+        }
+        let mut changes = self.set_own_bit(push.own_bit % EGRESS_SET_SIZE as u8);
+        self.generation = push.generation;
+        if let Extent::Full { part: 0, .. } = push.extent {
+            self.sweep = Some((self.known.routes.keys().copied().collect(), 0));
+        }
+        for route in &push.set {
+            if let Some((unconfirmed, _)) = &mut self.sweep {
+                unconfirmed.remove(&route.name);
+            }
+            let way = Way { route: route.clone(), anyone: false };
+            changes.extend(self.update(&route.name, |routes| drop(routes.known.routes.insert(route.name, way))));
+        }
+        for name in &push.remove {
+            changes.extend(self.update(name, |routes| {
+                routes.known.routes.remove(name);
+                routes.held.routes.remove(name);
+            }));
+        }
+        match push.extent {
+            Extent::Full { last: true, .. } => {
+                let (unconfirmed, _) = self.sweep.take().unwrap_or_default();
+                for name in unconfirmed {
+                    changes.extend(self.update(&name, |routes| drop(routes.known.routes.remove(&name))));
+                }
+                if !push.settling {
+                    for name in self.held.routes.keys().copied().collect::<Vec<_>>() {
+                        changes.extend(self.update(&name, |routes| drop(routes.held.routes.remove(&name))));
+                    }
+                }
+            }
+            Extent::Full { part, last: false } => {
+                if let Some((_, next)) = &mut self.sweep {
+                    *next = part.saturating_add(1);
+                }
+            }
+            Extent::Delta => {}
+        }
+        Ok(changes)
+    }
+
+    /// A link is up; it replaces one to the same peer once it [is ready](Self::link_ready).
+    pub fn link_up(&mut self, role: LinkRole, peer: Name, lane: u8, link: u32) -> Vec<Change> {
+        self.ends(role).entry(peer).or_default().up(lane, link);
+        self.changes_of(role, &peer)
+    }
+
+    /// The peer takes frames on the link.
+    pub fn link_ready(&mut self, role: LinkRole, peer: Name, link: u32) -> Vec<Change> {
+        let Some(ends) = self.ends(role).get_mut(&peer) else { return Vec::new() };
+        let sent_on = |ends: &Ends| (ends.out(), ends.each().collect::<Vec<_>>());
+        let before = sent_on(ends);
+        ends.ready(link);
+        if sent_on(ends) == before { Vec::new() } else { self.changes_of(role, &peer) }
+    }
+
+    /// An endpoint wants on this link what it takes on one. What it sends, and takes on each, stays as it is.
+    pub fn link_preferred(&mut self, peer: Name, link: u32) -> Vec<Change> {
+        let Some(ends) = self.endpoints.get_mut(&peer) else { return Vec::new() };
+        let before = ends.out();
+        ends.prefer(link);
+        if ends.out() == before {
+            return Vec::new();
+        }
+        let ways = self.concerned.get(&peer).into_iter().flatten().filter_map(|name| self.way(name));
+        let on_one = |way: &Way| way.route.locals.contains(&peer) && !way.route.everywhere.contains(&peer);
+        ways.filter(on_one).map(|way| self.resolve(&way)).collect()
+    }
+
+    /// The link that an endpoint wants on what it takes on one.
+    pub fn link_to(&self, endpoint: &Name) -> Option<u32> {
+        self.endpoints.get(endpoint)?.out()
+    }
+
+    /// The link fell silent: whether frames may still come and go on it, so that it is to be kept.
+    pub fn link_silent(&mut self, role: LinkRole, peer: &Name, link: u32) -> bool {
+        self.ends(role).get_mut(peer).is_some_and(|ends| ends.silent(link))
+    }
+
+    /// Whether another link has replaced this one, so that frames may still come on it.
+    pub fn is_replaced(&mut self, role: LinkRole, peer: &Name, link: u32) -> bool {
+        self.ends(role).get(peer).is_some_and(|ends| ends.is_earlier(link))
+    }
+
+    /// A link is gone. Returns earlier ones to the same peer that have to go with it.
+    pub fn link_gone(&mut self, role: LinkRole, peer: Name, link: u32) -> (Vec<Change>, Vec<u32>) {
+        let all = self.ends(role);
+        let Some(ends) = all.get_mut(&peer) else { return Default::default() };
+        let with_it = ends.gone(link);
+        if ends.is_empty() {
+            all.remove(&peer);
+        }
+        (self.changes_of(role, &peer), with_it)
+    }
+
+    /// Index of this switch's own egress bit, once the RIB has told it.
+    pub fn own_bit(&self) -> Option<u8> {
+        self.own_bit
+    }
+
+    pub fn generation(&self) -> u64 {
+        self.generation
+    }
+
+    /// Names that are routed here.
+    pub fn len(&self) -> usize {
+        let only_held = self.held.routes.keys().filter(|name| !self.known.routes.contains_key(name));
+        self.known.routes.len() + only_held.count()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// How many names that somebody takes an endpoint here may send to.
+    pub fn leading_from(&self, endpoint: &Name) -> usize {
+        let ways = self.concerned.get(endpoint).into_iter().flatten().filter_map(|name| self.way(name));
+        let leads = |route: &Route| route.egress_bits != 0 || !route.locals.is_empty();
+        ways.filter(|way| way.route.writers.contains(endpoint) && leads(&way.route)).count()
+    }
+
+    /// The neighbours that lead to these egress switches.
+    pub fn neighbours_toward(&self, bits: u64) -> Vec<Name> {
+        self.reach().into_iter().filter(|(_, reach)| *reach & bits != 0).map(|(name, _)| name).collect()
+    }
+
+    fn ends(&mut self, role: LinkRole) -> &mut HashMap<Name, Ends> {
+        match role {
+            LinkRole::Switch => &mut self.switches,
+            LinkRole::Endpoint => &mut self.endpoints,
+            LinkRole::Border => &mut self.borders,
+        }
+    }
+
+    fn check_order(&self, push: &FibPush) -> Result<(), OutOfStep> {
+        let next = self.run == Some(push.run) && push.generation == self.generation + 1;
+        let in_order = match push.extent {
+            Extent::Full { part: 0, .. } => true,
+            Extent::Full { part, .. } => next && self.sweep.as_ref().is_some_and(|(_, expected)| *expected == part),
+            Extent::Delta => next && self.sweep.is_none(),
+        };
+        if in_order { Ok(()) } else { Err(OutOfStep { held: self.generation, got: push.generation }) }
+    }
+
+    /// The RIB is another one than before, and begins with nothing.
+    fn hold_what_is_known(&mut self) {
+        for (name, way) in std::mem::take(&mut self.known.routes) {
+            let joint = join(Some(&way), self.held.routes.get(&name));
+            self.held.routes.extend(joint.map(|joint| (name, joint)));
+        }
+    }
+
+    /// Egress bits by neighbour; where the topology knows no path, the one that is held.
+    fn reach(&self) -> BTreeMap<Name, u64> {
+        let mut reach = self.known.reach.clone();
+        let known = reach.values().fold(0, |all, bits| all | bits);
+        for (neighbour, bits) in &self.held.reach {
+            *reach.entry(*neighbour).or_default() |= bits & !known;
+        }
+        reach.retain(|_, bits| *bits != 0);
+        reach
+    }
+
+    fn set_own_bit(&mut self, bit: u8) -> Vec<Change> {
+        let before = self.own_mask();
+        self.own_bit = Some(bit);
+        self.own_mask_after(before)
+    }
+
+    /// The bit as it stands in frames for this switch; 0: none does.
+    fn own_mask(&self) -> u64 {
+        self.own_bit.filter(|_| !self.bit_is_lost).map_or(0, |bit| 1 << bit)
+    }
+
+    fn own_mask_after(&self, before: u64) -> Vec<Change> {
+        let mask = self.own_mask();
+        (mask != before).then_some(Change::OwnBit(mask)).into_iter().collect()
+    }
+
+    /// The topology knows these paths now.
+    pub fn set_paths(&mut self, paths: &Paths, own: &Name) -> Vec<Change> {
+        let (mask, before) = (self.own_mask(), self.reach());
+        self.bit_is_lost = self.own_bit.and_then(|bit| paths.bits.get(&bit)).is_some_and(|has| has != own);
+        self.known.reach = paths.reach.clone();
+        let mut changes = self.own_mask_after(mask);
+        changes.extend(self.reach_after(&before));
+        changes
+    }
+
+    /// From now on only those paths count that the topology knows.
+    pub fn end_held_paths(&mut self) -> Vec<Change> {
+        let before = self.reach();
+        self.held.reach.clear();
+        self.reach_after(&before)
+    }
+
+    fn reach_after(&self, before: &BTreeMap<Name, u64>) -> Vec<Change> {
+        let reach = self.reach();
+        if reach == *before {
+            return Vec::new();
+        }
+        let (used, unused) = self.reach_of(&reach, self.switches.iter());
+        used.into_iter().chain([self.next_hops(&reach)]).chain(unused).collect()
+    }
+
+    /// What follows from other links to a peer.
+    fn changes_of(&self, role: LinkRole, peer: &Name) -> Vec<Change> {
+        match role {
+            LinkRole::Switch => {
+                let reach = self.reach();
+                let (used, unused) = self.reach_of(&reach, self.switches.get_key_value(peer).into_iter());
+                used.into_iter().chain([self.next_hops(&reach)]).chain(unused).collect()
+            }
+            LinkRole::Endpoint | LinkRole::Border => {
+                let names = self.concerned.get(peer).into_iter().flatten();
+                names.filter_map(|name| self.way(name)).map(|way| self.resolve(&way)).collect()
+            }
+        }
+    }
+
+    /// The masks of the links to switches: of those that are sent on, and of all others, by which no copy goes. In this order
+    /// a frame rather goes twice than never.
+    fn reach_of<'a>(
+        &self,
+        reach: &BTreeMap<Name, u64>,
+        switches: impl Iterator<Item = (&'a Name, &'a Ends)>,
+    ) -> (Vec<Change>, Vec<Change>) {
+        let (mut used, mut unused) = (Vec::new(), Vec::new());
+        for (switch, ends) in switches {
+            for link in ends.all() {
+                match ends.out() == Some(link) {
+                    true => used.push(Change::Reach { link, bits: reach.get(switch).copied().unwrap_or(0) }),
+                    false => unused.push(Change::Reach { link, bits: 0 }),
+                }
+            }
+        }
+        (used, unused)
+    }
+
+    fn next_hops(&self, reach: &BTreeMap<Name, u64>) -> Change {
+        let mut next_hops = [0; EGRESS_SET_SIZE as usize];
+        for (switch, bits) in reach {
+            let Some(link) = self.switches.get(switch).and_then(Ends::out) else { continue };
+            for (bit, next) in next_hops.iter_mut().enumerate() {
+                if bits & 1 << bit != 0 {
+                    *next = link;
+                }
+            }
+        }
+        Change::NextHops(Box::new(next_hops))
+    }
+
+    fn way(&self, name: &Name) -> Option<Way> {
+        join(self.known.routes.get(name), self.held.routes.get(name))
+    }
+
+    /// Changes the layers in what they say of one name.
+    fn update(&mut self, name: &Name, change: impl FnOnce(&mut Self)) -> Option<Change> {
+        let before = self.way(name);
+        change(self);
+        let after = self.way(name);
+        if before == after {
+            return None;
+        }
+        for entity in before.iter().flat_map(concerned) {
+            if let Some(names) = self.concerned.get_mut(entity) {
+                names.remove(name);
+                if names.is_empty() {
+                    self.concerned.remove(entity);
+                }
+            }
+        }
+        for entity in after.iter().flat_map(concerned) {
+            self.concerned.entry(*entity).or_default().insert(*name);
+        }
+        Some(after.map_or(Change::Remove(*name), |way| self.resolve(&way)))
+    }
+
+    /// A name that leads nowhere from here, and that nobody behind a border is called by, the data plane need not hold.
+    fn resolve(&self, Way { route, anyone }: &Way) -> Change {
+        let borders = |names: &[Name]| names.iter().filter_map(|name| self.borders.get(name)).collect::<Vec<_>>();
+        let ends = |names: &[Name]| -> Vec<&Ends> {
+            names.iter().filter_map(|name| self.endpoints.get(name)).chain(borders(names)).collect()
+        };
+        let once = ends(&route.locals).into_iter().filter_map(Ends::out);
+        let readers = sorted(once.chain(ends(&route.everywhere).into_iter().flat_map(Ends::each)));
+        let writers = match anyone {
+            true => vec![ANY_WRITER],
+            false => sorted(ends(&route.writers).into_iter().flat_map(Ends::all)),
+        };
+        let sources = sorted(borders(&route.arrives_by).into_iter().flat_map(Ends::all));
+        let plane = PlaneRoute { egress_bits: route.egress_bits, readers, writers, sources };
+        if plane.is_idle() { Change::Remove(route.name) } else { Change::Set(route.name, plane) }
+    }
+}
+
+impl Routes {
+    /// From now on only those may send to a name who are known to write it, also where it was held without knowing them.
+    pub fn end_any_writer(&mut self) -> Vec<Change> {
+        let open = self.held.routes.iter().filter(|(_, way)| way.anyone).map(|(name, _)| *name);
+        let close = |routes: &mut Self, name: &Name| {
+            if let Some(way) = routes.held.routes.get_mut(name) {
+                way.anyone = false;
+            }
+        };
+        open.collect::<Vec<_>>().iter().filter_map(|name| self.update(name, |routes| close(routes, name))).collect()
+    }
+}
+
+/// What two layers say of a name, taken together.
+fn join(known: Option<&Way>, held: Option<&Way>) -> Option<Way> {
+    let (Some(known), Some(held)) = (known, held) else { return known.or(held).cloned() };
+    let both = |some: &[Name], more: &[Name]| sorted(some.iter().chain(more).copied());
+    let route = Route {
+        name: known.route.name,
+        egress_bits: known.route.egress_bits | held.route.egress_bits,
+        locals: both(&known.route.locals, &held.route.locals),
+        everywhere: both(&known.route.everywhere, &held.route.everywhere),
+        writers: both(&known.route.writers, &held.route.writers),
+        arrives_by: both(&known.route.arrives_by, &held.route.arrives_by),
+    };
+    Some(Way { route, anyone: known.anyone || held.anyone })
+}
+
+fn sorted<T: Ord>(items: impl Iterator<Item = T>) -> Vec<T> {
+    BTreeSet::from_iter(items).into_iter().collect()
+}
+
+/// The local endpoints that read or write a name, and the switches of other domains that it concerns.
+fn concerned(way: &Way) -> impl Iterator<Item = &Name> {
+    way.route.locals.iter().chain(&way.route.writers).chain(&way.route.arrives_by)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,362 @@
+//! What the daemon tells people and programs of itself, as JSON.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp_core::cert::{Adjoining, LinkState};
+use gdp_core::peer::Role;
+use gdp_link::port::HandshakeCounts;
+use gdp_proto::control::RecordPlace;
+use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
+use serde_json::{Map, Value, json};
+
+use super::core::{Core, LinkState as LiveLink, link_role};
+use super::federation::Federation;
+use super::flooding::Adjacencies;
+use super::{Daemon, interfaces, warnings};
+use crate::domain::{Domain, Standing};
+use gdp_dataplane::host_pair;
+use gdp_util::unix_time::unix_seconds;
+
+/// Names that the status shows as the busiest.
+const BUSIEST: usize = 10;
+
+/// `gdp-ctl status`.
+pub async fn status(daemon: &Arc<Daemon>) -> Value {
+    let interfaces = interfaces::list().await.unwrap_or_default();
+    let core = daemon.core();
+    let over_udp = core.links.iter().filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_)));
+    let udp_links = over_udp.filter(|(id, _)| !core.planes.first_plane_sends_on(**id)).count();
+    let report = core.planes.report();
+    let (losses, mut errors) = match core.planes.losses() {
+        Ok(losses) => (losses, Vec::new()),
+        Err(reason) => (Default::default(), vec![reason]),
+    };
+    let devices = core.planes.dpdk_devices();
+    let used: Vec<Value> = report
+        .iter()
+        .map(|plane| {
+            let info = interfaces.iter().find(|i| i.name == plane.interface);
+            let device = devices.get(&plane.interface).map(|counted| {
+                json!({
+                    "received": counted.received, "sent": counted.sent,
+                    "missed": counted.missed, "failed": counted.failed,
+                })
+            });
+            json!({
+                "interface": plane.interface, "data_plane": plane.kind, "reason": plane.reason,
+                "redirect_lost": losses.get(&plane.interface).copied().unwrap_or(0), "device": device,
+                "mtu": info.map(|i| i.mtu), "addresses": info.map(|i| &i.addresses), "stations": info.map(|i| &i.stations),
+            })
+        })
+        .collect();
+    let (mut counters, mut by_plane) = (Map::new(), Map::new());
+    match core.planes.counters() {
+        Ok(counted) => {
+            for (counter, first, userspace) in counted {
+                counters.insert(counter.as_str().into(), (first + userspace).into());
+                let planes = json!({core.planes.first_plane(): first, "userspace": userspace});
+                by_plane.insert(counter.as_str().into(), planes);
+            }
+        }
+        Err(error) => errors.push(error.to_string()),
+    }
+    let busiest = core.planes.busiest(BUSIEST).unwrap_or_else(|error| {
+        errors.push(error.to_string());
+        Vec::new()
+    });
+    errors.extend(core.unplaced());
+    errors.extend(core.no_rib.iter().map(|why| format!("the RIB of this replica: {why}")));
+    // What the host itself has made is no interface that anybody asked about.
+    let outward: Vec<_> = report.into_iter().filter(|plane| !host_pair::is_end(&plane.interface)).collect();
+    let (data_plane, reason) = summary(&outward, udp_links);
+    json!({
+        "v": 1,
+        "name": core.name(),
+        "data_plane": data_plane,
+        "data_plane_reason": reason,
+        "interfaces": used,
+        "dpdk_processor_time_us": core.planes.dpdk_processor_time().iter().map(Duration::as_micros).collect::<Vec<_>>(),
+        "udp": daemon.udp.get(),
+        "links": links(&core),
+        "links_held": links_held(&core),
+        "handshakes": handshakes(daemon.port_config.handshakes.read()),
+        "counters": counters,
+        "counters_by_plane": by_plane,
+        "busiest": busiest.iter().map(|(name, frames)| json!({"name": name, "frames": frames})).collect::<Vec<_>>(),
+        "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
+        "topology": {"switches": core.topology.states().count(), "reached": core.topology.paths().costs.len()},
+        "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
+        "domain": core.domain.as_ref().map(domain),
+        "control": control(&core),
+        "tiers": core.federation.as_ref().map(Federation::status),
+        "warnings": warnings::warnings(&core),
+        "errors": errors,
+    })
+}
+
+/// Of peers that dialled and got no link.
+fn handshakes(counts: HandshakeCounts) -> Value {
+    let HandshakeCounts { challenged, refused, displaced, failed } = counts;
+    json!({"challenged": challenged, "refused": refused, "displaced": displaced, "failed": failed})
+}
+
+/// Where the RIB is, which neighbour leads there, and whether it is to be asked; if not, why. `fenced`: how often something was refused
+/// that a RIB said whose term was over.
+fn control(core: &Core) -> Value {
+    let rib = core.topology.rib().map(|(rib, _)| rib);
+    let problem = core.rib_at().err().filter(|_| core.rib.is_none());
+    json!({
+        "rib": rib,
+        "next": rib.and_then(|rib| core.topology.paths().next.get(&rib)),
+        "fenced": core.fence.refused(),
+        "ready": problem.is_none(),
+        "reason": problem.map(|refusal| refusal.reason),
+    })
+}
+
+/// `gdp-ctl link list`: every live link, by id.
+pub fn links(core: &Core) -> Vec<Value> {
+    let mut links: Vec<_> = core.links.values().collect();
+    links.sort_by_key(|state| state.link.local_id());
+    let Adjacencies { neighbours: mut costs, borders, .. } = core.adjacencies();
+    costs.extend(borders.into_values().map(|border| (border.switch, border.cost)));
+    links
+        .into_iter()
+        .map(|state| {
+            let (link, peer) = (&state.link, state.link.peer());
+            let (rx_keys, tx_keys) = link.key_generations();
+            json!({
+                "peer": peer.name,
+                "role": link_role(state.role()),
+                "lane": peer.lane,
+                "standing": state.admission.standing.as_str(),
+                "domain": foreign(&state.admission.standing),
+                "admitted_until": (state.admission.until < u64::MAX).then_some(state.admission.until),
+                "via": state.via.to_string(),
+                "address": link.addr().to_string(),
+                "id": link.local_id(),
+                "mtu": link.mtu(),
+                "key_generations": {"rx": rx_keys, "tx": tx_keys},
+                "cost": costs.get(&peer.name),
+                "rtt_us": link.rtt().as_micros() as u64,
+                "age_s": state.since.elapsed().as_secs(),
+                "errors_received": errors_received(core, link.local_id()),
+                "arrivals": arrivals(core, link.local_id()),
+                "traces_refused": state.traces.refused(),
+                "sent": core.planes.frames_sent(link.local_id()),
+                "carrier": !core.is_dark(state.to),
+                "plane": if core.planes.first_plane_sends_on(link.local_id()) { core.planes.first_plane() } else { "userspace" },
+            })
+        })
+        .collect()
+}
+
+/// `gdp-ctl peer list`: the neighbours of the configuration, the other switches and domains that links lead to, and whoever was
+/// refused a link lately; by name. A peer with a link is not refused.
+pub fn peers(core: &Core) -> Vec<Value> {
+    let listed = core.neighbours.iter().map(|neighbour| neighbour.place.switch);
+    let is_peer =
+        |state: &&LiveLink| state.link.peer().role == Role::Switch || foreign(&state.admission.standing).is_some();
+    let linked = core.links.values().filter(is_peer).map(|state| state.link.peer().name);
+    let refused = core.refusals.iter().map(|(peer, _)| *peer);
+    let all: BTreeSet<Name> = listed.chain(linked).chain(refused).collect();
+    all.into_iter().map(|peer| self::peer(core, peer)).collect()
+}
+
+fn peer(core: &Core, name: Name) -> Value {
+    let neighbour = core.neighbours.iter().find(|neighbour| neighbour.place.switch == name);
+    let link = core.link_to(&name);
+    let state = link.as_ref().and_then(|link| core.links.get(&link.local_id()));
+    let standing = state.map(|state| &state.admission.standing);
+    let (ours, theirs) = match standing {
+        Some(Standing::Border { ours, theirs, .. }) => (Some(ours.to_string()), Some(theirs.to_string())),
+        _ => (None, None),
+    };
+    let refused = core.refusals.iter().find(|(peer, _)| **peer == name).map(|(_, refused)| refused);
+    json!({
+        "peer": name,
+        "listed": neighbour.is_some(),
+        "role": state.map(|state| link_role(state.role())),
+        "domain": match standing {
+            Some(Standing::Member { .. }) => core.domain.as_ref().map(|domain| domain.trust.home()),
+            Some(standing) => foreign(standing),
+            None => None,
+        },
+        "standing": standing.map(Standing::as_str),
+        "rights_given": ours,
+        "rights_held": theirs,
+        "until": state.map(|state| state.admission.until).filter(|until| *until < u64::MAX),
+        "link": match state {
+            Some(_) => "up",
+            None if core.held.keeps(&name) => "held",
+            None => "down",
+        },
+        "via": state.map(|state| state.via.to_string()).or_else(|| neighbour.map(|n| n.place.via.to_string())),
+        "reason": refused.map(|refused| &refused.reason),
+        "reason_age_s": refused.map(|refused| refused.at.elapsed().as_secs()),
+    })
+}
+
+/// Links whose peers fell silent or have a newer one, or that an earlier daemon left; by id.
+fn links_held(core: &Core) -> Vec<Value> {
+    let mut held: Vec<_> = core.held.iter().collect();
+    held.sort_by_key(|link| link.entry.id);
+    held.into_iter()
+        .map(|link| {
+            json!({
+                "peer": link.peer,
+                "role": link_role(link.entry.role),
+                "address": link.to.to_string(),
+                "id": link.entry.id,
+                "errors_received": errors_received(core, link.entry.id),
+            })
+        })
+        .collect()
+}
+
+/// What became of the frames that came in on a link; counters without any are left out.
+fn arrivals(core: &Core, link: u32) -> Value {
+    match core.planes.arrivals(link) {
+        Ok(counts) => {
+            let counts = Counter::ALL.iter().zip(counts).filter(|(_, frames)| *frames > 0);
+            counts
+                .map(|(counter, frames)| (counter.as_str().to_owned(), Value::from(frames)))
+                .collect::<Map<_, _>>()
+                .into()
+        }
+        Err(error) => error.to_string().into(),
+    }
+}
+
+/// `gdp-ctl topology`: all that this switch knows of the domain's switches, and how it gets there.
+pub fn topology(daemon: &Daemon) -> Value {
+    let core = daemon.core();
+    let paths = core.topology.paths();
+    let switches: Vec<Value> = core
+        .topology
+        .states()
+        .map(|state| {
+            let switch = &state.switch;
+            json!({
+                "switch": switch,
+                "bit": paths.bit(switch),
+                "cost": paths.costs.get(switch),
+                "next": paths.next.get(switch),
+                "run": state.run,
+                "number": state.number,
+                "neighbours": neighbours(state),
+                "rib": state.rib,
+                "borders": state.borders.iter().map(border).collect::<Vec<_>>(),
+            })
+        })
+        .collect();
+    let home = core.domain.as_ref().map(|domain| domain.trust.home());
+    json!({"own": core.name(), "domain": home, "switches": switches})
+}
+
+/// What a switch states of its neighbours.
+fn neighbours(state: &LinkState) -> Vec<Value> {
+    let is_silent = |index: usize| state.silent & 1 << index != 0;
+    let near = state.neighbours.iter().enumerate();
+    near.map(|(i, (switch, cost))| json!({"switch": switch, "cost": cost, "silent": is_silent(i)})).collect()
+}
+
+fn border(Adjoining { domain, switch, cost, transit, ours_transit, parent }: &Adjoining) -> Value {
+    json!({"domain": domain, "switch": switch, "cost": cost, "transit": transit, "ours_transit": ours_transit, "parent": parent})
+}
+
+fn domain(domain: &Domain) -> Value {
+    let own = domain.trust.own(unix_seconds());
+    let revocations: Vec<_> = domain.trust.revocations().filter_map(|kept| kept.verify().ok()).collect();
+    json!({
+        "name": domain.trust.home(),
+        "role": own.as_ref().ok().map(|cert| &cert.role),
+        "not_after": own.as_ref().ok().map(|cert| cert.not_after),
+        "error": own.as_ref().err().map(ToString::to_string),
+        "members_only": domain.trust.members_only(),
+        "invitations_used": domain.invitations.all().count(),
+        "revocations": revocations.iter().map(|r| json!({"domain": r.name, "number": r.number})).collect::<Vec<_>>(),
+    })
+}
+
+/// The domain of a peer that is of another than this switch.
+fn foreign(standing: &Standing) -> Option<Name> {
+    match standing {
+        Standing::Border { domain, .. } | Standing::Visitor { domain } | Standing::Host { domain } => Some(*domain),
+        Standing::Stranger | Standing::Member { .. } => None,
+    }
+}
+
+/// What a neighbour refused of what this switch sent it, by code.
+fn errors_received(core: &Core, link: u32) -> Map<String, Value> {
+    let errors = ErrorCode::ALL.iter().zip(core.planes.notices().errors(link));
+    errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count.into())).collect()
+}
+
+/// One word for all interfaces, and why. `udp_links`: those over UDP that the kernel does not send on.
+fn summary(report: &[gdp_dataplane::InterfacePlane], udp_links: usize) -> (&'static str, String) {
+    let Some(first) = report.first() else {
+        return ("userspace", "no Ethernet interface is in use; links over UDP are forwarded by the daemon".into());
+    };
+    let same = report.iter().all(|plane| plane.kind == first.kind);
+    let kind = if same { first.kind } else { "mixed" };
+    let mut reasons: Vec<String> = report
+        .iter()
+        .filter(|plane| !plane.reason.is_empty() || !same)
+        .map(|plane| format!("{}: {} {}", plane.interface, plane.kind, plane.reason).trim_end().to_owned())
+        .collect();
+    if udp_links > 0 {
+        reasons.push(format!("the daemon sends on {udp_links} links over UDP"));
+    }
+    if reasons.is_empty() {
+        reasons.push("every interface took it".into());
+    }
+    (kind, reasons.join("; "))
+}
+
+/// One page of `gdp-ctl fib dump`: at most `limit` names behind `after`, and whether there are more.
+pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
+    let core = daemon.core();
+    let (routes, more) = core.planes.routes_behind(after, limit).map_err(|error| error.to_string())?;
+    let peers = core.peers_by_link();
+    let page: Vec<Value> = routes.iter().map(|(name, entry)| route(&core, &peers, name, entry)).collect();
+    Ok(json!({"routes": page, "more": more}))
+}
+
+fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
+    let own = core.routes.own_bit().map_or(0, |bit| 1u64 << bit);
+    let names = |links: Vec<u32>| links.iter().filter_map(|link| peers.get(link)).copied().collect::<Vec<_>>();
+    json!({
+        "name": name,
+        "egress_bits": format!("{:#x}", entry.egress_bits),
+        "own": entry.egress_bits & own != 0,
+        "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
+        "readers": names(core.planes.readers(entry)),
+        "writers": names(core.planes.writers(name)),
+        "group": entry.group,
+    })
+}
+
+/// One page of `gdp-ctl rib dump`, or why there is none.
+pub fn rib(daemon: &Daemon, after: Option<RecordPlace>, limit: usize) -> Result<Value, String> {
+    let core = daemon.core();
+    let Some(rib) = &core.rib else {
+        let at = match core.topology.rib() {
+            Some((rib, _)) => format!("it is at switch {rib}"),
+            None => "and there is no way to it".into(),
+        };
+        return Err(format!("this daemon is not the RIB, {at}: run `gdp-ctl rib dump` on the RIB's host"));
+    };
+    let (records, more) = rib.records(core.now(), after, limit);
+    let switches: Vec<Value> = rib
+        .switches()
+        .map(|(name, bit, attached)| {
+            let stated = core.topology.states().find(|state| state.switch == name);
+            let neighbours = stated.map_or_else(Vec::new, neighbours);
+            json!({"switch": name, "bit": bit, "neighbours": neighbours, "attached": attached})
+        })
+        .collect();
+    Ok(json!({"records": records, "switches": switches, "more": more}))
+}

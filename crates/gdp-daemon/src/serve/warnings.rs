@@ -1,0 +1,51 @@
+//! What looks wrong though nothing has failed, as `gdp-ctl status` warns of it. It may be meant so: a publisher may have nothing to say,
+//! and a subscriber may be early.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use gdp_core::peer::Role;
+use gdp_wire::{Counter, Name};
+use serde_json::{Value, json};
+
+use super::core::Core;
+
+/// An endpoint that has sent nothing for so long is silent. One that reads greets whom it reads in less.
+const SILENT: Duration = Duration::from_secs(10);
+
+/// Names that one warning shows.
+const NAMES: usize = 10;
+
+pub fn warnings(core: &Core) -> Vec<Value> {
+    silent(core).into_iter().chain(unserved(core)).collect()
+}
+
+/// Endpoints that may send to names that somebody takes, and of which no frame was taken on any link they have now. Counted exactly, on
+/// links: frames are not counted by name.
+fn silent(core: &Core) -> Vec<Value> {
+    let mut quiet = BTreeMap::<Name, Duration>::new();
+    let mut heard = BTreeSet::new();
+    for (id, state) in core.links.iter().filter(|(_, state)| state.link.peer().role == Role::Endpoint) {
+        let (peer, age) = (state.link.peer().name, state.since.elapsed());
+        let came = core.planes.arrivals(*id).map_or(true, |row| {
+            [Counter::Forwarded, Counter::Delivered, Counter::Replicated].iter().any(|c| row[*c as usize] > 0)
+        });
+        if came || age < SILENT {
+            heard.insert(peer);
+        } else {
+            quiet.entry(peer).and_modify(|longest| *longest = age.max(*longest)).or_insert(age);
+        }
+    }
+    quiet.retain(|peer, _| !heard.contains(peer));
+    let warn = |(entity, age): (Name, Duration)| {
+        let names = core.routes.leading_from(&entity);
+        (names > 0).then(|| json!({"kind": "silent", "entity": entity, "names": names, "for_s": age.as_secs()}))
+    };
+    quiet.into_iter().filter_map(warn).collect()
+}
+
+/// Names that are read or called, and nobody publishes or serves; as far as the RIB here knows.
+fn unserved(core: &Core) -> Option<Value> {
+    let (count, names) = core.rib.as_ref()?.unserved();
+    (count > 0).then(|| json!({"kind": "unserved", "count": count, "names": names.take(NAMES).collect::<Vec<_>>()}))
+}

@@ -1,0 +1,228 @@
+//! The items of a RIB in etcd: under `PREFIX/item/`, each by its [`Item`], beside `PREFIX/leader`, the key of the replica that may
+//! write them. That is bound to a lease; the revision that created it tells one term of office from the next, and every write
+//! compares it, so that a leader that has lost its lease without noticing changes nothing.
+
+use std::collections::BTreeMap;
+
+use gdp_wire::Name;
+
+use super::StoreError;
+use super::gateway::{Compare, Event, Gateway, KeyValue, Op};
+use gdp_rib::rib::{Item, MAX_ITEM};
+
+/// Bytes of keys and values that a replica takes; as much as etcd itself does, if not told otherwise.
+pub const MAX_STORED: usize = 2 << 30;
+
+/// Operations of one transaction, of as many conditions: etcd's limit is 128, and one condition is that this is the leader.
+const MAX_OPS: usize = 127;
+
+/// Bytes of the items of one transaction, unless it is one item. etcd takes requests of 1.5 MiB, if not told otherwise; what
+/// is smaller is answered sooner.
+const MAX_TRANSACTION: usize = 256 << 10;
+
+/// How often a transaction is tried whose items were found to be others.
+const ATTEMPTS: usize = 4;
+
+/// Where in etcd.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    prefix: String,
+}
+
+impl Place {
+    /// `prefix`: without a slash at its end.
+    pub fn new(prefix: &str) -> Self {
+        Self { prefix: format!("{prefix}/") }
+    }
+
+    /// What all keys begin with.
+    pub fn prefix(&self) -> &[u8] {
+        self.prefix.as_bytes()
+    }
+
+    pub fn leader(&self) -> Vec<u8> {
+        format!("{}leader", self.prefix).into_bytes()
+    }
+
+    pub fn key(&self, item: &Item) -> Vec<u8> {
+        format!("{}item/{item}", self.prefix).into_bytes()
+    }
+
+    fn item(&self, key: &[u8]) -> Option<Item> {
+        let rest = key.strip_prefix(self.prefix())?.strip_prefix(b"item/")?;
+        std::str::from_utf8(rest).ok()?.parse().ok()
+    }
+
+    /// Stands for election. The revision that created the leader's key, if that is this replica's now.
+    pub async fn stand(&self, gateway: &mut Gateway, who: &Name, lease: i64) -> Result<Option<i64>, StoreError> {
+        let (key, value) = (self.leader(), who.to_string());
+        let put = Op::Put { key: &key, value: value.as_bytes(), lease };
+        let outcome = gateway.transact(&[Compare::Created(&key, 0)], &[put], &[Op::Get(&key)]).await?;
+        if outcome.succeeded {
+            return Ok(Some(outcome.revision));
+        }
+        // An answer to an earlier attempt may have been lost.
+        let found = outcome.found.into_iter().next().flatten();
+        Ok(found.filter(|found| found.lease == lease).map(|found| found.create_revision))
+    }
+
+    /// Whether there is a leader.
+    pub async fn has_leader(&self, gateway: &mut Gateway) -> Result<bool, StoreError> {
+        let outcome = gateway.transact(&[], &[Op::Get(&self.leader())], &[]).await?;
+        Ok(outcome.found.iter().any(Option::is_some))
+    }
+}
+
+/// What a replica that does not lead has of the items, as they lie in etcd: nothing of it is verified.
+#[derive(Debug)]
+pub struct Copy {
+    place: Place,
+    items: BTreeMap<Item, Stored>,
+    size: usize,
+    /// Of etcd's history; all before it is in the copy.
+    revision: i64,
+}
+
+#[derive(Debug)]
+struct Stored {
+    revision: i64,
+    value: Vec<u8>,
+}
+
+impl Copy {
+    pub async fn list(place: &Place, gateway: &mut Gateway) -> Result<Self, StoreError> {
+        let (all, revision) = gateway.list(place.prefix(), MAX_STORED).await?;
+        let mut copy = Self { place: place.clone(), items: BTreeMap::new(), size: 0, revision };
+        all.into_iter().for_each(|kv| copy.put(kv));
+        Ok(copy)
+    }
+
+    pub fn revision(&self) -> i64 {
+        self.revision
+    }
+
+    /// Takes in what has changed. Whether the leader's key is among what is gone.
+    pub fn apply(&mut self, events: Vec<Event>) -> Result<bool, StoreError> {
+        let mut leader_gone = false;
+        for event in events {
+            let (Event::Put(kv) | Event::Delete(kv)) = &event;
+            self.revision = self.revision.max(kv.mod_revision);
+            match event {
+                Event::Put(kv) => self.put(kv),
+                Event::Delete(kv) if kv.key == self.place.leader() => leader_gone = true,
+                Event::Delete(KeyValue { key, .. }) => {
+                    if let Some(old) = self.place.item(&key).and_then(|item| self.items.remove(&item)) {
+                        self.size -= old.value.len();
+                    }
+                }
+            }
+        }
+        if self.size > MAX_STORED { Err(StoreError::TooMuch(MAX_STORED)) } else { Ok(leader_gone) }
+    }
+
+    fn put(&mut self, kv: KeyValue) {
+        let Some(item) = self.place.item(&kv.key) else {
+            if kv.key != self.place.leader() {
+                tracing::warn!(key = %String::from_utf8_lossy(&kv.key), "etcd holds under the prefix of the RIB what is none of it");
+            }
+            return;
+        };
+        // It is refused when it is read; but one that is too large is not kept until then.
+        let value = if kv.value.len() > MAX_ITEM { Vec::new() } else { kv.value };
+        self.size += value.len();
+        if let Some(old) = self.items.insert(item, Stored { revision: kv.mod_revision, value }) {
+            self.size -= old.value.len();
+        }
+    }
+
+    /// The items, in their order.
+    pub fn items(&self) -> impl Iterator<Item = (&Item, &[u8])> {
+        self.items.iter().map(|(item, stored)| (item, stored.value.as_slice()))
+    }
+
+    pub fn get(&self, item: &Item) -> Option<&[u8]> {
+        self.items.get(item).map(|stored| stored.value.as_slice())
+    }
+
+    /// For the replica that the election of this revision made leader.
+    pub fn into_writer(self, gateway: Gateway, term: i64) -> Writer {
+        let revisions = self.items.into_iter().map(|(item, stored)| (item, stored.revision)).collect();
+        Writer { place: self.place, gateway, term, revisions }
+    }
+}
+
+/// What an item is to be; none: it is to be gone.
+pub type Change = (Item, Option<Vec<u8>>);
+
+/// Writes for the leader of one term.
+pub struct Writer {
+    place: Place,
+    gateway: Gateway,
+    term: i64,
+    /// As of which revision each item is there.
+    revisions: BTreeMap<Item, i64>,
+}
+
+impl Writer {
+    /// Brings items to these values, or has them gone, in as few transactions as they fit: at least one, so that it is certain that this
+    /// replica leads. After an error nobody knows which of them are.
+    pub async fn write(&mut self, changes: &[Change]) -> Result<(), StoreError> {
+        let size = |value: &Option<Vec<u8>>| value.as_ref().map_or(0, Vec::len);
+        let mut rest = changes;
+        loop {
+            let mut room = MAX_TRANSACTION;
+            let fits = |(_, value): &&Change| {
+                let rest = room.checked_sub(size(value));
+                room = rest.unwrap_or_default();
+                rest.is_some()
+            };
+            let count = rest.iter().take(MAX_OPS).take_while(fits).count().max(1).min(rest.len());
+            let (batch, behind) = rest.split_at(count);
+            self.transact(batch).await?;
+            rest = behind;
+            if rest.is_empty() {
+                return Ok(());
+            }
+        }
+    }
+
+    async fn transact(&mut self, batch: &[Change]) -> Result<(), StoreError> {
+        let leader = self.place.leader();
+        let keys: Vec<Vec<u8>> = batch.iter().map(|(item, _)| self.place.key(item)).collect();
+        for _ in 0..ATTEMPTS {
+            let held = |item| self.revisions.get(item).copied().unwrap_or_default();
+            let mut compare = vec![Compare::Created(&leader, self.term)];
+            let (mut then, mut otherwise) = (Vec::new(), vec![Op::Get(&leader)]);
+            for ((item, value), key) in batch.iter().zip(&keys) {
+                compare.push(Compare::Modified(key, held(item)));
+                match value {
+                    Some(value) => then.push(Op::Put { key, value, lease: 0 }),
+                    None => then.push(Op::Delete(key)),
+                }
+                otherwise.push(Op::Get(key));
+            }
+            let outcome = self.gateway.transact(&compare, &then, &otherwise).await?;
+            if outcome.succeeded {
+                for (item, value) in batch {
+                    match value {
+                        Some(_) => drop(self.revisions.insert(*item, outcome.revision)),
+                        None => drop(self.revisions.remove(item)),
+                    }
+                }
+                return Ok(());
+            }
+            let mut found = outcome.found.into_iter();
+            if found.next().flatten().is_none_or(|found| found.create_revision != self.term) {
+                return Err(StoreError::Fenced);
+            }
+            // The answer to an earlier attempt was lost, or somebody meddles: what the leader says counts.
+            for ((item, _), found) in batch.iter().zip(found) {
+                match found {
+                    Some(found) => drop(self.revisions.insert(*item, found.mod_revision)),
+                    None => drop(self.revisions.remove(item)),
+                }
+            }
+        }
+        Err(StoreError::Contended)
+    }
+}

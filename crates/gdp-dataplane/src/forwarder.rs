@@ -1,0 +1,288 @@
+//! Moves frames between data sockets according to [`super::userspace::handle`]: one thread for each socket that receives.
+//! Nothing is allocated for a batch, and the tables are entered once.
+
+use std::collections::HashMap;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use gdp_link::port::{BATCH, DataSocket, InFrame, LinkAddr, OutFrame, RecvBatch};
+use gdp_wire::counter::is_sampled;
+use gdp_wire::{Counter, Header};
+use parking_lot::RwLock;
+use zerocopy::{FromBytes, IntoBytes};
+
+use super::notices::Notices;
+use super::queues::Queues;
+use super::tables::Reader;
+use super::tally::Tally;
+use super::userspace::{CopyOut, Outcome, copies, handle};
+
+/// Frames that a thread hands to an interface before it looks again whether they wait there, if they did not.
+const LOOK: usize = 16;
+
+/// How long a thread takes to notice that it should end.
+const NOTICE: Duration = Duration::from_millis(100);
+
+/// Where frames can be sent: an interface, or UDP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Medium {
+    Ethernet(u32),
+    Udp,
+}
+
+impl From<LinkAddr> for Medium {
+    fn from(address: LinkAddr) -> Self {
+        match address {
+            LinkAddr::Ethernet { ifindex, .. } => Self::Ethernet(ifindex),
+            LinkAddr::Udp(_) => Self::Udp,
+        }
+    }
+}
+
+/// What all threads share.
+pub struct Shared {
+    pub notices: Arc<Notices>,
+    pub tally: Tally,
+    queues: Arc<Queues>,
+    sockets: RwLock<HashMap<Medium, Arc<DataSocket>>>,
+    counters: [AtomicU64; Counter::COUNT],
+}
+
+impl Shared {
+    /// `queues`: those of the tables.
+    pub fn new(queues: Arc<Queues>) -> Self {
+        Self {
+            notices: Arc::default(),
+            tally: Tally::default(),
+            queues,
+            sockets: RwLock::new(HashMap::new()),
+            counters: [const { AtomicU64::new(0) }; Counter::COUNT],
+        }
+    }
+
+    /// In the order of [`Counter::ALL`].
+    pub fn counters(&self) -> [u64; Counter::COUNT] {
+        std::array::from_fn(|i| self.counters[i].load(Ordering::Relaxed))
+    }
+
+    /// Sends a frame of this node itself; if it is lost, so be it.
+    pub fn send_own(&self, to: LinkAddr, header: Header, payload: &[u8]) {
+        let sockets = self.sockets.read();
+        if let Some(socket) = sockets.get(&Medium::from(to)) {
+            socket.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
+        }
+    }
+
+    fn count(&self, counter: Counter, frames: u64) {
+        if frames > 0 {
+            self.counters[counter as usize].fetch_add(frames, Ordering::Relaxed);
+        }
+    }
+}
+
+/// One socket's thread. Dropping it ends the thread; frames to that medium are then lost and counted.
+pub struct Forwarder {
+    medium: Medium,
+    shared: Arc<Shared>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Forwarder {
+    /// `largest`: bytes of the largest frame the socket can deliver.
+    pub fn start(
+        medium: Medium,
+        socket: Arc<DataSocket>,
+        largest: usize,
+        shared: &Arc<Shared>,
+        tables: Reader,
+    ) -> io::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        sockets(shared, |sockets| sockets.insert(medium, socket.clone()));
+        let worker = Worker {
+            socket,
+            shared: shared.clone(),
+            tables,
+            stop: stop.clone(),
+            batch: RecvBatch::new(largest),
+            sends: Vec::with_capacity(BATCH),
+            unseen: Vec::new(),
+        };
+        let thread = std::thread::Builder::new().name("gdp-forward".into()).spawn(move || worker.run())?;
+        Ok(Self { medium, shared: shared.clone(), stop, thread: Some(thread) })
+    }
+
+    /// Says that the thread should end, without waiting until it has.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Forwarder {
+    fn drop(&mut self) {
+        self.stop();
+        sockets(&self.shared, |sockets| sockets.remove(&self.medium));
+        if let Medium::Ethernet(ifindex) = self.medium {
+            self.shared.queues.note(ifindex, 0);
+        }
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Worker {
+    socket: Arc<DataSocket>,
+    shared: Arc<Shared>,
+    tables: Reader,
+    stop: Arc<AtomicBool>,
+    batch: RecvBatch,
+    /// What is to be sent of the batch.
+    sends: Vec<Send>,
+    /// Frames handed to each interface since its queue was looked at.
+    unseen: Vec<(u32, usize)>,
+}
+
+/// A frame of the batch, or a copy of it.
+struct Send {
+    frame: usize,
+    to: LinkAddr,
+    length: usize,
+    /// In place of the frame's own.
+    header: Option<Header>,
+    counter: Counter,
+}
+
+impl Worker {
+    fn run(mut self) {
+        while !self.stop.load(Ordering::Relaxed) {
+            // Keys that are gone from the tables are not to stay because nothing comes.
+            drop(self.tables.enter());
+            let received = match self.socket.wait_readable(NOTICE) {
+                Ok(false) => continue,
+                Ok(true) => self.socket.try_recv_batch(&mut self.batch),
+                Err(error) => Err(error),
+            };
+            match received {
+                Ok(0) => {}
+                Ok(_) => {
+                    self.look_at_queues();
+                    self.decide();
+                    self.send();
+                }
+                Err(error) => {
+                    tracing::warn!(%error, "a data socket failed; trying on");
+                    std::thread::park_timeout(NOTICE);
+                }
+            }
+        }
+    }
+
+    /// Before more is handed over: what is still there waits.
+    fn look_at_queues(&mut self) {
+        let shared = &self.shared;
+        let due = self.unseen.extract_if(.., |(_, frames)| *frames >= LOOK).map(|(ifindex, _)| ifindex);
+        shared.queues.look(due, |ifindex| {
+            let sockets = shared.sockets.read();
+            sockets.get(&Medium::Ethernet(ifindex)).map_or(0, |socket| socket.send_queue())
+        });
+    }
+
+    fn decide(&mut self) {
+        let mut counts = [0u64; Counter::COUNT];
+        let tables = self.tables.enter();
+        for (index, InFrame { bytes: frame, congested, .. }) in self.batch.frames().enumerate() {
+            let arrived = Header::read_from_prefix(frame).ok().map(|(header, _)| (header.link_id(), header.tag()));
+            let outcome = handle(frame, congested, &tables);
+            let counter = match outcome {
+                Outcome::Send { to, length, counter, .. } => {
+                    self.sends.push(Send { frame: index, to, length, header: None, counter });
+                    counter
+                }
+                Outcome::Copies { ingress, group } => {
+                    let send = |CopyOut { to, header, counter, .. }| {
+                        let length = header.frame_len();
+                        self.sends.push(Send { frame: index, to, length, header: Some(header), counter });
+                    };
+                    copies(frame, (ingress, group), &tables, send, |counter| counts[counter as usize] += 1);
+                    Counter::Replicated
+                }
+                Outcome::Control => Counter::Control,
+                Outcome::Notice { link, header } => {
+                    let payload = frame.get(Header::LEN..header.frame_len()).unwrap_or_default();
+                    self.shared.notices.take(link, &header, payload)
+                }
+                Outcome::Drop(counter) => counter,
+            };
+            if !matches!(outcome, Outcome::Send { .. }) {
+                counts[counter as usize] += 1;
+            }
+            if let Some((link, tag)) = arrived {
+                self.shared.tally.count_arrivals(link, counter, 1);
+                if let Ok((header, _)) = Header::read_from_prefix(frame)
+                    && counter.is_onward()
+                    && is_sampled(tag)
+                {
+                    self.shared.tally.sample(&header.destination);
+                }
+            }
+        }
+        drop(tables);
+        for (counter, frames) in Counter::ALL.iter().zip(counts) {
+            self.shared.count(*counter, frames);
+        }
+    }
+
+    fn send(&mut self) {
+        // As a rule all frames of a batch leave by one socket, so this loop runs once.
+        while let Some(first) = self.sends.first() {
+            let medium = Medium::from(first.to);
+            let socket = {
+                let sockets = self.shared.sockets.read();
+                sockets.get(&medium).cloned()
+            };
+            let mut intended = [0u64; Counter::COUNT];
+            let here = self.sends.iter().filter(|send| Medium::from(send.to) == medium);
+            here.clone().for_each(|send| intended[send.counter as usize] += 1);
+            if let Medium::Ethernet(ifindex) = medium {
+                let frames = here.clone().count();
+                match self.unseen.iter_mut().find(|(of, _)| *of == ifindex) {
+                    Some((_, unseen)) => *unseen += frames,
+                    None => self.unseen.push((ifindex, frames)),
+                }
+            }
+            let frames = here.map(|send| {
+                let frame = &self.batch.frame(send.frame)[..send.length];
+                match &send.header {
+                    Some(header) => OutFrame { to: send.to, head: header.as_bytes(), body: &frame[Header::LEN..] },
+                    None => OutFrame { to: send.to, head: frame, body: &[] },
+                }
+            });
+            let lost = match socket {
+                Some(socket) => socket.send_batch(frames).lost as u64,
+                None => frames.count() as u64,
+            };
+            self.account(intended, lost);
+            self.sends.retain(|send| Medium::from(send.to) != medium);
+        }
+    }
+
+    /// Counts what was to be sent as it was decided, but for what was lost. Which ones those were is not known, so they are
+    /// taken off in the order of the counters.
+    fn account(&self, intended: [u64; Counter::COUNT], lost: u64) {
+        let mut open = lost;
+        for (counter, frames) in Counter::ALL.iter().zip(intended) {
+            let failed = frames.min(open);
+            open -= failed;
+            self.shared.count(*counter, frames - failed);
+        }
+        self.shared.count(Counter::RedirectFailed, lost - open);
+    }
+}
+
+fn sockets<T>(shared: &Shared, change: impl FnOnce(&mut HashMap<Medium, Arc<DataSocket>>) -> T) -> T {
+    change(&mut shared.sockets.write())
+}

@@ -1,0 +1,170 @@
+//! The pair of interfaces by which endpoints on the switch's own host reach its program, and it them:
+//!
+//! ```text
+//!   endpoint's socket ── IP ── gdp75e1a2b3h ═══ gdp75e1a2b3s ── XDP ──▶ other interfaces
+//!                              169.254.31.64    169.254.31.65
+//!                              of the host      of nobody: the host sends what is for it out of the pair
+//! ```
+//!
+//! Made, found again and removed here, over netlink; that needs CAP_NET_ADMIN. What goes over it is not known here. It outlives a
+//! daemon that is killed, as the program does. Called by the daemon (`serve`) and by `gdp-ctl xdp detach`.
+
+use std::io;
+use std::net::Ipv4Addr;
+use std::path::Path;
+
+use gdp_link::port::{HostPair, Interface};
+use gdp_wire::Name;
+use netlink_packet_route::address::{AddressAttribute, AddressScope};
+use rtnetlink::{Handle, LinkUnspec, LinkVeth};
+
+use super::{device, udp};
+
+/// Bytes behind the Ethernet header: what any UDP carrier takes.
+const MTU: u32 = 1500;
+
+/// Pairs have their addresses in here, two each, the host's the even one.
+const ADDRESSES: [u8; 3] = [169, 254, 31];
+
+/// Both ends of a pair.
+#[derive(Clone, Debug)]
+pub struct Ends {
+    /// The one that has the program.
+    pub switch: Interface,
+    pub addresses: HostPair,
+}
+
+/// Why there is no pair.
+#[derive(Debug, thiserror::Error)]
+pub enum HostPairError {
+    #[error("{interface}: {source}")]
+    Io { interface: String, source: io::Error },
+    #[error("{interface}: {source}")]
+    Netlink { interface: String, source: rtnetlink::Error },
+    #[error("all addresses in 169.254.31.0/24 are in use on this host")]
+    NoAddress,
+}
+
+/// Whether an interface is an end of a pair, whichever switch's.
+pub fn is_end(interface: &str) -> bool {
+    let digits = interface.strip_prefix("gdp").and_then(|rest| rest.strip_suffix(['h', 's']));
+    digits.is_some_and(|digits| digits.len() == 8 && digits.bytes().all(|c| c.is_ascii_hexdigit()))
+}
+
+/// The pair of a switch in the calling thread's network namespace: the one that an earlier daemon left, or a new one.
+pub async fn open(switch: &Name) -> Result<Ends, HostPairError> {
+    let [host, inner] = names(&switch.to_string());
+    let io_at = |interface: &str| {
+        let interface = interface.to_owned();
+        move |source| HostPairError::Io { interface, source }
+    };
+    let netlink = Netlink::open().map_err(io_at(&host))?;
+    let at = |source| HostPairError::Netlink { interface: host.clone(), source };
+    let handle = &netlink.handle;
+    if Interface::find(&host).is_err() || Interface::find(&inner).is_err() {
+        handle.link().add(LinkVeth::new(&host, &inner).mtu(MTU).build()).execute().await.map_err(at)?;
+    }
+    let (outer, switch_end) =
+        (Interface::find(&host).map_err(io_at(&host))?, Interface::find(&inner).map_err(io_at(&inner))?);
+    for end in [&outer, &switch_end] {
+        // Nothing but frames is to go by it: no neighbour discovery, no DDS that looks for interfaces.
+        let _ = std::fs::write(Path::new("/proc/sys/net/ipv6/conf").join(&end.name).join("disable_ipv6"), "1");
+        let up = LinkUnspec::new_with_index(end.index).multicast(false).up().build();
+        handle.link().set(up).execute().await.map_err(at)?;
+    }
+    let host_ip = addresses(&host, switch).map_err(io_at(&host))?.ok_or(HostPairError::NoAddress)?;
+    let pair = HostPair {
+        switch_ip: Ipv4Addr::from_bits(host_ip.to_bits() | 1),
+        switch_mac: switch_end.mac,
+        host_ip,
+        host_mac: outer.mac,
+    };
+    let mut address = handle.address().add(outer.index, host_ip.into(), 32).replace();
+    let message = address.message_mut();
+    message.header.scope = AddressScope::Link;
+    message.attributes = vec![
+        AddressAttribute::Local(host_ip.into()),
+        // The other end's: so that there is a route to it, and no broadcast address.
+        AddressAttribute::Address(pair.switch_ip.into()),
+    ];
+    address.execute().await.map_err(at)?;
+    let neighbour = handle.neighbours().add(outer.index, pair.switch_ip.into()).replace();
+    neighbour.link_layer_address(&pair.switch_mac).execute().await.map_err(at)?;
+    // Only then does it take redirected frames.
+    device::set_gro(&host).map_err(io_at(&host))?;
+    Ok(Ends { switch: switch_end, addresses: pair })
+}
+
+/// Removes the pair of a switch, whose name begins with these digits, from the calling thread's network namespace. Returns
+/// whether there was one.
+pub async fn remove(switch: &str) -> Result<bool, HostPairError> {
+    let [host, _] = names(switch);
+    let Ok(interface) = Interface::find(&host) else { return Ok(false) };
+    let netlink = Netlink::open().map_err(|source| HostPairError::Io { interface: host.clone(), source })?;
+    let removed = netlink.handle.link().del(interface.index).execute().await;
+    removed.map(|()| true).map_err(|source| HostPairError::Netlink { interface: host, source })
+}
+
+/// Of the host's end and of the switch's.
+fn names(switch: &str) -> [String; 2] {
+    ['h', 's'].map(|end| format!("gdp{}{end}", switch.get(..8).unwrap_or(switch)))
+}
+
+/// The address that the host's end has, or one that it can have, if there is one: first where the switch's name puts it, so that
+/// switches of one host seldom look twice.
+fn addresses(host: &str, switch: &Name) -> io::Result<Option<Ipv4Addr>> {
+    let taken = udp::addresses()?;
+    let taken = taken.iter().filter_map(|address| match address.ip {
+        std::net::IpAddr::V4(ip) => Some((ip, address.interface == host)),
+        std::net::IpAddr::V6(_) => None,
+    });
+    let taken: Vec<(Ipv4Addr, bool)> = taken.filter(|(ip, _)| ip.octets()[..3] == ADDRESSES).collect();
+    if let Some((own, _)) = taken.iter().find(|(_, own)| *own) {
+        return Ok(Some(*own));
+    }
+    let first = switch.as_bytes()[0] & !1;
+    let [a, b, c] = ADDRESSES;
+    let candidates = (0..128).map(|i| Ipv4Addr::new(a, b, c, first.wrapping_add(2 * i)));
+    let free = |ip: &Ipv4Addr| taken.iter().all(|(other, _)| other.to_bits() & !1 != ip.to_bits());
+    Ok(candidates.into_iter().find(free))
+}
+
+/// A connection whose task ends with this.
+struct Netlink {
+    handle: Handle,
+    task: tokio::task::JoinHandle<()>,
+}
+
+impl Netlink {
+    fn open() -> io::Result<Self> {
+        let (connection, handle, _) = rtnetlink::new_connection()?;
+        Ok(Self { handle, task: tokio::spawn(connection) })
+    }
+}
+
+impl Drop for Netlink {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ends_are_told_from_other_interfaces_by_their_names() {
+        let ends = names(&Name::from_bytes([0x75; 32]).to_string());
+        assert_eq!(ends, ["gdp75757575h", "gdp75757575s"]);
+        assert!(ends.iter().all(|end| is_end(end)));
+        for other in ["gdp0", "gdp75757575", "gdp7575757xh", "gdph", "eth0", "gdp757575755h"] {
+            assert!(!is_end(other), "{other}");
+        }
+    }
+
+    #[test]
+    fn an_address_is_found_where_the_name_puts_it() {
+        let found = addresses("gdp75757575h", &Name::from_bytes([0x75; 32])).unwrap();
+        assert_eq!(found.map(|ip| ip.octets()[..3] == ADDRESSES && ip.octets()[3] % 2 == 0), Some(true));
+    }
+}

@@ -1,0 +1,180 @@
+//! What neighbours said to this node itself: errors about frames it forwarded to them, answers to its echoes, and probes that ended
+//! here. Written by the userspace plane's threads, read by the daemon; an array of atomics and a short queue, so that no
+//! neighbour's flood costs memory or hides what another said.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use gdp_wire::table::{MAX_LINKS, link_index};
+use gdp_wire::{Counter, ErrorCode, FrameType, Header, Name};
+use parking_lot::{Mutex, MutexGuard};
+use tokio::sync::Notify;
+
+/// Probes that wait for the daemon.
+const MAX_PROBES: usize = 64;
+
+pub struct Notices {
+    /// By link index.
+    heard: Box<[Heard]>,
+    /// An answer to an echo has come.
+    answered: Notify,
+    probes: Mutex<VecDeque<Punted>>,
+    probed: Notify,
+}
+
+/// A probe that ended at this switch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Punted {
+    /// Id of the link it came by.
+    pub link: u32,
+    /// What it asks the way to.
+    pub destination: Name,
+    /// The switch that asks.
+    pub source: Name,
+    pub egress_bits: u64,
+    pub cookie: u64,
+}
+
+/// What came on one link.
+#[derive(Default)]
+struct Heard {
+    errors: [AtomicU64; ErrorCode::COUNT],
+    /// Cookie of the latest answer to an echo.
+    answer: AtomicU64,
+}
+
+impl Default for Notices {
+    fn default() -> Self {
+        Self {
+            heard: (0..MAX_LINKS).map(|_| Heard::default()).collect(),
+            answered: Notify::new(),
+            probes: Mutex::default(),
+            probed: Notify::new(),
+        }
+    }
+}
+
+impl Notices {
+    /// Forgets what came on the link that had the index before.
+    pub fn begin(&self, id: u32) {
+        let heard = self.of(id);
+        heard.errors.iter().chain([&heard.answer]).for_each(|word| word.store(0, Ordering::Relaxed));
+    }
+
+    /// Takes a frame that is for this node, from the neighbour on link `id`. Returns how it is counted.
+    pub fn take(&self, id: u32, header: &Header, payload: &[u8]) -> Counter {
+        let heard = self.of(id);
+        if header.version_type == FrameType::Probe.first_byte() {
+            return self.take_probe(id, header, payload);
+        }
+        if header.version_type == FrameType::Echo.first_byte() && header.egress_set == Header::ANSWERS {
+            heard.answer.store(header.egress_bits(), Ordering::Relaxed);
+            self.answered.notify_waiters();
+            return Counter::Notice;
+        }
+        match ErrorCode::from_number(header.egress_set) {
+            Some(code) if header.version_type == FrameType::Error.first_byte() => {
+                heard.errors[code.index()].fetch_add(1, Ordering::Relaxed);
+                Counter::Notice
+            }
+            _ => Counter::Unknown,
+        }
+    }
+
+    fn take_probe(&self, link: u32, header: &Header, payload: &[u8]) -> Counter {
+        let Some(cookie) = payload.first_chunk() else { return Counter::Truncated };
+        let mut probes = self.probes();
+        if probes.len() >= MAX_PROBES {
+            return Counter::PuntLimit;
+        }
+        probes.push_back(Punted {
+            link,
+            destination: header.destination,
+            source: header.source,
+            egress_bits: header.egress_bits(),
+            cookie: u64::from_be_bytes(*cookie),
+        });
+        self.probed.notify_one();
+        Counter::Notice
+    }
+
+    /// The next probe that ended here, as soon as there is one. For one task.
+    pub async fn probe(&self) -> Punted {
+        loop {
+            let next = self.probes().pop_front();
+            match next {
+                Some(probe) => return probe,
+                None => self.probed.notified().await,
+            }
+        }
+    }
+
+    /// Waits until the latest answer to an echo on a link has this cookie.
+    pub async fn answered_with(&self, id: u32, cookie: u64) {
+        loop {
+            let more = self.answered.notified();
+            if self.answer(id) == cookie {
+                return;
+            }
+            more.await;
+        }
+    }
+
+    fn probes(&self) -> MutexGuard<'_, VecDeque<Punted>> {
+        self.probes.lock()
+    }
+
+    /// Errors that came on a link, in the order of [`ErrorCode::ALL`].
+    pub fn errors(&self, id: u32) -> [u64; ErrorCode::COUNT] {
+        std::array::from_fn(|i| self.of(id).errors[i].load(Ordering::Relaxed))
+    }
+
+    /// The cookie of the latest answer to an echo on a link; 0 before the first.
+    pub fn answer(&self, id: u32) -> u64 {
+        self.of(id).answer.load(Ordering::Relaxed)
+    }
+
+    fn of(&self, id: u32) -> &Heard {
+        &self.heard[link_index(id) as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_link_has_its_own_and_a_new_one_has_nothing() {
+        let notices = Notices::default();
+        let (a, b) = (0x1000_0001, 0x1000_0002);
+        let mut error = Header::default();
+        error.become_error(ErrorCode::HopLimit, 0);
+        let mut answer = Header::echo(77);
+        let take = |link, header: &Header| notices.take(link, header, &[]);
+        assert_eq!(take(a, &answer), Counter::Unknown, "a question is for the plane, not for this node");
+        answer.become_answer();
+        assert_eq!([take(a, &error), take(a, &error), take(b, &answer)], [Counter::Notice; 3]);
+        error.egress_set = 9;
+        assert_eq!(take(a, &error), Counter::Unknown);
+        assert_eq!((notices.errors(a), notices.errors(b)), ([0, 0, 2, 0], [0; 4]));
+        assert_eq!(notices.answer(b), 77);
+        notices.begin(a ^ 0x2000_0000);
+        assert_eq!((notices.errors(a), notices.answer(b)), ([0; 4], 77));
+    }
+
+    #[tokio::test]
+    async fn probes_wait_in_order_and_not_without_end() {
+        let notices = Notices::default();
+        let probe = Header::probe(Name::from_bytes([1; 32]), Name::from_bytes([2; 32]), 5, 3);
+        let take = |cookie: u64| notices.take(7, &probe, &cookie.to_be_bytes());
+        assert_eq!(notices.take(7, &probe, &[0; 7]), Counter::Truncated);
+        for cookie in 0..MAX_PROBES as u64 {
+            assert_eq!(take(cookie), Counter::Notice);
+        }
+        assert_eq!(take(99), Counter::PuntLimit);
+        let first = notices.probe().await;
+        let (destination, source) = (probe.destination, probe.source);
+        assert_eq!(first, Punted { link: 7, destination, source, egress_bits: 1 << 5, cookie: 0 });
+        assert_eq!((take(100), notices.probe().await.cookie), (Counter::Notice, 1));
+    }
+}

@@ -1,0 +1,82 @@
+//! The XDP programs: the object inside this executable, or a file that somebody names.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Names a file to load instead of the embedded object; for development and tests.
+pub const ENVIRONMENT: &str = "GDP_EBPF_OBJECT";
+
+// `EMBEDDED: Option<&[u8]>`, made by the build script.
+include!(concat!(env!("OUT_DIR"), "/embedded.rs"));
+
+/// This executable has no XDP programs, and no file was named.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("built without XDP: `cargo xtask build` makes an executable with the XDP programs inside")]
+pub struct BuiltWithoutXdp;
+
+/// Where the XDP programs are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Object {
+    /// Inside this executable.
+    Embedded(&'static [u8]),
+    File(PathBuf),
+}
+
+impl Object {
+    /// The file that the configuration names, else the one that the environment names, else the embedded object.
+    pub fn find(wanted: Option<&Path>) -> Result<Self, BuiltWithoutXdp> {
+        let named = wanted.map(PathBuf::from).or_else(|| std::env::var_os(ENVIRONMENT).map(PathBuf::from));
+        match named {
+            Some(file) => Ok(Self::File(file)),
+            None => EMBEDDED.map(Self::Embedded).ok_or(BuiltWithoutXdp),
+        }
+    }
+
+    /// The ELF file.
+    pub fn bytes(&self) -> std::io::Result<Cow<'static, [u8]>> {
+        match self {
+            Self::Embedded(bytes) => Ok(Cow::Borrowed(bytes)),
+            Self::File(path) => std::fs::read(path).map(Cow::Owned),
+        }
+    }
+}
+
+/// Whether the XDP programs are inside this executable.
+pub const fn is_embedded() -> bool {
+    EMBEDDED.is_some()
+}
+
+impl fmt::Display for Object {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Embedded(_) => f.write_str("the XDP programs in this executable"),
+            Self::File(path) => path.display().fmt(f),
+        }
+    }
+}
+
+impl<T: AsRef<Path> + ?Sized> From<&T> for Object {
+    fn from(file: &T) -> Self {
+        Self::File(file.as_ref().to_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_was_named_is_the_only_candidate() {
+        let missing = Path::new("/nonexistent/gdp-ebpf");
+        let found = Object::find(Some(missing)).expect("what was named");
+        assert_eq!(found, Object::File(missing.to_owned()));
+        assert_eq!(found.bytes().expect_err("there is none").kind(), std::io::ErrorKind::NotFound);
+    }
+
+    #[test]
+    fn the_embedded_object_is_an_elf_file() {
+        // Built without the eBPF toolchain, there is none.
+        assert!(EMBEDDED.is_none_or(|bytes| bytes.starts_with(b"\x7fELF")));
+    }
+}

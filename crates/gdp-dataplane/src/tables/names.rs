@@ -1,0 +1,79 @@
+//! Where names lead, in memory of this process that its threads share.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+use gdp_wire::Name;
+use gdp_wire::flat::{BUCKET, Table, buckets_for};
+
+use crate::kernel::UpdateError;
+use crate::mapping::Mapping;
+use crate::{growing, growing::FIRST, growing::Growing};
+
+/// The names, for the only one who writes them.
+pub struct Names {
+    table: Table<Memory>,
+    limit: u32,
+}
+
+/// A flat table, for its readers. It begins with a page, so no line of it is in two cache lines. Clones share it.
+#[derive(Clone)]
+pub struct Memory(Arc<Mapping>);
+
+impl Names {
+    /// `limit`: names there may be.
+    pub fn new(limit: u32) -> Result<Self, UpdateError> {
+        Ok(Self { table: make(limit.min(FIRST))?, limit })
+    }
+
+    /// What is to be read, until names are inserted: then it may be another.
+    pub fn memory(&self) -> &Memory {
+        self.table.memory()
+    }
+
+    pub fn remove(&mut self, name: &Name) {
+        self.table.remove(name);
+    }
+}
+
+impl Growing for Names {
+    type Memory = Memory;
+
+    fn table(&self) -> &Table<Memory> {
+        &self.table
+    }
+
+    fn table_mut(&mut self) -> &mut Table<Memory> {
+        &mut self.table
+    }
+
+    fn limit(&self) -> u32 {
+        self.limit
+    }
+
+    fn grow(&mut self, names: u32) -> Result<(), UpdateError> {
+        let mut table = make(names)?;
+        self.copy_to(&mut table)?;
+        self.table = table;
+        Ok(())
+    }
+}
+
+impl Memory {
+    /// Whether the two are one.
+    pub fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+}
+
+impl AsRef<[AtomicU64]> for Memory {
+    #[inline]
+    fn as_ref(&self) -> &[AtomicU64] {
+        (*self.0).as_ref()
+    }
+}
+
+/// An empty table for so many names.
+fn make(names: u32) -> Result<Table<Memory>, UpdateError> {
+    growing::begin(names, || Ok(Memory(Arc::new(Mapping::own(buckets_for(names) as usize * BUCKET)?))))
+}

@@ -1,0 +1,228 @@
+//! A loop: it asks its queues for packets, forwards what there is, and sends.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
+
+use arc_swap::ArcSwap;
+use gdp_wire::Counter;
+use parking_lot::Mutex;
+
+use crate::Eal;
+use crate::forwarding::{Forwarding, Sink};
+use crate::host::ToHost;
+use crate::idle::{Idle, Rest, sleep_exactly};
+use crate::local::Local;
+use crate::mbuf::{Burst, Mbuf, Pool};
+use crate::port::{Receive, Send};
+use crate::view::Reader;
+
+/// Rounds in vain after which a loop looks at the tables all the same.
+const LOOK: u32 = 512;
+
+/// What a loop is told.
+pub enum Command {
+    Add(Box<LoopPort>, SyncSender<()>),
+    Remove(u32, SyncSender<()>),
+}
+
+/// A port as a loop uses it.
+pub struct LoopPort {
+    pub number: u32,
+    pub receive: Vec<Receive>,
+    pub lane: Lane,
+}
+
+/// Where a loop's packets leave by a port.
+pub struct Lane {
+    send: Arc<Mutex<Send>>,
+    gathers: bool,
+    leaving: Burst,
+    /// What the device did not take.
+    lost: Arc<AtomicU64>,
+}
+
+/// A loop.
+pub struct Worker<R> {
+    told: Receiver<Command>,
+    reader: R,
+    local: Arc<ArcSwap<Local>>,
+    forwarding: Forwarding,
+    out: Out,
+    /// Queues, each with the place of its port among the lanes.
+    receives: Vec<(usize, Receive)>,
+    numbers: Vec<u32>,
+    counters: Arc<[AtomicU64; Counter::COUNT]>,
+    rest: Rest,
+}
+
+impl<R: Reader> Worker<R> {
+    pub fn new(
+        told: Receiver<Command>,
+        (reader, local): (R, Arc<ArcSwap<Local>>),
+        (host, pool): (ToHost, Pool),
+        counters: Arc<[AtomicU64; Counter::COUNT]>,
+        idle: Idle,
+    ) -> Self {
+        Self {
+            told,
+            reader,
+            local,
+            forwarding: Forwarding::new(pool),
+            out: Out { lanes: Vec::new(), host, from: 0 },
+            receives: Vec::new(),
+            numbers: Vec::new(),
+            counters,
+            rest: Rest::new(idle),
+        }
+    }
+
+    /// Until nobody can tell it anything any more, on this thread, and on this core if one is given.
+    pub fn run(mut self, eal: Eal, core: Option<usize>) {
+        core.into_iter().for_each(bind_to);
+        sleep_exactly();
+        let _registered = match eal.register() {
+            Ok(registered) => registered,
+            Err(error) => return tracing::error!(%error, "a loop of the DPDK data plane does not start"),
+        };
+        let (mut burst, mut vain) = (Burst::new(), 0u32);
+        let mut local = arc_swap::Cache::new(self.local.clone());
+        loop {
+            match self.told.try_recv() {
+                Ok(command) => self.obey(command),
+                Err(TryRecvError::Empty) => {}
+                Err(TryRecvError::Disconnected) => return,
+            }
+            let mut any = false;
+            for (port, receive) in &mut self.receives {
+                if receive.receive(&mut burst) == 0 {
+                    continue;
+                }
+                any = true;
+                self.out.from = *port;
+                let mut counts = [0; Counter::COUNT];
+                let at = (self.numbers[*port], &self.numbers[..]);
+                let tables = (&self.reader.enter(), &**local.load());
+                self.forwarding.run(at, &mut burst, tables, &mut self.out, &mut counts);
+                for (counter, count) in self.counters.iter().zip(counts).filter(|(_, count)| *count > 0) {
+                    // Nobody else writes it.
+                    counter.store(counter.load(Ordering::Relaxed) + count, Ordering::Relaxed);
+                }
+            }
+            if any {
+                self.out.flush();
+            }
+            vain = if any { 0 } else { vain.wrapping_add(1) };
+            if vain % LOOK == LOOK - 1 {
+                // What is gone from the tables may go from memory.
+                drop(self.reader.enter());
+                local.load();
+            }
+            match self.rest.after(any) {
+                Some(sleep) => std::thread::sleep(sleep),
+                None if any => {}
+                None => std::hint::spin_loop(),
+            }
+        }
+    }
+
+    fn obey(&mut self, command: Command) {
+        match command {
+            Command::Add(port, answer) => {
+                let LoopPort { number, receive, lane } = *port;
+                let place = self.out.lanes.len();
+                self.out.lanes.push((number, lane));
+                self.numbers.push(number);
+                self.receives.extend(receive.into_iter().map(|receive| (place, receive)));
+                let _ = answer.send(());
+            }
+            Command::Remove(number, answer) => {
+                if let Some(place) = self.numbers.iter().position(|of| *of == number) {
+                    self.numbers.remove(place);
+                    self.out.lanes.remove(place);
+                    self.receives.retain(|(of, _)| *of != place);
+                    self.receives.iter_mut().filter(|(of, _)| *of > place).for_each(|(of, _)| *of -= 1);
+                }
+                let _ = answer.send(());
+            }
+        }
+    }
+}
+
+/// Where a loop's packets go.
+struct Out {
+    lanes: Vec<(u32, Lane)>,
+    host: ToHost,
+    /// The place of the port that packets come from now.
+    from: usize,
+}
+
+impl Out {
+    fn flush(&mut self) {
+        self.lanes.iter_mut().for_each(|(_, lane)| lane.flush());
+    }
+
+    fn lane(&mut self, port: u32) -> Option<&mut Lane> {
+        self.lanes.iter_mut().find(|(number, _)| *number == port).map(|(_, lane)| lane)
+    }
+}
+
+impl Sink for Out {
+    fn send(&mut self, port: u32, mbuf: Mbuf) {
+        // It is there: nothing is decided to leave by another.
+        if let Some(lane) = self.lane(port) {
+            lane.send(mbuf);
+        }
+    }
+
+    fn pass(&mut self, mbuf: Mbuf) {
+        if let Some((number, lane)) = self.lanes.get(self.from)
+            && !self.host.give(*number, mbuf)
+        {
+            lane.lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    fn gathers(&self, port: u32) -> bool {
+        self.lanes.iter().any(|(number, lane)| *number == port && lane.gathers)
+    }
+}
+
+impl Lane {
+    /// `lost`: where it counts what the device did not take.
+    pub fn new(send: Arc<Mutex<Send>>, gathers: bool, lost: Arc<AtomicU64>) -> Self {
+        Self { send, gathers, leaving: Burst::new(), lost }
+    }
+
+    pub fn send(&mut self, mbuf: Mbuf) {
+        if self.leaving.is_full() {
+            self.flush();
+        }
+        // There is room now.
+        let _ = self.leaving.push(mbuf);
+    }
+
+    pub fn flush(&mut self) {
+        if self.leaving.is_empty() {
+            return;
+        }
+        let lost = self.send.lock().send(&mut self.leaving);
+        if lost > 0 {
+            self.lost.fetch_add(lost as u64, Ordering::Relaxed);
+        }
+    }
+}
+
+/// Binds the calling thread to a core.
+fn bind_to(core: usize) {
+    // SAFETY: a plain set of bits, all of which may be zero, and its size.
+    let result = unsafe {
+        let mut set: libc::cpu_set_t = std::mem::zeroed();
+        libc::CPU_SET(core, &mut set);
+        libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const set)
+    };
+    if result != 0 {
+        let error = std::io::Error::last_os_error();
+        tracing::warn!(core, %error, "a loop of the DPDK data plane is not bound to its core");
+    }
+}

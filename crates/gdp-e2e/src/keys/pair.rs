@@ -1,0 +1,248 @@
+//! What two entities tell each other alone: feedback, under a key that follows from their box keys without a message between them.
+//! The bytes are specified in `docs/wire-format.md`, "Feedback".
+//!
+//! Each side seals in sessions of its own, with random identifiers: so neither a restart nor the other direction repeats a nonce.
+//! An opener takes a session that it has not seen if what came opens; of those it remembers each message is taken once.
+
+use std::collections::VecDeque;
+use std::fmt;
+
+use zeroize::Zeroizing;
+
+use crate::feedback_wire::{Feedback, FeedbackError, MAX_FEEDBACK};
+use crate::seal::Window;
+use gdp_core::crypto;
+use gdp_core::crypto::{Aead, Backend, CryptoError, NONCE_LEN, PUBLIC_KEY_LEN, TAG_LEN};
+use gdp_core::keys::BoxKey;
+use gdp_core::name::Name;
+
+/// The largest payload of a frame with feedback, in bytes. It fits every link.
+pub const MAX_PAIR_PAYLOAD: usize = HEADER_LEN + MAX_FEEDBACK + TAG_LEN;
+
+const PAIR_CONTEXT: &[u8] = b"gdp/pair/1";
+const SESSION_CONTEXT: &[u8] = b"gdp/pair-session/1";
+const VERSION: u8 = 1;
+const HEADER_LEN: usize = 1 + 8 + 8;
+
+/// Messages of a session; then the sealer begins another.
+const MESSAGES: u64 = 1 << 32;
+
+/// Sessions of the peer whose messages are taken: its own, and what comes late or is repeated of those before its restarts.
+const SESSIONS: usize = 4;
+
+/// Sessions that were given up and are not taken again.
+const RETIRED: usize = 256;
+
+/// The secret of two entities: clones share nothing, and each is cleared when dropped.
+#[derive(Clone)]
+pub struct PairKey {
+    secret: Zeroizing<[u8; 32]>,
+    own: Name,
+    peer: Name,
+}
+
+/// Why a payload is no feedback of the peer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PairError {
+    #[error("{0} bytes are too few or too many for feedback")]
+    Length(usize),
+    #[error("feedback of version {0}, which this one does not know")]
+    Version(u8),
+    #[error("the peer has not sealed this for us, or it was changed")]
+    Forged,
+    #[error("this was received before, or so long ago that nobody knows")]
+    Replayed,
+    #[error(transparent)]
+    Feedback(#[from] FeedbackError),
+    #[error(transparent)]
+    Crypto(CryptoError),
+}
+
+impl PairKey {
+    /// `HKDF-SHA256(ECDH, info = "gdp/pair/1" ‖ lower name ‖ higher name)`.
+    pub fn new(own: (Name, &BoxKey), peer: (Name, &[u8; PUBLIC_KEY_LEN])) -> Result<Self, CryptoError> {
+        let (own, own_key) = own;
+        let (peer, peer_key) = peer;
+        let shared = own_key.agree(peer_key)?;
+        let (lower, higher) = (own.min(peer), own.max(peer));
+        let info = [PAIR_CONTEXT, lower.as_bytes(), higher.as_bytes()];
+        Ok(Self { secret: Backend::default().hkdf_sha256(&[], shared.as_slice(), &info)?, own, peer })
+    }
+
+    /// A sealer of what goes to the peer.
+    pub fn sealer(&self) -> Result<PairSealer, CryptoError> {
+        self.sealer_in(crypto::random()?)
+    }
+
+    /// A session that is used twice repeats nonces.
+    pub(super) fn sealer_in(&self, session: [u8; 8]) -> Result<PairSealer, CryptoError> {
+        let aead = self.session_aead(session, &self.own, &self.peer)?;
+        Ok(PairSealer { key: self.clone(), session, aead, next: 1 })
+    }
+
+    /// An opener of what comes from the peer.
+    pub fn opener(&self) -> PairOpener {
+        PairOpener { key: self.clone(), sessions: Vec::new(), retired: VecDeque::new() }
+    }
+
+    /// `HKDF-SHA256(pair key, salt = session, info = "gdp/pair-session/1" ‖ sender ‖ receiver)`.
+    fn session_aead(&self, session: [u8; 8], sender: &Name, receiver: &Name) -> Result<Aead, CryptoError> {
+        let backend = Backend::default();
+        let info = [SESSION_CONTEXT, sender.as_bytes(), receiver.as_bytes()];
+        backend.aead(&*backend.hkdf_sha256(&session, self.secret.as_slice(), &info)?)
+    }
+}
+
+/// Seals what one entity tells the other.
+pub struct PairSealer {
+    key: PairKey,
+    session: [u8; 8],
+    aead: Aead,
+    /// The counter of the next message; they begin at 1.
+    next: u64,
+}
+
+impl PairSealer {
+    /// Puts the payload of a frame to the peer into `out`, whose former content is dropped. After an error `out` is empty.
+    pub fn seal(&mut self, feedback: &Feedback, out: &mut Vec<u8>) -> Result<(), PairError> {
+        out.clear();
+        if self.next > MESSAGES {
+            *self = self.key.sealer().map_err(PairError::Crypto)?;
+        }
+        let header = Header { session: self.session, counter: self.next };
+        // Taken before anything is sealed: whatever fails below, no nonce is used again.
+        self.next += 1;
+        let result = self.seal_behind(header, feedback, out);
+        if result.is_err() {
+            out.clear();
+        }
+        result
+    }
+
+    fn seal_behind(&self, header: Header, feedback: &Feedback, out: &mut Vec<u8>) -> Result<(), PairError> {
+        let clear = header.to_bytes();
+        out.extend_from_slice(&clear);
+        feedback.encode(out)?;
+        let tag = self.aead.seal(&header.nonce(), &clear, &mut out[HEADER_LEN..]).map_err(PairError::Crypto)?;
+        out.extend_from_slice(&tag);
+        Ok(())
+    }
+}
+
+/// Opens what the other entity tells this one.
+pub struct PairOpener {
+    key: PairKey,
+    /// The one that was heard last is the last.
+    sessions: Vec<Session>,
+    retired: VecDeque<[u8; 8]>,
+}
+
+struct Session {
+    id: [u8; 8],
+    aead: Aead,
+    window: Window,
+}
+
+impl PairOpener {
+    /// The feedback in the payload of a frame from the peer.
+    pub fn open(&mut self, payload: &[u8]) -> Result<Feedback, PairError> {
+        if !(HEADER_LEN + TAG_LEN..=MAX_PAIR_PAYLOAD).contains(&payload.len()) {
+            return Err(PairError::Length(payload.len()));
+        }
+        let length = PairError::Length(payload.len());
+        let (clear, sealed) = payload.split_first_chunk().ok_or(length)?;
+        let (ciphertext, tag) = sealed.split_last_chunk().ok_or(length)?;
+        let header = Header::from_bytes(clear)?;
+        let known = self.sessions.iter().position(|session| session.id == header.session);
+        let mut session = match known {
+            Some(at) => {
+                self.sessions[at].window.check(header.counter).map_err(|_| PairError::Replayed)?;
+                self.sessions.remove(at)
+            }
+            None if self.retired.contains(&header.session) => return Err(PairError::Replayed),
+            None => Session::new(&self.key, header.session).map_err(PairError::Crypto)?,
+        };
+        let mut plaintext = vec![0; ciphertext.len()];
+        let opened = session.aead.open(&header.nonce(), clear, ciphertext, tag, &mut plaintext);
+        if opened.is_ok() {
+            session.window.record(header.counter);
+        }
+        match known {
+            // What is forged does not make a session look alive.
+            Some(at) if opened.is_err() => self.sessions.insert(at, session),
+            None if opened.is_err() => {}
+            _ => self.keep(session),
+        }
+        opened.map_err(|_| PairError::Forged)?;
+        Ok(Feedback::decode(&plaintext)?)
+    }
+
+    /// As the one heard last, in the place of the one not heard for longest.
+    fn keep(&mut self, session: Session) {
+        if self.sessions.len() == SESSIONS {
+            if self.retired.len() == RETIRED {
+                self.retired.pop_front();
+            }
+            self.retired.push_back(self.sessions.remove(0).id);
+        }
+        self.sessions.push(session);
+    }
+}
+
+impl Session {
+    fn new(key: &PairKey, id: [u8; 8]) -> Result<Self, CryptoError> {
+        Ok(Self { id, aead: key.session_aead(id, &key.peer, &key.own)?, window: Window::default() })
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Header {
+    session: [u8; 8],
+    counter: u64,
+}
+
+impl Header {
+    fn to_bytes(self) -> [u8; HEADER_LEN] {
+        let mut bytes = [0; HEADER_LEN];
+        bytes[0] = VERSION;
+        bytes[1..9].copy_from_slice(&self.session);
+        bytes[9..].copy_from_slice(&self.counter.to_be_bytes());
+        bytes
+    }
+
+    fn from_bytes(bytes: &[u8; HEADER_LEN]) -> Result<Self, PairError> {
+        let [version, session @ .., c0, c1, c2, c3, c4, c5, c6, c7] = *bytes;
+        match version {
+            VERSION => Ok(Self { session, counter: u64::from_be_bytes([c0, c1, c2, c3, c4, c5, c6, c7]) }),
+            version => Err(PairError::Version(version)),
+        }
+    }
+
+    fn nonce(self) -> [u8; NONCE_LEN] {
+        let mut nonce = [0; NONCE_LEN];
+        nonce[4..].copy_from_slice(&self.counter.to_be_bytes());
+        nonce
+    }
+}
+
+impl fmt::Debug for PairKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "PairKey({:#} and {:#})", self.own, self.peer)
+    }
+}
+
+impl fmt::Debug for PairSealer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "PairSealer({:?}, session {}, next {})", self.key, hex::encode(self.session), self.next)
+    }
+}
+
+impl fmt::Debug for PairOpener {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "PairOpener({:?}, {} sessions)", self.key, self.sessions.len())
+    }
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/keys/pair.rs"]
+mod tests;

@@ -1,0 +1,126 @@
+//! A reader's keys for one name: what the writers' boxes hold. Of each writer the newest epoch and the one before are kept, so that
+//! what was sealed before a change still opens, and the older is wiped [`GRACE`] after the newer came.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::time::Duration;
+
+use gdp_core::cert::{CertError, Signed};
+use gdp_core::crypto;
+use gdp_core::identity::{Identity, VerifyKey};
+use gdp_core::keys::{self, BoxKey, EpochKey, KeyBox};
+use gdp_core::name::Name;
+
+/// Writers of a name that a reader keeps keys of.
+pub const MAX_WRITERS: usize = 1024;
+
+/// How long the epoch before the newest is kept: longer than the writer takes to use the newest, and than it repeats anything.
+const GRACE: Duration = Duration::from_secs(60);
+
+/// A key that is new to the reader.
+#[derive(Clone, Debug)]
+pub struct Opened {
+    pub epoch: u32,
+    /// If the epoch was known, with another key, this one counts: the writer was restarted within a second.
+    pub key: EpochKey,
+    /// The epoch that gave way to it.
+    pub dropped: Option<u32>,
+}
+
+/// Why a box was not taken.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum StoreError {
+    #[error(transparent)]
+    Box(#[from] CertError),
+    #[error("a box of epoch {epoch}, which is over: the writer is at {newest}")]
+    Over { epoch: u32, newest: u32 },
+    #[error("keys of {MAX_WRITERS} writers of this name are kept already")]
+    TooManyWriters,
+}
+
+/// The keys of all writers of one name that wrap them to one reader.
+pub struct KeyStore {
+    name: Name,
+    reader: Name,
+    box_key: BoxKey,
+    writers: HashMap<Name, Kept>,
+}
+
+struct Kept {
+    newest: (u32, EpochKey),
+    /// Since when the newest is.
+    since: u64,
+    before: Option<(u32, EpochKey)>,
+}
+
+impl KeyStore {
+    pub fn new(name: Name, reader: &Identity) -> Self {
+        Self { name, reader: reader.name(), box_key: reader.box_key().clone(), writers: HashMap::new() }
+    }
+
+    /// Opens a box of `writer`, whose key is `writer_key` and who may write the name. `None`: what it holds is known.
+    pub fn take(
+        &mut self,
+        now: u64,
+        writer: Name,
+        writer_key: &VerifyKey,
+        signed: &Signed<KeyBox>,
+    ) -> Result<Option<Opened>, StoreError> {
+        let for_us = (self.reader, &self.box_key);
+        let (epoch, key) = keys::open(signed, self.name, (writer, writer_key), for_us)?;
+        let opened = |dropped| Ok(Some(Opened { epoch, key: key.clone(), dropped }));
+        let Some(kept) = self.writers.get_mut(&writer) else {
+            if self.writers.len() == MAX_WRITERS {
+                return Err(StoreError::TooManyWriters);
+            }
+            self.writers.insert(writer, Kept { newest: (epoch, key.clone()), since: now, before: None });
+            return opened(None);
+        };
+        let known = kept.before.iter_mut().chain([&mut kept.newest]).find(|known| known.0 == epoch);
+        if let Some((_, known)) = known {
+            if crypto::same_secret(known.as_bytes(), key.as_bytes()) {
+                return Ok(None);
+            }
+            *known = key.clone();
+            return opened(None);
+        }
+        let newest = kept.newest.0;
+        if epoch > newest {
+            let before = std::mem::replace(&mut kept.newest, (epoch, key.clone()));
+            kept.since = now;
+            let dropped = kept.before.replace(before);
+            return opened(dropped.map(|(epoch, _)| epoch));
+        }
+        // Boxes may come in any order, above all the first. Long after, an older one is repeated by somebody.
+        let is_before = kept.before.as_ref().is_none_or(|(before, _)| *before < epoch);
+        if !is_before || is_over(now, kept.since) {
+            return Err(StoreError::Over { epoch, newest });
+        }
+        let dropped = kept.before.replace((epoch, key.clone()));
+        opened(dropped.map(|(epoch, _)| epoch))
+    }
+
+    /// Wipes keys of epochs that are over. Returns their writers and numbers. To be asked every few seconds.
+    pub fn expire(&mut self, now: u64) -> Vec<(Name, u32)> {
+        let over = |(writer, kept): (&Name, &mut Kept)| {
+            let (epoch, _) = kept.before.take_if(|_| is_over(now, kept.since))?;
+            Some((*writer, epoch))
+        };
+        self.writers.iter_mut().filter_map(over).collect()
+    }
+
+    /// Wipes the keys of one who writes no more.
+    pub fn forget(&mut self, writer: &Name) {
+        self.writers.remove(writer);
+    }
+}
+
+fn is_over(now: u64, since: u64) -> bool {
+    now.checked_sub(since).is_some_and(|passed| u128::from(passed) >= GRACE.as_nanos())
+}
+
+impl fmt::Debug for KeyStore {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "KeyStore({:#}, {} writers)", self.name, self.writers.len())
+    }
+}

@@ -1,0 +1,114 @@
+//! The hash tree that lets one signature cover a batch of messages. Leaves are padded with zeros to a power of two, so
+//! a leaf's position says at every level on which side its sibling is. Leaves and inner nodes are hashed with different
+//! first bytes (see [`super::wire::leaf`]), so neither passes for the other, and nobody knows what hashes to zero.
+
+use super::wire::MAX_DEPTH;
+use gdp_core::crypto::Backend;
+
+const PADDING: [u8; 32] = [0; 32];
+
+/// A tree over a batch, kept to be reused. One message alone is a tree of depth 0, whose root is the leaf.
+#[derive(Debug, Default)]
+pub struct Tree {
+    /// All levels one after another, leaves first.
+    nodes: Vec<[u8; 32]>,
+    depth: usize,
+}
+
+/// Levels between `count` leaves and their root.
+pub fn depth(count: usize) -> usize {
+    count.next_power_of_two().trailing_zeros() as usize
+}
+
+impl Tree {
+    pub fn build(&mut self, backend: Backend, leaves: &[[u8; 32]]) {
+        self.depth = depth(leaves.len());
+        self.nodes.clear();
+        self.nodes.extend_from_slice(leaves);
+        self.nodes.resize(1 << self.depth, PADDING);
+        let mut below = 0;
+        for level in (0..self.depth).rev() {
+            let start = self.nodes.len();
+            for i in 0..1 << level {
+                let node = node(backend, &self.nodes[below + 2 * i], &self.nodes[below + 2 * i + 1]);
+                self.nodes.push(node);
+            }
+            below = start;
+        }
+    }
+
+    pub fn root(&self) -> [u8; 32] {
+        self.nodes.last().copied().unwrap_or(PADDING)
+    }
+
+    /// The siblings on the way from the leaf at `position` to the root.
+    pub fn path(&self, position: usize, path: &mut Vec<[u8; 32]>) {
+        path.clear();
+        let mut level_start = 0;
+        for level in 0..self.depth {
+            path.push(self.nodes[level_start + (position >> level ^ 1)]);
+            level_start += 1 << (self.depth - level);
+        }
+    }
+}
+
+/// What is known of a tree whose root was found to be signed: the pairs of nodes on the way up of the leaf that was
+/// verified last. The next leaf of the batch most often meets one of them after one hash, instead of one for every level.
+#[derive(Debug)]
+pub struct SignedTree {
+    root: Option<[u8; 32]>,
+    depth: usize,
+    position: usize,
+    pairs: [Pair; MAX_DEPTH],
+}
+
+type Pair = [[u8; 32]; 2];
+
+impl Default for SignedTree {
+    fn default() -> Self {
+        Self { root: None, depth: 0, position: 0, pairs: [[PADDING; 2]; MAX_DEPTH] }
+    }
+}
+
+impl SignedTree {
+    /// Whether `leaf` is in a signed tree, at `position` and with `path` (of at most [`MAX_DEPTH`]) beside its way up.
+    /// `is_signed` is asked about the root if that is not the known one.
+    pub fn verify<E>(
+        &mut self,
+        backend: Backend,
+        leaf: [u8; 32],
+        position: u16,
+        path: &[[u8; 32]],
+        is_signed: impl FnOnce(&[u8; 32]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let position = usize::from(position);
+        let same_shape = self.root.is_some() && self.depth == path.len();
+        let mut pairs = [[PADDING; 2]; MAX_DEPTH];
+        let mut hash = leaf;
+        for (level, (sibling, pair)) in path.iter().zip(&mut pairs).enumerate() {
+            let index = position >> level;
+            let is_known_pair = same_shape && (self.position >> level) / 2 == index / 2;
+            if is_known_pair && self.pairs[level][index % 2] == hash {
+                // Below here the pairs are those of this leaf now; from here on they are the same.
+                self.pairs[..level].copy_from_slice(&pairs[..level]);
+                self.position = position;
+                return Ok(());
+            }
+            *pair = if index % 2 == 0 { [hash, *sibling] } else { [*sibling, hash] };
+            hash = node(backend, &pair[0], &pair[1]);
+        }
+        if self.root != Some(hash) {
+            is_signed(&hash)?;
+        }
+        *self = Self { root: Some(hash), depth: path.len(), position, pairs };
+        Ok(())
+    }
+}
+
+fn node(backend: Backend, left: &[u8; 32], right: &[u8; 32]) -> [u8; 32] {
+    backend.sha256(&[&[1], left, right])
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/seal/merkle.rs"]
+mod tests;

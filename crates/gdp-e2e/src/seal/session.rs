@@ -1,0 +1,69 @@
+//! One session of a writer, as a reader keeps it.
+
+use super::DropReason;
+use super::assembly::Assembly;
+use super::window::Window;
+use gdp_core::crypto::{Aead, CryptoError};
+use std::collections::BTreeMap;
+
+/// Sequence and cut: a message that is cut anew is put together beside the earlier cut.
+pub type Place = (u64, u16);
+
+pub struct Session {
+    pub id: [u8; 16],
+    pub aeads: Aeads,
+    /// Which messages were delivered, of whatever cut.
+    pub window: Window,
+    pub assemblies: BTreeMap<Place, Assembly>,
+    /// The first sequence that the writer has vouched for; `None` if it has not vouched for the session.
+    pub from: Option<u64>,
+    /// The number of the newest heartbeat that was verified.
+    pub heartbeat: u32,
+    /// When it last delivered, on the writer's count of deliveries.
+    pub last_used: u64,
+}
+
+impl Session {
+    pub fn new(id: [u8; 16]) -> Self {
+        Self {
+            id,
+            aeads: Aeads::default(),
+            window: Window::default(),
+            assemblies: BTreeMap::new(),
+            from: None,
+            heartbeat: 0,
+            last_used: 0,
+        }
+    }
+
+    /// Takes out the assemblies of a message, whatever their cut; returns the memory they were charged.
+    pub fn give_up(&mut self, sequence: u64) -> usize {
+        let mut freed = 0;
+        while let Some((&place, _)) = self.assemblies.range((sequence, 0)..=(sequence, u16::MAX)).next() {
+            freed += self.assemblies.remove(&place).map_or(0, |assembly| assembly.cost);
+        }
+        freed
+    }
+}
+
+/// What the segments of a session are sealed under, by epoch: no more than the writer has keys.
+#[derive(Default)]
+pub struct Aeads(Vec<(u32, Aead)>);
+
+impl Aeads {
+    /// That of an epoch; `derive` makes it the first time.
+    pub fn of(&mut self, epoch: u32, derive: impl FnOnce() -> Result<Aead, CryptoError>) -> Result<&Aead, DropReason> {
+        let at = match self.0.iter().position(|(of, _)| *of == epoch) {
+            Some(at) => at,
+            None => {
+                self.0.push((epoch, derive().map_err(|_| DropReason::Internal)?));
+                self.0.len() - 1
+            }
+        };
+        Ok(&self.0[at].1)
+    }
+
+    pub fn forget(&mut self, epoch: u32) {
+        self.0.retain(|(of, _)| *of != epoch);
+    }
+}

@@ -1,0 +1,419 @@
+//! One writer of a name, as a reader knows it: its keys, its sessions, and what is incomplete of its messages. All
+//! decisions about a segment are taken here; [`super::Reader`] finds the writer and counts.
+
+use super::DropReason;
+use super::assembly::Assembly;
+use super::merkle::SignedTree;
+use super::message::{Message, Preamble};
+use super::reader::{Heartbeat, Lost, Moment, Push, Shared};
+use super::segment::Segment;
+use super::session::{Place, Session};
+use super::wire::{self, HeartbeatBody, Kind, Proof, SegmentHeader};
+use bytes::{Buf, Bytes};
+use gdp_core::crypto::{CryptoError, Verifier};
+use gdp_core::keys::EpochKey;
+use gdp_core::name::Name;
+use std::borrow::Cow;
+
+/// Incomplete messages of one session; when there are more, the oldest is given up.
+const MAX_IN_FLIGHT: usize = 256;
+
+/// Epochs of one writer whose keys are kept: the present one, the one before, and room for a writer in a hurry.
+pub const MAX_EPOCHS: usize = 4;
+
+pub struct Source {
+    name: Name,
+    verifier: Verifier,
+    keys: Vec<(u32, EpochKey)>,
+    sessions: Vec<Session>,
+    /// Bytes charged to its assemblies.
+    memory: usize,
+    /// A batch is verified once: that the writer signed this tree stays true.
+    signed: SignedTree,
+    /// Counts deliveries; orders the sessions by last use.
+    clock: u64,
+}
+
+impl Source {
+    pub fn new(name: Name, verifier: Verifier) -> Self {
+        let (keys, sessions) = (Vec::new(), Vec::new());
+        Self { name, verifier, keys, sessions, memory: 0, signed: SignedTree::default(), clock: 0 }
+    }
+
+    pub fn memory(&self) -> usize {
+        self.memory
+    }
+
+    pub fn set_key(&mut self, epoch: u32, key: EpochKey) {
+        self.drop_key(epoch);
+        self.keys.push((epoch, key));
+        if self.keys.len() > MAX_EPOCHS
+            && let Some(lowest) = self.keys.iter().map(|(epoch, _)| *epoch).min()
+        {
+            self.drop_key(lowest);
+        }
+    }
+
+    pub fn drop_key(&mut self, epoch: u32) {
+        self.keys.retain(|(of, _)| *of != epoch);
+        self.sessions.iter_mut().for_each(|session| session.aeads.forget(epoch));
+    }
+
+    /// The session counts from now on; if there are too many of those, the one unused longest is forgotten.
+    pub fn vouch(&mut self, shared: &mut Shared, id: [u8; 16], from: u64) {
+        self.clock += 1;
+        let at = self.position(&id).unwrap_or_else(|| {
+            self.sessions.push(Session::new(id));
+            self.sessions.len() - 1
+        });
+        let session = &mut self.sessions[at];
+        session.from = Some(session.from.map_or(from, |earlier| earlier.min(from)));
+        session.last_used = self.clock;
+        let vouched = self.sessions.iter().enumerate().filter(|(_, session)| session.from.is_some());
+        if vouched.clone().count() > shared.limits.max_sessions.max(1)
+            && let Some((unused, _)) = vouched.min_by_key(|(_, session)| session.last_used)
+        {
+            self.forget(shared, unused);
+        }
+    }
+
+    /// Gives up messages whose deadline is before `steady_ns`, and says when the next is.
+    pub fn expire(&mut self, shared: &mut Shared, steady_ns: u64) -> usize {
+        let (mut expired, mut freed) = (0, 0);
+        for session in &mut self.sessions {
+            session.assemblies.retain(|_, assembly| {
+                let keep = assembly.deadline >= steady_ns;
+                if keep {
+                    shared.next_deadline = shared.next_deadline.min(assembly.deadline);
+                } else {
+                    expired += 1;
+                    freed += assembly.cost;
+                }
+                keep
+            });
+        }
+        self.free(shared, freed);
+        expired
+    }
+
+    /// A message that is one segment, with its proof beside it: the common case of small ones, which takes no memory
+    /// before it is verified. `None` if it has to be taken segment by segment.
+    pub fn take_whole(
+        &mut self,
+        push: &mut Push<'_>,
+        body: &Segment<'_>,
+        proof: &Segment<'_>,
+    ) -> Option<Result<(), DropReason>> {
+        let header = &body.header;
+        let at = self.position(&header.session)?;
+        let session = &self.sessions[at];
+        let wanted = session.from.is_some_and(|from| header.sequence >= from)
+            && session.window.check(header.sequence).is_ok()
+            && !session.assemblies.contains_key(&(header.sequence, header.cut))
+            && Assembly::cost(header, push.shared.limits.max_message).is_ok();
+        if !wanted {
+            return None;
+        }
+        let scratch = std::mem::take(&mut push.scratch);
+        let result = self.whole(push, scratch, at, body, proof);
+        push.scratch = scratch;
+        result
+    }
+
+    fn whole(
+        &mut self,
+        push: &mut Push<'_>,
+        scratch: &mut [u8],
+        at: usize,
+        body: &Segment<'_>,
+        proof: &Segment<'_>,
+    ) -> Option<Result<(), DropReason>> {
+        let (body_place, rest) = scratch.split_at_mut(body.plaintext_len);
+        let proof_place = &mut rest[..proof.plaintext_len];
+        let (_, key) = self.keys.iter().find(|(epoch, _)| *epoch == body.header.epoch)?;
+        let session = &mut self.sessions[at];
+        let derive = || key.session_aead(push.shared.backend, &push.shared.name, &self.name, &session.id);
+        let aead = session.aeads.of(body.header.epoch, derive).ok()?;
+        body.open(aead, body_place).ok()?;
+        proof.open(aead, proof_place).ok()?;
+        push.out.segments.extend([body.id(), proof.id()]);
+        let digest = body.digest(push.shared.backend);
+        Some(self.deliver(push, at, &body.header, Cow::Borrowed(body_place), &[digest], proof_place))
+    }
+
+    /// One segment, from header to delivery.
+    pub fn take(&mut self, push: &mut Push<'_>, segment: &Segment<'_>) -> Result<(), DropReason> {
+        let scratch = std::mem::take(&mut push.scratch);
+        let result = self.segment(push, &mut scratch[..segment.plaintext_len], segment);
+        push.scratch = scratch;
+        result
+    }
+
+    fn segment(&mut self, push: &mut Push<'_>, scratch: &mut [u8], segment: &Segment<'_>) -> Result<(), DropReason> {
+        let header = &segment.header;
+        let limits = &push.shared.limits;
+        let cost = match header.kind {
+            Kind::Heartbeat => 0,
+            Kind::Body | Kind::Proof => Assembly::cost(header, limits.max_message)?,
+        };
+        if cost > limits.max_memory_per_source.min(limits.max_memory) {
+            return Err(DropReason::TooLarge);
+        }
+        let place = (header.sequence, header.cut);
+        let (_, key) = self.keys.iter().find(|(epoch, _)| *epoch == header.epoch).ok_or(DropReason::NoKey)?;
+        let derive = || key.session_aead(push.shared.backend, &push.shared.name, &self.name, &header.session);
+        let at = match self.position(&header.session) {
+            Some(at) => {
+                let session = &mut self.sessions[at];
+                let aead = session.aeads.of(header.epoch, derive)?;
+                if let Some(assembly) = session.assemblies.get_mut(&place)
+                    && header.kind == Kind::Body
+                    && assembly.fits(header)
+                    && !assembly.has(header)
+                {
+                    // The common case of a large message: opened in its place, without a copy.
+                    segment.open(aead, assembly.slot(header, segment.plaintext_len))?;
+                    assembly.mark(header, segment.plaintext_len, segment.digest(push.shared.backend));
+                    push.out.segments.push(segment.id());
+                    return self.deliver_if_complete(push, at, header);
+                }
+                segment.open(aead, scratch)?;
+                at
+            }
+            None => {
+                let aead = derive().map_err(|_| DropReason::Internal)?;
+                segment.open(&aead, scratch)?;
+                let mut session = Session::new(header.session);
+                session.aeads.of(header.epoch, || Ok(aead))?;
+                self.admit(push.shared, session)
+            }
+        };
+
+        if header.sequence < self.sessions[at].from.ok_or(DropReason::Unvouched)? {
+            return Err(DropReason::Stale);
+        }
+        if header.kind == Kind::Heartbeat {
+            return self.heartbeat(push, at, header, scratch);
+        }
+        if let Err(reason) = self.sessions[at].window.check(header.sequence) {
+            // The window has moved past a message that was still incomplete: it cannot be delivered any more.
+            let freed = self.sessions[at].give_up(header.sequence);
+            self.free(push.shared, freed);
+            return Err(reason);
+        }
+        match self.sessions[at].assemblies.get(&place) {
+            Some(assembly) if !assembly.fits(header) => return Err(DropReason::Inconsistent),
+            Some(assembly) if assembly.has(header) => return Err(DropReason::Duplicate),
+            Some(_) => {}
+            None => {
+                self.make_room(push, at, place, cost)?;
+                self.begin_assembly(push.shared, push.now, at, header, cost);
+            }
+        }
+        let assembly = self.sessions[at].assemblies.get_mut(&place).ok_or(DropReason::Internal)?;
+        if header.kind == Kind::Proof {
+            assembly.set_proof(scratch);
+        } else {
+            assembly.slot(header, scratch.len()).copy_from_slice(scratch);
+            assembly.mark(header, scratch.len(), segment.digest(push.shared.backend));
+        }
+        push.out.segments.push(segment.id());
+        self.deliver_if_complete(push, at, header)
+    }
+
+    fn position(&self, id: &[u8; 16]) -> Option<usize> {
+        self.sessions.iter().position(|session| session.id == *id)
+    }
+
+    /// A place for a session that has shown one authentic segment, so that its key is not derived again. If too many of
+    /// them wait for the writer's word, the one that waits longest goes.
+    fn admit(&mut self, shared: &mut Shared, session: Session) -> usize {
+        let waiting = self.sessions.iter().filter(|session| session.from.is_none()).count();
+        if waiting >= shared.limits.max_sessions.max(1)
+            && let Some(oldest) = self.sessions.iter().position(|session| session.from.is_none())
+        {
+            self.forget(shared, oldest);
+        }
+        self.sessions.push(session);
+        self.sessions.len() - 1
+    }
+
+    fn heartbeat(
+        &mut self,
+        push: &mut Push<'_>,
+        at: usize,
+        header: &SegmentHeader,
+        plaintext: &[u8],
+    ) -> Result<(), DropReason> {
+        let session = &mut self.sessions[at];
+        // Those that were overtaken say nothing new.
+        if header.index <= session.heartbeat {
+            return Err(DropReason::Duplicate);
+        }
+        let (body, signature) = HeartbeatBody::parse(plaintext).ok_or(DropReason::BadMessage)?;
+        let statement = body.statement(&push.shared.name, &self.name, header);
+        self.verifier.verify(&statement, signature).map_err(|_| DropReason::BadSignature)?;
+        check_age(push, body.timestamp_ns)?;
+        session.heartbeat = header.index;
+        push.out.heartbeats.push(Heartbeat {
+            session: header.session,
+            next: header.sequence,
+            oldest: body.oldest,
+            timestamp_ns: body.timestamp_ns,
+        });
+        Ok(())
+    }
+
+    fn begin_assembly(&mut self, shared: &mut Shared, now: Moment, at: usize, header: &SegmentHeader, cost: usize) {
+        let patience = u64::try_from(shared.limits.deadline.as_nanos()).unwrap_or(u64::MAX);
+        let deadline = now.steady_ns.saturating_add(patience);
+        let place = (header.sequence, header.cut);
+        self.sessions[at].assemblies.insert(place, Assembly::new(header, deadline, cost));
+        self.memory += cost;
+        shared.memory += cost;
+        shared.next_deadline = shared.next_deadline.min(deadline);
+    }
+
+    /// Gives up this writer's own oldest incomplete messages until `cost` more bytes are within the limits. Never one of
+    /// another writer, and never a newer one of the same session.
+    fn make_room(&mut self, push: &mut Push<'_>, at: usize, place: Place, cost: usize) -> Result<(), DropReason> {
+        let shared = &mut *push.shared;
+        loop {
+            let crowded = self.sessions[at].assemblies.len() >= MAX_IN_FLIGHT;
+            let full = self.memory + cost > shared.limits.max_memory_per_source
+                || shared.memory + cost > shared.limits.max_memory;
+            let oldest = if crowded {
+                self.sessions[at].assemblies.keys().next().map(|&oldest| (at, oldest))
+            } else if full {
+                self.oldest_assembly()
+            } else {
+                return Ok(());
+            };
+            match oldest {
+                Some((session, oldest)) if session != at || oldest < place => {
+                    let freed = self.sessions[session].assemblies.remove(&oldest).map_or(0, |assembly| assembly.cost);
+                    self.free(shared, freed);
+                    shared.count(DropReason::Evicted, 1);
+                    push.out.lost.push(Lost { session: self.sessions[session].id, sequence: oldest.0, again: true });
+                }
+                _ => return Err(DropReason::MemoryFull),
+            }
+        }
+    }
+
+    fn oldest_assembly(&self) -> Option<(usize, Place)> {
+        let all = self.sessions.iter().enumerate().flat_map(|(at, session)| {
+            session.assemblies.iter().map(move |(&place, assembly)| (assembly.deadline, at, place))
+        });
+        all.min().map(|(_, at, place)| (at, place))
+    }
+
+    fn deliver_if_complete(
+        &mut self,
+        push: &mut Push<'_>,
+        at: usize,
+        header: &SegmentHeader,
+    ) -> Result<(), DropReason> {
+        let assemblies = &mut self.sessions[at].assemblies;
+        let place = (header.sequence, header.cut);
+        if !assemblies.get(&place).is_some_and(Assembly::is_complete) {
+            return Ok(());
+        }
+        let assembly = assemblies.remove(&place).ok_or(DropReason::Internal)?;
+        self.free(push.shared, assembly.cost);
+        let (plaintext, digests, proof) = assembly.into_parts();
+        self.deliver(push, at, header, Cow::Owned(plaintext), &digests, &proof)
+    }
+
+    /// All of a message is there and opened; what is left is whether the writer signed it, and whether it is wanted.
+    fn deliver(
+        &mut self,
+        push: &mut Push<'_>,
+        at: usize,
+        header: &SegmentHeader,
+        plaintext: Cow<'_, [u8]>,
+        digests: &[[u8; 32]],
+        proof: &[u8],
+    ) -> Result<(), DropReason> {
+        let result = self.deliver_signed(push, at, header, plaintext, digests, proof);
+        if let Err(reason) = result {
+            let again = !matches!(reason, DropReason::TooOld | DropReason::TooLarge);
+            push.out.lost.push(Lost { session: header.session, sequence: header.sequence, again });
+        }
+        result
+    }
+
+    fn deliver_signed(
+        &mut self,
+        push: &mut Push<'_>,
+        at: usize,
+        header: &SegmentHeader,
+        plaintext: Cow<'_, [u8]>,
+        digests: &[[u8; 32]],
+        proof: &[u8],
+    ) -> Result<(), DropReason> {
+        let Shared { backend, name, limits, .. } = &*push.shared;
+        let leaf = wire::leaf(*backend, name, &self.name, header, digests);
+        let proof = Proof::parse(proof).ok_or(DropReason::BadMessage)?;
+        let is_signed = |root: &[u8; 32]| -> Result<(), CryptoError> {
+            self.verifier.verify(&wire::batch_statement(root), proof.signature)
+        };
+        self.signed
+            .verify(*backend, leaf, proof.position, proof.path, is_signed)
+            .map_err(|_| DropReason::BadSignature)?;
+        let preamble = Preamble::parse(&plaintext).ok_or(DropReason::BadMessage)?;
+        if plaintext.len() - preamble.body_at > limits.max_message {
+            return Err(DropReason::TooLarge);
+        }
+        check_age(push, preamble.timestamp_ns)?;
+        self.accept(push.shared, at, header.sequence)?;
+        let mut body = match plaintext {
+            Cow::Owned(plaintext) => Bytes::from(plaintext),
+            Cow::Borrowed(plaintext) => Bytes::copy_from_slice(plaintext),
+        };
+        let origin = body.slice(preamble.origin);
+        body.advance(preamble.body_at);
+        push.out.messages.push(Message {
+            name: push.shared.name,
+            writer: self.name,
+            session: header.session,
+            sequence: header.sequence,
+            timestamp_ns: preamble.timestamp_ns,
+            encoding: preamble.encoding,
+            in_reply_to: preamble.in_reply_to,
+            origin,
+            latched: preamble.latched,
+            service: preamble.service,
+            body,
+        });
+        Ok(())
+    }
+
+    /// A verified message: marks it as delivered. Other cuts of it are not needed any more.
+    fn accept(&mut self, shared: &mut Shared, at: usize, sequence: u64) -> Result<(), DropReason> {
+        self.clock += 1;
+        let session = &mut self.sessions[at];
+        session.window.check(sequence)?;
+        session.window.record(sequence);
+        session.last_used = self.clock;
+        let freed = session.give_up(sequence);
+        self.free(shared, freed);
+        Ok(())
+    }
+
+    fn forget(&mut self, shared: &mut Shared, at: usize) {
+        let session = self.sessions.remove(at);
+        self.free(shared, session.assemblies.values().map(|assembly| assembly.cost).sum());
+        shared.count(DropReason::Evicted, session.assemblies.len() as u64);
+    }
+
+    fn free(&mut self, shared: &mut Shared, bytes: usize) {
+        self.memory -= bytes;
+        shared.memory -= bytes;
+    }
+}
+
+fn check_age(push: &Push<'_>, timestamp_ns: u64) -> Result<(), DropReason> {
+    let age = u128::from(push.now.unix_ns.saturating_sub(timestamp_ns));
+    if age > push.shared.limits.max_age.as_nanos() { Err(DropReason::TooOld) } else { Ok(()) }
+}

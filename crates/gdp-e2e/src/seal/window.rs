@@ -1,0 +1,52 @@
+//! Which sequences of a session are done, over the last 1024 of them.
+
+use super::DropReason;
+
+const SPAN: u64 = 1024;
+
+/// A sliding bitmap (as in RFC 4303 §3.4.3). Sequences begin at 1. Only what was verified moves it, so that nobody but
+/// the writer can push honest messages out of it.
+#[derive(Debug, Default)]
+pub struct Window {
+    highest: u64,
+    bits: [u64; (SPAN / 64) as usize],
+}
+
+impl Window {
+    /// Whether a message of this sequence is still wanted.
+    pub fn check(&self, sequence: u64) -> Result<(), DropReason> {
+        if sequence > self.highest {
+            return Ok(());
+        }
+        if self.highest - sequence >= SPAN {
+            return Err(DropReason::TooOld);
+        }
+        let (word, bit) = place(sequence);
+        if self.bits[word] & bit == 0 { Ok(()) } else { Err(DropReason::Duplicate) }
+    }
+
+    /// Marks a sequence as done, and moves on if it is the highest.
+    pub fn record(&mut self, sequence: u64) {
+        if sequence > self.highest {
+            for passed in (self.highest + 1..=sequence).take(SPAN as usize) {
+                // When more than the whole window is passed, all of it is cleared, in whatever order.
+                let (word, bit) = place(passed);
+                self.bits[word] &= !bit;
+            }
+            self.highest = sequence;
+        } else if self.highest - sequence >= SPAN {
+            return;
+        }
+        let (word, bit) = place(sequence);
+        self.bits[word] |= bit;
+    }
+}
+
+fn place(sequence: u64) -> (usize, u64) {
+    let at = sequence % SPAN;
+    ((at / 64) as usize, 1 << (at % 64))
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/seal/window.rs"]
+mod tests;

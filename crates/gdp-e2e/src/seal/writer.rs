@@ -1,0 +1,450 @@
+//! The writing end of a session: message in, frame payloads out. Nothing is allocated per frame, and once the buffers
+//! have grown, nothing per message.
+
+use super::MAX_BATCH;
+use super::merkle::{self, Tree};
+use super::message::{Draft, Encoding, MAX_ORIGIN, Preamble};
+use super::segment::Segment;
+use super::segments::Segments;
+use super::used_cuts::UsedCuts;
+use super::wire::{self, HeartbeatBody, Kind, OVERHEAD, Proof, SegmentHeader};
+use gdp_core::crypto;
+use gdp_core::crypto::{Aead, Backend, CryptoError, Signer, TAG_LEN};
+use gdp_core::identity::SigningKey;
+use gdp_core::keys::EpochKey;
+use gdp_core::name::Name;
+use std::collections::VecDeque;
+use std::fmt;
+
+/// Epochs before the present one whose messages can be cut anew.
+const EPOCHS_KEPT: usize = 15;
+
+/// Segments that may be sealed under the key of a session and an epoch.
+pub const MAX_SEGMENTS: u64 = 1 << 32;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SealError {
+    #[error("frame payloads of {max_payload} bytes are too small: {need} are needed; raise the link's MTU")]
+    PayloadTooSmall { max_payload: usize, need: usize },
+    #[error("a message of {len} bytes needs more than 2^32 segments of {size} bytes")]
+    MessageTooLarge { len: usize, size: usize },
+    #[error("a batch of {0} messages where at most {MAX_BATCH} may share a signature")]
+    BatchTooLarge(usize),
+    #[error("an origin of {0} bytes where at most {MAX_ORIGIN} are allowed")]
+    OriginTooLong(usize),
+    #[error("this session has used all its sequence numbers; start a new one")]
+    SequenceExhausted,
+    #[error("there is no key to seal with yet; set that of an epoch")]
+    NoEpoch,
+    #[error("epoch {epoch} does not follow epoch {current}; the numbers of epochs only rise")]
+    EpochGoesBack { epoch: u32, current: u32 },
+    #[error("the key of epoch {0} has sealed as much as it may; begin another epoch")]
+    EpochExhausted(u32),
+    #[error("message {sequence} cannot be sealed under cut {cut}: {why}")]
+    Cut { sequence: u64, cut: u16, why: &'static str },
+    #[error(transparent)]
+    Crypto(#[from] CryptoError),
+}
+
+/// One session of one writer of a name. Every `Writer` is a new session under a random identifier of 128 bits, so a
+/// restarted or a second writer never seals twice under one key and nonce. The session goes on from epoch to epoch.
+pub struct Writer {
+    name: Name,
+    writer: Name,
+    session: [u8; 16],
+    epoch: Option<Epoch>,
+    /// Those before, the last of them last, for messages that are cut anew.
+    before: VecDeque<Epoch>,
+    signer: Signer,
+    backend: Backend,
+    /// The sequence number of the next message; they begin at 1.
+    next: u64,
+    used_cuts: UsedCuts,
+    /// The number of the last heartbeat.
+    heartbeats: u32,
+    scratch: Scratch,
+}
+
+/// What is sealed under.
+struct Epoch {
+    number: u32,
+    aead: Aead,
+    /// Segments sealed.
+    used: u64,
+}
+
+/// Buffers that keep their capacity from message to message.
+#[derive(Default)]
+struct Scratch {
+    digests: Vec<[u8; 32]>,
+    leaves: Vec<[u8; 32]>,
+    pending: Vec<PendingProof>,
+    tree: Tree,
+    path: Vec<[u8; 32]>,
+}
+
+/// What messages that are sealed together have in common; their sequences follow one another.
+struct Run {
+    epoch: u32,
+    first: u64,
+    cut: u16,
+    timestamp_ns: u64,
+}
+
+/// A proof segment whose place is reserved, to be filled in when the root is signed.
+struct PendingProof {
+    at: usize,
+    header: SegmentHeader,
+}
+
+impl Writer {
+    /// A new session of `writer` (the entity that `key` belongs to) for messages to `name`. It needs the key of an epoch
+    /// before it can seal: [`Self::set_epoch`].
+    pub fn new(name: Name, writer: Name, key: SigningKey, backend: Backend) -> Result<Self, SealError> {
+        Self::with_session(name, writer, &key, backend, crypto::random()?)
+    }
+
+    /// For test vectors only: a session identifier that is used twice gives the plaintext away.
+    pub(super) fn with_session(
+        name: Name,
+        writer: Name,
+        key: &SigningKey,
+        backend: Backend,
+        session: [u8; 16],
+    ) -> Result<Self, SealError> {
+        let signer = key.signer(backend)?;
+        let (used_cuts, scratch) = (UsedCuts::default(), Scratch::default());
+        Ok(Self {
+            name,
+            writer,
+            session,
+            epoch: None,
+            before: VecDeque::new(),
+            signer,
+            backend,
+            next: 1,
+            used_cuts,
+            heartbeats: 0,
+            scratch,
+        })
+    }
+
+    /// From now on everything is sealed under this key. Numbers only rise, so that no key comes back.
+    pub fn set_epoch(&mut self, epoch: u32, key: &EpochKey) -> Result<(), SealError> {
+        if let Some(Epoch { number: current, .. }) = self.epoch
+            && epoch <= current
+        {
+            return Err(SealError::EpochGoesBack { epoch, current });
+        }
+        let aead = key.session_aead(self.backend, &self.name, &self.writer, &self.session)?;
+        if self.before.len() == EPOCHS_KEPT {
+            self.before.pop_front();
+        }
+        self.before.extend(self.epoch.replace(Epoch { number: epoch, aead, used: 0 }));
+        Ok(())
+    }
+
+    /// The one that is sealed under.
+    pub fn epoch(&self) -> Option<u32> {
+        self.epoch.as_ref().map(|epoch| epoch.number)
+    }
+
+    pub fn name(&self) -> Name {
+        self.name
+    }
+
+    pub fn session(&self) -> [u8; 16] {
+        self.session
+    }
+
+    /// The sequence number that the next message gets.
+    pub fn next_sequence(&self) -> u64 {
+        self.next
+    }
+
+    /// Seals one message into `out`, whose former content is dropped: frame payloads of at most `max_payload` bytes.
+    /// After an error `out` is empty.
+    pub fn seal(
+        &mut self,
+        now_unix_ns: u64,
+        encoding: Encoding,
+        body: &[u8],
+        max_payload: usize,
+        out: &mut Segments,
+    ) -> Result<(), SealError> {
+        self.seal_batch(now_unix_ns, &[Draft::new(encoding, body)], max_payload, out)
+    }
+
+    /// Seals several messages under one signature; small ones share frames.
+    pub fn seal_batch(
+        &mut self,
+        now_unix_ns: u64,
+        messages: &[Draft<'_>],
+        max_payload: usize,
+        out: &mut Segments,
+    ) -> Result<(), SealError> {
+        out.clear();
+        if messages.is_empty() {
+            return Ok(());
+        }
+        if messages.len() > MAX_BATCH {
+            return Err(SealError::BatchTooLarge(messages.len()));
+        }
+        let first = self.next;
+        let next = first + messages.len() as u64;
+        if next > wire::MAX_SEQUENCE {
+            return Err(SealError::SequenceExhausted);
+        }
+        let epoch = self.spend(messages, max_payload)?;
+        // Taken before anything is sealed: whatever fails below, no nonce is used again.
+        self.next = next;
+        let run = Run { epoch, first, cut: 0, timestamp_ns: now_unix_ns };
+        self.seal_run(run, messages, max_payload, out).inspect_err(|_| out.clear())
+    }
+
+    /// Seals a message of this session again, for smaller or larger frames or under a newer key: the same `message` and
+    /// `timestamp_ns` as the first time, under a `cut` that is higher than those before (the first is 0). Readers take
+    /// whichever cut they have whole first.
+    pub fn reseal(
+        &mut self,
+        sequence: u64,
+        cut: u16,
+        timestamp_ns: u64,
+        message: Draft<'_>,
+        max_payload: usize,
+        out: &mut Segments,
+    ) -> Result<(), SealError> {
+        out.clear();
+        let refused = |why| SealError::Cut { sequence, cut, why };
+        if sequence == 0 || sequence >= self.next {
+            return Err(refused("this session has not sealed it yet"));
+        }
+        let messages = [message];
+        let epoch = self.spend(&messages, max_payload)?;
+        self.used_cuts.take(sequence, cut).map_err(refused)?;
+        let run = Run { epoch, first: sequence, cut, timestamp_ns };
+        self.seal_run(run, &messages, max_payload, out).inspect_err(|_| out.clear())
+    }
+
+    /// Seals again what this session sealed in the last 16 epochs, for frame payloads of another size:
+    /// `sealed` are the segments of whole messages, one after another. As [`Self::reseal`] for each of them.
+    pub fn recut(&mut self, sealed: &[u8], cut: u16, max_payload: usize, out: &mut Segments) -> Result<(), SealError> {
+        out.clear();
+        self.recut_into(sealed, cut, max_payload, out).inspect_err(|_| out.clear())
+    }
+
+    fn recut_into(&mut self, sealed: &[u8], cut: u16, max_payload: usize, out: &mut Segments) -> Result<(), SealError> {
+        let (mut rest, mut plaintext) = (sealed, Vec::new());
+        while let Ok((segment, behind)) = Segment::split(rest) {
+            rest = behind;
+            let sequence = segment.header.sequence;
+            let refused = |why| SealError::Cut { sequence, cut, why };
+            if segment.header.kind == Kind::Body {
+                let mut epochs = self.epoch.iter().chain(&self.before);
+                let epoch = epochs.find(|epoch| epoch.number == segment.header.epoch);
+                let epoch = epoch.ok_or(refused("the key it was sealed under is gone"))?;
+                let at = plaintext.len();
+                plaintext.resize(at + segment.plaintext_len, 0);
+                let opened = segment.open(&epoch.aead, &mut plaintext[at..]);
+                opened.map_err(|_| refused("it is none of this session"))?;
+                continue;
+            }
+            let preamble = Preamble::parse(&plaintext).ok_or(refused("it is none of this session"))?;
+            let messages = [preamble.draft(&plaintext)];
+            let epoch = self.spend(&messages, max_payload)?;
+            self.used_cuts.take(sequence, cut).map_err(refused)?;
+            let run = Run { epoch, first: sequence, cut, timestamp_ns: preamble.timestamp_ns };
+            self.seal_run(run, &messages, max_payload, out)?;
+            plaintext.clear();
+        }
+        Ok(())
+    }
+
+    /// Says that all messages before `next` have gone, for readers that may have missed the last of them, and that those
+    /// before `oldest` cannot be had again. One segment, small enough for any link; each costs a signature.
+    pub fn heartbeat(&mut self, now_unix_ns: u64, next: u64, oldest: u64, out: &mut Segments) -> Result<(), SealError> {
+        out.clear();
+        let next = next.clamp(1, self.next);
+        let epoch = self.spend_segments(1)?;
+        // There are fewer of an epoch, but epochs come and go.
+        self.heartbeats = self.heartbeats.checked_add(1).ok_or(SealError::SequenceExhausted)?;
+        let header = SegmentHeader::heartbeat(self.session, self.heartbeats, next, epoch);
+        let body = HeartbeatBody { timestamp_ns: now_unix_ns, oldest };
+        let signature = self.signer.sign(&body.statement(&self.name, &self.writer, &header))?;
+        let mut plaintext = body.to_bytes(&signature);
+        let clear = header.to_bytes();
+        let tag = self.aead()?.seal(&header.nonce(), &clear, &mut plaintext)?;
+        out.begin(wire::HEADER_LEN + usize::from(header.sealed_len), usize::MAX);
+        [&clear[..], &plaintext, &tag].iter().for_each(|part| out.buffer().extend_from_slice(part));
+        Ok(())
+    }
+
+    /// Checks that the messages can be sealed, and counts their segments. Returns the epoch.
+    fn spend(&mut self, messages: &[Draft<'_>], max_payload: usize) -> Result<u32, SealError> {
+        let depth = merkle::depth(messages.len());
+        let mut segments = 0;
+        for message in messages {
+            segments += u64::from(Cut::new(message, max_payload, depth)?.count) + 1;
+        }
+        self.spend_segments(segments)
+    }
+
+    fn spend_segments(&mut self, segments: u64) -> Result<u32, SealError> {
+        let epoch = self.epoch.as_mut().ok_or(SealError::NoEpoch)?;
+        if epoch.used + segments > MAX_SEGMENTS {
+            return Err(SealError::EpochExhausted(epoch.number));
+        }
+        epoch.used += segments;
+        Ok(epoch.number)
+    }
+
+    fn aead(&self) -> Result<&Aead, SealError> {
+        self.epoch.as_ref().map(|epoch| &epoch.aead).ok_or(SealError::NoEpoch)
+    }
+
+    fn seal_run(
+        &mut self,
+        Run { epoch, first, cut, timestamp_ns }: Run,
+        messages: &[Draft<'_>],
+        max_payload: usize,
+        out: &mut Segments,
+    ) -> Result<(), SealError> {
+        let depth = merkle::depth(messages.len());
+        self.scratch.leaves.clear();
+        self.scratch.pending.clear();
+        for (sequence, message) in (first..).zip(messages) {
+            let Cut { count, size } = Cut::new(message, max_payload, depth)?;
+            let header = SegmentHeader {
+                kind: Kind::Body,
+                sealed_len: 0,
+                index: 0,
+                sequence,
+                cut,
+                session: self.session,
+                count,
+                size,
+                epoch,
+            };
+            let preamble = &message.preamble(timestamp_ns)[..message.preamble_len()];
+            self.seal_body(header, preamble, message.body, max_payload, out)?;
+            self.scratch.leaves.push(wire::leaf(
+                self.backend,
+                &self.name,
+                &self.writer,
+                &header,
+                &self.scratch.digests,
+            ));
+            self.reserve_proof(header, depth, max_payload, out);
+        }
+        self.seal_proofs(out)
+    }
+
+    /// The body segments of one message; leaves their digests in the scratch.
+    fn seal_body(
+        &mut self,
+        mut header: SegmentHeader,
+        preamble: &[u8],
+        body: &[u8],
+        max_payload: usize,
+        out: &mut Segments,
+    ) -> Result<(), SealError> {
+        self.scratch.digests.clear();
+        let (mut head, mut rest) = (preamble, body);
+        for index in 0..header.count {
+            let from_head = split_off_front(&mut head, header.size as usize);
+            let from_body = split_off_front(&mut rest, header.size as usize - from_head.len());
+            let len = from_head.len() + from_body.len();
+            header.index = index;
+            header.sealed_len = (len + TAG_LEN) as u16;
+            let clear = header.to_bytes();
+
+            let at = out.begin(len + OVERHEAD, max_payload);
+            let buffer = out.buffer();
+            buffer.extend_from_slice(&clear);
+            buffer.extend_from_slice(from_head);
+            buffer.extend_from_slice(from_body);
+            let sealed = at + wire::HEADER_LEN;
+            let tag = self.aead()?.seal(&header.nonce(), &clear, &mut buffer[sealed..])?;
+            buffer.extend_from_slice(&tag);
+            self.scratch.digests.push(self.backend.sha256(&[&buffer[sealed..]]));
+        }
+        Ok(())
+    }
+
+    fn reserve_proof(&mut self, header: SegmentHeader, depth: usize, max_payload: usize, out: &mut Segments) {
+        let len = wire::proof_len(depth);
+        let header =
+            SegmentHeader { kind: Kind::Proof, index: header.count, sealed_len: (len + TAG_LEN) as u16, ..header };
+        let at = out.begin(len + OVERHEAD, max_payload);
+        out.buffer().resize(at + len + OVERHEAD, 0);
+        self.scratch.pending.push(PendingProof { at, header });
+    }
+
+    fn seal_proofs(&mut self, out: &mut Segments) -> Result<(), SealError> {
+        let Scratch { leaves, pending, tree, path, .. } = &mut self.scratch;
+        tree.build(self.backend, leaves);
+        let signature = self.signer.sign(&wire::batch_statement(&tree.root()))?;
+        let aead = self.epoch.as_ref().map(|epoch| &epoch.aead).ok_or(SealError::NoEpoch)?;
+        for (position, PendingProof { at, header }) in pending.iter().enumerate() {
+            tree.path(position, path);
+            let clear = header.to_bytes();
+            let segment = &mut out.buffer()[*at..][..wire::HEADER_LEN + usize::from(header.sealed_len)];
+            let (clear_place, sealed) = segment.split_at_mut(wire::HEADER_LEN);
+            let (plaintext, tag_place) = sealed.split_at_mut(wire::proof_len(path.len()));
+            clear_place.copy_from_slice(&clear);
+            Proof { position: position as u16, path, signature: &signature }.write(plaintext);
+            tag_place.copy_from_slice(&aead.seal(&header.nonce(), &clear, plaintext)?);
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Debug for Writer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { name, writer, next, .. } = self;
+        write!(
+            f,
+            "Writer {{ name: {name:#}, writer: {writer:#}, session: {}, next: {next} }}",
+            hex::encode(self.session)
+        )
+    }
+}
+
+fn split_off_front<'a>(data: &mut &'a [u8], most: usize) -> &'a [u8] {
+    let (front, rest) = data.split_at(most.min(data.len()));
+    *data = rest;
+    front
+}
+
+/// How a message is cut.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Cut {
+    count: u32,
+    size: u32,
+}
+
+impl Cut {
+    fn new(message: &Draft<'_>, max_payload: usize, depth: usize) -> Result<Self, SealError> {
+        if message.origin.len() > MAX_ORIGIN {
+            return Err(SealError::OriginTooLong(message.origin.len()));
+        }
+        Self::of_len(message.body.len(), message.preamble_len(), max_payload, depth)
+    }
+
+    fn of_len(body_len: usize, preamble_len: usize, max_payload: usize, depth: usize) -> Result<Self, SealError> {
+        let need = OVERHEAD + wire::proof_len(depth);
+        if max_payload < need {
+            return Err(SealError::PayloadTooSmall { max_payload, need });
+        }
+        let capacity = (max_payload - OVERHEAD).min(wire::MAX_PLAINTEXT);
+        let too_large = SealError::MessageTooLarge { len: body_len, size: capacity };
+        let len = body_len.checked_add(preamble_len).ok_or(too_large)?;
+        let size = capacity.min(len);
+        let count = u32::try_from(len.div_ceil(size)).map_err(|_| too_large)?;
+        Ok(Self { count, size: size as u32 })
+    }
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/seal/writer.rs"]
+mod tests;

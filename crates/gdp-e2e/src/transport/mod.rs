@@ -1,0 +1,66 @@
+//! Schedules and repairs sealed messages (`docs/architecture.md`, "A message").
+//!
+//! It decides the order and rate of sending, what is sent again and what is given up. State machines
+//! only: no sockets, no clocks, no keys. Time is nanoseconds of any clock that never goes back.
+//!
+//! ```text
+//!  Publisher ── seal ── push(Sealed) ─►┌ Uplink ──────────────────────────────┐
+//!  (any task; waits if Full            │ a topic: Outbox  queue, history      │
+//!   until Output::Room)                │          Peers   a Path per reader   │
+//!                                      │ turns by class, pacing, budget       │
+//!  sending task ◄──── poll: Output ────└──────────────────────────────────────┘
+//!    Send(Transmit)   frames to the socket; to a second Uplink by copy(), if the topic is doubled
+//!    Reseal           the message again, in smaller frames, by resealed()
+//!    Heartbeat, Gone  sealed and sent by the node                ▲
+//!                                                                │ feedback(reader, Report | Nack)
+//!  ═════════════════════════ network ════════════════════════════╪══════════════════════
+//!                                                                │
+//!  receiving thread ── open ── segment, complete ─►┌ Inbound ────┴─────────────────────────┐
+//!                                                  │ gaps, order or newest, deadline       │
+//!  Subscription ◄──── poll: Arrival::Message ──────│ poll: Arrival::Feedback(Report, Nack) │
+//!                                                  └───────────────────────────────────────┘
+//! ```
+//!
+//! - [`Uplink`]: one for each link to a switch, behind one lock: publishers push, one task polls, the receiving thread brings feedback.
+//! - [`Inbound`]: one for each session of a writer, owned by the receiving thread. It is told of a segment once that was opened under
+//!   the session's key, and of a message once its signature was verified.
+//!
+//! Readers are never trusted with more than their own share: the speed of a topic follows the best of its readers that report; what one
+//! of them asks for again has a budget; and none can make the writer hold more than its history.
+
+mod black_hole;
+mod congestion;
+mod inbound;
+mod meter;
+mod outbox;
+mod peers;
+mod sealed;
+mod sent_log;
+mod slot;
+mod topic;
+mod uplink;
+
+pub use inbound::{Arrival, Inbound, InboundCounters, InboundOptions, Order, Segment};
+pub use outbox::{History, Overflow, Reliability, TopicCounters};
+pub use sealed::{Position, Sealed};
+pub use topic::TopicOptions;
+pub use uplink::{Full, Output, Topic, Transmit, Uplink, UplinkOptions};
+
+/// Nanoseconds in a millisecond.
+const MS: u64 = 1_000_000;
+
+/// Bytes of the header in front of a frame's payload, as they count toward rates and budgets.
+const FRAME_HEADER: u64 = size_of::<gdp_wire::Header>() as u64;
+
+#[cfg(test)]
+#[path = "../../tests/unit/transport/cases.rs"]
+mod cases;
+#[cfg(test)]
+#[path = "../../tests/unit/transport/properties.rs"]
+mod properties;
+#[cfg(test)]
+#[path = "../../tests/unit/transport/simulation.rs"]
+mod simulation;
+#[cfg(test)]
+#[path = "../../tests/unit/transport/turns.rs"]
+mod turns;

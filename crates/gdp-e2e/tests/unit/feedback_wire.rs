@@ -1,0 +1,120 @@
+//! Unit tests of `feedback_wire`.
+
+use super::*;
+
+const NAME: Name = Name::from_bytes([7; 32]);
+const SESSION: [u8; 16] = [9; 16];
+
+#[test]
+fn every_kind_survives_its_bytes() {
+    for (feedback, len) in all() {
+        let bytes = encoded(&feedback);
+        assert_eq!(bytes.len(), len, "{feedback:?}");
+        assert_eq!(Feedback::decode(&bytes), Ok(feedback.clone()));
+        assert_eq!(feedback.name(), NAME);
+    }
+    assert_eq!(encoded(&nack((1..=MAX_MISSING as u64).map(Missing::whole).collect())).len(), MAX_FEEDBACK);
+}
+
+#[test]
+fn fields_are_where_the_specification_says() {
+    let bytes = encoded(&nack(vec![Missing { sequence: 0x0102_0304_0506, cut: 7, first: 8, count: 9 }]));
+    assert_eq!(hex::encode(&bytes[..2]), "0407");
+    assert_eq!(hex::encode(&bytes[48..]), "0901010203040506000700000008 00000009".replace(' ', ""));
+    let (report, _) = &all()[2];
+    let expected = "0000000000000005 0000000000000004 0000000000000006 0000000000000007 00000008 0000000000000009 0000000a 0000000b";
+    assert_eq!(hex::encode(&encoded(report)[49..]), expected.replace(' ', ""));
+}
+
+#[test]
+fn other_lengths_and_kinds_are_refused() {
+    for (feedback, _) in all() {
+        let mut bytes = encoded(&feedback);
+        for len in 0..bytes.len() {
+            assert!(Feedback::decode(&bytes[..len]).is_err(), "{len} bytes of {feedback:?}");
+        }
+        bytes.push(0);
+        assert!(matches!(Feedback::decode(&bytes), Err(FeedbackError::Length { .. })));
+        for kind in [0, 6, 0xff] {
+            bytes[0] = kind;
+            assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Kind(kind)));
+        }
+    }
+}
+
+#[test]
+fn a_nack_asks_for_each_segment_once() {
+    let range = |sequence, first, count| Missing { sequence, cut: 1, first, count };
+    let refused = |missing: Vec<Missing>| {
+        let (feedback, mut out) = (nack(missing), Vec::new());
+        let error = feedback.encode(&mut out).unwrap_err();
+        assert!(out.is_empty());
+        error
+    };
+    for missing in [
+        vec![range(1, 0, 0)],
+        vec![range(1, 2, u32::MAX)],
+        vec![range(2, 0, 1), range(1, 0, 1)],
+        vec![range(1, 0, 1), range(1, 0, 1)],
+        vec![range(1, 0, 3), range(1, 2, 1)],
+        vec![Missing::whole(1), range(1, 5, 1)],
+    ] {
+        assert_eq!(refused(missing.clone()), FeedbackError::Order, "{missing:?}");
+    }
+    assert_eq!(refused(vec![]), FeedbackError::Ranges(0));
+    assert_eq!(refused((1..=64).map(Missing::whole).collect()), FeedbackError::Ranges(64));
+    assert_eq!(refused(vec![Missing::whole(1 << 48)]), FeedbackError::Sequence(1 << 48));
+    encoded(&nack(vec![range(1, 0, 3), range(1, 3, 1), range(2, 0, 1), range(3, u32::MAX, 1)]));
+}
+
+/// What an attacker may write into the bytes, which `encode` would not.
+#[test]
+fn hostile_bytes_are_refused() {
+    let two = encoded(&nack(vec![Missing::whole(1), Missing::whole(2)]));
+    let twice = [&two[..NACK_LEN + MISSING_LEN], &two[NACK_LEN..NACK_LEN + MISSING_LEN]].concat();
+    assert_eq!(Feedback::decode(&twice), Err(FeedbackError::Order));
+    for count in [0, 64, 255] {
+        let mut bytes = two.clone();
+        bytes[NACK_LEN - 1] = count;
+        assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Ranges(count.into())));
+    }
+    let (welcome, _) = &all()[1];
+    let mut bytes = encoded(welcome);
+    bytes[WELCOME_LEN - 9] = 1;
+    assert!(matches!(Feedback::decode(&bytes), Err(FeedbackError::Sequence(_))));
+    bytes[WELCOME_LEN - 1] = 2;
+    assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Flag(2)));
+}
+
+fn all() -> [(Feedback, usize); 5] {
+    let (name, session, challenge) = (NAME, SESSION, [3; 16]);
+    let report = Feedback::Report {
+        name,
+        session,
+        highest: 5,
+        acknowledged: 4,
+        received_segments: 6,
+        received_bytes: 7,
+        ce: 8,
+        echo: 9,
+        echo_index: 10,
+        delay_us: 11,
+    };
+    [
+        (Feedback::Hello { name, challenge, wants: Wants::Offered }, 50),
+        (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE, reliable: false }, 74),
+        (report, 101),
+        (Feedback::Gone { name, session, oldest: 12 }, 57),
+        (nack(vec![Missing::whole(4), Missing { sequence: 5, cut: 1, first: 2, count: 3 }]), 50 + 2 * 16),
+    ]
+}
+
+fn nack(missing: Vec<Missing>) -> Feedback {
+    Feedback::Nack { name: NAME, session: SESSION, missing }
+}
+
+fn encoded(feedback: &Feedback) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    feedback.encode(&mut bytes).unwrap();
+    bytes
+}

@@ -1,0 +1,173 @@
+//! The published test vectors of names and segments. Signatures in them are those of RFC 6979, so that the vectors are the same on every run.
+
+use super::*;
+use crate::vectors::check;
+use gdp_core::crypto::Backend;
+use gdp_core::identity::SigningKey;
+use gdp_core::keys::EpochKey;
+use gdp_core::name;
+use gdp_core::name::{Metadata, Name};
+use serde_json::json;
+
+#[test]
+fn vectors_of_names() {
+    let cases = [
+        ("the empty map", Metadata::new()),
+        (
+            "a topic",
+            map(&[
+                ("kind", "topic"),
+                ("topic", "/chatter"),
+                ("type", "std_msgs/msg/String"),
+                ("nonce", "000102030405060708090a0b0c0d0e0f"),
+            ]),
+        ),
+        ("an entity", map(&[("kind", "switch")])),
+        ("escapes", map(&[("quote\"", "back\\slash /\u{8}\t\n\u{c}\r\u{1}\u{7f}")])),
+        (
+            "keys ordered by UTF-16 code units, not by code points",
+            map(&[
+                ("\u{fb33}", "Hebrew letter dalet with dagesh"),
+                ("\u{1f600}", "grinning face"),
+                ("\u{20ac}", "euro"),
+                ("a", ""),
+            ]),
+        ),
+    ];
+    let owner = SigningKey::from_secret_bytes(&[1; 32]).unwrap().public();
+    let vectors = cases.map(|(description, metadata)| {
+        let digest = name::inner_digest(&metadata);
+        json!({
+            "description": description,
+            "metadata": metadata,
+            "canonical_json": name::canonical_json(&metadata),
+            "inner_digest": hex::encode(digest),
+            "owner_key": hex::encode(owner),
+            "name": name::derive(&owner, &digest),
+        })
+    });
+    check(
+        "name.json",
+        &json!({
+            "about": "name = SHA-256(\"gdp/name/1\" || owner_key || SHA-256(JCS(metadata))); owner_key is the public key of the P-256 private key 0x0101...01",
+            "vectors": vectors,
+        }),
+    );
+}
+
+#[test]
+fn vectors_of_segments() {
+    let name = Name::from_bytes([0x11; 32]);
+    let writer_name = Name::from_bytes([0x22; 32]);
+    let (epoch_key, session) = ([0x33; 32], [0x44; 16]);
+    let key = SigningKey::from_secret_bytes(&[1; 32]).unwrap();
+    let (epoch, request) = (1_700_000_000, MessageId { session: [0x66; 16], sequence: 7 });
+    let service = Name::from_bytes([0x77; 32]);
+    let plain = |encoding, body| Draft::new(encoding, body);
+    let cases: [(&str, usize, &[Draft<'_>]); 6] = [
+        ("a message that shares one frame payload with its proof", 1400, &[plain(Encoding::Cdr, b"hello")]),
+        ("an empty message", 1400, &[plain(Encoding::Bytes, b"")]),
+        (
+            "a message of three segments; the last shares a payload with the proof",
+            200,
+            &[plain(Encoding::Json, &[0x5a; 290])],
+        ),
+        (
+            "a batch of three under one signature",
+            1400,
+            &[plain(Encoding::Ros1, b"one"), plain(Encoding::Ros1, b"two"), plain(Encoding::Ros1, b"three")],
+        ),
+        (
+            "a reply that says where it comes from",
+            1400,
+            &[Draft { in_reply_to: Some(request), origin: b"origin", ..plain(Encoding::Cdr, b"sum") }],
+        ),
+        ("a request to a service", 1400, &[Draft { service: Some(service), ..plain(Encoding::Cdr, b"summands") }]),
+    ];
+    let new_writer = || {
+        let mut writer = Writer::with_session(name, writer_name, &key, Backend::RustCrypto, session).unwrap();
+        writer.set_epoch(epoch, &EpochKey::from_bytes(epoch_key)).unwrap();
+        writer
+    };
+    // What readers with either back end make of payloads.
+    let read = |segments: &Segments| {
+        Backend::ALL.map(|backend| {
+            let mut reader = Reader::new(name, backend, Limits::default());
+            reader.authorise(writer_name, key.verify_key()).unwrap();
+            reader.set_key(&writer_name, epoch, EpochKey::from_bytes(epoch_key)).unwrap();
+            reader.vouch(&writer_name, session, 1).unwrap();
+            let mut received = Received::default();
+            tests::push_into(&mut reader, writer_name, segments.iter(), &mut received);
+            received
+        })
+    };
+    let payloads = |segments: &Segments| segments.iter().map(hex::encode).collect::<Vec<_>>();
+    let timestamp = 1_700_000_000_123_456_789;
+    let mut segments = Segments::new();
+    let vectors = cases.map(|(description, max_payload, messages)| {
+        new_writer().seal_batch(timestamp, messages, max_payload, &mut segments).unwrap();
+        assert!(read(&segments).iter().all(|received| received.messages.len() == messages.len()));
+        json!({
+            "description": description,
+            "max_payload": max_payload,
+            "first_sequence": 1,
+            "timestamp_ns": timestamp.to_string(),
+            "messages": messages.iter().map(|message| json!({
+                "encoding": u16::from(message.encoding),
+                "in_reply_to": message.in_reply_to.map(|request| json!({
+                    "session": hex::encode(request.session),
+                    "sequence": request.sequence,
+                })),
+                "origin": hex::encode(message.origin),
+                "service": message.service.map(|service| service.to_string()),
+                "body": hex::encode(message.body),
+            })).collect::<Vec<_>>(),
+            "payloads": payloads(&segments),
+        })
+    });
+
+    let mut writer = new_writer();
+    let hello = Draft::new(Encoding::Cdr, b"hello");
+    writer.seal_batch(timestamp, &[hello], 1400, &mut segments).unwrap();
+    writer.reseal(1, 1, timestamp, hello, MIN_PAYLOAD, &mut segments).unwrap();
+    assert!(read(&segments).iter().all(|received| received.messages.len() == 1));
+    let cut_anew = json!({
+        "description": "the first message again, under cut 1 for the smallest payloads",
+        "max_payload": MIN_PAYLOAD,
+        "payloads": payloads(&segments),
+    });
+    writer.heartbeat(timestamp, u64::MAX, 1, &mut segments).unwrap();
+    assert!(read(&segments).iter().all(|received| received.heartbeats.len() == 1));
+    let heartbeat = json!({
+        "description": "the first heartbeat, after one message, which can be had again",
+        "number": 1,
+        "next": 2,
+        "oldest": 1,
+        "timestamp_ns": timestamp.to_string(),
+        "payloads": payloads(&segments),
+    });
+    check(
+        "segment.json",
+        &json!({
+            "about": "sealed by a new session; the signing key is the P-256 private key 0x0101...01 with RFC 6979 nonces",
+            "name": name,
+            "writer": writer_name,
+            "session": hex::encode(session),
+            "epoch": epoch,
+            "epoch_key": hex::encode(epoch_key),
+            "session_key": hex::encode(*Backend::default().hkdf_sha256(
+                &session,
+                &epoch_key,
+                &[b"gdp/session/1", name.as_bytes(), writer_name.as_bytes()],
+            ).unwrap()),
+            "verify_key": key.verify_key(),
+            "vectors": vectors,
+            "cut_anew": cut_anew,
+            "heartbeat": heartbeat,
+        }),
+    );
+}
+
+fn map(entries: &[(&str, &str)]) -> Metadata {
+    entries.iter().map(|(key, value)| (key.to_string(), value.to_string())).collect()
+}

@@ -1,0 +1,411 @@
+//! An authenticated adjacency of two entities: a QUIC connection for requests both ways, and from it the ids, the keys and
+//! the MTU of the data frames on the link. Made by [`crate::port`]; data frames themselves never pass through here.
+//!
+//! After the TLS handshake the side that dialled opens a stream and says [`Hello`](hello), the other answers with its own.
+//! A peer's name is derived from the key it proved in TLS and the digest in its hello, so it cannot claim another's.
+
+mod hello;
+mod ids;
+mod keyed_entry;
+pub mod liveness;
+mod ratchet;
+mod rekey;
+mod streams;
+mod tls;
+
+use std::fmt;
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
+
+use gdp_wire::table::ip_words;
+use gdp_wire::{Carrier, LinkEntry, LinkRole, Name};
+use parking_lot::Mutex as StdMutex;
+use tokio::sync::{Mutex, mpsc};
+use tokio::task::JoinHandle;
+use zeroize::Zeroizing;
+
+use crate::port::{HostPair, LinkAddr};
+use gdp_core::domain::Papers;
+use gdp_core::peer::{Peer, Role};
+use gdp_proto::control::{CodecError, Request, Response};
+
+pub use ids::{LinkId, LinkIds};
+pub use keyed_entry::KeyedEntry;
+pub use ratchet::{LinkKeys, RekeySchedule};
+pub use streams::Responder;
+
+use hello::PeerEnd;
+use ratchet::Ratchet;
+use rekey::{Announcement, MAX_ANNOUNCEMENTS};
+
+pub use hello::MIN_MTU;
+pub(crate) use hello::{HelloConfig, greet_as_client, greet_as_server};
+pub(crate) use tls::{QuicMtu, SERVER_NAME, configs};
+
+/// A silent link sends a packet this often.
+pub const KEEP_ALIVE: Duration = Duration::from_secs(1);
+
+/// A link is lost when nothing arrives for this long.
+pub const IDLE_TIMEOUT: Duration = Duration::from_secs(4);
+
+/// From the first packet to both hellos.
+pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// From a request to its response.
+pub const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Characters of a peer's reason to close a link that are shown.
+const MAX_REASON: usize = 600;
+
+/// Requests a peer can have open at once.
+pub(crate) const MAX_STREAMS: u32 = 32;
+
+/// One link. Clones are the same link; it closes when the last is dropped.
+#[derive(Clone)]
+pub struct Link(Arc<Inner>);
+
+struct Inner {
+    peer: Peer,
+    local_id: LinkId,
+    peer_id: u32,
+    ratchet: StdMutex<Ratchet>,
+    announcements: Mutex<mpsc::Receiver<Announcement>>,
+    mtu: u32,
+    /// Whether the peer takes datagrams over IPv6 without a UDP checksum.
+    zero_checksum: bool,
+    place: Place,
+    connection: quinn::Connection,
+    requests: Mutex<mpsc::Receiver<(Request, Responder)>>,
+    streams: JoinHandle<()>,
+    papers: StdMutex<Option<Arc<Papers>>>,
+    /// Why this side closed it.
+    closed_for: OnceLock<String>,
+}
+
+/// What a link needs to know of the port it is on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Place {
+    Ethernet {
+        ifindex: u32,
+        vlan: u16,
+        local_mac: [u8; 6],
+        peer_mac: [u8; 6],
+    },
+    /// `bound`: what the port's socket is bound to, perhaps the unspecified address.
+    /// `pair`: how frames go, if not by where QUIC is.
+    Udp {
+        bound: SocketAddr,
+        pair: Option<PairEnd>,
+    },
+}
+
+impl Place {
+    /// Whether a peer's address is one of this host: then the kernel sends from it as well.
+    fn leads_to_this_host(self, peer: SocketAddr) -> bool {
+        matches!(self, Self::Udp { bound, .. } if udp_source(bound.ip(), peer) == peer.ip().to_canonical())
+    }
+
+    fn by(self, end: PairEnd) -> Self {
+        match self {
+            Self::Udp { bound, .. } => Self::Udp { bound, pair: Some(end) },
+            ethernet => ethernet,
+        }
+    }
+}
+
+/// One side's view of a [`HostPair`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PairEnd {
+    /// Not known to the endpoint, nor are MAC addresses: its kernel knows them.
+    local_ip: Ipv4Addr,
+    local_mac: [u8; 6],
+    peer_ip: Ipv4Addr,
+    peer_mac: [u8; 6],
+}
+
+impl PairEnd {
+    fn toward(switch: Ipv4Addr) -> Self {
+        Self { local_ip: Ipv4Addr::UNSPECIFIED, local_mac: [0; 6], peer_ip: switch, peer_mac: [0; 6] }
+    }
+
+    fn of_switch(pair: &HostPair) -> Self {
+        let HostPair { switch_ip, switch_mac, host_ip, host_mac } = *pair;
+        Self { local_ip: switch_ip, local_mac: switch_mac, peer_ip: host_ip, peer_mac: host_mac }
+    }
+}
+
+/// Why a link could not be made, or failed a request.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    #[error("{what}: {source}")]
+    Io { what: String, source: io::Error },
+    #[error("the link could not be made: {0}")]
+    Handshake(String),
+    #[error("{what} took longer than {} s", .after.as_secs())]
+    Timeout { what: &'static str, after: Duration },
+    #[error("the peer is {found:#}, not {expected:#}; check the address, or the name that is configured for it")]
+    WrongPeer { expected: Name, found: Name },
+    #[error("all {} link ids are in use", gdp_wire::table::MAX_LINKS)]
+    NoFreeId,
+    #[error("the link is closed: {0}")]
+    Closed(String),
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    #[error("the peer broke the protocol: {0}")]
+    Protocol(String),
+}
+
+impl From<quinn::ConnectionError> for LinkError {
+    fn from(error: quinn::ConnectionError) -> Self {
+        Self::Closed(close_reason(&error))
+    }
+}
+
+impl Link {
+    /// Derives what data frames need from a connection on which both sides have said hello, and begins to take requests.
+    pub(crate) fn new(
+        connection: quinn::Connection,
+        place: Place,
+        local: (LinkId, u32),
+        peer: Peer,
+        peer_end: PeerEnd,
+        dialled: bool,
+        schedule: RekeySchedule,
+    ) -> Result<Self, LinkError> {
+        let to_server = export_secret(&connection, b"client to server")?;
+        let to_client = export_secret(&connection, b"server to client")?;
+        let (rx, tx) = if dialled { (to_client, to_server) } else { (to_server, to_client) };
+        let ratchet = Ratchet::new(rx, tx, schedule, Instant::now())
+            .map_err(|error| LinkError::Handshake(format!("no keys can be derived: {error}")))?;
+        let (sender, requests) = mpsc::channel(MAX_STREAMS as usize);
+        let (heard, announcements) = mpsc::channel(MAX_ANNOUNCEMENTS);
+        let streams = tokio::spawn(streams::serve(connection.clone(), streams::Takers { requests: sender, heard }));
+        Ok(Self(Arc::new(Inner {
+            peer,
+            local_id: local.0,
+            peer_id: peer_end.id,
+            ratchet: StdMutex::new(ratchet),
+            announcements: Mutex::new(announcements),
+            mtu: local.1.min(peer_end.mtu),
+            zero_checksum: peer_end.zero_checksum,
+            place,
+            connection,
+            requests: Mutex::new(requests),
+            streams,
+            papers: StdMutex::new(peer_end.papers.map(Arc::new)),
+            closed_for: OnceLock::new(),
+        })))
+    }
+
+    pub fn peer(&self) -> &Peer {
+        &self.0.peer
+    }
+
+    /// What the peer shows of its domain; judged by nobody yet.
+    pub fn papers(&self) -> Option<Arc<Papers>> {
+        self.0.papers.lock().clone()
+    }
+
+    /// The peer shows renewed papers.
+    pub fn set_papers(&self, papers: Arc<Papers>) {
+        *self.0.papers.lock() = Some(papers);
+    }
+
+    /// The id in frames that arrive.
+    pub fn local_id(&self) -> u32 {
+        self.0.local_id.get()
+    }
+
+    /// Largest data frame, header and payload, in bytes. Over UDP it follows what QUIC finds out about the path.
+    pub fn mtu(&self) -> u32 {
+        match self.0.place {
+            Place::Ethernet { .. } => self.0.mtu,
+            Place::Udp { .. } => self.0.mtu.min(self.0.connection.stats().path.current_mtu.into()),
+        }
+    }
+
+    /// Where data frames go. A UDP address moves when the peer did and QUIC has validated its new path.
+    pub fn addr(&self) -> LinkAddr {
+        match self.0.place {
+            Place::Ethernet { ifindex, peer_mac, .. } => LinkAddr::Ethernet { ifindex, mac: peer_mac },
+            Place::Udp { pair: None, .. } => LinkAddr::udp(self.0.connection.remote_address()),
+            Place::Udp { pair: Some(pair), .. } => {
+                LinkAddr::udp((pair.peer_ip, self.0.connection.remote_address().port()).into())
+            }
+        }
+    }
+
+    /// Whether frames go by the [`HostPair`] of the switch.
+    pub fn is_by_pair(&self) -> bool {
+        matches!(self.0.place, Place::Udp { pair: Some(_), .. })
+    }
+
+    /// What carries data frames to the peer. Over UDP it follows the addresses of both sides.
+    pub fn carrier(&self) -> Carrier {
+        let inner = &*self.0;
+        // An endpoint takes frames from a socket; a switch before the kernel would join them.
+        let joins = if inner.peer.role == Role::Endpoint { Carrier::CHECKSUM } else { 0 };
+        match inner.place {
+            Place::Ethernet { vlan, local_mac, peer_mac, .. } => {
+                Carrier { vlan, ..Carrier::ethernet(peer_mac, local_mac) }
+            }
+            Place::Udp { bound, pair: Some(pair) } => Carrier {
+                kind: Carrier::UDP4,
+                flags: joins,
+                peer_port: inner.connection.remote_address().port().to_be(),
+                local_port: bound.port().to_be(),
+                peer_ip: ip_words(pair.peer_ip.into()).1,
+                local_ip: ip_words(pair.local_ip.into()).1,
+                ..Carrier::ethernet(pair.peer_mac, pair.local_mac)
+            },
+            Place::Udp { bound, pair: None } => {
+                let peer = inner.connection.remote_address();
+                // Only the side that was dialled knows it from its peer's packets.
+                let local = inner.connection.local_ip().map(|ip| ip.to_canonical());
+                let local = local.unwrap_or_else(|| udp_source(bound.ip(), peer));
+                let (kind, peer_ip) = ip_words(peer.ip().to_canonical());
+                let (local_kind, local_ip) = ip_words(local);
+                Carrier {
+                    kind,
+                    flags: joins | if inner.zero_checksum { Carrier::ZERO_CHECKSUM } else { 0 },
+                    peer_port: peer.port().to_be(),
+                    local_port: bound.port().to_be(),
+                    peer_ip,
+                    // Not known: the unspecified address.
+                    local_ip: if local_kind == kind { local_ip } else { [0; 4] },
+                    ..Carrier::default()
+                }
+            }
+        }
+    }
+
+    /// The link as a data plane holds it, with `port` as its key in a device map, and with the keys of this moment
+    /// ([`Self::keep_keys`] replaces them). A switch fills in what it reaches.
+    pub fn entry(&self, port: u32) -> LinkEntry {
+        let inner = &*self.0;
+        let mut entry = LinkEntry {
+            id: self.local_id(),
+            peer_id: inner.peer_id,
+            role: LinkRole::from(inner.peer.role) as u32,
+            port,
+            peer: inner.peer.name,
+            mtu: self.mtu(),
+            carrier: self.carrier(),
+            lane: inner.peer.lane.into(),
+            ..LinkEntry::default()
+        };
+        self.ratchet().keys().put(&mut entry);
+        entry
+    }
+
+    /// How often the keys of frames that arrive, and of those that leave, have been replaced.
+    pub fn key_generations(&self) -> (u64, u64) {
+        self.ratchet().generations()
+    }
+
+    /// Asks the peer and waits for its answer, [`REQUEST_TIMEOUT`] at most. A refusal is an answer.
+    pub async fn request(&self, request: &Request) -> Result<Response, LinkError> {
+        // A link that is closed says more than its streams.
+        let said = |error| self.close_reason().map_or(error, LinkError::Closed);
+        streams::request(&self.0.connection, request).await.map_err(said)
+    }
+
+    /// The next request of the peer; `None` when the link is closed.
+    pub async fn accept_request(&self) -> Option<(Request, Responder)> {
+        self.0.requests.lock().await.recv().await
+    }
+
+    /// Waits until the link is closed, by either side or by silence, and says why.
+    pub async fn closed(&self) -> String {
+        let error = self.0.connection.closed().await;
+        self.describe(&error)
+    }
+
+    /// Why the link is closed, if it is.
+    pub fn close_reason(&self) -> Option<String> {
+        self.0.connection.close_reason().map(|error| self.describe(&error))
+    }
+
+    fn describe(&self, error: &quinn::ConnectionError) -> String {
+        match (error, self.0.closed_for.get()) {
+            (quinn::ConnectionError::LocallyClosed, Some(reason)) => format!("closed on this side: {reason}"),
+            _ => close_reason(error),
+        }
+    }
+
+    /// Whether the link was lost without a word from the peer. Then what forwards its frames may go on; see [`gdp_core::peer::GRACEFUL_RESTART_TIME`].
+    pub fn fell_silent(&self) -> bool {
+        use quinn::ConnectionError::{Reset, TimedOut};
+        matches!(self.0.connection.close_reason(), Some(TimedOut | Reset))
+    }
+
+    /// Closes the link; the peer is told why.
+    pub fn close(&self, reason: &str) {
+        let _ = self.0.closed_for.set(reason.into());
+        self.0.connection.close(quinn::VarInt::from_u32(0), reason.as_bytes());
+    }
+
+    /// Round-trip time of the control connection.
+    pub fn rtt(&self) -> Duration {
+        self.0.connection.rtt()
+    }
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        self.streams.abort();
+        self.connection.close(quinn::VarInt::from_u32(0), b"no longer in use");
+    }
+}
+
+impl fmt::Debug for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Link({:#} at {}, id {:#x})", self.0.peer.name, self.addr(), self.local_id())
+    }
+}
+
+/// The address that a socket bound to `bound` sends from to `peer`; the unspecified one if there is no route.
+fn udp_source(bound: IpAddr, peer: SocketAddr) -> IpAddr {
+    if !bound.is_unspecified() {
+        return bound.to_canonical();
+    }
+    // Connecting a UDP socket sends nothing: the kernel looks its routes up.
+    let ask = || {
+        let socket = UdpSocket::bind((bound, 0))?;
+        socket.connect(peer)?;
+        socket.local_addr()
+    };
+    ask().map_or(bound, |local| local.ip().to_canonical())
+}
+
+/// What the keys of a direction come from. RFC 5705: the same on both sides, unknown to anybody else.
+fn export_secret(connection: &quinn::Connection, context: &[u8]) -> Result<Zeroizing<[u8; 32]>, LinkError> {
+    let mut secret = Zeroizing::new([0; 32]);
+    connection
+        .export_keying_material(secret.as_mut_slice(), b"EXPORTER-gdp-link", context)
+        .map_err(|_| LinkError::Handshake("TLS exports no keys".into()))?;
+    Ok(secret)
+}
+
+/// What a person should read. The peer's own words are bounded and made printable.
+fn close_reason(error: &quinn::ConnectionError) -> String {
+    match error {
+        quinn::ConnectionError::ApplicationClosed(close) => {
+            let words: String = String::from_utf8_lossy(&close.reason).chars().take(MAX_REASON).collect();
+            if words.is_empty() {
+                "closed by the peer".into()
+            } else {
+                format!("closed by the peer: {}", words.escape_debug())
+            }
+        }
+        quinn::ConnectionError::TimedOut => format!("nothing heard for {} s", IDLE_TIMEOUT.as_secs()),
+        quinn::ConnectionError::LocallyClosed => "closed on this side".into(),
+        other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/link.rs"]
+mod tests;

@@ -1,0 +1,193 @@
+//! The first exchange on a link: what TLS did not say. The side that dialled speaks first; each hello is bounded in size,
+//! the whole exchange in time (by the caller).
+
+use std::net::Ipv4Addr;
+
+use gdp_wire::{Header, Name};
+use quinn::{Connection, RecvStream, SendStream};
+use serde::{Deserialize, Serialize};
+
+use super::ids::{LinkId, LinkIds};
+use super::{Link, LinkError, PairEnd, Place, RekeySchedule, streams, tls};
+use crate::port::CurrentPair;
+use gdp_core::domain::{CurrentPapers, MAX_PAPERS, Papers};
+use gdp_core::identity::Identity;
+use gdp_core::name::NameProof;
+use gdp_core::peer::{MAX_LANES, Peer, Role};
+use gdp_proto::control;
+
+const VERSION: u8 = 5;
+
+/// Longest encoded hello, in bytes; a real one has about 100, and some 1000 with a membership.
+const MAX_HELLO: usize = MAX_PAPERS + 1024;
+
+/// Largest MTU that makes sense: the payload length has 16 bits.
+const MAX_MTU: u32 = Header::LEN as u32 + u16::MAX as u32;
+
+/// A link that cannot carry this is of no use.
+pub const MIN_MTU: u32 = 512;
+
+#[derive(Debug, Serialize, Deserialize)]
+struct Hello {
+    version: u8,
+    role: Role,
+    /// The inner digest of the sender's name.
+    #[serde(with = "gdp_core::cbor::array")]
+    digest: [u8; 32],
+    /// The id frames to the sender must carry.
+    link_id: u32,
+    /// Of an endpoint: which of its links this is. A link of another number replaces none.
+    lane: u8,
+    /// Largest data frame the sender takes on this link.
+    mtu: u32,
+    /// Whether the sender takes datagrams over IPv6 without a UDP checksum (RFC 6936).
+    zero_checksum: bool,
+    /// Of an endpoint: the host it is on, if its socket takes datagrams at any IPv4 address of that.
+    host: Option<u64>,
+    /// Of a switch, to an endpoint on its host: the link-local IPv4 address where frames are to be sent to, as they will come from
+    /// there, and not from where QUIC is. The ports are those of QUIC.
+    frames_at: Option<[u8; 4]>,
+    /// What the sender shows of its domain, if it is a member of one. For who takes the link to judge.
+    papers: Option<Papers>,
+}
+
+/// What this side says of itself.
+#[derive(Clone)]
+pub struct HelloConfig {
+    pub identity: Identity,
+    pub role: Role,
+    /// See [`Hello`].
+    pub lane: u8,
+    pub link_ids: LinkIds,
+    pub mtu: u32,
+    /// See [`Hello`].
+    pub zero_checksum: bool,
+    /// See [`Hello`].
+    pub host: Option<u64>,
+    /// A switch's, for endpoints on its host.
+    pub pair: CurrentPair,
+    pub papers: CurrentPapers,
+    /// Not said, but needed for the link that is made.
+    pub rekey: RekeySchedule,
+}
+
+/// What the peer said of its end of the link.
+#[derive(Clone, Debug)]
+pub struct PeerEnd {
+    pub id: u32,
+    pub mtu: u32,
+    pub zero_checksum: bool,
+    pub host: Option<u64>,
+    pub frames_at: Option<Ipv4Addr>,
+    pub papers: Option<Papers>,
+}
+
+/// Says hello on a connection this side dialled; `expected` is who should be there, if that is known. A peer that does not want the
+/// link may close it before its hello is read: then the error says why.
+pub async fn greet_as_client(
+    connection: Connection,
+    place: Place,
+    config: &HelloConfig,
+    expected: Option<Name>,
+) -> Result<Link, LinkError> {
+    let greeted = say_and_hear(connection.clone(), place, config, expected).await;
+    greeted.map_err(|error| match (error, connection.close_reason()) {
+        (LinkError::Closed(_), Some(reason)) => reason.into(),
+        (error, _) => error,
+    })
+}
+
+async fn say_and_hear(
+    connection: Connection,
+    place: Place,
+    config: &HelloConfig,
+    expected: Option<Name>,
+) -> Result<Link, LinkError> {
+    let (mut send, mut recv) = connection.open_bi().await?;
+    let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
+    // Nobody else is told.
+    let is_here = || place.leads_to_this_host(connection.remote_address());
+    let host = config.host.filter(|_| config.role == Role::Endpoint && is_here());
+    say(&mut send, config, &id, host, None).await?;
+    let (peer, peer_end) = hear(&mut recv, &connection).await?;
+    if let Some(expected) = expected
+        && expected != peer.name
+    {
+        connection.close(quinn::VarInt::from_u32(0), b"another peer was expected");
+        return Err(LinkError::WrongPeer { expected, found: peer.name });
+    }
+    let place = match peer_end.frames_at {
+        None => place,
+        // Nobody else's host can be meant.
+        Some(ip) if host.is_some() && ip.is_link_local() => place.by(PairEnd::toward(ip)),
+        Some(ip) => return Err(LinkError::Protocol(format!("{ip} is no place to send frames to"))),
+    };
+    Link::new(connection, place, (id, config.mtu), peer, peer_end, true, config.rekey)
+}
+
+/// Answers the hello of a connection the peer dialled. Nothing is allocated before the peer has proven and said who it is.
+pub async fn greet_as_server(connection: Connection, place: Place, config: &HelloConfig) -> Result<Link, LinkError> {
+    let (mut send, mut recv) = connection.accept_bi().await?;
+    let (peer, peer_end) = hear(&mut recv, &connection).await?;
+    let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
+    let pair = config.pair.get().filter(|_| is_beside(config, &connection, &peer, &peer_end));
+    say(&mut send, config, &id, None, pair.map(|pair| pair.switch_ip)).await?;
+    let place = pair.map_or(place, |pair| place.by(PairEnd::of_switch(&pair)));
+    Link::new(connection, place, (id, config.mtu), peer, peer_end, false, config.rekey)
+}
+
+/// Whether the peer is an endpoint on this host. It says so; that its packets come from the address they go to shows it, because
+/// the kernel takes such packets from nobody else.
+fn is_beside(config: &HelloConfig, connection: &Connection, peer: &Peer, peer_end: &PeerEnd) -> bool {
+    let from = connection.remote_address().ip().to_canonical();
+    peer.role == Role::Endpoint
+        && peer_end.host.is_some()
+        && peer_end.host == config.host
+        && connection.local_ip().is_some_and(|local| local.to_canonical() == from)
+}
+
+async fn say(
+    send: &mut SendStream,
+    config: &HelloConfig,
+    id: &LinkId,
+    host: Option<u64>,
+    frames_at: Option<Ipv4Addr>,
+) -> Result<(), LinkError> {
+    let hello = Hello {
+        version: VERSION,
+        role: config.role,
+        digest: config.identity.proof().digest,
+        link_id: id.get(),
+        lane: config.lane,
+        mtu: config.mtu,
+        zero_checksum: config.zero_checksum,
+        host,
+        frames_at: frames_at.map(|ip| ip.octets()),
+        papers: config.papers.get().map(|papers| Papers::clone(&papers)),
+    };
+    streams::write_message(send, &control::encode(&hello)?).await
+}
+
+/// The peer and its end of the link.
+async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, PeerEnd), LinkError> {
+    let bytes = streams::read_message(recv, MAX_HELLO).await?;
+    let hello: Hello = control::decode(&bytes)?;
+    if hello.version != VERSION {
+        return Err(LinkError::Protocol(format!("it speaks version {}, this side {VERSION}", hello.version)));
+    }
+    if hello.link_id == 0 {
+        return Err(LinkError::Protocol("0 is no link id".into()));
+    }
+    if usize::from(hello.lane) >= MAX_LANES || (hello.role == Role::Switch && hello.lane != 0) {
+        return Err(LinkError::Protocol(format!("{} is no number of a link of {:?}", hello.lane, hello.role)));
+    }
+    if !(MIN_MTU..=MAX_MTU).contains(&hello.mtu) {
+        return Err(LinkError::Protocol(format!("an MTU of {} bytes, not {MIN_MTU} to {MAX_MTU}", hello.mtu)));
+    }
+    let key = tls::peer_key(connection)?;
+    let proof = NameProof { owner_key: *key.as_bytes(), digest: hello.digest };
+    let name = gdp_core::name::derive(&proof.owner_key, &proof.digest);
+    let Hello { role, lane, link_id: id, mtu, zero_checksum, host, frames_at, papers, .. } = hello;
+    let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from), papers };
+    Ok((Peer { name, proof, key, role, lane }, end))
+}

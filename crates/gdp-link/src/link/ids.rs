@@ -1,0 +1,73 @@
+//! The ids an entity gives its links: a table index in the low bits, random bits above it, never 0. The random part makes
+//! frames of a link that is gone miss its successor in the table, before the tag is even looked at.
+
+use std::sync::Arc;
+
+use gdp_wire::table::MAX_LINKS;
+use parking_lot::{Mutex, MutexGuard};
+
+use gdp_core::crypto;
+
+/// All link ids of an entity. Clones share the table.
+#[derive(Clone, Default)]
+pub struct LinkIds(Arc<Mutex<Table>>);
+
+#[derive(Default)]
+struct Table {
+    used: Vec<bool>,
+    /// Where the search for a free index goes on, so that an index rests before it is used again.
+    next: usize,
+}
+
+impl LinkIds {
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// A free id, or `None` if there are [`MAX_LINKS`] links. Free again when what is returned is dropped: keep it until
+    /// no data plane holds the link any more.
+    pub fn allocate(&self) -> Option<LinkId> {
+        let random = u32::from_ne_bytes(crypto::random::<4>().ok()?);
+        let mut table = self.lock();
+        table.used.resize(MAX_LINKS as usize, false);
+        let index = (0..MAX_LINKS as usize).map(|i| (table.next + i) % MAX_LINKS as usize).find(|i| !table.used[*i])?;
+        table.used[index] = true;
+        table.next = index + 1;
+        let high = (random & !(MAX_LINKS - 1)).max(MAX_LINKS);
+        Some(LinkId { id: high | index as u32, ids: self.clone() })
+    }
+
+    /// Takes an id that is in use already, such as one a data plane holds from before a restart; `None` if its index is taken.
+    pub fn reserve(&self, id: u32) -> Option<LinkId> {
+        let mut table = self.lock();
+        table.used.resize(MAX_LINKS as usize, false);
+        let used = &mut table.used[gdp_wire::table::link_index(id) as usize];
+        (!std::mem::replace(used, true)).then(|| LinkId { id, ids: self.clone() })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Table> {
+        self.0.lock()
+    }
+}
+
+/// An id in use.
+pub struct LinkId {
+    id: u32,
+    ids: LinkIds,
+}
+
+impl LinkId {
+    pub fn get(&self) -> u32 {
+        self.id
+    }
+}
+
+impl Drop for LinkId {
+    fn drop(&mut self) {
+        self.ids.lock().used[gdp_wire::table::link_index(self.id) as usize] = false;
+    }
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/link/ids.rs"]
+mod tests;

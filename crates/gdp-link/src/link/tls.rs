@@ -1,0 +1,250 @@
+//! TLS 1.3 between entities: both sides show a raw P-256 public key (RFC 7250), the one their name is derived from, and
+//! prove that they hold the private half. There is no certificate to parse, no authority and no resumption; whom a name
+//! may talk to is decided above, by certificates of the control plane.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use quinn::crypto::rustls::{QuicClientConfig, QuicServerConfig};
+use quinn::{ClientConfig, IdleTimeout, ServerConfig, TransportConfig, VarInt};
+use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
+use rustls::client::{AlwaysResolvesClientRawPublicKeys, Resumption};
+use rustls::crypto::aws_lc_rs::{self, sign::any_ecdsa_type};
+use rustls::crypto::{WebPkiSupportedAlgorithms, verify_tls13_signature_with_raw_key};
+use rustls::pki_types::{
+    CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer, ServerName, SubjectPublicKeyInfoDer, UnixTime,
+};
+use rustls::server::danger::{ClientCertVerified, ClientCertVerifier};
+use rustls::server::{AlwaysResolvesServerRawPublicKeys, NoServerSessionStorage};
+use rustls::sign::CertifiedKey;
+use rustls::version::TLS13;
+use rustls::{CertificateError, DigitallySignedStruct, DistinguishedName, Error, PeerMisbehaved, SignatureScheme};
+
+use super::{IDLE_TIMEOUT, KEEP_ALIVE, LinkError, MAX_STREAMS};
+use gdp_core::identity::{SigningKey, VerifyKey};
+use gdp_proto::control::MAX_MESSAGE;
+
+/// The application protocol of links, version 1.
+const ALPN: &[u8] = b"gdp/1";
+
+/// What a client calls the server; it is not sent.
+pub const SERVER_NAME: &str = "gdp";
+
+/// DER of a SubjectPublicKeyInfo for an uncompressed P-256 point, up to the 0x04 that begins the point (RFC 5480).
+const SPKI_PREFIX: [u8; 27] = [
+    0x30, 0x59, 0x30, 0x13, 0x06, 0x07, 0x2a, 0x86, 0x48, 0xce, 0x3d, 0x02, 0x01, 0x06, 0x08, 0x2a, 0x86, 0x48, 0xce,
+    0x3d, 0x03, 0x01, 0x07, 0x03, 0x42, 0x00, 0x04,
+];
+
+/// Path MTU of a port's QUIC packets, in bytes.
+#[derive(Clone, Copy, Debug)]
+pub struct QuicMtu {
+    pub initial: u16,
+    /// Up to where larger ones are tried.
+    pub discover_up_to: Option<u16>,
+}
+
+/// Both directions' configurations for an entity with this key.
+pub fn configs(key: &SigningKey, mtu: QuicMtu) -> Result<(ClientConfig, ServerConfig), LinkError> {
+    let provider = Arc::new(aws_lc_rs::default_provider());
+    let verifier = Arc::new(RawKeyVerifier(provider.signature_verification_algorithms));
+    let certified = Arc::new(certified_key(key)?);
+
+    let mut client = rustls::ClientConfig::builder_with_provider(provider.clone())
+        .with_protocol_versions(&[&TLS13])
+        .map_err(tls_error)?
+        .dangerous()
+        .with_custom_certificate_verifier(verifier.clone())
+        .with_client_cert_resolver(Arc::new(AlwaysResolvesClientRawPublicKeys::new(certified.clone())));
+    client.alpn_protocols = vec![ALPN.to_vec()];
+    client.resumption = Resumption::disabled();
+    client.enable_sni = false;
+
+    let mut server = rustls::ServerConfig::builder_with_provider(provider)
+        .with_protocol_versions(&[&TLS13])
+        .map_err(tls_error)?
+        .with_client_cert_verifier(verifier)
+        .with_cert_resolver(Arc::new(AlwaysResolvesServerRawPublicKeys::new(certified)));
+    server.alpn_protocols = vec![ALPN.to_vec()];
+    server.session_storage = Arc::new(NoServerSessionStorage {});
+    server.send_tls13_tickets = 0;
+
+    let transport = Arc::new(transport(mtu));
+    let mut client = ClientConfig::new(Arc::new(QuicClientConfig::try_from(client).map_err(setup_error)?));
+    client.transport_config(transport.clone());
+    let mut server = ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(server).map_err(setup_error)?));
+    server.transport_config(transport);
+    Ok((client, server))
+}
+
+/// The key a peer proved to hold, from what quinn calls its identity.
+pub fn peer_key(connection: &quinn::Connection) -> Result<VerifyKey, LinkError> {
+    let shown = connection.peer_identity().and_then(|any| any.downcast::<Vec<CertificateDer<'static>>>().ok());
+    let Some([spki]) = shown.as_deref().map(Vec::as_slice) else {
+        return Err(LinkError::Handshake("the peer showed no key".into()));
+    };
+    parse_spki(spki).map_err(tls_error)
+}
+
+fn certified_key(key: &SigningKey) -> Result<CertifiedKey, LinkError> {
+    let pkcs8 = key.pkcs8_der();
+    let der = PrivateKeyDer::Pkcs8(PrivatePkcs8KeyDer::from(pkcs8.as_slice()));
+    // Borrowed: the provider's own way takes a copy, which nobody would clear.
+    let signer = any_ecdsa_type(&der).map_err(tls_error)?;
+    let spki = signer.public_key().ok_or_else(|| LinkError::Handshake("the key has no public half".into()))?;
+    let shown = CertificateDer::from(spki.as_ref().to_vec());
+    Ok(CertifiedKey::new(vec![shown], signer))
+}
+
+/// Streams and windows bound what a peer can make this side hold: about half a megabyte.
+fn transport(mtu: QuicMtu) -> TransportConfig {
+    let message = MAX_MESSAGE as u32 + 1024;
+    let mut transport = TransportConfig::default();
+    transport
+        .keep_alive_interval(Some(KEEP_ALIVE))
+        .max_idle_timeout(Some(IdleTimeout::from(VarInt::from_u32(IDLE_TIMEOUT.as_millis() as u32))))
+        .max_concurrent_bidi_streams(VarInt::from_u32(MAX_STREAMS))
+        .max_concurrent_uni_streams(VarInt::from_u32(0))
+        .datagram_receive_buffer_size(None)
+        .stream_receive_window(VarInt::from_u32(message))
+        .receive_window(VarInt::from_u32(8 * message))
+        .send_window(8 * u64::from(message))
+        .initial_rtt(Duration::from_millis(50))
+        .initial_mtu(mtu.initial)
+        .mtu_discovery_config(mtu.discover_up_to.map(|upper_bound| {
+            let mut discovery = quinn::MtuDiscoveryConfig::default();
+            discovery.upper_bound(upper_bound);
+            discovery
+        }));
+    transport
+}
+
+fn parse_spki(der: &[u8]) -> Result<VerifyKey, Error> {
+    let bad = || Error::InvalidCertificate(CertificateError::BadEncoding);
+    let point = der.strip_prefix(&SPKI_PREFIX).filter(|point| point.len() == 64).ok_or_else(bad)?;
+    let mut compressed = [0; 33];
+    compressed[0] = 2 | (point[63] & 1);
+    compressed[1..].copy_from_slice(&point[..32]);
+    VerifyKey::from_bytes(&compressed).map_err(|_| bad())
+}
+
+/// Accepts any P-256 key, as long as the peer signed the handshake with it.
+#[derive(Debug)]
+struct RawKeyVerifier(WebPkiSupportedAlgorithms);
+
+impl RawKeyVerifier {
+    fn check_key(shown: &CertificateDer<'_>, others: &[CertificateDer<'_>]) -> Result<(), Error> {
+        if !others.is_empty() {
+            return Err(Error::InvalidCertificate(CertificateError::BadEncoding));
+        }
+        parse_spki(shown).map(drop)
+    }
+
+    fn check_signature(
+        &self,
+        message: &[u8],
+        shown: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        if signed.scheme != SignatureScheme::ECDSA_NISTP256_SHA256 {
+            return Err(PeerMisbehaved::SignedHandshakeWithUnadvertisedSigScheme.into());
+        }
+        verify_tls13_signature_with_raw_key(message, &SubjectPublicKeyInfoDer::from(shown.as_ref()), signed, &self.0)
+    }
+}
+
+fn no_tls12() -> Error {
+    Error::PeerIncompatible(rustls::PeerIncompatible::Tls13RequiredForQuic)
+}
+
+impl ServerCertVerifier for RawKeyVerifier {
+    fn verify_server_cert(
+        &self,
+        shown: &CertificateDer<'_>,
+        others: &[CertificateDer<'_>],
+        _name: &ServerName<'_>,
+        _ocsp: &[u8],
+        _now: UnixTime,
+    ) -> Result<ServerCertVerified, Error> {
+        Self::check_key(shown, others).map(|()| ServerCertVerified::assertion())
+    }
+
+    fn verify_tls12_signature(
+        &self,
+        _message: &[u8],
+        _shown: &CertificateDer<'_>,
+        _signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        Err(no_tls12())
+    }
+
+    fn verify_tls13_signature(
+        &self,
+        message: &[u8],
+        shown: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        self.check_signature(message, shown, signed)
+    }
+
+    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+        vec![SignatureScheme::ECDSA_NISTP256_SHA256]
+    }
+
+    fn requires_raw_public_keys(&self) -> bool {
+        true
+    }
+}
+
+impl ClientCertVerifier for RawKeyVerifier {
+    fn root_hint_subjects(&self) -> &[DistinguishedName] {
+        &[]
+    }
+
+    fn verify_client_cert(
+        &self,
+        shown: &CertificateDer<'_>,
+        others: &[CertificateDer<'_>],
+        _now: UnixTime,
+    ) -> Result<ClientCertVerified, Error> {
+        Self::check_key(shown, others).map(|()| ClientCertVerified::assertion())
+    }
+
+    fn verify_tls12_signature(
+        &self,
+        _message: &[u8],
+        _shown: &CertificateDer<'_>,
+        _signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        Err(no_tls12())
+    }
+
+    fn verify_tls13_signature(
+        &self,
+        message: &[u8],
+        shown: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        self.check_signature(message, shown, signed)
+    }
+
+    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+        vec![SignatureScheme::ECDSA_NISTP256_SHA256]
+    }
+
+    fn requires_raw_public_keys(&self) -> bool {
+        true
+    }
+}
+
+fn tls_error(error: Error) -> LinkError {
+    LinkError::Handshake(error.to_string())
+}
+
+fn setup_error(error: quinn::crypto::rustls::NoInitialCipherSuite) -> LinkError {
+    LinkError::Handshake(error.to_string())
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/link/tls.rs"]
+mod tests;

@@ -1,0 +1,405 @@
+//! A place links are made on: an Ethernet interface or a UDP address. A port owns the sockets, the QUIC endpoint on one of
+//! them and the [`DataSocket`] beside it. Switches open one per interface, endpoints open one.
+//!
+//! What is answered here needs no trust: QUIC handshakes and discovery. Who may stay is decided by the caller, which gets
+//! a [`Link`] once the peer's name is proven.
+
+mod addr;
+mod batch;
+mod control;
+mod data;
+mod discover;
+mod ethernet;
+mod handshakes;
+mod host;
+mod send;
+mod strays;
+mod sys;
+mod udp;
+#[cfg(test)]
+#[path = "../tests/unit/port/udp_tests.rs"]
+mod udp_tests;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp_wire::{ControlHeader, Header, Name, SMALLEST_PATH};
+use quinn::{AsyncUdpSocket, ClientConfig, Endpoint, EndpointConfig, Incoming, TokioRuntime};
+use tokio::sync::{Mutex, broadcast, mpsc};
+use tokio::task::JoinHandle;
+use tokio::time::{Instant, timeout, timeout_at};
+
+use crate::link;
+use crate::link::{
+    HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, Place, QuicMtu, RekeySchedule, greet_as_client,
+    greet_as_server,
+};
+use gdp_core::domain::CurrentPapers;
+use gdp_core::identity::Identity;
+use gdp_core::peer::Role;
+
+pub use addr::LinkAddr;
+pub use batch::{BATCH, InFrame, OutFrame, RecvBatch, Sent};
+pub use data::DataSocket;
+pub use ethernet::{Interface, Vlan, index_of as interface_index};
+pub use handshakes::{HandshakeCounters, HandshakeCounts};
+use handshakes::{Handshakes, MAX_HANDSHAKES, Verdict};
+pub(crate) use host::CurrentPair;
+pub use host::HostPair;
+
+/// Largest data frame on a UDP link, in bytes: what fits into IPv4 on Ethernet. A link takes as much of it as its path does, which
+/// QUIC finds out.
+pub const UDP_MTU: u32 = 1500 - 20 - 8;
+
+/// Largest QUIC packet on Ethernet. More gains control traffic nothing, and jumbo frames may not pass everywhere.
+const MAX_ETHERNET_QUIC: u32 = 1472;
+
+/// What QUIC needs.
+const MIN_ETHERNET_MTU: u32 = SMALLEST_PATH as u32 + ControlHeader::LEN as u32;
+
+/// Switches on one segment that are told of.
+const MAX_ANSWERS: usize = 64;
+
+/// Between two solicitations.
+const SOLICIT_INTERVAL: Duration = Duration::from_millis(200);
+
+/// After the first answer, how long others may follow.
+const ANSWERS_SETTLE: Duration = Duration::from_millis(50);
+
+/// How a port is opened.
+#[derive(Clone)]
+pub struct PortConfig {
+    /// Whose links are made here.
+    pub identity: Identity,
+    pub role: Role,
+    /// Shared by all ports of an entity.
+    pub link_ids: LinkIds,
+    /// Of an endpoint: which of the links it has at once are made here.
+    pub lane: u8,
+    /// Of a UDP port: the interface that everything goes and comes through.
+    pub through: Option<String>,
+    /// Whether peers may dial in (and, on Ethernet, find this port by discovery).
+    pub listen: bool,
+    /// Ethertype of GDP frames.
+    pub ethertype: u16,
+    /// When the keys of data frames are replaced.
+    pub rekey: RekeySchedule,
+    /// What is shown of a domain, to peers of links that are made from now on. Shared by all ports of an entity.
+    pub papers: CurrentPapers,
+    /// Of peers that dial in. Shared by all ports of an entity.
+    pub handshakes: HandshakeCounters,
+}
+
+impl PortConfig {
+    /// For a switch: peers dial in and discover it.
+    pub fn switch(identity: Identity, link_ids: LinkIds) -> Self {
+        Self { listen: true, ..Self::new(identity, Role::Switch, link_ids) }
+    }
+
+    /// For an endpoint: it only dials out.
+    pub fn endpoint(identity: Identity) -> Self {
+        Self::new(identity, Role::Endpoint, LinkIds::new())
+    }
+
+    fn new(identity: Identity, role: Role, link_ids: LinkIds) -> Self {
+        let (ethertype, rekey) = (gdp_wire::ETHERTYPE, RekeySchedule::default());
+        let (papers, handshakes) = (CurrentPapers::default(), HandshakeCounters::default());
+        Self { identity, role, lane: 0, through: None, link_ids, listen: false, ethertype, rekey, papers, handshakes }
+    }
+}
+
+/// An open port. Dropping it closes its links.
+pub struct Port {
+    endpoint: Endpoint,
+    /// Of the endpoint.
+    socket: Arc<dyn AsyncUdpSocket>,
+    client: ClientConfig,
+    hello: HelloConfig,
+    medium: Medium,
+    data: Arc<DataSocket>,
+    accepted: Mutex<mpsc::Receiver<Result<Link, LinkError>>>,
+    acceptor: Option<JoinHandle<()>>,
+}
+
+#[derive(Clone)]
+enum Medium {
+    Ethernet(Interface, Arc<ethernet::ControlSocket>),
+    Udp { bound: SocketAddr, zero_checksum: bool, host: Option<u64> },
+}
+
+impl Port {
+    /// Opens a port on an Ethernet interface of the calling thread's network namespace. Needs CAP_NET_RAW. Call within a
+    /// tokio runtime.
+    pub fn ethernet(interface: &str, config: &PortConfig) -> Result<Self, LinkError> {
+        let fail = |what: &str| {
+            let what = format!("interface {interface}: {what}");
+            move |source| LinkError::Io { what, source }
+        };
+        let found = Interface::find(interface).map_err(fail("cannot be used"))?;
+        if found.mtu < MIN_ETHERNET_MTU {
+            let what = format!("interface {interface}: its MTU of {} is below {MIN_ETHERNET_MTU}", found.mtu);
+            return Err(LinkError::Io { what, source: std::io::ErrorKind::InvalidInput.into() });
+        }
+        let answer_as = config.listen.then(|| config.identity.name());
+        let opening = "no packet socket (needs root or CAP_NET_RAW; without it, use a UDP link)";
+        let control = ethernet::ControlSocket::open(&found, config.ethertype, answer_as).map_err(fail(opening))?;
+        let control = Arc::new(control);
+        let fd = ethernet::open_data(&found, config.ethertype).map_err(fail(opening))?;
+        let data = DataSocket::new(data::Kind::Ethernet { fd, ifindex: found.index, ethertype: config.ethertype })
+            .map_err(fail(opening))?;
+        let quic = (found.mtu - ControlHeader::LEN as u32).min(MAX_ETHERNET_QUIC) as u16;
+        let mtu = QuicMtu { initial: quic, discover_up_to: None };
+        let frame_mtu = found.mtu.min(Header::LEN as u32 + u16::MAX as u32);
+        Self::open(config, control.clone(), Medium::Ethernet(found, control), data, mtu, frame_mtu)
+    }
+
+    /// Opens a port on a UDP address. Call within a tokio runtime.
+    pub fn udp(bind: SocketAddr, config: &PortConfig) -> Result<Self, LinkError> {
+        let through = config.through.as_ref().map_or(String::new(), |interface| format!(" to interface {interface}"));
+        let fail = |source| LinkError::Io { what: format!("cannot bind UDP {bind}{through}"), source };
+        let socket = Arc::new(udp::SharedUdp::bind(bind, config.through.as_deref()).map_err(fail)?);
+        let mtu = QuicMtu { initial: SMALLEST_PATH, discover_up_to: Some(UDP_MTU as u16) };
+        let data = DataSocket::new(data::Kind::Udp(socket.clone())).map_err(fail)?;
+        let medium = Medium::Udp {
+            bound: socket.local_addr().map_err(fail)?,
+            zero_checksum: socket.takes_zero_checksums(),
+            host: socket.host(),
+        };
+        Self::open(config, socket, medium, data, mtu, UDP_MTU)
+    }
+
+    fn open(
+        config: &PortConfig,
+        socket: Arc<dyn AsyncUdpSocket>,
+        medium: Medium,
+        data: DataSocket,
+        quic_mtu: QuicMtu,
+        frame_mtu: u32,
+    ) -> Result<Self, LinkError> {
+        let (client, mut server) = link::configs(config.identity.key(), quic_mtu)?;
+        // A station does not change its MAC address within a link.
+        server.migration(medium.is_udp());
+        let mut endpoint_config = EndpointConfig::default();
+        // The bit that tells QUIC from data frames on a shared port.
+        endpoint_config.grease_quic_bit(false);
+        let server = config.listen.then_some(server);
+        let endpoint =
+            Endpoint::new_with_abstract_socket(endpoint_config, server, socket.clone(), Arc::new(TokioRuntime))
+                .map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })?;
+        let hello = HelloConfig {
+            identity: config.identity.clone(),
+            role: config.role,
+            lane: config.lane,
+            link_ids: config.link_ids.clone(),
+            mtu: frame_mtu,
+            rekey: config.rekey,
+            zero_checksum: matches!(medium, Medium::Udp { zero_checksum: true, .. }),
+            host: if let Medium::Udp { host, .. } = medium { host } else { None },
+            pair: CurrentPair::default(),
+            papers: config.papers.clone(),
+        };
+        let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);
+        let accepting =
+            || accept_all(endpoint.clone(), hello.clone(), medium.clone(), config.handshakes.clone(), sender);
+        let acceptor = config.listen.then(|| tokio::spawn(accepting()));
+        Ok(Self {
+            endpoint,
+            socket,
+            client,
+            hello,
+            medium,
+            data: Arc::new(data),
+            accepted: Mutex::new(accepted),
+            acceptor,
+        })
+    }
+
+    /// Makes a link to the peer at `to`; refuses any other than `expected`, if that is given.
+    pub async fn dial(&self, to: LinkAddr, expected: Option<Name>) -> Result<Link, LinkError> {
+        self.dial_as(to, expected, &self.hello).await
+    }
+
+    /// As [`Self::dial`], but if the peer is a switch on this host, frames go through its daemon all the same.
+    pub async fn dial_apart(&self, to: LinkAddr, expected: Option<Name>) -> Result<Link, LinkError> {
+        self.dial_as(to, expected, &HelloConfig { host: None, ..self.hello.clone() }).await
+    }
+
+    async fn dial_as(&self, to: LinkAddr, expected: Option<Name>, hello: &HelloConfig) -> Result<Link, LinkError> {
+        let address = match (to, &self.medium) {
+            (LinkAddr::Ethernet { ifindex, mac }, Medium::Ethernet(interface, _)) if ifindex == interface.index => {
+                addr::mac_to_socket(mac)
+            }
+            (LinkAddr::Udp(addr), Medium::Udp { .. }) => addr,
+            _ => return Err(LinkError::Handshake(format!("{to} cannot be reached through this port"))),
+        };
+        let handshake = async {
+            let connecting = self
+                .endpoint
+                .connect_with(self.client.clone(), address, link::SERVER_NAME)
+                .map_err(|error| LinkError::Handshake(format!("{to}: {error}")))?;
+            let connection = connecting
+                .await
+                .map_err(|error| LinkError::Handshake(format!("no answer from {to} that is one of a peer: {error}")))?;
+            let place = self.medium.place(&connection);
+            greet_as_client(connection, place, hello, expected).await
+        };
+        timeout(HANDSHAKE_TIMEOUT, handshake)
+            .await
+            .unwrap_or(Err(LinkError::Timeout { what: "the handshake", after: HANDSHAKE_TIMEOUT }))
+    }
+
+    /// The next link a peer made, or why one could not be made; `None` once the port is closed. Handshakes run beside
+    /// each other, a bounded number for a bounded time, whether or not this is being called.
+    pub async fn accept(&self) -> Option<Result<Link, LinkError>> {
+        self.accepted.lock().await.recv().await
+    }
+
+    /// Asks which switches are on the segment, or only where `wanted` is, until `within` is over or answers stop coming.
+    /// Whether an answer is true shows when it is dialled; several may claim one name. Nothing to ask on UDP.
+    pub async fn discover(&self, wanted: Option<Name>, within: Duration) -> Vec<(LinkAddr, Name)> {
+        let Medium::Ethernet(interface, control) = &self.medium else { return Vec::new() };
+        let end = Instant::now() + within;
+        let (mut answers, mut until, mut next_question) = (control.discovery.listen(), end, Instant::now());
+        let mut found: Vec<(LinkAddr, Name)> = Vec::new();
+        loop {
+            let now = Instant::now();
+            if now >= until {
+                return found;
+            }
+            if now >= next_question {
+                let _ = control.send([0xff; 6], ControlHeader::SOLICIT, &[]);
+                next_question = now + SOLICIT_INTERVAL;
+            }
+            let (mac, name) = match timeout_at(until.min(next_question), answers.recv()).await {
+                Ok(Ok(answer)) => answer,
+                Ok(Err(broadcast::error::RecvError::Lagged(_))) | Err(_) => continue,
+                Ok(Err(broadcast::error::RecvError::Closed)) => return found,
+            };
+            let answer = (LinkAddr::Ethernet { ifindex: interface.index, mac }, name);
+            if wanted.is_none_or(|wanted| wanted == name) {
+                if found.len() < MAX_ANSWERS && !found.contains(&answer) {
+                    found.push(answer);
+                }
+                until = end.min(Instant::now() + ANSWERS_SETTLE);
+            }
+        }
+    }
+
+    /// The addresses of this machine have changed: all links show their peers at once where they come from now, without which those would
+    /// go on sending to where it was until something else is said.
+    pub fn show_address(&self) -> Result<(), LinkError> {
+        let rebound = self.endpoint.rebind_abstract(self.socket.clone());
+        rebound.map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })
+    }
+
+    /// Where data frames of this port's links arrive and leave.
+    pub fn data(&self) -> Arc<DataSocket> {
+        self.data.clone()
+    }
+
+    /// The interface of an Ethernet port.
+    pub fn interface(&self) -> Option<&Interface> {
+        match &self.medium {
+            Medium::Ethernet(interface, _) => Some(interface),
+            Medium::Udp { .. } => None,
+        }
+    }
+
+    /// The address a UDP port is bound to.
+    pub fn udp_addr(&self) -> Option<SocketAddr> {
+        match &self.medium {
+            Medium::Ethernet(..) => None,
+            Medium::Udp { .. } => self.endpoint.local_addr().ok(),
+        }
+    }
+
+    /// From now on endpoints on this host that dial in send their frames by this pair; or through the daemon.
+    pub fn set_host_pair(&self, pair: Option<HostPair>) {
+        self.hello.pair.set(pair);
+    }
+
+    /// Largest data frame that fits this port's links, in bytes.
+    pub fn mtu(&self) -> u32 {
+        self.hello.mtu
+    }
+
+    /// Closes all links, telling the peers why, and waits a moment for that to be sent.
+    pub async fn close(&self, reason: &str) {
+        self.endpoint.close(quinn::VarInt::from_u32(0), reason.as_bytes());
+        let _ = timeout(Duration::from_secs(1), self.endpoint.wait_idle()).await;
+    }
+}
+
+impl Drop for Port {
+    fn drop(&mut self) {
+        if let Some(acceptor) = &self.acceptor {
+            acceptor.abort();
+        }
+        self.endpoint.close(quinn::VarInt::from_u32(0), b"port closed");
+    }
+}
+
+impl Medium {
+    fn place(&self, connection: &quinn::Connection) -> Place {
+        match self {
+            Self::Ethernet(interface, _) => Place::Ethernet {
+                ifindex: interface.index,
+                vlan: interface.vlan.as_ref().map_or(0, |vlan| vlan.id),
+                local_mac: interface.mac,
+                peer_mac: addr::socket_to_mac(&connection.remote_address()),
+            },
+            Self::Udp { bound, .. } => Place::Udp { bound: *bound, pair: None },
+        }
+    }
+
+    fn is_udp(&self) -> bool {
+        matches!(self, Self::Udp { .. })
+    }
+}
+
+async fn accept_all(
+    endpoint: Endpoint,
+    hello: HelloConfig,
+    medium: Medium,
+    counters: HandshakeCounters,
+    sender: mpsc::Sender<Result<Link, LinkError>>,
+) {
+    let handshakes = Handshakes::new(counters.clone());
+    while let Some(incoming) = endpoint.accept().await {
+        let from = incoming.remote_address();
+        let started = match handshakes.judge(Instant::now(), from.ip(), medium.is_udp() && incoming.may_retry()) {
+            Verdict::Ignore => {
+                incoming.ignore();
+                continue;
+            }
+            Verdict::Challenge => {
+                let _ = incoming.retry();
+                continue;
+            }
+            Verdict::Start(started) => Arc::new(started),
+        };
+        let (hello, medium, sender, counters) = (hello.clone(), medium.clone(), sender.clone(), counters.clone());
+        let counted = started.clone();
+        let task = tokio::spawn(async move {
+            let link = timeout(HANDSHAKE_TIMEOUT, accept_one(incoming, &hello, &medium))
+                .await
+                .unwrap_or(Err(LinkError::Timeout { what: "the handshake of a peer", after: HANDSHAKE_TIMEOUT }));
+            if let Err(error) = &link {
+                counters.count_failed();
+                tracing::debug!(%from, %error, "a handshake failed");
+            }
+            let _ = sender.send(link).await;
+            // Not before somebody took it: links that nobody takes are bounded as well.
+            drop(counted);
+        });
+        started.runs_as(task.abort_handle());
+    }
+}
+
+async fn accept_one(incoming: Incoming, hello: &HelloConfig, medium: &Medium) -> Result<Link, LinkError> {
+    let failed = |error: quinn::ConnectionError| LinkError::Handshake(error.to_string());
+    let connection = incoming.accept().map_err(failed)?.await.map_err(failed)?;
+    let place = medium.place(&connection);
+    greet_as_server(connection, place, hello).await
+}

@@ -1,0 +1,51 @@
+//! Where the other end of a link is.
+
+use std::fmt;
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
+
+use gdp_core::mac::DisplayMac;
+
+/// The address frames of a link are sent to. Only ever a hint on what arrives: a link is found by its id and tag.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum LinkAddr {
+    /// A station on the segment of a local interface.
+    Ethernet { ifindex: u32, mac: [u8; 6] },
+    /// IPv4 or IPv6; an IPv4 address is never in its IPv6-mapped form.
+    Udp(SocketAddr),
+}
+
+impl LinkAddr {
+    /// A UDP address, with an IPv6-mapped IPv4 address unmapped.
+    pub fn udp(addr: SocketAddr) -> Self {
+        Self::Udp(SocketAddr::new(addr.ip().to_canonical(), addr.port()))
+    }
+}
+
+impl fmt::Display for LinkAddr {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Ethernet { ifindex, mac } => write!(f, "eth:{ifindex}/{}", DisplayMac(*mac)),
+            Self::Udp(addr) => write!(f, "udp:{addr}"),
+        }
+    }
+}
+
+/// quinn knows socket addresses only: a MAC address is shown to it as fd47::MAC, port 1.
+pub(super) fn mac_to_socket(mac: [u8; 6]) -> SocketAddr {
+    let mut octets = [0; 16];
+    octets[..2].copy_from_slice(&[0xfd, 0x47]);
+    octets[10..].copy_from_slice(&mac);
+    SocketAddr::new(Ipv6Addr::from(octets).into(), 1)
+}
+
+/// The MAC address in a socket address that [`mac_to_socket`] made.
+pub(super) fn socket_to_mac(addr: &SocketAddr) -> [u8; 6] {
+    let IpAddr::V6(ip) = addr.ip() else { return [0; 6] };
+    let mut mac = [0; 6];
+    mac.copy_from_slice(&ip.octets()[10..]);
+    mac
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/port/addr.rs"]
+mod tests;

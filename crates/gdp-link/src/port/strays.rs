@@ -1,0 +1,119 @@
+//! Datagrams that came to the socket of the other kind, because the kernel had joined them with one that belongs there: a few
+//! of many. Bounded; more are dropped.
+
+use std::collections::VecDeque;
+use std::io::{self, IoSliceMut};
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::task::{Context, Waker};
+
+use parking_lot::Mutex;
+use quinn::udp::{EcnCodepoint, RecvMeta};
+
+use super::batch::RecvBatch;
+use super::sys::Event;
+use super::{LinkAddr, UDP_MTU};
+
+/// How many wait of a kind, and how long each may be: no link takes more.
+const QUEUE: usize = 1024;
+const LONGEST: usize = UDP_MTU as usize;
+
+/// A data frame.
+struct Stray {
+    from: LinkAddr,
+    congested: bool,
+    bytes: Vec<u8>,
+}
+
+/// Data frames that quinn's task found.
+pub struct Frames {
+    queue: Mutex<VecDeque<Stray>>,
+    /// How long the queue is, to be asked without the lock.
+    length: AtomicUsize,
+    wake: Arc<Event>,
+    dropped: AtomicU64,
+}
+
+impl Frames {
+    pub fn new() -> io::Result<Self> {
+        let (queue, length, dropped) = (Mutex::default(), AtomicUsize::new(0), AtomicU64::new(0));
+        Ok(Self { queue, length, wake: Arc::new(Event::new()?), dropped })
+    }
+
+    /// Set when a frame was put.
+    pub fn wake(&self) -> Arc<Event> {
+        self.wake.clone()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.length.load(Ordering::Acquire) == 0
+    }
+
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
+    pub fn put(&self, from: LinkAddr, congested: bool, frame: &[u8]) {
+        let mut queue = self.queue.lock();
+        if queue.len() >= QUEUE || frame.len() > LONGEST {
+            self.dropped.fetch_add(1, Ordering::Relaxed);
+            return;
+        }
+        queue.push_back(Stray { from, congested, bytes: frame.to_vec() });
+        self.length.store(queue.len(), Ordering::Release);
+        drop(queue);
+        self.wake.set();
+    }
+
+    /// Moves what waits into `batch`, as far as there is room.
+    pub fn take(&self, batch: &mut RecvBatch) {
+        let mut queue = self.queue.lock();
+        while let Some(Stray { from, congested, bytes }) = queue.front()
+            && batch.push(bytes, *from, *congested)
+        {
+            queue.pop_front();
+        }
+        self.length.store(queue.len(), Ordering::Release);
+    }
+}
+
+/// QUIC packets that the thread for data frames found. What is dropped is lost on the way to QUIC, which mends that.
+#[derive(Default)]
+pub struct Packets(Mutex<Waiting>);
+
+#[derive(Default)]
+struct Waiting {
+    packets: VecDeque<(SocketAddr, Option<EcnCodepoint>, Vec<u8>)>,
+    /// Of the task that would take them.
+    waker: Option<Waker>,
+}
+
+impl Packets {
+    pub fn put(&self, from: SocketAddr, ecn: Option<EcnCodepoint>, packet: &[u8]) {
+        let mut waiting = self.0.lock();
+        if waiting.packets.len() < QUEUE && packet.len() <= LONGEST {
+            waiting.packets.push_back((from, ecn, packet.to_vec()));
+            waiting.waker.iter().for_each(Waker::wake_by_ref);
+        }
+    }
+
+    /// Moves what waits into `bufs`, as far as there is room; how many there were. If there are none, the task is woken once there
+    /// are.
+    pub fn take(&self, cx: &Context, bufs: &mut [IoSliceMut<'_>], meta: &mut [RecvMeta]) -> usize {
+        let mut waiting = self.0.lock();
+        let mut count = 0;
+        while count < bufs.len().min(meta.len())
+            && let Some((addr, ecn, packet)) = waiting.packets.pop_front()
+        {
+            let Some(room) = bufs[count].get_mut(..packet.len()) else { continue };
+            room.copy_from_slice(&packet);
+            meta[count] = RecvMeta { addr, len: packet.len(), stride: packet.len(), ecn, dst_ip: None };
+            count += 1;
+        }
+        if count == 0 && waiting.waker.as_ref().is_none_or(|waker| !waker.will_wake(cx.waker())) {
+            waiting.waker = Some(cx.waker().clone());
+        }
+        count
+    }
+}

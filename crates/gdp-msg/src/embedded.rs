@@ -1,0 +1,53 @@
+//! Definitions of the common interfaces, so that the usual types need no files. `definitions/README.md` says where they come from.
+
+use std::sync::LazyLock;
+
+use crate::definition::Dialect;
+use crate::name::{Kind, TypeName};
+use crate::registry::Registry;
+
+macro_rules! packages {
+    ($dialect:literal: $($package:literal)*) => {
+        &[$(($package, include_str!(concat!("../definitions/", $dialect, "/", $package, ".txt")))),*]
+    };
+}
+
+/// Noetic.
+const ROS1: &[(&str, &str)] = packages!("ros1":
+    "actionlib_msgs" "diagnostic_msgs" "geometry_msgs" "nav_msgs" "rosgraph_msgs" "sensor_msgs" "shape_msgs" "std_msgs" "std_srvs"
+    "stereo_msgs" "tf" "tf2_msgs" "trajectory_msgs" "visualization_msgs"
+);
+
+/// Kilted, whose definitions of what Jazzy has are Jazzy's.
+const ROS2: &[(&str, &str)] = packages!("ros2":
+    "action_msgs" "actionlib_msgs" "builtin_interfaces" "diagnostic_msgs" "example_interfaces" "geometry_msgs" "lifecycle_msgs"
+    "nav_msgs" "rcl_interfaces" "rosgraph_msgs" "sensor_msgs" "service_msgs" "shape_msgs" "std_msgs" "std_srvs" "stereo_msgs"
+    "tf2_msgs" "trajectory_msgs" "type_description_interfaces" "unique_identifier_msgs" "visualization_msgs"
+);
+
+static REGISTRY: LazyLock<Registry> = LazyLock::new(|| {
+    let mut registry = Registry::default();
+    for (dialect, packages) in [(Dialect::Ros1, ROS1), (Dialect::Ros2, ROS2)] {
+        for (package, text) in packages {
+            for section in text.split("=== ").skip(1) {
+                let (head, body) = section.split_once('\n').expect("a section has a head");
+                let (kind, name) = head.split_once('/').expect("a head has a kind");
+                let kind = Kind::from_folder(kind).expect("a kind");
+                let name = TypeName::new(package, kind, name).expect("a name");
+                registry.add_file(dialect, &name, body).expect("a definition");
+            }
+        }
+    }
+    registry
+});
+
+impl Registry {
+    /// With the common interfaces of ROS 1 Noetic and ROS 2 Jazzy.
+    pub fn embedded() -> Self {
+        REGISTRY.clone()
+    }
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/embedded.rs"]
+mod tests;

@@ -1,0 +1,268 @@
+//! Whom an entity exchanges messages with under one name, as far as it believes its RIB: what the RIB tells goes in, who joins
+//! and leaves comes out. Sans-IO; [`gdp::node`] feeds one [`Counterparts`] for each name and role it has stated.
+//!
+//! The RIB is not believed. Every record is verified again from the owner's key on, under the newest revocation that came by,
+//! whoever brought it; one that is older, as a RIB may keep giving out, takes nothing back. Key boxes are handed on
+//! unverified: who opens one knows the key that its writer must have signed with, from here. So a RIB that lies can keep a
+//! counterpart, a box or a revocation from the entity, and can make nobody a counterpart.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::control::{NameRole, Peers, PeersExtent, Record};
+use gdp_core::cert::{CertError, Membership, Revocation, Signed};
+use gdp_core::crypto::PUBLIC_KEY_LEN;
+use gdp_core::identity::VerifyKey;
+use gdp_core::keys::KeyBox;
+use gdp_core::name::{Name, NameProof};
+
+/// Counterparts in one name that are believed at once; a RIB has no more.
+pub const MAX_COUNTERPARTS: usize = 8192;
+
+/// A counterpart whose right to its part in the name was verified.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Counterpart {
+    pub entity: Name,
+    /// A switch that it is attached to.
+    pub switch: Name,
+    /// What it signs with.
+    pub key: VerifyKey,
+    /// What keys for it are wrapped to, and agreed on with it: P-256, SEC1 compressed.
+    pub box_key: [u8; PUBLIC_KEY_LEN],
+    /// When its right ends, in Unix seconds.
+    pub not_after: u64,
+    serials: Vec<(&'static str, u64)>,
+    /// What its right rests on, if that was for a role in a domain.
+    member: Option<Box<Membership>>,
+}
+
+impl Counterpart {
+    /// As if a certificate with this serial had been verified: for tests of what builds on counterparts.
+    #[doc(hidden)]
+    pub fn for_test(entity: Name, switch: Name, key: VerifyKey, not_after: u64, serial: u64) -> Self {
+        Self {
+            entity,
+            switch,
+            key,
+            box_key: [0; PUBLIC_KEY_LEN],
+            not_after,
+            serials: vec![("AdCert", serial)],
+            member: None,
+        }
+    }
+
+    /// Whether its right holds under this revocation of the name.
+    pub fn holds(&self, revocation: &Revocation) -> bool {
+        self.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok())
+    }
+}
+
+/// What changes for the entity.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PeerEvent {
+    /// This counterpart is new, or shows another right or key than before.
+    Joined(Counterpart),
+    /// It withdrew, is not attached any more, or its right has ended or was revoked.
+    Left(Name),
+    /// Its domain has taken back the membership that its right rests on.
+    Expelled(Name),
+    /// The owner has revoked something. It may be the entity's own right.
+    Revoked(Revocation),
+    /// The RIB does not know this revocation, as after it has lost its memory: give it to it, so that it enforces it again.
+    RibIsBehind(Signed<Revocation>),
+    /// From a counterpart to the entity; to be verified by who opens it.
+    KeyBox(Signed<KeyBox>),
+    /// The RIB told something that does not verify.
+    Refused(CertError),
+}
+
+/// What does not follow what is held: the RIB is to tell the whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("told generation {got} (run {run:#x}), which does not follow what is held; tell the whole")]
+pub struct OutOfStep {
+    pub run: u64,
+    pub got: u64,
+}
+
+/// The counterparts of an entity in one name.
+#[derive(Debug)]
+pub struct Counterparts {
+    name: Name,
+    proof: NameProof,
+    role: NameRole,
+    revocation: Option<(Signed<Revocation>, Revocation)>,
+    /// What domains have taken back, by domain: of those that whoever feeds this has to do with.
+    domains: BTreeMap<Name, Revocation>,
+    known: BTreeMap<Name, Counterpart>,
+    /// Run and generation of what came last.
+    told: Option<(u64, u64)>,
+    /// The next part of a whole that is under way, and whom it has named so far.
+    whole: Option<(u32, BTreeSet<Name>)>,
+}
+
+impl Counterparts {
+    /// None yet. `role` is what the entity itself is to the name that `proof` shows.
+    pub fn new(proof: NameProof, role: NameRole) -> Result<Self, CertError> {
+        let (name, domains, known) = (proof.name()?, BTreeMap::new(), BTreeMap::new());
+        Ok(Self { name, proof, role, revocation: None, domains, known, told: None, whole: None })
+    }
+
+    pub fn known(&self) -> impl Iterator<Item = &Counterpart> {
+        self.known.values()
+    }
+
+    pub fn get(&self, entity: &Name) -> Option<&Counterpart> {
+        self.known.get(entity)
+    }
+
+    /// Holds to a revocation from now on that was verified before, as one that an earlier process heard of.
+    pub fn recall(&mut self, revocation: (Signed<Revocation>, Revocation)) {
+        self.revocation = Some(revocation);
+    }
+
+    /// The newest that came by, as its owner signed it.
+    pub fn signed_revocation(&self) -> Option<&Signed<Revocation>> {
+        self.revocation.as_ref().map(|(signed, _)| signed)
+    }
+
+    /// The newest that came by.
+    pub fn revocation(&self) -> Option<&Revocation> {
+        self.revocation.as_ref().map(|(_, claims)| claims)
+    }
+
+    /// How the name is derived.
+    pub fn proof(&self) -> &NameProof {
+        &self.proof
+    }
+
+    /// Takes what the RIB told at `now` (Unix seconds): in its answer, or pushed.
+    pub fn take(&mut self, now: u64, peers: &Peers) -> Result<Vec<PeerEvent>, OutOfStep> {
+        self.check_order(peers).ok_or(OutOfStep { run: peers.run, got: peers.generation })?;
+        self.told = Some((peers.run, peers.generation));
+        let begins = matches!(peers.extent, PeersExtent::Whole { part: 0, .. });
+        if begins {
+            self.whole = Some((0, BTreeSet::new()));
+        }
+        let mut events = Vec::new();
+        match (&peers.revocation, &self.revocation) {
+            (Some(signed), _) => self.revoke(now, signed, &mut events),
+            (None, Some((held, _))) if begins => events.push(PeerEvent::RibIsBehind(held.clone())),
+            (None, _) => {}
+        }
+        for record in &peers.records {
+            match self.believe(now, record) {
+                Ok(counterpart) => {
+                    if let Some((_, named)) = &mut self.whole {
+                        named.insert(counterpart.entity);
+                    }
+                    if self.known.get(&counterpart.entity) != Some(&counterpart) {
+                        self.known.insert(counterpart.entity, counterpart.clone());
+                        events.push(PeerEvent::Joined(counterpart));
+                    }
+                }
+                Err(error) => events.push(PeerEvent::Refused(error)),
+            }
+        }
+        self.leave(&peers.gone, &mut events);
+        match (peers.extent, &mut self.whole) {
+            (PeersExtent::Whole { last: true, .. }, whole) => {
+                let named = whole.take().map_or_else(BTreeSet::new, |(_, named)| named);
+                let unnamed = self.known.keys().filter(|entity| !peers.settling && !named.contains(*entity));
+                let gone: Vec<Name> = unnamed.copied().collect();
+                self.leave(&gone, &mut events);
+            }
+            (PeersExtent::Whole { last: false, .. }, Some((next, _))) => *next += 1,
+            _ => {}
+        }
+        events.extend(peers.boxes.iter().cloned().map(PeerEvent::KeyBox));
+        Ok(events)
+    }
+
+    /// A domain has taken something back, which was verified: lets go of counterparts whose right rests on it, now and from now on.
+    pub fn domain_revoked(&mut self, claims: &Revocation) -> Vec<PeerEvent> {
+        self.domains.insert(claims.name, claims.clone());
+        let is_over = |counterpart: &Counterpart| {
+            let of_domain = |member: &&Membership| member.domain.name().is_ok_and(|domain| domain == claims.name);
+            counterpart.member.as_deref().filter(of_domain).is_some_and(|it| it.check_revoked(Some(claims)).is_err())
+        };
+        let gone: Vec<Name> = self.known().filter(|c| is_over(c)).map(|c| c.entity).collect();
+        gone.iter().for_each(|entity| drop(self.known.remove(entity)));
+        gone.into_iter().map(PeerEvent::Expelled).collect()
+    }
+
+    /// Lets go of counterparts whose right has ended.
+    pub fn expire(&mut self, now: u64) -> Vec<PeerEvent> {
+        let mut events = Vec::new();
+        let gone: Vec<Name> = self.known().filter(|c| c.not_after < now).map(|c| c.entity).collect();
+        self.leave(&gone, &mut events);
+        events
+    }
+
+    /// The counterpart that a record is of, if it holds.
+    pub fn believe(&self, now: u64, record: &Record) -> Result<Counterpart, CertError> {
+        if record.name != self.name {
+            return Err(CertError::WrongName { expected: self.name, got: record.name });
+        }
+        let verified = record.verify(self.revocation(), now)?;
+        record.credential.check_member(|domain| self.domains.get(domain))?;
+        let role = self.role.counterpart();
+        if verified.advert.op != role.op() {
+            return Err(CertError::Malformed(format!("a statement to {} is not of a {role}", verified.advert.op)));
+        }
+        if self.known.len() >= MAX_COUNTERPARTS && !self.known.contains_key(&verified.entity) {
+            return Err(CertError::Malformed(format!("more than {MAX_COUNTERPARTS} {role}s of one name")));
+        }
+        Ok(Counterpart {
+            entity: verified.entity,
+            switch: record.switch,
+            key: record.entity.verify_key()?,
+            box_key: verified.advert.box_key,
+            not_after: verified.not_after,
+            serials: record.credential.serials()?,
+            member: record.credential.member().cloned().map(Box::new),
+        })
+    }
+
+    fn check_order(&self, peers: &Peers) -> Option<()> {
+        let newer = self.told.is_none_or(|(run, held)| run != peers.run || peers.generation > held);
+        let same_run = self.told.is_some_and(|(run, _)| run == peers.run);
+        let in_order = match peers.extent {
+            PeersExtent::Whole { part: 0, .. } => true,
+            PeersExtent::Whole { part, .. } => same_run && self.whole.as_ref().is_some_and(|(next, _)| *next == part),
+            PeersExtent::After(held) => self.told == Some((peers.run, held)) && self.whole.is_none(),
+        };
+        (newer && in_order).then_some(())
+    }
+
+    fn revoke(&mut self, now: u64, signed: &Signed<Revocation>, events: &mut Vec<PeerEvent>) {
+        let verified = self.proof.verify_key().map_err(CertError::from).and_then(|key| signed.verify(&key, now));
+        let verified = verified.and_then(|claims| match claims.name == self.name {
+            true => Ok(claims),
+            false => Err(CertError::WrongName { expected: self.name, got: claims.name }),
+        });
+        let claims = match verified {
+            Ok(claims) => claims,
+            Err(error) => return events.push(PeerEvent::Refused(error)),
+        };
+        if let Some((newest, held)) = &self.revocation {
+            if *held == claims {
+                return;
+            }
+            if let Err(error) = claims.check_replaces(Some(held)) {
+                events.push(PeerEvent::Refused(error));
+                return events.push(PeerEvent::RibIsBehind(newest.clone()));
+            }
+        }
+        let gone: Vec<Name> = self.known().filter(|c| !c.holds(&claims)).map(|c| c.entity).collect();
+        self.revocation = Some((signed.clone(), claims.clone()));
+        events.push(PeerEvent::Revoked(claims));
+        self.leave(&gone, events);
+    }
+
+    fn leave(&mut self, gone: &[Name], events: &mut Vec<PeerEvent>) {
+        events.extend(gone.iter().filter(|entity| self.known.remove(*entity).is_some()).copied().map(PeerEvent::Left));
+    }
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/peers.rs"]
+mod tests;

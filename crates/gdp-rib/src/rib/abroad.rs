@@ -1,0 +1,358 @@
+//! Parts that entities of other domains have in names, as the RIBs of those domains tell. They are taken in like what is stated here,
+//! and routed over borders: by which, [`super::ways`] says. What is told on to other RIBs is in [`super::exports`].
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
+
+use gdp_core::cert::{CertError, Signed};
+use gdp_core::keys::KeyBox;
+use gdp_core::name::NameProof;
+use gdp_proto::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode};
+use gdp_wire::Name;
+
+use super::inboxes::Place;
+use super::names::{Key, Party, Registration, Remote, shared};
+use super::statements::lifetime;
+use super::telling::Stake;
+use super::ways::{Changed, GRACE, Realm};
+use super::{Now, Rib, Timer, count_out, limit_reached, refusal};
+
+/// A part that an entity of another domain has in a name, as that domain's RIB told, or one between.
+#[derive(Clone, Debug)]
+pub struct Foreign {
+    pub record: Record,
+    /// Of which the record's switch is a member; the caller has verified that.
+    pub domain: Name,
+    /// The neighbouring domain it came from: the next on the way to `domain`, where that has no border with this one.
+    pub next: Name,
+    /// Domains it has passed, its own included: 1 if it came from its own.
+    pub hops: u32,
+    /// Of what the entity sends to the name, and to those it meets there, for whom this RIB knows.
+    pub boxes: Vec<Signed<KeyBox>>,
+    /// Entities of this domain may know it; otherwise it is only told on to other domains.
+    pub local: bool,
+}
+
+/// A link of a border switch into another domain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Way {
+    /// This domain's switch.
+    pub border: Name,
+    /// The switch at the other end.
+    pub peer: Name,
+    pub cost: u32,
+}
+
+/// What is known of other domains besides the registrations in use.
+#[derive(Debug, Default)]
+pub(super) struct Abroad {
+    /// The names that entities of a realm have a part in, and how many parts.
+    names: BTreeMap<Realm, BTreeMap<Key, usize>>,
+    /// By place and neighbour: what would count if another one did not.
+    spare: BTreeMap<RecordPlace, BTreeMap<Name, (NameProof, Registration)>>,
+    /// How many records each neighbour has told of, in use or not.
+    told: HashMap<Name, usize>,
+    /// What other RIBs are still to be told of; none before anybody has asked.
+    pub(super) changed: Option<BTreeSet<RecordPlace>>,
+}
+
+impl Abroad {
+    pub fn enter(&mut self, registration: &Registration, name: Key) {
+        let Some(Remote { realm, .. }) = registration.abroad.as_deref().copied() else { return };
+        *self.names.entry(realm).or_default().entry(name).or_default() += 1;
+        *self.told.entry(realm.next).or_default() += 1;
+    }
+
+    pub fn leave(&mut self, registration: &Registration, name: &Key) {
+        let Some(Remote { realm, .. }) = registration.abroad.as_deref().copied() else { return };
+        count_out(&mut self.told, &realm.next, 1);
+        let Some(names) = self.names.get_mut(&realm) else { return };
+        let Some(parts) = names.get_mut(name) else { return };
+        *parts -= 1;
+        if *parts == 0 {
+            names.remove(name);
+        }
+        if names.is_empty() {
+            self.names.remove(&realm);
+        }
+    }
+
+    fn put_spare(&mut self, place: RecordPlace, next: Name, spare: (NameProof, Registration)) {
+        if self.spare.entry(place).or_default().insert(next, spare).is_none() {
+            *self.told.entry(next).or_default() += 1;
+        }
+    }
+
+    fn take_spare(&mut self, place: &RecordPlace, next: &Name) -> Option<(NameProof, Registration)> {
+        let spare = self.spare.get_mut(place)?;
+        let taken = spare.remove(next)?;
+        if spare.is_empty() {
+            self.spare.remove(place);
+        }
+        count_out(&mut self.told, next, 1);
+        Some(taken)
+    }
+
+    pub fn changed(&mut self, place: RecordPlace) {
+        self.changed.iter_mut().for_each(|changed| _ = changed.insert(place));
+    }
+}
+
+impl Rib {
+    /// Takes in, or replaces, what the neighbour `foreign.next` told of one place. Verified here but for the domain of its switch.
+    /// Of several neighbours that tell of one place, the one with the newest statement counts, and of those the nearest; the word of
+    /// the others is kept for when that one takes back its own. Key boxes are taken one after the other, up to one that is refused: for
+    /// what reason, is returned.
+    pub fn set_foreign(&mut self, now: Now, foreign: Foreign) -> Result<Option<Refusal>, Refusal> {
+        self.tick(now);
+        let Foreign { record, domain, next, hops, boxes, local } = foreign;
+        let place = record.place().map_err(refusal)?;
+        let (key, role) = (record.name.to_bytes(), place.role);
+        // Before signatures are verified: what there is no room for is told again and again.
+        self.check_told(&place, &next)?;
+        let verified = record.verify(self.revocations.claims(&key), now.unix).map_err(refusal)?;
+        record.credential.check_member(|domain| self.domains.get(domain)).map_err(refusal)?;
+        let (entity, advert) = (verified.entity, verified.advert);
+        let stake = Stake { name: key, entity, role };
+        self.check_foreign(stake, &place.switch, &next, advert.serial)?;
+        let seconds = u32::try_from(record.expires_in).unwrap_or(u32::MAX).min(advert.lifetime);
+        let scope = record.credential.scope().map_err(refusal)?;
+        let new = Registration {
+            by: Arc::new(Party { name: entity, proof: record.entity, box_key: advert.box_key }),
+            switch: record.switch,
+            abroad: Some(Box::new(Remote { realm: Realm { next, domain }, hops, local })),
+            role,
+            credential: record.credential,
+            advert: record.advert,
+            serial: advert.serial,
+            scope: shared(scope),
+            everywhere: false,
+            ends: lifetime(now, seconds, verified.not_after)?,
+            bound: true,
+            told: 0,
+        };
+        if self.next_of(&place) == Some(next) {
+            self.store(stake, record.proof, new)?;
+        } else {
+            self.abroad.put_spare(place, next, (record.proof, new));
+        }
+        self.settle_place(now, place)?;
+        self.forget_here(stake, advert.serial);
+        Ok(boxes.iter().find_map(|signed| self.foreign_box(now, stake, &record.entity, signed).err()))
+    }
+
+    /// The neighbours that have told of a place, whether or not their word counts.
+    pub fn told_by(&self, place: &RecordPlace) -> Vec<Name> {
+        let spare = self.abroad.spare.get(place).into_iter().flat_map(BTreeMap::keys).copied();
+        self.next_of(place).into_iter().chain(spare).collect()
+    }
+
+    /// The neighbour whose word counts of a place.
+    pub fn next_of(&self, place: &RecordPlace) -> Option<Name> {
+        let registration = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch)?;
+        registration.abroad.as_ref().map(|abroad| abroad.realm.next)
+    }
+
+    /// The neighbour `next` takes back what it told of the place.
+    pub fn remove_foreign(&mut self, now: Now, place: &RecordPlace, next: &Name) {
+        self.tick(now);
+        self.abroad.take_spare(place, next);
+        if self.next_of(place) == Some(*next) {
+            self.end(now, stake_of(place), place.switch);
+        }
+    }
+
+    /// The neighbour is gone for good, with all that it told.
+    pub fn remove_foreign_of(&mut self, now: Now, next: &Name) {
+        let names = self.abroad.names.iter().filter(|(realm, _)| realm.next == *next);
+        let names: BTreeSet<Key> = names.flat_map(|(_, names)| names.keys().copied()).collect();
+        let spare = self.abroad.spare.iter().filter(|(_, spare)| spare.contains_key(next)).map(|(place, _)| *place);
+        let used = names.iter().flat_map(|name| self.names.places(Name::from_bytes(*name)));
+        let places: Vec<RecordPlace> = spare.chain(used).collect();
+        places.iter().for_each(|place| self.remove_foreign(now, place, next));
+    }
+
+    /// The links into each neighbouring domain are now these, all of them. A domain that is not named here is reached by those to the
+    /// neighbour that told of its entities.
+    pub fn set_ways(&mut self, now: Now, ways: BTreeMap<Name, Vec<Way>>) {
+        self.tick(now);
+        let changed = self.ways.set(now.clock, ways, self.limits.ways_per_domain);
+        if !changed.is_empty() {
+            self.timers.insert((now.clock + GRACE, Timer::Ways));
+            self.follow_ways(&changed);
+        }
+    }
+
+    pub(super) fn end_earlier_ways(&mut self, now: Now) {
+        let changed = self.ways.end(now.clock);
+        self.follow_ways(&changed);
+    }
+
+    /// The border got an egress bit, or lost it.
+    pub(super) fn follow_border(&mut self, border: Name) {
+        let domains = self.ways.domains_over(&border).into_iter();
+        self.follow_ways(&domains.map(|domain| (domain, BTreeSet::from([border]))).collect());
+    }
+
+    /// What an entity has stated here counts, and not what it had stated abroad before.
+    pub(super) fn forget_abroad(&mut self, stake: Stake, serial: u64) {
+        let earlier = self.names.all_of(&stake.name, &stake.entity, stake.role);
+        let earlier = earlier.filter(|earlier| !earlier.is_here() && earlier.serial < serial);
+        let switches: Vec<Name> = earlier.map(|earlier| earlier.switch).collect();
+        for switch in switches {
+            self.unregister(stake, switch);
+        }
+    }
+
+    /// What an entity has stated abroad counts, and not what it had stated here before: it has moved, though the link that it had here may
+    /// not be missed yet.
+    fn forget_here(&mut self, stake: Stake, serial: u64) {
+        let earlier = self.names.all_of(&stake.name, &stake.entity, stake.role);
+        let earlier = earlier.filter(|it| it.is_here() && !it.everywhere && it.serial < serial);
+        let switches: Vec<Name> = earlier.map(|earlier| earlier.switch).collect();
+        switches.into_iter().for_each(|switch| self.unregister(stake, switch));
+    }
+
+    /// A registration is over. What another neighbour says of it counts then, if it came from abroad.
+    pub(super) fn end(&mut self, now: Now, stake: Stake, switch: Name) {
+        let place = place_of(stake, switch);
+        self.unregister(stake, switch);
+        if let Err(refusal) = self.settle_place(now, place) {
+            tracing::warn!(%refusal, "what another domain told does not count now");
+        }
+    }
+
+    fn check_foreign(&self, stake: Stake, switch: &Name, next: &Name, serial: u64) -> Result<(), Refusal> {
+        let Stake { name, entity, role } = stake;
+        if self.switches.contains_key(switch) {
+            let reason = format!("switch {switch} is of this domain, and domain {next} tells that {entity} is there");
+            return Err(Refusal::new(RefusalCode::WrongSwitch, reason));
+        }
+        if name == entity.to_bytes() {
+            let reason = format!("{entity} is reached under its own name as it is, by its counterparts");
+            return Err(Refusal::new(RefusalCode::Unsupported, reason));
+        }
+        let before = self.word_of(&place_of(stake, *switch), next);
+        let since = self.names.all_of(&name, &entity, role).filter(|here| here.is_here() && !here.everywhere);
+        if let Some(newer) = since.chain(before).find(|newer| newer.serial > serial) {
+            return Err(refusal(CertError::ReplayedSerial { floor: newer.serial - 1, got: serial }));
+        }
+        Ok(())
+    }
+
+    fn check_told(&self, place: &RecordPlace, next: &Name) -> Result<(), Refusal> {
+        let limit = self.limits.records_per_neighbour;
+        if self.word_of(place, next).is_none() && self.abroad.told.get(next).is_some_and(|told| *told >= limit) {
+            return Err(limit_reached(format!("domain {next} has told of {limit} parts in names")));
+        }
+        Ok(())
+    }
+
+    /// What a neighbour has told of a place, whether or not it counts.
+    fn word_of(&self, place: &RecordPlace, next: &Name) -> Option<&Registration> {
+        let used = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch);
+        let used = used.filter(|used| used.abroad.as_ref().is_some_and(|abroad| abroad.realm.next == *next));
+        used.or_else(|| Some(&self.abroad.spare.get(place)?.get(next)?.1))
+    }
+
+    /// Lets the best word on a place count, of those that still hold.
+    fn settle_place(&mut self, now: Now, place: RecordPlace) -> Result<(), Refusal> {
+        let (key, stake) = (place.name.to_bytes(), stake_of(&place));
+        let used = self.names.get_at(&key, &place.entity, place.role, &place.switch).map(rank);
+        let revocation = self.revocations.claims(&key);
+        let stands = |spare: &Registration| {
+            let is_member = || spare.credential.check_member(|domain| self.domains.get(domain)).is_ok();
+            spare.ends > now.clock && revocation.is_none_or(|revocation| spare.stands_after(revocation)) && is_member()
+        };
+        let spare = self.abroad.spare.get(&place).into_iter().flatten().filter(|(_, (_, spare))| stands(spare));
+        let Some((next, (_, best))) = spare.min_by_key(|(_, (_, spare))| rank(spare)) else { return Ok(()) };
+        let next = *next;
+        if used.is_some_and(|used| used <= rank(best)) {
+            return Ok(());
+        }
+        let Some((proof, best)) = self.abroad.take_spare(&place, &next) else { return Ok(()) };
+        match self.store(stake, proof, best.clone()) {
+            Ok(Some(before)) => {
+                if let Some(next) = before.abroad.as_ref().map(|abroad| abroad.realm.next) {
+                    self.abroad.put_spare(place, next, (proof, before));
+                }
+                Ok(())
+            }
+            Ok(None) => Ok(()),
+            // For when there is room.
+            Err(refusal) => {
+                self.abroad.put_spare(place, next, (proof, best));
+                Err(refusal)
+            }
+        }
+    }
+
+    /// Keeps a box of an entity abroad, if this RIB knows for what it is.
+    fn foreign_box(
+        &mut self,
+        now: Now,
+        stake: Stake,
+        proof: &NameProof,
+        signed: &Signed<KeyBox>,
+    ) -> Result<(), Refusal> {
+        let claims = signed.claims_unverified().map_err(refusal)?;
+        if claims.writer != stake.entity {
+            return Err(refusal(CertError::WrongEntity { expected: stake.entity, got: claims.writer }));
+        }
+        let told = self.names.all_of(&stake.name, &stake.entity, stake.role).find(|told| !told.is_here());
+        let Some(place) = told.map(|told| Place { entity: stake.entity, at: told.at() }) else { return Ok(()) };
+        let is_sent = stake.role == NameRole::Publisher && claims.name.to_bytes() == stake.name;
+        let is_inbox = claims.name == claims.reader && self.inboxes.allows(claims.name, place);
+        if !is_sent && !is_inbox || self.boxes.holds(&claims, signed) {
+            return Ok(());
+        }
+        let not_a_key = |error| refusal(CertError::Crypto(error));
+        signed.verify(&proof.verify_key().map_err(not_a_key)?, now.unix).map_err(refusal)?;
+        self.boxes.put(place, &claims, signed.clone(), &self.limits)?;
+        self.tell_reader(&claims);
+        self.tell_abroad(&claims);
+        Ok(())
+    }
+
+    /// Brings the desired FIBs in line with other ways. Only names with a part in the domains concerned are looked at.
+    fn follow_ways(&mut self, changed: &Changed) {
+        let mut names: BTreeMap<Key, BTreeSet<Name>> = BTreeMap::new();
+        for (realm, parts) in &self.abroad.names {
+            let concerned: Vec<_> =
+                [realm.domain, realm.next].iter().filter_map(|domain| changed.get(domain)).collect();
+            if concerned.is_empty() {
+                continue;
+            }
+            let mut borders = self.ways.borders(realm);
+            borders.extend(concerned.into_iter().flatten());
+            parts.keys().for_each(|name| names.entry(*name).or_default().extend(&borders));
+        }
+        let mut inboxes: BTreeMap<Name, BTreeSet<Name>> = BTreeMap::new();
+        for (name, borders) in names {
+            for entity in self.names.entities(&name) {
+                inboxes.entry(entity).or_default().extend(&borders);
+            }
+            self.follow_up_at(name, borders);
+        }
+        for (inbox, mut switches) in inboxes {
+            switches.extend(self.inboxes.routed(&inbox, self.map()));
+            self.reroute(inbox.to_bytes(), switches);
+        }
+    }
+}
+
+/// The lowest counts, of what is told of one place: the newest, and of that the nearest.
+fn rank(registration: &Registration) -> (Reverse<u64>, u32, Option<Name>) {
+    let abroad = registration.abroad.as_deref();
+    let hops = abroad.map_or(0, |abroad| abroad.hops);
+    (Reverse(registration.serial), hops, abroad.map(|abroad| abroad.realm.next))
+}
+
+fn place_of(stake: Stake, switch: Name) -> RecordPlace {
+    RecordPlace { name: Name::from_bytes(stake.name), role: stake.role, entity: stake.entity, switch }
+}
+
+fn stake_of(place: &RecordPlace) -> Stake {
+    Stake { name: place.name.to_bytes(), entity: place.entity, role: place.role }
+}

@@ -1,0 +1,77 @@
+//! Which egress bit each switch of the domain has. Pure; the RIB calls it.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use gdp_wire::Name;
+use gdp_wire::table::EGRESS_SET_SIZE;
+
+use super::journal::{Item, Journal};
+
+/// The domain has as many switches as an egress set has bits.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("this RIB already routes between {EGRESS_SET_SIZE} switches, the most one egress set can name")]
+pub struct Full;
+
+#[derive(Debug)]
+pub struct Bits {
+    given: BTreeMap<Name, u8>,
+    /// Longest free first, so that a bit still on its way in frames is not soon someone else's.
+    free: VecDeque<u8>,
+    journal: Journal,
+}
+
+impl Default for Bits {
+    fn default() -> Self {
+        let free = (0..EGRESS_SET_SIZE as u8).collect();
+        Self { given: BTreeMap::new(), free, journal: Journal::default() }
+    }
+}
+
+impl Bits {
+    /// Gives a switch that is new a bit, which it keeps until it is forgotten: the one it `had`, if that is free, or else one
+    /// that is not `taken` by somebody who is not known here, if there is such a one.
+    pub fn give(&mut self, switch: Name, had: Option<u8>, taken: impl Fn(u8) -> bool) -> Result<(), Full> {
+        if !self.given.contains_key(&switch) {
+            let same = self.free.iter().position(|bit| Some(*bit) == had);
+            let place = same.or_else(|| self.free.iter().position(|bit| !taken(*bit))).unwrap_or(0);
+            let bit = self.free.remove(place).ok_or(Full)?;
+            self.given.insert(switch, bit);
+            self.journal.mark(Item::Switch(switch));
+        }
+        Ok(())
+    }
+
+    /// Gives a switch another bit than it has.
+    pub fn exchange(&mut self, switch: Name, taken: impl Fn(u8) -> bool) -> Result<(), Full> {
+        let Some(old) = self.given.remove(&switch) else { return Ok(()) };
+        let given = self.give(switch, None, taken);
+        match given {
+            Ok(()) => self.free.push_back(old),
+            Err(Full) => drop(self.given.insert(switch, old)),
+        }
+        given
+    }
+
+    /// Frees the bit of a switch.
+    pub fn forget(&mut self, switch: &Name) {
+        self.journal.mark(Item::Switch(*switch));
+        self.free.extend(self.given.remove(switch));
+    }
+
+    /// The switch's egress bit (0 … 63).
+    pub fn of(&self, switch: &Name) -> Option<u8> {
+        self.given.get(switch).copied()
+    }
+
+    pub(super) fn journal(&mut self) -> &mut Journal {
+        &mut self.journal
+    }
+
+    pub fn all(&self) -> impl Iterator<Item = (Name, u8)> {
+        self.given.iter().map(|(switch, bit)| (*switch, *bit))
+    }
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/rib/bits.rs"]
+mod tests;

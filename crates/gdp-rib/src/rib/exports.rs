@@ -1,0 +1,68 @@
+//! What other RIBs may be told of registrations, those here and those that yet others told of: which have changed, and each with
+//! all that goes with it. Whom it concerns is for the caller to decide.
+
+use std::collections::BTreeSet;
+
+use gdp_core::cert::Signed;
+use gdp_core::keys::KeyBox;
+use gdp_proto::control::{NameRole, Record, RecordPlace};
+use gdp_wire::Name;
+
+use super::names::Registration;
+use super::{Now, Rib};
+
+/// What another RIB may be told of one registration.
+#[derive(Clone, Debug)]
+pub struct Export {
+    pub record: Record,
+    /// The keys of what the entity sends to the name, and to its counterparts there, for those of them that are abroad.
+    pub boxes: Vec<Signed<KeyBox>>,
+    /// Its domain, and the neighbour that told of it; none: the registration was made here.
+    pub origin: Option<(Name, Name)>,
+}
+
+impl Rib {
+    /// The places, here and abroad, of which something else is to be told than at the last call. The first call gives all there are.
+    pub fn take_changed_places(&mut self) -> BTreeSet<RecordPlace> {
+        self.abroad.changed.replace(BTreeSet::new()).unwrap_or_else(|| self.names.all_places().collect())
+    }
+
+    /// What there is to tell of a place; none: nothing is there any more.
+    pub fn export(&self, now: Now, place: &RecordPlace) -> Option<Export> {
+        let (record, registration) = self.names.record_at(now.clock, place)?;
+        let origin = registration.abroad.as_ref().map(|abroad| (abroad.realm.domain, abroad.realm.next));
+        Some(Export { record, boxes: self.boxes_for_abroad(place, registration), origin })
+    }
+
+    /// The same for all places of a name.
+    pub fn exports_of(&self, now: Now, name: &Name) -> impl Iterator<Item = Export> {
+        self.names.places(*name).filter_map(move |place| self.export(now, &place))
+    }
+
+    fn boxes_for_abroad(&self, place: &RecordPlace, registration: &Registration) -> Vec<Signed<KeyBox>> {
+        let key = place.name.to_bytes();
+        let others = self.names.bound(&key, place.role.counterpart());
+        let abroad = others.filter(|(_, other)| !other.is_here() && registration.meets(other));
+        let abroad: BTreeSet<Name> = abroad.map(|(entity, _)| entity).collect();
+        let sent = self
+            .boxes
+            .of(&key, &place.entity)
+            .filter(|(reader, _)| place.role == NameRole::Publisher && abroad.contains(reader));
+        let inboxes = abroad.iter().flat_map(|other| self.boxes.of(other.as_bytes(), &place.entity));
+        sent.chain(inboxes).map(|(_, signed)| signed.clone()).collect()
+    }
+
+    /// A writer has new keys for a reader that may be abroad.
+    pub(super) fn tell_abroad(&mut self, claims: &KeyBox) {
+        let of_name = |name: &Name| self.names.places(*name).filter(|place| place.entity == claims.writer).collect();
+        let places: Vec<RecordPlace> = match claims.name == claims.reader {
+            false => of_name(&claims.name),
+            true => {
+                let names = self.entities.names(&claims.writer).iter().map(|name| Name::from_bytes(*name));
+                let is_reader = |name: &Name| self.names.has(name.as_bytes(), &claims.reader);
+                names.filter(is_reader).flat_map(|name| of_name(&name)).collect()
+            }
+        };
+        places.into_iter().for_each(|place| self.abroad.changed(place));
+    }
+}

@@ -1,0 +1,205 @@
+//! Under its own name every attached entity can be reached, by those it exchanges messages with and nobody else: who that is,
+//! and which switches therefore need a route for it. One that is attached to several switches is reached at each of them. Pairs of
+//! counterparts go in, routes come out.
+//!
+//! An entity of another domain that has a counterpart is reached by the border toward it, and its frames, to whomever, may come by
+//! the links that lead there.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+
+use gdp_proto::control::{Refusal, Route};
+use gdp_wire::Name;
+
+use super::names::Key;
+use super::ways::{At, Map};
+use super::{Limits, count_out, limit_reached};
+
+/// An attached entity, and where it is attached.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Place {
+    pub entity: Name,
+    pub at: At,
+}
+
+#[derive(Debug)]
+struct Inbox {
+    /// Where it is, and for how many pairs each.
+    homes: BTreeMap<At, u32>,
+    /// By where they are: those who may send here, and for how many names and roles.
+    senders: BTreeMap<At, BTreeMap<Name, u32>>,
+}
+
+impl Inbox {
+    /// Whether the entity may send here, from wherever.
+    fn takes_from(&self, sender: &Name) -> bool {
+        self.senders.values().any(|here| here.contains_key(sender))
+    }
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Inboxes {
+    inboxes: BTreeMap<Key, Inbox>,
+    /// Into how many inboxes each entity may send; it can be reached from as many.
+    reaches: HashMap<Name, usize>,
+    /// The same at each switch, of the entities there: pairs of an inbox and a sender.
+    reached_from: HashMap<At, usize>,
+}
+
+impl Inboxes {
+    /// Whether `new` may have these counterparts besides those it has: whether there is room for what [`Self::allow`] adds.
+    pub fn check_room(&self, new: Place, others: &[Place], limits: &Limits) -> Result<(), Refusal> {
+        let limit = limits.counterparts;
+        let is_full = |entity: &Name, more: usize| self.reaches.get(entity).copied().unwrap_or_default() + more > limit;
+        let full = |entity: &Name| Err(limit_reached(format!("{entity} exchanges messages with {limit} entities")));
+        let (mut met, mut entered) = (HashSet::new(), HashSet::new());
+        let mut more: HashMap<At, usize> = HashMap::new();
+        for other in others.iter().filter(|other| other.entity != new.entity) {
+            if !self.allows(new.entity, *other) {
+                *more.entry(other.at).or_default() += 1;
+            }
+            if !self.allows(other.entity, new) && entered.insert(other.entity) {
+                *more.entry(new.at).or_default() += 1;
+            }
+            let knows = self.inboxes.get(new.entity.as_bytes()).is_some_and(|inbox| inbox.takes_from(&other.entity));
+            if !knows && met.insert(other.entity) && is_full(&other.entity, 1) {
+                return full(&other.entity);
+            }
+        }
+        if !met.is_empty() && is_full(&new.entity, met.len()) {
+            return full(&new.entity);
+        }
+        let limit = limits.counterparts_per_switch;
+        let lacks = |at: &At, more: usize| self.reached_from.get(at).copied().unwrap_or_default() + more > limit;
+        match more.into_iter().find(|(at, more)| lacks(at, *more)) {
+            Some((At::Here(switch), _)) => {
+                Err(limit_reached(format!("the entities at switch {switch} have {limit} counterparts")))
+            }
+            Some((At::Abroad(realm), _)) => {
+                Err(limit_reached(format!("the entities of domain {} have {limit} counterparts", realm.domain)))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Lets `sender` send to `inbox`, for one more reason. Returns where the route for it may change.
+    pub fn allow(&mut self, inbox: Place, sender: Place) -> Vec<At> {
+        let new = || Inbox { homes: BTreeMap::new(), senders: BTreeMap::new() };
+        let held = self.inboxes.entry(inbox.entity.to_bytes()).or_insert_with(new);
+        if !held.takes_from(&sender.entity) {
+            *self.reaches.entry(sender.entity).or_default() += 1;
+        }
+        *held.homes.entry(inbox.at).or_default() += 1;
+        let reasons = held.senders.entry(sender.at).or_default().entry(sender.entity).or_default();
+        *reasons += 1;
+        if *reasons == 1 {
+            *self.reached_from.entry(sender.at).or_default() += 1;
+        }
+        self.affected(inbox, sender)
+    }
+
+    /// One reason less. Returns where the route may change, and whether `sender` may no longer send from anywhere.
+    pub fn deny(&mut self, inbox: Place, sender: Place) -> (Vec<At>, bool) {
+        let before = self.affected(inbox, sender);
+        if !self.remove(inbox, sender) {
+            return (before, false);
+        }
+        count_out(&mut self.reached_from, &sender.at, 1);
+        let held = self.inboxes.get(inbox.entity.as_bytes());
+        let ended = !held.is_some_and(|inbox| inbox.takes_from(&sender.entity));
+        if ended {
+            count_out(&mut self.reaches, &sender.entity, 1);
+        }
+        (before, ended)
+    }
+
+    /// Where the inbox comes or goes: with another switch of its own, the routes of all that send there change.
+    fn affected(&self, inbox: Place, sender: Place) -> Vec<At> {
+        let held = self.inboxes.get(inbox.entity.as_bytes());
+        let only_one = held.is_some_and(|held| held.homes.len() > 1 && held.homes.get(&inbox.at) == Some(&1));
+        let senders = held.filter(|_| only_one).into_iter().flat_map(|held| held.senders.keys().copied());
+        senders.chain([inbox.at, sender.at]).collect()
+    }
+
+    fn remove(&mut self, inbox: Place, sender: Place) -> bool {
+        let key = inbox.entity.to_bytes();
+        let Some(held) = self.inboxes.get_mut(&key) else { return false };
+        if let Some(reasons) = held.homes.get_mut(&inbox.at) {
+            *reasons -= 1;
+            if *reasons == 0 {
+                held.homes.remove(&inbox.at);
+            }
+        }
+        let Some(here) = held.senders.get_mut(&sender.at) else { return false };
+        let Some(reasons) = here.get_mut(&sender.entity) else { return false };
+        *reasons -= 1;
+        if *reasons > 0 {
+            return false;
+        }
+        here.remove(&sender.entity);
+        if here.is_empty() {
+            held.senders.remove(&sender.at);
+        }
+        if held.senders.is_empty() {
+            self.inboxes.remove(&key);
+        }
+        true
+    }
+
+    /// Whether the entity may send to that inbox.
+    pub fn allows(&self, inbox: Name, sender: Place) -> bool {
+        let here = self.inboxes.get(inbox.as_bytes()).and_then(|inbox| inbox.senders.get(&sender.at));
+        here.is_some_and(|here| here.contains_key(&sender.entity))
+    }
+
+    /// Switches that a route for this inbox is for.
+    pub fn routed(&self, inbox: &Name, map: Map) -> BTreeSet<Name> {
+        let held = self.inboxes.get(inbox.as_bytes()).into_iter();
+        held.flat_map(|inbox| inbox.senders.keys().chain(inbox.homes.keys())).flat_map(|at| map.switches(at)).collect()
+    }
+
+    /// The route for an inbox at one switch, if it needs any.
+    pub fn route(&self, inbox: &Key, switch: &Name, map: Map) -> Option<Route> {
+        let held = self.inboxes.get(inbox)?;
+        let name = Name::from_bytes(*inbox);
+        let (mut writers, mut egress_bits) = (BTreeSet::new(), 0);
+        for (at, senders) in &held.senders {
+            let links: Vec<Name> = match at {
+                At::Here(here) if here == switch => senders.keys().copied().collect(),
+                At::Here(_) => Vec::new(),
+                At::Abroad(realm) => map.arrives_from(realm, switch).collect(),
+            };
+            if !links.is_empty() {
+                writers.extend(links);
+                let homes = held.homes.keys().filter(|home| !is_one_domain(at, home));
+                egress_bits |= homes.fold(0, |bits, home| bits | map.bits_to(inbox, home));
+            }
+        }
+        let everywhere: Vec<Name> = held.homes.contains_key(&At::Here(*switch)).then_some(name).into_iter().collect();
+        let to_abroad = held.homes.keys().filter_map(|home| match home {
+            At::Here(_) => None,
+            At::Abroad(realm) => map.leaves_to(inbox, realm, switch),
+        });
+        let locals: BTreeSet<Name> = everywhere.iter().copied().chain(to_abroad).collect();
+        let arrives_by = self.arrives_by(inbox, switch, map);
+        if writers.is_empty() && locals.is_empty() && arrives_by.is_empty() {
+            return None;
+        }
+        let (locals, writers) = (locals.into_iter().collect(), writers.into_iter().collect());
+        Some(Route { name, egress_bits, locals, everywhere, writers, arrives_by })
+    }
+
+    /// From whom frames of the entity come at this border, if it is of another domain.
+    pub fn arrives_by(&self, entity: &Key, border: &Name, map: Map) -> Vec<Name> {
+        let homes = self.inboxes.get(entity).into_iter().flat_map(|held| held.homes.keys());
+        let from = homes.flat_map(|home| match home {
+            At::Here(_) => Vec::new(),
+            At::Abroad(realm) => map.arrives_from(realm, border).collect(),
+        });
+        from.collect::<BTreeSet<_>>().into_iter().collect()
+    }
+}
+
+/// Whether both are in the same other domain.
+fn is_one_domain(one: &At, other: &At) -> bool {
+    matches!((one, other), (At::Abroad(one), At::Abroad(other)) if one.domain == other.domain)
+}

@@ -1,0 +1,535 @@
+//! The routing information base: which entities are attached where, who publishes and reads which name, and what each
+//! switch's FIB must therefore hold. Sans-IO: time and requests go in, a response and [`Effect`]s come out. No sockets,
+//! no clock, no data plane; the daemon in [`gdp_daemon::serve`] moves what travels.
+//!
+//! Nothing is stored before it is verified: the derivation of names, the certificates and what their owner has revoked of
+//! them, the entity's own statement and its serial. The FIB of every switch is derived from what is stored, and from the
+//! paths in [`paths`]. Here is what goes in and out; [`statements`] takes what entities state, [`key_boxes`] and [`revoke`]
+//! what goes with it, [`reports`] what switches say; [`abroad`] takes what RIBs of other domains tell, and [`exports`] gives what they may
+//! be told.
+//!
+//! Nobody has to believe this: who is told of others verifies their records again, who is given a key verifies who wrapped it,
+//! and who holds a newer revocation than the RIB gives keeps to that. What a RIB that lies can do is to withhold.
+
+mod abroad;
+mod bits;
+mod boxes;
+mod entities;
+mod exports;
+pub mod fib;
+mod inboxes;
+mod journal;
+mod key_boxes;
+mod names;
+mod reports;
+mod restore;
+mod revocations;
+mod revoke;
+mod statements;
+mod telling;
+#[cfg(test)]
+#[path = "../../tests/unit/rib/mod.rs"]
+mod tests;
+mod topic;
+mod ways;
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::hash::Hash;
+use std::time::Duration;
+
+use gdp_core::cert::{CertError, Revocation};
+use gdp_core::name::{NamePrefix, NameProof};
+use gdp_core::revocations::{Kept, Origin};
+use gdp_proto::control::{
+    EntityRequest, FibPush, NameRole, PeersPush, Record, RecordPlace, Refusal, RefusalCode, Response, Route,
+};
+use gdp_wire::Name;
+
+use crate::topology::Paths;
+use abroad::Abroad;
+use bits::Bits;
+use boxes::Boxes;
+use entities::Entities;
+use fib::{About, Fib, Pushed};
+use inboxes::Inboxes;
+use journal::Journal;
+use names::{Key, Names};
+use revocations::Revocations;
+use telling::{Source, Stake, Telling};
+use ways::Ways;
+
+pub use abroad::{Foreign, Way};
+pub use exports::Export;
+pub use journal::Item;
+pub use restore::{MAX_ITEM, RestoreError, decode_item, encode_item};
+
+/// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
+pub const HOLD: Duration = Duration::from_secs(10);
+
+/// How long after it is reached a switch that has not reported is asked to.
+const UNREPORTED: Duration = Duration::from_secs(5);
+
+/// A moment, on both clocks that matter.
+#[derive(Clone, Copy, Debug)]
+pub struct Now {
+    /// Unix seconds: certificates are judged by it.
+    pub unix: u64,
+    /// Since any fixed moment; never goes back. Everything that lasts is counted on it.
+    pub clock: Duration,
+}
+
+impl Now {
+    /// When something is over that holds until the end of this Unix second.
+    pub fn clock_at(&self, unix: u64) -> Duration {
+        self.clock + Duration::from_secs(unix.saturating_sub(self.unix).saturating_add(1).min(u32::MAX.into()))
+    }
+}
+
+/// What a RIB holds at most.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    pub names: usize,
+    pub names_per_entity: usize,
+    pub attached_per_switch: usize,
+    /// Entities that only tools speak for, through one switch.
+    pub unattached_per_switch: usize,
+    /// Publishers or servers of one name.
+    pub writers_per_name: usize,
+    /// Subscribers or callers of one name at one switch.
+    pub readers_per_switch: usize,
+    /// Entities that one entity exchanges messages with.
+    pub counterparts: usize,
+    /// The same for all entities at a switch: as many pairs of names and links does its data plane hold for them.
+    pub counterparts_per_switch: usize,
+    /// Readers that one writer has key boxes for, of one name and epoch.
+    pub box_readers: usize,
+    pub boxes_per_entity: usize,
+    /// Of all entities at a switch.
+    pub boxes_per_switch: usize,
+    /// Revocations of names that somebody has a part in, and that came in by one origin; more count as the following.
+    pub used_revocations: usize,
+    /// Revocations of names that nobody has a part in.
+    pub idle_revocations: usize,
+    /// Records that one neighbouring domain tells of.
+    pub records_per_neighbour: usize,
+    /// Links into one domain.
+    pub ways_per_domain: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        let links = gdp_wire::table::MAX_LINKS as usize;
+        Self {
+            names: 1 << 20,
+            names_per_entity: 16_384,
+            attached_per_switch: links,
+            unattached_per_switch: 4096,
+            writers_per_name: 256,
+            readers_per_switch: links,
+            counterparts: 4096,
+            counterparts_per_switch: 65_536,
+            box_readers: 1024,
+            boxes_per_entity: 8192,
+            boxes_per_switch: 65_536,
+            used_revocations: 4096,
+            idle_revocations: 16_384,
+            records_per_neighbour: 65_536,
+            ways_per_domain: 16,
+        }
+    }
+}
+
+/// What the RIB has to say to a switch.
+#[derive(Clone, Debug)]
+pub enum Effect {
+    /// To be answered with [`Rib::pushed`].
+    Fib(FibPush),
+    /// To an entity, through its switch. To be answered with [`Rib::told`].
+    Peers(PeersPush),
+    /// The RIB holds no attachment of `entity` at `switch`: it must attach again. If the entity is the switch itself,
+    /// the RIB does not know the switch: it must report in full.
+    Detach { switch: Name, entity: Name },
+}
+
+/// Which [`PeersPush`] it was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Told {
+    switch: Name,
+    stake: Stake,
+    generation: u64,
+}
+
+impl From<&PeersPush> for Told {
+    fn from(push: &PeersPush) -> Self {
+        let stake = Stake { name: push.name.to_bytes(), entity: push.entity, role: push.role };
+        Self { switch: push.switch, stake, generation: push.peers.generation }
+    }
+}
+
+/// The routing information base of one domain.
+#[derive(Debug)]
+pub struct Rib {
+    root: Name,
+    run: Run,
+    limits: Limits,
+    bits: Bits,
+    /// From the RIB's own switch, as that last said.
+    paths: Paths,
+    switches: BTreeMap<Name, Switch>,
+    entities: Entities,
+    names: Names,
+    inboxes: Inboxes,
+    boxes: Boxes,
+    revocations: Revocations,
+    /// What domains have taken back, by domain: of those that this one has to do with.
+    domains: BTreeMap<Name, Revocation>,
+    telling: Telling,
+    ways: Ways,
+    abroad: Abroad,
+    timers: Timers,
+    detached: BTreeSet<(Name, Name)>,
+    /// Switches that are reached and have not reported, and when they are asked to.
+    unreported: BTreeMap<Name, Duration>,
+    /// Switches that an earlier RIB knew and that have not reported to this one.
+    silent: BTreeSet<Name>,
+    journal: Journal,
+}
+
+/// One life of a RIB.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    /// Higher than that of the RIB before, as far as that can be known; and another number each time.
+    pub id: u64,
+    /// Until this time (as [`Now::clock`]) what an earlier RIB had the switches hold counts besides: entities are still to
+    /// state again what they had stated to that one.
+    pub settling: Duration,
+}
+
+#[derive(Debug, Default)]
+struct Switch {
+    fib: Fib,
+    attached: BTreeSet<Name>,
+    /// When the switch is forgotten, unless it is reached again.
+    hold: Option<Duration>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Timer {
+    /// Some part in this name may be over.
+    Name(Key),
+    Attachment {
+        entity: Name,
+        lane: u8,
+    },
+    Switch {
+        switch: Name,
+    },
+    Unreported {
+        switch: Name,
+    },
+    /// Frames come no more by ways that are gone.
+    Ways,
+    Settled,
+}
+
+type Timers = BTreeSet<(Duration, Timer)>;
+
+impl Rib {
+    /// An empty RIB that runs beside the switch `root`.
+    pub fn new(root: Name, run: Run, limits: Limits) -> Self {
+        Self {
+            root,
+            run,
+            limits,
+            bits: Bits::default(),
+            paths: Paths::default(),
+            switches: BTreeMap::new(),
+            entities: Entities::default(),
+            names: Names::default(),
+            inboxes: Inboxes::default(),
+            boxes: Boxes::default(),
+            revocations: Revocations::default(),
+            domains: BTreeMap::new(),
+            telling: Telling::default(),
+            ways: Ways::default(),
+            abroad: Abroad::default(),
+            timers: Timers::from([(run.settling, Timer::Settled)]),
+            detached: BTreeSet::new(),
+            unreported: BTreeMap::new(),
+            silent: BTreeSet::new(),
+            journal: Journal::default(),
+        }
+    }
+
+    /// Answers what `entity`, or a tool that speaks for it, asks through the switch `origin`.
+    pub fn request(
+        &mut self,
+        now: Now,
+        origin: Name,
+        entity: Option<&NameProof>,
+        by_tool: bool,
+        request: &EntityRequest,
+    ) -> Response {
+        self.tick(now);
+        let answer = match request {
+            EntityRequest::Query { prefix, after } => self.query(now, origin, entity, prefix, after.as_ref()),
+            EntityRequest::Revoke { proof, revocation } => {
+                self.revoke(now, Origin { through: origin, by_tool }, proof, revocation)
+            }
+            _ => self.entity_request(now, origin, entity, by_tool, request),
+        };
+        answer.unwrap_or_else(Response::from)
+    }
+
+    /// What is known of a name anybody may hear who knows the name; to have names listed, one has to be attached here, or be the switch
+    /// that asks (for those who run it).
+    fn query(
+        &mut self,
+        now: Now,
+        origin: Name,
+        entity: Option<&NameProof>,
+        prefix: &NamePrefix,
+        after: Option<&RecordPlace>,
+    ) -> Result<Response, Refusal> {
+        if prefix.full().is_none() {
+            self.check_reported(origin)?;
+            let entity = entity.and_then(|proof| proof.name().ok());
+            let is_here = |entity: Name| entity == origin || self.entities.is_attached_at(&entity, &origin);
+            if !entity.is_some_and(is_here) {
+                let reason =
+                    "names are listed for entities that are attached, and for switches; ask for a name in full";
+                return Err(Refusal::new(RefusalCode::NotEntitled, reason));
+            }
+        }
+        Ok(self.names.query(now.clock, prefix, after))
+    }
+
+    /// Whether a switch is known. If not, it is told to report, and what it asks is worth another attempt.
+    fn check_reported(&mut self, switch: Name) -> Result<(), Refusal> {
+        if self.switches.contains_key(&switch) {
+            return Ok(());
+        }
+        self.detached.insert((switch, switch));
+        let reason = format!("switch {switch} has not reported its links to the RIB yet; try again in a moment");
+        Err(Refusal::new(RefusalCode::Unreachable, reason))
+    }
+
+    /// Takes a switch's report of all entities attached to it, with the egress bit it has had so far.
+    pub fn report(&mut self, now: Now, switch: &NameProof, attached: &[Name], own_bit: Option<u8>) -> Response {
+        self.tick(now);
+        let taken = self.try_report(now, switch, attached, own_bit);
+        taken.map_or_else(Response::from, |()| Response::Reported { run: self.run.id })
+    }
+
+    /// The paths from the RIB's own switch are now these.
+    pub fn set_paths(&mut self, now: Now, paths: Paths) {
+        self.tick(now);
+        self.paths = paths;
+        self.settle_bits();
+        self.judge_reach(now);
+    }
+
+    /// An entity's link to `switch` is gone, and with it all that was bound to it. What it has elsewhere stays.
+    pub fn detach(&mut self, now: Now, switch: &Name, entity: &Name) -> Response {
+        self.tick(now);
+        self.end_attachments_at(entity, switch);
+        Response::Done
+    }
+
+    /// Lets end what ends by itself. Call when [`Self::next_tick`] says; requests do it too.
+    pub fn tick(&mut self, now: Now) {
+        while let Some((at, timer)) = self.timers.first().copied() {
+            if at > now.clock {
+                break;
+            }
+            self.timers.pop_first();
+            match timer {
+                Timer::Name(name) => self.end_due(now, name),
+                Timer::Attachment { entity, lane } => {
+                    if let Some(attachment) = self.entities.attachment(&entity, lane) {
+                        self.detached.insert((attachment.switch, entity));
+                    }
+                    self.end_attachment(&entity, lane);
+                }
+                Timer::Switch { switch } => self.forget_switch(&switch),
+                Timer::Unreported { switch } => self.ask_to_report(now, switch),
+                Timer::Ways => self.end_earlier_ways(now),
+                Timer::Settled => {
+                    std::mem::take(&mut self.silent).iter().for_each(|switch| self.forget_switch(switch));
+                    // So that they let go of what nobody has stated again.
+                    self.switches.values_mut().for_each(|switch| switch.fib.restart());
+                    self.telling.settled();
+                }
+            }
+        }
+        self.telling.tick(now.clock);
+    }
+
+    /// When [`Self::tick`] and [`Self::effects`] have something to do, if nothing else happens before.
+    pub fn next_tick(&self) -> Option<Duration> {
+        let retries = self.switches.values().filter_map(|s| s.fib.retry_at());
+        retries.chain(self.timers.first().map(|(at, _)| *at)).chain(self.telling.retry_at()).min()
+    }
+
+    /// Takes out what is to be sent now. To each switch one FIB push is out at a time, to each entity one about a name and role.
+    pub fn effects(&mut self, now: Now) -> Vec<Effect> {
+        let mut effects: Vec<_> = std::mem::take(&mut self.detached)
+            .into_iter()
+            // It may have attached there in the meantime.
+            .filter(|(switch, entity)| !self.entities.is_attached_at(entity, switch))
+            .map(|(switch, entity)| Effect::Detach { switch, entity })
+            .collect();
+        let (run, settling) = (self.run.id, now.clock < self.run.settling);
+        for (name, switch) in &mut self.switches {
+            let Some(own_bit) = self.bits.of(name) else { continue };
+            let about = About { switch: *name, run, settling, own_bit };
+            effects.extend(switch.fib.next(now.clock, about).map(Effect::Fib));
+        }
+        let (names, boxes, revocations) = (&self.names, &self.boxes, &self.revocations);
+        let source = Source { run, settling, now: now.clock, names, boxes, revocations };
+        effects.extend(self.telling.next(source).into_iter().map(Effect::Peers));
+        effects
+    }
+
+    /// What became of the FIB push of this generation to the switch.
+    pub fn pushed(&mut self, now: Now, switch: &Name, generation: u64, outcome: Pushed) {
+        if let Some(switch) = self.switches.get_mut(switch) {
+            switch.fib.answered(now.clock, generation, outcome);
+        }
+    }
+
+    /// Whether what an entity was to be told arrived; if not, it is told the whole through another of its
+    /// switches, or a while later.
+    pub fn told(&mut self, now: Now, told: Told, arrived: bool) {
+        let other = self.told_elsewhere(told.stake, &told.switch);
+        if let Some(held) = self.telling.answered(now.clock, told, arrived, other) {
+            self.names.note_told(&told.stake, &told.switch, held);
+        }
+    }
+
+    /// Whether all switches that need a route for what an entity stated have answered that they hold it (or have failed to
+    /// answer), and are on the map with their egress bit: for the name, and for what it and its counterparts send each other.
+    pub fn is_settled(&self, name: &Name, entity: &Name, role: NameRole) -> bool {
+        let is_on_the_map = |switch: &Name| {
+            let bit = self.bits.of(switch);
+            !self.paths.reaches(switch) || bit.is_none_or(|bit| self.paths.bits.get(&bit) == Some(switch))
+        };
+        let settled = |switch: &Name, name: &Name| {
+            let holds = |held: &Switch| held.fib.is_settled(name.as_bytes()) && is_on_the_map(switch);
+            self.switches.get(switch).is_none_or(holds)
+        };
+        let key = name.to_bytes();
+        let switches = self.names.bound_at(&key, entity, role);
+        let others = |at| self.names.bound(&key, role.counterpart()).map(move |(other, _)| (at, other));
+        self.names.routed(&key, self.map()).iter().all(|switch| settled(switch, name))
+            && self.inboxes.routed(entity, self.map()).iter().all(|switch| settled(switch, entity))
+            && switches.flat_map(others).all(|(at, other)| settled(&at, &other))
+    }
+
+    /// To be asked once a statement at `at` is settled: takes it back there if a switch has no room for the route it needs.
+    pub fn check_room(&mut self, name: &Name, entity: &Name, role: NameRole, at: &Name) -> Result<(), Refusal> {
+        let lacking = |switch| self.switches.get(switch)?.fib.lacking();
+        // Frames of a service go to the names of its parties.
+        let inboxes = self.inboxes.routed(entity, self.map()).into_iter().filter(|_| role.is_of_service());
+        let routed: Vec<Name> = self.names.routed(name.as_bytes(), self.map()).into_iter().chain(inboxes).collect();
+        let Some(reason) = routed.iter().find_map(lacking) else { return Ok(()) };
+        let refusal = Refusal::new(RefusalCode::Limit, reason);
+        self.unregister(Stake { name: name.to_bytes(), entity: *entity, role }, *at);
+        Err(refusal)
+    }
+}
+
+/// What `gdp-ctl status` and `rib dump` show.
+impl Rib {
+    /// The number of its [run](Run).
+    pub fn run(&self) -> u64 {
+        self.run.id
+    }
+
+    /// The newest that is known of what the owner of a name has taken back.
+    pub fn revocation(&self, name: &Name) -> Option<&Revocation> {
+        self.revocations.claims(name.as_bytes())
+    }
+
+    /// The same, as its owner signed it.
+    pub fn kept_revocation(&self, name: &Name) -> Option<&Kept> {
+        self.revocations.get(name.as_bytes()).map(|held| &held.kept)
+    }
+
+    /// Egress bit of a switch.
+    pub fn bit(&self, switch: &Name) -> Option<u8> {
+        self.bits.of(switch)
+    }
+
+    /// Switches with their egress bits and attached entities.
+    pub fn switches(&self) -> impl Iterator<Item = (Name, u8, Vec<Name>)> {
+        self.switches
+            .iter()
+            .filter_map(|(name, state)| Some((*name, self.bits.of(name)?, state.attached.iter().copied().collect())))
+    }
+
+    /// Whether a switch has reported, and is not forgotten since.
+    pub fn knows(&self, switch: &Name) -> bool {
+        self.switches.contains_key(switch)
+    }
+
+    /// How many there are.
+    pub fn switch_count(&self) -> usize {
+        self.switches.keys().filter(|switch| self.bits.of(switch).is_some()).count()
+    }
+
+    /// At most `limit` records behind `after`, and whether there are more.
+    pub fn records(&self, now: Now, after: Option<RecordPlace>, limit: usize) -> (Vec<Record>, bool) {
+        self.names.records(now.clock, after.as_ref(), limit)
+    }
+
+    /// Names with a writer or a reader.
+    pub fn name_count(&self) -> usize {
+        self.names.len()
+    }
+
+    /// How many names there are that somebody reads or calls, and nobody publishes or serves; and those.
+    pub fn unserved(&self) -> (usize, impl Iterator<Item = Name>) {
+        self.names.unserved()
+    }
+
+    /// What a switch's FIB should hold.
+    pub fn desired(&self, switch: &Name) -> Vec<Route> {
+        self.switches.get(switch).map_or_else(Vec::new, |s| s.fib.routes().cloned().collect())
+    }
+}
+
+fn count_out<K: Eq + Hash>(counts: &mut HashMap<K, usize>, key: &K, count: usize) {
+    if let Some(held) = counts.get_mut(key) {
+        *held -= count;
+        if *held == 0 {
+            counts.remove(key);
+        }
+    }
+}
+
+fn limit_reached(what: String) -> Refusal {
+    Refusal::new(RefusalCode::Limit, format!("{what}, and that is the limit of this RIB"))
+}
+
+/// The refusal that tells a requester of a certificate error.
+fn refusal(error: CertError) -> Refusal {
+    let code = match &error {
+        CertError::BadSignature { .. } | CertError::WrongKey { .. } => RefusalCode::BadSignature,
+        CertError::NotYetValid { .. } => RefusalCode::NotYetValid,
+        CertError::Expired { .. } => RefusalCode::Expired,
+        CertError::WrongName { .. } => RefusalCode::WrongName,
+        CertError::WrongEntity { .. } => RefusalCode::WrongEntity,
+        CertError::WrongSwitch { .. } => RefusalCode::WrongSwitch,
+        CertError::ReplayedSerial { .. } | CertError::RolledBack { .. } => RefusalCode::ReplayedSerial,
+        CertError::Revoked { .. } => RefusalCode::Revoked,
+        CertError::NotDelegated { .. }
+        | CertError::BeforeDelegation { .. }
+        | CertError::NotAMember { .. }
+        | CertError::ByInvitation { .. }
+        | CertError::WrongRole { .. }
+        | CertError::WrongDomain { .. } => RefusalCode::NotEntitled,
+        CertError::Malformed(_) | CertError::WrongOperation { .. } | CertError::Crypto(_) => RefusalCode::Malformed,
+    };
+    Refusal::new(code, error.to_string())
+}

@@ -1,0 +1,469 @@
+//! Who publishes, serves, reads and calls each name, with the certificates that prove it, and which switches need a route
+//! for it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp_core::cert::{Advert, Revocation, Signed};
+use gdp_core::name::{NamePrefix, NameProof};
+use gdp_proto::control::{Credential, NameRole, Record, RecordPlace, Refusal, RefusalCode, Response, Route};
+use gdp_wire::Name;
+
+use super::telling::Stake;
+use super::topic::{Registrations, Topic, distinct};
+use super::ways::{At, Map, Realm};
+use super::{Limits, limit_reached};
+
+/// A name by which maps are ordered as its hex digits are.
+pub(super) type Key = [u8; 32];
+
+/// Bytes of records in one message; what is left of 64 KiB is for what encloses them.
+pub(super) const RECORDS_SIZE: usize = 56 * 1024;
+
+/// What an encoded record has besides credential and statement: two proofs, two names, field names.
+const RECORD_OVERHEAD: usize = 512;
+
+/// Behind all switches of an entity.
+pub(super) const LAST: Name = Name::from_bytes([0xff; 32]);
+
+/// One entity's part in a name, at one switch.
+#[derive(Clone, Debug)]
+pub(super) struct Registration {
+    pub by: Arc<Party>,
+    /// Of another domain, if the entity is abroad.
+    pub switch: Name,
+    pub abroad: Option<Box<Remote>>,
+    pub role: NameRole,
+    pub credential: Credential,
+    pub advert: Signed<Advert>,
+    /// Of the statement.
+    pub serial: u64,
+    /// Domains besides the one that it is stated in, that may know it; of those that read or call always empty.
+    pub scope: Arc<[Name]>,
+    /// What is stated at other switches stands besides; and this one sends it on each link of the entity.
+    pub everywhere: bool,
+    pub ends: Duration,
+    /// Ends with the attachment of its entity; the entity is told of its counterparts, and can be reached by them. One from abroad can
+    /// be reached; what it is told is for the RIB there.
+    pub bound: bool,
+    /// The generation that the entity holds of what it is told of the name through this switch, while there is nothing more to tell: no
+    /// [stream](super::telling) is kept for it then. 0: there is one, or it is told elsewhere.
+    pub told: u64,
+}
+
+/// An entity, as it shows itself in its statements: most of them share one.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Party {
+    pub name: Name,
+    pub proof: NameProof,
+    pub box_key: [u8; 33],
+}
+
+/// Nothing is allocated for an empty scope, as most are.
+pub(super) fn shared(scope: Vec<Name>) -> Arc<[Name]> {
+    if scope.is_empty() { Arc::default() } else { scope.into() }
+}
+
+/// What is known of a registration besides, if another RIB told of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Remote {
+    pub realm: Realm,
+    /// As in [`super::Foreign`].
+    pub hops: u32,
+    pub local: bool,
+}
+
+/// All about a registration that says with whom it may exchange messages.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Kind {
+    realm: Option<Realm>,
+    /// Entities of this domain may know it.
+    local: bool,
+    scope: Arc<[Name]>,
+}
+
+impl Kind {
+    /// Whether a writer of this kind and a reader of `other` kind are counterparts here: as far as the writer's scope goes, and not if
+    /// their messages reach each other without passing here.
+    fn meets(&self, other: &Self) -> bool {
+        match (self.realm, other.realm) {
+            (None, None) => true,
+            (Some(_), None) => self.local,
+            (None, Some(realm)) => other.local && self.scope.contains(&realm.domain),
+            (Some(from), Some(to)) => {
+                from.domain != to.domain && from.next != to.next && self.scope.contains(&to.domain)
+            }
+        }
+    }
+}
+
+impl Registration {
+    pub fn at(&self) -> At {
+        self.abroad.as_ref().map_or(At::Here(self.switch), |abroad| At::Abroad(abroad.realm))
+    }
+
+    /// Whether the entity is in this domain.
+    pub fn is_here(&self) -> bool {
+        self.abroad.is_none()
+    }
+
+    /// By entity and switch.
+    pub fn place(&self) -> (Name, Name) {
+        (self.by.name, self.switch)
+    }
+
+    /// Whether all certificates in its credential still count.
+    pub fn stands_after(&self, revocation: &Revocation) -> bool {
+        let check = |(what, serial): (_, u64)| revocation.check(what, serial).is_ok();
+        self.credential.serials().is_ok_and(|serials| serials.into_iter().all(check))
+    }
+
+    pub fn kind(&self) -> Kind {
+        let (realm, local) = self.abroad.as_ref().map_or((None, true), |abroad| (Some(abroad.realm), abroad.local));
+        Kind { realm, local, scope: self.scope.clone() }
+    }
+
+    /// Whether two with opposite roles exchange messages.
+    pub fn meets(&self, other: &Self) -> bool {
+        meets(self.role, &self.kind(), &other.kind())
+    }
+
+    pub fn size(&self) -> usize {
+        RECORD_OVERHEAD + self.credential.size() + self.advert.as_bytes().len()
+    }
+
+    pub fn record(&self, now: Duration, name: Name, proof: NameProof) -> Record {
+        Record {
+            name,
+            proof,
+            entity: self.by.proof,
+            switch: self.switch,
+            credential: self.credential.clone(),
+            advert: self.advert.clone(),
+            expires_in: self.ends.saturating_sub(now).as_secs(),
+        }
+    }
+
+    /// Whether a counterpart that knows `other` need not be told of this one. Who calls a service wants to know where its servers are.
+    pub fn tells_the_same(&self, other: &Self) -> bool {
+        let is_as_near = self.role != NameRole::Server || self.switch == other.switch;
+        self.credential == other.credential
+            && self.by.box_key == other.by.box_key
+            && self.kind() == other.kind()
+            && is_as_near
+    }
+}
+
+/// Whether one of this role and kind exchanges messages with one of the opposite role and kind `other`.
+pub(super) fn meets(role: NameRole, kind: &Kind, other: &Kind) -> bool {
+    if role.is_writer() { kind.meets(other) } else { other.meets(kind) }
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Names {
+    all: BTreeMap<Key, Box<Topic>>,
+    /// Those of them that are [unserved](Topic::is_unserved).
+    unserved: BTreeSet<Key>,
+}
+
+impl Names {
+    pub fn len(&self) -> usize {
+        self.all.len()
+    }
+
+    /// How many there are that somebody takes and nobody sends to, and those; none of the others is looked at.
+    pub fn unserved(&self) -> (usize, impl Iterator<Item = Name>) {
+        (self.unserved.len(), self.unserved.iter().copied().map(Name::from_bytes))
+    }
+
+    /// Whether one more registration is allowed.
+    ///
+    /// A name is published or served, not both: it is of a topic or of a service.
+    pub fn check_room(&self, name: &Name, entity: &Name, new: &Registration, limits: &Limits) -> Result<(), Refusal> {
+        let Some(topic) = self.all.get(name.as_bytes()) else {
+            let limit = limits.names;
+            return if self.all.len() < limit {
+                Ok(())
+            } else {
+                Err(limit_reached(format!("{limit} names are known")))
+            };
+        };
+        let part = topic.part(new.role);
+        if !new.role.is_writer() {
+            let limit = limits.readers_per_switch;
+            if part.count_at(&new.at()) >= limit && part.get(entity, &new.switch).is_none() {
+                let place = match new.at() {
+                    At::Here(switch) => format!("at switch {switch}"),
+                    At::Abroad(realm) => format!("in domain {}", realm.domain),
+                };
+                return Err(limit_reached(format!("{name} has {limit} {}s {place}", new.role)));
+            }
+            return Ok(());
+        }
+        let (limit, other) = (
+            limits.writers_per_name,
+            if new.role == NameRole::Server { NameRole::Publisher } else { NameRole::Server },
+        );
+        if !topic.part(other).is_empty() {
+            let reason = format!("{name} has a {other} already, and cannot have a {} too: use another name", new.role);
+            return Err(Refusal::new(RefusalCode::Unsupported, reason));
+        }
+        if part.of(entity).next().is_none() && part.entities().count() >= limit {
+            return Err(limit_reached(format!("{name} has {limit} {}s", new.role)));
+        }
+        Ok(())
+    }
+
+    /// Stores what [`Self::check_room`] allowed. Returns what it replaces.
+    pub fn insert(&mut self, name: Name, proof: NameProof, new: Registration) -> Option<Registration> {
+        let topic = self.all.entry(name.to_bytes()).or_insert_with(|| Topic::new(proof).into());
+        let replaced = topic.insert(new);
+        note_unserved(&mut self.unserved, name.to_bytes(), topic);
+        replaced
+    }
+
+    pub fn remove(&mut self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<Registration> {
+        let topic = self.all.get_mut(name)?;
+        let removed = topic.remove(entity, role, switch);
+        note_unserved(&mut self.unserved, *name, topic);
+        removed
+    }
+
+    /// Drops a name that nobody has any part in. If it did: when that was to be [looked at](Self::look).
+    pub fn sweep(&mut self, name: &Key) -> Option<Duration> {
+        self.all.get(name).filter(|topic| topic.parts().next().is_none())?;
+        self.all.remove(name).map(|topic| topic.look_at)
+    }
+
+    /// A part in the name ends then: has it looked at then at the latest. Returns when that was to be before, if that was later.
+    pub fn look_by(&mut self, name: &Key, ends: Duration) -> Option<Duration> {
+        let topic = self.all.get_mut(name).filter(|topic| ends < topic.look_at)?;
+        Some(std::mem::replace(&mut topic.look_at, ends))
+    }
+
+    /// The parts in the name that are over, and when the next one is. It is not to be looked at again before [somebody
+    /// asks](Self::look_by) for it.
+    pub fn look(&mut self, name: &Key, now: Duration) -> (Vec<(Stake, Name)>, Option<Duration>) {
+        let Some(topic) = self.all.get_mut(name) else { return (Vec::new(), None) };
+        topic.look_at = Duration::MAX;
+        let all = || topic.parts().flat_map(Registrations::iter);
+        let over = all().filter(|(_, registration)| registration.ends <= now);
+        let over = over.map(|((entity, switch), r)| (Stake { name: *name, entity, role: r.role }, switch)).collect();
+        (over, all().map(|(_, registration)| registration.ends).filter(|ends| *ends > now).min())
+    }
+
+    /// An entity holds this of what it is told of a name, and there is nothing more to tell.
+    pub fn note_told(&mut self, stake: &Stake, switch: &Name, held: u64) {
+        let topic = self.all.get_mut(&stake.name);
+        if let Some(registration) = topic.and_then(|topic| topic.get_mut(&stake.entity, stake.role, switch)) {
+            registration.told = held;
+        }
+    }
+
+    /// What was [noted](Self::note_told) last, and through which switch.
+    pub fn told(&self, stake: &Stake) -> Option<(Name, u64)> {
+        let all = self.all_of(&stake.name, &stake.entity, stake.role);
+        let last = all.filter(|registration| registration.told > 0).max_by_key(|registration| registration.told)?;
+        Some((last.switch, last.told))
+    }
+
+    pub fn contains(&self, name: &Key) -> bool {
+        self.all.contains_key(name)
+    }
+
+    /// What an entity has stated, wherever: what its counterparts are told of.
+    pub fn get(&self, name: &Key, entity: &Name, role: NameRole) -> Option<&Registration> {
+        self.all.get(name)?.part(role).of(entity).max_by_key(|registration| registration.ends)
+    }
+
+    pub fn get_at(&self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<&Registration> {
+        self.all.get(name)?.part(role).get(entity, switch)
+    }
+
+    /// All that an entity has stated of this, here and abroad.
+    pub fn all_of(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = &Registration> {
+        self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).of(entity))
+    }
+
+    /// Whether all that an entity has stated of this says the same as `other`, and it has stated any.
+    pub fn tell_the_same(&self, name: &Key, entity: &Name, role: NameRole, other: &Registration) -> bool {
+        let mut all = self.all_of(name, entity, role).peekable();
+        all.peek().is_some() && all.all(|registration| registration.tells_the_same(other))
+    }
+
+    /// How the name is derived.
+    pub fn proof(&self, name: &Key) -> Option<NameProof> {
+        self.all.get(name).map(|topic| topic.proof)
+    }
+
+    /// The switches of this domain at which an entity has stated this.
+    pub fn switches_of(&self, name: &Key, entity: &Name, role: NameRole) -> Vec<Name> {
+        let here = self.all_of(name, entity, role).filter(|registration| registration.is_here());
+        here.map(|registration| registration.switch).collect()
+    }
+
+    /// What there is to tell one who has this part in a name of a counterpart there, if it is any.
+    pub fn record_for(&self, now: Duration, stake: &Stake, counterpart: &Name) -> Option<Record> {
+        let Stake { name, entity, role } = stake;
+        let topic = self.all.get(name)?;
+        let own = topic.part(*role).of(entity).filter(|own| own.is_here()).max_by_key(|own| own.ends)?;
+        let of = self.all_of(name, counterpart, role.counterpart()).filter(|other| own.meets(other));
+        Some(of.max_by_key(|other| other.ends)?.record(now, Name::from_bytes(*name), topic.proof))
+    }
+
+    pub fn record_at(&self, now: Duration, place: &RecordPlace) -> Option<(Record, &Registration)> {
+        let topic = self.all.get(place.name.as_bytes())?;
+        let registration = topic.part(place.role).get(&place.entity, &place.switch)?;
+        Some((registration.record(now, place.name, topic.proof), registration))
+    }
+
+    pub fn has(&self, name: &Key, entity: &Name) -> bool {
+        self.all.get(name).is_some_and(|topic| topic.parts().any(|part| part.of(entity).next().is_some()))
+    }
+
+    /// Switches that a route for the name is for.
+    pub fn routed(&self, name: &Key, map: Map) -> BTreeSet<Name> {
+        let topic = self.all.get(name).filter(|topic| topic.is_routed());
+        topic.map_or_else(BTreeSet::new, |topic| topic.switches(map))
+    }
+
+    /// Those with this role in a name that can be reached, with what they stated; an entity as often as it has stated it.
+    pub fn bound(&self, name: &Key, role: NameRole) -> impl Iterator<Item = (Name, &Registration)> {
+        let all = self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).iter());
+        all.filter(|(_, registration)| registration.bound).map(|((entity, _), registration)| (entity, registration))
+    }
+
+    /// The switches of this domain at which one entity is so.
+    pub fn bound_at(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = Name> {
+        let here = self.all_of(name, entity, role).filter(|r| r.bound && r.is_here());
+        here.map(|registration| registration.switch)
+    }
+
+    /// All that have a part in the name, each once for each of its roles.
+    pub fn entities(&self, name: &Key) -> impl Iterator<Item = Name> {
+        self.all.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::entities))
+    }
+
+    /// The places of all parts in a name.
+    pub fn places(&self, name: Name) -> impl Iterator<Item = RecordPlace> {
+        self.all.get(name.as_bytes()).into_iter().flat_map(move |topic| topic.places(name))
+    }
+
+    /// The places of all parts in all names.
+    pub fn all_places(&self) -> impl Iterator<Item = RecordPlace> {
+        self.all.iter().flat_map(|(key, topic)| topic.places(Name::from_bytes(*key)))
+    }
+
+    /// Those with this role behind `after`.
+    pub fn behind_entity(&self, name: &Key, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
+        let after = after.map(|after| (after, LAST));
+        let all = self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).behind(after));
+        distinct(all.map(|(place, _)| place))
+    }
+
+    /// Those of an entity's registrations that end with its attachment to a switch.
+    pub fn bound_of(&self, entity: &Name, switch: &Name, names: &BTreeSet<Key>) -> Vec<(Key, NameRole)> {
+        let each = names.iter().flat_map(|name| NameRole::ALL.map(|role| (*name, role)));
+        each.filter(|(name, role)| self.get_at(name, entity, *role, switch).is_some_and(|r| r.bound)).collect()
+    }
+
+    /// All registrations through one switch of this domain.
+    pub fn registered_at(&self, switch: &Name) -> Vec<(Key, Name, NameRole)> {
+        let mut found = Vec::new();
+        for (name, topic) in &self.all {
+            for role in NameRole::ALL {
+                found.extend(topic.part(role).at(&At::Here(*switch)).map(|(entity, _)| (*name, entity, role)));
+            }
+        }
+        found
+    }
+
+    /// The registrations of a name that do not hold any more: of whom, as what, at which switch.
+    pub fn revoked(&self, name: &Key, revocation: &Revocation) -> Vec<(Name, NameRole, Name)> {
+        let all = self.all.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::iter));
+        all.filter(|(_, r)| !r.stands_after(revocation)).map(|((entity, switch), r)| (entity, r.role, switch)).collect()
+    }
+
+    /// Those whose credential rests on a membership that this revocation of a domain takes back, each with its switch.
+    pub fn expelled(&self, of_domain: &Revocation) -> Vec<(Stake, Name)> {
+        let newest = |domain: &Name| (*domain == of_domain.name).then_some(of_domain);
+        let all = self.all.iter().flat_map(|(name, topic)| {
+            let parts = topic.parts().flat_map(Registrations::iter);
+            parts.map(|((entity, switch), r)| (Stake { name: *name, entity, role: r.role }, switch, r))
+        });
+        let gone = all.filter(|(.., r)| r.credential.check_member(newest).is_err());
+        gone.map(|(stake, switch, _)| (stake, switch)).collect()
+    }
+
+    /// The switches whose route changes because registrations of the name `at` these switches did, or ways over them.
+    pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
+        match self.all.get_mut(name) {
+            Some(topic) => topic.reroute(name, at, map),
+            None => at,
+        }
+    }
+
+    /// The route of a name at one switch, if it needs any.
+    pub fn route(&self, name: &Key, switch: &Name, map: Map) -> Option<Route> {
+        self.all.get(name)?.route(name, switch, map)
+    }
+
+    /// The records of the names that begin so and lie behind `after`, as far as one message holds them, and entities of this domain may
+    /// know them.
+    pub fn query(&self, now: Duration, prefix: &NamePrefix, after: Option<&RecordPlace>) -> Response {
+        let padded: Option<Name> = format!("{:0<64}", prefix.as_str()).parse().ok();
+        let begin = padded.unwrap_or_default();
+        let matching = self.behind(after, begin).take_while(|(name, ..)| prefix.matches(name));
+        let matching =
+            matching.filter(|(.., registration)| registration.abroad.as_ref().is_none_or(|abroad| abroad.local));
+        let mut room = RECORDS_SIZE;
+        let mut records = Vec::new();
+        for (name, topic, registration) in matching {
+            match room.checked_sub(registration.size()) {
+                Some(rest) => room = rest,
+                None => return Response::Records { records, truncated: true },
+            }
+            records.push(registration.record(now, name, topic.proof));
+        }
+        Response::Records { records, truncated: false }
+    }
+
+    /// At most `limit` records behind `after`, and whether there are more.
+    pub fn records(&self, now: Duration, after: Option<&RecordPlace>, limit: usize) -> (Vec<Record>, bool) {
+        let mut rest = self.behind(after, Name::default());
+        let records = rest.by_ref().take(limit);
+        let records = records.map(|(name, topic, registration)| registration.record(now, name, topic.proof)).collect();
+        (records, rest.next().is_some())
+    }
+
+    /// All registrations of names from `begin` on and behind `after`, in the order of their places.
+    fn behind<'a>(
+        &'a self,
+        after: Option<&RecordPlace>,
+        begin: Name,
+    ) -> impl Iterator<Item = (Name, &'a Topic, &'a Registration)> {
+        let after = after.copied();
+        let from = after.map_or(begin, |after| after.name.max(begin)).to_bytes();
+        self.all.range(from..).flat_map(move |(key, topic)| {
+            let name = Name::from_bytes(*key);
+            let after = after.filter(|after| after.name == name);
+            NameRole::ALL.into_iter().flat_map(move |role| {
+                let first = match after {
+                    Some(after) if role < after.role => None,
+                    Some(after) if role == after.role => Some(Some((after.entity, after.switch))),
+                    _ => Some(None),
+                };
+                let listed = first.map(|first| topic.part(role).behind(first));
+                listed.into_iter().flatten().map(move |(_, registration)| (name, &**topic, registration))
+            })
+        })
+    }
+}
+
+fn note_unserved(unserved: &mut BTreeSet<Key>, name: Key, topic: &Topic) {
+    match topic.is_unserved() {
+        true => unserved.insert(name),
+        false => unserved.remove(&name),
+    };
+}

@@ -1,0 +1,91 @@
+//! Takes in an owner's revocation: what no longer holds goes at once, and all that have a part in the name are told. Nobody but
+//! the owner can make one, so it does not matter who brings it.
+
+use gdp_core::cert::{CertError, Revocation, Signed};
+use gdp_core::name::NameProof;
+use gdp_core::revocations::{Kept, Origin};
+use gdp_proto::control::{NameRole, Refusal, Response};
+use gdp_wire::Name;
+
+use super::telling::Stake;
+use super::{Now, Rib, refusal};
+
+impl Rib {
+    pub(super) fn revoke(
+        &mut self,
+        now: Now,
+        origin: Origin,
+        proof: &NameProof,
+        signed: &Signed<Revocation>,
+    ) -> Result<Response, Refusal> {
+        let wrong = |error| refusal(CertError::Crypto(error));
+        let name = proof.name().map_err(wrong)?;
+        let claims = signed.verify(&proof.verify_key().map_err(wrong)?, now.unix).map_err(refusal)?;
+        if claims.name != name {
+            return Err(refusal(CertError::WrongName { expected: name, got: claims.name }));
+        }
+        let (key, held) = (name.to_bytes(), self.revocations.claims(name.as_bytes()));
+        claims.check_replaces(held).map_err(refusal)?;
+        if held == Some(&claims) {
+            return Ok(Response::Done);
+        }
+        let revoked = self.names.revoked(&key, &claims);
+        let kept = Kept { proof: *proof, revocation: signed.clone(), origin: Some(origin) };
+        self.revocations.put(key, kept, claims, self.names.contains(&key), &self.limits);
+        for (entity, role, switch) in revoked {
+            self.end_revoked(now, Stake { name: key, entity, role }, switch);
+        }
+        for role in NameRole::ALL {
+            for (entity, _) in self.names.bound(&key, role) {
+                self.telling.revocation_changed(&self.names, Stake { name: key, entity, role });
+            }
+        }
+        Ok(Response::Done)
+    }
+
+    /// Somebody has no part in a name any more, and is told so.
+    fn end_revoked(&mut self, now: Now, stake: Stake, switch: Name) {
+        let Stake { name, entity, role } = stake;
+        let is_told = self.names.get_at(&name, &entity, role, &switch).is_some_and(|r| r.bound && r.is_here());
+        self.end(now, stake, switch);
+        // Through the last of its switches.
+        if is_told && self.names.get(&name, &entity, role).is_none() {
+            self.telling.farewell(stake, switch);
+        }
+    }
+
+    /// Takes in what a domain has taken back, which was verified: by a grant to a role, only those read that have it still.
+    pub fn domain_revoked(&mut self, now: Now, claims: &Revocation) {
+        self.tick(now);
+        self.domains.insert(claims.name, claims.clone());
+        for (stake, switch) in self.names.expelled(claims) {
+            self.end_revoked(now, stake, switch);
+        }
+    }
+
+    /// Takes in what the RIB of the neighbouring domain `next` told.
+    pub fn revoke_abroad(&mut self, now: Now, next: Name, told: &Kept) -> Result<(), Refusal> {
+        self.tick(now);
+        self.revoke(now, Origin { through: next, by_tool: false }, &told.proof, &told.revocation).map(drop)
+    }
+
+    /// Takes in what an earlier RIB kept, verified again, as [`Self::kept_revocations`] has it.
+    pub fn recall(&mut self, kept: Vec<(Kept, Revocation)>) {
+        for (kept, claims) in kept.into_iter().rev() {
+            let key = claims.name.to_bytes();
+            if claims.check_replaces(self.revocations.claims(&key)).is_ok() {
+                self.revocations.put(key, kept, claims, false, &self.limits);
+            }
+        }
+    }
+
+    /// Rises whenever a revocation is taken in that is to be kept.
+    pub fn revocations_taken(&self) -> u64 {
+        self.revocations.changes()
+    }
+
+    /// All that a RIB after this one is to know, those first that count most.
+    pub fn kept_revocations(&self) -> Vec<Kept> {
+        self.revocations.all()
+    }
+}

@@ -1,0 +1,498 @@
+//! What entities state: that they are attached, what they are to which names. Verified here, stored, and followed up: routes
+//! for the names, routes between counterparts, and who is to be told.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use gdp_core::cert::{
+    Advert, CertError, Signed, Speaker, authorise_advertise, authorise_subscribe, authorise_withdraw,
+};
+use gdp_core::name::NameProof;
+use gdp_core::peer::MAX_LANES;
+use gdp_proto::control::{Credential, EntityRequest, NameRole, RecordPlace, Refusal, RefusalCode, Response, Route};
+use gdp_wire::Name;
+
+use super::entities::Attachment;
+use super::inboxes::Place;
+use super::names::{Key, Registration, shared};
+use super::telling::{Source, Stake};
+use super::ways::{At, Map};
+use super::{Now, Rib, Timer, limit_reached, refusal};
+
+/// Between two looks at which parts in a name are over: of a name that very many read, some always are.
+const BETWEEN_ENDS: Duration = Duration::from_secs(1);
+
+/// A statement that is verified, with what it rests on.
+struct Verified {
+    name: NameProof,
+    credential: Credential,
+    signed: Signed<Advert>,
+    advert: Advert,
+    everywhere: bool,
+    scope: Vec<Name>,
+    not_after: u64,
+}
+
+impl Rib {
+    pub(super) fn entity_request(
+        &mut self,
+        now: Now,
+        origin: Name,
+        entity: Option<&NameProof>,
+        by_tool: bool,
+        request: &EntityRequest,
+    ) -> Result<Response, Refusal> {
+        self.check_reported(origin)?;
+        let proof = entity.ok_or_else(|| {
+            Refusal::new(RefusalCode::Malformed, "only queries and revocations may be anonymous: show the entity's key")
+        })?;
+        let speaker = self.speaker(now, origin, proof)?;
+        let here = self.entities.is_attached_at(&speaker.entity, &origin);
+        if !here && !by_tool && !matches!(request, EntityRequest::Attach { .. }) {
+            let reason = format!("{} is not attached to switch {origin}; attach first", speaker.entity);
+            return Err(Refusal::new(RefusalCode::NotAttached, reason));
+        }
+        match request {
+            EntityRequest::Attach { rt_cert, resumes, lane } => {
+                let cert = rt_cert.verify(&speaker.entity_key, now.unix).map_err(refusal)?;
+                if cert.entity != speaker.entity {
+                    return Err(refusal(CertError::WrongEntity { expected: speaker.entity, got: cert.entity }));
+                }
+                if cert.switch != origin {
+                    return Err(refusal(CertError::WrongSwitch { expected: origin, got: cert.switch }));
+                }
+                if usize::from(*lane) >= MAX_LANES {
+                    return Err(limit_reached(format!("an entity has {MAX_LANES} links, not one of number {lane}")));
+                }
+                if !by_tool {
+                    let ends = now.clock.saturating_add(Duration::from_secs(cert.not_after - now.unix));
+                    self.attach(&speaker, *lane, ends, *resumes)?;
+                }
+                Ok(Response::Attached { serial: speaker.floor })
+            }
+            EntityRequest::Advertise { proof: name, ad_cert, advert, everywhere } => {
+                let revocation = name.name().ok().and_then(|name| self.revocations.claims(name.as_bytes()));
+                let authorised = authorise_advertise(&speaker, name, ad_cert, advert, revocation);
+                let (cert, statement) = authorised.map_err(refusal)?;
+                let verified = Verified {
+                    name: *name,
+                    credential: Credential::Writer(ad_cert.clone()),
+                    signed: advert.clone(),
+                    advert: statement,
+                    everywhere: *everywhere,
+                    scope: cert.scope,
+                    not_after: cert.not_after,
+                };
+                self.state(now, &speaker, *proof, by_tool, verified)
+            }
+            EntityRequest::Subscribe { proof: name, grant, advert, everywhere } => {
+                let revocation = name.name().ok().and_then(|name| self.revocations.claims(name.as_bytes()));
+                let authorised = authorise_subscribe(&speaker, name, grant, advert, revocation);
+                let (cert, statement) = authorised.map_err(refusal)?;
+                grant.check_member(|domain| self.domains.get(domain)).map_err(refusal)?;
+                let verified = Verified {
+                    name: *name,
+                    credential: Credential::Reader(grant.clone()),
+                    signed: advert.clone(),
+                    advert: statement,
+                    everywhere: *everywhere,
+                    scope: Vec::new(),
+                    not_after: cert.not_after,
+                };
+                self.state(now, &speaker, *proof, by_tool, verified)
+            }
+            EntityRequest::Withdraw { advert } => {
+                let statement = authorise_withdraw(&speaker, advert).map_err(refusal)?;
+                let key = statement.name.to_bytes();
+                if !self.names.has(&key, &speaker.entity) {
+                    let reason = format!("{} neither writes nor reads {}", speaker.entity, statement.name);
+                    return Err(Refusal::new(RefusalCode::NotFound, reason));
+                }
+                self.spend(now, &speaker, statement.serial)?;
+                for role in NameRole::ALL {
+                    let stake = Stake { name: key, entity: speaker.entity, role };
+                    let switches = self.names.switches_of(&key, &speaker.entity, role);
+                    switches.into_iter().for_each(|switch| self.unregister(stake, switch));
+                }
+                Ok(Response::Done)
+            }
+            EntityRequest::KeyBoxes { boxes } => self.key_boxes(now, &speaker, boxes),
+            EntityRequest::Query { .. } | EntityRequest::Revoke { .. } => {
+                Err(Refusal::new(RefusalCode::Malformed, "not a request of an entity"))
+            }
+        }
+    }
+
+    /// Takes in a verified statement. Answers with the counterparts.
+    fn state(
+        &mut self,
+        now: Now,
+        speaker: &Speaker,
+        proof: NameProof,
+        by_tool: bool,
+        verified: Verified,
+    ) -> Result<Response, Refusal> {
+        let Verified { name: name_proof, credential, signed, advert, everywhere, scope, not_after } = verified;
+        self.spend(now, speaker, advert.serial)?;
+        let ends = lifetime(now, advert.lifetime, not_after);
+        let role = NameRole::of(advert.op)
+            .ok_or_else(|| Refusal::new(RefusalCode::Malformed, "a withdrawal states nothing about a name"));
+        let registered = ends.and_then(|ends| {
+            let (name, switch, box_key, bound) = (advert.name, speaker.switch, advert.box_key, !by_tool);
+            let (role, entity) = (role?, speaker.entity);
+            let registration = Registration {
+                by: self.entities.party(entity, proof, box_key),
+                switch,
+                abroad: None,
+                role,
+                credential,
+                advert: signed,
+                serial: advert.serial,
+                scope: shared(scope),
+                everywhere,
+                ends,
+                bound,
+                told: 0,
+            };
+            let stake = Stake { name: name.to_bytes(), entity, role };
+            self.register(stake, name_proof, registration).map(|()| stake)
+        });
+        let stake = registered.inspect_err(|_| self.entities.retire(&speaker.entity))?;
+        if !everywhere {
+            let mut others = self.names.switches_of(&stake.name, &stake.entity, stake.role);
+            others.retain(|switch| *switch != speaker.switch);
+            others.into_iter().for_each(|switch| self.unregister(stake, switch));
+        }
+        let other = self.told_elsewhere(stake, &speaker.switch);
+        let (run, names, boxes, revocations) = (self.run.id, &self.names, &self.boxes, &self.revocations);
+        let settling = now.clock < self.run.settling;
+        let source = Source { run, settling, now: now.clock, names, boxes, revocations };
+        if by_tool {
+            return Ok(Response::Peers(self.telling.once(stake, speaker.switch, source)));
+        }
+        let (peers, held) = self.telling.begin(stake, speaker.switch, other.is_none(), source);
+        if let Some(held) = held {
+            self.names.note_told(&stake, &speaker.switch, held);
+        }
+        Ok(Response::Peers(peers))
+    }
+
+    pub(super) fn speaker(&self, now: Now, switch: Name, proof: &NameProof) -> Result<Speaker, Refusal> {
+        let not_a_key = |error| refusal(CertError::Crypto(error));
+        let entity = proof.name().map_err(not_a_key)?;
+        let entity_key = proof.verify_key().map_err(not_a_key)?;
+        Ok(Speaker { entity, entity_key, switch, floor: self.entities.floor(&entity), now: now.unix })
+    }
+
+    fn spend(&mut self, now: Now, speaker: &Speaker, serial: u64) -> Result<(), Refusal> {
+        self.entities.spend(now, speaker.entity, speaker.switch, serial, self.limits.unattached_per_switch)
+    }
+
+    /// Each lane of an entity is attached to one switch. Attaching it again there only renews, if it resumes what was: a link
+    /// that does not come back is told of by a detach. Attaching it elsewhere ends what was, unless another lane is there; the old
+    /// switch is told, in case its link is still up: the entity must not believe that it is attached there. An entity that begins
+    /// anew has no other lanes.
+    fn attach(&mut self, speaker: &Speaker, lane: u8, ends: Duration, resumes: bool) -> Result<(), Refusal> {
+        let limit = self.limits.attached_per_switch;
+        let full = |s: &super::Switch| s.attached.len() >= limit && !s.attached.contains(&speaker.entity);
+        if self.switches.get(&speaker.switch).is_some_and(full) {
+            return Err(limit_reached(format!("switch {} has {limit} attached entities", speaker.switch)));
+        }
+        let entity = speaker.entity;
+        let earlier: Vec<_> = self.entities.attachments(&entity).collect();
+        for (of, old) in earlier {
+            if of == lane && old.switch == speaker.switch && resumes {
+                self.timers.remove(&(old.ends, Timer::Attachment { entity, lane }));
+            } else if of == lane || !resumes {
+                self.end_attachment(&entity, of);
+                if old.switch != speaker.switch && !self.entities.is_attached_at(&entity, &old.switch) {
+                    self.detached.insert((old.switch, entity));
+                }
+            }
+        }
+        let Some(switch) = self.switches.get_mut(&speaker.switch) else { return Ok(()) };
+        self.entities.attach(entity, lane, Attachment { switch: speaker.switch, ends });
+        switch.attached.insert(entity);
+        self.timers.insert((ends, Timer::Attachment { entity, lane }));
+        Ok(())
+    }
+
+    /// All its lanes there.
+    pub(super) fn end_attachments_at(&mut self, entity: &Name, switch: &Name) {
+        let here = self.entities.attachments(entity).filter(|(_, attachment)| attachment.switch == *switch);
+        let lanes: Vec<u8> = here.map(|(lane, _)| lane).collect();
+        lanes.into_iter().for_each(|lane| self.end_attachment(entity, lane));
+    }
+
+    /// With the last of its lanes at a switch, what an entity has stated there goes.
+    pub(super) fn end_attachment(&mut self, entity: &Name, lane: u8) {
+        let Some(Attachment { switch, ends }) = self.entities.take_attachment(entity, lane) else { return };
+        self.timers.remove(&(ends, Timer::Attachment { entity: *entity, lane }));
+        if !self.entities.is_attached_at(entity, &switch) {
+            if let Some(switch) = self.switches.get_mut(&switch) {
+                switch.attached.remove(entity);
+            }
+            for (name, role) in self.names.bound_of(entity, &switch, self.entities.names(entity)) {
+                self.unregister(Stake { name, entity: *entity, role }, switch);
+            }
+            self.tell_elsewhere(Stake::inbox(*entity), &switch);
+        }
+        self.entities.retire(entity);
+    }
+
+    /// An entity is no longer to be told of this through `switch`, but through another one, if it has stated it there.
+    fn tell_elsewhere(&mut self, stake: Stake, switch: &Name) {
+        let other = self.told_elsewhere(stake, switch);
+        self.telling.follow(&stake, switch, other);
+    }
+
+    /// Another switch through which an entity may be told of this.
+    pub(super) fn told_elsewhere(&self, stake: Stake, switch: &Name) -> Option<Name> {
+        if stake.is_inbox() {
+            let attachments = self.entities.attachments(&stake.entity);
+            return attachments.map(|(_, attachment)| attachment.switch).find(|other| other != switch);
+        }
+        self.names.bound_at(&stake.name, &stake.entity, stake.role).find(|other| other != switch)
+    }
+
+    pub(super) fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {
+        let Stake { name: key, entity, role } = stake;
+        let name = Name::from_bytes(key);
+        if name == entity {
+            let reason =
+                format!("{entity} is reached under its own name as it is, by its counterparts; use another name");
+            return Err(Refusal::new(RefusalCode::Unsupported, reason));
+        }
+        let names = self.entities.names(&entity);
+        if names.len() >= self.limits.names_per_entity && !names.contains(&key) {
+            return Err(limit_reached(format!("{entity} already has {} names", names.len())));
+        }
+        let (switch, everywhere, serial) = (new.switch, new.everywhere, new.serial);
+        self.store(stake, proof, new)?;
+        self.entities.add_name(&entity, key);
+        if !everywhere {
+            let mut others = self.names.switches_of(&key, &entity, role);
+            others.retain(|other| *other != switch);
+            others.into_iter().for_each(|switch| self.unregister(stake, switch));
+            self.forget_abroad(stake, serial);
+        }
+        Ok(())
+    }
+
+    /// Takes in a part in a name that is verified. Returns what its entity had stated there before.
+    pub(super) fn store(
+        &mut self,
+        stake: Stake,
+        proof: NameProof,
+        new: Registration,
+    ) -> Result<Option<Registration>, Refusal> {
+        let Stake { name: key, entity, role } = stake;
+        let (name, switch, at) = (Name::from_bytes(key), new.switch, new.at());
+        self.names.check_room(&name, &entity, &new, &self.limits)?;
+        if new.bound {
+            let counterparts: Vec<Place> = self.counterparts(&key, &new).collect();
+            self.inboxes.check_room(Place { entity, at }, &counterparts, &self.limits)?;
+        }
+        let (ends, bound, kind) = (new.ends, new.bound, new.kind());
+        let says_the_same = self.names.tell_the_same(&key, &entity, role, &new);
+        self.revocations.enter(&key, &self.limits);
+        let is_new_name = !self.names.contains(&key);
+        let is_stored = new.is_here();
+        self.abroad.enter(&new, key);
+        let old = self.names.insert(name, proof, new);
+        if is_stored {
+            self.journal.mark(stake.at(switch));
+        }
+        self.expect_end(key, ends);
+        let (mut places, mut told) = (vec![at], self.to_tell_of(stake, &switch));
+        if let Some(old) = &old {
+            self.abroad.leave(old, &key);
+            places.push(old.at());
+            told.extend(self.who_knew(stake, old));
+        }
+        // First those that are its counterparts now: those that stay so lose nothing.
+        let was = old.as_ref().filter(|old| old.bound);
+        if bound && was.is_none_or(|old| old.kind() != kind) {
+            self.join(stake, &switch);
+        }
+        if let Some(was) = was.filter(|was| !bound || was.kind() != kind) {
+            self.part(stake, was);
+        }
+        if was.is_some() && !bound {
+            self.tell_elsewhere(stake, &switch);
+        }
+        self.follow_up(key, &places);
+        if is_new_name {
+            self.reroute_inbox(&name);
+        }
+        if !says_the_same {
+            told.into_iter().for_each(|other| self.telling.record_changed(&self.names, other, entity));
+        }
+        self.abroad.changed(RecordPlace { name, role, entity, switch });
+        Ok(old)
+    }
+
+    /// A part in the name ends then.
+    fn expect_end(&mut self, name: Key, ends: Duration) {
+        if let Some(later) = self.names.look_by(&name, ends) {
+            self.timers.remove(&(later, Timer::Name(name)));
+            self.timers.insert((ends, Timer::Name(name)));
+        }
+    }
+
+    /// Ends what is over of the parts in a name.
+    pub(super) fn end_due(&mut self, now: Now, name: Key) {
+        let (over, next) = self.names.look(&name, now.clock);
+        over.into_iter().for_each(|(stake, switch)| self.end(now, stake, switch));
+        if let Some(next) = next {
+            self.expect_end(name, next.max(now.clock + BETWEEN_ENDS));
+        }
+    }
+
+    pub(super) fn unregister(&mut self, stake: Stake, switch: Name) {
+        let Stake { name, entity, role } = stake;
+        let Some(old) = self.names.remove(&name, &entity, role, &switch) else { return };
+        // What was told from abroad is told again.
+        if old.is_here() {
+            self.journal.mark(stake.at(switch));
+        }
+        let says_the_same = self.names.tell_the_same(&name, &entity, role, &old);
+        self.abroad.leave(&old, &name);
+        if old.bound {
+            self.tell_elsewhere(stake, &switch);
+            self.part(stake, &old);
+        }
+        if self.names.get(&name, &entity, NameRole::Publisher).is_none() {
+            self.boxes.forget(&name, &entity);
+        }
+        if !self.names.has(&name, &entity) {
+            self.entities.remove_name(&entity, &name);
+            self.entities.retire(&entity);
+        }
+        self.follow_up(name, &[old.at()]);
+        if !says_the_same {
+            let told = self.who_knew(stake, &old);
+            told.into_iter().for_each(|other| self.telling.record_changed(&self.names, other, entity));
+        }
+        self.abroad.changed(RecordPlace { name: Name::from_bytes(name), role, entity, switch });
+        if let Some(look) = self.names.sweep(&name) {
+            self.timers.remove(&(look, Timer::Name(name)));
+            self.reroute_inbox(&Name::from_bytes(name));
+            self.revocations.leave(&name, &self.limits);
+        }
+    }
+
+    /// Those that one with this part in a name exchanges messages with.
+    fn counterparts(&self, name: &Key, registration: &Registration) -> impl Iterator<Item = Place> {
+        let others = self.names.bound(name, registration.role.counterpart());
+        let others = others.filter(|(_, other)| registration.meets(other));
+        others.map(|(entity, other)| Place { entity, at: other.at() })
+    }
+
+    /// Lets an entity and its counterparts send to each other's inbox, because of what it stated at `switch`.
+    fn join(&mut self, stake: Stake, switch: &Name) {
+        let mut affected = BTreeSet::new();
+        let new = self.names.get_at(&stake.name, &stake.entity, stake.role, switch);
+        for (inbox, sender) in new.map_or_else(Vec::new, |new| self.pairs(stake, new)) {
+            let places = self.inboxes.allow(inbox, sender);
+            affected.extend(places.into_iter().map(|at| (inbox.entity, at)));
+        }
+        self.reroute_inboxes(affected);
+    }
+
+    /// The entity is no counterpart of these any more, as far as this statement goes.
+    fn part(&mut self, stake: Stake, old: &Registration) {
+        let mut affected = BTreeSet::new();
+        for (inbox, sender) in self.pairs(stake, old) {
+            let (places, ended) = self.inboxes.deny(inbox, sender);
+            if ended {
+                self.boxes.forget(inbox.entity.as_bytes(), &sender.entity);
+            }
+            affected.extend(places.into_iter().map(|at| (inbox.entity, at)));
+        }
+        self.reroute_inboxes(affected);
+    }
+
+    /// The inboxes that concern an entity with this part in a name, each with who sends there for it.
+    fn pairs(&self, stake: Stake, registration: &Registration) -> Vec<(Place, Place)> {
+        let place = Place { entity: stake.entity, at: registration.at() };
+        let others = self.counterparts(&stake.name, registration).filter(|other| other.entity != place.entity);
+        others.flat_map(|other| [(place, other), (other, place)]).collect()
+    }
+
+    /// Those to be told of what an entity has stated at `switch`.
+    fn to_tell_of(&self, stake: Stake, switch: &Name) -> Vec<Stake> {
+        let stated = self.names.get_at(&stake.name, &stake.entity, stake.role, switch);
+        stated.map_or_else(Vec::new, |stated| self.who_knew(stake, stated))
+    }
+
+    /// Those that were told of it. Those of other domains are for their own RIB to tell.
+    fn who_knew(&self, stake: Stake, stated: &Registration) -> Vec<Stake> {
+        let (name, role) = (stake.name, stake.role.counterpart());
+        let others = self.names.bound(&name, role).filter(|(_, other)| other.is_here());
+        let others = others.filter(|(_, other)| stated.meets(other));
+        others.map(|(entity, _)| Stake { name, entity, role }).collect()
+    }
+
+    /// Brings the desired FIBs in line with what is registered for one name, after a change at these places.
+    pub(super) fn follow_up(&mut self, name: Key, at: &[At]) {
+        let map = self.map();
+        let switches = at.iter().flat_map(|at| map.switches(at)).collect();
+        self.follow_up_at(name, switches);
+    }
+
+    /// The same for these switches.
+    pub(super) fn follow_up_at(&mut self, name: Key, at: BTreeSet<Name>) {
+        let map = Map { bits: &self.bits, ways: &self.ways };
+        let switches = self.names.reroute(&name, at, map);
+        self.reroute(name, switches);
+    }
+
+    pub(super) fn reroute_inbox(&mut self, entity: &Name) {
+        let switches = self.inboxes.routed(entity, self.map());
+        self.reroute(entity.to_bytes(), switches);
+    }
+
+    fn reroute_inboxes(&mut self, affected: BTreeSet<(Name, At)>) {
+        for (inbox, at) in affected {
+            let switches = self.map().switches(&at);
+            self.reroute(inbox.to_bytes(), switches);
+        }
+    }
+
+    /// A name that an entity advertises for another, as only its key can allow, is not an inbox for as long.
+    pub(super) fn reroute(&mut self, name: Key, switches: impl IntoIterator<Item = Name>) {
+        let is_stated = self.names.contains(&name);
+        for switch in switches {
+            let map = self.map();
+            let route = match is_stated {
+                true => self.stated_route(&name, &switch),
+                false => self.inboxes.route(&name, &switch, map),
+            };
+            if let Some(state) = self.switches.get_mut(&switch) {
+                state.fib.set(&Name::from_bytes(name), route);
+            }
+        }
+    }
+
+    /// Whoever has such a name may be abroad all the same, and send from there.
+    fn stated_route(&self, name: &Key, switch: &Name) -> Option<Route> {
+        let arrives_by = self.inboxes.arrives_by(name, switch, self.map());
+        let route = self.names.route(name, switch, self.map());
+        let none = || Route { name: Name::from_bytes(*name), ..Route::default() };
+        let route = route.or_else(|| (!arrives_by.is_empty()).then(none))?;
+        Some(Route { arrives_by, ..route })
+    }
+
+    pub(super) fn map(&self) -> Map<'_> {
+        Map { bits: &self.bits, ways: &self.ways }
+    }
+}
+
+pub(super) fn lifetime(now: Now, stated: u32, not_after: u64) -> Result<Duration, Refusal> {
+    if stated == 0 {
+        return Err(Refusal::new(RefusalCode::Malformed, "a statement with a lifetime of 0 s states nothing"));
+    }
+    let seconds = u64::from(stated).min((not_after - now.unix).max(1));
+    Ok(now.clock.saturating_add(Duration::from_secs(seconds)))
+}

@@ -1,0 +1,303 @@
+//! One name: those who have a part in it, and where it is therefore routed. What is registered and the [`Map`] go in, routes come
+//! out. Called by [`super::names`].
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use gdp_core::name::NameProof;
+use gdp_proto::control::{NameRole, RecordPlace, Route};
+use gdp_wire::Name;
+
+use super::names::{Key, Kind, Registration, meets};
+use super::ways::{At, Map, Realm};
+
+#[derive(Debug)]
+pub(super) struct Topic {
+    pub proof: NameProof,
+    /// By role; of most nobody has any.
+    parts: [Option<Box<Registrations>>; NameRole::ALL.len()],
+    /// As of the last [`Topic::reroute`]; none: nowhere.
+    spread: Option<Box<Spread>>,
+    /// When some part may be over: not after the first that is.
+    pub look_at: Duration,
+}
+
+/// Where frames to a name go.
+#[derive(Debug, Default, PartialEq, Eq)]
+struct Spread {
+    /// By the switches at which they come in: all that send, or where what is sent abroad may come in.
+    egress: BTreeMap<Name, u64>,
+    /// Those who send and those who take what is sent, if the name concerns other domains; within one all send to all.
+    met: Option<Box<[BTreeSet<Kind>; 2]>>,
+}
+
+static NOWHERE: Spread = Spread { egress: BTreeMap::new(), met: None };
+
+impl Spread {
+    /// Whether those of this kind send to anybody.
+    fn has_sender(&self, kind: impl FnOnce() -> Kind) -> bool {
+        self.met.as_deref().is_none_or(|[senders, _]| senders.contains(&kind()))
+    }
+
+    /// Whether anybody sends to those of this kind.
+    fn has_taker(&self, kind: impl FnOnce() -> Kind) -> bool {
+        self.met.as_deref().is_none_or(|[_, takers]| takers.contains(&kind()))
+    }
+}
+
+impl Topic {
+    pub fn new(proof: NameProof) -> Self {
+        Self { proof, parts: Default::default(), spread: None, look_at: Duration::MAX }
+    }
+
+    pub fn part(&self, role: NameRole) -> &Registrations {
+        static NONE: Registrations = Registrations { all: Vec::new(), by_place: Vec::new() };
+        self.parts[role as usize].as_deref().unwrap_or(&NONE)
+    }
+
+    pub fn get_mut(&mut self, entity: &Name, role: NameRole, switch: &Name) -> Option<&mut Registration> {
+        self.parts[role as usize].as_mut()?.get_mut(entity, switch)
+    }
+
+    pub fn insert(&mut self, new: Registration) -> Option<Registration> {
+        self.parts[new.role as usize].get_or_insert_default().insert(new)
+    }
+
+    pub fn remove(&mut self, entity: &Name, role: NameRole, switch: &Name) -> Option<Registration> {
+        let part = &mut self.parts[role as usize];
+        let removed = part.as_mut()?.remove(entity, switch);
+        part.take_if(|part| part.is_empty());
+        removed
+    }
+
+    /// Whether somebody takes the name, and nobody sends to it.
+    pub fn is_unserved(&self) -> bool {
+        let has = |roles: [NameRole; 2]| roles.iter().any(|role| !self.part(*role).is_empty());
+        has([NameRole::Subscriber, NameRole::Caller]) && !has([NameRole::Publisher, NameRole::Server])
+    }
+
+    pub fn parts(&self) -> impl Iterator<Item = &Registrations> {
+        self.parts.iter().flatten().map(Box::as_ref)
+    }
+
+    pub fn places(&self, name: Name) -> impl Iterator<Item = RecordPlace> {
+        let of = move |role| self.part(role).iter().map(move |((entity, switch), _)| (role, entity, switch));
+        let all = NameRole::ALL.into_iter().flat_map(of);
+        all.map(move |(role, entity, switch)| RecordPlace { name, role, entity, switch })
+    }
+
+    /// Whether somebody publishes the name and somebody reads it. A service is not routed: its servers and callers send to each other's
+    /// own names.
+    pub fn is_routed(&self) -> bool {
+        self.spread.is_some()
+    }
+
+    /// Where anybody has a part in the name, or is reached by.
+    pub fn switches(&self, map: Map) -> BTreeSet<Name> {
+        let here = self.parts().flat_map(Registrations::switches);
+        let borders = self.parts().flat_map(Registrations::realms).flat_map(|realm| map.ways.borders(&realm));
+        here.chain(borders).collect()
+    }
+
+    /// The switches whose route changes because registrations `at` these switches did, or ways over them.
+    ///
+    /// There are no routes unless somebody publishes the name and somebody reads it. One more taker at a switch concerns that
+    /// switch alone; the first or the last one there also those where frames come in.
+    pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
+        let spread = Some(self.spread(name, map)).filter(|spread| !spread.egress.is_empty());
+        let before = std::mem::replace(&mut self.spread, spread.map(Box::new));
+        let mut affected = at;
+        let (before, now) = (before.as_deref().unwrap_or(&NOWHERE), self.spread.as_deref().unwrap_or(&NOWHERE));
+        if before.egress.is_empty() != now.egress.is_empty() || before.met != now.met {
+            affected.extend(self.switches(map));
+        }
+        let changed = |(switch, bits): &(&Name, &u64)| now.egress.get(switch) != Some(bits);
+        affected.extend(before.egress.iter().filter(changed).map(|(switch, _)| *switch));
+        affected.extend(now.egress.keys().filter(|switch| !before.egress.contains_key(switch)));
+        affected
+    }
+
+    fn spread(&self, name: &Key, map: Map) -> Spread {
+        let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
+        if !senders.reach_abroad() && !takers.reach_abroad() {
+            let bits = takers.places().fold(0, |bits, at| bits | map.bits_to(name, &at));
+            let switches = senders.switches().filter(|_| bits != 0);
+            return Spread { egress: switches.map(|switch| (switch, bits)).collect(), met: None };
+        }
+        let mut bits: BTreeMap<Kind, u64> = BTreeMap::new();
+        takers.kinds().for_each(|(at, kind)| *bits.entry(kind).or_default() |= map.bits_to(name, &at));
+        bits.retain(|_, bits| *bits != 0);
+        let (mut egress, mut met) = (BTreeMap::new(), [BTreeSet::new(), BTreeSet::new()]);
+        for (at, kind) in senders.kinds() {
+            for (taker, bits) in bits.iter().filter(|(taker, _)| meets(NameRole::Publisher, &kind, taker)) {
+                for switch in map.switches(&at) {
+                    *egress.entry(switch).or_default() |= bits;
+                }
+                met[0].insert(kind.clone());
+                met[1].insert(taker.clone());
+            }
+        }
+        Spread { egress, met: Some(Box::new(met)) }
+    }
+
+    pub fn route(&self, name: &Key, switch: &Name, map: Map) -> Option<Route> {
+        let spread = self.spread.as_deref()?;
+        let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
+        let is_sender = |(_, registration): &(Name, &Registration)| spread.has_sender(|| registration.kind());
+        let is_taker = |(_, registration): &(Name, &Registration)| spread.has_taker(|| registration.kind());
+        let sent_from = |realm: &Realm| senders.at(&At::Abroad(*realm)).any(|registration| is_sender(&registration));
+        let taken_in = |realm: &Realm| takers.at(&At::Abroad(*realm)).any(|registration| is_taker(&registration));
+        let here = At::Here(*switch);
+        let mut writers: BTreeSet<Name> = senders.at(&here).filter(is_sender).map(|(entity, _)| entity).collect();
+        for realm in senders.realms().filter(sent_from) {
+            writers.extend(map.arrives_from(&realm, switch));
+        }
+        let here: BTreeMap<Name, &Registration> = takers.at(&here).filter(is_taker).collect();
+        let everywhere = here.iter().filter(|(_, taker)| taker.everywhere).map(|(entity, _)| *entity).collect();
+        let mut locals: BTreeSet<Name> = here.into_keys().collect();
+        let to_abroad = takers.realms().filter(taken_in);
+        locals.extend(to_abroad.filter_map(|realm| map.leaves_to(name, &realm, switch)));
+        if writers.is_empty() && locals.is_empty() {
+            return None;
+        }
+        let egress_bits = if writers.is_empty() { 0 } else { spread.egress.get(switch).copied().unwrap_or(0) };
+        let (locals, writers) = (locals.into_iter().collect(), writers.into_iter().collect());
+        Some(Route { name: Name::from_bytes(*name), egress_bits, locals, everywhere, writers, ..Route::default() })
+    }
+}
+
+/// Those who have one role in a name; an entity as often as it has stated it at different switches. Of most names there is one, of some
+/// there are thousands: of neither is more kept than is needed to find them.
+#[derive(Debug, Default)]
+pub(super) struct Registrations {
+    /// By entity and switch, in that order.
+    #[expect(clippy::vec_box, reason = "of thousands, half are moved by an insertion")]
+    all: Vec<Box<Registration>>,
+    /// Indices of those, in the order of where they are, and then of entities.
+    by_place: Vec<u32>,
+}
+
+impl Registrations {
+    pub fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
+    fn insert(&mut self, new: Registration) -> Option<Registration> {
+        let (place, at) = (new.place(), new.at());
+        let old = self.remove(&place.0, &place.1);
+        let index = self.all.partition_point(|held| held.place() < place);
+        insert(&mut self.all, index, Box::new(new));
+        let index = index as u32;
+        self.by_place.iter_mut().filter(|held| **held >= index).for_each(|held| *held += 1);
+        let rank = self.by_place.partition_point(|held| (self.place(*held), *held) < (at, index));
+        insert(&mut self.by_place, rank, index);
+        old
+    }
+
+    fn remove(&mut self, entity: &Name, switch: &Name) -> Option<Registration> {
+        let index = self.find(entity, switch)?;
+        let removed = index as u32;
+        self.by_place.retain(|held| *held != removed);
+        self.by_place.iter_mut().filter(|held| **held > removed).for_each(|held| *held -= 1);
+        Some(*self.all.remove(index))
+    }
+
+    fn find(&self, entity: &Name, switch: &Name) -> Option<usize> {
+        self.all.binary_search_by(|held| held.place().cmp(&(*entity, *switch))).ok()
+    }
+
+    fn place(&self, index: u32) -> At {
+        self.all[index as usize].at()
+    }
+
+    pub fn get(&self, entity: &Name, switch: &Name) -> Option<&Registration> {
+        self.find(entity, switch).map(|index| &*self.all[index])
+    }
+
+    fn get_mut(&mut self, entity: &Name, switch: &Name) -> Option<&mut Registration> {
+        self.find(entity, switch).map(|index| &mut *self.all[index])
+    }
+
+    /// By entity and switch.
+    pub fn iter(&self) -> impl Iterator<Item = ((Name, Name), &Registration)> {
+        self.all.iter().map(|registration| (registration.place(), &**registration))
+    }
+
+    /// Those behind a place, or all.
+    pub fn behind(&self, after: Option<(Name, Name)>) -> impl Iterator<Item = ((Name, Name), &Registration)> {
+        let first = after.map_or(0, |after| self.all.partition_point(|held| held.place() <= after));
+        self.all[first..].iter().map(|registration| (registration.place(), &**registration))
+    }
+
+    pub fn entities(&self) -> impl Iterator<Item = Name> {
+        distinct(self.iter().map(|(place, _)| place))
+    }
+
+    /// What an entity has stated, at each of its switches.
+    pub fn of(&self, entity: &Name) -> impl Iterator<Item = &Registration> {
+        let (first, entity) = (self.all.partition_point(|held| held.by.name < *entity), *entity);
+        self.all[first..].iter().take_while(move |held| held.by.name == entity).map(Box::as_ref)
+    }
+
+    /// The entities at a place.
+    pub fn at(&self, at: &At) -> impl Iterator<Item = (Name, &Registration)> {
+        self.indices_at(at).iter().map(|index| {
+            let registration = &*self.all[*index as usize];
+            (registration.by.name, registration)
+        })
+    }
+
+    pub fn count_at(&self, at: &At) -> usize {
+        self.indices_at(at).len()
+    }
+
+    fn indices_at(&self, at: &At) -> &[u32] {
+        let first = self.by_place.partition_point(|held| self.place(*held) < *at);
+        let rest = &self.by_place[first..];
+        &rest[..rest.partition_point(|held| self.place(*held) == *at)]
+    }
+
+    /// Where they are, each place once: those of this domain first.
+    fn places(&self) -> impl Iterator<Item = At> {
+        let mut rest = &self.by_place[..];
+        std::iter::from_fn(move || {
+            let at = self.place(*rest.first()?);
+            rest = &rest[rest.partition_point(|held| self.place(*held) == at)..];
+            Some(at)
+        })
+    }
+
+    fn switches(&self) -> impl Iterator<Item = Name> {
+        self.places().map_while(|at| if let At::Here(switch) = at { Some(switch) } else { None })
+    }
+
+    fn realms(&self) -> impl Iterator<Item = Realm> {
+        let abroad = self.reach_abroad();
+        let places = abroad.then(|| self.places()).into_iter().flatten();
+        places.filter_map(|at| if let At::Abroad(realm) = at { Some(realm) } else { None })
+    }
+
+    fn reach_abroad(&self) -> bool {
+        self.by_place.last().is_some_and(|last| matches!(self.place(*last), At::Abroad(_)))
+    }
+
+    /// Each kind there is at a place, once.
+    fn kinds(&self) -> impl Iterator<Item = (At, Kind)> {
+        let all: BTreeSet<(At, Kind)> = self.all.iter().map(|r| (r.at(), r.kind())).collect();
+        all.into_iter()
+    }
+}
+
+/// As [`Vec::insert`], which makes room for four where there is none.
+fn insert<T>(all: &mut Vec<T>, index: usize, new: T) {
+    if all.is_empty() {
+        all.reserve_exact(1);
+    }
+    all.insert(index, new);
+}
+
+/// Each entity once, of places in order.
+pub(super) fn distinct(places: impl Iterator<Item = (Name, Name)>) -> impl Iterator<Item = Name> {
+    let mut before = None;
+    places.filter_map(move |(entity, _)| (before.replace(entity) != Some(entity)).then_some(entity))
+}

@@ -1,0 +1,155 @@
+//! What ends: by its time, with a neighbour that is gone, or because it was taken back.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp_core::cert::Locator;
+use gdp_proto::control::{TierEntry, TierKey};
+use gdp_wire::Name;
+
+use super::Tiers;
+use super::judge::{Judge, Judged, Revoked};
+use super::queries::PATIENCE;
+use super::side::{HOLD, Kind, SILENCE, Standing};
+use super::table::{Held, Item};
+use crate::rib::Now;
+
+impl Tiers {
+    /// An owner of a name, or a domain, has taken something back: what rests on it goes, and neighbours that have to do with the name are
+    /// told, but for the one that said so.
+    pub fn reconsider(&mut self, now: Now, about: Name, said_by: Option<Name>, revoked: &impl Revoked) {
+        for (_, side) in self.sides.iter_mut().filter(|(domain, _)| said_by != Some(**domain)) {
+            if let Some(kept) = revoked.kept(&about)
+                && (side.told.tells_of(about) || side.table.parts_of(about).next().is_some())
+            {
+                side.told.tell_revoked(about, kept);
+            }
+        }
+        let judge = Judge { home: self.home, now, revoked };
+        let (mut gone, mut fewer) = (Vec::new(), Vec::new());
+        let is_domain = revoked.kept(&about).is_none();
+        for (domain, side) in &self.sides {
+            if let Some(Item::Locator { locator, .. }) = side.table.get(&TierKey::Locator(about)) {
+                let entry = TierEntry::Locator { domain: about, locator: (**locator).clone() };
+                match judge.entry(*domain, &side.table, entry) {
+                    Ok(judged) if judged.left_out.is_empty() => {}
+                    Ok(judged) => fewer.push((*domain, judged)),
+                    Err(refusal) => gone.push((*domain, TierKey::Locator(about), refusal)),
+                }
+            }
+            let is_of_member = |held: &&Arc<Held>| {
+                let member = held.record.credential.member();
+                member.is_some_and(|member| member.domain.name().is_ok_and(|domain| domain == about))
+            };
+            let elsewhere = |held: &&Arc<Held>| held.place.name != about && held.path.first() != Some(&about);
+            // There is no index of those who read for a role in a domain that they are not in: domains take something back rarely.
+            let all = is_domain.then(|| side.table.parts()).into_iter().flatten();
+            let of_members = all.filter(elsewhere).filter(is_of_member);
+            for held in side.table.parts_about(about).chain(of_members) {
+                if let Err(refusal) = judge.still_holds(held) {
+                    gone.push((*domain, TierKey::Part(held.place), refusal));
+                }
+            }
+        }
+        for (domain, key, refusal) in gone {
+            self.count(domain, refusal.as_str());
+            self.forget(domain, key);
+        }
+        for (domain, Judged { key, item, ends, left_out }) in fewer {
+            let Some(side) = self.sides.get_mut(&domain) else { continue };
+            left_out.iter().for_each(|refusal| side.count(refusal.as_str()));
+            if side.table.insert(key, item) {
+                self.endings.set((domain, key), Some(ends));
+                self.changed(key);
+            }
+        }
+    }
+
+    pub fn tick(&mut self, now: Now) {
+        while let Some((domain, key)) = self.endings.take_due(now.clock) {
+            match key {
+                TierKey::Locator(about) => self.border_ended(now, domain, about),
+                key => self.forget(domain, key),
+            }
+        }
+        let mut gone = Vec::new();
+        for (domain, side) in &mut self.sides {
+            if side.kind == Kind::Child && now.clock >= side.heard + SILENCE {
+                side.lose(now.clock);
+            }
+            if matches!(side.standing, Standing::Lost(since) if now.clock >= since + HOLD) {
+                gone.push(*domain);
+            }
+        }
+        for domain in gone {
+            self.clear(domain);
+            match self.sides.get_mut(&domain) {
+                Some(side) if side.kind.is_parent() => {
+                    side.standing = Standing::Waiting;
+                    side.ancestors.clear();
+                }
+                _ => drop(self.sides.remove(&domain)),
+            }
+        }
+        self.queries.expire(now.clock);
+        for ticket in self.queries.overdue(now.clock) {
+            if let Some(climbing) = self.queries.climbing.get_mut(&ticket) {
+                (climbing.at, climbing.until) = (None, now.clock + PATIENCE);
+            }
+        }
+    }
+
+    /// When [`Self::effects`] has something to do, if nothing else happens before.
+    pub fn next_tick(&self) -> Option<Duration> {
+        let sides = self.sides.iter().flat_map(|(domain, side)| {
+            let can_ask = self.adjacent.contains(domain) && !side.is_asked;
+            let hello = (can_ask && side.kind.is_parent()).then_some(side.hello_at);
+            let retry = side.told.feed.retry_at().filter(|_| can_ask && side.is_followed());
+            let silence = (side.kind == Kind::Child && side.standing == Standing::Up).then(|| side.heard + SILENCE);
+            let hold = match side.standing {
+                Standing::Lost(since) => Some(since + HOLD),
+                _ => None,
+            };
+            [hello, retry, silence, hold].into_iter().flatten()
+        });
+        sides.chain(self.endings.next()).chain(self.queries.next_tick()).min()
+    }
+
+    /// Of what a neighbour said of where domain `about` is reached, a border is over: the others stay. What was taken back of them is gone
+    /// already.
+    fn border_ended(&mut self, now: Now, domain: Name, about: Name) {
+        let key = TierKey::Locator(about);
+        let Some(side) = self.sides.get_mut(&domain) else { return };
+        let Some(Item::Locator { locator, .. }) = side.table.get(&key) else { return };
+        let verified = locator.verify(about, None, now.unix).unwrap_or_default();
+        let (mut borders, mut ends) = (Vec::new(), Duration::MAX);
+        for (border, verified) in locator.borders.iter().zip(verified) {
+            if let Ok(statement) = verified {
+                borders.push(border.clone());
+                ends = ends.min(now.clock_at(statement.not_after));
+            }
+        }
+        if borders.is_empty() {
+            return self.forget(domain, key);
+        }
+        side.table.insert(key, Item::Locator { domain: about, locator: Arc::new(Locator { borders }) });
+        self.endings.set((domain, key), Some(ends));
+        self.changed(key);
+    }
+
+    /// Forgets all that a neighbour said.
+    pub(super) fn clear(&mut self, domain: Name) {
+        let Some(side) = self.sides.get_mut(&domain) else { return };
+        for key in std::mem::take(&mut side.table).keys() {
+            self.endings.set((domain, *key), None);
+            self.changed(*key);
+        }
+    }
+
+    fn forget(&mut self, domain: Name, key: TierKey) {
+        if self.sides.get_mut(&domain).is_some_and(|side| side.table.remove(&key).is_some()) {
+            self.endings.set((domain, key), None);
+            self.changed(key);
+        }
+    }
+}

@@ -1,0 +1,147 @@
+//! Who is told of what. Upward goes what may leave its domain; downward, and to this domain's own entities, what somebody there
+//! exchanges messages with. Of several ways to a part the shortest counts, of equal ones that through the first parent; nothing is told
+//! to a domain that it came through, and nothing that came from above is told above: so nothing circles.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use gdp_proto::control::{MAX_PATH, RecordPlace, TierKey};
+use gdp_wire::Name;
+
+use super::interest::Interest;
+use super::side::Kind;
+use super::table::{Held, Item};
+use super::{Tiers, side::Side};
+
+impl Tiers {
+    /// Finds anew what each side is to be told, where something has changed.
+    pub(super) fn spread(&mut self) {
+        let mut writers = std::mem::take(&mut self.changed_writers);
+        let mut origins = std::mem::take(&mut self.changed_locators);
+        for name in std::mem::take(&mut self.changed_names) {
+            self.spread_name(name, &mut writers, &mut origins);
+        }
+        writers.into_iter().for_each(|writer| self.spread_boxes(writer));
+        origins.into_iter().for_each(|origin| self.spread_locator(origin));
+    }
+
+    fn spread_name(&mut self, name: Name, writers: &mut BTreeSet<Name>, origins: &mut BTreeSet<Name>) {
+        let home = self.home;
+        let mut ways: BTreeMap<RecordPlace, Vec<Arc<Held>>> = BTreeMap::new();
+        let interests: BTreeMap<Name, Interest> = {
+            let sides = self.sides.iter().filter(|(_, side)| !side.is_refused());
+            let tables = sides.map(|(domain, side)| (*domain, &side.table)).chain([(home, &self.own)]);
+            let all = tables.map(|(domain, table)| (domain, Interest::of(home, table.parts_of(name))));
+            all.filter(|(_, interest)| !interest.is_empty()).collect()
+        };
+        for held in self.own.parts_of(name) {
+            ways.entry(held.place).or_default().push(held.clone());
+        }
+        for side in self.sides.values().filter(|side| !side.is_refused()) {
+            for held in side.table.parts_of(name) {
+                ways.entry(held.place).or_default().push(held.clone());
+            }
+        }
+        for ways in ways.values_mut() {
+            ways.sort_by_key(|held| (held.path.len(), self.rank(held.via(home))));
+        }
+        writers.extend(ways.keys().map(|place| place.entity));
+
+        for (domain, side) in &mut self.sides {
+            let is_from_above = |held: &Held| self.parents.contains(&held.via(home));
+            let interest = interests.get(domain);
+            let is_fit = |held: &&Arc<Held>| {
+                held.path.len() < MAX_PATH
+                    && !held.path.contains(domain)
+                    && match side.kind {
+                        Kind::Parent(_) => held.may_leave(home) && !is_from_above(held),
+                        Kind::Child => interest.is_some_and(|interest| interest.wants(held, home)),
+                    }
+            };
+            let is_told = !side.is_refused() && (side.kind.is_parent() || interest.is_some());
+            let fit: Vec<Item> = match is_told {
+                false => Vec::new(),
+                true => ways.values().filter_map(|ways| ways.iter().find(is_fit).cloned()).map(Item::part).collect(),
+            };
+            let (entities, changed) = side.told.replace_parts(home, name, fit);
+            writers.extend(entities);
+            origins.extend(changed);
+        }
+
+        let passes = |held: &&Arc<Held>| {
+            let others = interests.iter().filter(|(domain, _)| **domain != home && !held.path.contains(domain));
+            others.map(|(_, interest)| interest).any(|interest| interest.wants(held, home))
+        };
+        let is_wanted = |held: &&Arc<Held>| interests.get(&home).is_some_and(|interest| interest.wants(held, home));
+        // What was stated here is known here. Otherwise one neighbour's word is not to hide another's: a way that is of no use does not
+        // count, however short.
+        let abroad = ways.values().filter(|ways| ways.iter().all(|held| !held.path.is_empty()));
+        let known = abroad.filter_map(|ways| {
+            let wanted = ways.iter().find(is_wanted);
+            let held = wanted.or_else(|| ways.iter().find(passes))?;
+            Some(Item::Part { held: held.clone(), only_passes: wanted.is_none() })
+        });
+        let (entities, changed) = self.known.replace_parts(home, name, known.collect());
+        writers.extend(entities);
+        origins.extend(changed);
+    }
+
+    /// The boxes of a writer go where its parts go and their readers are.
+    fn spread_boxes(&mut self, writer: Name) {
+        let mut desired: BTreeMap<Name, BTreeMap<TierKey, Item>> = BTreeMap::new();
+        for domain in self.sides.keys().chain([&self.home]) {
+            let (told, table) = match self.sides.get(domain) {
+                Some(side) => (&side.told, &side.table),
+                None => (&self.known, &self.own),
+            };
+            let boxes = desired.entry(*domain).or_default();
+            let mut said_by: Vec<Name> = told.said_of(&writer).into_iter().collect();
+            said_by.sort_by_key(|via| self.rank(*via));
+            for via in said_by {
+                let own = (via == self.home).then_some(&self.own);
+                let Some(source) = own.or_else(|| self.sides.get(&via).map(|side| &side.table)) else { continue };
+                for (key, item) in source.boxes_of(writer) {
+                    let TierKey::Box { reader, .. } = key else { continue };
+                    if table.has_entity(reader) {
+                        boxes.entry(*key).or_insert_with(|| item.clone());
+                    }
+                }
+            }
+        }
+        for (domain, boxes) in desired {
+            let told = self.sides.get_mut(&domain).map_or(&mut self.known, |side| &mut side.told);
+            told.replace_boxes(writer, boxes);
+        }
+    }
+
+    /// Where a domain can be reached goes where its parts go.
+    fn spread_locator(&mut self, origin: Name) {
+        let key = TierKey::Locator(origin);
+        let find = |side: Option<&Side>| {
+            let told = side.map_or(&self.known, |side| &side.told);
+            let mut said_by: Vec<Name> = told.said_from(&origin).collect();
+            said_by.sort_by_key(|via| self.rank(*via));
+            said_by.into_iter().find_map(|via| match self.sides.get(&via) {
+                Some(side) => side.table.get(&key).cloned(),
+                None => self.own.get(&key).cloned(),
+            })
+        };
+        let known = find(None);
+        let found: Vec<_> = self.sides.iter().map(|(domain, side)| (*domain, find(Some(side)))).collect();
+        self.known.feed.set(key, known);
+        for (domain, item) in found {
+            if let Some(side) = self.sides.get_mut(&domain) {
+                side.told.feed.set(key, item);
+            }
+        }
+    }
+
+    /// Whose word counts first: this domain's, parents' in their order, children's.
+    fn rank(&self, via: Name) -> (usize, Name) {
+        match self.parents.iter().position(|parent| *parent == via) {
+            _ if via == self.home => (0, via),
+            Some(index) => (1 + index, via),
+            None => (usize::MAX, via),
+        }
+    }
+}

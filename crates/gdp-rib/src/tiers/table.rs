@@ -1,0 +1,354 @@
+//! What one side says: parts in names, key boxes, locators, all verified before they come here. Of a neighbouring domain it is kept by
+//! mark and sweep, as a switch keeps its FIB.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp_core::cert::{Host, Locator, Signed};
+use gdp_core::keys::KeyBox;
+use gdp_core::revocations::Kept;
+use gdp_proto::control::{Abroad, Extent, NameRole, Record, RecordPlace, TierEntry, TierHolds, TierKey};
+use gdp_wire::Name;
+
+use super::Limits;
+use super::judge::TierRefusal;
+
+/// A verified part in a name.
+#[derive(Clone, Debug)]
+pub struct Held {
+    pub place: RecordPlace,
+    pub record: Record,
+    pub host: Arc<Hosted>,
+    /// The domains it came through, the one that said it last; none for what was stated in this domain.
+    pub path: Vec<Name>,
+    /// Of a writer: the domains its certificate names.
+    pub scope: Vec<Name>,
+    /// On the clock of this RIB.
+    pub ends: Duration,
+}
+
+/// A switch that has been verified; shared by all parts that are stated there.
+#[derive(Debug, PartialEq)]
+pub struct Hosted {
+    pub host: Host,
+    /// That it is of.
+    pub domain: Name,
+    /// Unix seconds: until then it holds, unless the domain takes it back.
+    pub not_after: u64,
+}
+
+impl Held {
+    /// The domain it was stated in.
+    pub fn origin(&self, home: Name) -> Name {
+        self.path.first().copied().unwrap_or(home)
+    }
+
+    /// The domain that said it.
+    pub fn via(&self, home: Name) -> Name {
+        self.path.last().copied().unwrap_or(home)
+    }
+
+    /// Whether this is what `abroad` says, path and remaining time aside: then it need not be verified again.
+    pub fn states_the_same(&self, abroad: &Abroad) -> bool {
+        let (own, other) = (&self.record, &abroad.record);
+        (own.proof, own.entity, own.switch) == (other.proof, other.entity, other.switch)
+            && (&own.credential, &own.advert) == (&other.credential, &other.advert)
+            && self.host.host == abroad.host
+    }
+
+    /// Whether any domain but its own may know it.
+    pub fn may_leave(&self, home: Name) -> bool {
+        let origin = self.origin(home);
+        !self.place.role.is_writer() || self.scope.iter().any(|domain| *domain != origin)
+    }
+
+    /// As it is told to a neighbour.
+    pub fn told(&self, now: Duration, home: Name) -> Abroad {
+        let record = Record { expires_in: self.ends.saturating_sub(now).as_secs(), ..self.record.clone() };
+        let path = self.path.iter().copied().chain([home]).collect();
+        Abroad { record, host: self.host.host.clone(), path }
+    }
+}
+
+/// How long it lasts is no part of it: a renewal comes as another statement.
+impl PartialEq for Held {
+    fn eq(&self, other: &Self) -> bool {
+        let Record { name: _, proof, entity, switch: _, credential, advert, expires_in: _ } = &self.record;
+        let that = &other.record;
+        self.place == other.place
+            && (proof, entity, credential, advert) == (&that.proof, &that.entity, &that.credential, &that.advert)
+            && (&self.host, &self.path) == (&other.host, &other.path)
+    }
+}
+
+/// Something a side says; shared by all that hold it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Item {
+    /// `only_passes`: nobody of this domain may know it, but it takes part in routes through this domain.
+    Part {
+        held: Arc<Held>,
+        only_passes: bool,
+    },
+    Box(Arc<Signed<KeyBox>>),
+    Locator {
+        domain: Name,
+        locator: Arc<Locator>,
+    },
+    /// Only told: what a side says goes to the RIB, which keeps it.
+    Revocation(Arc<Kept>),
+}
+
+impl Item {
+    pub fn part(held: Arc<Held>) -> Self {
+        Self::Part { held, only_passes: false }
+    }
+
+    pub fn told(&self, now: Duration, home: Name) -> TierEntry {
+        match self {
+            Self::Part { held, .. } => TierEntry::Part(Box::new(held.told(now, home))),
+            Self::Box(signed) => TierEntry::Box((**signed).clone()),
+            Self::Locator { domain, locator } => TierEntry::Locator { domain: *domain, locator: (**locator).clone() },
+            Self::Revocation(kept) => TierEntry::Revocation { proof: kept.proof, revocation: kept.revocation.clone() },
+        }
+    }
+
+    /// Bytes, about: in a message and in memory.
+    pub fn size(&self) -> usize {
+        match self {
+            Self::Part { held, .. } => {
+                let Held { record, host, path, .. } = &**held;
+                PART_OVERHEAD
+                    + record.credential.size()
+                    + record.advert.as_bytes().len()
+                    + host.host.size()
+                    + (path.len() + 1) * NAME_SIZE
+            }
+            Self::Box(signed) => BOX_OVERHEAD + signed.as_bytes().len(),
+            Self::Revocation(kept) => REVOCATION_OVERHEAD + kept.revocation.as_bytes().len(),
+            Self::Locator { locator, .. } => PART_OVERHEAD * locator.borders.len().max(1) + locator.size(),
+        }
+    }
+}
+
+/// What an encoded record has besides what is signed: proofs, names, field names.
+const PART_OVERHEAD: usize = 640;
+const NAME_SIZE: usize = 34;
+const BOX_OVERHEAD: usize = 32;
+/// A proof and field names.
+const REVOCATION_OVERHEAD: usize = 160;
+
+/// Where parts are, by something that many may have in common.
+#[derive(Debug, Default)]
+struct Places(BTreeMap<Name, BTreeSet<RecordPlace>>);
+
+impl Places {
+    fn insert(&mut self, of: Name, place: RecordPlace) {
+        self.0.entry(of).or_default().insert(place);
+    }
+
+    fn remove(&mut self, of: &Name, place: &RecordPlace) {
+        let Some(places) = self.0.get_mut(of) else { return };
+        places.remove(place);
+        if places.is_empty() {
+            self.0.remove(of);
+        }
+    }
+
+    fn of(&self, of: Name) -> impl Iterator<Item = &RecordPlace> {
+        self.0.get(&of).into_iter().flatten()
+    }
+}
+
+#[derive(Debug, Default)]
+pub struct Table {
+    items: BTreeMap<TierKey, Item>,
+    entities: Places,
+    /// By the domain they were stated in, if it is another one.
+    origins: Places,
+    /// The switches that parts are at, each as it was told last, and how many parts there are.
+    hosts: BTreeMap<Name, (Arc<Hosted>, usize)>,
+    /// How many parts there are in each name, of those that write and of the others.
+    names: BTreeMap<(Name, bool), usize>,
+    bytes: usize,
+    /// The last push that was taken in.
+    holds: Option<TierHolds>,
+    /// While the whole comes in: the part that is next, and what no part has named yet.
+    whole: Option<(u32, BTreeSet<TierKey>)>,
+}
+
+impl Table {
+    pub fn len(&self) -> usize {
+        self.items.len()
+    }
+
+    pub fn holds(&self) -> Option<TierHolds> {
+        self.holds
+    }
+
+    /// Whether a push is the one to take in now; if so, it is under way from here on.
+    pub fn begin(&mut self, push: TierHolds, extent: Extent) -> bool {
+        let follows = self
+            .holds
+            .is_some_and(|held| held.run == push.run && held.generation.checked_add(1) == Some(push.generation));
+        let is_replayed = self.holds.is_some_and(|held| held.run == push.run && held.generation >= push.generation);
+        match (extent, &self.whole) {
+            (Extent::Full { part: 0, .. }, _) if !is_replayed => {
+                self.whole = Some((1, self.items.keys().copied().collect()));
+            }
+            (Extent::Full { part, .. }, Some((next, _))) if follows && part == *next => {
+                self.whole.as_mut().expect("it was looked at above").0 += 1;
+            }
+            (Extent::Delta, None) if follows => {}
+            _ => return false,
+        }
+        self.holds = Some(push);
+        true
+    }
+
+    /// The push that was begun is taken in. Returns what no part of the whole named, if that was its last.
+    pub fn end(&mut self, extent: Extent) -> BTreeSet<TierKey> {
+        match extent {
+            Extent::Full { last: true, .. } => self.whole.take().map_or_else(BTreeSet::new, |(_, unnamed)| unnamed),
+            _ => BTreeSet::new(),
+        }
+    }
+
+    pub fn get(&self, key: &TierKey) -> Option<&Item> {
+        self.items.get(key)
+    }
+
+    /// Whether a neighbour may say this, in place of what it said of the same before.
+    pub fn check_room(&self, key: &TierKey, item: &Item, limits: &Limits) -> Result<(), TierRefusal> {
+        let before = self.items.get(key);
+        let entries = self.items.len() + usize::from(before.is_none());
+        let bytes = self.bytes - before.map_or(0, Item::size) + item.size();
+        let needed = [("entries", entries, limits.entries), ("bytes", bytes, limits.bytes)];
+        if let Some((what, _, limit)) = needed.into_iter().find(|(_, needed, limit)| needed > limit) {
+            return Err(TierRefusal::Full { what, limit });
+        }
+        match key {
+            TierKey::Part(RecordPlace { name, role, .. })
+                if before.is_none()
+                    && self
+                        .names
+                        .get(&(*name, role.is_writer()))
+                        .is_some_and(|parts| *parts >= limits.parts_per_name) =>
+            {
+                Err(TierRefusal::NameFull { name: *name, limit: limits.parts_per_name })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether it is another than before.
+    pub fn insert(&mut self, key: TierKey, item: Item) -> bool {
+        if let Some((_, unnamed)) = &mut self.whole {
+            unnamed.remove(&key);
+        }
+        let before = self.remove(&key);
+        let changed = before.as_ref() != Some(&item);
+        if let (TierKey::Part(place), Item::Part { held, .. }) = (key, &item) {
+            self.entities.insert(place.entity, place);
+            held.path.first().into_iter().for_each(|origin| self.origins.insert(*origin, place));
+            *self.names.entry((place.name, place.role.is_writer())).or_default() += 1;
+            let (host, parts) = self.hosts.entry(place.switch).or_insert_with(|| (held.host.clone(), 0));
+            *parts += 1;
+            host.clone_from(&held.host);
+        }
+        self.bytes += item.size();
+        self.items.insert(key, item);
+        changed
+    }
+
+    pub fn remove(&mut self, key: &TierKey) -> Option<Item> {
+        let old = self.items.remove(key)?;
+        self.bytes -= old.size();
+        if let (TierKey::Part(place), Item::Part { held, .. }) = (key, &old) {
+            self.entities.remove(&place.entity, place);
+            held.path.first().into_iter().for_each(|origin| self.origins.remove(origin, place));
+            count_out(&mut self.names, &(place.name, place.role.is_writer()));
+            if let Some((_, parts)) = self.hosts.get_mut(&place.switch) {
+                *parts -= 1;
+                if *parts == 0 {
+                    self.hosts.remove(&place.switch);
+                }
+            }
+        }
+        Some(old)
+    }
+
+    pub fn keys(&self) -> impl Iterator<Item = &TierKey> {
+        self.items.keys()
+    }
+
+    /// The parts that rest on what the owner of a name, or a domain, has said.
+    pub fn parts_about(&self, about: Name) -> impl Iterator<Item = &Arc<Held>> {
+        let stated_there = self.origins.of(about).filter_map(|place| self.part_at(place));
+        self.parts_of(about).chain(stated_there)
+    }
+
+    /// All parts, in the order of their places.
+    pub fn parts(&self) -> impl Iterator<Item = &Arc<Held>> {
+        self.items.values().map_while(|item| if let Item::Part { held, .. } = item { Some(held) } else { None })
+    }
+
+    /// The parts in one name.
+    pub fn parts_of(&self, name: Name) -> impl Iterator<Item = &Arc<Held>> {
+        self.items.range(first_place(name)..).map_while(move |(key, item)| match (key, item) {
+            (TierKey::Part(place), Item::Part { held, .. }) if place.name == name => Some(held),
+            _ => None,
+        })
+    }
+
+    /// The key boxes of one writer.
+    pub fn boxes_of(&self, writer: Name) -> impl Iterator<Item = (&TierKey, &Item)> {
+        self.items.range(first_box(writer)..).take_while(move |(key, _)| is_box_of(key, writer))
+    }
+
+    /// A switch that parts are at, as it was told last.
+    pub fn host(&self, switch: &Name) -> Option<&Arc<Hosted>> {
+        self.hosts.get(switch).map(|(host, _)| host)
+    }
+
+    /// Some part that an entity has.
+    pub fn part_by(&self, entity: &Name) -> Option<&Arc<Held>> {
+        self.part_at(self.entities.of(*entity).next()?)
+    }
+
+    fn part_at(&self, place: &RecordPlace) -> Option<&Arc<Held>> {
+        match self.items.get(&TierKey::Part(*place)) {
+            Some(Item::Part { held, .. }) => Some(held),
+            _ => None,
+        }
+    }
+
+    pub fn has_entity(&self, entity: &Name) -> bool {
+        self.entities.of(*entity).next().is_some()
+    }
+}
+
+/// There is one less.
+pub fn count_out<K: Ord>(counts: &mut BTreeMap<K, usize>, of: &K) {
+    if let Some(count) = counts.get_mut(of) {
+        *count -= 1;
+        if *count == 0 {
+            counts.remove(of);
+        }
+    }
+}
+
+/// Where the parts in a name begin.
+pub fn first_place(name: Name) -> TierKey {
+    let nobody = Name::default();
+    TierKey::Part(RecordPlace { name, role: NameRole::Publisher, entity: nobody, switch: nobody })
+}
+
+/// Where the boxes of a writer begin.
+pub fn first_box(writer: Name) -> TierKey {
+    TierKey::Box { writer, reader: Name::default(), name: Name::default(), epoch: 0 }
+}
+
+pub fn is_box_of(key: &TierKey, of: Name) -> bool {
+    matches!(key, TierKey::Box { writer, .. } if *writer == of)
+}

@@ -1,0 +1,142 @@
+//! Which link's neighbour is still to be told of which switches. A neighbour that says nothing is told again; what it tells this
+//! switch it need not be told. Pure bookkeeping of names; what is told of them is in [`super::database`].
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use gdp_proto::control::Flooded;
+use gdp_wire::Name;
+
+use super::database::Database;
+
+/// Batches that one neighbour has not answered yet: news need not wait for the answer to what was told before.
+const MOST_OUT: usize = 4;
+
+/// Bytes of the statements in one batch, and what each has around it; a message has at most 64 KiB.
+const BATCH_SIZE: usize = 48 * 1024;
+const STATE_SIZE: usize = 200;
+
+/// How long after a batch that did not arrive the next is sent: doubled from the first to the second.
+const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
+
+/// Statements to send to a neighbour.
+#[derive(Clone, Debug)]
+pub struct Batch {
+    pub id: BatchId,
+    pub states: Vec<Flooded>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct BatchId {
+    pub link: u32,
+    number: u64,
+}
+
+#[derive(Default)]
+pub struct Flooding {
+    links: BTreeMap<u32, Desk>,
+    number: u64,
+}
+
+/// What one neighbour is to be told.
+struct Desk {
+    owed: BTreeSet<Name>,
+    /// Told, and not answered.
+    out: BTreeMap<BatchId, Vec<Name>>,
+    retry: Option<Duration>,
+    wait: Duration,
+}
+
+impl Flooding {
+    pub fn up<'a>(&mut self, link: u32, all: impl Iterator<Item = &'a Name>) {
+        let desk = Desk { owed: all.copied().collect(), out: BTreeMap::new(), retry: None, wait: RETRY.0 };
+        self.links.insert(link, desk);
+    }
+
+    pub fn down(&mut self, link: u32) {
+        self.links.remove(&link);
+    }
+
+    /// There is something new of a switch.
+    pub fn owe_all(&mut self, switch: Name) {
+        for desk in self.links.values_mut() {
+            desk.owed.insert(switch);
+        }
+    }
+
+    /// The neighbour on this link has shown that it does not hold the newest of a switch.
+    pub fn owe(&mut self, link: u32, switch: Name) {
+        if let Some(desk) = self.links.get_mut(&link) {
+            desk.owed.insert(switch);
+        }
+    }
+
+    /// The neighbour on this link has shown that it holds the newest of a switch.
+    pub fn holds(&mut self, link: u32, switch: &Name) {
+        if let Some(desk) = self.links.get_mut(&link) {
+            desk.owed.remove(switch);
+        }
+    }
+
+    /// What is to be sent now.
+    pub fn next(&mut self, now: Duration, database: &Database) -> Vec<Batch> {
+        let mut batches = Vec::new();
+        for (link, desk) in &mut self.links {
+            if desk.retry.is_some_and(|at| at > now) {
+                continue;
+            }
+            desk.retry = None;
+            while desk.out.len() < MOST_OUT && !desk.owed.is_empty() {
+                let (states, names) = desk.page(now, database);
+                if states.is_empty() {
+                    continue;
+                }
+                self.number += 1;
+                let id = BatchId { link: *link, number: self.number };
+                desk.out.insert(id, names);
+                batches.push(Batch { id, states });
+            }
+        }
+        batches
+    }
+
+    pub fn answered(&mut self, now: Duration, batch: BatchId, arrived: bool) {
+        let Some(desk) = self.links.get_mut(&batch.link) else { return };
+        let Some(names) = desk.out.remove(&batch) else { return };
+        if arrived {
+            desk.wait = RETRY.0;
+            return;
+        }
+        desk.owed.extend(names);
+        desk.retry = Some(now + desk.wait);
+        desk.wait = (desk.wait * 2).min(RETRY.1);
+    }
+
+    pub fn retry_at(&self) -> Option<Duration> {
+        self.links.values().filter_map(|desk| desk.retry).min()
+    }
+}
+
+impl Desk {
+    /// Takes out as many of those that are owed as fit a message. What is forgotten meanwhile is owed no more.
+    fn page(&mut self, now: Duration, database: &Database) -> (Vec<Flooded>, Vec<Name>) {
+        let (mut states, mut names, mut room) = (Vec::new(), Vec::new(), BATCH_SIZE);
+        while let Some(switch) = self.owed.first().copied() {
+            if let Some(told) = database.told(now, &switch) {
+                let size = STATE_SIZE + told.state.as_bytes().len();
+                if size > room {
+                    break;
+                }
+                room -= size;
+                states.push(told);
+                names.push(switch);
+            }
+            self.owed.pop_first();
+        }
+        (states, names)
+    }
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/topology/flooding.rs"]
+mod tests;

@@ -1,0 +1,130 @@
+//! What is to be told to each of those who sent goals, until they have it.
+
+use std::collections::{HashMap, VecDeque};
+use std::time::Instant;
+
+use bytes::Bytes;
+use gdp_wire::Name;
+
+use super::LINGER;
+use crate::call::{Event, Events, MAX_EVENTS};
+
+/// Those who are told.
+const MAX_CALLERS: usize = 256;
+
+/// Feedback that waits for one of them, and bytes of it; beyond, the oldest goes.
+const MAX_WAITING: usize = 256;
+const MAX_WAITING_BYTES: usize = 4 << 20;
+
+/// Bytes in one reply, if it has more than one event.
+const MAX_REPLY: usize = 1 << 20;
+
+/// Of an action that is served.
+#[derive(Default)]
+pub struct Log {
+    callers: HashMap<Name, Caller>,
+}
+
+struct Caller {
+    /// Of the event that comes next; the first is 1.
+    next: u64,
+    feedback: VecDeque<(u64, Bytes)>,
+    bytes: usize,
+    dropped: u64,
+    /// The newest; what was before is of no interest.
+    status: Option<(u64, Bytes)>,
+    heard: Instant,
+}
+
+/// Nobody else can be told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{MAX_CALLERS} callers are told of their goals already; call again later")]
+pub struct LogError;
+
+impl Log {
+    /// It calls, and is told from now on.
+    pub fn heard(&mut self, now: Instant, caller: Name) -> Result<(), LogError> {
+        if let Some(known) = self.callers.get_mut(&caller) {
+            known.heard = now;
+            return Ok(());
+        }
+        if self.callers.len() >= MAX_CALLERS {
+            return Err(LogError);
+        }
+        let (feedback, status) = (VecDeque::new(), None);
+        let new = Caller { next: 1, feedback, bytes: 0, dropped: 0, status, heard: now };
+        self.callers.insert(caller, new);
+        Ok(())
+    }
+
+    /// Returns how many it is not told for this.
+    pub fn feedback(&mut self, caller: &Name, message: Bytes) -> u64 {
+        let Some(caller) = self.callers.get_mut(caller) else { return 1 };
+        caller.bytes += message.len();
+        caller.feedback.push_back((caller.next, message));
+        caller.next += 1;
+        let before = caller.dropped;
+        while caller.feedback.len() > MAX_WAITING || (caller.bytes > MAX_WAITING_BYTES && caller.feedback.len() > 1) {
+            caller.drop_first();
+            caller.dropped += 1;
+        }
+        caller.dropped - before
+    }
+
+    /// Of its goals, if that is another than before.
+    pub fn status(&mut self, caller: &Name, message: Bytes) {
+        let Some(caller) = self.callers.get_mut(caller) else { return };
+        if caller.status.as_ref().is_none_or(|(_, before)| *before != message) {
+            caller.status = Some((caller.next, message));
+            caller.next += 1;
+        }
+    }
+
+    /// What it has not been told after the event of this number; `None` if there is nothing. What was before, it has.
+    pub fn after(&mut self, caller: &Name, after: u64) -> Option<Events> {
+        let caller = self.callers.get_mut(caller)?;
+        while caller.feedback.front().is_some_and(|(number, _)| *number <= after) {
+            caller.drop_first();
+        }
+        let status = caller.status.iter().filter(|(number, _)| *number > after);
+        let mut waiting: Vec<(u64, Event)> =
+            status.map(|(number, message)| (*number, Event::Status(message.clone()))).collect();
+        waiting.extend(caller.feedback.iter().map(|(number, message)| (*number, Event::Feedback(message.clone()))));
+        waiting.sort_by_key(|(number, _)| *number);
+        let mut events = Events { last: after, dropped: 0, events: Vec::new() };
+        let mut size = 0;
+        for (number, event) in waiting.into_iter().take(MAX_EVENTS) {
+            let (Event::Feedback(message) | Event::Status(message)) = &event;
+            size += message.len();
+            if size > MAX_REPLY && !events.events.is_empty() {
+                break;
+            }
+            events.last = number;
+            events.events.push(event);
+        }
+        if events.events.is_empty() {
+            return None;
+        }
+        events.dropped = std::mem::take(&mut caller.dropped);
+        Some(events)
+    }
+
+    /// Forgets those who were not heard of for long; `stays`: whose goals go on.
+    pub fn sweep(&mut self, now: Instant, stays: impl Fn(&Name) -> bool) {
+        self.callers.retain(|caller, known| now.saturating_duration_since(known.heard) < LINGER || stays(caller));
+    }
+
+    pub fn callers(&self) -> impl Iterator<Item = &Name> {
+        self.callers.keys()
+    }
+}
+
+impl Caller {
+    fn drop_first(&mut self) {
+        self.bytes -= self.feedback.pop_front().map_or(0, |(_, message)| message.len());
+    }
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/action/log.rs"]
+mod tests;

@@ -1,0 +1,203 @@
+//! The side that is told: which publishers the writers of a name have, and what is held back until that is known.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::Arc;
+use std::time::Instant;
+
+use gdp_e2e::seal::Message;
+use gdp_wire::Name;
+
+use super::{Kind, LEASE, Offer, Roster, RosterError, number};
+
+/// Writers of a name that are told apart.
+const MAX_PEERS: usize = 256;
+
+/// Messages that wait for the roster of their writer, and bytes of them, for all writers of a name. Beyond, the oldest go.
+const MAX_HELD: usize = 1024;
+const MAX_HELD_BYTES: usize = 32 << 20;
+
+/// Of a name that is read.
+#[derive(Default)]
+pub struct Incoming {
+    peers: HashMap<Name, Peer>,
+    /// With when each came.
+    held: VecDeque<(Instant, Message)>,
+    held_bytes: usize,
+}
+
+struct Peer {
+    kind: Kind,
+    definition: Option<Arc<str>>,
+    writers: BTreeMap<u32, Listed>,
+    /// The message that said so, in its session.
+    said: ([u8; 16], u64),
+    heard: Instant,
+}
+
+#[derive(Clone, Copy)]
+struct Listed {
+    offers: Offer,
+    /// Nothing was heard for as long as its lease.
+    is_silent: bool,
+}
+
+/// What becomes of a publisher's counterpart here.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// It is to be there, and to offer this; also if it was there and offered something else, or another type.
+    Joined {
+        writer: Name,
+        number: u32,
+        kind: Kind,
+        definition: Option<Arc<str>>,
+        offers: Offer,
+    },
+    /// Nothing is heard of it any more: it may have gone, or it joins again, as the same.
+    Silent {
+        writer: Name,
+        number: u32,
+    },
+    Left {
+        writer: Name,
+        number: u32,
+    },
+}
+
+/// What is to be done with a message.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Taken {
+    /// It is from this publisher, which has [joined](Change::Joined).
+    From(u32, Message),
+    /// Its writer tells no publishers apart.
+    Plain(Message),
+    /// It waits for the roster.
+    Held,
+    /// It waits, and so many others do not any more.
+    Crowded(usize),
+}
+
+impl Incoming {
+    /// A roster came. What changes, and the messages that waited for it, in their order.
+    pub fn roster(&mut self, now: Instant, message: &Message) -> Result<(Vec<Change>, Vec<Message>), RosterError> {
+        let Roster { kind, definition, writers, .. } = Roster::from_bytes(&message.body)?;
+        let (writer, said) = (message.writer, (message.session, message.sequence));
+        let mut changes = Vec::new();
+        if !self.peers.contains_key(&writer) && self.peers.len() >= MAX_PEERS {
+            match self.forget_silent(now) {
+                Some(left) => changes = left,
+                None => {
+                    return Err(RosterError::TooMuch {
+                        what: "writers of a name",
+                        got: MAX_PEERS + 1,
+                        most: MAX_PEERS,
+                    });
+                }
+            }
+        }
+        let before = self.peers.get(&writer);
+        let same_session = before.is_some_and(|peer| peer.said.0 == said.0);
+        if before.is_some_and(|peer| same_session && peer.said.1 > said.1) {
+            return Ok((vec![], vec![]));
+        }
+        let same_kind = before.is_some_and(|peer| same_session && peer.kind == kind);
+        let known = before.filter(|_| same_kind).and_then(|peer| peer.definition.clone());
+        // A brief one leaves the definition as it is.
+        let definition_is_new = definition.is_some() && definition.as_deref() != known.as_deref();
+        let definition = definition.map(Arc::from).or(known);
+        let listed = |offers| Listed { offers, is_silent: false };
+        let writers: BTreeMap<u32, Listed> =
+            writers.iter().map(|writer| (writer.number, listed(writer.offers))).collect();
+        let empty = BTreeMap::new();
+        let there = before.map_or(&empty, |peer| &peer.writers);
+        // Another session's numbers are other publishers.
+        let stays = |number: &u32| same_session && writers.contains_key(number);
+        let left = there.keys().filter(|number| !stays(number)).map(|number| Change::Left { writer, number: *number });
+        let stands = same_kind && !definition_is_new;
+        let is_as_before = |number: &u32, offers: &Offer| {
+            stands && there.get(number).is_some_and(|before| !before.is_silent && before.offers == *offers)
+        };
+        let joined = writers.iter().filter(|(number, now)| !is_as_before(number, &now.offers));
+        let joined = joined.map(|(number, now)| {
+            let (kind, definition) = (kind.clone(), definition.clone());
+            Change::Joined { writer, number: *number, kind, definition, offers: now.offers }
+        });
+        changes.extend(left.chain(joined));
+        self.peers.insert(writer, Peer { kind, definition, writers, said, heard: now });
+        Ok((changes, self.release(writer)))
+    }
+
+    /// What came with a name, other than a roster.
+    pub fn message(&mut self, now: Instant, message: Message) -> Taken {
+        let Some(number) = number(&message.origin) else { return Taken::Plain(message) };
+        if let Some(peer) = self.peers.get_mut(&message.writer)
+            && peer.said.0 == message.session
+            && peer.writers.get(&number).is_some_and(|from| !from.is_silent)
+        {
+            peer.heard = now;
+            return Taken::From(number, message);
+        }
+        // Of one that is silent the next roster tells, which is on its way; others wait for theirs.
+        self.held_bytes += message.body.len();
+        self.held.push_back((now, message));
+        let mut gone = 0;
+        while self.held.len() > MAX_HELD || (self.held_bytes > MAX_HELD_BYTES && self.held.len() > 1) {
+            self.drop_oldest();
+            gone += 1;
+        }
+        if gone == 0 { Taken::Held } else { Taken::Crowded(gone) }
+    }
+
+    /// Who is not heard of any more. Messages that waited for so long are dropped: how many.
+    pub fn poll(&mut self, now: Instant) -> (Vec<Change>, usize) {
+        let mut changes = Vec::new();
+        for (writer, peer) in &mut self.peers {
+            let silence = now.saturating_duration_since(peer.heard);
+            for (number, listed) in &mut peer.writers {
+                if !listed.is_silent && silence >= listed.offers.lease() {
+                    listed.is_silent = true;
+                    changes.push(Change::Silent { writer: *writer, number: *number });
+                }
+            }
+        }
+        let before = self.held.len();
+        while self.held.front().is_some_and(|(came, _)| now.saturating_duration_since(*came) >= LEASE) {
+            self.drop_oldest();
+        }
+        (changes, before - self.held.len())
+    }
+
+    /// Nothing is known any more: all publishers have left.
+    pub fn clear(&mut self) -> Vec<Change> {
+        let numbers =
+            |(writer, peer): (Name, Peer)| peer.writers.into_keys().map(move |number| Change::Left { writer, number });
+        std::mem::take(self).peers.into_iter().flat_map(numbers).collect()
+    }
+
+    /// Makes room for one more writer, if one is not heard of any more: its publishers have left.
+    fn forget_silent(&mut self, now: Instant) -> Option<Vec<Change>> {
+        let is_silent = |peer: &Peer| {
+            now.saturating_duration_since(peer.heard) >= LEASE && peer.writers.values().all(|listed| listed.is_silent)
+        };
+        let writer = *self.peers.iter().find(|(_, peer)| is_silent(peer))?.0;
+        let numbers = self.peers.remove(&writer)?.writers.into_keys();
+        Some(numbers.map(|number| Change::Left { writer, number }).collect())
+    }
+
+    fn drop_oldest(&mut self) {
+        self.held_bytes -= self.held.pop_front().map_or(0, |(_, oldest)| oldest.body.len());
+    }
+
+    /// Those of a writer that wait, of publishers that are known by now; what is from others of an earlier roster waits on.
+    fn release(&mut self, writer: Name) -> Vec<Message> {
+        let Some(peer) = self.peers.get(&writer) else { return vec![] };
+        let is_known = |(_, message): &(Instant, Message)| {
+            message.writer == writer
+                && message.session == peer.said.0
+                && number(&message.origin).is_some_and(|number| peer.writers.contains_key(&number))
+        };
+        let (released, held) = std::mem::take(&mut self.held).into_iter().partition::<VecDeque<_>, _>(is_known);
+        self.held = held;
+        self.held_bytes = self.held.iter().map(|(_, message)| message.body.len()).sum();
+        released.into_iter().map(|(_, message)| message).collect()
+    }
+}

@@ -1,0 +1,128 @@
+//! Types of services, as [`types`](crate::types) has those of messages: what is known of them, and converters for both of their messages.
+
+use std::sync::Arc;
+
+use gdp_msg::{Mapping, Options, Schema, TypeName, hash};
+
+use crate::call::{Definitions, Description};
+use crate::roster::{Dialect, Kind, MAX_DEFINITION};
+use crate::types::{Converter, TypeError, Types};
+
+/// Between a client in one graph and a server in another.
+pub struct Converters {
+    /// From the client's to the server's.
+    pub request: Converter,
+    /// Back.
+    pub response: Converter,
+}
+
+/// Both messages of a service: request and response.
+pub type Halves = [Arc<Schema>; 2];
+
+/// A service or an action as another dialect writes it: `std_srvs/SetBool`, `std_srvs/srv/SetBool`.
+pub fn service_name(name: &str, dialect: Dialect) -> Result<String, TypeError> {
+    let name = TypeName::parse(name)?;
+    Ok(match dialect {
+        Dialect::Ros1 => format!("{}/{}", name.package(), name.name()),
+        Dialect::Ros2 => TypeName::new(name.package(), gdp_msg::Kind::Service, name.name())?.to_string(),
+    })
+}
+
+impl Types {
+    /// What is known here of a service, as its graph names it. With the hash that its servers say, if they do.
+    pub fn describe_service(&self, kind: Kind) -> Description {
+        let halves = self.known_halves(kind.dialect, &kind.name).ok();
+        let texts = halves.as_ref().map(|[request, response]| (request.text(), response.text()));
+        let short = texts.filter(|(request, response)| request.len().max(response.len()) <= MAX_DEFINITION);
+        let definitions = short.map(|(request, response)| Definitions { request, response });
+        let hash = if kind.hash.is_empty() { self.service_hash(&kind).unwrap_or_default() } else { kind.hash };
+        Description { kind: Kind { hash, ..kind }, definitions }
+    }
+
+    /// What is known here of an action of ROS 2.
+    pub fn describe_action(&self, name: String) -> Description {
+        let hash = self.type_hash(&name).unwrap_or_default();
+        Description { kind: Kind { dialect: Dialect::Ros2, name, hash }, definitions: None }
+    }
+
+    /// A service elsewhere as a graph of this dialect has it: as it is known here, or else made from what it is described by.
+    pub fn service_counterpart(&self, there: &Description, dialect: Dialect) -> Result<Description, TypeError> {
+        if there.kind.dialect == dialect {
+            return Ok(there.clone());
+        }
+        let name = service_name(&there.kind.name, dialect)?;
+        let halves = match self.known_halves(dialect, &name) {
+            Ok(halves) => halves,
+            Err(_) => {
+                let [request, response] = self.service_schemas(there)?;
+                [request.in_dialect(dialect.into(), &self.0)?, response.in_dialect(dialect.into(), &self.0)?]
+            }
+        };
+        let hash = match dialect {
+            Dialect::Ros1 => digits(&hash::service_md5sum(&halves[0], &halves[1])),
+            Dialect::Ros2 => self.type_hash(&name).unwrap_or_default(),
+        };
+        let [request, response] = halves.map(|half| half.text());
+        Ok(Description { kind: Kind { dialect, name, hash }, definitions: Some(Definitions { request, response }) })
+    }
+
+    pub fn service_converters(&self, client: &Description, server: &Description) -> Result<Converters, TypeError> {
+        if client.kind.dialect == server.kind.dialect {
+            return Ok(Converters { request: Converter::None, response: Converter::None });
+        }
+        let (client, server) = (
+            (client.kind.dialect, self.service_schemas(client)?),
+            (server.kind.dialect, self.service_schemas(server)?),
+        );
+        let convert = |half: usize, from: &(Dialect, Halves), to: &(Dialect, Halves)| -> Result<_, TypeError> {
+            let (encodings, schemas) = ([from.0.native(), to.0.native()], [&from.1[half], &to.1[half]]);
+            let mapping = Mapping::new(schemas[0], encodings[0], schemas[1], encodings[1])?;
+            for note in mapping.notes() {
+                tracing::info!(from = %schemas[0].name(), to = %schemas[1].name(), "{note}");
+            }
+            Ok(Converter::Some { mapping, options: Options::default() })
+        };
+        Ok(Converters { request: convert(0, &client, &server)?, response: convert(1, &server, &client)? })
+    }
+
+    /// Request and response of a service, by what its server tells; without that, as they are known here.
+    pub fn service_schemas(&self, of: &Description) -> Result<Halves, TypeError> {
+        let Kind { dialect, name, .. } = &of.kind;
+        let Some(Definitions { request, response }) = &of.definitions else { return self.known_halves(*dialect, name) };
+        let [first, second] = TypeName::parse(name)?.service_halves();
+        let schema = |name, text| Schema::from_text((*dialect).into(), name, text);
+        Ok([schema(&first, request)?, schema(&second, response)?])
+    }
+
+    fn known_halves(&self, dialect: Dialect, name: &str) -> Result<Halves, TypeError> {
+        let [request, response] = TypeName::parse(name)?.service_halves();
+        let known = |name| Schema::resolve(&self.0, dialect.into(), name);
+        Ok([known(&request)?, known(&response)?])
+    }
+
+    fn service_hash(&self, kind: &Kind) -> Result<Vec<u8>, TypeError> {
+        match kind.dialect {
+            Dialect::Ros1 => {
+                let [request, response] = self.known_halves(kind.dialect, &kind.name)?;
+                Ok(digits(&hash::service_md5sum(&request, &response)))
+            }
+            Dialect::Ros2 => self.type_hash(&kind.name),
+        }
+    }
+
+    /// Of the type that stands for a whole service or action of ROS 2.
+    fn type_hash(&self, name: &str) -> Result<Vec<u8>, TypeError> {
+        let schema = Schema::resolve(&self.0, gdp_msg::Dialect::Ros2, &TypeName::parse(name)?)?;
+        let hash = hash::type_hash(&schema);
+        Ok(digits(hash.rsplit('_').next().unwrap_or_default()))
+    }
+}
+
+/// Of our own making, so they are hexadecimal.
+fn digits(hash: &str) -> Vec<u8> {
+    hex::decode(hash).unwrap_or_default()
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/services.rs"]
+mod tests;

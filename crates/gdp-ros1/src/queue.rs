@@ -1,0 +1,88 @@
+//! A queue between a writer that must not wait and one reader that may be slow: full, it loses its oldest, and counts them.
+
+use std::collections::VecDeque;
+
+use parking_lot::{Mutex, MutexGuard};
+use tokio::sync::Notify;
+
+/// How much may wait.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct QueueLimits {
+    /// Messages; at least one.
+    pub messages: usize,
+    /// Bytes of all messages. One message that is larger by itself still fits, alone.
+    pub bytes: usize,
+}
+
+impl Default for QueueLimits {
+    /// 100 messages, 128 MiB.
+    fn default() -> Self {
+        Self { messages: 100, bytes: 128 << 20 }
+    }
+}
+
+pub struct Queue<T> {
+    limits: QueueLimits,
+    waiting: Mutex<Waiting<T>>,
+    pushed: Notify,
+}
+
+struct Waiting<T> {
+    /// Each with its bytes.
+    items: VecDeque<(T, usize)>,
+    bytes: usize,
+    dropped: u64,
+}
+
+impl<T> Queue<T> {
+    pub fn new(limits: QueueLimits) -> Self {
+        let waiting = Waiting { items: VecDeque::new(), bytes: 0, dropped: 0 };
+        Self { limits, waiting: Mutex::new(waiting), pushed: Notify::new() }
+    }
+
+    /// Adds what has so many bytes, and drops from the front what no longer fits.
+    pub fn push(&self, item: T, bytes: usize) {
+        let mut waiting = self.waiting();
+        waiting.items.push_back((item, bytes));
+        waiting.bytes = waiting.bytes.saturating_add(bytes);
+        while waiting.items.len() > 1
+            && (waiting.items.len() > self.limits.messages || waiting.bytes > self.limits.bytes)
+        {
+            let gone = waiting.items.pop_front();
+            waiting.bytes -= gone.map_or(0, |(_, bytes)| bytes);
+            waiting.dropped += 1;
+        }
+        drop(waiting);
+        self.pushed.notify_one();
+    }
+
+    /// Waits for the next. For one reader.
+    pub async fn pop(&self) -> T {
+        loop {
+            if let Some(item) = self.try_pop() {
+                return item;
+            }
+            self.pushed.notified().await;
+        }
+    }
+
+    pub fn try_pop(&self) -> Option<T> {
+        let mut waiting = self.waiting();
+        let (item, bytes) = waiting.items.pop_front()?;
+        waiting.bytes -= bytes;
+        Some(item)
+    }
+
+    /// How many have been dropped so far.
+    pub fn dropped(&self) -> u64 {
+        self.waiting().dropped
+    }
+
+    fn waiting(&self) -> MutexGuard<'_, Waiting<T>> {
+        self.waiting.lock()
+    }
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/queue.rs"]
+mod tests;

@@ -1,0 +1,195 @@
+//! A topic that this node publishes: who is connected, what waits for each, and the last message if it latches.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use parking_lot::{Mutex, MutexGuard};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::sync::watch;
+
+use crate::queue::{Queue, QueueLimits};
+use crate::tcpros::listener::refuse;
+use crate::tcpros::stream::write_message;
+use crate::tcpros::{Header, Stream, TcprosError};
+
+/// Connections to one topic.
+const MAX_SUBSCRIBERS: usize = 1024;
+
+/// A topic's type, as connection headers say it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MessageType {
+    /// Such as `std_msgs/String`.
+    pub name: String,
+    /// Of the definition, in hexadecimal.
+    pub md5sum: String,
+    /// The definition with those of all types in it, as `gendeps --cat` prints it. May be empty: then tools cannot show the topic.
+    pub definition: String,
+}
+
+/// How a topic is published.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PublishOptions {
+    /// Who comes later receives the last message.
+    pub latch: bool,
+    /// For each subscriber.
+    pub queue: QueueLimits,
+}
+
+/// One who is connected to a topic of ours.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Subscriber {
+    /// Its node's name.
+    pub caller_id: String,
+    /// Messages that it was too slow for.
+    pub dropped: u64,
+}
+
+pub struct Publication {
+    pub topic: String,
+    pub kind: MessageType,
+    options: PublishOptions,
+    caller_id: String,
+    subscribers: Mutex<Subscribers>,
+    /// Connections end when it goes.
+    alive: watch::Sender<()>,
+}
+
+#[derive(Default)]
+struct Subscribers {
+    connected: HashMap<u64, Connected>,
+    next: u64,
+    last: Option<Bytes>,
+    /// By those that are gone.
+    dropped: u64,
+}
+
+struct Connected {
+    caller_id: String,
+    queue: Arc<Queue<Bytes>>,
+}
+
+impl Publication {
+    pub fn new(topic: String, kind: MessageType, options: PublishOptions, caller_id: String) -> Self {
+        Self { topic, kind, options, caller_id, subscribers: Mutex::default(), alive: watch::channel(()).0 }
+    }
+
+    /// For each that is connected, and if it latches for each that comes.
+    pub fn publish(&self, message: Bytes) {
+        let mut subscribers = self.subscribers();
+        for connected in subscribers.connected.values() {
+            connected.queue.push(message.clone(), message.len());
+        }
+        if self.options.latch {
+            subscribers.last = Some(message);
+        }
+    }
+
+    pub fn forget_latched(&self) {
+        self.subscribers().last = None;
+    }
+
+    pub fn connected(&self) -> Vec<Subscriber> {
+        let subscriber = |Connected { caller_id, queue }: &Connected| Subscriber {
+            caller_id: caller_id.clone(),
+            dropped: queue.dropped(),
+        };
+        self.subscribers().connected.values().map(subscriber).collect()
+    }
+
+    /// Messages that subscribers were too slow for, those that are gone included.
+    pub fn dropped(&self) -> u64 {
+        let subscribers = self.subscribers();
+        subscribers.dropped + subscribers.connected.values().map(|connected| connected.queue.dropped()).sum::<u64>()
+    }
+
+    /// Serves one who asks for this topic by `header`, until either goes.
+    pub async fn serve(self: Arc<Self>, stream: Stream, header: Header) -> Result<(), TcprosError> {
+        let (queue, id) = match self.accept(&header) {
+            Ok(accepted) => accepted,
+            Err(reason) => return refuse(stream, &reason).await,
+        };
+        let mut alive = self.alive.subscribe();
+        let _entry = Entry { publication: Arc::downgrade(&self), id };
+        let ours = self.header().encode();
+        drop(self);
+        let Stream { mut reader, mut writer } = stream;
+        tokio::select! {
+            // The sender has gone: nothing is ever sent.
+            _ = alive.changed() => Ok(()),
+            served = async {
+                writer.write_all(&ours).await?;
+                loop {
+                    write_message(&mut writer, &queue.pop().await).await?;
+                }
+            } => served,
+            left = until_closed(&mut reader) => left,
+        }
+    }
+
+    /// Takes a subscriber in, or says why not.
+    fn accept(&self, header: &Header) -> Result<(Arc<Queue<Bytes>>, u64), String> {
+        let caller_id = check(header, &self.kind.name, &self.kind.md5sum)?;
+        let mut subscribers = self.subscribers();
+        if subscribers.connected.len() >= MAX_SUBSCRIBERS {
+            return Err(format!("{} has {MAX_SUBSCRIBERS} subscribers, and no room for more", self.topic));
+        }
+        let queue = Arc::new(Queue::new(self.options.queue));
+        if let Some(last) = &subscribers.last {
+            queue.push(last.clone(), last.len());
+        }
+        let id = subscribers.next;
+        subscribers.next += 1;
+        subscribers.connected.insert(id, Connected { caller_id: caller_id.to_owned(), queue: queue.clone() });
+        Ok((queue, id))
+    }
+
+    fn header(&self) -> Header {
+        let MessageType { name, md5sum, definition } = &self.kind;
+        Header::new([
+            ("callerid", self.caller_id.as_str()),
+            ("latching", if self.options.latch { "1" } else { "0" }),
+            ("md5sum", md5sum),
+            ("message_definition", definition),
+            ("topic", &self.topic),
+            ("type", name),
+        ])
+    }
+
+    fn subscribers(&self) -> MutexGuard<'_, Subscribers> {
+        self.subscribers.lock()
+    }
+}
+
+/// Whether the header of one who connects asks for this type; returns who it is. The error is for the peer to read.
+pub fn check<'a>(header: &'a Header, name: &str, md5sum: &str) -> Result<&'a str, String> {
+    let Some(theirs) = header.get("md5sum") else { return Err("Missing required 'md5sum' field".to_owned()) };
+    if theirs != "*" && theirs != md5sum {
+        let kind = header.get("type").unwrap_or("?");
+        return Err(format!("you have {kind} with md5sum {theirs}, and here it is {name} with md5sum {md5sum}"));
+    }
+    header.get("callerid").ok_or_else(|| "Missing required 'callerid' field".to_owned())
+}
+
+/// A subscriber's place. Leaves it when the connection ends, however it does.
+struct Entry {
+    publication: std::sync::Weak<Publication>,
+    id: u64,
+}
+
+impl Drop for Entry {
+    fn drop(&mut self) {
+        let Some(publication) = self.publication.upgrade() else { return };
+        let mut subscribers = publication.subscribers();
+        if let Some(connected) = subscribers.connected.remove(&self.id) {
+            subscribers.dropped += connected.queue.dropped();
+        }
+    }
+}
+
+/// Subscribers say nothing after their header; whatever they do say is thrown away.
+async fn until_closed(reader: &mut (impl AsyncReadExt + Unpin)) -> Result<(), TcprosError> {
+    let mut nothing = [0; 256];
+    while reader.read(&mut nothing).await? > 0 {}
+    Ok(())
+}

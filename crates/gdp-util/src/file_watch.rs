@@ -1,0 +1,217 @@
+//! Files of a long-running program that others replace: certificates, configurations, memberships.
+//!
+//! One task watches the files' folders by inotify, so that a file that is replaced by `rename` is seen, too. It also
+//! looks at every file from time to time: a bind mount, a network file system or a link into another folder brings no
+//! event.
+
+use std::collections::{HashMap, HashSet};
+use std::fs;
+use std::os::unix::fs::MetadataExt as _;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Weak};
+use std::time::{Duration, SystemTime};
+
+use futures_util::StreamExt as _;
+use inotify::{EventOwned, EventStream, Inotify, WatchDescriptor, WatchMask, Watches};
+use parking_lot::Mutex;
+use tokio::sync::{Notify, watch};
+use tokio::task::AbortHandle;
+use tokio::time::{Instant, sleep, sleep_until};
+
+/// How often every file is looked at although no event came.
+const SLOW_LOOK: Duration = Duration::from_secs(5);
+
+/// A file is often replaced in several steps: what follows an event within this time is one change.
+const SETTLE: Duration = Duration::from_millis(20);
+
+/// Another file, or other content, has another stamp.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FileStamp {
+    modified: SystemTime,
+    /// Also tells of changed permissions.
+    changed_ns: (i64, i64),
+    inode: u64,
+    length: u64,
+}
+
+impl FileStamp {
+    /// The stamp of the file that is there now; `None` if there is none, or it cannot be looked at.
+    pub fn of(path: &Path) -> Option<Self> {
+        let metadata = fs::metadata(path).ok()?;
+        let changed_ns = (metadata.ctime(), metadata.ctime_nsec());
+        Some(Self { modified: metadata.modified().ok()?, changed_ns, inode: metadata.ino(), length: metadata.len() })
+    }
+}
+
+/// Watches files for one program. Clones share the task, which ends with the last of them.
+#[derive(Clone)]
+pub struct FileWatcher(Arc<Owner>);
+
+struct Owner {
+    shared: Arc<Shared>,
+    task: AbortHandle,
+}
+
+#[derive(Default)]
+struct Shared {
+    files: Mutex<HashMap<PathBuf, Watched>>,
+    /// A file was added: its folder is to be watched.
+    added: Notify,
+}
+
+struct Watched {
+    stamp: Option<FileStamp>,
+    changes: watch::Sender<()>,
+}
+
+/// One file that is watched, until this is dropped.
+#[derive(Clone)]
+pub struct WatchedFile {
+    path: PathBuf,
+    changes: watch::Receiver<()>,
+}
+
+impl FileWatcher {
+    /// Begins without a file. Has to be called on a tokio runtime.
+    pub fn start() -> Self {
+        let shared = Arc::<Shared>::default();
+        let task = tokio::spawn(run(Arc::downgrade(&shared))).abort_handle();
+        Self(Arc::new(Owner { shared, task }))
+    }
+
+    /// Watches a file, which need not exist. Changes from now on are told.
+    pub fn watch(&self, path: &Path) -> WatchedFile {
+        let mut files = self.0.shared.files.lock();
+        let begin = || Watched { stamp: FileStamp::of(path), changes: watch::Sender::new(()) };
+        let watched = files.entry(path.to_owned()).or_insert_with(begin);
+        self.0.shared.added.notify_one();
+        WatchedFile { path: path.to_owned(), changes: watched.changes.subscribe() }
+    }
+}
+
+impl Drop for Owner {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+impl WatchedFile {
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Waits until the file is another one, or has other content. Cancel-safe.
+    pub async fn changed(&mut self) {
+        if self.changes.changed().await.is_err() {
+            std::future::pending().await
+        }
+    }
+
+    /// Whether it has changed since this was asked last, without waiting.
+    pub fn has_changed(&mut self) -> bool {
+        let changed = self.changes.has_changed().unwrap_or(false);
+        self.changes.mark_unchanged();
+        changed
+    }
+}
+
+async fn run(shared: Weak<Shared>) {
+    let mut folders = Folders::new();
+    let mut slow_look = Instant::now() + SLOW_LOOK;
+    loop {
+        let Some(now) = shared.upgrade() else { return };
+        folders.follow(&now.files.lock());
+        tokio::select! {
+            () = folders.event() => sleep(SETTLE).await,
+            () = now.added.notified() => continue,
+            () = sleep_until(slow_look) => slow_look = Instant::now() + SLOW_LOOK,
+        }
+        now.look();
+    }
+}
+
+impl Shared {
+    /// Looks at every file, and forgets those that nobody watches any more.
+    fn look(&self) {
+        let mut files = self.files.lock();
+        files.retain(|_, watched| watched.changes.receiver_count() > 0);
+        for (path, watched) in files.iter_mut() {
+            let stamp = FileStamp::of(path);
+            if stamp != watched.stamp {
+                watched.stamp = stamp;
+                watched.changes.send_replace(());
+            }
+        }
+    }
+}
+
+/// The folders that inotify watches. Where the kernel gives no instance, the slow look is all there is.
+struct Folders {
+    events: Option<(EventStream<[u8; 4096]>, Watches)>,
+    watched: HashMap<PathBuf, WatchDescriptor>,
+}
+
+impl Folders {
+    fn new() -> Self {
+        let events = Inotify::init().and_then(|inotify| {
+            let watches = inotify.watches();
+            Ok((inotify.into_event_stream([0; 4096])?, watches))
+        });
+        Self { events: events.ok(), watched: HashMap::new() }
+    }
+
+    /// Watches the folders of these files and no others.
+    fn follow(&mut self, files: &HashMap<PathBuf, Watched>) {
+        let Some((_, watches)) = &mut self.events else { return };
+        let wanted: HashSet<&Path> = files.keys().map(|file| folder_of(file)).collect();
+        for (_, descriptor) in self.watched.extract_if(|folder, _| !wanted.contains(folder.as_path())) {
+            // A folder that is gone has lost its watch already.
+            let _ = watches.remove(descriptor);
+        }
+        let mask = WatchMask::CLOSE_WRITE
+            | WatchMask::MOVE
+            | WatchMask::CREATE
+            | WatchMask::DELETE
+            | WatchMask::ATTRIB
+            | WatchMask::DELETE_SELF
+            | WatchMask::MOVE_SELF
+            | WatchMask::ONLYDIR;
+        for folder in wanted {
+            if !self.watched.contains_key(folder)
+                && let Ok(descriptor) = watches.add(folder, mask)
+            {
+                self.watched.insert(folder.to_owned(), descriptor);
+            }
+        }
+    }
+
+    /// Waits for an event in one of the folders.
+    async fn event(&mut self) {
+        let Some((stream, _)) = &mut self.events else { return std::future::pending().await };
+        match stream.next().await {
+            Some(Ok(EventOwned { wd, mask, .. })) => {
+                let is_gone = mask.intersects(
+                    inotify::EventMask::IGNORED | inotify::EventMask::DELETE_SELF | inotify::EventMask::MOVE_SELF,
+                );
+                if is_gone {
+                    self.watched.retain(|_, watched| *watched != wd);
+                }
+            }
+            Some(Err(_)) | None => {
+                self.events = None;
+                self.watched.clear();
+            }
+        }
+    }
+}
+
+fn folder_of(file: &Path) -> &Path {
+    match file.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    }
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/file_watch.rs"]
+mod tests;

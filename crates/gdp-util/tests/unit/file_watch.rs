@@ -1,0 +1,73 @@
+//! Unit tests of `file_watch`.
+
+use std::os::unix::fs::{PermissionsExt as _, symlink};
+
+use tokio::time::timeout;
+
+use super::*;
+
+const DEADLINE: Duration = Duration::from_secs(60);
+
+struct Scene {
+    folder: tempfile::TempDir,
+    watcher: FileWatcher,
+}
+
+impl Scene {
+    fn new() -> Self {
+        Self { folder: tempfile::tempdir().unwrap(), watcher: FileWatcher::start() }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+}
+
+async fn is_told(file: &mut WatchedFile, of: &str) {
+    timeout(DEADLINE, file.changed()).await.unwrap_or_else(|_| panic!("{of} was not told"));
+}
+
+#[tokio::test]
+async fn each_way_to_change_a_file_is_told() {
+    let scene = Scene::new();
+    let path = scene.path("certificate");
+    let mut file = scene.watcher.watch(&path);
+    fs::write(&path, "one").unwrap();
+    is_told(&mut file, "a new file").await;
+    fs::write(&path, "two more").unwrap();
+    is_told(&mut file, "a file that is written again").await;
+    fs::write(scene.path("new"), "three").unwrap();
+    fs::rename(scene.path("new"), &path).unwrap();
+    is_told(&mut file, "a file that is replaced").await;
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+    is_told(&mut file, "other permissions").await;
+    fs::remove_file(&path).unwrap();
+    is_told(&mut file, "a file that is removed").await;
+    assert!(!file.has_changed(), "each change is told once");
+}
+
+#[tokio::test]
+async fn a_folder_that_comes_later_and_a_link_into_another_are_told() {
+    let scene = Scene::new();
+    let (late, linked) = (scene.path("late/file"), scene.path("linked"));
+    fs::create_dir(scene.path("data1")).unwrap();
+    fs::write(scene.path("data1/file"), "one").unwrap();
+    symlink(scene.path("data1/file"), &linked).unwrap();
+    let (mut late_file, mut linked_file) = (scene.watcher.watch(&late), scene.watcher.watch(&linked));
+    fs::create_dir(scene.path("late")).unwrap();
+    fs::write(&late, "here").unwrap();
+    is_told(&mut late_file, "a file in a folder that was made later").await;
+    // No event comes of it in the folder of the link.
+    fs::write(scene.path("data1/file"), "two").unwrap();
+    is_told(&mut linked_file, "a file behind a link").await;
+}
+
+#[tokio::test]
+async fn what_nobody_watches_any_more_is_forgotten() {
+    let scene = Scene::new();
+    drop(scene.watcher.watch(&scene.path("gone")));
+    let mut stays = scene.watcher.watch(&scene.path("stays"));
+    fs::write(scene.path("stays"), "").unwrap();
+    is_told(&mut stays, "the other").await;
+    assert_eq!(scene.watcher.0.shared.files.lock().len(), 1);
+}

@@ -1,0 +1,352 @@
+//! The headers of frames. Every frame begins with the same eight bytes; see `docs/wire-format.md`.
+
+use core::mem::{offset_of, size_of};
+
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+use crate::Name;
+use crate::siphash::siphash24;
+
+/// The protocol version in the high four bits of the first byte.
+pub const VERSION: u8 = 1;
+
+/// First byte of anything that is not QUIC on a shared UDP port: GDP frames are below it.
+pub const FIRST_QUIC_BYTE: u8 = 0x40;
+
+/// The hop limit of a frame that leaves its writer.
+pub const INITIAL_HOP_LIMIT: u8 = 64;
+
+/// What a frame is for: the low four bits of the first byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum FrameType {
+    /// Sealed segments, forwarded by name.
+    Data = 0,
+    /// QUIC (and the discovery that precedes it) on Ethernet; never forwarded.
+    Control = 1,
+    /// Tells the neighbour a frame came from why it was dropped; never forwarded.
+    Error = 2,
+    /// Asks the switch where it ends who that is; forwarded by its egress bit.
+    Probe = 3,
+    /// Asks the neighbour's data plane whether it lives, and its answer; never forwarded.
+    Echo = 4,
+}
+
+/// Why a frame drew an error: [`Header::egress_set`] of an error frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ErrorCode {
+    /// The name is not known, or nobody takes it.
+    NoRoute = 1,
+    /// The frame is larger than the next link takes.
+    TooBig = 2,
+    /// The hop limit is used up.
+    HopLimit = 3,
+    /// The link may not send to this name, or as this source.
+    NotAuthorised = 4,
+}
+
+impl ErrorCode {
+    /// How many codes there are.
+    pub const COUNT: usize = Self::ALL.len();
+
+    /// In the order of their numbers, from 1.
+    pub const ALL: [Self; 4] = [Self::NoRoute, Self::TooBig, Self::HopLimit, Self::NotAuthorised];
+
+    /// Place in [`Self::ALL`].
+    pub const fn index(self) -> usize {
+        self as usize - 1
+    }
+
+    /// The code's name in statistics.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::NoRoute => "no_route",
+            Self::TooBig => "too_big",
+            Self::HopLimit => "hop_limit",
+            Self::NotAuthorised => "not_authorised",
+        }
+    }
+
+    /// The code with this number.
+    pub const fn from_number(number: u8) -> Option<Self> {
+        match number {
+            1 => Some(Self::NoRoute),
+            2 => Some(Self::TooBig),
+            3 => Some(Self::HopLimit),
+            4 => Some(Self::NotAuthorised),
+            _ => None,
+        }
+    }
+}
+
+impl FrameType {
+    /// The first byte of a frame of this type.
+    #[inline(always)]
+    pub const fn first_byte(self) -> u8 {
+        VERSION << 4 | self as u8
+    }
+}
+
+/// The fixed header of a frame that is forwarded: 96 bytes, all integers big-endian on the wire.
+///
+/// The fields are words of the alignment that the frame has behind an Ethernet header in the kernel, so that the eBPF
+/// program may use the header in place. On the host, copy it out with [`FromBytes::read_from_bytes`].
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct Header {
+    /// Version (high 4 bits) and [`FrameType`] (low 4 bits).
+    pub version_type: u8,
+    /// [`Header::KEY_PHASE`], [`Header::FOREIGN`], a reserved flag, traffic class (3 bits), ECN (2 bits).
+    pub flags: u8,
+    /// Switches the frame may still cross; a switch drops a frame that arrives with 0 or 1.
+    pub hop_limit: u8,
+    /// Which set of 64 egress switches `egress_bits` speaks of. Of an error its [`ErrorCode`]; of an echo [`Header::ASKS`] or
+    /// [`Header::ANSWERS`].
+    pub egress_set: u8,
+    payload_len: u16,
+    /// Header length in units of 8 bytes: 12.
+    pub header_words: u8,
+    /// Zero.
+    pub reserved: u8,
+    link_id: u32,
+    link_counter: u32,
+    tag: u64,
+    egress_bits: u64,
+    /// Where the frame goes: a topic's name.
+    pub destination: Name,
+    /// Who wrote it: an entity's name.
+    pub source: Name,
+}
+
+impl Header {
+    /// Bytes of the header on the wire.
+    pub const LEN: usize = 96;
+    /// The bytes of it that are the hop tag.
+    pub const TAG: core::ops::Range<usize> = 16..24;
+
+    /// Flag: which of the two link keys that are valid at a time made the tag.
+    pub const KEY_PHASE: u8 = 0x80;
+
+    /// Flag: the frame came into this domain from another one, so it does not leave for a third.
+    pub const FOREIGN: u8 = 0x40;
+
+    /// Flags: the code point of RFC 3168. 0: whoever wrote the frame does not take marks (Not-ECT).
+    pub const ECN: u8 = 0x03;
+
+    /// Code point: the frame met congestion (CE).
+    pub const CONGESTED: u8 = 0x03;
+
+    /// [`Header::egress_set`] of an echo that wants an answer.
+    pub const ASKS: u8 = 0;
+
+    /// [`Header::egress_set`] of the answer to an echo.
+    pub const ANSWERS: u8 = 1;
+
+    /// An echo that wants an answer with the same `cookie`, before a link's fields are filled in.
+    pub fn echo(cookie: u64) -> Self {
+        Self {
+            version_type: FrameType::Echo.first_byte(),
+            hop_limit: 1,
+            egress_set: Self::ASKS,
+            header_words: (Self::LEN / 8) as u8,
+            egress_bits: cookie.to_be(),
+            ..Self::default()
+        }
+    }
+
+    /// A probe of `source`, a switch, on the path to egress switch `bit` (0 … 63) of a name, before a link's fields are filled in. It ends
+    /// there, or at the switch where it arrives with `hop_limit` 1.
+    pub fn probe(destination: Name, source: Name, bit: u8, hop_limit: u8) -> Self {
+        Self {
+            version_type: FrameType::Probe.first_byte(),
+            hop_limit,
+            egress_bits: (1u64 << (bit & 63)).to_be(),
+            ..Self::data(destination, source, Self::COOKIE_LEN as u16)
+        }
+    }
+
+    /// Bytes of the payload of a probe: what its answer repeats.
+    pub const COOKIE_LEN: usize = 8;
+
+    /// Turns an echo that wants an answer into that answer. Its payload is left out, so it is never larger than what drew it.
+    #[inline(always)]
+    pub fn become_answer(&mut self) {
+        self.flags &= !Self::ECN;
+        self.egress_set = Self::ANSWERS;
+        self.payload_len = 0;
+    }
+
+    /// Turns a frame that was dropped into the error that says why. `mtu`: of the link it did not fit, otherwise 0.
+    #[inline(always)]
+    pub fn become_error(&mut self, code: ErrorCode, mtu: u32) {
+        self.version_type = FrameType::Error.first_byte();
+        self.flags &= !(Self::FOREIGN | Self::ECN);
+        self.hop_limit = 1;
+        self.egress_set = code as u8;
+        self.payload_len = 0;
+        self.reserved = 0;
+        self.egress_bits = (u64::from(mtu) << 32 | u64::from(self.link_counter())).to_be();
+    }
+
+    /// Of an error: the MTU it tells, and the low 32 bits of the count of the frame that drew it.
+    pub fn complaint(&self) -> (u32, u32) {
+        let both = self.egress_bits();
+        ((both >> 32) as u32, both as u32)
+    }
+
+    /// A data frame from `source` to `destination` as its writer makes it, before a link's fields are filled in.
+    #[inline(always)]
+    pub fn data(destination: Name, source: Name, payload_len: u16) -> Self {
+        Self {
+            version_type: FrameType::Data.first_byte(),
+            hop_limit: INITIAL_HOP_LIMIT,
+            payload_len: payload_len.to_be(),
+            header_words: (Self::LEN / 8) as u8,
+            destination,
+            source,
+            ..Self::default()
+        }
+    }
+
+    /// The byte that IP has for this (DSCP and ECN) in what carries a frame with these flags: the class selector of its traffic class
+    /// (RFC 2474), and its code point (RFC 6040, normal mode).
+    #[inline(always)]
+    pub const fn ip_traffic(flags: u8) -> u8 {
+        (flags & 0x1c) << 3 | flags & Self::ECN
+    }
+
+    /// Payload bytes behind the header.
+    #[inline(always)]
+    pub fn payload_len(&self) -> u16 {
+        u16::from_be(self.payload_len)
+    }
+
+    /// Bytes of the frame: header and payload. What lies behind them is not part of it.
+    #[inline(always)]
+    pub fn frame_len(&self) -> usize {
+        Self::LEN + self.payload_len() as usize
+    }
+
+    /// The receiver's id of the link the frame is on.
+    #[inline(always)]
+    pub fn link_id(&self) -> u32 {
+        u32::from_be(self.link_id)
+    }
+
+    #[inline(always)]
+    pub fn set_link_id(&mut self, id: u32) {
+        self.link_id = id.to_be();
+    }
+
+    /// The low 32 bits of the sender's count of frames on this link; see [`crate::replay`] for the others.
+    #[inline(always)]
+    pub fn link_counter(&self) -> u32 {
+        u32::from_be(self.link_counter)
+    }
+
+    #[inline(always)]
+    pub fn set_link_counter(&mut self, counter: u32) {
+        self.link_counter = counter.to_be();
+    }
+
+    /// Egress switches of the domain that still need a copy; bit `i` is switch `i` of the egress set.
+    #[inline(always)]
+    pub fn egress_bits(&self) -> u64 {
+        u64::from_be(self.egress_bits)
+    }
+
+    #[inline(always)]
+    pub fn set_egress_bits(&mut self, bits: u64) {
+        self.egress_bits = bits.to_be();
+    }
+
+    /// The hop tag as it is on the wire.
+    #[inline(always)]
+    pub fn tag(&self) -> u64 {
+        u64::from_be(self.tag)
+    }
+
+    #[inline(always)]
+    pub fn set_tag(&mut self, tag: u64) {
+        self.tag = tag.to_be();
+    }
+
+    /// The hop tag of this header under a key of its link.
+    #[inline(always)]
+    pub fn tag_for(&self, key: [u64; 2], count: u64) -> u64 {
+        siphash24(key, &self.tagged_words(count))
+    }
+
+    /// The eleven little-endian words the hop tag covers: the whole header but the tag itself, and the high 32 bits of the
+    /// link's count. These are not in the header; they go on top of the link id, which is the same in all frames under a key.
+    #[inline(always)]
+    pub fn tagged_words(&self, count: u64) -> [u64; 11] {
+        let this = (&raw const *self).cast::<u64>();
+        // SAFETY: `Header` is 96 bytes of plain data with the alignment of u64, so it holds twelve words.
+        let word = |i: usize| u64::from_le(unsafe { this.add(i).read() });
+        let link = word(1) ^ u64::from(((count >> 32) as u32).swap_bytes());
+        [word(0), link, word(3), word(4), word(5), word(6), word(7), word(8), word(9), word(10), word(11)]
+    }
+}
+
+/// The header of a control frame: QUIC directly on Ethernet, which pads short frames and so hides their length.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct ControlHeader {
+    pub version_type: u8,
+    /// One of [`ControlHeader::QUIC`], [`ControlHeader::SOLICIT`], [`ControlHeader::ANSWER`].
+    pub kind: u8,
+    pub zero: [u8; 2],
+    payload_len: [u8; 2],
+    /// Header length in units of 8 bytes: 1.
+    pub header_words: u8,
+    pub reserved: u8,
+}
+
+impl ControlHeader {
+    /// Bytes of the header on the wire.
+    pub const LEN: usize = 8;
+    /// The payload is one QUIC packet (or several coalesced).
+    pub const QUIC: u8 = 0;
+    /// "Which switch is on this segment?"; no payload; sent to the broadcast address.
+    pub const SOLICIT: u8 = 0x80;
+    /// The answer to a solicitation; the payload is the 32-byte name of the switch, which TLS then proves.
+    pub const ANSWER: u8 = 0x40;
+
+    pub fn new(kind: u8, payload_len: u16) -> Self {
+        Self {
+            version_type: FrameType::Control.first_byte(),
+            kind,
+            zero: [0; 2],
+            payload_len: payload_len.to_be_bytes(),
+            header_words: (Self::LEN / 8) as u8,
+            reserved: 0,
+        }
+    }
+
+    /// The kind and payload of a control frame, without the padding behind it; `None` if it is not one.
+    pub fn parse(frame: &[u8]) -> Option<(u8, &[u8])> {
+        let (header, rest) = Self::read_from_prefix(frame).ok()?;
+        if header.version_type != FrameType::Control.first_byte() || usize::from(header.header_words) * 8 != Self::LEN {
+            return None;
+        }
+        Some((header.kind, rest.get(..u16::from_be_bytes(header.payload_len).into())?))
+    }
+}
+
+const _: () = {
+    assert!(size_of::<Header>() == Header::LEN && align_of::<Header>() == 8);
+    assert!(offset_of!(Header, payload_len) == 4);
+    assert!(offset_of!(Header, link_id) == 8);
+    assert!(offset_of!(Header, link_counter) == 12);
+    assert!(offset_of!(Header, tag) == 16);
+    assert!(offset_of!(Header, egress_bits) == 24);
+    assert!(offset_of!(Header, destination) == 32);
+    assert!(offset_of!(Header, source) == 64);
+    assert!(size_of::<ControlHeader>() == ControlHeader::LEN && align_of::<ControlHeader>() == 1);
+};
+
+#[cfg(test)]
+#[path = "../tests/unit/header.rs"]
+mod tests;

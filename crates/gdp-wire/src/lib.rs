@@ -1,0 +1,31 @@
+//! What every part of the Global Data Plane must agree on to the byte: names, frame headers, the layouts of the
+//! tables a data plane holds, and the one function that decides what happens to a frame.
+//!
+//! `no_std`, no allocation, no I/O, no clock. The eBPF program, the userspace plane and endpoints all call
+//! [`forward::decide`] or [`forward::accept`]; none of them has forwarding rules of its own.
+#![cfg_attr(not(test), no_std)]
+
+pub mod counter;
+pub mod fetch;
+pub mod flat;
+pub mod forward;
+pub mod header;
+pub mod losses;
+mod name;
+pub mod replay;
+pub mod siphash;
+pub mod table;
+
+pub use counter::Counter;
+pub use header::{ControlHeader, ErrorCode, FrameType, Header};
+pub use name::{Name, ParseNameError};
+pub use table::{Carrier, FibEntry, GroupPlace, LinkEntry, LinkRole, LocalAddress, Permit, SwitchConfig, Vlan};
+
+/// Ethertype of GDP frames carried directly on Ethernet: IEEE 802 local experimental 1.
+pub const ETHERTYPE: u16 = 0x88B5;
+
+/// UDP port of GDP frames and of QUIC, which share it.
+pub const UDP_PORT: u16 = 31415;
+
+/// Bytes of a datagram that any path takes, as QUIC assumes (RFC 9000, section 14).
+pub const SMALLEST_PATH: u16 = 1200;

@@ -1,0 +1,173 @@
+//! What matches a pattern and is not carried, and what the log says of it: one line for a reason, not one for a name.
+//!
+//! A ROS graph may have any number of names, and they may come and go all the time. Each reason is logged at once when
+//! there is news, then at most once in [`PERIOD`]; what comes in between is in the next line's count.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fmt;
+use std::mem::{Discriminant, discriminant};
+use std::time::{Duration, Instant};
+
+use gdp::Name;
+use gdp_ros::catalog::MAX_ENTRIES;
+
+/// Between two lines of one reason.
+pub const PERIOD: Duration = Duration::from_secs(60);
+
+/// Why something is not carried.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Reason {
+    CatalogHasAllNames,
+    CatalogHasAllBytes,
+    /// Of so many.
+    NoFreeRoute(usize),
+    /// `remap` gives it the name of something else that is exposed.
+    RemappedOntoAnother,
+    /// The 256-bit name is that of something else already, in the same direction.
+    NameIsTaken {
+        name: Name,
+        by: String,
+    },
+    /// A service or action: both servers would carry out each call.
+    ServedHere,
+    /// Its card, certificates or catalog entry cannot be made.
+    Failed(String),
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::CatalogHasAllNames => write!(f, "there are {MAX_ENTRIES} names in the catalog already"),
+            Self::CatalogHasAllBytes => f.write_str(
+                "the catalog is full with as many grants in it; expose less, or give the readers a role in a domain",
+            ),
+            Self::NoFreeRoute(most) => write!(f, "there are {most} routes already; run a second proxy"),
+            Self::RemappedOntoAnother => f.write_str("remap gives it the name of another"),
+            Self::NameIsTaken { name, by } => {
+                write!(f, "its name {name:#} is already that of {by}, in the same direction")
+            }
+            Self::ServedHere => f.write_str("it is served here already; give the import a prefix"),
+            Self::Failed(error) => f.write_str(error),
+        }
+    }
+}
+
+/// What is not carried, with the reason; by its title, such as `topic /chatter`.
+pub type Omitted = BTreeMap<String, Reason>;
+
+/// What the log has of it.
+#[derive(Default)]
+pub struct Omissions {
+    known: Omitted,
+    /// By the kind of reason.
+    reasons: HashMap<Discriminant<Reason>, Logged>,
+}
+
+#[derive(Default)]
+struct Logged {
+    at: Option<Instant>,
+    /// Names that were omitted since then.
+    news: usize,
+}
+
+/// One line of the log.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Line {
+    pub names: usize,
+    /// One of them, and its reason.
+    pub what: String,
+    pub reason: Reason,
+}
+
+impl Omissions {
+    /// What is omitted now. Returns what the log is to say.
+    pub fn update(&mut self, now: Instant, omitted: Omitted) -> Vec<Line> {
+        let mut examples = HashMap::new();
+        for (what, reason) in &omitted {
+            let (kind, is_new) = (discriminant(reason), self.known.get(what) != Some(reason));
+            self.reasons.entry(kind).or_default().news += usize::from(is_new);
+            let example = examples.entry(kind).or_insert((is_new, what, reason));
+            // A name that is new is a better example than one that was logged before.
+            if is_new && !example.0 {
+                *example = (is_new, what, reason);
+            }
+        }
+        let mut lines = Vec::new();
+        for (kind, (_, what, reason)) in examples {
+            let logged = self.reasons.entry(kind).or_default();
+            if logged.news > 0 && logged.at.is_none_or(|at| now >= at + PERIOD) {
+                let names = std::mem::take(&mut logged.news);
+                logged.at = Some(now);
+                lines.push(Line { names, what: what.clone(), reason: reason.clone() });
+            }
+        }
+        self.known = omitted;
+        lines
+    }
+
+    #[cfg(test)]
+    pub fn known(&self) -> &Omitted {
+        &self.known
+    }
+}
+
+impl fmt::Display for Line {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self { names: 1, what, reason } => write!(f, "{what} is not carried: {reason}"),
+            Self { names, what, reason } => write!(f, "{names} names are not carried, such as {what}: {reason}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_names_are_one_line_for_a_reason() {
+        let (now, mut omissions) = (Instant::now(), Omissions::default());
+        let mut all = omitted(0..20_000, &Reason::CatalogHasAllNames);
+        all.insert("topic /other".into(), Reason::ServedHere);
+        let mut lines: Vec<_> = omissions.update(now, all.clone()).iter().map(Line::to_string).collect();
+        lines.sort();
+        assert_eq!(
+            lines,
+            [
+                "20000 names are not carried, such as topic /t00000: there are 1024 names in the catalog already",
+                "topic /other is not carried: it is served here already; give the import a prefix",
+            ]
+        );
+        assert_eq!(omissions.update(now + 2 * PERIOD, all), [], "nothing is news");
+    }
+
+    #[test]
+    fn names_that_come_and_go_are_one_line_in_a_period() {
+        let (begin, mut omissions) = (Instant::now(), Omissions::default());
+        let mut lines = Vec::new();
+        // Ten minutes, in which ten names a second are replaced by others.
+        for second in 0..600 {
+            let now = begin + Duration::from_secs(second);
+            let names = second as usize * 10..second as usize * 10 + 10;
+            lines.extend(omissions.update(now, omitted(names, &Reason::NoFreeRoute(1024))));
+        }
+        let names: Vec<_> = lines.iter().map(|line| line.names).collect();
+        assert_eq!(names, [10, 600, 600, 600, 600, 600, 600, 600, 600, 600]);
+        assert_eq!(lines[1].what, "topic /t00600", "a new one is named");
+    }
+
+    #[test]
+    fn another_reason_is_news() {
+        let (now, mut omissions) = (Instant::now(), Omissions::default());
+        let failed = |error: &str| Reason::Failed(error.into());
+        assert_eq!(omissions.update(now, omitted(0..1, &failed("one"))).len(), 1);
+        assert_eq!(omissions.update(now, omitted(0..1, &Reason::ServedHere)).len(), 1);
+        assert_eq!(omissions.update(now, omitted(0..1, &failed("two"))), [], "too early");
+        let later = omissions.update(now + PERIOD, omitted(0..1, &failed("two")));
+        assert_eq!(later.iter().map(Line::to_string).collect::<Vec<_>>(), ["topic /t00000 is not carried: two"]);
+    }
+
+    fn omitted(names: std::ops::Range<usize>, reason: &Reason) -> Omitted {
+        names.map(|i| (format!("topic /t{i:05}"), reason.clone())).collect()
+    }
+}

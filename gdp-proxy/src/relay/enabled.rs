@@ -1,0 +1,138 @@
+//! The relay itself: `gdp-daemon` runs it, from a configuration that is made of the proxy's.
+//!
+//! It dials the proxy's own switches and accepts the links of whoever attaches to it. It hosts no RIB.
+
+use std::net::{IpAddr, SocketAddr};
+
+use gdp_core::cert::domain::roles;
+use gdp_core::domain::{PaperFiles, Trust};
+use gdp_core::identity::Identity;
+use gdp_core::link_target::LinkTarget;
+use gdp_daemon::config::{Config as SwitchConfig, DomainConfig, Inside, Neighbour, Place, Via};
+use gdp_daemon::serve;
+use gdp_daemon::serve::Running;
+use gdp_wire::Name;
+use tokio::runtime::{Builder, Runtime};
+
+use crate::config::{Config, LinkPlace, RelayConfig};
+use crate::material::{MaterialError, load_identity, with_path};
+use gdp_util::unix_time::unix_seconds;
+
+/// A relay that can be started.
+pub struct Relay {
+    switch: SwitchConfig,
+    name: Name,
+}
+
+/// A relay that runs until [`Self::stop`].
+pub struct RunningRelay {
+    /// Of its own, so that what it carries for others does not wait for the proxy's topics, nor they for it.
+    runtime: Runtime,
+    running: Running,
+}
+
+/// Why a relay does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum RelayError {
+    #[error(transparent)]
+    Start(#[from] serve::StartError),
+    #[error("cannot start its thread: {0}")]
+    Runtime(#[from] std::io::Error),
+    #[error("panicked")]
+    Panicked,
+}
+
+impl Relay {
+    /// The relay that the configuration wants, if it wants one: reads and checks its files.
+    pub fn load(config: &Config) -> Result<Option<Self>, MaterialError> {
+        let Some(relay) = &config.relay else { return Ok(None) };
+        let wrong = |key: &str, reason| MaterialError { key: key.into(), reason };
+        let identity = load_identity(&relay.identity, "switch")
+            .map_err(|reason| wrong("relay.identity", with_path(reason, &relay.identity)))?;
+        let neighbours = neighbours(&config.links);
+        if neighbours.is_empty() {
+            let reason = "the relay needs a switch to pass on to: one of these as udp://ADDRESS:PORT, without %INTERFACE, \
+                          with switch: NAME";
+            return Err(wrong("links", reason.into()));
+        }
+        let domain = config.domain.as_ref().zip(relay.membership.as_ref());
+        let domain = domain.map(|(domain, membership)| {
+            let files = PaperFiles { membership: membership.clone(), ..domain.into() };
+            check_membership(&files, &identity).map_err(|reason| wrong("relay.membership", reason))?;
+            Ok(DomainConfig { files, members_only: true, trace: Inside::Masked })
+        });
+        let switch = switch(relay, neighbours, domain.transpose()?);
+        Ok(Some(Self { switch, name: identity.name() }))
+    }
+
+    pub async fn start(self) -> Result<RunningRelay, RelayError> {
+        let Self { switch, name } = self;
+        let runtime = Builder::new_multi_thread().worker_threads(1).thread_name("relay").enable_all().build()?;
+        let udp = switch.udp;
+        let started = runtime.spawn(serve::start(switch)).await.map_err(|_| RelayError::Panicked);
+        match started.and_then(|started| Ok(started?)) {
+            Ok(running) => {
+                let udp = running.udp_addr().or(udp).map_or_else(String::new, |addr| addr.to_string());
+                tracing::info!(relay = %name, udp, "carries others");
+                Ok(RunningRelay { runtime, running })
+            }
+            Err(error) => {
+                runtime.shutdown_background();
+                Err(error)
+            }
+        }
+    }
+}
+
+impl RunningRelay {
+    /// Tells those it carries, and ends.
+    pub async fn stop(self) {
+        if self.runtime.spawn(self.running.stop()).await.is_err() {
+            tracing::error!("the relay panicked while it ended");
+        }
+        self.runtime.shutdown_background();
+    }
+}
+
+/// Those of the proxy's switches that a switch can have as neighbours: at an address, and known by name.
+fn neighbours(links: &[LinkPlace]) -> Vec<Neighbour> {
+    let mut neighbours: Vec<Neighbour> = Vec::new();
+    for link in links {
+        let (LinkTarget::Udp { host, port, interface: None }, Some(switch)) = (&link.to, link.switch) else { continue };
+        let Ok(addr) = host.parse::<IpAddr>() else { continue };
+        if neighbours.iter().all(|other| other.place.switch != switch) {
+            let place = Place { switch, via: Via::Udp(SocketAddr::new(addr, *port)) };
+            neighbours.push(Neighbour { place, cost: None, dial: true, parent: false });
+        }
+    }
+    neighbours
+}
+
+/// A domain has links between its switches only.
+fn check_membership(files: &PaperFiles, identity: &Identity) -> Result<(), String> {
+    let remedy = |error: String| {
+        let (relay, file) = (identity.name(), files.membership.display());
+        let error = with_path(error, &files.membership);
+        format!(
+            "{error}; the relay has to be a switch of the domain: `gdp-ctl domain admit --key DOMAIN.pem {relay} --role {} \
+             -o {file}`",
+            roles::SWITCH
+        )
+    };
+    let papers = files.load().map_err(|error| remedy(error.to_string()))?;
+    let trust = Trust::new(identity.name(), papers.into(), true).map_err(|error| remedy(error.to_string()))?;
+    let own = trust.own(unix_seconds()).map_err(|error| remedy(error.to_string()))?;
+    match roles::is_switch(&own.role) {
+        true => Ok(()),
+        false => Err(remedy(format!("its role is {}", own.role))),
+    }
+}
+
+fn switch(relay: &RelayConfig, neighbours: Vec<Neighbour>, domain: Option<DomainConfig>) -> SwitchConfig {
+    SwitchConfig {
+        interfaces: Some(relay.interfaces.clone()),
+        neighbours,
+        domain,
+        ..SwitchConfig::userspace(relay.identity.clone(), relay.udp)
+    }
+}
