@@ -85,10 +85,11 @@ fn run(arguments: Arguments) -> Result<()> {
     runtime.block_on(async {
         if let Some(seconds) = arguments.dry_run {
             let report = dry_run::run(&loaded()?, Duration::from_secs(seconds.get().into())).await?;
-            return Ok(match arguments.json {
+            match arguments.json {
                 true => terminal::print_json(&serde_json::to_string(&report)?)?,
                 false => terminal::print(report.lines())?,
-            });
+            }
+            return Ok(());
         }
         let stop = stop_signal()?;
         #[cfg(debug_assertions)]

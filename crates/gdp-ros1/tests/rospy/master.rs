@@ -18,8 +18,6 @@ use tokio::time::{Instant, sleep};
 /// For whatever a test waits for. Says that it is broken, not how fast it is.
 pub const LIMIT: Duration = Duration::from_secs(60);
 
-/// The Python that Debian's rospy is installed for; another may come first in `PATH`.
-
 /// A master, and a folder for what it and its nodes write.
 pub struct Master {
     process: Process,
