@@ -269,4 +269,5 @@ pub(crate) fn with_path(reason: impl Display, path: &Path) -> String {
 }
 
 #[cfg(test)]
+#[path = "../tests/unit/material.rs"]
 pub(crate) mod tests;

@@ -64,21 +64,5 @@ impl<R: Reason> Tally<R> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    reasons! {
-        /// Two of them.
-        pub enum Why {
-            Early = "early",
-            Late = "late",
-        }
-    }
-
-    #[test]
-    fn reasons_have_their_own_counters() {
-        let tally = Tally::default();
-        assert!(tally.add(Why::Late, 1) && !tally.add(Why::Late, 2));
-        assert_eq!(tally.read(), BTreeMap::from([("early", 0), ("late", 3)]));
-    }
-}
+#[path = "../tests/unit/tally.rs"]
+mod tests;

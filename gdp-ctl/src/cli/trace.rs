@@ -178,57 +178,5 @@ fn end(end: &Value) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_path_is_told_hop_by_hop() {
-        let name = |i: u8| Name::from_bytes([i; 32]);
-        let beyond = json!([{"domain": name(8), "switch": name(9)}]);
-        let domain = |depth, outcome, inside| {
-            let reason = "it says\x1b so";
-            json!({
-                "depth": depth, "domain": name(8), "switch": name(9), "rtt_us": if depth == 1 { Some(300) } else { None },
-                "outcome": outcome, "reason": reason, "inside": inside,
-            })
-        };
-        let hops = json!([{"hop": 1, "switch": name(5), "rtt_us": 700}, {"hop": 2, "switch": null, "rtt_us": null}]);
-        let domains = [
-            domain(1, "traced", json!({"links": 0, "rtt_us": 500, "hops": null})),
-            domain(2, "traced", json!({"links": 2, "rtt_us": null, "hops": hops})),
-            domain(3, "unanswered", Value::Null),
-            domain(3, "refused", Value::Null),
-            domain(3, "loop", Value::Null),
-            domain(3, "too_far", Value::Null),
-        ];
-        let paths = [json!({"egress": name(3), "reached": true, "hops": [
-            {"hop": 0, "switch": name(1), "rtt_us": 0, "end": null},
-            {"hop": 1, "switch": null, "rtt_us": null, "end": null},
-            {"hop": 2, "switch": name(3), "rtt_us": 1234, "end": {"links": 1, "beyond": beyond}},
-        ], "domains": domains})];
-        let text = describe(&name(7), &paths);
-        let lines: Vec<_> = text.lines().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
-        assert_eq!(lines[1], format!("0 {:#} this switch", name(1)));
-        assert_eq!(lines[2], "1 * no answer");
-        assert_eq!(
-            lines[3],
-            format!("2 {:#} 1.234 ms → 1 local link, domain {:#} by its switch {:#}", name(3), name(8), name(9))
-        );
-        let entered = |time| format!("domain {:#} by its switch {:#} {time}", name(8), name(9));
-        let masked = format!("… inside of domain {:#} (masked) 0.500 ms → 0 local links", name(8));
-        assert_eq!(lines[4..6], [entered("0.300 ms"), masked]);
-        let no_echo = entered("no answer to echoes");
-        let open = format!("inside of domain {:#} no answer from all of it → 2 local links", name(8));
-        assert_eq!(lines[6..10], [&no_echo, &format!("1 {:#} 0.700 ms", name(5)), "2 * no answer", &open]);
-        let why_not: Vec<_> = lines[10..].iter().filter(|line| **line != no_echo).collect();
-        assert_eq!(
-            why_not,
-            [
-                "its border does not say what is behind it: no answer in time",
-                "not traced: it says so",
-                "not traced: the name has crossed this domain before",
-                "not traced: the name has crossed 16 domains already",
-            ]
-        );
-    }
-}
+#[path = "../../tests/unit/cli/trace.rs"]
+mod tests;

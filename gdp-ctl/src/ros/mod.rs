@@ -15,4 +15,5 @@ pub mod view;
 pub mod yaml;
 
 #[cfg(test)]
+#[path = "../../tests/unit/ros.rs"]
 mod tests;

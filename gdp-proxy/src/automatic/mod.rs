@@ -293,4 +293,5 @@ impl Import {
 }
 
 #[cfg(test)]
+#[path = "../../tests/unit/automatic.rs"]
 mod tests;

@@ -349,4 +349,5 @@ fn from_text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LinkTarget, D
 }
 
 #[cfg(test)]
+#[path = "../../tests/unit/config.rs"]
 mod tests;

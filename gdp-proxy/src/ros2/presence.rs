@@ -34,14 +34,5 @@ fn read(sample: &RawSample) -> Vec<u8> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_is_written_is_read_and_nonsense_is_nothing() {
-        assert_eq!(read(&written("{}")), b"{}");
-        for bytes in [&[0, 1, 0, 0][..], &[0, 1, 0, 0, 9, 0, 0, 0, 1], &[0, 1, 0, 0, 0, 0, 0, 0]] {
-            assert_eq!(read(&RawSample { representation: Representation::CdrLe, bytes: bytes.to_vec().into() }), b"");
-        }
-    }
-}
+#[path = "../../tests/unit/ros2/presence.rs"]
+mod tests;

@@ -5,7 +5,7 @@
 //!   10.9.0.1              10.9.0.2
 //! ```
 //!
-//! What needs no path: `gdp/src/port/udp_tests.rs`.
+//! What needs no path: `crates/gdp-link/tests/unit/port/udp_tests.rs`.
 
 use std::net::SocketAddr;
 

@@ -417,4 +417,5 @@ fn failed(check: &'static str, fact: String, remedy: impl Into<String>) -> Findi
 }
 
 #[cfg(test)]
+#[path = "../../tests/unit/doctor.rs"]
 mod tests;

@@ -344,4 +344,5 @@ fn may_be_taken_later(refusal: &Refusal) -> bool {
 }
 
 #[cfg(test)]
+#[path = "../../tests/unit/serve/federation.rs"]
 mod tests;

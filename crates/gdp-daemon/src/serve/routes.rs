@@ -457,4 +457,5 @@ fn concerned(way: &Way) -> impl Iterator<Item = &Name> {
 }
 
 #[cfg(test)]
+#[path = "../../tests/unit/serve/routes.rs"]
 mod tests;

@@ -254,30 +254,5 @@ fn cookie() -> Result<u64, ProbeError> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_domain_uses_up_what_is_for_others() {
-        let (mut outstanding, [one, other]) = (Outstanding::default(), [1, 2].map(|i| Name::from_bytes([i; 32])));
-        let mut cookies = 0..;
-        let mut fill = |outstanding: &mut Outstanding, asked_by| {
-            let mut wait = || outstanding.wait(asked_by, cookies.next().unwrap()).ok();
-            std::iter::from_fn(&mut wait).take(1000).collect::<Vec<_>>()
-        };
-        let of_one = fill(&mut outstanding, Some(one));
-        assert_eq!((of_one.len(), outstanding.room(Some(one))), (MAX_FOR_NEIGHBOUR, 0));
-        let (of_other, mut own) = (fill(&mut outstanding, Some(other)), fill(&mut outstanding, None));
-        assert_eq!((of_other.len(), own.len()), (MAX_FOR_NEIGHBOUR, MAX_OUTSTANDING));
-
-        // The first cookie is one of the first domain; an answer, and a wait that was given up, make room.
-        let name = Name::from_bytes([3; 32]);
-        outstanding.answer(Traced { cookie: 0, switch: name, end: None });
-        assert_eq!((outstanding.room(Some(one)), outstanding.room(None)), (1, 0));
-        own.truncate(10);
-        assert_eq!((outstanding.room(Some(one)), outstanding.room(None)), (1, MAX_OUTSTANDING - 10));
-        drop(of_one);
-        assert_eq!(outstanding.room(Some(one)), MAX_FOR_NEIGHBOUR);
-        assert_eq!(outstanding.room(Some(other)), 0);
-    }
-}
+#[path = "../../tests/unit/serve/trace.rs"]
+mod tests;

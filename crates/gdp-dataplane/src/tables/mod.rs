@@ -15,6 +15,7 @@
 
 mod names;
 #[cfg(test)]
+#[path = "../../tests/unit/tables.rs"]
 mod tests;
 
 use std::collections::HashMap;

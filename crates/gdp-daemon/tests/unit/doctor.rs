@@ -1,3 +1,5 @@
+//! Unit tests of `doctor`.
+
 use super::*;
 use gdp_dataplane::device::{AttachedProgram, Device, Offloads};
 use gdp_dataplane::kernel::Mode;

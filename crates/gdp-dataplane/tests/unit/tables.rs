@@ -1,3 +1,5 @@
+//! Unit tests of `tables`.
+
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::*;

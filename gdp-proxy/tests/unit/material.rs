@@ -1,3 +1,5 @@
+//! Unit tests of `material`.
+
 use super::*;
 use crate::ros2::TopicName;
 use gdp_core::cert::{Delegation, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};

@@ -1,3 +1,5 @@
+//! Unit tests of `config`.
+
 use super::*;
 use crate::ros2::{Durability, Qos, Reliability};
 

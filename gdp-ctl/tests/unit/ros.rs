@@ -14,7 +14,7 @@ use super::yaml::document;
 
 const ALL: Limits = Limits { length: 128, no_arrays: false, no_texts: false };
 
-/// See `oracle/generate.py`.
+/// See `ros/oracle/generate.py`.
 #[derive(Deserialize)]
 struct Case {
     r#type: String,
@@ -27,7 +27,7 @@ struct Case {
 
 #[test]
 fn messages_are_printed_as_ros_2_prints_them() {
-    let cases: Vec<Case> = serde_json::from_str(include_str!("oracle/messages.json")).unwrap();
+    let cases: Vec<Case> = serde_json::from_str(include_str!("ros/oracle/messages.json")).unwrap();
     for Case { r#type, cdr, yaml, no_arr, no_str, repr } in cases {
         let (schema, root) = known(&r#type);
         let json = decode(&schema, &hex::decode(cdr).unwrap());
@@ -102,7 +102,7 @@ fn times_may_be_those_of_the_moment() {
 
 #[test]
 fn what_echo_prints_can_be_published_again() {
-    let cases: Vec<Case> = serde_json::from_str(include_str!("oracle/messages.json")).unwrap();
+    let cases: Vec<Case> = serde_json::from_str(include_str!("ros/oracle/messages.json")).unwrap();
     for Case { r#type, cdr, .. } in cases {
         let ((schema, root), cdr) = (known(&r#type), hex::decode(cdr).unwrap());
         let json = decode(&schema, &cdr);

@@ -1,0 +1,50 @@
+//! Unit tests of `domain`.
+
+use super::*;
+use gdp_core::identity::SigningKey;
+
+#[test]
+fn the_first_entity_is_admitted_and_no_other() {
+    let key = SigningKey::generate().unwrap().verify_key();
+    let [robot, thief] = [1, 2].map(|n| Name::from_bytes([n; 32]));
+    let invite = |serial| Invite {
+        domain: Name::default(),
+        key,
+        role: "arm".into(),
+        serial,
+        not_before: 0,
+        not_after: 100,
+        member_until: 200,
+    };
+    let mut invitations = Invitations::default();
+    assert_eq!(invitations.admit(&invite(7), robot, 100), Ok(true));
+    assert_eq!(invitations.admit(&invite(7), robot, 150), Ok(false), "it is one already");
+    let refused = invitations.admit(&invite(7), thief, 50);
+    assert_eq!(refused, Err(NotInvited::Used { serial: 7, by: robot }));
+    assert_eq!(invitations.admit(&invite(8), thief, 101), Err(NotInvited::TooLate { serial: 8, at: 100, now: 101 }));
+
+    let mut after_a_restart = Invitations::recall(invitations.all().copied());
+    assert!(after_a_restart.has_admitted(7, &robot) && !after_a_restart.has_admitted(7, &thief));
+    assert!(after_a_restart.admit(&invite(7), thief, 50).is_err());
+}
+
+#[test]
+fn what_is_remembered_is_bounded_and_ends() {
+    let key = SigningKey::generate().unwrap().verify_key();
+    let invite = |serial, member_until| Invite {
+        domain: Name::default(),
+        key,
+        role: "arm".into(),
+        serial,
+        not_before: 0,
+        not_after: member_until,
+        member_until,
+    };
+    let mut invitations = Invitations::default();
+    for serial in 0..MAX_USED as u64 {
+        invitations.remember(&invite(serial, 100), Name::default());
+    }
+    assert_eq!(invitations.admit(&invite(1 << 20, 300), Name::default(), 100), Err(NotInvited::Full));
+    assert_eq!(invitations.admit(&invite(1 << 20, 300), Name::default(), 101), Ok(true));
+    assert_eq!(invitations.all().count(), 1);
+}

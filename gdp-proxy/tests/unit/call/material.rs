@@ -1,0 +1,44 @@
+//! Unit tests of `call::material`.
+
+use std::fs;
+
+use gdp_core::cert::{AdCert, issue};
+
+use super::*;
+use crate::material::tests::Files;
+use crate::material::{Material, Permission};
+
+/// With a name of this kind and type, and what is said of it.
+fn load(kind: &str, of: &str, said: &str) -> Result<Vec<RouteMaterial>, MaterialError> {
+    let files = Files::new();
+    let card = NameCard::create(files.owner.verify_key(), kind, "/light", of, None).unwrap();
+    card.save_new(&files.path("light.card")).unwrap();
+    let cert = AdCert { name: card.name(), ..files.claims() };
+    fs::write(files.path("light.ad"), issue(&files.owner, &cert).unwrap().to_pem()).unwrap();
+    let text = format!("{{version: 1, identity: id.pem, links: [{{to: 'eth://r0'}}], services: [{said}]}}");
+    let config = Config::parse(&text, &files.path("robot.yaml")).unwrap();
+    Material::load(&config).map(|material| material.calls.into_iter().map(|(_, call)| call).collect())
+}
+
+const LIGHT: &str = "{service: /light, direction: out, card: light.card, cert: light.ad}";
+
+#[test]
+fn files_that_belong_together_are_taken() {
+    let loaded = load("service", "std_srvs/srv/SetBool", LIGHT).unwrap();
+    let [light] = &loaded[..] else { panic!("one service") };
+    assert_eq!(light.kind.as_ref().unwrap().as_str(), "std_srvs/srv/SetBool");
+    assert!(matches!(light.permission, Permission::Publish(_)));
+}
+
+#[test]
+fn what_does_not_fit_is_named() {
+    let refusal = |kind, of, said: &str| load(kind, of, said).err().expect("a refusal").to_string();
+    let of_topic = refusal("topic", "std_srvs/srv/SetBool", LIGHT);
+    assert!(of_topic.starts_with("services[0].card: ") && of_topic.contains("make one of kind service"), "{of_topic}");
+    let typed = LIGHT.replace("card:", "type: std_srvs/srv/Trigger, card:");
+    let other_type = refusal("service", "std_srvs/srv/SetBool", &typed);
+    assert!(other_type.starts_with("services[0].type: ") && other_type.contains("SetBool"), "{other_type}");
+    let twice = format!("{LIGHT}, {}", LIGHT.replace("/light", "/lamp"));
+    let same_name = refusal("service", "", &twice);
+    assert!(same_name.starts_with("services[1].card: "), "{same_name}");
+}

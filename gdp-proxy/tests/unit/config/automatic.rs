@@ -1,0 +1,89 @@
+//! Unit tests of `config::automatic`.
+
+use std::path::Path;
+
+use super::*;
+use crate::config::Config;
+
+#[test]
+fn a_namespace_is_renamed_with_all_that_is_in_it_and_nothing_else() {
+    let topic = |text: &str| TopicName::parse(text).unwrap();
+    let remap = [("/camera/left", "/eye"), ("/camera", "/r1/camera")];
+    let remap = remap.map(|(from, to)| Remap { from: topic(from), to: topic(to) });
+    for (from, to) in [
+        ("/camera/left/image", "/eye/image"),
+        ("/camera/left", "/eye"),
+        ("/camera/leftmost", "/r1/camera/leftmost"),
+        ("/cameras", "/cameras"),
+    ] {
+        assert_eq!(remapped(&topic(from), &remap), Some(topic(to)));
+    }
+    let long = Remap { from: topic("/a"), to: topic(&format!("/{}", "b".repeat(200))) };
+    assert_eq!(remapped(&topic(&format!("/a/{}", "c".repeat(100))), &[long]), None);
+}
+
+#[test]
+fn a_pattern_says_what_differs() {
+    let config: ExposeConfig = serde_saphyr::from_str(
+        "owner: o\ncatalog: c\ntopics: [/a, {topic: /b/**, max_hz: 5, compression: none, meta: {floor: '2'}}]\n\
+         defaults: {max_hz: 9, priority: 6, compression: zstd, frame_prefix: r1/, meta: {floor: '1', site: x}}\n",
+    )
+    .unwrap();
+    let manner = |i: usize| config.topics[i].manner.or(&config.defaults);
+    let meta = |i: usize| manner(i).meta.into_values().collect::<Vec<_>>().join(" ");
+    assert_eq!((manner(0).max_hz.unwrap().get(), meta(0)), (9, "1 x".into()));
+    assert_eq!((manner(1).max_hz.unwrap().get(), meta(1)), (5, "2 x".into()));
+    let topic = manner(1).topic(&TopicName::parse("/b").unwrap(), "here", None, Direction::Out);
+    assert_eq!((topic.priority.get(), topic.graph.as_deref(), topic.duplicate), (6, Some("here"), false));
+    assert_eq!((topic.compression, topic.frame_prefix.unwrap().as_str()), (Compression::None, "r1/"));
+    assert_eq!(manner(0).compression, Some(Compression::Zstd));
+}
+
+#[test]
+fn something_must_be_meant_and_what_is_misspelt_or_not_of_ros_1_is_named() {
+    let parse = |graph: &str, says: &str| {
+        let text =
+            format!("{{version: 1, identity: i, links: [{{to: 'eth://r0'}}], graphs: {{a: {{{graph}}}}}, {says}}}");
+        Config::parse(&text, Path::new("p.yaml")).map_err(|error| error.to_string())
+    };
+    let expose = |lists: &str| format!("expose: {{owner: o, catalog: c, {lists}}}");
+    let import = |lists: &str| format!("import: [{{catalog: c, grant: g, {lists}}}]");
+    let (ros1, ros2) = ("master: 'http://b:11311'", "domain_id: 1");
+    for good in ["services: [/**]", "actions: [/dock]", "topics: [/a]"] {
+        parse(ros2, &format!("{}, {}", expose(good), import(good))).unwrap();
+    }
+    for (graph, says, refusal) in [
+        (ros2, expose("deny: [/a]"), "p.yaml: expose.topics: no pattern here"),
+        (ros2, import("topics: []"), "p.yaml: import[0].topics: no pattern here"),
+        (ros1, expose("services: [/**], actions: [/a]"), "p.yaml: expose.actions: actions of ROS 1 are topics"),
+        (ros1, import("actions: [/a]"), "p.yaml: import[0].actions: actions of ROS 1 are topics"),
+        (ros2, expose("service: [/**]"), "did you mean `services`?"),
+        (ros2, expose("services: [{service: /a, max_hz: 5}]"), "p.yaml: "),
+        (ros2, expose("services: [light]"), "is no pattern of names"),
+    ] {
+        let said = parse(graph, &says).unwrap_err();
+        assert!(said.contains(refusal), "{says}: {said}");
+    }
+}
+
+#[test]
+fn frames_of_what_is_imported_get_a_prefix_as_its_topics_do() {
+    let config = "catalog: c\ngrant: g\ntopics: [/**]\nprefix: /r2\nframe_prefix: r2/\n";
+    let config: ImportConfig = serde_saphyr::from_str(config).unwrap();
+    let topic = config.local_name(&TopicName::parse("/odom").unwrap()).unwrap();
+    let topic = config.manner().topic(&topic, "here", None, Direction::In);
+    assert_eq!((topic.topic.as_str(), topic.frame_prefix.unwrap().as_str()), ("/r2/odom", "r2/"));
+}
+
+#[test]
+fn readers_are_entities_or_roles() {
+    let name = "ab".repeat(32);
+    let readers: Vec<Reader> =
+        serde_saphyr::from_str(&format!("- {name}\n- {{domain: {name}, role: operator}}\n")).unwrap();
+    let name: Name = name.parse().unwrap();
+    let role = Grantee::Role { domain: name, role: "operator".into() };
+    assert_eq!(readers, [Reader(Grantee::Entity(name)), Reader(role)]);
+    for wrong in ["[12]", "[{domain: x}]", "[{domian: x, role: y}]"] {
+        assert!(serde_saphyr::from_str::<Vec<Reader>>(wrong).is_err(), "{wrong}");
+    }
+}

@@ -1,0 +1,60 @@
+//! Unit tests of `diagnostics`.
+
+use super::*;
+use crate::stats::{Counted, FabricStats};
+
+#[test]
+fn a_route_is_as_well_as_its_status_says() {
+    let cases = [
+        ("up", false, Level::Ok),
+        ("up", true, Level::Warn),
+        ("starting", false, Level::Stale),
+        ("standing by for 75e1", false, Level::Ok),
+        ("the right has ended", false, Level::Error),
+    ];
+    for (status, drops, expected) in cases {
+        assert_eq!(level(status, drops), expected, "{status}");
+    }
+}
+
+#[tokio::test]
+async fn what_was_counted_is_known_of_the_routes_that_are_there() {
+    let entity = Name::from_bytes([7; 32]);
+    let ticks = tokio::time::interval(PERIOD);
+    let mut diagnostics = Diagnostics { entity, outlets: vec![], ticks, before: Before::new() };
+    let route = |topic: &str, messages| RouteStats {
+        topic: topic.into(),
+        graph: "ros2".into(),
+        kind: None,
+        status: "up".into(),
+        direction: Side::Out,
+        name: entity,
+        fabric: FabricStats::None,
+        counted: Counted { messages, ..Counted::default() },
+    };
+    diagnostics.tell(&[route("/a", 3), route("/b", 0)]).await;
+    diagnostics.tell(&[route("/a", 5)]).await;
+    let before: Vec<_> = diagnostics.before.into_iter().collect();
+    assert_eq!(before, [(("/a".into(), "ros2".into(), Side::Out), (5, 0))]);
+}
+
+/// The definitions are among those that the proxy brings.
+#[test]
+fn it_is_written_in_either_dialect() {
+    let types = Types::load([]).unwrap();
+    let ros2 = Kind { dialect: Dialect::Ros2, name: KIND.into(), hash: vec![] };
+    let told = Form { kind: &ros2, definition: None, encoding: Encoding::Json };
+    let values = vec![Value { key: "rate (Hz)".into(), value: "10".into() }];
+    let (name, message, hardware_id) = ("n".to_owned(), "m".to_owned(), "h".to_owned());
+    let status = vec![Status { level: Level::Error as u8, name, message, hardware_id, values }];
+    let array = Array { header: Header { stamp: Stamp { sec: 1, nanosec: 2 }, frame_id: "" }, status };
+    let json = bytes::Bytes::from(serde_json::to_vec(&array).unwrap());
+    for dialect in [Dialect::Ros1, Dialect::Ros2] {
+        let (kind, _) = types.counterpart(&told, dialect).unwrap();
+        let native = Form { kind: &kind, definition: None, encoding: dialect.native() };
+        let bytes = types.converter(&told, &native).unwrap().convert(json.clone()).unwrap();
+        let back = types.converter(&native, &told).unwrap().convert(bytes).unwrap();
+        let back: serde_json::Value = serde_json::from_slice(&back).unwrap();
+        assert_eq!(back, serde_json::from_slice::<serde_json::Value>(&json).unwrap(), "{dialect:?}");
+    }
+}

@@ -1,0 +1,25 @@
+//! Unit tests of `ros2::range`.
+
+use super::*;
+
+#[test]
+fn the_environment_is_read_as_ros_reads_it() {
+    let read = |only: &str, range: &str| {
+        Range::from_variables(|variable| match variable {
+            "ROS_LOCALHOST_ONLY" => Some(only.to_owned()),
+            _ => Some(range.to_owned()),
+        })
+    };
+    assert_eq!(Range::from_variables(|_| None), Ok(Range::Subnet));
+    for (only, range, expected) in [
+        ("0", "LOCALHOST", Range::Localhost),
+        ("1", "SUBNET", Range::Localhost),
+        ("", "SUBNET", Range::Subnet),
+        ("0", "SYSTEM_DEFAULT", Range::Subnet),
+        ("0", "", Range::Subnet),
+    ] {
+        assert_eq!(read(only, range), Ok(expected), "{only} {range}");
+    }
+    assert_eq!(read("0", "OFF"), Err(RangeError::Off));
+    assert!(read("0", "localhost").unwrap_err().to_string().contains("\"localhost\""));
+}

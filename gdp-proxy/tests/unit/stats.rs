@@ -1,0 +1,131 @@
+//! Unit tests of `stats`.
+
+use std::time::Duration;
+
+use gdp::node::LinkState;
+
+use super::*;
+use crate::config::What;
+
+/// Of version 4.
+const KEYS: [&str; 10] = [
+    "calls catalogs entity links node switch topics version",
+    "bytes bytes_carried direction drops fabric graph latency_us messages name status topic type",
+    "crowded lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable write_failed",
+    "arrival handling",
+    "p50 p99",
+    "copies_dropped copies_sent frames_sent frames_unsent main reason state switch target",
+    "drops echoes_answered errors_received feedback_received feedback_sent frames_received \
+     frames_sent frames_unsent links messages_received messages_sent messages_unsent",
+    "evicted expired frames incompatible_readers marked messages over_budget readers refused \
+     repeated replaced slowed",
+    "beyond delivered drops duplicates expired given_up incompatible_writers overtaken \
+     queue_full repeats",
+    "answers calls direction events events_dropped failures graph name pending servers service status type what",
+];
+
+#[test]
+fn the_fabrics_counters_are_shown_as_they_are() {
+    let mut counters = SubscriptionCounters::default();
+    counters.inbound.delivered = 7;
+    counters.incompatible_writers = 1;
+    counters.drops.insert("seal_too_old", 3);
+    let shown = serde_json::to_value(FabricStats::In(counters)).unwrap();
+    assert_eq!((&shown["delivered"], &shown["drops"]["seal_too_old"]), (&7.into(), &3.into()));
+    assert_eq!(shown["incompatible_writers"], 1);
+    let shown = serde_json::to_value(FabricStats::Out(PublisherCounters::default())).unwrap();
+    assert_eq!((&shown["frames"], &shown["incompatible_readers"]), (&0.into(), &0.into()));
+}
+
+fn route(name: Name, counters: &RouteCounters) -> RouteStats {
+    RouteStats {
+        topic: "/chatter".into(),
+        graph: "ros2".into(),
+        kind: None,
+        status: "up".into(),
+        direction: Side::Out,
+        name,
+        fabric: FabricStats::None,
+        counted: counters.read(),
+    }
+}
+
+/// Who reads the file relies on them: another [`VERSION`] for others.
+#[test]
+fn the_keys_are_those_of_the_version() {
+    let (name, counters) = (Name::from_bytes([7; 32]), RouteCounters::default());
+    counters.arrival.record(Duration::from_millis(1));
+    let route = route(name, &counters);
+    let link = LinkStatus {
+        target: "eth://r0".into(),
+        state: LinkState::Up,
+        reason: None,
+        main: true,
+        switch: None,
+        frames_sent: 0,
+        frames_unsent: 0,
+        copies_sent: 0,
+        copies_dropped: 0,
+    };
+    let call = CallStats {
+        what: What::Action,
+        service: "/move".into(),
+        graph: "ros2".into(),
+        kind: None,
+        status: "up".into(),
+        direction: Side::In,
+        name,
+        counted: Default::default(),
+    };
+    let (topics, calls, links, node) = (vec![route], vec![call], vec![link], NodeCounters::default());
+    let stats = Stats { version: VERSION, entity: name, switch: None, topics, catalogs: vec![], calls, links, node };
+    let shown = serde_json::to_value(stats).unwrap();
+    let keys = |of: &serde_json::Value| of.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(" ");
+    let of_fabric = |of: FabricStats| keys(&serde_json::to_value(of).unwrap());
+    let topic = &shown["topics"][0];
+    let found = [
+        keys(&shown),
+        keys(topic),
+        keys(&topic["drops"]),
+        keys(&topic["latency_us"]),
+        keys(&topic["latency_us"]["arrival"]),
+        keys(&shown["links"][0]),
+        keys(&shown["node"]),
+        of_fabric(FabricStats::Out(PublisherCounters::default())),
+        of_fabric(FabricStats::In(SubscriptionCounters::default())),
+        keys(&shown["calls"][0]),
+    ];
+    assert_eq!((VERSION, found), (4, KEYS.map(str::to_owned)));
+}
+
+#[test]
+fn the_file_is_whole_and_says_what_happened() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = StatsFile::new(folder.path().join("stats.json"));
+    let counters = RouteCounters::default();
+    for sent in 1..=2 {
+        counters.passed(68, 17);
+        let name = Name::from_bytes([7; 32]);
+        let route = route(name, &counters);
+        let topics = vec![route];
+        file.replace(&Stats {
+            version: VERSION,
+            entity: name,
+
+            switch: None,
+            topics,
+            catalogs: Vec::new(),
+            calls: Vec::new(),
+            links: Vec::new(),
+            node: NodeCounters::default(),
+        })
+        .unwrap();
+        let read: serde_json::Value = serde_json::from_slice(&std::fs::read(file.path()).unwrap()).unwrap();
+        let topic = &read["topics"][0];
+        assert_eq!((&topic["messages"], &topic["bytes"]), (&sent.into(), &(68 * sent).into()));
+        assert_eq!(topic["bytes_carried"], 17 * sent);
+        assert_eq!((&topic["direction"], &topic["name"]), (&"out".into(), &"07".repeat(32).into()));
+        assert_eq!((&topic["drops"]["send_failed"], &topic["fabric"]), (&0.into(), &serde_json::Value::Null));
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
