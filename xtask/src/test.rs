@@ -45,7 +45,7 @@ pub fn run(options: Options) -> Result<()> {
     // Of the whole workspace, as above and below: with other packages Cargo would choose other features for the dependencies,
     // and compile them all again.
     let mut executables = shell::cargo();
-    executables.args(["build", "--workspace", "--profile", Profile::Checked.name()]);
+    executables.args(["build", "--workspace", "--profile", Profile::Checked.name(), "--features", RELAY]);
     shell::say_and_run(executables.args(["--bin", "gdp-ctl", "--bin", "gdp-proxy", "--test", NETWORKS]))?;
     let mut networks = tests(&options);
     networks.args(["--workspace", "--test", NETWORKS]);
@@ -56,9 +56,13 @@ pub fn run(options: Options) -> Result<()> {
 /// The test target that needs root. It runs only when it is named.
 const NETWORKS: &str = "networks";
 
+/// Puts a switch into `gdp-proxy`.
+const RELAY: &str = "gdp-proxy/relay";
+
+/// With the relay, whose test and code are behind a feature.
 fn tests(options: &Options) -> Command {
     let mut command = shell::cargo();
-    command.args(["test", "--profile", Profile::Checked.name()]);
+    command.args(["test", "--profile", Profile::Checked.name(), "--features", RELAY]);
     command.args(options.filter.as_deref());
     command
 }

@@ -2,8 +2,8 @@
 
 use clap::Subcommand;
 
-use super::Context;
 use super::topic::{ListOptions, list};
+use crate::cli::context::Context;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {

@@ -13,9 +13,11 @@ use serde_json::json;
 
 use super::key::Kind;
 use super::paper::Paper;
-use super::{Context, parse_seconds, serial_now, unix_seconds, validity};
+use crate::cli::context::Context;
+use crate::cli::issuing::{parse_seconds, serial_now, validity};
 use crate::client::Client;
 use gdp_proto::admin::Request;
+use gdp_util::unix_time::unix_seconds;
 
 /// What the switch is allowed to carry for a statement that a tool makes.
 const ROUTE_SECONDS: u64 = 300;

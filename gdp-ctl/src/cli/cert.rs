@@ -8,7 +8,8 @@ use serde_json::json;
 
 use super::books::Books;
 use super::paper::Paper;
-use super::{Context, unix_seconds};
+use crate::cli::context::Context;
+use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {

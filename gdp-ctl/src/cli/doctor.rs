@@ -6,7 +6,7 @@ use anyhow::bail;
 use clap::Args;
 use serde_json::json;
 
-use super::Context;
+use crate::cli::context::Context;
 use gdp_daemon::config::Config;
 use gdp_daemon::doctor;
 use gdp_daemon::doctor::{Finding, Level};

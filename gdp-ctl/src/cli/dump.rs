@@ -5,8 +5,8 @@ use gdp_core::name::NamePrefix;
 use gdp_proto::control::Record;
 use serde_json::{Value, json};
 
-use super::Context;
 use super::output::{short, table};
+use crate::cli::context::Context;
 use crate::client::{Client, ClientError};
 use gdp_proto::admin::Request;
 

@@ -6,7 +6,7 @@ use clap::{Subcommand, ValueEnum};
 use gdp_core::identity::{Identity, SigningKey};
 use serde_json::{Map, json};
 
-use super::Context;
+use crate::cli::context::Context;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {

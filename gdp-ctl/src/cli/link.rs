@@ -3,8 +3,8 @@
 use clap::Subcommand;
 use serde_json::Value;
 
-use super::Context;
 use super::output::{short, table};
+use crate::cli::context::Context;
 use gdp_proto::admin::Request;
 
 #[derive(Debug, Subcommand)]

@@ -5,17 +5,19 @@ mod action;
 mod advertise;
 mod books;
 mod cert;
+mod context;
 mod doctor;
 mod domain;
 mod dump;
 mod grant;
+mod issuing;
 mod key;
 mod link;
 mod monitor;
 mod name;
 mod node;
 mod output;
-mod paper;
+pub(crate) mod paper;
 mod peer;
 mod ping;
 mod place;
@@ -35,12 +37,10 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use gdp_util::terminal::note;
 
-use crate::client::{Client, ClientError};
-use gdp_daemon::folders;
+use crate::client::ClientError;
+use context::Context;
 use gdp_dataplane::object;
-use gdp_util::unix_time::{unix_nanos, unix_seconds};
 use output::Output;
-pub(crate) use paper::Paper;
 
 const VERSION: &str = if object::is_embedded() {
     concat!(env!("CARGO_PKG_VERSION"), " (with XDP)")
@@ -127,22 +127,6 @@ enum Command {
     Xdp(xdp::Command),
 }
 
-/// What every command may need.
-struct Context {
-    socket: Option<PathBuf>,
-    output: Output,
-}
-
-impl Context {
-    fn client(&self) -> anyhow::Result<Client> {
-        let path = match &self.socket {
-            Some(path) => path.clone(),
-            None => folders::admin_socket()?,
-        };
-        Ok(Client::connect(&path)?)
-    }
-}
-
 /// Runs the command of this process.
 pub fn main() -> ExitCode {
     gdp_util::panics::end_process();
@@ -193,34 +177,6 @@ fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Doctor(options) => doctor::run(options, context),
         Command::Xdp(command) => xdp::run(&command, context),
     }
-}
-
-/// The serial of what is issued now.
-fn serial_now() -> u64 {
-    unix_nanos()
-}
-
-/// Beginning and end of what is issued now for so many seconds. A clock that is a little behind must not refuse it.
-fn validity(seconds: u64) -> (u64, u64) {
-    const BACKDATED: u64 = 300;
-    let now = unix_seconds();
-    (now.saturating_sub(BACKDATED), now.saturating_add(seconds))
-}
-
-/// `90s`, `15m`, `2h`, `7d`, or a bare number of seconds.
-fn parse_seconds(text: &str) -> Result<u32, String> {
-    let (digits, unit) = match text.strip_suffix(['s', 'm', 'h', 'd']) {
-        Some(digits) => (digits, &text[digits.len()..]),
-        None => (text, "s"),
-    };
-    let factor = match unit {
-        "m" => 60,
-        "h" => 3600,
-        "d" => 86400,
-        _ => 1,
-    };
-    let seconds = digits.parse::<u32>().ok().and_then(|n| n.checked_mul(factor)).filter(|n| *n > 0);
-    seconds.ok_or_else(|| format!("{text:?} is not a time such as 90s, 15m, 2h or 7d"))
 }
 
 #[cfg(test)]

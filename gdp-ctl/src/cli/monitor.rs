@@ -2,8 +2,8 @@
 
 use serde_json::Value;
 
-use super::Context;
 use super::output::short;
+use crate::cli::context::Context;
 
 pub fn run(context: &Context) -> anyhow::Result<()> {
     for event in context.client()?.monitor()? {

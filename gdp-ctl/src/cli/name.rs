@@ -11,7 +11,7 @@ use gdp_core::name::Metadata;
 use gdp_util::terminal::note;
 use serde_json::{Value, json};
 
-use super::Context;
+use crate::cli::context::Context;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {

@@ -13,8 +13,8 @@ use gdp_ros::roster::Dialect;
 use gdp_ros::types::Types;
 use gdp_util::terminal::note;
 
-use super::Context;
 use super::key::Kind;
+use crate::cli::context::Context;
 use crate::ros::feed::Feed;
 use crate::ros::{fabric::Fabric, fabric::identity, fabric::local_switch};
 use crate::ros::{keyring::Keyring, keyring::called};

@@ -8,9 +8,9 @@ use gdp_wire::Name;
 use gdp_wire::header::INITIAL_HOP_LIMIT;
 use serde_json::{Value, json};
 
-use super::Context;
 use super::output::short;
 use super::place::{self, Place, millis};
+use crate::cli::context::Context;
 use crate::client::Client;
 use gdp_proto::admin::Request;
 

@@ -10,9 +10,11 @@ use gdp_proto::control::{EntityRequest, Record, Response};
 use gdp_util::terminal::note;
 use serde_json::{Value, json};
 
-use super::{Context, output, unix_seconds};
+use super::output;
+use crate::cli::context::Context;
 use crate::client::Client;
 use gdp_proto::admin::Request;
+use gdp_util::unix_time::unix_seconds;
 
 /// Records that are shown at most.
 const MOST: usize = 100_000;

@@ -9,7 +9,8 @@ use gdp_wire::Name;
 use serde_json::{Value, json};
 
 use super::books::{Books, Entry};
-use super::{Context, serial_now};
+use crate::cli::context::Context;
+use crate::cli::issuing::serial_now;
 use crate::client::ClientError;
 use gdp_proto::admin::Request;
 

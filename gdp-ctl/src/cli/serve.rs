@@ -7,7 +7,7 @@ use anyhow::Context as _;
 use clap::Args;
 use tokio::signal::unix::{SignalKind, signal};
 
-use super::Context;
+use crate::cli::context::Context;
 use gdp_daemon::config::{Config, DataPlane};
 use gdp_daemon::serve;
 

@@ -2,8 +2,8 @@
 
 use serde_json::Value;
 
-use super::Context;
 use super::output::{short, table};
+use crate::cli::context::Context;
 use gdp_proto::admin::Request;
 
 pub fn run(context: &Context) -> anyhow::Result<()> {

@@ -5,9 +5,9 @@ use gdp_proto::control::MAX_PATH;
 use gdp_wire::Name;
 use serde_json::{Value, json};
 
-use super::Context;
 use super::output::short;
 use super::place::{self, Place, millis};
+use crate::cli::context::Context;
 use crate::client::Client;
 use gdp_proto::admin::Request;
 

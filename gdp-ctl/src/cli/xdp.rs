@@ -8,8 +8,8 @@ use clap::{Args, Subcommand};
 use gdp_wire::table::ABI;
 use serde_json::{Map, Value, json};
 
-use super::Context;
 use super::output::table;
+use crate::cli::context::Context;
 use gdp_dataplane::pins::{self, BPFFS, Found, Pins, PinsError};
 use gdp_dataplane::{host_pair, kernel};
 

@@ -11,7 +11,7 @@ use gdp_core::domain::PaperFiles;
 use gdp_core::name::NamePrefix;
 use gdp_wire::Name;
 
-use crate::cli::Paper;
+use crate::cli::paper::Paper;
 
 /// Entries of a folder that are looked at.
 const MAX_ENTRIES: usize = 10_000;

@@ -109,7 +109,7 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&["ping", "75e", "-i", "0"], 2, &["is not a number of seconds from 0.02 to 3600"]),
         (&["peer", "list"], 3, &["no daemon answers"]),
         (&["monitor"], 3, &["no daemon answers"]),
-        (&["topology", "--names"], 2, &["--svg"]),
+        (&["topology", "--names"], 2, &["--dot"]),
         (&["advertise", "chatter.card", "--key", "owner.pem"], 3, &["no daemon answers"]),
         (&["fib", "dump"], 3, &["no daemon answers"]),
         (&["frobnicate"], 2, &["frobnicate"]),

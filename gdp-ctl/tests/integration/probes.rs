@@ -123,16 +123,16 @@ async fn the_topology_is_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let chain = Chain::new(folder.path());
     let _running = chain.start().await;
-    let output = chain.run(2, &["topology", "--svg", "--names"]).await;
-    let picture = String::from_utf8(output.stdout).unwrap();
-    assert!(picture.starts_with("<svg ") && picture.trim_end().ends_with("</svg>"), "{picture}");
+    let output = chain.run(2, &["topology", "--dot", "--names"]).await;
+    let graph = String::from_utf8(output.stdout).unwrap();
+    assert!(graph.starts_with("graph {") && graph.trim_end().ends_with('}'), "{graph}");
     for name in &chain.names {
-        assert!(picture.contains(&format!(">{name:#}</text>")), "{picture}");
+        assert!(graph.contains(&format!("{name:#}")), "{graph}");
     }
-    assert_eq!((picture.matches("<line ").count(), picture.matches("· RIB").count()), (2, 1), "{picture}");
-    let elsewhere = chain.run(0, &["topology", "--svg", "--names"]).await;
+    assert_eq!((graph.matches(" -- ").count(), graph.matches("(RIB)").count()), (2, 1), "{graph}");
+    let elsewhere = chain.run(0, &["topology", "--dot", "--names"]).await;
     assert!(String::from_utf8_lossy(&elsewhere.stderr).contains("not the RIB"), "{elsewhere:?}");
-    assert_eq!(chain.run(0, &["topology", "--svg", "--dot"]).await.status.code(), Some(2));
+    assert_eq!(chain.run(0, &["--json", "topology", "--dot"]).await.status.code(), Some(2));
 }
 
 impl Chain<'_> {

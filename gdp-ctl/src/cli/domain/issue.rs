@@ -13,9 +13,12 @@ use gdp_core::link_target::LinkTarget;
 use gdp_wire::Name;
 use serde_json::json;
 
-use super::super::{Context, output, unix_seconds, validity};
+use super::super::output;
 use super::ledger::{Issue, To};
-use super::{House, card_beside, expect_new};
+use crate::cli::context::Context;
+use crate::cli::domain::authority::{Authority, card_beside, expect_new};
+use crate::cli::issuing::validity;
+use gdp_util::unix_time::unix_seconds;
 
 const DAY: u64 = 86400;
 const HOUR: u64 = 3600;
@@ -38,8 +41,8 @@ pub struct KeyOptions {
 }
 
 impl KeyOptions {
-    pub(super) fn open(&self) -> anyhow::Result<House> {
-        House::open(&self.key, self.card.as_deref())
+    pub(super) fn open(&self) -> anyhow::Result<Authority> {
+        Authority::open(&self.key, self.card.as_deref())
     }
 }
 
@@ -114,15 +117,15 @@ pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
 
 pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
     let file = expect_new(&options.output)?;
-    let house = options.key.open()?;
+    let authority = options.key.open()?;
     let (not_before, not_after) = validity(u64::from(options.days) * DAY);
-    let (domain, serial) = (house.identity.name(), house.serial);
+    let (domain, serial) = (authority.identity.name(), authority.serial);
     let (entity, role) = (options.entity, options.role.clone());
     let claims = MemberCert { domain, entity, role: role.clone(), serial, not_before, not_after };
-    let membership = Membership::issue(&house.identity, &claims)?;
-    membership.verify(domain, house.revocation.as_ref(), unix_seconds())?;
+    let membership = Membership::issue(&authority.identity, &claims)?;
+    membership.verify(domain, authority.revocation.as_ref(), unix_seconds())?;
     let to = To::Member { entity, role };
-    house.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
+    authority.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
     output::write_new(&options.output, &membership.to_pem())?;
     let value = json!({
         "kind": MemberCert::KIND, "claims": claims, "serial": serial.to_string(), "file": options.output,
@@ -138,17 +141,17 @@ pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> 
         }
         is_place(&at)?;
     }
-    let house = options.key.open()?;
+    let authority = options.key.open()?;
     let invited = SigningKey::generate()?;
     let (not_before, not_after) = validity(u64::from(options.hours) * HOUR);
     let (_, member_until) = validity(u64::from(options.days) * DAY);
     let member_until = member_until.max(not_after);
-    let (domain, serial, key) = (house.identity.name(), house.serial, invited.verify_key());
+    let (domain, serial, key) = (authority.identity.name(), authority.serial, invited.verify_key());
     let claims = Invite { domain, key, role: role.clone(), serial, not_before, not_after, member_until };
-    let signed = issue(house.identity.key(), &claims)?;
-    let token = Token::new(house.identity.proof(), signed, invited, at, switch)?;
+    let signed = issue(authority.identity.key(), &claims)?;
+    let token = Token::new(authority.identity.proof(), signed, invited, at, switch)?;
     let to = To::Invited { role };
-    house.remember(Issue { serial, to, not_before, not_after, ends: member_until, file: None })?;
+    authority.remember(Issue { serial, to, not_before, not_after, ends: member_until, file: None })?;
     let line = token.to_line();
     let value = json!({
         "kind": Invite::KIND, "claims": claims, "serial": serial.to_string(), "token": *line,
@@ -158,15 +161,15 @@ pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> 
 
 pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
     let file = expect_new(&options.output)?;
-    let house = options.key.open()?;
+    let authority = options.key.open()?;
     let (not_before, not_after) = validity(u64::from(options.days) * DAY);
-    let (domain, serial) = (house.identity.name(), house.serial);
+    let (domain, serial) = (authority.identity.name(), authority.serial);
     let (peer, rights) = (options.domain, options.rights);
     let claims = PeerCert { domain, peer, rights, serial, not_before, not_after };
-    let signed = issue(house.identity.key(), &claims)?;
-    signed.verify_peer(&house.identity.proof(), house.revocation.as_ref(), unix_seconds())?;
+    let signed = issue(authority.identity.key(), &claims)?;
+    signed.verify_peer(&authority.identity.proof(), authority.revocation.as_ref(), unix_seconds())?;
     let to = To::Peer { domain: peer, rights };
-    house.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
+    authority.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
     output::write_new(&options.output, &signed.to_pem())?;
     let value = json!({
         "kind": PeerCert::KIND, "claims": claims, "serial": serial.to_string(), "file": options.output,

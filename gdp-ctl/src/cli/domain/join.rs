@@ -16,9 +16,11 @@ use gdp_core::name;
 use gdp_core::name::Metadata;
 use serde_json::json;
 
-use super::super::{Context, output, serial_now, validity};
-use super::expect_new;
+use super::super::output;
 use super::issue::is_place;
+use crate::cli::context::Context;
+use crate::cli::domain::authority::expect_new;
+use crate::cli::issuing::{serial_now, validity};
 
 /// Longer than any invitation.
 const MAX_LINE: u64 = 16 << 10;

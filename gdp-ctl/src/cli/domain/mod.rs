@@ -1,23 +1,16 @@
 //! `gdp-ctl domain`: a trust domain and its members. Works on files, where the domain's key is kept; only a revocation is sent to a
 //! daemon, if one answers. `join` alone runs on the machine of a new member, and needs no key but its own.
 
+mod authority;
 mod issue;
 mod join;
 mod ledger;
 mod revoke;
 mod show;
 
-use std::path::{Path, PathBuf};
-
-use anyhow::{Context as _, bail};
 use clap::Subcommand;
-use gdp_core::cert::Revocation;
-use gdp_core::identity::{Identity, SigningKey};
 
-use super::Context;
-use super::books::Books;
-use super::revocation::next_serial;
-use ledger::Issue;
+use crate::cli::context::Context;
 
 const OFF_THE_SWITCHES: &str = "The domain's key is never needed on a switch, a RIB or a robot: run this where the key is kept, and \
                                 take the file to the member.";
@@ -54,54 +47,4 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         Command::Peer(options) => issue::peer(&options, context),
         Command::Show(options) => show::run(&options, context),
     }
-}
-
-/// A domain's key and its books, for as long as a command issues something.
-struct House {
-    identity: Identity,
-    books: Books,
-    issued: Vec<Issue>,
-    revocation: Option<Revocation>,
-    /// Of what is issued next.
-    serial: u64,
-}
-
-impl House {
-    /// The card lies beside the key, unless it is said where.
-    fn open(key: &Path, card: Option<&Path>) -> anyhow::Result<Self> {
-        let identity = Identity::new(SigningKey::load(key)?, "domain");
-        let card = card.map_or_else(|| card_beside(key), Path::to_path_buf);
-        let books = Books::open(&card)?;
-        if books.card().name() != identity.name() {
-            bail!(
-                "{} is the key of domain {}, and {} the card of {}",
-                key.display(),
-                identity.name(),
-                card.display(),
-                books.card().name()
-            );
-        }
-        let (issued, revocation) = (books.ledger::<Issue>()?, books.revocation()?.map(|(_, claims)| claims));
-        let serial = next_serial(&issued, revocation.as_ref())?;
-        Ok(Self { identity, books, issued, revocation, serial })
-    }
-
-    /// Remembers first what is then given away: what is not known to be issued would not be revoked.
-    fn remember(self, issue: Issue) -> anyhow::Result<()> {
-        let mut issued = self.issued;
-        issued.push(issue);
-        self.books.keep_ledger(issued)
-    }
-}
-
-fn card_beside(key: &Path) -> PathBuf {
-    key.with_extension("card")
-}
-
-/// What would be overwritten is refused before anything is issued.
-fn expect_new(path: &Path) -> anyhow::Result<PathBuf> {
-    if path.exists() {
-        bail!("{}: a file of this name exists and is not overwritten", path.display());
-    }
-    std::path::absolute(path).with_context(|| path.display().to_string())
 }

@@ -10,10 +10,11 @@ use gdp_wire::Name;
 
 use super::super::paper::Paper;
 use super::super::revocation::{next, publish};
-use super::super::{Context, unix_seconds};
-use super::House;
 use super::issue::KeyOptions;
 use super::ledger::To;
+use crate::cli::context::Context;
+use crate::cli::domain::authority::Authority;
+use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -35,41 +36,41 @@ pub struct Options {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let house = options.key.open()?;
+    let authority = options.key.open()?;
     let anew = options.all || !options.what.is_empty() || !options.entity.is_empty() || !options.domain.is_empty();
     let (signed, claims) = if anew {
-        let floor = options.all.then_some(house.serial);
-        let chosen = options.chosen(&house)?;
-        let (name, known) = (house.identity.name(), house.revocation.as_ref());
-        let claims = next(name, known, &house.issued, &chosen, floor, unix_seconds())?;
-        let signed = issue(house.identity.key(), &claims)?;
-        house.books.keep_revocation(&signed)?;
+        let floor = options.all.then_some(authority.serial);
+        let chosen = options.chosen(&authority)?;
+        let (name, known) = (authority.identity.name(), authority.revocation.as_ref());
+        let claims = next(name, known, &authority.issued, &chosen, floor, unix_seconds())?;
+        let signed = issue(authority.identity.key(), &claims)?;
+        authority.books.keep_revocation(&signed)?;
         (signed, claims)
     } else {
-        let known = house.books.revocation()?;
-        known.with_context(|| format!("nothing of {} is revoked yet; say what to revoke", house.identity.name()))?
+        let known = authority.books.revocation()?;
+        known.with_context(|| format!("nothing of {} is revoked yet; say what to revoke", authority.identity.name()))?
     };
     let again = format!("gdp-ctl domain revoke --key {}", options.key.key.display());
-    publish(&house.books, signed, &claims, anew, &again, context)
+    publish(&authority.books, signed, &claims, anew, &again, context)
 }
 
 impl Options {
-    fn chosen(&self, house: &House) -> anyhow::Result<Vec<u64>> {
+    fn chosen(&self, authority: &Authority) -> anyhow::Result<Vec<u64>> {
         let mut chosen = Vec::new();
         for text in &self.what {
             chosen.push(match text.parse() {
                 Ok(serial) => serial,
-                Err(_) if text == "-" => serial_of(&super::join::read_token("-")?, house)?,
+                Err(_) if text == "-" => serial_of(&super::join::read_token("-")?, authority)?,
                 Err(_) => {
                     let paper = Paper::load(Path::new(text))?;
-                    paper.domain_serial(house.identity.name()).with_context(|| text.clone())?
+                    paper.domain_serial(authority.identity.name()).with_context(|| text.clone())?
                 }
             });
         }
         let members = self.entity.iter().map(|name| (name, true));
         for (name, is_member) in members.chain(self.domain.iter().map(|name| (name, false))) {
             let before = chosen.len();
-            let of = house.issued.iter().filter(|issue| issue.holder() == Some(*name));
+            let of = authority.issued.iter().filter(|issue| issue.holder() == Some(*name));
             chosen.extend(of.filter(|i| matches!(i.to, To::Member { .. }) == is_member).map(|i| i.serial));
             if chosen.len() == before {
                 bail!(
@@ -81,9 +82,9 @@ impl Options {
     }
 }
 
-fn serial_of(token: &Token, house: &House) -> anyhow::Result<u64> {
+fn serial_of(token: &Token, authority: &Authority) -> anyhow::Result<u64> {
     let invite = token.invite()?;
-    if invite.domain != house.identity.name() {
+    if invite.domain != authority.identity.name() {
         bail!("the invitation is of domain {}", invite.domain);
     }
     Ok(invite.serial)

@@ -9,9 +9,11 @@ use serde_json::{Value, json};
 
 use super::super::books::Books;
 use super::super::revocation::describe_revocation;
-use super::super::{Context, cert, output, unix_seconds};
+use super::super::{cert, output};
 use super::join::read_token;
 use super::ledger::Issue;
+use crate::cli::context::Context;
+use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
 pub struct Options {

@@ -13,9 +13,12 @@ use gdp_wire::Name;
 use serde_json::json;
 
 use super::super::books::Books;
+use super::super::output;
 use super::super::revocation::next_serial;
-use super::super::{Context, output, parse_seconds, unix_seconds, validity};
 use super::ledger::{Grant, Holder};
+use crate::cli::context::Context;
+use crate::cli::issuing::{parse_seconds, validity};
+use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("to").required(true).args(["entity", "role", "delegate"]))]

@@ -7,9 +7,11 @@ use gdp_core::cert::{AdCert, Claims, Delegation, ReadGrant, Revocation};
 use serde_json::{Value, json};
 
 use super::super::books::Books;
+use super::super::output;
 use super::super::revocation::describe_revocation;
-use super::super::{Context, output, unix_seconds};
 use super::ledger::{Grant, Holder};
+use crate::cli::context::Context;
+use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
 pub struct Options {

@@ -8,7 +8,7 @@ mod revoke;
 
 use clap::Subcommand;
 
-use super::Context;
+use crate::cli::context::Context;
 
 const OFF_THE_ROBOT: &str = "The owner's key is never needed on a robot, nor on any machine that publishes, reads or \
                              forwards: run this where the key is kept, and take the certificate file and the name card \

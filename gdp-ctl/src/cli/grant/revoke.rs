@@ -12,8 +12,9 @@ use gdp_wire::Name;
 use super::super::books::Books;
 use super::super::paper::Paper;
 use super::super::revocation::{next, next_serial, publish};
-use super::super::{Context, unix_seconds};
 use super::ledger::{Grant, Holder};
+use crate::cli::context::Context;
+use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
 pub struct Options {

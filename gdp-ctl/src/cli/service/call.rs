@@ -14,8 +14,8 @@ use gdp_util::terminal::note;
 use gdp_wire::Name;
 use serde_json::{Value, json};
 
-use super::super::Context;
 use super::super::node::{Definitions, NodeOptions, unless_interrupted};
+use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::fill::fill;
 use crate::ros::given::Given;

@@ -4,8 +4,8 @@ mod call;
 
 use clap::Subcommand;
 
-use super::Context;
 use super::topic::{ListOptions, list};
+use crate::cli::context::Context;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {

@@ -11,8 +11,8 @@ use gdp_ros::compression::unpacked;
 use gdp_util::terminal::note;
 use serde_json::json;
 
-use super::super::Context;
 use super::super::node::{Definitions, NodeOptions, listen, parse_positive, tell_if_silent, unless_interrupted};
+use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::keyring::called;
 use crate::ros::python;

@@ -9,8 +9,8 @@ use gdp_ros::roster::{Dialect, Kind, Offer};
 use gdp_wire::Name;
 use serde_json::{Value, json};
 
-use super::super::Context;
 use super::super::node::{NodeOptions, listen, unless_interrupted};
+use crate::cli::context::Context;
 use crate::ros::keyring::called;
 use crate::ros::{fabric::Fabric, fabric::Parties};
 use crate::ros::{feed::Feed, feed::Publisher};

@@ -5,8 +5,8 @@ use gdp_core::card::NameCard;
 use gdp_wire::Name;
 use serde_json::{Value, json};
 
-use super::super::Context;
 use super::super::node::{NodeOptions, unless_interrupted};
+use crate::cli::context::Context;
 use crate::ros::keyring::called;
 use crate::ros::{fabric::Fabric, fabric::Parties};
 

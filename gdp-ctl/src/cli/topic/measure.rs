@@ -13,8 +13,8 @@ use gdp_ros::roster::ROSTER;
 use gdp_util::terminal::note;
 use serde_json::{Value, json};
 
-use super::super::Context;
 use super::super::node::{Definitions, NodeOptions, listen, subscribe, tell_if_silent, unless_interrupted};
+use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::feed::Decoder;
 use crate::ros::keyring::called;

@@ -9,7 +9,7 @@ mod publish;
 use anyhow::Result;
 use clap::Subcommand;
 
-use super::Context;
+use crate::cli::context::Context;
 
 pub use list::{ListOptions, list};
 

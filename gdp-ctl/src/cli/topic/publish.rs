@@ -12,8 +12,8 @@ use gdp_ros::types::{Types, sealed};
 use gdp_util::terminal::note;
 use serde_json::json;
 
-use super::super::Context;
 use super::super::node::{Definitions, NodeOptions, parse_positive};
+use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::fill::fill;
 use crate::ros::given::Given;

@@ -7,16 +7,21 @@ use petgraph::graph::{NodeIndex, UnGraph};
 use serde_json::Value;
 
 use super::super::output::short;
-use super::{Link, links, switches, text};
+use super::links::{Link, links, switches, text};
 
 /// An adjacency that only one end states is drawn dashed: no frame goes by it.
-pub fn dot(reply: &Value) -> String {
+///
+/// `names` has the lines that each switch's label ends with.
+pub fn dot(reply: &Value, names: &BTreeMap<String, Vec<String>>) -> String {
     let mut graph = UnGraph::<String, Adjacency>::new_undirected();
     let mut nodes = BTreeMap::<String, NodeIndex>::new();
     for switch in switches(reply) {
         let bit = switch["bit"].as_u64().map_or_else(String::new, |bit| format!("\nbit {bit}"));
+        let rib = if switch["rib"] == true { " (RIB)" } else { "" };
         let own = if switch["switch"] == reply["own"] { "\nthis one" } else { "" };
-        let node = graph.add_node(format!("{}{bit}{own}", short(&switch["switch"])));
+        let names = names.get(&text(&switch["switch"])).into_iter().flatten().map(|line| format!("\n{line}"));
+        let names = names.collect::<String>();
+        let node = graph.add_node(format!("{}{bit}{rib}{own}{names}", short(&switch["switch"])));
         nodes.insert(text(&switch["switch"]), node);
     }
     for Link { ends, cost, by_both, domain } in links(reply) {

@@ -13,7 +13,7 @@ fn a_graph_has_each_adjacency_once_and_says_which_are_one_sided() {
         switch(1, json!([{"switch": name(2), "cost": 7}])),
         switch(2, json!([{"switch": name(1), "cost": 5}, {"switch": name(3), "cost": 9}])),
     ]});
-    let dot = dot(&reply);
+    let dot = dot(&reply, &BTreeMap::new());
     assert_eq!(dot.matches(" -- ").count(), 2, "{dot}");
     assert!(dot.contains("label = \"7\"") && dot.contains("this one"), "{dot}");
     let dashed: Vec<_> = dot.lines().filter(|line| line.contains("dashed")).collect();

@@ -1,0 +1,24 @@
+//! The options that every command shares.
+
+use std::path::PathBuf;
+
+use gdp_daemon::folders;
+
+use super::output::Output;
+use crate::client::Client;
+
+/// Where the daemon is, and how results are printed.
+pub struct Context {
+    pub socket: Option<PathBuf>,
+    pub output: Output,
+}
+
+impl Context {
+    pub fn client(&self) -> anyhow::Result<Client> {
+        let path = match &self.socket {
+            Some(path) => path.clone(),
+            None => folders::admin_socket()?,
+        };
+        Ok(Client::connect(&path)?)
+    }
+}

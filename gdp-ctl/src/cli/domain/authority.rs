@@ -1,0 +1,61 @@
+//! A domain's key with the ledger of what it has issued.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use gdp_core::cert::Revocation;
+use gdp_core::identity::{Identity, SigningKey};
+
+use super::super::books::Books;
+use super::super::revocation::next_serial;
+use super::ledger::Issue;
+
+/// A domain's key and ledger, for as long as a command issues something.
+pub struct Authority {
+    pub identity: Identity,
+    pub books: Books,
+    pub issued: Vec<Issue>,
+    pub revocation: Option<Revocation>,
+    /// Of what is issued next.
+    pub serial: u64,
+}
+
+impl Authority {
+    /// The card lies beside the key, unless it is said where.
+    pub fn open(key: &Path, card: Option<&Path>) -> anyhow::Result<Self> {
+        let identity = Identity::new(SigningKey::load(key)?, "domain");
+        let card = card.map_or_else(|| card_beside(key), Path::to_path_buf);
+        let books = Books::open(&card)?;
+        if books.card().name() != identity.name() {
+            bail!(
+                "{} is the key of domain {}, and {} the card of {}",
+                key.display(),
+                identity.name(),
+                card.display(),
+                books.card().name()
+            );
+        }
+        let (issued, revocation) = (books.ledger::<Issue>()?, books.revocation()?.map(|(_, claims)| claims));
+        let serial = next_serial(&issued, revocation.as_ref())?;
+        Ok(Self { identity, books, issued, revocation, serial })
+    }
+
+    /// Remembers first what is then given away: what is not known to be issued would not be revoked.
+    pub fn remember(self, issue: Issue) -> anyhow::Result<()> {
+        let mut issued = self.issued;
+        issued.push(issue);
+        self.books.keep_ledger(issued)
+    }
+}
+
+pub fn card_beside(key: &Path) -> PathBuf {
+    key.with_extension("card")
+}
+
+/// What would be overwritten is refused before anything is issued.
+pub fn expect_new(path: &Path) -> anyhow::Result<PathBuf> {
+    if path.exists() {
+        bail!("{}: a file of this name exists and is not overwritten", path.display());
+    }
+    std::path::absolute(path).with_context(|| path.display().to_string())
+}
