@@ -11,12 +11,13 @@ mod bench_lookups;
 mod bench_names;
 mod fib;
 
+use gdp_wire::hop;
 use aya_ebpf::bindings::xdp_action::{XDP_ABORTED, XDP_DROP, XDP_PASS};
 use aya_ebpf::helpers::bpf_ktime_get_ns;
 use aya_ebpf::macros::{map, xdp};
 use aya_ebpf::maps::{Array, DevMap};
 use aya_ebpf::programs::XdpContext;
-use gdp_wire::{Header, LinkEntry, Name, forward};
+use gdp_wire::{Header, LinkEntry, Name};
 
 /// What forwarding changes lies in the first 104 bytes: at most Ethernet with a VLAN tag, IPv6, UDP, and a GDP header up to
 /// the destination name.
@@ -166,7 +167,7 @@ fn send(context: &XdpContext, destination: Option<Name>) -> u32 {
         header.destination = destination;
     }
     *count += 1;
-    forward::stamp(header, link, *count);
+    hop::stamp(header, link, *count);
     header.set_tag(header.tag() & pattern.tag_mask);
     if pattern.kept != 0 {
         return arrive();

@@ -36,7 +36,8 @@ use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
 use aya_ebpf::macros::xdp;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
-use gdp_wire::table::{MAX_COPIED_FRAME, PORT_ROUTED, Tables};
+use gdp_wire::table::{MAX_COPIED_FRAME, PORT_ROUTED};
+use gdp_wire::tables::Tables;
 use gdp_wire::{Counter, GroupPlace, Header, LinkEntry};
 
 use crate::carrier::Carried;

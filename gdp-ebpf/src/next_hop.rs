@@ -10,7 +10,7 @@ use aya_ebpf::helpers::bpf_fib_lookup;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Carrier, LinkEntry};
 
-use crate::carrier::udp4::UDP;
+use crate::carrier::udp::UDP;
 use crate::ports;
 
 /// The question's family for IPv4, and for IPv6.

@@ -2,7 +2,8 @@
 
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::replay::Words;
-use gdp_wire::table::{MAX_COPIED_FRAME, PORT_ROUTED, PORT_USERSPACE, Tables};
+use gdp_wire::table::{MAX_COPIED_FRAME, PORT_ROUTED, PORT_USERSPACE};
+use gdp_wire::tables::Tables;
 use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 
 use crate::next_hop::NextHop;

@@ -15,6 +15,8 @@ pub mod flat;
 pub mod forward;
 #[path = "../../crates/gdp-wire/src/header.rs"]
 pub mod header;
+#[path = "../../crates/gdp-wire/src/hop.rs"]
+pub mod hop;
 #[path = "../../crates/gdp-wire/src/losses.rs"]
 pub mod losses;
 #[path = "../../crates/gdp-wire/src/name.rs"]
@@ -23,6 +25,8 @@ mod name;
 pub mod replay;
 #[path = "../../crates/gdp-wire/src/table.rs"]
 pub mod table;
+#[path = "../../crates/gdp-wire/src/tables.rs"]
+pub mod tables;
 
 pub mod siphash {
     //! The tag of every header.

@@ -3,9 +3,9 @@
 
 use crate::crypto;
 use crate::crypto::CryptoError;
-use crate::identity::VerifyKey;
 use crate::name;
 use crate::name::{Metadata, Name, NameProof};
+use crate::verify_key::VerifyKey;
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::fmt;
 use std::fs::OpenOptions;

@@ -2,19 +2,20 @@
 //! no longer in memory than their owner.
 
 use crate::crypto;
-use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN, SIGNATURE_LEN, Signer, Verifier};
+use crate::crypto::CryptoError;
+use crate::crypto::{Backend, Signer};
+use crate::crypto::{PUBLIC_KEY_LEN, SIGNATURE_LEN};
 use crate::keys::BoxKey;
 use crate::name;
 use crate::name::{Metadata, Name, NameProof};
 use crate::secret_file;
 use crate::secret_file::SecretFileError;
+pub use crate::verify_key::VerifyKey;
 use p256::SecretKey;
 use p256::elliptic_curve::sec1::ToSec1Point;
 use p256::pkcs8::{DecodePrivateKey, EncodePrivateKey, LineEnding};
-use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use std::fmt;
 use std::path::Path;
-use std::str::FromStr;
 use std::sync::Arc;
 use zeroize::Zeroizing;
 
@@ -133,66 +134,6 @@ fn pkcs8_der(secret: &SecretKey) -> Zeroizing<Vec<u8>> {
 impl fmt::Debug for SigningKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "SigningKey(public {})", hex::encode(self.0.public))
-    }
-}
-
-/// A public P-256 key, SEC1 compressed, known to be a point on the curve. Text form: 66 hex digits.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct VerifyKey([u8; PUBLIC_KEY_LEN]);
-
-impl VerifyKey {
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CryptoError> {
-        let bytes = bytes.try_into().map_err(|_| CryptoError::BadPublicKey)?;
-        crypto::parsed(&bytes)?;
-        Ok(Self(bytes))
-    }
-
-    pub fn as_bytes(&self) -> &[u8; PUBLIC_KEY_LEN] {
-        &self.0
-    }
-
-    /// Checks one signature. To check many, keep a [`Self::verifier`].
-    pub fn verify(&self, message: &[u8], signature: &[u8; SIGNATURE_LEN]) -> Result<(), CryptoError> {
-        crypto::parsed(&self.0)?.verify(message, signature)
-    }
-
-    pub fn verifier(&self, backend: Backend) -> Result<Verifier, CryptoError> {
-        backend.verifier(&self.0)
-    }
-}
-
-impl fmt::Display for VerifyKey {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&hex::encode(self.0))
-    }
-}
-
-impl fmt::Debug for VerifyKey {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "VerifyKey({self})")
-    }
-}
-
-impl FromStr for VerifyKey {
-    type Err = CryptoError;
-
-    fn from_str(text: &str) -> Result<Self, CryptoError> {
-        let mut bytes = [0u8; PUBLIC_KEY_LEN];
-        hex::decode_to_slice(text, &mut bytes).map_err(|_| CryptoError::BadPublicKey)?;
-        Self::from_bytes(&bytes)
-    }
-}
-
-impl Serialize for VerifyKey {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        crate::cbor::array::serialize(&self.0, serializer)
-    }
-}
-
-impl<'de> Deserialize<'de> for VerifyKey {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let bytes: [u8; PUBLIC_KEY_LEN] = crate::cbor::array::deserialize(deserializer)?;
-        Self::from_bytes(&bytes).map_err(de::Error::custom)
     }
 }
 

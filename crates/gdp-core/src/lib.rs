@@ -21,3 +21,4 @@ pub mod secret_file;
 #[cfg(test)]
 #[path = "../tests/unit/published_vectors.rs"]
 mod vectors;
+mod verify_key;

@@ -5,8 +5,8 @@ use std::time::Duration;
 use gdp_wire::table::LinkRole;
 use serde::{Deserialize, Serialize};
 
-use crate::identity::VerifyKey;
 use crate::name::{Name, NameProof};
+use crate::verify_key::VerifyKey;
 
 /// How long keys and routes of a lost link stay in use, unless a new link replaces it earlier (RFC 4724, section 4.2).
 ///

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::cbor;
 use crate::cbor::CborError;
-use crate::cert::{CertError, Revocation, Signed};
+use crate::cert::CertError;
+use crate::cert::{Revocation, Signed};
 use crate::name::{Name, NameProof};
 use crate::secret_file;
 use crate::secret_file::SecretFileError;

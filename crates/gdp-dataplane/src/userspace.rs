@@ -3,7 +3,7 @@
 
 use gdp_link::port::LinkAddr;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
-use gdp_wire::table::Tables;
+use gdp_wire::tables::Tables;
 use gdp_wire::{Counter, Header};
 use zerocopy::{FromBytes, IntoBytes};
 

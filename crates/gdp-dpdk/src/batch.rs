@@ -5,7 +5,8 @@ use std::cell::Cell;
 
 use gdp_wire::forward;
 use gdp_wire::replay::Words;
-use gdp_wire::table::{PORT_ROUTED, Tables};
+use gdp_wire::table::PORT_ROUTED;
+use gdp_wire::tables::Tables;
 use gdp_wire::{FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 
 use crate::carrier::Stations;

@@ -11,7 +11,8 @@
 use gdp_wire::counter::is_sampled;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
 use gdp_wire::header::FIRST_QUIC_BYTE;
-use gdp_wire::table::Tables as _;
+use gdp_wire::hop;
+use gdp_wire::tables::Tables as _;
 use gdp_wire::{Counter, Header, LinkEntry};
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -249,7 +250,7 @@ fn stamp<V: View>(ways: &[Way], headers: &mut [Header], tags: &mut Tags, view: &
         let first = link.map_or(0, |link| view.next_counts(link, ways.len() as u64));
         for (count, way) in (first..).zip(ways) {
             let header = &mut headers[way.header as usize];
-            tags.add(way.header, link.map_or([0; 2], |link| forward::direct(header, link, count)), count);
+            tags.add(way.header, link.map_or([0; 2], |link| hop::direct(header, link, count)), count);
         }
     }
     tags.make(headers);

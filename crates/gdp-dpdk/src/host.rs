@@ -8,9 +8,9 @@ use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::thread::JoinHandle;
 
+use crate::lane::Lane;
 use crate::mbuf::{Mbuf, Pool};
 use crate::tap::Tap;
-use crate::worker::Lane;
 
 /// Packets that wait for the kernel, at most.
 pub const WAITING: usize = 1024;

@@ -20,6 +20,7 @@ mod error;
 pub mod forwarding;
 mod host;
 pub mod idle;
+mod lane;
 pub mod local;
 pub mod mbuf;
 pub mod port;

@@ -17,12 +17,13 @@ use parking_lot::Mutex;
 use crate::forwarding::Counts;
 use crate::host::{Giver, Host, ToHost, WAITING};
 use crate::idle::Idle;
+use crate::lane::Lane;
 use crate::local::Local;
 use crate::mbuf::{Burst, KEPT, Pool};
 use crate::port::{HELD, Port, PortConfig, PortCounters, Receive, Send};
 use crate::tap::Tap;
 use crate::view::Reader;
-use crate::worker::{Command, Lane, LoopPort, Worker};
+use crate::worker::{Command, LoopPort, Worker};
 use crate::{DpdkError, Eal};
 
 /// How the loops are set up.

@@ -1,6 +1,6 @@
 //! What a loop is given to decide by.
 
-use gdp_wire::table::Tables;
+use gdp_wire::tables::Tables;
 use gdp_wire::{Counter, LinkEntry, Name};
 
 /// The tables of a switch as they are during a batch, and where what became of its frames is counted. Nothing may block or allocate.

@@ -1,12 +1,12 @@
 //! A loop: it asks its queues for packets, forwards what there is, and sends.
 
+use crate::lane::Lane;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 
 use arc_swap::ArcSwap;
 use gdp_wire::Counter;
-use parking_lot::Mutex;
 
 use crate::Eal;
 use crate::forwarding::{Forwarding, Sink};
@@ -14,7 +14,7 @@ use crate::host::ToHost;
 use crate::idle::{Idle, Rest, sleep_exactly};
 use crate::local::Local;
 use crate::mbuf::{Burst, Mbuf, Pool};
-use crate::port::{Receive, Send};
+use crate::port::Receive;
 use crate::view::Reader;
 
 /// Rounds in vain after which a loop looks at the tables all the same.
@@ -31,15 +31,6 @@ pub struct LoopPort {
     pub number: u32,
     pub receive: Vec<Receive>,
     pub lane: Lane,
-}
-
-/// Where a loop's packets leave by a port.
-pub struct Lane {
-    send: Arc<Mutex<Send>>,
-    gathers: bool,
-    leaving: Burst,
-    /// What the device did not take.
-    lost: Arc<AtomicU64>,
 }
 
 /// A loop.
@@ -185,31 +176,6 @@ impl Sink for Out {
 
     fn gathers(&self, port: u32) -> bool {
         self.lanes.iter().any(|(number, lane)| *number == port && lane.gathers)
-    }
-}
-
-impl Lane {
-    /// `lost`: where it counts what the device did not take.
-    pub fn new(send: Arc<Mutex<Send>>, gathers: bool, lost: Arc<AtomicU64>) -> Self {
-        Self { send, gathers, leaving: Burst::new(), lost }
-    }
-
-    pub fn send(&mut self, mbuf: Mbuf) {
-        if self.leaving.is_full() {
-            self.flush();
-        }
-        // There is room now.
-        let _ = self.leaving.push(mbuf);
-    }
-
-    pub fn flush(&mut self) {
-        if self.leaving.is_empty() {
-            return;
-        }
-        let lost = self.send.lock().send(&mut self.leaving);
-        if lost > 0 {
-            self.lost.fetch_add(lost as u64, Ordering::Relaxed);
-        }
     }
 }
 

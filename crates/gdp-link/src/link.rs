@@ -4,63 +4,54 @@
 //! After the TLS handshake the side that dialled opens a stream and says [`Hello`](hello), the other answers with its own.
 //! A peer's name is derived from the key it proved in TLS and the digest in its hello, so it cannot claim another's.
 
+mod error;
 mod hello;
 mod ids;
 mod keyed_entry;
 pub mod liveness;
+mod peer_end;
+mod place;
 mod ratchet;
 mod rekey;
 mod streams;
+mod timing;
 mod tls;
 
+pub use crate::link::error::LinkError;
+use crate::link::error::close_reason;
+pub(crate) use crate::link::place::Place;
+use crate::link::place::udp_source;
+use timing::MAX_STREAMS;
+pub use timing::{HANDSHAKE_TIMEOUT, IDLE_TIMEOUT, KEEP_ALIVE, REQUEST_TIMEOUT};
+
 use std::fmt;
-use std::io;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use gdp_wire::table::ip_words;
-use gdp_wire::{Carrier, LinkEntry, LinkRole, Name};
+use gdp_wire::{Carrier, LinkEntry, LinkRole};
 use parking_lot::Mutex as StdMutex;
 use tokio::sync::{Mutex, mpsc};
 use tokio::task::JoinHandle;
 use zeroize::Zeroizing;
 
-use crate::port::{HostPair, LinkAddr};
+use crate::port::LinkAddr;
 use gdp_core::domain::Papers;
 use gdp_core::peer::{Peer, Role};
-use gdp_proto::control::{CodecError, Request, Response};
+use gdp_proto::control::{Request, Response};
 
 pub use ids::{LinkId, LinkIds};
 pub use keyed_entry::KeyedEntry;
 pub use ratchet::{LinkKeys, RekeySchedule};
 pub use streams::Responder;
 
-use hello::PeerEnd;
+use crate::link::peer_end::PeerEnd;
+use crate::link::streams::{Announcement, MAX_ANNOUNCEMENTS};
 use ratchet::Ratchet;
-use rekey::{Announcement, MAX_ANNOUNCEMENTS};
 
 pub use hello::MIN_MTU;
 pub(crate) use hello::{HelloConfig, greet_as_client, greet_as_server};
 pub(crate) use tls::{QuicMtu, SERVER_NAME, configs};
-
-/// A silent link sends a packet this often.
-pub const KEEP_ALIVE: Duration = Duration::from_secs(1);
-
-/// A link is lost when nothing arrives for this long.
-pub const IDLE_TIMEOUT: Duration = Duration::from_secs(4);
-
-/// From the first packet to both hellos.
-pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
-
-/// From a request to its response.
-pub const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
-
-/// Characters of a peer's reason to close a link that are shown.
-const MAX_REASON: usize = 600;
-
-/// Requests a peer can have open at once.
-pub(crate) const MAX_STREAMS: u32 = 32;
 
 /// One link. Clones are the same link; it closes when the last is dropped.
 #[derive(Clone)]
@@ -82,85 +73,6 @@ struct Inner {
     papers: StdMutex<Option<Arc<Papers>>>,
     /// Why this side closed it.
     closed_for: OnceLock<String>,
-}
-
-/// What a link needs to know of the port it is on.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Place {
-    Ethernet {
-        ifindex: u32,
-        vlan: u16,
-        local_mac: [u8; 6],
-        peer_mac: [u8; 6],
-    },
-    /// `bound`: what the port's socket is bound to, perhaps the unspecified address.
-    /// `pair`: how frames go, if not by where QUIC is.
-    Udp {
-        bound: SocketAddr,
-        pair: Option<PairEnd>,
-    },
-}
-
-impl Place {
-    /// Whether a peer's address is one of this host: then the kernel sends from it as well.
-    fn leads_to_this_host(self, peer: SocketAddr) -> bool {
-        matches!(self, Self::Udp { bound, .. } if udp_source(bound.ip(), peer) == peer.ip().to_canonical())
-    }
-
-    fn by(self, end: PairEnd) -> Self {
-        match self {
-            Self::Udp { bound, .. } => Self::Udp { bound, pair: Some(end) },
-            ethernet => ethernet,
-        }
-    }
-}
-
-/// One side's view of a [`HostPair`].
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct PairEnd {
-    /// Not known to the endpoint, nor are MAC addresses: its kernel knows them.
-    local_ip: Ipv4Addr,
-    local_mac: [u8; 6],
-    peer_ip: Ipv4Addr,
-    peer_mac: [u8; 6],
-}
-
-impl PairEnd {
-    fn toward(switch: Ipv4Addr) -> Self {
-        Self { local_ip: Ipv4Addr::UNSPECIFIED, local_mac: [0; 6], peer_ip: switch, peer_mac: [0; 6] }
-    }
-
-    fn of_switch(pair: &HostPair) -> Self {
-        let HostPair { switch_ip, switch_mac, host_ip, host_mac } = *pair;
-        Self { local_ip: switch_ip, local_mac: switch_mac, peer_ip: host_ip, peer_mac: host_mac }
-    }
-}
-
-/// Why a link could not be made, or failed a request.
-#[derive(Debug, thiserror::Error)]
-pub enum LinkError {
-    #[error("{what}: {source}")]
-    Io { what: String, source: io::Error },
-    #[error("the link could not be made: {0}")]
-    Handshake(String),
-    #[error("{what} took longer than {} s", .after.as_secs())]
-    Timeout { what: &'static str, after: Duration },
-    #[error("the peer is {found:#}, not {expected:#}; check the address, or the name that is configured for it")]
-    WrongPeer { expected: Name, found: Name },
-    #[error("all {} link ids are in use", gdp_wire::table::MAX_LINKS)]
-    NoFreeId,
-    #[error("the link is closed: {0}")]
-    Closed(String),
-    #[error(transparent)]
-    Codec(#[from] CodecError),
-    #[error("the peer broke the protocol: {0}")]
-    Protocol(String),
-}
-
-impl From<quinn::ConnectionError> for LinkError {
-    fn from(error: quinn::ConnectionError) -> Self {
-        Self::Closed(close_reason(&error))
-    }
 }
 
 impl Link {
@@ -366,20 +278,6 @@ impl fmt::Debug for Link {
     }
 }
 
-/// The address that a socket bound to `bound` sends from to `peer`; the unspecified one if there is no route.
-fn udp_source(bound: IpAddr, peer: SocketAddr) -> IpAddr {
-    if !bound.is_unspecified() {
-        return bound.to_canonical();
-    }
-    // Connecting a UDP socket sends nothing: the kernel looks its routes up.
-    let ask = || {
-        let socket = UdpSocket::bind((bound, 0))?;
-        socket.connect(peer)?;
-        socket.local_addr()
-    };
-    ask().map_or(bound, |local| local.ip().to_canonical())
-}
-
 /// What the keys of a direction come from. RFC 5705: the same on both sides, unknown to anybody else.
 fn export_secret(connection: &quinn::Connection, context: &[u8]) -> Result<Zeroizing<[u8; 32]>, LinkError> {
     let mut secret = Zeroizing::new([0; 32]);
@@ -387,23 +285,6 @@ fn export_secret(connection: &quinn::Connection, context: &[u8]) -> Result<Zeroi
         .export_keying_material(secret.as_mut_slice(), b"EXPORTER-gdp-link", context)
         .map_err(|_| LinkError::Handshake("TLS exports no keys".into()))?;
     Ok(secret)
-}
-
-/// What a person should read. The peer's own words are bounded and made printable.
-fn close_reason(error: &quinn::ConnectionError) -> String {
-    match error {
-        quinn::ConnectionError::ApplicationClosed(close) => {
-            let words: String = String::from_utf8_lossy(&close.reason).chars().take(MAX_REASON).collect();
-            if words.is_empty() {
-                "closed by the peer".into()
-            } else {
-                format!("closed by the peer: {}", words.escape_debug())
-            }
-        }
-        quinn::ConnectionError::TimedOut => format!("nothing heard for {} s", IDLE_TIMEOUT.as_secs()),
-        quinn::ConnectionError::LocallyClosed => "closed on this side".into(),
-        other => other.to_string(),
-    }
 }
 
 #[cfg(test)]

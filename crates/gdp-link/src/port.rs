@@ -16,10 +16,12 @@ mod send;
 mod strays;
 mod sys;
 mod udp;
+mod udp_mtu;
 #[cfg(test)]
 #[path = "../tests/unit/port/udp_tests.rs"]
 mod udp_tests;
 
+pub use crate::port::udp_mtu::UDP_MTU;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
@@ -47,10 +49,6 @@ pub use handshakes::{HandshakeCounters, HandshakeCounts};
 use handshakes::{Handshakes, MAX_HANDSHAKES, Verdict};
 pub(crate) use host::CurrentPair;
 pub use host::HostPair;
-
-/// Largest data frame on a UDP link, in bytes: what fits into IPv4 on Ethernet. A link takes as much of it as its path does, which
-/// QUIC finds out.
-pub const UDP_MTU: u32 = 1500 - 20 - 8;
 
 /// Largest QUIC packet on Ethernet. More gains control traffic nothing, and jumbo frames may not pass everywhere.
 const MAX_ETHERNET_QUIC: u32 = 1472;

@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use crate::definition::Dialect;
+use crate::dialect::Dialect;
 use crate::name::{Kind, TypeName};
 use crate::registry::Registry;
 

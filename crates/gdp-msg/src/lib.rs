@@ -70,6 +70,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod definition;
+mod dialect;
 mod embedded;
 mod encode;
 pub mod hash;
@@ -80,9 +81,9 @@ mod schema;
 mod share;
 mod translate;
 
+pub use crate::dialect::Dialect;
 pub use definition::{
-    Base, Constant, Count, Definition, DefinitionError, Dialect, Field, MAX_ARRAY, MAX_FIELDS, MAX_TEXT, Problem,
-    Scalar,
+    Base, Constant, Count, Definition, DefinitionError, Field, MAX_ARRAY, MAX_FIELDS, MAX_TEXT, Problem, Scalar,
 };
 pub use encode::{Encoding, Fault};
 pub use mapping::{MapError, Mapping, Note, Options, TranscodeError};

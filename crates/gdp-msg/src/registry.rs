@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use crate::definition::{self, Definition, DefinitionError, Dialect};
+use crate::definition::{self, Definition, DefinitionError};
+use crate::dialect::Dialect;
 use crate::name::TypeName;
 
 /// Most definitions of one registry: several times those of a whole distribution.

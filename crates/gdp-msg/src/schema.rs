@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use crate::definition::{self, Base, Definition, DefinitionError, Dialect};
+use crate::definition::{self, Base, Definition, DefinitionError};
+use crate::dialect::Dialect;
 use crate::name::{NameError, TypeName, shown};
 use crate::registry::{AddError, Registry};
 

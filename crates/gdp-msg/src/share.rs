@@ -4,7 +4,8 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use crate::definition::{Dialect, MAX_TEXT};
+use crate::definition::MAX_TEXT;
+use crate::dialect::Dialect;
 use crate::name::{Kind, TypeName};
 use crate::registry::{AddError, Registry};
 

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::definition::{Base, Constant, Count, Definition, Dialect, Field, Scalar};
+use crate::definition::{Base, Constant, Count, Definition, Field, Scalar};
+use crate::dialect::Dialect;
 use crate::name::{Kind, TypeName};
 use crate::registry::Registry;
 use crate::schema::{Schema, SchemaError};

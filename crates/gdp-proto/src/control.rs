@@ -7,10 +7,16 @@
 //! Nothing here is trusted because of who sent it: certificates and statements are verified by the RIB before it stores
 //! them and again, with [`Record::verify`], by whoever receives an answer.
 
+mod extent;
 mod peers;
+mod record;
+mod refusal;
 mod tiers;
 mod traced;
 
+pub use crate::control::extent::Extent;
+pub use crate::control::record::{Credential, Record, RecordPlace, Verified};
+pub use crate::control::refusal::{Refusal, RefusalCode};
 pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
 pub use tiers::{
     Abroad, MAX_ANCESTORS, MAX_PATH, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
@@ -28,8 +34,7 @@ use gdp_wire::Name;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use gdp_core::cert::{
-    AdCert, Advert, CertError, Host, Issued, LinkState, Membership, Reading, Revocation, RtCert, Side, Signed,
-    verify_statement,
+    AdCert, Advert, CertError, Host, Issued, LinkState, Membership, Reading, Revocation, RtCert, Signed,
 };
 use gdp_core::domain::Papers;
 use gdp_core::keys::KeyBox;
@@ -165,192 +170,9 @@ pub enum Response {
 /// switches go by. At most as many as a domain has switches.
 pub type PathCosts = BTreeMap<Name, u64>;
 
-/// Why a request was refused: a code for programs and a sentence that names the thing and the remedy for people.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
-#[error("{reason}")]
-pub struct Refusal {
-    pub code: RefusalCode,
-    pub reason: String,
-}
-
-impl Refusal {
-    /// A refusal with this code and sentence; an overlong sentence is cut, so that it always fits a response.
-    pub fn new(code: RefusalCode, reason: impl Into<String>) -> Self {
-        const LONGEST: usize = 1024;
-        let mut reason = reason.into();
-        if reason.len() > LONGEST {
-            reason.truncate(reason.floor_char_boundary(LONGEST));
-        }
-        Self { code, reason }
-    }
-}
-
 impl From<Refusal> for Response {
     fn from(refusal: Refusal) -> Self {
         Self::Refused(refusal)
-    }
-}
-
-/// What kind of refusal it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum RefusalCode {
-    /// Not a message this side understands, or not one that this peer may send.
-    Malformed,
-    /// The entity has to attach first.
-    NotAttached,
-    /// A signature does not verify under the key it must verify under.
-    BadSignature,
-    /// The name is not derived from the key and digest shown, or a certificate is for another name.
-    WrongName,
-    /// A certificate or statement is for, or by, another entity.
-    WrongEntity,
-    /// A certificate or statement is for another switch.
-    WrongSwitch,
-    NotYetValid,
-    Expired,
-    /// The owner has revoked the certificate.
-    Revoked,
-    /// The delegation, membership or role that the certificate needs is not there.
-    NotEntitled,
-    /// The serial of the statement is not above the floor of its entity, or a revocation older than the one known.
-    ReplayedSerial,
-    /// Nothing is known of the name.
-    NotFound,
-    /// A bound of the RIB or the switch is reached.
-    Limit,
-    /// The switch has no way to the RIB, or to the peer, right now; worth another attempt later.
-    Unreachable,
-    /// Something that this release does not do.
-    Unsupported,
-    /// It comes from a RIB that another one has taken the place of.
-    Fenced,
-}
-
-/// One verified advertisement or subscription, with all that is needed to verify it again.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Record {
-    pub name: Name,
-    /// How `name` is derived, and the owner's key.
-    pub proof: NameProof,
-    /// How the name of the entity is derived, and its key.
-    pub entity: NameProof,
-    /// The switch the entity is attached to.
-    pub switch: Name,
-    pub credential: Credential,
-    /// What the entity itself stated.
-    pub advert: Signed<Advert>,
-    /// Seconds until the record ends by itself, on the clock of who answers.
-    pub expires_in: u64,
-}
-
-/// What the owner of a name gave an entity: it also tells what the entity is to the name.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Credential {
-    Writer(Issued<AdCert>),
-    Reader(Reading),
-}
-
-impl Credential {
-    /// Bytes of what is signed in it.
-    pub fn size(&self) -> usize {
-        match self {
-            Self::Writer(cert) => cert.size(),
-            Self::Reader(grant) => grant.size(),
-        }
-    }
-
-    /// Domains that a writer may be known in besides its own; a reader's credential names none. Believe it once the credential is verified.
-    pub fn scope(&self) -> Result<Vec<Name>, CertError> {
-        match self {
-            Self::Writer(cert) => Ok(cert.cert.claims_unverified()?.scope),
-            Self::Reader(_) => Ok(Vec::new()),
-        }
-    }
-
-    /// The membership that it asks for, if it asks for one.
-    pub fn member(&self) -> Option<&Membership> {
-        match self {
-            Self::Writer(_) => None,
-            Self::Reader(grant) => grant.member.as_deref(),
-        }
-    }
-
-    /// As [`Reading::check_member`]; a writer needs no membership.
-    pub fn check_member<'a>(&self, newest: impl FnOnce(&Name) -> Option<&'a Revocation>) -> Result<(), CertError> {
-        match self {
-            Self::Writer(_) => Ok(()),
-            Self::Reader(grant) => grant.check_member(newest),
-        }
-    }
-
-    /// Of what a revocation can take back: what it is, and its serial. Believe it once the credential is verified.
-    pub fn serials(&self) -> Result<Vec<(&'static str, u64)>, CertError> {
-        match self {
-            Self::Writer(cert) => cert.serials(),
-            Self::Reader(reading) => reading.grant.serials(),
-        }
-    }
-}
-
-/// What a record is worth once it verified.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Verified {
-    pub entity: Name,
-    pub advert: Advert,
-    /// When the credential's chain ends, in Unix seconds.
-    pub not_after: u64,
-}
-
-/// A record's place in the order in which a RIB lists them: by name, of each its writers before its readers; of those
-/// one at each of its switches.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct RecordPlace {
-    pub name: Name,
-    pub role: NameRole,
-    pub entity: Name,
-    pub switch: Name,
-}
-
-impl Record {
-    /// Where the record is listed; an error if the entity's key is not one, or the statement none that is listed.
-    pub fn place(&self) -> Result<RecordPlace, CertError> {
-        let (role, entity) = (self.role()?, self.entity.name()?);
-        Ok(RecordPlace { name: self.name, role, entity, switch: self.switch })
-    }
-
-    /// What the entity says it is to the name. Believe it once the record is [verified](Self::verify).
-    pub fn role(&self) -> Result<NameRole, CertError> {
-        let op = self.advert.claims_unverified()?.op;
-        NameRole::of(op).ok_or_else(|| CertError::Malformed("a record of a withdrawal".into()))
-    }
-
-    /// Verifies the record as if nobody had before: derivation of both names, the credential at `now` (Unix seconds) under
-    /// the newest revocation that is known of the name, and the entity's own statement. What domains have taken back,
-    /// [`Credential::check_member`] says.
-    pub fn verify(&self, revocation: Option<&Revocation>, now: u64) -> Result<Verified, CertError> {
-        let name = self.proof.name()?;
-        if name != self.name {
-            return Err(CertError::WrongName { expected: self.name, got: name });
-        }
-        let entity = self.entity.name()?;
-        let (side, not_after) = match &self.credential {
-            Credential::Writer(cert) => {
-                let cert = cert.verify(&self.proof, revocation, now)?;
-                if cert.entity != entity {
-                    return Err(CertError::WrongEntity { expected: entity, got: cert.entity });
-                }
-                (Side::Writer, cert.not_after)
-            }
-            Credential::Reader(grant) => (Side::Reader, grant.verify(&self.proof, entity, revocation, now)?.not_after),
-        };
-        let key = self.entity.verify_key()?;
-        let advert = verify_statement(&self.advert, side, name, (entity, &key), self.switch)?;
-        Ok(Verified { entity, advert, not_after })
-    }
-
-    /// Whether this is an advertisement (and not a subscription).
-    pub fn is_writer(&self) -> bool {
-        matches!(self.credential, Credential::Writer(_))
     }
 }
 
@@ -371,16 +193,6 @@ pub struct FibPush {
     pub own_bit: u8,
     pub set: Vec<Route>,
     pub remove: Vec<Name>,
-}
-
-/// How a push relates to what the switch holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Extent {
-    /// Changes generation − 1. A switch that holds another one refuses, and is sent the whole.
-    Delta,
-    /// Part of the whole: with part 0 the switch marks all it holds, with the last it sweeps what was not set since. What
-    /// an earlier RIB, or an earlier daemon of the switch, had said is swept only if this RIB is not [settling](FibPush).
-    Full { part: u32, last: bool },
 }
 
 /// Where a name leads, in names: the switch translates entities and neighbours to its links.

@@ -10,11 +10,13 @@ pub mod fetch;
 pub mod flat;
 pub mod forward;
 pub mod header;
+pub mod hop;
 pub mod losses;
 mod name;
 pub mod replay;
 pub mod siphash;
 pub mod table;
+pub mod tables;
 
 pub use counter::Counter;
 pub use header::{ControlHeader, ErrorCode, FrameType, Header};

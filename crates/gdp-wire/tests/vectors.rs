@@ -7,6 +7,7 @@ mod frames;
 
 use frames::Frame;
 use frames::fixtures::{array, hex, key, unhex};
+use gdp_wire::hop;
 use gdp_wire::{ControlHeader, Counter, FrameType, Header, LinkEntry, Name, forward, replay};
 use serde::{Deserialize, Serialize};
 use zerocopy::{FromBytes, IntoBytes};
@@ -83,7 +84,7 @@ fn data_headers_are_written_as_the_vectors_say() {
         header.set_egress_bits(u64::from_be_bytes(array(&vector.egress_bits)));
         let (tx_keys, tx_phase) = ([key(&vector.key); 2], u32::from(vector.flags >> 7));
         let link = LinkEntry { peer_id: vector.link_id, tx_keys, tx_phase, ..LinkEntry::default() };
-        forward::stamp(&mut header, &link, vector.link_counter.into());
+        hop::stamp(&mut header, &link, vector.link_counter.into());
         assert_eq!(hex(header.as_bytes()), vector.header);
     }
 }

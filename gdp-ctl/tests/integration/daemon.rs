@@ -1,6 +1,7 @@
 //! Whole daemons on loopback UDP, without root: what two applications publish and read through them, and what is left when
 //! one of them, or a link, or a daemon is gone.
 
+use gdp_wire::hop;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant, SystemTime};
 
@@ -17,7 +18,7 @@ use gdp_link::link::{Link, LinkIds};
 use gdp_link::port::{LinkAddr, OutFrame, Port, PortConfig};
 use gdp_proto::control::{EntityRequest, Flooded, MAX_HOPS, Request, Response};
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{Header, Name, forward};
+use gdp_wire::{Header, Name};
 use serde_json::Value;
 use zerocopy::IntoBytes;
 
@@ -237,7 +238,7 @@ async fn writers_of_a_name_may_send_to_it_and_nobody_else() {
     let (topic, own) = (first.card.name(), stranger.robot.name());
     for (count, (reason, source)) in (1..).zip([("drop_not_permitted", own), ("drop_source", first.robot.name())]) {
         let mut header = Header::data(topic, source, 0);
-        forward::stamp(&mut header, &link.entry(PORT_USERSPACE), count);
+        hop::stamp(&mut header, &link.entry(PORT_USERSPACE), count);
         let frame = OutFrame { to: link.addr(), head: header.as_bytes(), body: &[] };
         assert_eq!(port.data().send_batch([frame; 2]).sent, 2);
         let counted = async || {

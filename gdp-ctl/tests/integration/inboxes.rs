@@ -1,6 +1,7 @@
 //! Two entities at a whole daemon, without the SDK's node: they reach each other under their own names for as long as they are
 //! counterparts, are told of each other and of keys, and a revocation parts them at once.
 
+use gdp_wire::hop;
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::switch::{PATIENCE, config, wait};
@@ -14,7 +15,7 @@ use gdp_link::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 use gdp_proto::control::{EntityRequest, NameRole, Peers, RefusalCode, Request, Response};
 use gdp_proto::peers::{Counterparts, PeerEvent};
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{Header, Name, forward};
+use gdp_wire::{Header, Name};
 use zerocopy::{FromBytes, IntoBytes};
 
 #[tokio::test(flavor = "multi_thread")]
@@ -132,7 +133,7 @@ impl Endpoint {
     fn send(&mut self, to: Name) {
         let mut header = Header::data(to, self.name(), 0);
         self.sent += 1;
-        forward::stamp(&mut header, &self.link.entry(PORT_USERSPACE), self.sent);
+        hop::stamp(&mut header, &self.link.entry(PORT_USERSPACE), self.sent);
         let frame = OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] };
         assert_eq!(self.port.data().send_batch([frame]).sent, 1);
     }

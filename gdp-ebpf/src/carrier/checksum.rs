@@ -4,7 +4,7 @@ use aya_ebpf::helpers::generated::bpf_csum_diff;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::Carrier;
 
-use super::udp4::{UDP, Udp};
+use crate::carrier::udp::{UDP, Udp};
 use crate::packet::Packet;
 
 /// What kernels before 6.13 sum up at once.

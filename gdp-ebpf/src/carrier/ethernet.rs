@@ -3,7 +3,7 @@
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Carrier, ETHERTYPE, Vlan};
 
-use super::Carried;
+use crate::carrier::frame::Carried;
 use crate::packet::Packet;
 use crate::{config, local};
 

@@ -5,28 +5,20 @@
 
 mod checksum;
 pub mod ethernet;
+mod frame;
+pub mod udp;
 pub mod udp4;
 pub mod udp6;
 
+pub use crate::carrier::frame::Carried;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::table::PORT_ROUTED;
 use gdp_wire::{Carrier, LinkEntry};
 
-use self::udp4::Udp;
+use crate::carrier::udp::Udp;
 use crate::next_hop::NextHop;
 use crate::packet::{self, Packet};
-
-/// Where the frame lies in a packet.
-#[derive(Clone, Copy)]
-pub struct Carried {
-    /// Bytes in front of it.
-    pub at: usize,
-    /// Bytes there are of it, and perhaps of padding behind it.
-    pub available: usize,
-    /// Whether it may also be QUIC.
-    pub over_udp: bool,
-}
 
 /// The frame in a packet of `length` bytes; `None` if it is none of ours. `ethertype`: of GDP frames, in host order.
 #[inline(always)]

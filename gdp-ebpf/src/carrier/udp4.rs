@@ -2,11 +2,12 @@
 //! host's to judge. Checksums of what arrives are not looked at: the hop tag covers the frame's header, and the reader's
 //! decryption its payload.
 
+use crate::carrier::udp::{HOP_LIMIT, UDP, Udp};
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Carrier, LocalAddress};
 
-use super::Carried;
 use super::ethernet::{self, Ethernet};
+use crate::carrier::frame::Carried;
 use crate::local;
 use crate::next_hop::NextHop;
 use crate::packet::Packet;
@@ -18,9 +19,6 @@ pub const LEN: usize = ethernet::LEN + HEADERS;
 
 /// Version 4, five words.
 const VERSION_LENGTH: u8 = 0x45;
-/// Also IPv6's "next header".
-pub const UDP: u8 = 17;
-pub const HOP_LIMIT: u8 = 64;
 const DO_NOT_FRAGMENT: u16 = 0x4000;
 /// More fragments follow, and the place of this one.
 const FRAGMENT: u16 = 0x3fff;
@@ -38,15 +36,6 @@ struct Ipv4 {
     checksum: u16,
     source: u32,
     destination: u32,
-}
-
-/// In network order.
-#[repr(C)]
-pub struct Udp {
-    pub source: u16,
-    pub destination: u16,
-    pub length: u16,
-    pub checksum: u16,
 }
 
 const _: () = assert!(LEN == 42);

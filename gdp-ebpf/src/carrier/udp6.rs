@@ -6,9 +6,9 @@
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Carrier, LocalAddress};
 
-use super::Carried;
 use super::ethernet::{self, Ethernet};
-use super::udp4::{HOP_LIMIT, UDP, Udp};
+use crate::carrier::frame::Carried;
+use crate::carrier::udp::{HOP_LIMIT, UDP, Udp};
 use crate::local;
 use crate::next_hop::NextHop;
 use crate::packet::Packet;

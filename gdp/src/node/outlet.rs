@@ -11,11 +11,12 @@
 //! publishers try, and never wait for it. Who holds [`Outlet::choice`] may take those of a [`Lane`] and [`Outlet::uplink`], and is
 //! called by nobody who holds a lock.
 
+use gdp_wire::hop;
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp_wire::{Header, Name, forward};
+use gdp_wire::{Header, Name};
 use parking_lot::{Condvar, Mutex};
 use tokio::sync::{Notify, watch};
 use zerocopy::IntoBytes;
@@ -463,7 +464,7 @@ impl Outlet {
             // Payloads are within the link's MTU, which 16 bits can express.
             *header = Header::data(transmit.name, self.name, transmit.payload_len() as u16);
             header.flags |= transmit.class << CLASS_SHIFT | UNDERSTANDS_MARKS;
-            forward::stamp(header, &entry, attachment.next_count());
+            hop::stamp(header, &entry, attachment.next_count());
             if transmit.payloads().nth(1).is_some() {
                 transmit.payloads().for_each(|payload| joined.extend_from_slice(payload));
             }
@@ -500,7 +501,7 @@ impl Outlet {
 
     pub(super) fn send_one_on(&self, attachment: &Attachment, to: Name, payload: &[u8]) {
         let mut header = Header::data(to, self.name, payload.len() as u16);
-        forward::stamp(&mut header, &attachment.entry.get(), attachment.next_count());
+        hop::stamp(&mut header, &attachment.entry.get(), attachment.next_count());
         let frame = OutFrame { to: attachment.link.addr(), head: header.as_bytes(), body: payload };
         let sent = attachment.data.send_batch([frame]);
         self.count(attachment, sent);

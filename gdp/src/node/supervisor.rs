@@ -2,13 +2,14 @@
 //! switch, and begins anew when the link is lost, or at once when this machine is in another network. The application's handles never notice but for what was lost.
 //! [`run`] keeps all links of a node.
 
+use gdp_wire::hop;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{Header, Name, forward};
+use gdp_wire::{Header, Name};
 use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::{Instant, sleep, sleep_until, timeout_at};
@@ -110,7 +111,7 @@ impl Attachment {
 
     /// Sends a frame without a payload to the switch itself; if it is lost, so be it.
     pub fn send(&self, mut header: Header) {
-        forward::stamp(&mut header, &self.entry.get(), self.next_count());
+        hop::stamp(&mut header, &self.entry.get(), self.next_count());
         self.data.send_batch([OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] }]);
     }
 

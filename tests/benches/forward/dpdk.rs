@@ -4,6 +4,7 @@
 //! `net_null` gives packets of whatever is in memory. So each gets a frame of its own before the loop sees it: made beforehand, with a
 //! count and a tag as its neighbour would send it. What that takes is measured by itself ([`FED`] beside [`EMPTY`]) and taken off.
 
+use gdp_wire::hop;
 use std::cell::RefCell;
 use std::hint::black_box;
 use std::sync::Arc;
@@ -24,7 +25,7 @@ use gdp_link::port::LinkAddr;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_tests::programs::Executable as _;
-use gdp_wire::{Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, Name, forward};
+use gdp_wire::{Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, Name};
 use zerocopy::IntoBytes;
 
 use crate::Bench;
@@ -105,7 +106,7 @@ fn made(frames: usize) -> Vec<Header> {
         random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
         let name = if frames < NAMES as usize { 0 } else { random >> 32 & u64::from(NAMES - 1) };
         let mut header = Header::data(lookups::name(name), WRITER, (LENGTH - ETHERNET - Header::LEN) as u16);
-        forward::stamp(&mut header, &link, i as u64 + 1);
+        hop::stamp(&mut header, &link, i as u64 + 1);
         header
     };
     (0..frames).map(header).collect()

@@ -10,6 +10,7 @@
 //!
 //! Endpoints use `AF_PACKET` (`sendmmsg`) and `UDP` (runs of frames as one piece); the others are what that was chosen from.
 
+use gdp_wire::hop;
 use std::fs::File;
 use std::io::{IoSlice, Write};
 use std::net::UdpSocket;
@@ -23,7 +24,7 @@ use gdp_tests::measure::figure::{Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_tests::packet::ETHERNET;
 use gdp_tests::wait::wait_for;
-use gdp_wire::{Header, LinkEntry, forward};
+use gdp_wire::{Header, LinkEntry};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::Bench;
@@ -210,7 +211,7 @@ impl Sender {
         while start.elapsed() < duration {
             for header in &mut self.headers {
                 self.count += 1;
-                forward::stamp(header, &self.link, self.count);
+                hop::stamp(header, &self.link, self.count);
             }
             self.send_batch()?;
             sent += BATCH as u64;

@@ -1,5 +1,6 @@
 //! One way from a writer to a reader through a switch on their host.
 
+use gdp_wire::hop;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
@@ -12,7 +13,7 @@ use gdp_link::link::LinkIds;
 use gdp_link::port::{BATCH, DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, RecvBatch};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_wire::table::{ip_words, mac_words};
-use gdp_wire::{Carrier, Counter, Header, LinkEntry, LinkRole, Name, forward};
+use gdp_wire::{Carrier, Counter, Header, LinkEntry, LinkRole, Name};
 use serde::Serialize;
 use tokio::runtime::Runtime;
 use zerocopy::IntoBytes;
@@ -185,7 +186,7 @@ impl Way {
             .map(|_| {
                 self.count += 1;
                 let mut header = Header::data(TOPIC, WRITER, PAYLOAD as u16);
-                forward::stamp(&mut header, &entry, self.count);
+                hop::stamp(&mut header, &entry, self.count);
                 header
             })
             .collect();

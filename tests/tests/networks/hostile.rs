@@ -3,6 +3,7 @@
 
 mod half_open;
 
+use gdp_wire::hop;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
@@ -236,7 +237,7 @@ impl Stranger {
     /// The next frame on the link.
     fn stamped(&mut self, mut header: Header) -> Header {
         self.sent += 1;
-        forward::stamp(&mut header, &self.link.entry(PORT_USERSPACE), self.sent);
+        hop::stamp(&mut header, &self.link.entry(PORT_USERSPACE), self.sent);
         header
     }
 

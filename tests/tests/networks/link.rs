@@ -5,6 +5,7 @@
 //!   02:…:01                   02:…:02
 //! ```
 
+use gdp_wire::hop;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
@@ -151,7 +152,7 @@ fn exchange(from: &Port, out: &Link, to: &Port, input: &Link, payload: &[u8], co
     let headers: Vec<Header> = (0..count)
         .map(|i| {
             let mut header = Header::data(out.peer().name, input.peer().name, payload.len() as u16);
-            forward::stamp(&mut header, &egress, i.into());
+            hop::stamp(&mut header, &egress, i.into());
             header
         })
         .collect();

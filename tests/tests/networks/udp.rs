@@ -6,6 +6,7 @@
 //!                2001:db8:1::1                   over IPv6 from 2001:db8:2::9
 //! ```
 
+use gdp_wire::hop;
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -201,7 +202,7 @@ fn an_attacker_on_the_path_gets_nothing_through() -> Result<()> {
     let restamped = |site: &mut Site, change: &dyn Fn(&mut Header)| {
         let mut header = site.next_frame(INET, ROBOT, b"honest");
         change(&mut header);
-        forward::stamp(&mut header, &entry, site.ends[INET].sent);
+        hop::stamp(&mut header, &entry, site.ends[INET].sent);
         header
     };
     let mut forged = site.next_frame(INET, ROBOT, b"honest");
@@ -534,7 +535,7 @@ impl Site {
         let from = &mut self.ends[from];
         from.sent += 1;
         let mut header = Header::data(destination, from.name, payload.len() as u16);
-        forward::stamp(&mut header, &from.link.entry(PORT_USERSPACE), from.sent);
+        hop::stamp(&mut header, &from.link.entry(PORT_USERSPACE), from.sent);
         header
     }
 

@@ -1,6 +1,6 @@
 //! What all certificates and statements have in common. Times are Unix seconds, both ends included.
 
-use super::CertError;
+use crate::cert::error::CertError;
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Seconds by which the clock of who issues something may be ahead of that of who verifies it. Nothing is taken so much longer: a clock that is behind

@@ -3,13 +3,15 @@
 //!
 //! Serials are those of owners' certificates: the Unix time in nanoseconds of the issue.
 
-use super::issued::{MAX_PROOF, PROOF_LABEL, expect_domain};
 use super::owner::check_role;
 use super::pem::Blocks;
-use super::{CertError, Claims, Revocation, Signed, Validity, issue};
+use super::{Claims, Revocation, Signed, Validity, issue};
 use crate::cbor;
-use crate::identity::{Identity, VerifyKey};
+use crate::cert::error::CertError;
+use crate::cert::name_proof::{MAX_PROOF, PROOF_LABEL, expect_domain};
+use crate::identity::Identity;
 use crate::name::{Name, NameProof};
+use crate::verify_key::VerifyKey;
 use p256::pkcs8::{LineEnding, der::pem};
 use serde::{Deserialize, Serialize};
 use std::fmt;

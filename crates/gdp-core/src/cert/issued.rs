@@ -2,15 +2,10 @@
 //! for a grant to a role, that the reader has that role.
 
 use super::pem::{Blocks, MAX_TEXT};
-use super::{AboutName, CertError, Claims, Delegation, Grantee, Membership, ReadGrant, Revocation, Signed};
+use super::{AboutName, Claims, Delegation, Grantee, Membership, ReadGrant, Revocation, Signed};
+use crate::cert::error::CertError;
 use crate::name::{Name, NameProof};
 use serde::{Deserialize, Serialize};
-
-/// Between `-----BEGIN ` and `-----` in a name proof's text form.
-pub(super) const PROOF_LABEL: &str = "GDP NAME PROOF";
-
-/// A name proof in CBOR has 89 bytes.
-pub(super) const MAX_PROOF: usize = 128;
 
 /// A certificate of a name's owner, or of a delegate with the delegation that allows it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -185,8 +180,4 @@ pub(super) fn expect_name(expected: Name, got: Name) -> Result<(), CertError> {
 
 pub(super) fn expect_entity(expected: Name, got: Name) -> Result<(), CertError> {
     if expected == got { Ok(()) } else { Err(CertError::WrongEntity { expected, got }) }
-}
-
-pub(super) fn expect_domain(expected: Name, got: Name) -> Result<(), CertError> {
-    if expected == got { Ok(()) } else { Err(CertError::WrongDomain { expected, got }) }
 }

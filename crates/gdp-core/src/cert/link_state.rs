@@ -1,7 +1,8 @@
 //! What a switch states of itself to all switches of its domain: its egress bit, whether the RIB is there, and which switches it has
 //! links with, in the domain and in others.
 
-use super::{CertError, Claims, Validity};
+use super::{Claims, Validity};
+use crate::cert::error::CertError;
 use crate::name::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
 use serde::{Deserialize, Serialize};

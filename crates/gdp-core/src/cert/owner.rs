@@ -4,9 +4,10 @@
 //! Every certificate has a serial: the Unix time in nanoseconds at which it was issued, so that an owner and its delegates
 //! need not agree on one, and so that a revocation's floor means "nothing issued before then".
 
-use super::{CertError, Claims, Validity};
-use crate::identity::VerifyKey;
+use super::{Claims, Validity};
+use crate::cert::error::CertError;
 use crate::name::Name;
+use crate::verify_key::VerifyKey;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

@@ -3,9 +3,10 @@
 //! checked where domains meet, not here.
 
 use super::issued::{expect_entity, expect_name};
-use super::{AdCert, Advert, AdvertOp, CertError, Issued, ReadGrant, Reading, Revocation, Signed};
-use crate::identity::VerifyKey;
+use super::{AdCert, Advert, AdvertOp, Issued, ReadGrant, Reading, Revocation, Signed};
+use crate::cert::error::CertError;
 use crate::name::{Name, NameProof};
+use crate::verify_key::VerifyKey;
 
 /// Who asks, as its link or an earlier verification showed, and when.
 #[derive(Clone, Debug)]

@@ -1,9 +1,12 @@
 //! The exact bytes of a certificate, and what it takes to believe them.
 
-use super::{CertError, Claims};
+use super::Claims;
 use crate::cbor;
-use crate::crypto::{CryptoError, SIGNATURE_LEN};
-use crate::identity::{SigningKey, VerifyKey};
+use crate::cert::error::CertError;
+use crate::crypto::CryptoError;
+use crate::crypto::SIGNATURE_LEN;
+use crate::identity::SigningKey;
+use crate::verify_key::VerifyKey;
 use coset::{CoseSign1, CoseSign1Builder, HeaderBuilder, TaggedCborSerializable, iana};
 use p256::pkcs8::{LineEnding, der::pem};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};

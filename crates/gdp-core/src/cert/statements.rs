@@ -1,11 +1,12 @@
 //! What entities state themselves: which switch may carry their traffic, and what they do with a name.
 
-use super::{CertError, Claims, Validity};
+use super::advert_op::AdvertOp;
+use super::{Claims, Validity};
+use crate::cert::error::CertError;
 use crate::crypto::PUBLIC_KEY_LEN;
-use crate::identity::VerifyKey;
 use crate::name::Name;
+use crate::verify_key::VerifyKey;
 use serde::{Deserialize, Serialize};
-use std::fmt;
 
 /// Entity → switch: may carry my traffic.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,34 +24,6 @@ impl Claims for RtCert {
 
     fn validity(&self) -> Validity {
         Validity { not_before: 0, not_after: self.not_after }
-    }
-}
-
-/// What an entity states about a name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum AdvertOp {
-    /// I send messages to the name.
-    Publish,
-    /// I read the name's messages.
-    Subscribe,
-    /// I answer requests to the name.
-    Serve,
-    /// I send requests to the name.
-    Call,
-    /// Whatever I stated about the name ends.
-    Withdraw,
-}
-
-impl fmt::Display for AdvertOp {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Publish => "publish",
-            Self::Subscribe => "subscribe",
-            Self::Serve => "serve",
-            Self::Call => "call",
-            Self::Withdraw => "withdraw",
-        })
     }
 }
 

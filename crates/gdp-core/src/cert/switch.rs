@@ -5,8 +5,9 @@ use std::net::SocketAddr;
 use serde::{Deserialize, Serialize};
 
 use super::domain::roles;
-use super::issued::MAX_PROOF;
-use super::{CertError, Claims, MemberCert, Membership, Revocation, Signed, Validity};
+use super::{Claims, MemberCert, Membership, Revocation, Signed, Validity};
+use crate::cert::error::CertError;
+use crate::cert::name_proof::MAX_PROOF;
 use crate::name::{Name, NameProof};
 
 /// Addresses of one switch.

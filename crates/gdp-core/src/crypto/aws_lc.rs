@@ -1,6 +1,7 @@
 //! The default back end: AWS-LC through aws-lc-rs. Only `crypto` calls it.
 
-use super::{CryptoError, NONCE_LEN, PUBLIC_KEY_LEN, SIGNATURE_LEN, TAG_LEN};
+use crate::crypto::error::CryptoError;
+use crate::crypto::lengths::{NONCE_LEN, PUBLIC_KEY_LEN, SIGNATURE_LEN, TAG_LEN};
 use aws_lc_rs::{
     aead::{AES_256_GCM, Aad, LessSafeKey, Nonce, UnboundKey},
     agreement::{self, ECDH_P256, PrivateKey},

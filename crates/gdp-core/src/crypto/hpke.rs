@@ -7,7 +7,8 @@ use rustls::crypto::aws_lc_rs::hpke::DH_KEM_P256_HKDF_SHA256_AES_256;
 use rustls::crypto::hpke::{EncapsulatedSecret, Hpke, HpkePrivateKey, HpkePublicKey};
 use zeroize::Zeroizing;
 
-use super::{CryptoError, PUBLIC_KEY_LEN, TAG_LEN};
+use crate::crypto::error::CryptoError;
+use crate::crypto::lengths::{PUBLIC_KEY_LEN, TAG_LEN};
 
 /// SEC1 uncompressed, as RFC 9180 §7.1.1 has it.
 const ENCAPSULATED_LEN: usize = 65;

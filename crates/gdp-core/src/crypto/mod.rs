@@ -5,35 +5,17 @@
 //! project identifies anything by its signature bytes, so that a signature can be restated is of no use to anybody.
 
 mod aws_lc;
+mod error;
 mod hpke;
+mod lengths;
 mod parsed;
 mod rust_crypto;
 
 use std::fmt;
 
+pub use error::CryptoError;
+pub use lengths::{NONCE_LEN, PUBLIC_KEY_LEN, SIGNATURE_LEN, TAG_LEN};
 pub use parsed::parsed;
-
-pub const TAG_LEN: usize = 16;
-pub const NONCE_LEN: usize = 12;
-pub const SIGNATURE_LEN: usize = 64;
-/// SEC1 compressed P-256 point.
-pub const PUBLIC_KEY_LEN: usize = 33;
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum CryptoError {
-    #[error("authentication failed: the data was not sealed with this key, or was changed")]
-    Forged,
-    #[error("the signature does not fit the data and the key")]
-    BadSignature,
-    #[error("not a P-256 public key: 33 bytes, a compressed point on the curve")]
-    BadPublicKey,
-    #[error("not a P-256 private key")]
-    BadPrivateKey,
-    #[error("the system's random number generator failed")]
-    NoRandom,
-    #[error("the cryptographic library failed; the input may be too large for it")]
-    Internal,
-}
 
 /// Which implementation does the work. Their outputs are interchangeable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

@@ -4,7 +4,9 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use super::{Backend, CryptoError, PUBLIC_KEY_LEN, Verifier};
+use super::{Backend, Verifier};
+use crate::crypto::error::CryptoError;
+use crate::crypto::lengths::PUBLIC_KEY_LEN;
 
 const KEPT: usize = 64;
 

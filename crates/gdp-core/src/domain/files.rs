@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use super::Papers;
 use crate::card::{CardError, NameCard};
-use crate::cert::{CertError, MAX_CERT_FILE, Membership, Signed};
+use crate::cert::CertError;
+use crate::cert::{MAX_CERT_FILE, Membership, Signed};
 use crate::file_stamp::FileStamp;
 
 #[derive(Debug, thiserror::Error)]

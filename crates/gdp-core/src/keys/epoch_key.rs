@@ -1,7 +1,8 @@
 //! The secret that the writers and readers of a name share for an epoch. Sessions derive their own keys from it.
 
 use crate::crypto;
-use crate::crypto::{Aead, Backend, CryptoError};
+use crate::crypto::CryptoError;
+use crate::crypto::{Aead, Backend};
 use crate::name::Name;
 use std::fmt;
 use zeroize::Zeroizing;

@@ -3,6 +3,7 @@
 use super::*;
 use crate::identity::{Identity, SigningKey};
 use crate::name;
+use crate::name::Name;
 use crate::name::NameProof;
 
 const NOW: u64 = 1_800_000_000;

@@ -18,6 +18,7 @@ mod names;
 #[path = "../../tests/unit/tables.rs"]
 mod tests;
 
+use gdp_wire::hop;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -25,9 +26,9 @@ use arc_swap::{ArcSwap, Cache};
 use gdp_link::link::KeyedEntry;
 use gdp_link::port::LinkAddr;
 use gdp_wire::flat;
-use gdp_wire::forward;
 use gdp_wire::replay::Words;
-use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, NEIGHBOURS, Tables, link_index};
+use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, NEIGHBOURS, link_index};
+use gdp_wire::tables::Tables;
 use gdp_wire::{FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 use papaya::LocalGuard;
 
@@ -249,7 +250,7 @@ impl UserTables {
     /// The header of a frame of this node itself as it leaves by a link, and where to.
     pub fn address_frame(&self, id: u32, mut header: Header) -> Option<(Header, LinkAddr)> {
         let link = self.link(id)?;
-        forward::stamp(&mut header, link, self.common.link_memory.next_count(id));
+        hop::stamp(&mut header, link, self.common.link_memory.next_count(id));
         Some((header, self.now.address(id)?))
     }
 

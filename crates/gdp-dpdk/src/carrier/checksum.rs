@@ -4,7 +4,7 @@
 use gdp_wire::Carrier;
 use zerocopy::network_endian::U16;
 
-use super::udp4::UDP;
+use crate::carrier::udp::UDP;
 
 /// The sum of `bytes` as 16-bit words, not [folded](fold). The words are in the machine's order, as the order of bytes does not
 /// matter as long as it is one (RFC 1071, 2 (B)); an odd last byte is the first of a word whose second is zero.

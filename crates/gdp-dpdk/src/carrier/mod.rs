@@ -5,45 +5,16 @@
 
 mod checksum;
 mod ethernet;
+mod packet;
+mod udp;
 mod udp4;
 mod udp6;
 
-use gdp_wire::{Carrier, LocalAddress};
+pub use crate::carrier::packet::{Carried, Ours, Payload, Stations};
+use gdp_wire::Carrier;
 
 /// Bytes of the longest headers that [`dress`] writes.
 pub const MAX_LEN: usize = udp6::LEN;
-
-/// Where the frame lies in a packet.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Carried {
-    /// Bytes in front of it.
-    pub at: usize,
-    /// Bytes there are of it, and perhaps of padding behind it; perhaps none. They are all in the packet.
-    pub available: usize,
-    /// Whether it may also be QUIC.
-    pub over_udp: bool,
-    /// The byte that IP has for DSCP and ECN; 0 on Ethernet.
-    pub traffic: u8,
-}
-
-/// What on an interface is taken for a carrier of frames.
-pub trait Ours {
-    /// Ethertype of GDP frames, in host order.
-    fn ethertype(&self) -> u16;
-
-    /// Whether the switch takes frames over UDP at the address.
-    fn is_ours(&self, address: &LocalAddress) -> bool;
-
-    /// Whether GDP runs on the VLAN with this id (0 … 4095) of the interface.
-    fn is_our_vlan(&self, id: u16) -> bool;
-}
-
-/// The MAC addresses that a packet goes between, as [`Carrier`] has them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Stations<'a> {
-    pub peer: &'a [u16; 3],
-    pub local: &'a [u16; 3],
-}
 
 /// The frame in a whole packet, from its Ethernet header on; `None` if it is none of ours.
 #[inline(always)]
@@ -69,15 +40,6 @@ pub fn len(carrier: &Carrier) -> usize {
         _ if carrier.vlan != 0 => ethernet::TAGGED_LEN,
         _ => ethernet::LEN,
     }
-}
-
-/// A frame that headers are put in front of.
-#[derive(Clone, Copy, Debug)]
-pub struct Payload<'a> {
-    /// Bytes of the frame.
-    pub length: usize,
-    /// Those that are at hand: all of them, if the carrier [`has_checksum`].
-    pub bytes: &'a [u8],
 }
 
 /// Whether the headers of this carrier have a checksum that is over the frame as well.

@@ -2,21 +2,20 @@
 //! host's to judge. Checksums of what arrives are not looked at: the hop tag covers the frame's header, and the reader's
 //! decryption its payload.
 
+use crate::carrier::udp::{HOP_LIMIT, UDP, Udp, udp_length};
 use gdp_wire::{Carrier, LocalAddress};
 use zerocopy::network_endian::U16;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
+use super::checksum;
 use super::ethernet::{self, Ethernet};
-use super::{Carried, Ours, Payload, Stations, checksum};
+use crate::carrier::packet::{Carried, Ours, Payload, Stations};
 
 /// Bytes in front of the frame.
 pub const LEN: usize = size_of::<Headers>();
 
 /// Version 4, five words.
 const VERSION_LENGTH: u8 = 0x45;
-/// Also IPv6's "next header".
-pub const UDP: u8 = 17;
-pub const HOP_LIMIT: u8 = 64;
 const DO_NOT_FRAGMENT: u16 = 0x4000;
 /// More fragments follow, and the place of this one.
 const FRAGMENT: u16 = 0x3fff;
@@ -38,16 +37,6 @@ struct Ipv4 {
 
 #[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
 #[repr(C)]
-pub struct Udp {
-    pub source: [u8; 2],
-    pub destination: [u8; 2],
-    /// Of header and payload.
-    pub length: U16,
-    pub checksum: [u8; 2],
-}
-
-#[derive(FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
-#[repr(C)]
 struct Headers {
     ethernet: Ethernet,
     ip: Ipv4,
@@ -55,21 +44,6 @@ struct Headers {
 }
 
 const _: () = assert!(LEN == 42);
-
-/// What a UDP header says of the length, its own included. Wraps where the frame is longer than a datagram can be.
-#[inline]
-pub fn udp_length(frame: Payload<'_>) -> U16 {
-    ((size_of::<Udp>() + frame.length) as u16).into()
-}
-
-impl Udp {
-    /// From us to the peer.
-    #[inline]
-    pub fn new(carrier: &Carrier, length: U16, checksum: [u8; 2]) -> Self {
-        let (source, destination) = (carrier.local_port.to_ne_bytes(), carrier.peer_port.to_ne_bytes());
-        Self { source, destination, length, checksum }
-    }
-}
 
 #[inline]
 pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {

@@ -6,9 +6,10 @@ use gdp_wire::{Carrier, LocalAddress};
 use zerocopy::network_endian::{U16, U32};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
+use super::checksum;
 use super::ethernet::{self, Ethernet};
-use super::udp4::{HOP_LIMIT, UDP, Udp, udp_length};
-use super::{Carried, Ours, Payload, Stations, checksum};
+use crate::carrier::packet::{Carried, Ours, Payload, Stations};
+use crate::carrier::udp::{HOP_LIMIT, UDP, Udp, udp_length};
 
 /// Bytes in front of the frame.
 pub const LEN: usize = size_of::<Headers>();

@@ -4,13 +4,13 @@ use core::arch::x86_64::*;
 
 use gdp_wire::Header;
 
-use super::Tags;
+use crate::siphash::tags::Tags;
 
 const LANES: usize = 4;
 
 type Vector = __m256i;
 
-super::in_lanes!("avx2");
+super::lanes::in_lanes!("avx2");
 
 #[target_feature(enable = "avx2")]
 #[inline]

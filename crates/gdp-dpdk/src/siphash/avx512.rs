@@ -4,13 +4,13 @@ use core::arch::x86_64::*;
 
 use gdp_wire::Header;
 
-use super::Tags;
+use crate::siphash::tags::Tags;
 
 const LANES: usize = 8;
 
 type Vector = __m512i;
 
-super::in_lanes!("avx512f");
+super::lanes::in_lanes!("avx512f");
 
 #[target_feature(enable = "avx512f")]
 #[inline]

@@ -9,6 +9,7 @@
 
 mod assembly;
 mod drop_reason;
+mod event;
 mod merkle;
 mod message;
 mod reader;
@@ -21,9 +22,11 @@ mod window;
 mod wire;
 mod writer;
 
+pub use crate::seal::event::{Heartbeat, Lost, Moment};
+pub use crate::seal::event::{Limits, Received};
 pub use drop_reason::DropReason;
 pub use message::{Draft, Encoding, Latched, MAX_ORIGIN, Message, MessageId};
-pub use reader::{Heartbeat, Limits, Lost, Moment, Reader, Received};
+pub use reader::Reader;
 pub use segment::SegmentId;
 pub use segment::segment_ids;
 pub use segments::Segments;

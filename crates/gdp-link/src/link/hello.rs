@@ -1,6 +1,7 @@
 //! The first exchange on a link: what TLS did not say. The side that dialled speaks first; each hello is bounded in size,
 //! the whole exchange in time (by the caller).
 
+use super::peer_end::PeerEnd;
 use std::net::Ipv4Addr;
 
 use gdp_wire::{Header, Name};
@@ -8,7 +9,9 @@ use quinn::{Connection, RecvStream, SendStream};
 use serde::{Deserialize, Serialize};
 
 use super::ids::{LinkId, LinkIds};
-use super::{Link, LinkError, PairEnd, Place, RekeySchedule, streams, tls};
+use super::{Link, RekeySchedule, streams, tls};
+use crate::link::error::LinkError;
+use crate::link::place::{PairEnd, Place};
 use crate::port::CurrentPair;
 use gdp_core::domain::{CurrentPapers, MAX_PAPERS, Papers};
 use gdp_core::identity::Identity;
@@ -69,17 +72,6 @@ pub struct HelloConfig {
     pub papers: CurrentPapers,
     /// Not said, but needed for the link that is made.
     pub rekey: RekeySchedule,
-}
-
-/// What the peer said of its end of the link.
-#[derive(Clone, Debug)]
-pub struct PeerEnd {
-    pub id: u32,
-    pub mtu: u32,
-    pub zero_checksum: bool,
-    pub host: Option<u64>,
-    pub frames_at: Option<Ipv4Addr>,
-    pub papers: Option<Papers>,
 }
 
 /// Says hello on a connection this side dialled; `expected` is who should be there, if that is known. A peer that does not want the

@@ -1,6 +1,7 @@
 //! Keeps a link's keys fresh: the task that lets [`super::ratchet`] run on the clock and on the control connection. Who holds
 //! the link's entry in tables writes the keys there; when, and in which order with what the peer is told, is decided here.
 
+use super::streams::Announcement;
 use std::future::poll_fn;
 use std::pin::Pin;
 use std::task::Poll;
@@ -14,12 +15,6 @@ use super::ratchet::{Heard, Ratchet, Step};
 use super::{Link, LinkKeys, Responder, streams};
 use gdp_core::crypto::CryptoError;
 use gdp_proto::control::{Refusal, RefusalCode, Request, Response};
-
-/// Announcements that may wait to be looked at. A peer has one under way; an older one may still be on its way.
-pub const MAX_ANNOUNCEMENTS: usize = 4;
-
-/// That the peer's frames are under the key of this generation.
-pub type Announcement = (u64, Responder);
 
 impl Link {
     /// Replaces the keys of the link's data frames by the schedule of its port, and follows those of the peer. Runs until the

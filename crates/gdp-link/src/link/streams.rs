@@ -7,8 +7,8 @@ use quinn::{Connection, ReadExactError, RecvStream, SendStream, VarInt};
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 
-use super::rekey::Announcement;
-use super::{LinkError, REQUEST_TIMEOUT};
+use crate::link::error::LinkError;
+use crate::link::timing::REQUEST_TIMEOUT;
 use gdp_proto::control;
 use gdp_proto::control::{MAX_MESSAGE, Refusal, RefusalCode, Request, Response};
 
@@ -122,3 +122,9 @@ async fn read_exact(stream: &mut RecvStream, buffer: &mut [u8]) -> Result<(), Li
         ReadExactError::ReadError(error) => LinkError::Closed(error.to_string()),
     })
 }
+
+/// Announcements that may wait to be looked at. A peer has one under way; an older one may still be on its way.
+pub const MAX_ANNOUNCEMENTS: usize = 4;
+
+/// That the peer's frames are under the key of this generation.
+pub type Announcement = (u64, Responder);

@@ -20,7 +20,9 @@ use rustls::sign::CertifiedKey;
 use rustls::version::TLS13;
 use rustls::{CertificateError, DigitallySignedStruct, DistinguishedName, Error, PeerMisbehaved, SignatureScheme};
 
-use super::{IDLE_TIMEOUT, KEEP_ALIVE, LinkError, MAX_STREAMS};
+use crate::link::error::LinkError;
+use crate::link::timing::MAX_STREAMS;
+use crate::link::timing::{IDLE_TIMEOUT, KEEP_ALIVE};
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_proto::control::MAX_MESSAGE;
 

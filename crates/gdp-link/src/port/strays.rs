@@ -11,9 +11,10 @@ use std::task::{Context, Waker};
 use parking_lot::Mutex;
 use quinn::udp::{EcnCodepoint, RecvMeta};
 
+use super::LinkAddr;
 use super::batch::RecvBatch;
 use super::sys::Event;
-use super::{LinkAddr, UDP_MTU};
+use crate::port::udp_mtu::UDP_MTU;
 
 /// How many wait of a kind, and how long each may be: no link takes more.
 const QUEUE: usize = 1024;

@@ -1,11 +1,12 @@
 //! Links over UDP on loopback, with honest peers and others. No root. Ethernet: `tests/tests/networks/link.rs`.
 
+use gdp_wire::hop;
 use std::collections::HashSet;
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use gdp_wire::{Counter, FrameType, Header, forward, replay};
+use gdp_wire::{Counter, FrameType, Header, Name, forward, replay};
 use quinn::VarInt;
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -33,7 +34,7 @@ async fn both_sides_prove_their_names_and_share_keys() {
     assert_eq!((at_client.id, at_client.peer_id), (at_server.peer_id, at_server.id));
     for (from, to, other_way) in [(&at_client, &at_server, &at_client), (&at_server, &at_client, &at_server)] {
         let mut header = Header::data(switch.name(), endpoint.name(), 0);
-        forward::stamp(&mut header, from, 1);
+        hop::stamp(&mut header, from, 1);
         let window = replay::empty();
         assert_eq!(forward::accept(&header, Header::LEN, to, &window), Ok(FrameType::Data));
         assert_eq!(forward::accept(&header, Header::LEN, to, &window), Err(Counter::Replayed));
@@ -221,7 +222,7 @@ async fn data_frames_pass_beside_quic() {
     let headers: Vec<Header> = (0..200u32)
         .map(|i| {
             let mut header = Header::data(client.peer().name, server.peer().name, payload.len() as u16);
-            forward::stamp(&mut header, &out, i.into());
+            hop::stamp(&mut header, &out, i.into());
             header
         })
         .collect();
@@ -329,7 +330,7 @@ impl End {
 
     fn frame(&self) -> Header {
         let mut header = Header::data(Name::from_bytes([1; 32]), Name::from_bytes([2; 32]), 0);
-        forward::stamp(&mut header, &self.entry.lock(), self.sent.fetch_add(1, Ordering::Relaxed) + 1);
+        hop::stamp(&mut header, &self.entry.lock(), self.sent.fetch_add(1, Ordering::Relaxed) + 1);
         header
     }
 

@@ -1,6 +1,7 @@
 //! What files are made into: a `.msg` is one message, a `.srv` and an `.action` are several, which nodes exchange.
 
-use super::{Base, Count, Definition, DefinitionError, Dialect, Field, Problem, Scalar, parse};
+use super::{Base, Count, Definition, DefinitionError, Field, Problem, Scalar, parse};
+use crate::dialect::Dialect;
 use crate::name::{Kind, TypeName};
 
 /// All messages that a file defines. `name` has the file's name and kind.

@@ -7,9 +7,9 @@ use std::collections::HashSet;
 
 use super::literal;
 use super::{
-    Base, Constant, Count, Definition, DefinitionError, Dialect, Field, MAX_ARRAY, MAX_FIELDS, MAX_TEXT, Problem,
-    Scalar,
+    Base, Constant, Count, Definition, DefinitionError, Field, MAX_ARRAY, MAX_FIELDS, MAX_TEXT, Problem, Scalar,
 };
+use crate::dialect::Dialect;
 use crate::name::{TypeName, is_identifier, shown};
 
 /// What ROS 2's compilers put into an empty message, and what is therefore none of its fields.

@@ -1,6 +1,7 @@
 //! Values of constants and defaults: whether a text is one. They are kept as text, which is what hashes and tools need.
 
-use super::{Base, Count, Dialect, Scalar};
+use super::{Base, Count, Scalar};
+use crate::dialect::Dialect;
 
 /// Whether `text` is a value of the type, as this dialect's compilers read it.
 pub(super) fn is_value(dialect: Dialect, base: &Base, count: Count, text: &str) -> bool {

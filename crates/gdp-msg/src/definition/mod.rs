@@ -6,7 +6,7 @@ mod literal;
 mod print;
 mod text;
 
-use std::fmt;
+pub use crate::dialect::Dialect;
 
 pub use interface::definitions;
 pub(crate) use line::parse;
@@ -21,24 +21,6 @@ pub const MAX_TEXT: usize = 1 << 20;
 pub const MAX_FIELDS: usize = 1024;
 /// Longest fixed array, and largest bound that means more than none.
 pub const MAX_ARRAY: u32 = 1 << 26;
-
-/// Whose rules a definition follows.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub enum Dialect {
-    /// `time` and `duration` are built in, `byte` is signed, `std_msgs/Header` has `seq`.
-    Ros1,
-    /// Bounded strings and sequences, `wstring`, default values; `byte` and `char` are `uint8`.
-    Ros2,
-}
-
-impl fmt::Display for Dialect {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Ros1 => "ROS 1",
-            Self::Ros2 => "ROS 2",
-        })
-    }
-}
 
 /// One message: a type of its own, or a part of a service or an action.
 #[derive(Clone, PartialEq, Eq, Debug)]

@@ -6,7 +6,8 @@ use std::fmt::Write;
 
 use sha2::{Digest, Sha256};
 
-use crate::definition::{Base, Count, Definition, Dialect, Scalar};
+use crate::definition::{Base, Count, Definition, Scalar};
+use crate::dialect::Dialect;
 use crate::schema::Schema;
 
 /// `RIHS01_` and 64 hex digits. That of a service or an action is that of the type with its name, which contains all its parts.

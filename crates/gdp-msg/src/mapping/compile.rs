@@ -1,10 +1,11 @@
 //! Makes a program of two schemas.
 
-use super::Note;
 use super::pair::{Step, Unpaired, pair};
 use super::program::{FieldPlace, Op, Program, Text};
-use crate::definition::{Base, Count, Definition, Dialect, Field, Scalar, type_text};
+use crate::definition::{Base, Count, Definition, Field, Scalar, type_text};
+use crate::dialect::Dialect;
 use crate::encode::Encoding;
+use crate::mapping::options::Note;
 use crate::name::TypeName;
 use crate::schema::Schema;
 

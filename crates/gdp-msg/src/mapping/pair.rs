@@ -1,6 +1,7 @@
 //! Which field of one message is which field of another.
 
-use crate::definition::{Base, Count, Definition, Dialect, Field};
+use crate::definition::{Base, Count, Definition, Field};
+use crate::dialect::Dialect;
 
 /// One field, or the two that are one.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

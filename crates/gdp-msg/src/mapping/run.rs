@@ -1,10 +1,10 @@
 //! Does with a message what a program says.
 
-use super::Options;
 use super::program::{Op, Program, Text};
 use crate::definition::{Count, Scalar};
 use crate::encode::nothing::{Nowhere, Zeros};
 use crate::encode::{Fault, Result, Sink, Source};
+use crate::mapping::options::Options;
 
 /// Most elements, and most messages without fields, that one message contains: in ROS 1 they take no bytes, so the message's length does
 /// not bound their number.

@@ -5,7 +5,7 @@ use std::fmt;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
-use super::Record;
+use crate::control::record::Record;
 use gdp_core::cert::{AdvertOp, Revocation, Signed};
 use gdp_core::keys::KeyBox;
 

@@ -6,7 +6,9 @@
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
-use super::{Extent, Record, RecordPlace, Refusal};
+use crate::control::extent::Extent;
+use crate::control::record::{Record, RecordPlace};
+use crate::control::refusal::Refusal;
 use gdp_core::cert::{Host, Locator, Revocation, Signed};
 use gdp_core::keys::KeyBox;
 use gdp_core::name::NameProof;

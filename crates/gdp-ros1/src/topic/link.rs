@@ -6,11 +6,11 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::timeout;
 
-use super::subscription::{Message, PublisherInfo};
 use crate::api::RpcError;
 use crate::api::slave::request_topic;
 use crate::queue::Queue;
 use crate::tcpros::{Header, Stream, TcprosError};
+use crate::topic::message::{Message, PublisherInfo};
 
 /// What all connections of one subscription have in common.
 pub struct Common {

@@ -1,10 +1,10 @@
 //! A topic that this node subscribes to: connections to all who publish it, and one queue of what they say.
 
+pub use crate::topic::message::{Message, PublisherInfo};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::Instant;
 
-use bytes::Bytes;
 use tokio::sync::{mpsc, watch};
 use tokio::task::{AbortHandle, Id, JoinSet};
 
@@ -19,30 +19,6 @@ pub struct SubscribeOptions {
     pub kind: Option<(String, String)>,
     /// For messages that have come and were not taken yet.
     pub queue: QueueLimits,
-}
-
-/// One message, and who published it.
-#[derive(Clone, Debug)]
-pub struct Message {
-    /// As serialized by ROS 1, without the length in front.
-    pub data: Bytes,
-    pub publisher: Arc<PublisherInfo>,
-}
-
-/// What a publisher's connection header says.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PublisherInfo {
-    /// Of its slave API.
-    pub uri: String,
-    /// Its node's name; empty if it does not say.
-    pub caller_id: String,
-    /// Such as `std_msgs/String`.
-    pub kind: String,
-    pub md5sum: String,
-    /// With those of all types in it; empty if it does not say.
-    pub definition: String,
-    /// The first message on each connection may be an old one.
-    pub latching: bool,
 }
 
 /// How it stands with a publisher.

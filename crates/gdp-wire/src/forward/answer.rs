@@ -1,8 +1,8 @@
 //! Frames that go back to the neighbour they came from: errors and the answers to echoes.
 
-use super::Verdict;
 use super::route::Refusal;
-use crate::table::Tables;
+use crate::forward::verdict::Verdict;
+use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
 /// Answers an echo.

@@ -1,8 +1,9 @@
 //! What must be true of a frame before anything is looked up for it: its form, its link, its tag, and that it is new.
 
-use super::{FrameType, frame_type};
+use super::FrameType;
+use super::frame_type::frame_type;
 use crate::replay::{self, Words};
-use crate::table::Tables;
+use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry};
 
 /// A frame that an authenticated neighbour sent.

@@ -1,7 +1,8 @@
 //! What becomes of a frame at each link of a group.
 
-use super::{is_foreign, wait};
-use crate::table::Tables;
+use super::is_foreign;
+use crate::forward::rewrite::wait;
+use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
 /// What a link of a group gets.

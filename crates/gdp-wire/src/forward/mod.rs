@@ -8,46 +8,25 @@
 mod answer;
 mod arrival;
 mod copy;
+mod frame_type;
 mod probe;
+mod rewrite;
 mod route;
+mod verdict;
 
+use crate::forward::frame_type::frame_type;
+use crate::forward::rewrite::{carry_mark, travel, wait};
+pub use crate::forward::verdict::{Kind, Verdict};
 pub use arrival::{accept, keyed};
 pub use copy::{Copy, copy};
 
 use crate::header::FrameType;
 use crate::replay;
-use crate::table::Tables;
+use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
 use arrival::{Arrival, arrival};
 use route::{Egress, Refusal, is_foreign, route};
-
-/// What a data plane must do with a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict<'t> {
-    /// Send it by this link; the header has been rewritten for it, but for what [`Tables::stamp`] has left for later.
-    Send(&'t LinkEntry, Counter),
-    /// For each link of this group that [`copy()`] says so, send what that makes of it; count it as
-    /// [`Counter::Replicated`].
-    Copies(u32),
-    /// The header has become an answer to the neighbour: send it by this link, without a payload.
-    Answer(&'t LinkEntry, Counter),
-    /// It is for this node itself, unchanged: an error, the answer to an echo, or a probe that ends here; counted as [`Counter::Notice`].
-    Notice(&'t LinkEntry),
-    /// Leave it, untouched, to the next plane; counted as [`Counter::Slow`].
-    Slow,
-    /// Drop it and count why.
-    Drop(Counter),
-}
-
-/// What the first bytes of a frame say it is, before its header is read whole.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Has a [`Header`]: for [`decide`], or [`accept`].
-    Headed,
-    Control,
-    Unknown,
-}
 
 /// Tells frames apart by the first byte.
 #[inline(always)]
@@ -169,75 +148,5 @@ fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, length: usize, tables: &T) -> b
         What::Copy => tables.can_copy(fate.group, fate.bits, length),
         What::Refuse => fate.refusal.code.is_none() || tables.can_send(fate.link),
         What::Notice | What::Punt => false,
-    }
-}
-
-/// Writes the fields that belong to `link` into a frame that leaves by it, and the hop tag over the whole. `count`: frames
-/// sent on the link, with this one.
-#[inline(always)]
-pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
-    let key = direct(header, link, count);
-    header.set_tag(header.tag_for(key, count));
-}
-
-/// As [`stamp`], but for the hop tag; the key of that.
-#[inline(always)]
-pub fn direct(header: &mut Header, link: &LinkEntry, count: u64) -> [u64; 2] {
-    // Once, although user space may change it meanwhile: flag and key must be of the same phase.
-    // SAFETY: a field of a live entry.
-    let second = unsafe { (&raw const link.tx_phase).read_volatile() } & 1 != 0;
-    header.flags = header.flags & !Header::KEY_PHASE | if second { Header::KEY_PHASE } else { 0 };
-    header.set_link_id(link.peer_id);
-    header.set_link_counter(count as u32);
-    if second { link.tx_keys[1] } else { link.tx_keys[0] }
-}
-
-/// Takes a router's mark over into the header, which goes all the way to the reader; `false` if what carried the frame was marked,
-/// and its writer does not take marks, so that only a loss tells it (RFC 6040, section 4.2). `traffic`: of what carried it.
-///
-/// By arithmetic: with a branch for the mark and one for who takes it, the kernel's verifier would look at half as many states again.
-#[inline(always)]
-fn carry_mark(header: &mut Header, traffic: u8) -> bool {
-    let (marked, takes_marks) = (traffic & traffic >> 1 & 1, header.flags | header.flags >> 1);
-    if marked & !takes_marks != 0 {
-        return false;
-    }
-    header.flags |= marked << 1 | marked;
-    true
-}
-
-/// Marks a frame that waits long before it leaves by `link`, if it takes marks.
-#[inline(always)]
-fn wait<T: Tables>(header: &mut Header, link: &LinkEntry, tables: &T) {
-    if tables.has_queue(link) && header.flags & Header::ECN != 0 {
-        header.flags |= Header::CONGESTED;
-    }
-}
-
-/// What changes in a frame on its way through a switch, whatever link it leaves by.
-#[inline(always)]
-fn travel(header: &mut Header, ingress: &LinkEntry, bits: u64, set: u8) {
-    header.hop_limit -= 1;
-    header.egress_set = set;
-    header.set_egress_bits(bits);
-    if ingress.role != LinkRole::Switch as u32 {
-        header.flags = header.flags & !Header::FOREIGN | if is_foreign(header, ingress) { Header::FOREIGN } else { 0 };
-    }
-}
-
-#[inline(always)]
-fn frame_type(first_byte: u8) -> Option<FrameType> {
-    const DATA: u8 = FrameType::Data.first_byte();
-    const CONTROL: u8 = FrameType::Control.first_byte();
-    const ERROR: u8 = FrameType::Error.first_byte();
-    const PROBE: u8 = FrameType::Probe.first_byte();
-    const ECHO: u8 = FrameType::Echo.first_byte();
-    match first_byte {
-        DATA => Some(FrameType::Data),
-        CONTROL => Some(FrameType::Control),
-        ERROR => Some(FrameType::Error),
-        PROBE => Some(FrameType::Probe),
-        ECHO => Some(FrameType::Echo),
-        _ => None,
     }
 }

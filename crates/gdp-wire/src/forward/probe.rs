@@ -2,7 +2,7 @@
 //! copied, and nobody is told of one that is dropped. Changes nothing.
 
 use super::route::lowest_bit;
-use crate::table::Tables;
+use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
 /// The link that a probe leaves by; `None` if it ends here and the daemon may be given it: its hop limit is used up, this is the

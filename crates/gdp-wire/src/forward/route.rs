@@ -1,7 +1,8 @@
 //! Where a data frame goes: one link, or the links of a group. Changes nothing.
 
 use crate::header::ErrorCode;
-use crate::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS, Tables};
+use crate::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS};
+use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole, Permit};
 
 /// Where a frame leaves.

@@ -6,7 +6,8 @@ use std::collections::{HashMap, HashSet};
 use gdp_wire::forward::{self, Copy, Kind};
 use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::replay::{self, Window};
-use gdp_wire::table::{MAX_COPIED_FRAME, Tables};
+use gdp_wire::table::MAX_COPIED_FRAME;
+use gdp_wire::tables::Tables;
 use gdp_wire::{Counter, FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 use zerocopy::{FromBytes, IntoBytes};
 

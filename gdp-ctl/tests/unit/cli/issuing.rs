@@ -1,3 +1,5 @@
+//! Unit tests of `cli::issuing`.
+
 use super::*;
 
 #[test]

@@ -1,6 +1,7 @@
 //! A switch with a RIB that believes everybody, for the tests of nodes: real ports and links, frames forwarded with
 //! `gdp_wire::forward`, and switches for each way in which a RIB may misbehave.
 
+use gdp_wire::hop;
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -628,6 +629,6 @@ fn forward_frame(frame: &[u8], rib: &mut Rib, data: &DataSocket) {
 fn send(rib: &mut Rib, data: &DataSocket, header: &mut Header, egress: &LinkEntry, (to, payload): (LinkAddr, &[u8])) {
     let count = rib.counts.entry(egress.id).or_default();
     *count += 1;
-    forward::stamp(header, egress, *count);
+    hop::stamp(header, egress, *count);
     data.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
 }

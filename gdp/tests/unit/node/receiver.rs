@@ -2,6 +2,7 @@
 
 use super::*;
 use gdp_wire::LinkEntry;
+use gdp_wire::hop;
 use std::collections::BTreeMap;
 
 use super::super::options::SubscribeOptions;
@@ -38,7 +39,7 @@ fn frames_of_unknown_sources_wait_a_moment() {
     let mut batch = RecvBatch::new(1500);
     for source in 0..50 {
         let mut header = Header::data(NAME, Name::from_bytes([source; 32]), 0);
-        forward::stamp(&mut header, &link.current.entry, source.into());
+        hop::stamp(&mut header, &link.current.entry, source.into());
         assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
     }
     intakes.take(&mut batch, &link);
@@ -51,7 +52,7 @@ fn what_strangers_tell_this_node_is_counted_and_no_more() {
     let (mut intakes, link) = (subscribed(), links());
     let mut batch = RecvBatch::new(1500);
     let mut header = Header::data(intakes.outlet.name(), Name::from_bytes([9; 32]), 0);
-    forward::stamp(&mut header, &link.current.entry, 1);
+    hop::stamp(&mut header, &link.current.entry, 1);
     assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
     intakes.take(&mut batch, &link);
     let drops = intakes.outlet.counters.snapshot(0).drops;
@@ -66,7 +67,7 @@ fn a_frame_that_comes_again_on_its_link_is_refused() {
         let mut batch = RecvBatch::new(1500);
         for count in counts {
             let mut header = Header::data(NAME, Name::from_bytes([9; 32]), 0);
-            forward::stamp(&mut header, &entry, *count);
+            hop::stamp(&mut header, &entry, *count);
             assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
         }
         intakes.take(&mut batch, link);
@@ -88,7 +89,7 @@ fn errors_are_told_to_the_publisher_of_their_name_and_to_no_other() {
         header.set_link_counter(1000 + count);
         header.become_error(ErrorCode::TooBig, 700);
         header.egress_set = code;
-        forward::stamp(&mut header, &link.current.entry, count.into());
+        hop::stamp(&mut header, &link.current.entry, count.into());
         let mut batch = RecvBatch::new(1500);
         assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
         intakes.take(&mut batch, &link);

@@ -1,5 +1,6 @@
 //! The switch and its RIB: see the module above.
 
+use gdp_wire::hop;
 use std::collections::HashMap;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -330,7 +331,7 @@ impl Inner {
                 let mut header = Header::data(frame.destination, frame.source, frame.payload.len() as u16);
                 header.flags = frame.flags;
                 line.count += 1;
-                forward::stamp(&mut header, &line.link.entry(PORT_USERSPACE), line.count);
+                hop::stamp(&mut header, &line.link.entry(PORT_USERSPACE), line.count);
                 self.data.send_batch([OutFrame {
                     to: line.link.addr(),
                     head: header.as_bytes(),

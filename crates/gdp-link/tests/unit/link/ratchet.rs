@@ -1,5 +1,6 @@
 //! Two ends of a link with frames and announcements between them that are late, lost or come twice.
 
+use gdp_wire::hop;
 use std::collections::VecDeque;
 
 use gdp_wire::{Counter, FrameType, Header, LinkRole, Name, forward, replay};
@@ -211,7 +212,7 @@ impl Pair {
         let side = &mut self.sides[side];
         side.sent += 1;
         let mut header = Header::data(Name::from_bytes([1; 32]), Name::from_bytes([2; 32]), 0);
-        forward::stamp(&mut header, &side.entry, side.sent);
+        hop::stamp(&mut header, &side.entry, side.sent);
         header
     }
 

@@ -1,0 +1,76 @@
+//! Why a certificate or statement is refused.
+
+use crate::cbor::CborError;
+use crate::cert::advert_op::AdvertOp;
+use crate::crypto::CryptoError;
+use crate::name::Name;
+
+/// Why a certificate or statement is refused. The display names what is wrong and what to do about it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CertError {
+    #[error("bad signature: the {what} was changed after it was signed")]
+    BadSignature { what: &'static str },
+    #[error("wrong key: the {what} was signed by {got}, but must be signed by {expected}; sign it with that key")]
+    WrongKey { what: &'static str, expected: String, got: String },
+    #[error("not yet valid: begins at Unix time {from}, now is {now}; wait, or check the clock")]
+    NotYetValid { from: u64, now: u64 },
+    #[error("expired at Unix time {at}, now is {now}; have a new one issued, or check the clock")]
+    Expired { at: u64, now: u64 },
+    #[error("malformed certificate: {0}")]
+    Malformed(String),
+    #[error(
+        "wrong name: {got} where {expected} is expected; the digest, the owner key or the certificate is of another name"
+    )]
+    WrongName { expected: Name, got: Name },
+    #[error("wrong entity: the certificate or statement is of {got}, not of {expected}; use the one for this entity")]
+    WrongEntity { expected: Name, got: Name },
+    #[error(
+        "wrong switch: the certificate or statement is for {got}, not for {expected}; attach to that one, or sign anew"
+    )]
+    WrongSwitch { expected: Name, got: Name },
+    #[error("wrong operation: the statement says {got}, the request needs {expected}")]
+    WrongOperation { expected: &'static str, got: AdvertOp },
+    #[error("wrong domain: {got} where {expected} is expected; use the certificate of that one")]
+    WrongDomain { expected: Name, got: Name },
+    #[error("wrong role: the member certificate gives role {got}, where {expected} is asked for")]
+    WrongRole { expected: String, got: String },
+    #[error(
+        "not shown to be a member: the grant is for role {role} of domain {domain}; add that domain's member certificate"
+    )]
+    NotAMember { role: String, domain: Name },
+    #[error(
+        "admitted by invitation: the grant is for role {role} of domain {domain}, whose key itself must say who has it; have \
+         the reader admitted with `gdp-ctl domain admit`"
+    )]
+    ByInvitation { role: String, domain: Name },
+    #[error(
+        "not delegated: the owner lets {delegate} issue no {what}; have the owner issue it, or widen the delegation"
+    )]
+    NotDelegated { what: &'static str, delegate: String },
+    #[error(
+        "issued before its delegation: the {what} has serial {serial}, the delegation {delegation}; issue it anew, or \
+         check the clock"
+    )]
+    BeforeDelegation { what: &'static str, serial: u64, delegation: u64 },
+    #[error(
+        "revoked: the {what} with serial {serial} no longer holds by revocation {number} of its owner (floor {floor}); \
+         have a new one issued"
+    )]
+    Revoked { what: &'static str, serial: u64, floor: u64, number: u64 },
+    #[error(
+        "rolled back: revocation {got} does not replace {held}, the highest known; publish one with a higher number"
+    )]
+    RolledBack { got: u64, held: u64 },
+    #[error(
+        "replayed serial: {got} is not above {floor}, the highest seen of this entity; sign anew with a higher serial"
+    )]
+    ReplayedSerial { got: u64, floor: u64 },
+    #[error(transparent)]
+    Crypto(#[from] CryptoError),
+}
+
+impl From<CborError> for CertError {
+    fn from(error: CborError) -> Self {
+        Self::Malformed(error.to_string())
+    }
+}

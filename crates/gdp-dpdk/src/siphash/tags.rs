@@ -1,0 +1,72 @@
+//! The frames whose tags are wanted, and their tags.
+
+use crate::Burst;
+use gdp_wire::Header;
+
+/// Frames whose tags are wanted, at most [`Self::SIZE`], and their tags. In columns, which lanes load as they lie; the words of the
+/// headers are not copied.
+pub struct Tags {
+    pub length: usize,
+    pub keys: [[u64; Self::SIZE]; 2],
+    pub counts: [u64; Self::SIZE],
+    /// What the high 32 bits of the count change in the word with the link.
+    pub highs: [u64; Self::SIZE],
+    /// Of the headers.
+    pub places: [u32; Self::SIZE],
+    pub tags: [u64; Self::SIZE],
+}
+
+impl Tags {
+    /// The most there are.
+    pub const SIZE: usize = Burst::SIZE;
+
+    pub const fn new() -> Self {
+        let nothing = [0; Self::SIZE];
+        let places = [0; Self::SIZE];
+        Self { length: 0, keys: [nothing; 2], counts: nothing, highs: nothing, places, tags: nothing }
+    }
+
+    pub fn clear(&mut self) {
+        self.length = 0;
+    }
+
+    /// Wants the tag of the header at `place`, for a frame that is the `count`th of a link with this key. There must be room.
+    #[inline]
+    pub fn add(&mut self, place: u32, key: [u64; 2], count: u64) {
+        let i = self.length;
+        (self.keys[0][i], self.keys[1][i]) = (key[0], key[1]);
+        (self.counts[i], self.highs[i]) = (count, ((count >> 32) as u32).swap_bytes().into());
+        self.places[i] = place;
+        self.length += 1;
+    }
+
+    /// Those that were made, in the order that they were wanted in.
+    #[inline]
+    pub fn tags(&self) -> &[u64] {
+        &self.tags[..self.length]
+    }
+
+    /// The tag that was made of what was added `i`th, if it was from this key and count.
+    #[inline]
+    pub fn made_from(&self, i: usize, key: [u64; 2], count: u64) -> Option<u64> {
+        let same = self.keys[0][i] == key[0] && self.keys[1][i] == key[1] && self.counts[i] == count;
+        same.then_some(self.tags[i])
+    }
+
+    /// As [`Self::make`], on any CPU.
+    pub fn make_each(&mut self, headers: &[Header]) {
+        (0..self.length).for_each(|i| self.make_one(i, headers));
+    }
+
+    #[inline]
+    pub fn make_one(&mut self, i: usize, headers: &[Header]) {
+        let key = [self.keys[0][i], self.keys[1][i]];
+        self.tags[i] = headers[self.places[i] as usize].tag_for(key, self.counts[i]);
+    }
+}
+
+impl Default for Tags {
+    fn default() -> Self {
+        Self::new()
+    }
+}

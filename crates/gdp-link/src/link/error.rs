@@ -1,0 +1,55 @@
+//! Why a link could not be made, or failed a request.
+
+use crate::link::timing::IDLE_TIMEOUT;
+
+use gdp_proto::control::CodecError;
+use gdp_wire::Name;
+use std::io;
+use std::time::Duration;
+
+/// Why a link could not be made, or failed a request.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    #[error("{what}: {source}")]
+    Io { what: String, source: io::Error },
+    #[error("the link could not be made: {0}")]
+    Handshake(String),
+    #[error("{what} took longer than {} s", .after.as_secs())]
+    Timeout { what: &'static str, after: Duration },
+    #[error("the peer is {found:#}, not {expected:#}; check the address, or the name that is configured for it")]
+    WrongPeer { expected: Name, found: Name },
+    #[error("all {} link ids are in use", gdp_wire::table::MAX_LINKS)]
+    NoFreeId,
+    #[error("the link is closed: {0}")]
+    Closed(String),
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    #[error("the peer broke the protocol: {0}")]
+    Protocol(String),
+}
+
+impl From<quinn::ConnectionError> for LinkError {
+    fn from(error: quinn::ConnectionError) -> Self {
+        Self::Closed(close_reason(&error))
+    }
+}
+
+/// Characters of a peer's reason to close a link that are shown.
+pub const MAX_REASON: usize = 600;
+
+/// What a person should read. The peer's own words are bounded and made printable.
+pub fn close_reason(error: &quinn::ConnectionError) -> String {
+    match error {
+        quinn::ConnectionError::ApplicationClosed(close) => {
+            let words: String = String::from_utf8_lossy(&close.reason).chars().take(MAX_REASON).collect();
+            if words.is_empty() {
+                "closed by the peer".into()
+            } else {
+                format!("closed by the peer: {}", words.escape_debug())
+            }
+        }
+        quinn::ConnectionError::TimedOut => format!("nothing heard for {} s", IDLE_TIMEOUT.as_secs()),
+        quinn::ConnectionError::LocallyClosed => "closed on this side".into(),
+        other => other.to_string(),
+    }
+}

@@ -1,0 +1,15 @@
+//! What a peer says of its end of a link.
+
+use gdp_core::domain::Papers;
+use std::net::Ipv4Addr;
+
+/// What the peer said of its end of the link.
+#[derive(Clone, Debug)]
+pub struct PeerEnd {
+    pub id: u32,
+    pub mtu: u32,
+    pub zero_checksum: bool,
+    pub host: Option<u64>,
+    pub frames_at: Option<Ipv4Addr>,
+    pub papers: Option<Papers>,
+}

@@ -1,0 +1,21 @@
+//! The ROS generation that a definition is written for.
+
+use std::fmt;
+
+/// Whose rules a definition follows.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
+pub enum Dialect {
+    /// `time` and `duration` are built in, `byte` is signed, `std_msgs/Header` has `seq`.
+    Ros1,
+    /// Bounded strings and sequences, `wstring`, default values; `byte` and `char` are `uint8`.
+    Ros2,
+}
+
+impl fmt::Display for Dialect {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Ros1 => "ROS 1",
+            Self::Ros2 => "ROS 2",
+        })
+    }
+}
