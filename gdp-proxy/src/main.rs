@@ -47,7 +47,10 @@ struct Arguments {
 
 fn main() -> ExitCode {
     panics::end_process();
-    let arguments = Arguments::parse();
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return wrong_usage(&error),
+    };
     let _log = log::start();
     match run(arguments) {
         Ok(()) => ExitCode::SUCCESS,
@@ -56,6 +59,16 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Prints help and version as clap does, and errors, which quote what was given, escaped.
+fn wrong_usage(error: &clap::Error) -> ExitCode {
+    if error.use_stderr() {
+        error.render().to_string().lines().for_each(terminal::note);
+    } else if error.print().is_err() {
+        return ExitCode::FAILURE;
+    }
+    ExitCode::from(if error.use_stderr() { 2 } else { 0 })
 }
 
 fn run(arguments: Arguments) -> Result<()> {

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use gdp::node::{LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
+use gdp_util::escape::escape_json;
 use gdp_wire::Name;
 use serde::Serialize;
 
@@ -195,9 +196,9 @@ impl StatsFile {
     }
 
     pub fn replace(&self, stats: &Stats) -> io::Result<()> {
-        let mut text = serde_json::to_vec(stats)?;
-        text.push(b'\n');
-        std::fs::File::create(self.next())?.write_all(&text)?;
+        let mut text = escape_json(&serde_json::to_string(stats)?).into_owned();
+        text.push('\n');
+        std::fs::File::create(self.next())?.write_all(text.as_bytes())?;
         std::fs::rename(self.next(), &self.0)
     }
 

@@ -13,6 +13,7 @@ use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 use gdp_ros::roster::Offer;
 use gdp_tests::process::terminate;
 use gdp_tests::programs::own;
+use gdp_util::escape::is_control;
 
 #[test]
 fn check_reads_everything_and_says_so() {
@@ -112,6 +113,25 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
 }
 
 #[test]
+fn what_a_hostile_card_says_is_shown_as_text() {
+    let hostile = "/x\u{1b}]0;pwned\u{7}\u{9b}31m\u{202e}\u{2066}\u{61c}\u{7f}\r\nforged";
+    let shown = "/x\\u{1b}]0;pwned\\u{7}\\u{9b}31m\\u{202e}\\u{2066}\\u{61c}\\u{7f}\\r\\nforged";
+    let files = Files::with_card(hostile, "std_msgs/msg/String");
+    let listed = String::from_utf8(files.proxy(&["--dry-run", "1"]).stdout).unwrap();
+    assert!(listed.contains(&format!(" as {shown}, topics[0]\n")), "{listed:?}");
+    let json = String::from_utf8(files.proxy(&["--dry-run", "1", "-j"]).stdout).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(report["topics"][0]["called"], hostile);
+    let refused = Files::with_card("/chatter", hostile).proxy(&["--check"]);
+    assert_eq!((refused.status.code(), &refused.stdout[..]), (Some(1), &b""[..]));
+    let refused = String::from_utf8(refused.stderr).unwrap();
+    assert_eq!(refused.lines().count(), 1, "{refused}");
+    for text in [listed, json, refused] {
+        assert!(!text.replace('\n', "").contains(is_control) && !text.contains("\nforged"), "{text:?}");
+    }
+}
+
+#[test]
 fn statistics_that_cannot_be_written_are_a_mistake_said_at_once() {
     let output = Files::new().proxy(&["--stats", "/nonexistent/stats.json"]);
     assert_eq!(output.status.code(), Some(1));
@@ -121,8 +141,10 @@ fn statistics_that_cannot_be_written_are_a_mistake_said_at_once() {
 
 #[test]
 fn wrong_usage_is_exit_code_2() {
-    let output = own(env!("CARGO_BIN_EXE_gdp-proxy")).arg("--confg").output().unwrap();
+    let output = own(env!("CARGO_BIN_EXE_gdp-proxy")).arg("--confg\u{202e}").output().unwrap();
     assert_eq!(output.status.code(), Some(2));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("--confg\\u{202e}") && said.contains("--config"), "{said}");
 }
 
 #[test]
@@ -158,10 +180,15 @@ struct Files {
 
 impl Files {
     fn new() -> Self {
+        Self::with_card("/chatter", "std_msgs/msg/String")
+    }
+
+    /// What the topic's name card says.
+    fn with_card(topic: &str, kind: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = |file: &str| folder.path().join(file);
         let (owner, key) = (SigningKey::generate().unwrap(), SigningKey::generate().unwrap());
-        let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "std_msgs/msg/String", None).unwrap();
+        let card = NameCard::create(owner.verify_key(), "topic", topic, kind, None).unwrap();
         let entity = Identity::new(key.clone(), "proxy").name();
         let (name, mode, scope, serial) = (card.name(), Mode::Unicast, vec![], 1);
         let ad = AdCert { name, entity, mode, scope, serial, not_before: 0, not_after: u64::MAX };

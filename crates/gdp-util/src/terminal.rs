@@ -6,9 +6,15 @@ use std::io::{ErrorKind, Result, Write};
 use crate::escape::{Escaped, escape_json};
 use crate::log;
 
-/// Prints lines, each escaped as a whole. A reader that stopped reading is no error.
+/// Prints lines, each escaped as a whole but for tabs that indent it. A reader that stopped reading is no error.
 pub fn print(lines: impl IntoIterator<Item = impl Display>) -> Result<()> {
-    write(&lines.into_iter().map(|line| format!("{}\n", Escaped(line))).collect::<String>())
+    write(&lines.into_iter().map(|line| escape_line(&line.to_string())).collect::<String>())
+}
+
+fn escape_line(line: &str) -> String {
+    let text = line.trim_start_matches('\t');
+    let (indent, _) = line.split_at(line.len() - text.len());
+    format!("{indent}{}\n", Escaped(text))
 }
 
 /// Prints JSON text and a line feed. A reader that stopped reading is no error.

@@ -69,12 +69,12 @@ pub fn advertise(options: &Options, context: &Context) -> anyhow::Result<()> {
     });
     context.output.print(value, || {
         let switch = session.switch;
-        format!(
+        [format!(
             "{:#} is advertised by {:#} at switch {switch:#} for {} s",
             card.name(),
             entity.name(),
             options.lifetime
-        )
+        )]
     })
 }
 
@@ -85,7 +85,7 @@ pub fn withdraw(options: &WithdrawOptions, context: &Context) -> anyhow::Result<
     let advert = session.statement(&entity, AdvertOp::Withdraw, card.name(), 1)?;
     session.ask(&entity, EntityRequest::Withdraw { advert })?;
     let value = json!({"name": card.name(), "entity": entity.name(), "switch": session.switch});
-    context.output.print(value, || format!("{:#} is withdrawn by {:#}", card.name(), entity.name()))
+    context.output.print(value, || [format!("{:#} is withdrawn by {:#}", card.name(), entity.name())])
 }
 
 impl Entity {

@@ -14,6 +14,7 @@ use gdp_core::card::NameCard;
 use gdp_core::cert::{Revocation, Signed};
 use gdp_core::secret_file;
 use gdp_core::secret_file::SecretFileError;
+use gdp_util::escape::escape_json;
 use gdp_wire::Name;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -94,7 +95,7 @@ impl Books {
 
     pub fn keep_ledger<E: Entry>(&self, issued: Vec<E>) -> anyhow::Result<()> {
         let ledger = Ledger { version: VERSION, name: self.card.name(), issued };
-        let text = serde_json::to_string_pretty(&ledger)? + "\n";
+        let text = escape_json(&serde_json::to_string_pretty(&ledger)?).into_owned() + "\n";
         let path = self.ledger_path::<E>();
         if text.len() > MAX_LEDGER {
             bail!("{}: longer than {MAX_LEDGER} bytes; make a new name, or a new copy of the card", path.display());

@@ -40,20 +40,22 @@ pub fn show(file: &Path, card: Option<&Path>, context: &Context) -> anyhow::Resu
         None => false,
     });
     context.output.print(value.clone(), || {
-        let mut text = format!("kind        {}\n", value["kind"].as_str().unwrap_or_default());
+        let mut lines = vec![format!("kind        {}", value["kind"].as_str().unwrap_or_default())];
         for part in ["claims", "delegation", "member", "invite"] {
             if part != "claims" && !value[part].is_null() {
-                text += &format!("by the {part}:\n");
+                lines.push(format!("by the {part}:"));
             }
             for (key, claim) in value[part].as_object().into_iter().flatten() {
                 let claim = claim.as_str().map_or_else(|| claim.to_string(), str::to_owned);
-                text += &format!("{key:<10}  {claim}\n");
+                lines.push(format!("{key:<10}  {claim}"));
             }
         }
-        text + match (value["verified"] == true, card) {
+        let verdict = match (value["verified"] == true, card) {
             (true, _) => "the owner of the name, or the domain, stands behind it now",
             (false, Some(_)) => "not verified: neither an owner nor a domain signs this",
             (false, None) => "not verified: give --card",
-        }
+        };
+        lines.push(verdict.to_owned());
+        lines
     })
 }

@@ -39,7 +39,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     let findings = doctor::examine(&doctor::gather::facts(&config));
     let failed = findings.iter().filter(|finding| finding.level == Level::Failed).count();
     context.output.print(json!({"ok": failed == 0, "findings": findings}), || {
-        findings.iter().map(line).collect::<Vec<_>>().join("\n")
+        findings.iter().flat_map(lines).collect::<Vec<_>>()
     })?;
     if failed > 0 {
         bail!("{failed} of {} checks failed", findings.len());
@@ -47,14 +47,12 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn line(finding: &Finding) -> String {
+fn lines(finding: &Finding) -> Vec<String> {
     let subject = match &finding.interface {
         Some(interface) => format!("{interface}: {}", finding.check),
         None => finding.check.to_owned(),
     };
-    let mut line = format!("{:8} {subject}: {}", finding.level.as_str(), finding.fact);
-    if let Some(remedy) = &finding.remedy {
-        line += &format!("\n         → {remedy}");
-    }
-    line
+    let fact = format!("{:8} {subject}: {}", finding.level.as_str(), finding.fact);
+    let remedy = finding.remedy.as_ref().map(|remedy| format!("         → {remedy}"));
+    std::iter::once(fact).chain(remedy).collect()
 }

@@ -74,11 +74,10 @@ pub fn rib(command: &RibCommand, context: &Context) -> anyhow::Result<()> {
                 [short(&r["name"]), role, short(&r["entity"]), short(&r["switch"]), format!("{} s", r["expires_in"])]
             })
             .collect();
-        format!(
-            "{}\n\n{}",
-            table(["switch", "bit", "neighbours (cost)", "attached"], &switches),
-            table(["name", "role", "entity", "switch", "expires in"], &rows)
-        )
+        let mut lines = table(["switch", "bit", "neighbours (cost)", "attached"], &switches);
+        lines.push(String::new());
+        lines.extend(table(["name", "role", "entity", "switch", "expires in"], &rows));
+        lines
     })
 }
 

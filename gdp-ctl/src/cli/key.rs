@@ -53,7 +53,7 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
             let public_key = key.verify_key().to_string();
             let name = Identity::new(key, kind.as_str()).name();
             let value = json!({"file": file, "kind": kind.as_str(), "name": name, "public_key": public_key});
-            context.output.print(value, || name.to_string())
+            context.output.print(value, || [name.to_string()])
         }
         Command::Show { file, kind } => {
             let key = SigningKey::load(&file)?;
@@ -66,8 +66,8 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
                 value["name"] = name(kind).to_string().into();
             }
             context.output.print(value, || {
-                let names = kinds.iter().map(|k| format!("as {:<8} {}\n", k.as_str(), name(*k)));
-                format!("public key  {public_key}\n{}", names.collect::<String>())
+                let names = kinds.iter().map(|k| format!("as {:<8} {}", k.as_str(), name(*k)));
+                std::iter::once(format!("public key  {public_key}")).chain(names).collect::<Vec<_>>()
             })
         }
     }

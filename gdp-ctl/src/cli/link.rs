@@ -19,7 +19,7 @@ pub fn run(command: &Command, context: &Context) -> anyhow::Result<()> {
     context.output.print(reply.clone(), || describe(&reply))
 }
 
-fn describe(reply: &Value) -> String {
+fn describe(reply: &Value) -> Vec<String> {
     let rows: Vec<_> = reply["links"]
         .as_array()
         .into_iter()

@@ -130,7 +130,10 @@ enum Command {
 /// Runs the command of this process.
 pub fn main() -> ExitCode {
     gdp_util::panics::end_process();
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return wrong_usage(&error),
+    };
     let context = Context { socket: cli.socket, output: Output { json: cli.json } };
     match run(cli.command, &context) {
         Ok(()) => ExitCode::SUCCESS,
@@ -140,6 +143,16 @@ pub fn main() -> ExitCode {
             ExitCode::from(if no_daemon { 3 } else { 1 })
         }
     }
+}
+
+/// Prints help and version as clap does, and errors, which quote what was given, escaped.
+fn wrong_usage(error: &clap::Error) -> ExitCode {
+    if error.use_stderr() {
+        error.render().to_string().lines().for_each(note);
+    } else if error.print().is_err() {
+        return ExitCode::FAILURE;
+    }
+    ExitCode::from(if error.use_stderr() { 2 } else { 0 })
 }
 
 /// An error with its causes, those that it does not name itself.

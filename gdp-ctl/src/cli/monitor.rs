@@ -8,7 +8,7 @@ use crate::cli::context::Context;
 pub fn run(context: &Context) -> anyhow::Result<()> {
     for event in context.client()?.monitor()? {
         let event = event?;
-        context.output.print(event.clone(), || describe(&event))?;
+        context.output.print(event.clone(), || [describe(&event)])?;
     }
     Ok(())
 }

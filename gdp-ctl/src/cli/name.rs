@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
-use clap::Subcommand;
+use clap::{Subcommand, ValueEnum};
 use gdp_core::card::NameCard;
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_core::name;
 use gdp_core::name::Metadata;
+use gdp_ros::names::{check_topic, check_type};
+use gdp_util::escape::is_control;
 use gdp_util::terminal::note;
 use serde_json::{Value, json};
 
@@ -20,13 +22,16 @@ pub enum Command {
         /// The owner's private key file, or its public key (66 hex digits).
         #[arg(long)]
         owner: String,
-        #[arg(long)]
+        /// The ROS name, with a leading slash, such as /chatter. Of a catalog: a label of your choice, such as the robot's
+        /// name, which logs show.
+        #[arg(long, value_name = "NAME")]
         topic: String,
-        /// Such as std_msgs/msg/String.
-        #[arg(long = "type")]
-        type_name: String,
-        #[arg(long, default_value = "topic")]
-        kind: String,
+        /// The ROS type, such as std_msgs/msg/String, std_srvs/srv/SetBool or nav2_msgs/action/Spin. A catalog has none.
+        #[arg(long = "type", value_name = "TYPE")]
+        type_name: Option<String>,
+        /// What the name is for. A catalog lists what a gdp-proxy exposes by itself (`expose` in its configuration).
+        #[arg(long, value_enum, default_value = "topic")]
+        kind: CardKind,
         /// A nonce to remember, instead of 128 random bits. Others may then guess what the name stands for.
         #[arg(long)]
         nonce: Option<String>,
@@ -51,38 +56,93 @@ pub enum Command {
     Show { card: PathBuf },
 }
 
+/// What a name can be made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CardKind {
+    Topic,
+    Service,
+    Action,
+    Catalog,
+}
+
+impl CardKind {
+    fn as_str(self) -> &'static str {
+        match self {
+            Self::Topic => "topic",
+            Self::Service => "service",
+            Self::Action => "action",
+            Self::Catalog => "catalog",
+        }
+    }
+
+    /// The middle of the name of its types, and an example of one.
+    fn types(self) -> Option<(&'static str, &'static str)> {
+        match self {
+            Self::Topic => Some(("msg", "std_msgs/msg/String")),
+            Self::Service => Some(("srv", "std_srvs/srv/SetBool")),
+            Self::Action => Some(("action", "nav2_msgs/action/Spin")),
+            Self::Catalog => None,
+        }
+    }
+
+    /// The type as the card says it, which is nothing for a catalog.
+    ///
+    /// # Errors
+    /// For names that no ROS graph can have, and for a type that is of something else.
+    fn check<'t>(self, topic: &str, type_name: Option<&'t str>) -> anyhow::Result<&'t str> {
+        let kind = self.as_str();
+        let Some((folder, example)) = self.types() else {
+            if topic.is_empty() || topic.contains(is_control) {
+                bail!("--topic: the label of a catalog is printable text, such as robot1");
+            }
+            return match type_name {
+                Some(_) => bail!("--type: a catalog has no type; leave --type out"),
+                None => Ok(""),
+            };
+        };
+        check_topic(topic).context("--topic")?;
+        let Some(type_name) = type_name else { bail!("a {kind} has a type: add --type, such as --type {example}") };
+        match check_type(type_name) {
+            Ok(of) if of == folder => Ok(type_name),
+            _ => bail!(
+                "--type: `{type_name}` is not the type of a {kind}: write it as package/{folder}/Name, such as {example}"
+            ),
+        }
+    }
+}
+
 pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::Create { owner, topic, type_name, kind, nonce, meta, output } => {
             if nonce.is_some() {
                 note("gdp-ctl: warning: with a nonce that can be guessed, so can the topic behind the name");
             }
-            let card = NameCard::create(public_key(&owner)?, &kind, &topic, &type_name, nonce)?;
+            let type_name = kind.check(&topic, type_name.as_deref())?;
+            if let Some(entry) = meta.iter().find(|entry| entry.contains(is_control)) {
+                bail!("--meta {entry}: a card has no control characters; leave them out");
+            }
+            let card = NameCard::create(public_key(&owner)?, kind.as_str(), &topic, type_name, nonce)?;
             let card = NameCard::new(*card.owner_key(), with_meta(card.metadata().clone(), &meta)?)?;
             card.save_new(&output)?;
             let mut value = describe(&card);
             value["file"] = json!(output);
-            context.output.print(value, || card.name().to_string())
+            context.output.print(value, || [card.name().to_string()])
         }
         Command::Derive { card: Some(path), .. } => {
             let card = NameCard::load(&path)?;
-            context.output.print(describe(&card), || card.name().to_string())
+            context.output.print(describe(&card), || [card.name().to_string()])
         }
         Command::Derive { card: None, owner, meta } => {
             let owner = public_key(&owner.unwrap_or_default())?;
             let card = NameCard::new(owner, with_meta(Metadata::new(), &meta)?)?;
-            context.output.print(describe(&card), || card.name().to_string())
+            context.output.print(describe(&card), || [card.name().to_string()])
         }
         Command::Show { card } => {
             let card = NameCard::load(&card)?;
             context.output.print(describe(&card), || {
-                let metadata = card.metadata().iter().map(|(key, value)| format!("{key:<10}  {value}\n"));
-                format!(
-                    "name        {}\nowner key   {}\n{}",
-                    card.name(),
-                    card.owner_key(),
-                    metadata.collect::<String>()
-                )
+                let own = [format!("name        {}", card.name()), format!("owner key   {}", card.owner_key())];
+                let metadata = card.metadata().iter().map(|(key, value)| format!("{key:<10}  {value}"));
+                own.into_iter().chain(metadata).collect::<Vec<_>>()
             })
         }
     }

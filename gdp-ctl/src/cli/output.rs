@@ -1,11 +1,13 @@
-//! What commands print: JSON for programs, lines for people. A reader that stopped reading is no error.
+//! What commands print: JSON for programs, lines for people. Either way no text of a stranger reaches a terminal unescaped.
 
 use std::fs::OpenOptions;
-use std::io::{ErrorKind, Write};
+use std::io::Write;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 use anyhow::Context;
+use gdp_util::escape::Escaped;
+use gdp_util::terminal;
 use serde_json::Value;
 
 pub struct Output {
@@ -13,19 +15,19 @@ pub struct Output {
 }
 
 impl Output {
-    /// Prints `value`, an object, with `"v": 1`; or, without `-j`, what `text` makes.
-    pub fn print(&self, mut value: Value, text: impl FnOnce() -> String) -> anyhow::Result<()> {
-        let text = if self.json {
+    /// Prints `value`, an object, with `"v": 1`; or, without `-j`, the `lines`. Each is escaped as a whole, so that a line
+    /// feed in a text does not make another line.
+    pub fn print<L>(&self, mut value: Value, lines: impl FnOnce() -> L) -> anyhow::Result<()>
+    where
+        L: IntoIterator<Item = String>,
+    {
+        let printed = if self.json {
             value["v"] = 1.into();
-            value.to_string()
+            terminal::print_json(&value.to_string())
         } else {
-            text()
+            terminal::print(lines())
         };
-        let mut stdout = std::io::stdout().lock();
-        match stdout.write_all(text.trim_end().as_bytes()).and_then(|()| stdout.write_all(b"\n")) {
-            Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("cannot write to stdout"),
-            _ => Ok(()),
-        }
+        printed.context("cannot write to stdout")
     }
 }
 
@@ -40,20 +42,22 @@ pub fn write_new(path: &Path, text: &str) -> anyhow::Result<()> {
     file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Columns of equal width, left-aligned, under a heading.
-pub fn table<const N: usize>(heading: [&str; N], rows: &[[String; N]]) -> String {
-    let mut widths = heading.map(|h| h.chars().count());
-    for row in rows {
-        for (width, cell) in widths.iter_mut().zip(row) {
-            *width = (*width).max(cell.chars().count());
-        }
-    }
-    let line = |cells: [&str; N]| {
-        let padded = cells.iter().zip(widths).map(|(cell, width)| format!("{cell:width$}"));
+/// Lines of columns of equal width, left-aligned, under a heading. Cells are escaped before they are measured.
+pub fn table<const N: usize>(heading: [&str; N], rows: &[[String; N]]) -> Vec<String> {
+    let escaped = |row: &[String; N]| row.each_ref().map(|cell| Escaped(cell).to_string());
+    let rows: Vec<[String; N]> = std::iter::once(heading.map(str::to_owned)).chain(rows.iter().map(escaped)).collect();
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or_default();
+    let widths: [usize; N] = std::array::from_fn(width);
+    let line = |row: &[String; N]| {
+        let padded = row.iter().zip(widths).map(|(cell, width)| format!("{cell:width$}"));
         padded.collect::<Vec<_>>().join("  ").trim_end().to_owned()
     };
-    let lines = std::iter::once(line(heading)).chain(rows.iter().map(|row| line(row.each_ref().map(String::as_str))));
-    lines.collect::<Vec<_>>().join("\n")
+    rows.iter().map(line).collect()
+}
+
+/// Lines of a text that was made here, such as YAML, and in which nobody else's line feeds are left.
+pub fn lines_of(text: &str) -> Vec<String> {
+    text.trim_end().lines().map(str::to_owned).collect()
 }
 
 /// A name in a JSON value, in its short form.

@@ -20,7 +20,7 @@ pub fn run(command: &Command, context: &Context) -> anyhow::Result<()> {
     context.output.print(reply.clone(), || describe(&reply))
 }
 
-fn describe(reply: &Value) -> String {
+fn describe(reply: &Value) -> Vec<String> {
     let now = unix_seconds();
     let rows: Vec<_> = reply["peers"]
         .as_array()

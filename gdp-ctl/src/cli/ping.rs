@@ -42,7 +42,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut client = context.client()?;
     let place = place::find(&options.what, &mut client)?;
     if !context.output.json {
-        context.output.print(json!({}), || format!("PING {:#} {}", place.name, how(&place)))?;
+        context.output.print(json!({}), || [format!("PING {:#} {}", place.name, how(&place))])?;
     }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let mut tally = Tally::default();
@@ -55,14 +55,14 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
             for key in ["rtt_us", "end"] {
                 line[key] = answer[key].clone();
             }
-            context.output.print(line.clone(), || describe(&line))?;
+            context.output.print(line.clone(), || [describe(&line)])?;
         }
         let rest = Duration::from_secs_f64(options.interval).saturating_sub(begun.elapsed());
         if Some(seq) == options.count || runtime.block_on(interrupted(rest))? {
             break;
         }
     }
-    context.output.print(tally.value(&place.name), || tally.text(&place.name))?;
+    context.output.print(tally.value(&place.name), || tally.lines(&place.name))?;
     if tally.times.is_empty() { bail!("nothing answered for {:#}", place.name) } else { Ok(()) }
 }
 
@@ -143,18 +143,16 @@ impl Tally {
         })
     }
 
-    fn text(&self, name: &Name) -> String {
-        let mut text = format!(
-            "--- {name:#} ping statistics ---\n{} sent, {} received, {:.0}% loss",
-            self.sent,
-            self.times.len(),
-            self.loss()
-        );
+    fn lines(&self, name: &Name) -> Vec<String> {
+        let mut lines = vec![
+            format!("--- {name:#} ping statistics ---"),
+            format!("{} sent, {} received, {:.0}% loss", self.sent, self.times.len(), self.loss()),
+        ];
         if let Some(times) = self.times() {
             let [min, avg, max] = times.map(|micros| format!("{}.{:03}", micros / 1000, micros % 1000));
-            text += &format!("\nrtt min/avg/max = {min}/{avg}/{max} ms");
+            lines.push(format!("rtt min/avg/max = {min}/{avg}/{max} ms"));
         }
-        text
+        lines
     }
 }
 

@@ -55,7 +55,7 @@ pub fn publish(
     value["published"] = published.into();
     context.output.print(value, || {
         let told = if published { "published" } else { "not published" };
-        format!("revocation {} of {:#}, {told}: {}", claims.number, claims.name, file.display())
+        [format!("revocation {} of {:#}, {told}: {}", claims.number, claims.name, file.display())]
     })
 }
 

@@ -104,7 +104,7 @@ fn own(place: &Place) -> Value {
     json!({"hop": 0, "switch": place.own, "rtt_us": 0, "end": end})
 }
 
-fn describe(name: &Name, paths: &[Value]) -> String {
+fn describe(name: &Name, paths: &[Value]) -> Vec<String> {
     let mut lines = vec![format!("trace to {name}")];
     for path in paths {
         if paths.len() > 1 {
@@ -124,7 +124,7 @@ fn describe(name: &Name, paths: &[Value]) -> String {
         }
         path["domains"].as_array().into_iter().flatten().for_each(|domain| cross(domain, &mut lines));
     }
-    lines.join("\n")
+    lines
 }
 
 /// A domain: where it is entered, and what is inside.
@@ -135,7 +135,7 @@ fn cross(domain: &Value, lines: &mut Vec<String>) {
     lines.push(format!("{indent}domain {name}  by its switch {}  {time}", short(&domain["switch"])));
     let why_not = match domain["outcome"].as_str().unwrap_or_default() {
         "traced" => None,
-        "refused" => Some(format!("not traced: {}", printable(domain["reason"].as_str().unwrap_or_default()))),
+        "refused" => Some(format!("not traced: {}", domain["reason"].as_str().unwrap_or_default())),
         "loop" => Some("not traced: the name has crossed this domain before".into()),
         "too_far" => Some(format!("not traced: the name has crossed {MAX_PATH} domains already")),
         _ => Some("its border does not say what is behind it: no answer in time".into()),
@@ -157,11 +157,6 @@ fn cross(domain: &Value, lines: &mut Vec<String>) {
         }
         None => lines.push(format!("{indent}  … inside of domain {name} (masked)  {time}{}", end(inside))),
     }
-}
-
-/// What another domain says, without what a terminal would act on.
-fn printable(said: &str) -> String {
-    said.chars().filter(|c| !c.is_control()).collect()
 }
 
 /// What the last switch, or a domain, delivers to.

@@ -42,8 +42,8 @@ pub fn run(command: &Command, context: &Context) -> anyhow::Result<()> {
 fn stats(options: &Options, context: &Context) -> anyhow::Result<()> {
     let switches = options.find()?.iter().map(describe).collect::<anyhow::Result<Vec<_>>>()?;
     context.output.print(json!({"switches": switches}), || match switches.as_slice() {
-        [] => "nothing of GDP is in the kernel".to_owned(),
-        all => all.iter().map(print).collect::<Vec<_>>().join("\n\n"),
+        [] => vec!["nothing of GDP is in the kernel".to_owned()],
+        all => all.iter().map(print).collect::<Vec<_>>().join(&String::new()),
     })
 }
 
@@ -64,8 +64,8 @@ fn detach(options: &Options, context: &Context) -> anyhow::Result<()> {
         }
     }
     context.output.print(json!({"detached": detached, "running": running}), || match detached.as_slice() {
-        [] => "nothing to detach".to_owned(),
-        folders => folders.iter().map(|folder| format!("detached {folder}")).collect::<Vec<_>>().join("\n"),
+        [] => vec!["nothing to detach".to_owned()],
+        folders => folders.iter().map(|folder| format!("detached {folder}")).collect(),
     })?;
     if !running.is_empty() {
         bail!("a daemon runs with {}: stop it, which detaches it as well", running.join(", "));
@@ -106,31 +106,32 @@ fn describe(found: &Found) -> anyhow::Result<Value> {
     Ok(value)
 }
 
-fn print(switch: &Value) -> String {
+fn print(switch: &Value) -> Vec<String> {
     let text = |key: &str| switch[key].as_str().unwrap_or_default().to_owned();
     let programs = switch["programs"].as_array().into_iter().flatten();
     let programs: Vec<_> =
         programs.map(|p| format!("{} ({})", p["ifindex"], p["mode"].as_str().unwrap_or_default())).collect();
     let daemon = if switch["daemon"] == true { "running" } else { "none: forwards by what the last one left" };
-    let mut out = format!(
-        "switch      {}…, network namespace {}\nfolder      {}\ndaemon      {daemon}\ninterfaces  {}\n",
-        text("switch"),
-        switch["namespace"],
-        text("folder"),
-        programs.join(", ")
-    );
+    let mut lines = vec![
+        format!("switch      {}…, network namespace {}", text("switch"), switch["namespace"]),
+        format!("folder      {}", text("folder")),
+        format!("daemon      {daemon}"),
+        format!("interfaces  {}", programs.join(", ")),
+    ];
     let Some(counters) = switch["counters"].as_object() else {
-        return out + &format!("maps        of version {}, this program reads {ABI}", switch["abi"]);
+        lines.push(format!("maps        of version {}, this program reads {ABI}", switch["abi"]));
+        return lines;
     };
-    out += &format!("holds       {} links, {} names\n", switch["links"], switch["names"]);
+    lines.push(format!("holds       {} links, {} names", switch["links"], switch["names"]));
     let lost = switch["redirect_lost"].as_object().into_iter().flatten().filter(|(_, lost)| **lost != 0);
     for (ifindex, lost) in lost {
-        out += &format!("lost        {lost} frames that interface {ifindex} did not take\n");
+        lines.push(format!("lost        {lost} frames that interface {ifindex} did not take"));
     }
     let rows: Vec<_> = counters
         .iter()
         .filter(|(_, count)| **count != 0)
         .map(|(name, count)| [name.clone(), count.to_string()])
         .collect();
-    out + &table(["frames", "kernel"], &rows)
+    lines.extend(table(["frames", "kernel"], &rows));
+    lines
 }

@@ -33,6 +33,10 @@ fn keys_cards_and_certificates_are_made_without_a_daemon() {
     assert_eq!((&more["metadata"]["site"], &more["metadata"]["floor"]), (&"hall".into(), &"2".into()));
     assert_eq!(user.text(&["name", "derive", "scan.card"]).trim(), more["name"]);
 
+    let create = ["name", "create", "--owner", "owner.pem", "--kind", "catalog", "--topic", "robot1", "-o", "all.card"];
+    let catalog = user.json(&create);
+    assert_eq!((&catalog["metadata"]["kind"], &catalog["metadata"]["type"]), (&"catalog".into(), &"".into()));
+
     let entity = robot["name"].as_str().unwrap();
     let add = ["grant", "add", "chatter.card", "--key", "owner.pem", "--entity", entity];
     user.json(&[&add[..], &["--publish", "-o", "chatter.ad"]].concat());
@@ -54,9 +58,25 @@ fn what_goes_wrong_is_named_with_its_remedy() {
     std::fs::write(user.file("junk"), "junk").unwrap();
     let zero = "0".repeat(64);
     let add = ["grant", "add", "chatter.card", "--entity", &zero, "-o", "x"];
+    let create = |topic, kind, of| {
+        ["name", "create", "--owner", "owner.pem", "-o", "new.card", "--topic", topic, "--kind", kind, "--type", of]
+    };
+    let meta = [&create("/a", "topic", "a/msg/A")[..], &["--meta", "site=\u{202e}"]].concat();
     for (arguments, status, needles) in [
         (&["key", "generate", "owner.pem", "--kind", "owner"][..], 1, &["owner.pem"][..]),
         (&["key", "show", "none.pem"], 1, &["none.pem"]),
+        (&create("chatter", "topic", "std_msgs/msg/String"), 1, &["--topic", "`chatter`", "leading slash", "/chatter"]),
+        (&create("/x\u{1b}[2J", "topic", "std_msgs/msg/String"), 1, &["--topic", "`/x\\u{1b}[2J`"]),
+        (
+            &create("/a", "topic", "not a type"),
+            1,
+            &["--type", "`not a type`", "package/msg/Name", "std_msgs/msg/String"],
+        ),
+        (&create("/a", "service", "std_msgs/msg/String"), 1, &["--type", "type of a service", "package/srv/Name"]),
+        (&create("/a", "servce", "std_srvs/srv/SetBool"), 2, &["--kind", "'servce'", "'service'", "catalog"]),
+        (&create("robot1", "catalog", "T"), 1, &["--type", "a catalog has no type", "leave --type out"]),
+        (&create("/a", "topic", "")[..8], 1, &["a topic has a type", "--type std_msgs/msg/String"]),
+        (&meta, 1, &["--meta", "site=\\u{202e}", "control characters"]),
         (&["key", "show", "open.pem"], 1, &["chmod 600"]),
         (&["key", "show", "junk"], 1, &["junk"]),
         (&["name", "show", "junk"], 1, &["junk", "not a name card"]),
@@ -69,7 +89,7 @@ fn what_goes_wrong_is_named_with_its_remedy() {
                 "--topic",
                 "/a",
                 "--type",
-                "b",
+                "a/msg/B",
                 "--meta",
                 "topic=/b",
                 "-o",

@@ -9,6 +9,7 @@ mod etcd;
 mod federation;
 mod fenced;
 mod grants;
+mod hostile_text;
 mod inboxes;
 mod member;
 mod owner;

@@ -14,8 +14,9 @@ mod raw;
 mod service;
 
 pub use action::Action;
+pub use gdp_ros::names::NameError;
 pub use graph::{ActionInfo, Endpoint, Graph, ServiceInfo, ServicePeer, ShownQos, TopicInfo, TypeHash};
-pub use names::{NameError, Part, TopicName, TypeName};
+pub use names::{Part, TopicName, TypeName};
 pub use qos::{Depth, Durability, Qos, Reliability};
 pub use range::{Range, RangeError};
 pub use raw::{Arrived, ENCAPSULATION, RawReader, RawSample, RawWriter, Representation, Unreadable, WriteError};

@@ -1,17 +1,12 @@
 //! How ROS 2 names topics and types, and what DDS sees of them (design.ros2.org, "Topic and Service name mapping to DDS").
 //!
-//! Both kinds of text come from a user's file or from the network; nothing that is not a ROS name gets past here.
+//! Both kinds of text come from a user's file or from the network. What [`gdp_ros::names`] refuses does not get past here.
 
 use std::fmt;
 
+use gdp_ros::names::{self, NameError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
-
-/// The longest topic name: DDS vendors allow 256 characters, of which "rt" is two and a terminator one.
-const MAX_TOPIC: usize = 253;
-
-/// The longest type name that is accepted.
-const MAX_TYPE: usize = 253;
 
 /// A fully qualified topic name: `/chatter`, `/robot1/camera/image_raw`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, JsonSchema)]
@@ -21,26 +16,9 @@ pub struct TopicName(String);
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, JsonSchema)]
 pub struct TypeName(String);
 
-/// Why a text is not a ROS name.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum NameError {
-    #[error(
-        "`{0}` is not a fully qualified topic name: write it with a leading slash, of letters, digits and underscores, \
-         such as /chatter or /robot1/image_raw, at most {MAX_TOPIC} characters"
-    )]
-    Topic(String),
-    #[error("`{0}` is not a message type: write it as package/msg/Name, such as std_msgs/msg/String")]
-    Type(String),
-}
-
 impl TopicName {
     pub fn parse(text: &str) -> Result<Self, NameError> {
-        let tokens_are_good = text.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_identifier));
-        if tokens_are_good && text.len() <= MAX_TOPIC {
-            Ok(Self(text.to_owned()))
-        } else {
-            Err(NameError::Topic(excerpt(text)))
-        }
+        names::check_topic(text).map(|()| Self(text.to_owned()))
     }
 
     /// The DDS topic: `rt/chatter`.
@@ -86,18 +64,12 @@ pub enum Part {
 
 impl TypeName {
     pub fn parse(text: &str) -> Result<Self, NameError> {
-        let good = match text.split('/').collect::<Vec<_>>()[..] {
-            [package, kind, name] => {
-                is_identifier(package) && matches!(kind, "msg" | "srv" | "action") && is_identifier(name)
-            }
-            _ => false,
-        };
-        if good && text.len() <= MAX_TYPE { Ok(Self(text.to_owned())) } else { Err(NameError::Type(excerpt(text))) }
+        names::check_type(text).map(|_| Self(text.to_owned()))
     }
 
     /// The type behind a DDS type name, if ROS 2 made it: `std_msgs::msg::dds_::String_`.
     pub fn from_dds(dds: &str) -> Result<Self, NameError> {
-        let refusal = || NameError::Type(excerpt(dds));
+        let refusal = || NameError::of_type(dds);
         match dds.split("::").collect::<Vec<_>>()[..] {
             [package, kind, "dds_", name] => {
                 let name = name.strip_suffix('_').ok_or_else(refusal)?;
@@ -137,16 +109,6 @@ impl TypeName {
     pub fn to_ros1(&self) -> String {
         self.0.replacen("/msg/", "/", 1)
     }
-}
-
-fn is_identifier(token: &str) -> bool {
-    token.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
-        && token.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
-}
-
-/// The text as an error may show it: short, without control characters.
-fn excerpt(text: &str) -> String {
-    text.chars().take(80).map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
 }
 
 impl fmt::Display for TopicName {

@@ -1,5 +1,5 @@
-//! A trust domain as its administrator makes it, with the real programs: a first switch, an invitation, and a second switch that
-//! joins by it over a cable without IP, forwards in its kernel, and is taken back.
+//! A trust domain as its administrator makes it, with the real programs: a first switch, an invitation, and a second switch
+//! or a proxy that joins by it over a cable without IP.
 //!
 //! ```text
 //!  [ first switch and RIB  h0 ]────────[ e0  newcomer ]
@@ -20,47 +20,28 @@ use serde_json::{Value, json};
 
 #[test]
 fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
-    let tools = Tools::beside_this_test()?;
-    let (at_home, beyond) = (Namespace::create("first")?, Namespace::create("newcomer")?);
-    let end = |namespace, interface, mac| End { namespace, interface, mac };
-    veth(&end(&at_home, "h0", [2, 0, 0, 0, 0, 1]), &end(&beyond, "e0", [2, 0, 0, 0, 0, 2]), 1500)?;
-    let files = tempfile::tempdir()?;
-    let folder = files.path();
-    let user = |arguments: &[&str]| ctl(&tools, folder, arguments);
-
-    user(&["domain", "init", "-o", "home"])?;
-    let first =
-        user(&["key", "generate", "first.pem", "--kind", "switch"])?["name"].as_str().context("a name")?.to_owned();
-    user(&["domain", "admit", "--key", "home/domain.pem", &first, "--role", "rib", "-o", "first.member"])?;
-    let config = json!({
-        "identity": "first.pem", "socket": "first.sock", "interfaces": ["h0"], "udp": null, "bpffs": null,
-        "domain": {"card": "home/domain.card", "membership": "first.member", "members_only": true},
-    });
-    fs::write(folder.join("first.yaml"), config.to_string())?;
-    let mut first_process = serve(&tools, &at_home, "first", &folder.join("first.yaml"), folder)?;
+    let mut home = Home::start()?;
+    let (folder, first) = (home.files.path(), home.first.clone());
+    let user = |arguments: &[&str]| ctl(&home.tools, folder, arguments);
 
     let invite =
         ["domain", "invite", "--key", "home/domain.pem", "--role", "switch", "--at", "eth://e0", "--switch", &first];
     let token = user(&invite)?["token"].as_str().context("a line")?.to_owned();
-    let joined = join(&tools, folder, &token)?;
-    let name = joined["name"].as_str().context("a name")?.to_owned();
+    let name = join(&home.tools, folder, &token)?;
     // What is to be added to what `join` wrote is this machine's business.
     let config = folder.join("new/gdp.yaml");
     let written = fs::read_to_string(&config)? + "socket: ../new.sock\ninterfaces: [e0]\nudp: null\nbpffs: null\n";
     fs::write(&config, written)?;
-    let mut newcomer = serve(&tools, &beyond, "newcomer", &config, folder)?;
+    let mut newcomer = serve(&home.tools, &home.beyond, "newcomer", &config, folder)?;
 
-    let standing = |socket: &str, peer: &str| -> Option<Value> {
-        let links = ctl(&tools, folder, &["--socket", socket, "link", "list"]).ok()?;
-        links["links"].as_array()?.iter().find(|link| link["peer"] == peer).cloned()
-    };
+    let standing = |socket: &str, peer: &str| standing(&home.tools, folder, socket, peer);
     for (socket, peer) in [("first.sock", &name), ("new.sock", &first)] {
         let link = wait_for(&format!("{socket} to have the link"), PATIENCE, || {
-            first_process.check_alive()?;
+            home.process.check_alive()?;
             newcomer.check_alive()?;
             Ok(standing(socket, peer).filter(|link| link["standing"] == "member"))
         })
-        .with_context(|| first_process.report() + &newcomer.report())?;
+        .with_context(|| home.process.report() + &newcomer.report())?;
         ensure!(link["plane"] == "kernel", "{link:#}");
     }
     wait_for("the RIB to know both", PATIENCE, || {
@@ -72,17 +53,79 @@ fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
     wait_for("the link to be gone", PATIENCE, || Ok(standing("first.sock", &name).is_none().then_some(())))?;
     wait_for("both to say why", PATIENCE, || {
         let said = |process: &Process| process.stderr().contains("revoked: the Invite");
-        Ok((said(&first_process) && said(&newcomer)).then_some(()))
+        Ok((said(&home.process) && said(&newcomer)).then_some(()))
     })
-    .with_context(|| first_process.report() + &newcomer.report())?;
+    .with_context(|| home.process.report() + &newcomer.report())?;
     // Its key and its line are in no log.
-    for process in [&first_process, &newcomer] {
+    for process in [&home.process, &newcomer] {
         ensure!(!process.stderr().contains(&token[..40]), "{}", process.report());
     }
-    for process in [&mut newcomer, &mut first_process] {
+    for process in [&mut newcomer, &mut home.process] {
         ensure!(process.stop(PATIENCE)?.success(), "{}", process.report());
     }
     Ok(())
+}
+
+#[test]
+fn a_proxy_attaches_with_the_configuration_that_join_wrote() -> Result<()> {
+    let mut home = Home::start()?;
+    let folder = home.files.path();
+    let invite = ["domain", "invite", "--key", "home/domain.pem", "--role", "robot", "--at", "eth://e0"];
+    let invited = ctl(&home.tools, folder, &[&invite[..], &["--switch", &home.first]].concat())?;
+    let name = join(&home.tools, folder, invited["token"].as_str().context("a line")?)?;
+    let mut command = home.beyond.command(home.tools.gdp_proxy()?)?;
+    command.arg("--config").arg(folder.join("new/gdp.yaml"));
+    let mut proxy = Process::spawn("robot", command, folder)?;
+    wait_for("the proxy to be attached as a member", PATIENCE, || {
+        home.process.check_alive()?;
+        proxy.check_alive()?;
+        let link = standing(&home.tools, folder, "first.sock", &name);
+        Ok(link.filter(|link| link["standing"] == "member" && link["role"] == "endpoint"))
+    })
+    .with_context(|| home.process.report() + &proxy.report())?;
+    for process in [&mut proxy, &mut home.process] {
+        ensure!(process.stop(PATIENCE)?.success(), "{}", process.report());
+    }
+    Ok(())
+}
+
+/// A domain with its first switch, and a cable to whoever is to join.
+struct Home {
+    process: Process,
+    /// The first switch.
+    first: String,
+    files: tempfile::TempDir,
+    beyond: Namespace,
+    _at_home: Namespace,
+    tools: Tools,
+}
+
+impl Home {
+    fn start() -> Result<Self> {
+        let tools = Tools::beside_this_test()?;
+        let (at_home, beyond) = (Namespace::create("first")?, Namespace::create("newcomer")?);
+        let end = |namespace, interface, mac| End { namespace, interface, mac };
+        veth(&end(&at_home, "h0", [2, 0, 0, 0, 0, 1]), &end(&beyond, "e0", [2, 0, 0, 0, 0, 2]), 1500)?;
+        let files = tempfile::tempdir()?;
+        let folder = files.path();
+        let user = |arguments: &[&str]| ctl(&tools, folder, arguments);
+        user(&["domain", "init", "-o", "home"])?;
+        let first = name_in(&user(&["key", "generate", "first.pem", "--kind", "switch"])?)?;
+        user(&["domain", "admit", "--key", "home/domain.pem", &first, "--role", "rib", "-o", "first.member"])?;
+        let config = json!({
+            "identity": "first.pem", "socket": "first.sock", "interfaces": ["h0"], "udp": null, "bpffs": null,
+            "domain": {"card": "home/domain.card", "membership": "first.member", "members_only": true},
+        });
+        fs::write(folder.join("first.yaml"), config.to_string())?;
+        let process = serve(&tools, &at_home, "first", &folder.join("first.yaml"), folder)?;
+        Ok(Self { process, first, files, beyond, _at_home: at_home, tools })
+    }
+}
+
+/// The link with `peer`, as the daemon behind `socket` has it.
+fn standing(tools: &Tools, folder: &Path, socket: &str, peer: &str) -> Option<Value> {
+    let links = ctl(tools, folder, &["--socket", socket, "link", "list"]).ok()?;
+    links["links"].as_array()?.iter().find(|link| link["peer"] == peer).cloned()
 }
 
 fn serve(tools: &Tools, at: &Namespace, label: &str, config: &Path, folder: &Path) -> Result<Process> {
@@ -91,15 +134,19 @@ fn serve(tools: &Tools, at: &Namespace, label: &str, config: &Path, folder: &Pat
     Process::spawn(label, command, folder)
 }
 
-/// As somebody who pastes the line.
-fn join(tools: &Tools, folder: &Path, token: &str) -> Result<Value> {
+/// As somebody who pastes the line. Returns the new member's name; its files are in the folder `new`.
+fn join(tools: &Tools, folder: &Path, token: &str) -> Result<String> {
     let mut command = own(tools.gdp_ctl()?);
     command.args(["-j", "domain", "join", "-", "-o", "new"]).current_dir(folder);
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
     child.stdin.take().context("a pipe")?.write_all(token.as_bytes())?;
     let output = child.wait_with_output()?;
     ensure!(output.status.success(), "join failed");
-    Ok(serde_json::from_slice(&output.stdout)?)
+    name_in(&serde_json::from_slice(&output.stdout)?)
+}
+
+fn name_in(reply: &Value) -> Result<String> {
+    Ok(reply["name"].as_str().context("a name")?.to_owned())
 }
 
 fn ctl(tools: &Tools, folder: &Path, arguments: &[&str]) -> Result<Value> {

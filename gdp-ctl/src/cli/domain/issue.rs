@@ -112,7 +112,7 @@ pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
     let card = NameCard::new(identity.key().verify_key(), identity.metadata().clone())?;
     output::write_new(&card_file, &card.to_json())?;
     let name = identity.name();
-    context.output.print(json!({"name": name, "key": key_file, "card": card_file}), || name.to_string())
+    context.output.print(json!({"name": name, "key": key_file, "card": card_file}), || [name.to_string()])
 }
 
 pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
@@ -130,7 +130,7 @@ pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
     let value = json!({
         "kind": MemberCert::KIND, "claims": claims, "serial": serial.to_string(), "file": options.output,
     });
-    context.output.print(value, || options.output.display().to_string())
+    context.output.print(value, || [options.output.display().to_string()])
 }
 
 pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> {
@@ -156,7 +156,7 @@ pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> 
     let value = json!({
         "kind": Invite::KIND, "claims": claims, "serial": serial.to_string(), "token": *line,
     });
-    context.output.print(value, || line.to_string())
+    context.output.print(value, || [line.to_string()])
 }
 
 pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
@@ -174,7 +174,7 @@ pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
     let value = json!({
         "kind": PeerCert::KIND, "claims": claims, "serial": serial.to_string(), "file": options.output,
     });
-    context.output.print(value, || options.output.display().to_string())
+    context.output.print(value, || [options.output.display().to_string()])
 }
 
 /// Whether a daemon's configuration can say this.

@@ -14,6 +14,8 @@ use gdp_core::identity::VerifyKey;
 use gdp_core::link_target::LinkTarget;
 use gdp_core::name;
 use gdp_core::name::Metadata;
+use gdp_util::escape::escape_json;
+use serde::Serialize;
 use serde_json::json;
 
 use super::super::output;
@@ -70,13 +72,13 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         "identity": identity_file, "card": card_file, "membership": membership_file, "config": config_file,
     });
     context.output.print(value, || {
-        format!(
+        [format!(
             "{} is {} of {:#}: {} (to be completed, if it is a proxy's, with its topics)",
             identity.name(),
             invite.role,
             invite.domain,
             config_file.display()
-        )
+        )]
     })
 }
 
@@ -104,7 +106,7 @@ fn card(token: &Token) -> anyhow::Result<NameCard> {
 fn switch(token: &Token, role: &str, identity: &Path) -> anyhow::Result<String> {
     is_place(token.at())?;
     let via = match token.at() {
-        LinkTarget::Ethernet { interface, .. } => format!("interface: {}", json!(interface)),
+        LinkTarget::Ethernet { interface, .. } => format!("interface: {}", quoted(interface)),
         LinkTarget::Udp { host, port, .. } => {
             let ip: IpAddr = host.parse().context("an address was expected")?;
             format!("udp: '{}'", SocketAddr::new(ip, *port))
@@ -114,12 +116,18 @@ fn switch(token: &Token, role: &str, identity: &Path) -> anyhow::Result<String> 
     let place = format!("{{{via}, switch: {switch}, dial: true}}");
     let toward =
         if role == roles::RIB { format!("rib: true\nneighbours: [{place}]") } else { format!("uplink: {place}") };
-    Ok(format!("identity: {}\n{toward}\n{}", json!(identity), domain()))
+    Ok(format!("identity: {}\n{toward}\n{}", quoted(identity), domain()))
 }
 
 fn proxy(token: &Token, identity: &Path) -> String {
     let switch = token.switch().map_or(String::new(), |switch| format!(", switch: {switch}"));
-    format!("identity: {}\nlinks: [{{to: '{}'{switch}}}]\n{}", json!(identity), token.at(), domain())
+    let (identity, to) = (quoted(identity), quoted(token.at().to_string()));
+    format!("version: 1\nidentity: {identity}\nlinks: [{{to: {to}{switch}}}]\n{}", domain())
+}
+
+/// A text in double quotes, which YAML reads as JSON does.
+fn quoted(text: impl Serialize) -> String {
+    escape_json(&json!(text).to_string()).into_owned()
 }
 
 fn domain() -> &'static str {

@@ -44,10 +44,16 @@ fn token(token: &Token, context: &Context) -> anyhow::Result<()> {
     });
     context.output.print(value, || {
         let switch = token.switch().map_or("any".to_owned(), |switch| switch.to_string());
-        format!(
-            "kind        Invite\ndomain      {}\nrole        {}\nserial      {}\nuse until   {}\nmember until {}\ndial        {}\nswitch      {switch}",
-            invite.domain, invite.role, invite.serial, invite.not_after, invite.member_until, token.at()
-        )
+        [
+            "kind        Invite".to_owned(),
+            format!("domain      {}", invite.domain),
+            format!("role        {}", invite.role),
+            format!("serial      {}", invite.serial),
+            format!("use until   {}", invite.not_after),
+            format!("member until {}", invite.member_until),
+            format!("dial        {}", token.at()),
+            format!("switch      {switch}"),
+        ]
     })
 }
 
@@ -69,6 +75,8 @@ fn domain(card: &Path, context: &Context) -> anyhow::Result<()> {
             [issue.serial.to_string(), issue.kind().into(), holder, issue.right(), state(issue).into(), file]
         };
         let rows: Vec<_> = issued.iter().map(row).collect();
-        format!("domain {name}\n{}", output::table(["serial", "kind", "to", "as", "state", "file"], &rows))
+        let mut lines = vec![format!("domain {name}")];
+        lines.extend(output::table(["serial", "kind", "to", "as", "state", "file"], &rows));
+        lines
     })
 }

@@ -119,7 +119,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     output::write_new(&options.output, &text)?;
     value["file"] = json!(options.output);
     value["serial"] = serial.to_string().into();
-    context.output.print(value, || options.output.display().to_string())
+    context.output.print(value, || [options.output.display().to_string()])
 }
 
 /// Who signs, and what all that is issued now has in common.

@@ -60,7 +60,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let json = fill(&request.schema, &given, (unix_time().as_secs(), unix_time().subsec_nanos()))?;
         if !context.output.json {
             let text = request.text(&json)?;
-            context.output.print(json!({}), || format!("requester: making request: {text}\n"))?;
+            context.output.print(json!({}), || [format!("requester: making request: {text}")])?;
         }
         let native = server.description.kind.dialect.native();
         let answer = server.call(&client, request.encode(&json, native)?).await?;
@@ -68,7 +68,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let text = response.text(&answer)?;
         let value =
             json!({"service": called(&card), "name": card.name(), "server": server.instance, "response": answer});
-        context.output.print(value, || format!("\nresponse:\n{text}"))
+        context.output.print(value, || [String::new(), "response:".into(), text])
     };
     options.node.with_fabric(keyring, context, async |fabric| unless_interrupted(ask(fabric)).await).map(drop)
 }

@@ -12,6 +12,7 @@ use gdp_util::terminal::note;
 use serde_json::json;
 
 use super::super::node::{Definitions, NodeOptions, listen, parse_positive, tell_if_silent, unless_interrupted};
+use super::super::output::lines_of;
 use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::keyring::called;
@@ -137,7 +138,7 @@ fn print(
         let (encoding, body) = unpacked.map_err(|error| Failed::Message(error.into()))?;
         value["encoding"] = u16::from(encoding).into();
         value["raw"] = Base64::encode_string(&body).into();
-        let text = || format!("{}\n---", python::bytes(&body));
+        let text = || [python::bytes(&body), "---".to_owned()];
         return context.output.print(value, text).map_err(Failed::Output);
     }
     let decoded = decoder.decode(heard).map_err(|error| Failed::Message(error.into()))?;
@@ -149,7 +150,7 @@ fn print(
     let length = if options.full_length { usize::MAX } else { options.truncate_length };
     let limits = Limits { length, no_arrays: options.no_arr, no_texts: options.no_str };
     let text = shown(&view, &limits).map_err(Failed::Message)?;
-    context.output.print(value, || format!("{text}---")).map_err(Failed::Output)
+    context.output.print(value, || lines_of(&format!("{text}---"))).map_err(Failed::Output)
 }
 
 /// A message as YAML; of what is none, its value as Python prints it.

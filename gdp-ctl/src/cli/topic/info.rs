@@ -44,7 +44,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let card = keyring.find(&options.what, "topic")?;
     let gather = async |fabric: &Fabric| unless_interrupted(gather(fabric, &card)).await;
     let Some(info) = options.node.with_fabric(keyring, context, gather)? else { return Ok(()) };
-    context.output.print(value(&card, &info), || text(&card, &info, options.verbose))
+    context.output.print(value(&card, &info), || lines(&card, &info, options.verbose))
 }
 
 async fn gather(fabric: &Fabric, card: &NameCard) -> anyhow::Result<Info> {
@@ -93,63 +93,64 @@ fn value(card: &NameCard, info: &Info) -> Value {
     })
 }
 
-/// The layout of ros2cli. Names of nodes stay with their graphs; the GID is the writer's name, and the number that the writer has given the publisher.
-fn text(card: &NameCard, info: &Info, verbose: bool) -> String {
-    let end = if verbose { "\n\n" } else { "\n" };
-    let mut out = format!("Type: {}{end}", kind(card, info));
-    out += &format!("Publisher count: {}{end}", info.publishers.len() + info.silent.len());
-    if verbose {
-        for ((writer, number), publisher) in &info.publishers {
-            let gid: Vec<u8> = [&writer.as_bytes()[..], &number.to_be_bytes()].concat();
-            out += &endpoint("PUBLISHER", &gid, Some(publisher), card);
-            out += end;
-        }
-        for writer in &info.silent {
-            out += &endpoint("PUBLISHER", writer.as_bytes(), None, card);
-            out += end;
+/// The layout of ros2cli. Names of nodes stay with their graphs; the GID is the writer's name, and the number that the writer
+/// has given the publisher.
+fn lines(card: &NameCard, info: &Info, verbose: bool) -> Vec<String> {
+    let mut publishers = Vec::new();
+    for ((writer, number), publisher) in &info.publishers {
+        let gid: Vec<u8> = [&writer.as_bytes()[..], &number.to_be_bytes()].concat();
+        publishers.push(endpoint("PUBLISHER", &gid, Some(publisher), card));
+    }
+    publishers.extend(info.silent.iter().map(|writer| endpoint("PUBLISHER", writer.as_bytes(), None, card)));
+    let readers = info.parties.readers.iter();
+    let subscriptions: Vec<_> = readers.map(|reader| endpoint("SUBSCRIPTION", reader.as_bytes(), None, card)).collect();
+
+    let mut parts = vec![vec![format!("Type: {}", kind(card, info))]];
+    for (what, endpoints) in [("Publisher", publishers), ("Subscription", subscriptions)] {
+        parts.push(vec![format!("{what} count: {}", endpoints.len())]);
+        if verbose {
+            parts.extend(endpoints);
         }
     }
-    out += &format!("Subscription count: {}{end}", info.parties.readers.len());
-    if verbose {
-        for reader in &info.parties.readers {
-            out += &endpoint("SUBSCRIPTION", reader.as_bytes(), None, card);
-            out += end;
-        }
-    }
-    out
+    if verbose { parts.join(&String::new()) } else { parts.concat() }
 }
 
-fn endpoint(what: &str, gid: &[u8], publisher: Option<&Publisher>, card: &NameCard) -> String {
+fn endpoint(what: &str, gid: &[u8], publisher: Option<&Publisher>, card: &NameCard) -> Vec<String> {
     let gid = gid.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(".");
     let (kind, hash) = match publisher {
         Some(publisher) => (publisher.kind.name.clone(), hash(&publisher.kind)),
         None => (card.get("type").unwrap_or_default().to_owned(), "INVALID".into()),
     };
-    let mut out = format!(
-        "Node name: _NODE_NAME_UNKNOWN_\nNode namespace: _NODE_NAMESPACE_UNKNOWN_\nTopic type: {kind}\nTopic type hash: {hash}\n\
-         Endpoint type: {what}\nGID: {gid}"
-    );
+    let mut lines = vec![
+        "Node name: _NODE_NAME_UNKNOWN_".to_owned(),
+        "Node namespace: _NODE_NAMESPACE_UNKNOWN_".to_owned(),
+        format!("Topic type: {kind}"),
+        format!("Topic type hash: {hash}"),
+        format!("Endpoint type: {what}"),
+        format!("GID: {gid}"),
+    ];
     if let Some(publisher) = publisher {
-        out += &format!("\nQoS profile:\n{}", qos(&publisher.offers));
+        lines.push("QoS profile:".to_owned());
+        lines.extend(qos(&publisher.offers));
     }
-    out
+    lines
 }
 
-fn qos(offers: &Offer) -> String {
+fn qos(offers: &Offer) -> [String; 7] {
     let time = |nanos: u64| if nanos == 0 { "Infinite".to_owned() } else { format!("{nanos} nanoseconds") };
     let history = match offers.depth {
         0 => "KEEP_ALL".to_owned(),
         depth => format!("KEEP_LAST ({depth})"),
     };
-    format!(
-        "  Reliability: {}\n  History (Depth): {history}\n  Durability: {}\n  Lifespan: {}\n  Deadline: {}\n  Liveliness: AUTOMATIC\n  \
-         Liveliness lease duration: {}",
-        if offers.reliable { "RELIABLE" } else { "BEST_EFFORT" },
-        if offers.transient_local { "TRANSIENT_LOCAL" } else { "VOLATILE" },
-        time(offers.lifespan_ns),
-        time(offers.deadline_ns),
-        time(offers.liveliness_ns),
-    )
+    [
+        format!("  Reliability: {}", if offers.reliable { "RELIABLE" } else { "BEST_EFFORT" }),
+        format!("  History (Depth): {history}"),
+        format!("  Durability: {}", if offers.transient_local { "TRANSIENT_LOCAL" } else { "VOLATILE" }),
+        format!("  Lifespan: {}", time(offers.lifespan_ns)),
+        format!("  Deadline: {}", time(offers.deadline_ns)),
+        "  Liveliness: AUTOMATIC".to_owned(),
+        format!("  Liveliness lease duration: {}", time(offers.liveliness_ns)),
+    ]
 }
 
 fn hash(kind: &Kind) -> String {

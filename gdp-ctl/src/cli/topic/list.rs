@@ -72,9 +72,9 @@ pub fn list(kind: &str, options: &ListOptions, context: &Context) -> anyhow::Res
         false => json!({format!("{kind}s"): entries.iter().map(|entry| entry.value(sides)).collect::<Vec<_>>()}),
     };
     context.output.print(value, || match options {
-        ListOptions { count: true, .. } => entries.len().to_string(),
+        ListOptions { count: true, .. } => vec![entries.len().to_string()],
         ListOptions { verbose: true, .. } => verbose(kind, &entries, sides),
-        _ => entries.iter().map(|entry| line(entry, options.show_types)).collect::<Vec<_>>().join("\n"),
+        _ => entries.iter().map(|entry| line(entry, options.show_types)).collect(),
     })
 }
 
@@ -82,16 +82,16 @@ fn line(entry: &Entry, with_type: bool) -> String {
     if with_type { format!("{} [{}]", entry.topic, entry.kind) } else { entry.topic.clone() }
 }
 
-fn verbose(kind: &str, entries: &[Entry], [writers, readers]: [&str; 2]) -> String {
+fn verbose(kind: &str, entries: &[Entry], [writers, readers]: [&str; 2]) -> Vec<String> {
     let heading = if kind == "topic" { ["Published", "Subscribed"] } else { ["Served", "Called"] };
     let part = |heading: &str, what: &str, count: &dyn Fn(&Parties) -> usize| {
         let shown = entries.iter().filter_map(|entry| Some((entry, entry.parties.as_ref().map(count)?)));
         let lines = shown.filter(|(_, count)| *count > 0).map(|(entry, count)| {
             let what = if count == 1 { what.trim_end_matches('s') } else { what };
-            format!(" * {} [{}] {count} {what}\n", entry.topic, entry.kind)
+            format!(" * {} [{}] {count} {what}", entry.topic, entry.kind)
         });
-        format!("{heading} {kind}s:\n{}", lines.collect::<String>())
+        std::iter::once(format!("{heading} {kind}s:")).chain(lines).collect::<Vec<_>>()
     };
     let published = part(heading[0], writers, &|parties| parties.writers.len());
-    format!("{published}\n{}", part(heading[1], readers, &|parties| parties.readers.len()))
+    [published, part(heading[1], readers, &|parties| parties.readers.len())].join(&String::new())
 }

@@ -14,6 +14,7 @@ use gdp_util::terminal::note;
 use serde_json::{Value, json};
 
 use super::super::node::{Definitions, NodeOptions, listen, subscribe, tell_if_silent, unless_interrupted};
+use super::super::output::lines_of;
 use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::feed::Decoder;
@@ -65,7 +66,7 @@ pub fn hz(options: &Options, context: &Context) -> anyhow::Result<()> {
             let rate = if spread.mean > 0.0 { 1e9 / spread.mean } else { 0.0 };
             let mut value = figures(&spread);
             value["rate_hz"] = rate.into();
-            context.output.print(value, || format!("average rate: {rate:.3}\n{}", spread.text()))
+            context.output.print(value, || [format!("average rate: {rate:.3}"), spread.text()])
         }
     })
 }
@@ -73,7 +74,7 @@ pub fn hz(options: &Options, context: &Context) -> anyhow::Result<()> {
 pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut sizes = Sizes::new(options.window(SIZES));
     if !context.output.json {
-        context.output.print(json!({}), || format!("Subscribed to [{}]", options.what))?;
+        context.output.print(json!({}), || [format!("Subscribed to [{}]", options.what)])?;
     }
     measure(options, context, |figure| match figure {
         Figure::Came(at, message) => {
@@ -89,7 +90,7 @@ pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
                 "bytes_per_s": shown.bytes_per_s, "messages": shown.count, "mean_bytes": shown.mean, "min_bytes": shown.min,
                 "max_bytes": shown.max,
             });
-            context.output.print(value, || shown.text())
+            context.output.print(value, || lines_of(&shown.text()))
         }
     })
 }
@@ -166,10 +167,10 @@ fn show_delays(delays: &mut Delays, context: &Context) -> anyhow::Result<()> {
         return Ok(());
     }
     let Some(spread) = delays.spread() else {
-        return context.output.print(json!({"window": 0}), || "no new messages".into());
+        return context.output.print(json!({"window": 0}), || ["no new messages".to_owned()]);
     };
     let (mean, value) = (seconds(spread.mean), figures(&spread));
-    context.output.print(value, || format!("average delay: {mean:.3}\n{}", spread.text()))
+    context.output.print(value, || [format!("average delay: {mean:.3}"), spread.text()])
 }
 
 /// Nanoseconds since 1970, by the header of a message.

@@ -206,7 +206,7 @@ impl Source {
         let mut due = tokio::time::interval(Duration::from_secs_f64(1.0 / options.rate));
         let mut look = tokio::time::interval(LOOK);
         if !context.output.json {
-            context.output.print(json!({}), || "publisher: beginning loop".into())?;
+            context.output.print(json!({}), || ["publisher: beginning loop".to_owned()])?;
         }
         let mut count = 0;
         while times.is_none_or(|times| count < times) {
@@ -217,7 +217,7 @@ impl Source {
                     let draft = Draft { origin: &self.origin, ..Draft::new(sealed(Encoding::Cdr), &made.body) };
                     self.publisher.send_batch(&[draft]).await?;
                     let value = json!({"count": count, "message": made.json});
-                    context.output.print(value, || format!("publishing #{count}: {}", made.text))?;
+                    context.output.print(value, || [format!("publishing #{count}: {}", made.text)])?;
                 }
                 _ = look.tick() => self.announce()?,
             }

@@ -10,7 +10,7 @@ use gdp_proto::control::Record;
 use serde_json::Value;
 
 use self::links::{near, switches};
-use super::output::{short, table};
+use super::output::{lines_of, short, table};
 use crate::cli::context::Context;
 use crate::client::Client;
 use gdp_proto::admin::Request;
@@ -32,7 +32,9 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut client = context.client()?;
     let reply = client.ask_value(&Request::Topology)?;
     let names = if options.names { names(&mut client)? } else { BTreeMap::new() };
-    context.output.print(reply.clone(), || if options.dot { dot::dot(&reply, &names) } else { describe(&reply) })
+    context
+        .output
+        .print(reply.clone(), || if options.dot { lines_of(&dot::dot(&reply, &names)) } else { describe(&reply) })
 }
 
 /// What the RIB's records say of each switch: names, and the roles of entities for them.
@@ -53,7 +55,7 @@ fn names(client: &mut Client) -> anyhow::Result<BTreeMap<String, Vec<String>>> {
     }
 }
 
-fn describe(reply: &Value) -> String {
+fn describe(reply: &Value) -> Vec<String> {
     let or_none = |value: &Value| if value.is_null() { "–".to_owned() } else { value.to_string() };
     let rows: Vec<_> = switches(reply)
         .map(|switch| {

@@ -7,7 +7,7 @@ fn what_came_back_is_summed_up() {
     let mut tally = Tally::default();
     assert_eq!((tally.loss(), tally.times()), (0.0, None));
     [Some(1500), None, Some(500), Some(1000)].into_iter().for_each(|rtt| tally.add(rtt));
-    let text = tally.text(&Name::from_bytes([7; 32]));
+    let text = tally.lines(&Name::from_bytes([7; 32])).join("\n");
     assert!(text.contains("4 sent, 3 received, 25% loss"), "{text}");
     assert!(text.contains("rtt min/avg/max = 0.500/1.000/1.500 ms"), "{text}");
 }

@@ -18,5 +18,5 @@ fn a_graph_has_each_adjacency_once_and_says_which_are_one_sided() {
     assert!(dot.contains("label = \"7\"") && dot.contains("this one"), "{dot}");
     let dashed: Vec<_> = dot.lines().filter(|line| line.contains("dashed")).collect();
     assert!(dashed.len() == 1 && dashed[0].contains("label = \"9\""), "{dot}");
-    assert!(describe(&reply).contains("this one"));
+    assert!(describe(&reply).concat().contains("this one"));
 }

@@ -7,7 +7,7 @@ fn a_path_is_told_hop_by_hop() {
     let name = |i: u8| Name::from_bytes([i; 32]);
     let beyond = json!([{"domain": name(8), "switch": name(9)}]);
     let domain = |depth, outcome, inside| {
-        let reason = "it says\x1b so";
+        let reason = "it says so";
         json!({
             "depth": depth, "domain": name(8), "switch": name(9), "rtt_us": if depth == 1 { Some(300) } else { None },
             "outcome": outcome, "reason": reason, "inside": inside,
@@ -27,8 +27,8 @@ fn a_path_is_told_hop_by_hop() {
         {"hop": 1, "switch": null, "rtt_us": null, "end": null},
         {"hop": 2, "switch": name(3), "rtt_us": 1234, "end": {"links": 1, "beyond": beyond}},
     ], "domains": domains})];
-    let text = describe(&name(7), &paths);
-    let lines: Vec<_> = text.lines().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
+    let lines = describe(&name(7), &paths);
+    let lines: Vec<_> = lines.iter().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
     assert_eq!(lines[1], format!("0 {:#} this switch", name(1)));
     assert_eq!(lines[2], "1 * no answer");
     assert_eq!(
