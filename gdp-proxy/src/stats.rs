@@ -40,7 +40,7 @@ reasons! {
         Malformed = "malformed",
         /// A remote message is one that this proxy sent, or another in the same ROS graph.
         Own = "own",
-        /// A reliable local subscriber does not keep up.
+        /// The sockets of this host do not take messages as fast as they come.
         Stalled = "stalled",
         /// DDS did not take the message.
         WriteFailed = "write_failed",

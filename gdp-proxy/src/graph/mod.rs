@@ -82,7 +82,7 @@ pub struct Arrived {
 pub enum WriteError {
     #[error("not a CDR encapsulation that ROS 2 uses")]
     Malformed,
-    #[error("a reliable subscriber of the topic does not keep up")]
+    #[error("the sockets of this host do not take messages as fast as they come")]
     Stalled,
     #[error("{0}")]
     Failed(String),

@@ -9,11 +9,11 @@ use gdp_ros::roster::Offer;
 /// Messages that RustDDS keeps of a topic it reads, whatever their size. They are taken out at once, so few will do.
 const READER_SAMPLES: u16 = 32;
 
-/// Messages a writer may have under way to reliable readers: what a reader that died holds back until DDS notices.
+/// Messages a writer keeps for reliable readers that have not acknowledged them, if its depth is not greater. The next
+/// one replaces the oldest, so a reader that died takes nothing from the others.
 const WRITER_SAMPLES: u16 = 256;
 
-/// How long a write may wait for a reliable reader that does not keep up. Short, because the other readers of the topic
-/// wait with it.
+/// How long a write may wait for the sockets of this host.
 const MAX_BLOCKING: rustdds::Duration = rustdds::Duration::from_millis(20);
 
 /// What a ROS 2 node states for a publisher or subscription. The default is ROS 2's own: reliable, volatile, depth 10.
@@ -110,7 +110,7 @@ pub(super) fn writer(offers: &Offer) -> QosPolicies {
 }
 
 /// Resource limits are stated although ROS 2 states none: RustDDS would otherwise keep up to 8192 messages that a
-/// stalled reliable reader has not acknowledged.
+/// reliable reader has not acknowledged.
 fn builder(offers: &Offer, samples: u16) -> QosPolicyBuilder {
     let reliability = match offers.reliable {
         true => policy::Reliability::Reliable { max_blocking_time: MAX_BLOCKING },

@@ -210,7 +210,7 @@ pub struct RawWriter {
 /// Why a message was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
-    #[error("a reliable reader of the topic does not keep up")]
+    #[error("the sockets of this host do not take messages as fast as they come")]
     Stalled,
     #[error("the DDS writer failed: {0}")]
     Failed(String),
@@ -235,7 +235,7 @@ impl RawWriter {
     }
 
     /// Writes one message as of `timestamp_ns` (nanoseconds since 1970), which readers see as its source timestamp.
-    /// Waits a bounded time for reliable readers that do not keep up.
+    /// Waits a bounded time for the sockets of this host.
     pub async fn write(&mut self, sample: RawSample, timestamp_ns: u64) -> Result<(), WriteError> {
         // A best-effort writer waits as well, rather than to throw away unseen what it has not sent yet.
         let options = WriteOptionsBuilder::new().source_timestamp(timestamp(timestamp_ns)).best_effort_may_block(true);

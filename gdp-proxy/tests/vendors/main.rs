@@ -135,6 +135,33 @@ async fn large_messages_come_from_both_vendors() {
     }
 }
 
+/// As the history policy KEEP_LAST says (DDS 1.4, 2.2.3.18), which is that of ROS 2: it replaces, and does not wait.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_reliable_listener_that_was_killed_or_stopped_takes_nothing_from_the_others() {
+    const MESSAGES: i64 = 4000;
+    for (index, signal) in [libc::SIGKILL, libc::SIGSTOP].into_iter().enumerate() {
+        let id = self::domain(13 + index as u16);
+        let domain = Domain::join(id, "gdp_proxy_test").unwrap();
+        let mut writer = domain.writer(&topic(), &string(), &Qos::default().into()).unwrap();
+        let depth = MESSAGES.to_string();
+        let mut healthy = Peer::topic(Vendor::FastDds, "listen", id, &["--depth", &depth]);
+        let mut lost = Peer::topic(Vendor::Cyclone, "listen", id, &[]);
+        warm_up(&mut writer, &mut healthy).await;
+        warm_up(&mut writer, &mut lost).await;
+        lost.signal(signal);
+
+        let mut ticks = tokio::time::interval(Duration::from_millis(1));
+        for sequence in 0..MESSAGES {
+            ticks.tick().await;
+            writer.write(message(sequence, 64), 0).await.unwrap_or_else(|error| panic!("message {sequence}: {error}"));
+        }
+        for sequence in 0..MESSAGES {
+            assert_eq!(healthy.message().await["seq"], sequence);
+        }
+        domain.leave().await;
+    }
+}
+
 const LARGE: [usize; 3] = [1_000_000, 3_000_000, 10_000_000];
 
 async fn service_both_ways(vendor: Vendor, id: u16) {
@@ -203,14 +230,17 @@ async fn warm_up(writer: &mut RawWriter, listener: &mut Peer) {
     .await;
 }
 
-/// A message as the programs write and check it (`tests/peers/README.md`).
 async fn write(writer: &mut RawWriter, sequence: i64, size: usize) {
+    let sample = message(sequence, size);
+    // The sockets of a busy machine hold the writer back.
+    within("room for a message", async { while writer.write(sample.clone(), 0).await.is_err() {} }).await;
+}
+
+/// A message as the programs write and check it (`tests/peers/README.md`).
+fn message(sequence: i64, size: usize) -> RawSample {
     let filler = "x".repeat(size - 43);
     let text = format!("{sequence:010} {:020} {:010} {filler}\0", 0, crc32fast::hash(filler.as_bytes()));
-    let body = [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
-    let sample = cdr(&body);
-    // A reader that does not keep up on a busy machine holds the writer back.
-    within("room for a message", async { while writer.write(sample.clone(), 0).await.is_err() {} }).await;
+    cdr(&[&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat())
 }
 
 /// The sequence number and the bytes of the string.

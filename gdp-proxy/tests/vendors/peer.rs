@@ -98,6 +98,12 @@ impl Peer {
         tokio::time::timeout(limit, self.event("message")).await.is_ok()
     }
 
+    pub fn signal(&self, signal: libc::c_int) {
+        let pid = self.child.id().expect("it runs") as libc::pid_t;
+        // SAFETY: no pointers; the child is ours and not reaped yet.
+        assert_eq!(unsafe { libc::kill(pid, signal) }, 0);
+    }
+
     /// Ends it without a goodbye.
     pub async fn kill(mut self) {
         self.child.kill().await.unwrap();

@@ -93,8 +93,8 @@ impl Server {
         self.replies.lock().await.writer.settle().await;
     }
 
-    /// Answers a request of a client, in the mapping that it came in. Waits a bounded time for clients that do not keep up, or whose reader is not
-    /// discovered yet.
+    /// Answers a request of a client, in the mapping that it came in. Waits a bounded time for the sockets of this host,
+    /// or for a client whose reader is not discovered yet.
     pub async fn respond(&self, id: &RequestId, client: &ClientLife, reply: RawSample) -> Result<(), WriteError> {
         let options = WriteOptionsBuilder::new();
         let (sample, options) = match id.0 {
