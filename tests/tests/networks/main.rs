@@ -18,6 +18,7 @@ mod kernel_planes;
 mod link;
 mod links;
 mod liveness;
+mod local_dds;
 mod logs;
 mod losses;
 mod malicious;

@@ -1,0 +1,340 @@
+//! What DDS sends where a proxy is in the graph: user data stays on the host of its nodes, in as many copies as there are
+//! readers. Between proxies it is sealed.
+//!
+//! ```text
+//!   arm ── in0 robot up0 ── e0 cloud: proxy, nodes of another domain
+//!              lo: nodes, proxy, daemon
+//! ```
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::PipeWriter;
+use std::os::fd::AsRawFd;
+use std::path::PathBuf;
+use std::process::Command;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use gdp_tests::Tools;
+use gdp_tests::fabric::{Authority, Switch, TOPIC, TYPE};
+use gdp_tests::netns::{End, Namespace, veth};
+use gdp_tests::packet::{ETHERNET, PacketSocket};
+use gdp_tests::process::Process;
+use gdp_tests::wait::{PATIENCE, wait_for};
+use serde_json::{Value, json};
+
+use crate::logs::foreign_lines;
+
+/// The topic that crosses from the cloud to the robot.
+const COMMANDS: &str = "/commands";
+
+/// What a message says; nothing else on the network says it.
+const TEXT: &str = "for nodes of this graph alone";
+
+/// Bytes before the text: sequence number, clock and checksum (`tests/peers/README.md`).
+const HEAD: usize = 43;
+
+#[test]
+fn messages_of_a_robot_stay_on_loopback_once_each() -> Result<()> {
+    for vendor in [Vendor::Rclpy, Vendor::FastDds, Vendor::Cyclone] {
+        let mut site = Site::build()?;
+        let mut talker =
+            site.talk(vendor, &site.robot, 0, TOPIC, &["--count", "100", "--rate", "50", "--size", "200"])?;
+        let mut listener = site.listen(Vendor::Cyclone, &site.cloud, 1, TOPIC)?;
+        let counts = site.copies_until_heard(&mut talker, &mut [&mut listener], 100)?;
+        counts.check(100, 1).with_context(|| format!("{vendor:?}: {counts:?}\n{}", site.report()))?;
+    }
+    Ok(())
+}
+
+#[test]
+fn messages_for_a_robot_stay_on_loopback_once_for_each_subscriber() -> Result<()> {
+    let mut site = Site::build()?;
+    let vendors = [Vendor::Rclpy, Vendor::FastDds, Vendor::Cyclone];
+    let mut listeners = Vec::new();
+    for vendor in vendors {
+        listeners.push(site.listen(vendor, &site.robot, 0, COMMANDS)?);
+    }
+    let options = ["--count", "100", "--rate", "50", "--size", "200"];
+    let mut talker = site.talk(Vendor::FastDds, &site.cloud, 1, COMMANDS, &options)?;
+    let mut all: Vec<_> = listeners.iter_mut().collect();
+    let counts = site.copies_until_heard(&mut talker, &mut all, 100)?;
+    counts.check(100, vendors.len()).with_context(|| format!("{counts:?}\n{}", site.report()))
+}
+
+/// On a network whose switch or driver repeats datagrams, or where DDS repairs what was only late.
+#[test]
+fn a_large_reliable_topic_goes_on_where_every_datagram_comes_twice() -> Result<()> {
+    const MESSAGES: u64 = 200;
+    let mut site = Site::build()?;
+    let _doubler = Doubler::start(&site.robot)?;
+    let mut listener = site.listen(Vendor::FastDds, &site.cloud, 1, TOPIC)?;
+    let options = ["--count", "200", "--rate", "20", "--size", "1000000"];
+    let mut talker = site.talk(Vendor::FastDds, &site.robot, 0, TOPIC, &options)?;
+    fs::write(site.gate(), "")?;
+    talker.wait_event("done", PATIENCE)?;
+    let crossed = || site.stats("robot")["topics"][0]["messages"].as_u64().unwrap_or(0);
+    wait_for("all messages", Duration::from_secs(20), || Ok((crossed() >= MESSAGES).then_some(())))
+        .with_context(|| format!("{} of {MESSAGES}; {}", crossed(), site.stats("robot")["topics"][0]))?;
+
+    // The proxy at the other end has written large messages.
+    listener.wait_event("message", PATIENCE).with_context(|| site.report())?;
+    for proxy in &mut site.proxies {
+        ensure!(proxy.stop(PATIENCE)?.success(), "{}", proxy.report());
+        let log = proxy.stderr();
+        ensure!(foreign_lines(&log).is_empty(), "{log}");
+    }
+    Ok(())
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Vendor {
+    /// A newer Fast DDS.
+    Rclpy,
+    FastDds,
+    Cyclone,
+}
+
+/// Copies of each message, by sequence number.
+type Copies = BTreeMap<i64, usize>;
+
+#[derive(Debug)]
+struct Counts {
+    loopback: Copies,
+    uplink: Copies,
+    arm: Copies,
+}
+
+impl Counts {
+    fn check(&self, messages: i64, copies: usize) -> Result<()> {
+        ensure!(self.uplink.is_empty(), "messages in clear on the uplink");
+        ensure!(self.arm.is_empty(), "messages on an interface without readers");
+        let expected: Copies = (0..messages).map(|sequence| (sequence, copies)).collect();
+        ensure!(self.loopback == expected, "not {copies} copies on loopback");
+        Ok(())
+    }
+}
+
+/// Dropping it ends the programs, then removes the namespaces and files.
+struct Site {
+    proxies: Vec<Process>,
+    _switch: Switch,
+    robot: Namespace,
+    arm: Namespace,
+    cloud: Namespace,
+    tools: Tools,
+    folder: tempfile::TempDir,
+}
+
+impl Site {
+    fn build() -> Result<Self> {
+        let tools = Tools::beside_this_test()?;
+        let [robot, arm, cloud] = [Namespace::create("robot")?, Namespace::create("arm")?, Namespace::create("cloud")?];
+        for (i, (interface, other)) in [("up0", &cloud), ("in0", &arm)].into_iter().enumerate() {
+            let mac = |end| [2, 0, 0, 5, end, i as u8];
+            let near = End { namespace: &robot, interface, mac: mac(0) };
+            veth(&near, &End { namespace: other, interface: "e0", mac: mac(1) }, 1500)?;
+            robot.ip(&["addr", "add", &format!("10.77.{i}.2/24"), "dev", interface])?;
+            other.ip(&["addr", "add", &format!("10.77.{i}.3/24"), "dev", "e0"])?;
+        }
+        // As on a host with a default route, and on the far side as where DDS is kept on the host.
+        robot.ip(&["route", "add", "default", "via", "10.77.0.3"])?;
+        cloud.enable_loopback_multicast()?;
+
+        let folder = tempfile::Builder::new().prefix("gdp-local-dds-").tempdir()?;
+        let authority = Authority { tools: &tools, folder: folder.path() };
+        let name = authority.switch("s1")?;
+        let config = json!({"interfaces": [], "udp": "0.0.0.0:31415", "data_plane": "userspace", "rib": true});
+        let switch = Switch::start(&tools, &robot, folder.path(), ("s1", &name), config)?;
+        wait_for("the switch", PATIENCE, || Ok(switch.ctl(&tools, &["status"]).ok()))?;
+        authority.topic()?;
+        authority.name("topic", COMMANDS, TYPE, "commands.card")?;
+        let mut site = Self { proxies: Vec::new(), _switch: switch, robot, arm, cloud, tools, folder };
+        for (i, (label, to)) in [("robot", "udp://127.0.0.1"), ("cloud", "udp://10.77.0.2")].into_iter().enumerate() {
+            let proxy = site.proxy(label, i, to)?;
+            site.proxies.push(proxy);
+        }
+        Ok(site)
+    }
+
+    /// The one of the robot publishes [`TOPIC`] and reads [`COMMANDS`], the other one the reverse.
+    fn proxy(&self, label: &str, domain: usize, link: &str) -> Result<Process> {
+        let authority = Authority { tools: &self.tools, folder: self.folder.path() };
+        let entity = authority.proxy(label)?;
+        let topics = [("chatter", TOPIC), ("commands", COMMANDS)].into_iter().enumerate().map(|(i, (file, topic))| {
+            let (direction, key, right) =
+                if i == domain { ("out", "cert", "--publish") } else { ("in", "grant", "--read") };
+            authority.hand(label, &entity, &[right], file)?;
+            let (card, cert) = (format!("{file}.card"), format!("{file}.cert"));
+            Ok(json!({"topic": topic, "direction": direction, "card": card, (key): cert}))
+        });
+        let config = json!({
+            "version": 1, "identity": "key.pem", "links": [{"to": link}],
+            "graphs": {"ros2": {"domain_id": domain}}, "topics": topics.collect::<Result<Vec<_>>>()?,
+        });
+        let path = self.folder.path().join(label).join("proxy.yaml");
+        // JSON is YAML.
+        fs::write(&path, config.to_string())?;
+        let at = if domain == 0 { &self.robot } else { &self.cloud };
+        let mut command = at.command(self.tools.gdp_proxy()?)?;
+        command.arg("--config").arg(path).arg("--stats").arg(self.stats_file(label));
+        Process::spawn(&format!("{label}-proxy"), command, self.folder.path())
+    }
+
+    fn talk(&self, vendor: Vendor, at: &Namespace, domain: u16, topic: &str, options: &[&str]) -> Result<Process> {
+        let mut command = self.peer(vendor, at, "talk", domain, topic)?;
+        command.args(["--text", TEXT]).args(options).arg("--gate").arg(self.gate());
+        Process::spawn("talker", command, self.folder.path())
+    }
+
+    fn listen(&self, vendor: Vendor, at: &Namespace, domain: u16, topic: &str) -> Result<Process> {
+        let command = self.peer(vendor, at, "listen", domain, topic)?;
+        Process::spawn(&format!("{vendor:?}-listener"), command, self.folder.path())
+    }
+
+    fn peer(&self, vendor: Vendor, at: &Namespace, verb: &str, domain: u16, topic: &str) -> Result<Command> {
+        let (domain, dds) = (domain.to_string(), format!("rt{topic}"));
+        let command = match vendor {
+            Vendor::FastDds => at.command(self.tools.fastdds()?)?,
+            Vendor::Cyclone | Vendor::Rclpy => at.command(self.tools.python()?)?,
+        };
+        let mut command = command;
+        match vendor {
+            Vendor::FastDds => command.args([verb, "--domain", &domain, "--topic", &dds]),
+            Vendor::Cyclone => command.arg(self.tools.cyclone()).args([verb, "--domain", &domain, "--topic", &dds]),
+            Vendor::Rclpy => {
+                command.arg(self.tools.peer("rclpy_topic.py")).args([verb, "--topic", topic]);
+                command.env("ROS_DOMAIN_ID", domain).env("ROS_LOG_DIR", self.folder.path());
+                // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared memory.
+                command.env("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+            }
+        };
+        Ok(command)
+    }
+
+    /// Looks at the interfaces while the talker sends its messages, until all listeners have the last one.
+    fn copies_until_heard(
+        &mut self,
+        talker: &mut Process,
+        listeners: &mut [&mut Process],
+        messages: i64,
+    ) -> Result<Counts> {
+        for listener in listeners.iter_mut() {
+            listener.wait_event("message", PATIENCE).with_context(|| self.report())?;
+        }
+        let sockets = [(&self.robot, "lo"), (&self.cloud, "e0"), (&self.arm, "e0")];
+        let sockets = sockets.map(|(at, interface)| PacketSocket::open(at, interface));
+        let [loopback, uplink, arm] = sockets;
+        let sockets = [loopback?, uplink?, arm?];
+        sockets.iter().try_for_each(|socket| socket.set_receive_buffer(64 << 20))?;
+        fs::write(self.gate(), "")?;
+        talker.wait_event("done", PATIENCE)?;
+        for listener in listeners.iter_mut() {
+            let last = |p: &Process| p.json_lines().iter().any(|line| line["seq"] == messages - 1).then_some(());
+            listener.wait_until("the last message", PATIENCE, last)?;
+        }
+        let [loopback, uplink, arm] = sockets.each_ref().map(copies);
+        Ok(Counts { loopback: loopback?, uplink: uplink?, arm: arm? })
+    }
+
+    /// Talkers send warm-up messages until it exists.
+    fn gate(&self) -> PathBuf {
+        self.folder.path().join("gate")
+    }
+
+    fn stats_file(&self, label: &str) -> PathBuf {
+        self.folder.path().join(label).join("stats.json")
+    }
+
+    fn stats(&self, label: &str) -> Value {
+        let text = fs::read(self.stats_file(label)).unwrap_or_default();
+        serde_json::from_slice(&text).unwrap_or_default()
+    }
+
+    fn report(&self) -> String {
+        self.proxies.iter().map(Process::report).collect::<Vec<_>>().join("\n")
+    }
+}
+
+/// The messages in the frames that have come so far.
+fn copies(socket: &PacketSocket) -> Result<Copies> {
+    let mut copies = Copies::new();
+    let mut buffer = vec![0; 1 << 17];
+    while let Some(length) = socket.try_receive(&mut buffer)? {
+        let frame = &buffer[..length];
+        let Some(text) = frame.windows(TEXT.len()).position(|bytes| bytes == TEXT.as_bytes()) else { continue };
+        let head = text.checked_sub(HEAD).and_then(|start| frame.get(start..)).context("a message without a head")?;
+        let sequence: i64 = std::str::from_utf8(&head[..10])?.parse()?;
+        if sequence >= 0 {
+            *copies.entry(sequence).or_default() += 1;
+        }
+    }
+    ensure!(socket.dropped()? == 0, "frames were not seen");
+    Ok(copies)
+}
+
+/// Sends each datagram to a user data port on a loopback interface a second time, until it is dropped.
+struct Doubler {
+    thread: Option<JoinHandle<Result<()>>>,
+    /// Closing it is what ends the thread.
+    running: Option<PipeWriter>,
+}
+
+impl Doubler {
+    fn start(at: &Namespace) -> Result<Self> {
+        let socket = Arc::new(PacketSocket::open(at, "lo")?);
+        socket.set_receive_buffer(64 << 20)?;
+        let (stopped, running) = std::io::pipe()?;
+        let thread = std::thread::spawn(move || {
+            let mut buffer = vec![0; 1 << 17];
+            loop {
+                let mut polls = [socket.as_raw_fd(), stopped.as_raw_fd()].map(readable);
+                // SAFETY: two live pollfds.
+                unsafe { libc::poll(polls.as_mut_ptr(), polls.len() as libc::nfds_t, -1) };
+                if polls[1].revents != 0 {
+                    return Ok(());
+                }
+                while let Some(length) = socket.try_receive(&mut buffer)? {
+                    if mark_copy(&mut buffer[..length]) {
+                        socket.send(&buffer[..length])?;
+                    }
+                }
+            }
+        });
+        Ok(Self { thread: Some(thread), running: Some(running) })
+    }
+}
+
+impl Drop for Doubler {
+    fn drop(&mut self) {
+        self.running = None;
+        match self.thread.take().map(JoinHandle::join) {
+            Some(Ok(Ok(()))) | None => {}
+            Some(failed) => eprintln!("the doubler: {failed:?}"),
+        }
+    }
+}
+
+fn readable(fd: i32) -> libc::pollfd {
+    libc::pollfd { fd, events: libc::POLLIN, revents: 0 }
+}
+
+/// Whether it is a first datagram to the user data port of the first participants of domain 0; then makes it a copy.
+fn mark_copy(frame: &mut [u8]) -> bool {
+    /// Of the source address, which is zero on a loopback interface.
+    const MARK: usize = 6;
+    const UDP: usize = ETHERNET + 20;
+    const PORTS: std::ops::Range<u16> = 7411..7431;
+    let Some(udp) = frame.get(UDP..UDP + 8) else { return false };
+    let port = u16::from_be_bytes([udp[2], udp[3]]);
+    let is_udp = frame[12..14] == [8, 0] && i32::from(frame[ETHERNET + 9]) == libc::IPPROTO_UDP;
+    if !is_udp || frame[MARK] != 0 || !PORTS.contains(&port) || port % 2 == 0 {
+        return false;
+    }
+    frame[MARK] = 2;
+    // None: the kernel leaves that of loopback to whoever sends it on.
+    frame[UDP + 6..UDP + 8].fill(0);
+    true
+}
