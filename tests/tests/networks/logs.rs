@@ -121,12 +121,17 @@ fn a_normal_start_and_stop_logs_nothing_of_other_crates() -> Result<()> {
         for process in [&daemon, &proxy] {
             let log = process.stderr();
             ensure!(!log.is_empty(), "it logs nothing at all");
-            let is_ours = |line: &str| line.split_whitespace().nth(2).is_some_and(|target| target.starts_with("gdp"));
-            let foreign: Vec<_> = log.lines().filter(|line| !is_ours(line)).collect();
+            let foreign = foreign_lines(&log);
             ensure!(foreign.is_empty(), "{foreign:#?}");
         }
     }
     Ok(())
+}
+
+/// Those of other crates than this project's.
+pub fn foreign_lines(log: &str) -> Vec<&str> {
+    let is_ours = |line: &&str| line.split_whitespace().nth(2).is_some_and(|target| target.starts_with("gdp"));
+    log.lines().filter(|line| !is_ours(line)).collect()
 }
 
 /// A pipe that takes nothing more, as long as its first end is not dropped.
