@@ -16,7 +16,7 @@ use anyhow::{Result, bail};
 
 use self::sources::Source;
 
-/// How many findings of one rule are printed without `--all`.
+/// How many findings of a rule over its limit are printed without `--all`.
 const SHOWN: usize = 20;
 
 #[derive(clap::Args)]
@@ -29,6 +29,8 @@ pub struct Options {
 /// One rule and everything that breaks it.
 struct Rule {
     name: &'static str,
+    /// Findings that the tree had when the rule began to hold. To be lowered with every finding that is removed.
+    limit: usize,
     findings: Vec<String>,
 }
 
@@ -36,36 +38,57 @@ pub fn run(options: Options) -> Result<()> {
     let product: HashMap<PathBuf, Source> =
         sources::product()?.into_iter().map(|source| (source.path.clone(), source)).collect();
     let rules = [
-        Rule { name: "files of one crate import each other in a circle", findings: circles(&product) },
-        Rule { name: "a product file has more than 500 lines", findings: lines::long_files(&product) },
-        Rule { name: "test code lies in a product's src", findings: lines::tests_in_product(&product) },
-        Rule { name: "a line is too wide (code 120, comments and documents 100)", findings: lines::wide_lines()? },
+        Rule { name: "files of one crate import each other in a circle", limit: 16, findings: circles(&product) },
+        Rule { name: "a product file has more than 500 lines", limit: 10, findings: lines::long_files(&product) },
+        Rule { name: "test code lies in a product's src", limit: 0, findings: lines::tests_in_product(&product) },
+        Rule {
+            name: "a line is too wide (code 120, comments and documents 100)",
+            limit: 0,
+            findings: lines::wide_lines()?,
+        },
         Rule {
             name: "a file's or item's first sentence is missing or over 25 words",
+            limit: 0,
             findings: prose::findings(&product),
         },
-        Rule { name: "a document's sentence has more than 25 words", findings: prose::documents()? },
-        Rule { name: "a type name is defined more than three times", findings: names::repeated_types(&product) },
-        Rule { name: "a word of the list that may not come back", findings: names::retired_words(&product) },
-        Rule { name: "the facade shows more than 60 items", findings: facade::findings(&product) },
-        Rule { name: "a crate depends on what it must not", findings: dependencies::findings()? },
+        Rule { name: "a document's sentence has more than 25 words", limit: 0, findings: prose::documents()? },
+        Rule {
+            name: "a type name is defined more than three times",
+            limit: 44,
+            findings: names::repeated_types(&product),
+        },
+        Rule {
+            name: "a word of the list that may not come back",
+            limit: 463,
+            findings: names::retired_words(&product),
+        },
+        Rule { name: "the facade shows more than 60 items", limit: 1, findings: facade::findings(&product) },
+        Rule { name: "a crate depends on what it must not", limit: 0, findings: dependencies::findings()? },
     ];
     for rule in &rules {
         rule.print(options.all);
     }
     println!("{} product files, {} lines", product.len(), lines::count(&product));
-    match rules.iter().filter(|rule| !rule.findings.is_empty()).count() {
+    match rules.iter().filter(|rule| rule.findings.len() > rule.limit).count() {
         0 => Ok(()),
-        broken => bail!("{broken} of {} rules are broken", rules.len()),
+        broken => bail!("{broken} of {} rules have more findings than their limit", rules.len()),
     }
 }
 
 impl Rule {
     fn print(&self, all: bool) {
-        println!("{:5}  {}", self.findings.len(), self.name);
-        let shown = if all { self.findings.len() } else { SHOWN };
+        println!("{:5} of {:<4} {}", self.findings.len(), self.limit, self.name);
+        if self.findings.len() < self.limit {
+            println!("         lower the limit in xtask/src/check/mod.rs to {}", self.findings.len());
+        }
+        // What is within the limit has been there before.
+        let shown = match self.findings.len() > self.limit {
+            _ if all => self.findings.len(),
+            true => SHOWN,
+            false => 0,
+        };
         self.findings.iter().take(shown).for_each(|finding| println!("         {finding}"));
-        if self.findings.len() > shown {
+        if shown > 0 && self.findings.len() > shown {
             println!("         … (--all prints every one)");
         }
     }
