@@ -5,9 +5,11 @@
 
 mod chain;
 mod federation;
+mod options;
 mod route;
 mod story;
 
+pub use crate::demo::options::Options;
 use anyhow::{Result, bail, ensure};
 use gdp_tests::{netns, wait};
 use serde::Serialize;
@@ -17,27 +19,6 @@ use crate::build::{self, Executables};
 use crate::peers as peer_programs;
 use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
-
-#[derive(clap::Args)]
-pub struct Options {
-    /// Robot, three switches and cloud in a row, instead of the paper's Figure 4
-    #[arg(long)]
-    chain: bool,
-    /// How long messages flow
-    #[arg(long, default_value_t = 15)]
-    seconds: u64,
-    /// One JSON object on stdout instead of a story
-    #[arg(long)]
-    json: bool,
-    /// Messages per second
-    #[arg(long, default_value_t = 50.0)]
-    rate: f64,
-    /// Bytes of a message
-    #[arg(long, default_value_t = 64)]
-    size: usize,
-}
-
-const TEXT: &str = "hello from the robot";
 
 pub fn run(options: Options) -> Result<()> {
     ensure!(options.seconds > 0 && options.rate > 0.0, "--seconds and --rate must be above zero");

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::fmt;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Names a file to load instead of the embedded object; for development and tests.
@@ -34,10 +35,16 @@ impl Object {
     }
 
     /// The ELF file.
-    pub fn bytes(&self) -> std::io::Result<Cow<'static, [u8]>> {
+    ///
+    /// # Errors
+    /// If a named file cannot be read. The error says how to do without one.
+    pub fn bytes(&self) -> io::Result<Cow<'static, [u8]>> {
         match self {
             Self::Embedded(bytes) => Ok(Cow::Borrowed(bytes)),
-            Self::File(path) => std::fs::read(path).map(Cow::Owned),
+            Self::File(path) => std::fs::read(path).map(Cow::Owned).map_err(|error| {
+                let remedy = "name no file, and `cargo xtask build` puts the XDP programs inside the executable";
+                io::Error::new(error.kind(), format!("{error}; {remedy}"))
+            }),
         }
     }
 }

@@ -9,6 +9,7 @@ pub mod feed;
 pub mod figures;
 pub mod fill;
 pub mod given;
+pub mod item;
 pub mod keyring;
 pub mod python;
 pub mod view;

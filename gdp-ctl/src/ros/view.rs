@@ -3,7 +3,7 @@
 use gdp_msg::{Base, Count, Definition, Dialect, Scalar, Schema, TypeName};
 use serde_json::Value;
 
-use super::yaml::Item;
+use crate::ros::item::Item;
 
 /// A message, or a field of one.
 #[derive(Clone, Copy)]

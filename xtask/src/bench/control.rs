@@ -13,7 +13,7 @@ pub struct Options {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    rows: super::Rows,
+    rows: super::program::Rows,
     /// Whatever is compared is measured this often, in turn
     #[arg(long, default_value_t = 3)]
     rounds: u32,
@@ -26,10 +26,10 @@ pub struct Options {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let mut command = super::target("control")?;
+    let mut command = super::program::target("control")?;
     build::executables(Executables::All, Profile::Dist, false)?;
     options.rows.pass(&mut command);
     command.args(["--names", &options.names.to_string()]);
-    super::pass(&mut command, options.rounds, options.milliseconds, options.json);
+    super::program::pass(&mut command, options.rounds, options.milliseconds, options.json);
     shell::run(&mut command)
 }

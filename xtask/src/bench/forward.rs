@@ -11,7 +11,7 @@ pub struct Options {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    rows: super::Rows,
+    rows: super::program::Rows,
     /// Whatever is compared is measured this often, in turn
     #[arg(long, default_value_t = 7)]
     rounds: u32,
@@ -21,11 +21,11 @@ pub struct Options {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let mut command = super::target("forward")?;
+    let mut command = super::program::target("forward")?;
     build::ebpf_untagged()?;
     command.arg("--untagged-object").arg(workspace::ebpf_untagged_object());
     command.arg("--bench-object").arg(workspace::ebpf_bench_object());
     options.rows.pass(&mut command);
-    super::pass(&mut command, options.rounds, options.milliseconds, options.json);
+    super::program::pass(&mut command, options.rounds, options.milliseconds, options.json);
     shell::run(&mut command)
 }

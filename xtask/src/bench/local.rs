@@ -19,7 +19,7 @@ pub struct Options {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let mut command = super::target("local")?;
-    super::pass(&mut command, options.rounds, options.milliseconds, options.json);
+    let mut command = super::program::target("local")?;
+    super::program::pass(&mut command, options.rounds, options.milliseconds, options.json);
     shell::run(&mut command)
 }

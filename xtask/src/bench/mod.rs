@@ -6,16 +6,11 @@ mod control;
 mod forward;
 mod latency;
 mod local;
+mod program;
 mod ros;
 mod transport;
 
-use std::process::Command;
-
-use anyhow::{Result, bail};
-
-use crate::setup::{self, Purpose};
-use crate::workspace::{self, Profile};
-use crate::{build, shell};
+use anyhow::Result;
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -48,47 +43,4 @@ pub fn run(options: Options) -> Result<()> {
         Figure::Ros(options) => ros::run(options),
         Figure::Transport(options) => transport::run(options),
     }
-}
-
-/// How often and how long to measure, and how to show it.
-fn pass(command: &mut Command, rounds: u32, milliseconds: u64, json: bool) {
-    command.args(["--rounds", &rounds.to_string(), "--milliseconds", &milliseconds.to_string()]);
-    if json {
-        command.arg("--json");
-    }
-}
-
-/// Which rows to measure, and whether to draw them.
-#[derive(clap::Args)]
-struct Rows {
-    /// Only this row of the figures (can be given several times); an unknown one lists all
-    #[arg(long, value_name = "ROW")]
-    only: Vec<String>,
-    /// Draw the plots in docs/plots anew
-    #[arg(long)]
-    plots: bool,
-}
-
-impl Rows {
-    fn pass(&self, command: &mut Command) {
-        for row in &self.only {
-            command.args(["--only", row]);
-        }
-        if self.plots {
-            command.arg("--plots").arg(workspace::root().join("docs/plots"));
-        }
-    }
-}
-
-/// A bench target of `gdp-tests`, which runs as root in namespaces and is given the XDP switch.
-fn target(name: &str) -> Result<Command> {
-    if !workspace::is_root() {
-        bail!("network namespaces need root");
-    }
-    setup::ensure(Purpose::Bench)?;
-    build::ebpf()?;
-    let mut command = shell::cargo();
-    command.args(["bench", "--profile", Profile::Dist.name(), "--workspace", "--bench", name, "--"]);
-    command.arg("--ebpf-object").arg(workspace::ebpf_object());
-    Ok(command)
 }

@@ -11,7 +11,7 @@ pub struct Options {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    rows: super::Rows,
+    rows: super::program::Rows,
     /// Whatever is compared is measured this often, in turn
     #[arg(long, default_value_t = 7)]
     rounds: u32,
@@ -21,8 +21,8 @@ pub struct Options {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let mut command = super::target("transport")?;
+    let mut command = super::program::target("transport")?;
     options.rows.pass(&mut command);
-    super::pass(&mut command, options.rounds, options.milliseconds, options.json);
+    super::program::pass(&mut command, options.rounds, options.milliseconds, options.json);
     shell::run(&mut command)
 }

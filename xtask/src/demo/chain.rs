@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use super::route::{self, Hop};
 use super::story::{Latency, Seen, Story, text};
-use super::{Options, TEXT};
+use crate::demo::options::{Options, TEXT};
 use crate::workspace::{self, Profile};
 
 /// What `--json` prints.

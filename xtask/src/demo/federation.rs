@@ -12,7 +12,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::story::{Latency, Seen, Story, arrived, text};
-use super::{Options, TEXT};
+use crate::demo::options::{Options, TEXT};
 use crate::workspace::{self, Profile};
 
 /// What `--json` prints.

@@ -8,7 +8,7 @@ use gdp_tests::peers::{self, Received};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::TEXT;
+use crate::demo::options::TEXT;
 
 /// From a talker's `write` to a listener's callback, in microseconds.
 #[derive(Serialize)]

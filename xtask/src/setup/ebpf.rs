@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use gdp_tests::programs::{Program, own};
 
-use super::home;
+use crate::setup::paths::home;
 use crate::shell;
 
 /// The compiler for the eBPF target. Compiler and `bpf-linker` must share an LLVM major, so each comes as a pair.

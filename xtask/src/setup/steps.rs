@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use gdp_tests::programs::{Executable as _, Program};
 
-use super::Part;
 use super::ebpf::{EbpfCompiler, bpf_linker_present};
+use crate::setup::purpose::Part;
 use crate::{shell, workspace};
 
 /// One thing that a machine may lack.

@@ -1,103 +1,28 @@
 //! Parts that entities of other domains have in names, as the RIBs of those domains tell. They are taken in like what is stated here,
 //! and routed over borders: by which, [`super::ways`] says. What is told on to other RIBs is in [`super::exports`].
 
+use crate::rib::remote_registrations::Foreign;
+use crate::rib::ways::Way;
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use gdp_core::cert::{CertError, Signed};
 use gdp_core::keys::KeyBox;
 use gdp_core::name::NameProof;
-use gdp_proto::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode};
+use gdp_proto::control::{NameRole, RecordPlace, Refusal, RefusalCode};
 use gdp_wire::Name;
 
-use super::inboxes::Place;
-use super::names::{Key, Party, Registration, Remote, shared};
 use super::statements::lifetime;
-use super::telling::Stake;
-use super::ways::{Changed, GRACE, Realm};
-use super::{Now, Rib, Timer, count_out, limit_reached, refusal};
-
-/// A part that an entity of another domain has in a name, as that domain's RIB told, or one between.
-#[derive(Clone, Debug)]
-pub struct Foreign {
-    pub record: Record,
-    /// Of which the record's switch is a member; the caller has verified that.
-    pub domain: Name,
-    /// The neighbouring domain it came from: the next on the way to `domain`, where that has no border with this one.
-    pub next: Name,
-    /// Domains it has passed, its own included: 1 if it came from its own.
-    pub hops: u32,
-    /// Of what the entity sends to the name, and to those it meets there, for whom this RIB knows.
-    pub boxes: Vec<Signed<KeyBox>>,
-    /// Entities of this domain may know it; otherwise it is only told on to other domains.
-    pub local: bool,
-}
-
-/// A link of a border switch into another domain.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Way {
-    /// This domain's switch.
-    pub border: Name,
-    /// The switch at the other end.
-    pub peer: Name,
-    pub cost: u32,
-}
-
-/// What is known of other domains besides the registrations in use.
-#[derive(Debug, Default)]
-pub(super) struct Abroad {
-    /// The names that entities of a realm have a part in, and how many parts.
-    names: BTreeMap<Realm, BTreeMap<Key, usize>>,
-    /// By place and neighbour: what would count if another one did not.
-    spare: BTreeMap<RecordPlace, BTreeMap<Name, (NameProof, Registration)>>,
-    /// How many records each neighbour has told of, in use or not.
-    told: HashMap<Name, usize>,
-    /// What other RIBs are still to be told of; none before anybody has asked.
-    pub(super) changed: Option<BTreeSet<RecordPlace>>,
-}
-
-impl Abroad {
-    pub fn enter(&mut self, registration: &Registration, name: Key) {
-        let Some(Remote { realm, .. }) = registration.abroad.as_deref().copied() else { return };
-        *self.names.entry(realm).or_default().entry(name).or_default() += 1;
-        *self.told.entry(realm.next).or_default() += 1;
-    }
-
-    pub fn leave(&mut self, registration: &Registration, name: &Key) {
-        let Some(Remote { realm, .. }) = registration.abroad.as_deref().copied() else { return };
-        count_out(&mut self.told, &realm.next, 1);
-        let Some(names) = self.names.get_mut(&realm) else { return };
-        let Some(parts) = names.get_mut(name) else { return };
-        *parts -= 1;
-        if *parts == 0 {
-            names.remove(name);
-        }
-        if names.is_empty() {
-            self.names.remove(&realm);
-        }
-    }
-
-    fn put_spare(&mut self, place: RecordPlace, next: Name, spare: (NameProof, Registration)) {
-        if self.spare.entry(place).or_default().insert(next, spare).is_none() {
-            *self.told.entry(next).or_default() += 1;
-        }
-    }
-
-    fn take_spare(&mut self, place: &RecordPlace, next: &Name) -> Option<(NameProof, Registration)> {
-        let spare = self.spare.get_mut(place)?;
-        let taken = spare.remove(next)?;
-        if spare.is_empty() {
-            self.spare.remove(place);
-        }
-        count_out(&mut self.told, next, 1);
-        Some(taken)
-    }
-
-    pub fn changed(&mut self, place: RecordPlace) {
-        self.changed.iter_mut().for_each(|changed| _ = changed.insert(place));
-    }
-}
+use super::ways::{Changed, GRACE};
+use super::{Rib, Timer};
+use crate::rib::model::Key;
+use crate::rib::model::Now;
+use crate::rib::model::Place;
+use crate::rib::model::Realm;
+use crate::rib::model::Stake;
+use crate::rib::model::{limit_reached, refusal};
+use crate::rib::registration::{Party, Registration, Remote, shared};
 
 impl Rib {
     /// Takes in, or replaces, what the neighbour `foreign.next` told of one place. Verified here but for the domain of its switch.

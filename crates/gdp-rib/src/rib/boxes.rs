@@ -9,12 +9,13 @@ use gdp_core::keys::KeyBox;
 use gdp_proto::control::{NameRole, Refusal, RefusalCode};
 use gdp_wire::Name;
 
-use super::inboxes::Place;
 use super::journal::{Item, Journal};
-use super::names::Key;
-use super::telling::Stake;
-use super::ways::At;
-use super::{Limits, count_out, limit_reached};
+use crate::rib::model::At;
+use crate::rib::model::Key;
+use crate::rib::model::Limits;
+use crate::rib::model::Place;
+use crate::rib::model::Stake;
+use crate::rib::model::{count_out, limit_reached};
 
 /// Epochs of one writer and name that are kept: the present one and the one before.
 const EPOCHS: usize = 2;

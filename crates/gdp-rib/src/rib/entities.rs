@@ -10,8 +10,10 @@ use gdp_proto::control::{Refusal, RefusalCode};
 use gdp_wire::Name;
 
 use super::journal::{Item, Journal};
-use super::names::{Key, Party};
-use super::{Now, count_out, limit_reached};
+use crate::rib::model::Key;
+use crate::rib::model::Now;
+use crate::rib::model::{count_out, limit_reached};
+use crate::rib::registration::Party;
 
 /// How far ahead of the RIB's clock a serial may be, read as Unix time in nanoseconds, if it does not just count up: 2 days.
 const SERIAL_AHEAD: u64 = 2 * 24 * 3600;

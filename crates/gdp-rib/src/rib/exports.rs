@@ -8,8 +8,9 @@ use gdp_core::keys::KeyBox;
 use gdp_proto::control::{NameRole, Record, RecordPlace};
 use gdp_wire::Name;
 
-use super::names::Registration;
-use super::{Now, Rib};
+use super::Rib;
+use crate::rib::model::Now;
+use crate::rib::registration::Registration;
 
 /// What another RIB may be told of one registration.
 #[derive(Clone, Debug)]

@@ -5,21 +5,17 @@
 //! An entity of another domain that has a counterpart is reached by the border toward it, and its frames, to whomever, may come by
 //! the links that lead there.
 
+use crate::rib::model::Place;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use gdp_proto::control::{Refusal, Route};
 use gdp_wire::Name;
 
-use super::names::Key;
-use super::ways::{At, Map};
-use super::{Limits, count_out, limit_reached};
-
-/// An attached entity, and where it is attached.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Place {
-    pub entity: Name,
-    pub at: At,
-}
+use super::ways::Map;
+use crate::rib::model::At;
+use crate::rib::model::Key;
+use crate::rib::model::Limits;
+use crate::rib::model::{count_out, limit_reached};
 
 #[derive(Debug)]
 struct Inbox {

@@ -5,10 +5,12 @@ use gdp_core::keys::KeyBox;
 use gdp_proto::control::{NameRole, Refusal, RefusalCode, Response};
 use gdp_wire::Name;
 
-use super::inboxes::Place;
-use super::telling::Stake;
-use super::ways::At;
-use super::{Now, Rib, refusal};
+use super::Rib;
+use crate::rib::model::At;
+use crate::rib::model::Now;
+use crate::rib::model::Place;
+use crate::rib::model::Stake;
+use crate::rib::model::refusal;
 
 impl Rib {
     /// One after the other: those before one that is refused are kept. A box may be for a reader that is not there, or not

@@ -20,7 +20,10 @@ pub mod fib;
 mod inboxes;
 mod journal;
 mod key_boxes;
+mod model;
 mod names;
+mod registration;
+mod remote_registrations;
 mod reports;
 mod restore;
 mod revocations;
@@ -33,11 +36,12 @@ mod tests;
 mod topic;
 mod ways;
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::hash::Hash;
+pub use crate::rib::model::Told;
+pub use crate::rib::model::{Limits, Now};
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use gdp_core::cert::{CertError, Revocation};
+use gdp_core::cert::Revocation;
 use gdp_core::name::{NamePrefix, NameProof};
 use gdp_core::revocations::{Kept, Origin};
 use gdp_proto::control::{
@@ -45,20 +49,23 @@ use gdp_proto::control::{
 };
 use gdp_wire::Name;
 
+use crate::rib::model::Key;
+use crate::rib::model::Stake;
+use crate::rib::remote_registrations::Abroad;
 use crate::topology::Paths;
-use abroad::Abroad;
 use bits::Bits;
 use boxes::Boxes;
 use entities::Entities;
 use fib::{About, Fib, Pushed};
 use inboxes::Inboxes;
 use journal::Journal;
-use names::{Key, Names};
+use names::Names;
 use revocations::Revocations;
-use telling::{Source, Stake, Telling};
+use telling::{Source, Telling};
 use ways::Ways;
 
-pub use abroad::{Foreign, Way};
+pub use crate::rib::remote_registrations::Foreign;
+pub use crate::rib::ways::Way;
 pub use exports::Export;
 pub use journal::Item;
 pub use restore::{MAX_ITEM, RestoreError, decode_item, encode_item};
@@ -68,76 +75,6 @@ pub const HOLD: Duration = Duration::from_secs(10);
 
 /// How long after it is reached a switch that has not reported is asked to.
 const UNREPORTED: Duration = Duration::from_secs(5);
-
-/// A moment, on both clocks that matter.
-#[derive(Clone, Copy, Debug)]
-pub struct Now {
-    /// Unix seconds: certificates are judged by it.
-    pub unix: u64,
-    /// Since any fixed moment; never goes back. Everything that lasts is counted on it.
-    pub clock: Duration,
-}
-
-impl Now {
-    /// When something is over that holds until the end of this Unix second.
-    pub fn clock_at(&self, unix: u64) -> Duration {
-        self.clock + Duration::from_secs(unix.saturating_sub(self.unix).saturating_add(1).min(u32::MAX.into()))
-    }
-}
-
-/// What a RIB holds at most.
-#[derive(Clone, Copy, Debug)]
-pub struct Limits {
-    pub names: usize,
-    pub names_per_entity: usize,
-    pub attached_per_switch: usize,
-    /// Entities that only tools speak for, through one switch.
-    pub unattached_per_switch: usize,
-    /// Publishers or servers of one name.
-    pub writers_per_name: usize,
-    /// Subscribers or callers of one name at one switch.
-    pub readers_per_switch: usize,
-    /// Entities that one entity exchanges messages with.
-    pub counterparts: usize,
-    /// The same for all entities at a switch: as many pairs of names and links does its data plane hold for them.
-    pub counterparts_per_switch: usize,
-    /// Readers that one writer has key boxes for, of one name and epoch.
-    pub box_readers: usize,
-    pub boxes_per_entity: usize,
-    /// Of all entities at a switch.
-    pub boxes_per_switch: usize,
-    /// Revocations of names that somebody has a part in, and that came in by one origin; more count as the following.
-    pub used_revocations: usize,
-    /// Revocations of names that nobody has a part in.
-    pub idle_revocations: usize,
-    /// Records that one neighbouring domain tells of.
-    pub records_per_neighbour: usize,
-    /// Links into one domain.
-    pub ways_per_domain: usize,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        let links = gdp_wire::table::MAX_LINKS as usize;
-        Self {
-            names: 1 << 20,
-            names_per_entity: 16_384,
-            attached_per_switch: links,
-            unattached_per_switch: 4096,
-            writers_per_name: 256,
-            readers_per_switch: links,
-            counterparts: 4096,
-            counterparts_per_switch: 65_536,
-            box_readers: 1024,
-            boxes_per_entity: 8192,
-            boxes_per_switch: 65_536,
-            used_revocations: 4096,
-            idle_revocations: 16_384,
-            records_per_neighbour: 65_536,
-            ways_per_domain: 16,
-        }
-    }
-}
 
 /// What the RIB has to say to a switch.
 #[derive(Clone, Debug)]
@@ -149,21 +86,6 @@ pub enum Effect {
     /// The RIB holds no attachment of `entity` at `switch`: it must attach again. If the entity is the switch itself,
     /// the RIB does not know the switch: it must report in full.
     Detach { switch: Name, entity: Name },
-}
-
-/// Which [`PeersPush`] it was.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Told {
-    switch: Name,
-    stake: Stake,
-    generation: u64,
-}
-
-impl From<&PeersPush> for Told {
-    fn from(push: &PeersPush) -> Self {
-        let stake = Stake { name: push.name.to_bytes(), entity: push.entity, role: push.role };
-        Self { switch: push.switch, stake, generation: push.peers.generation }
-    }
 }
 
 /// The routing information base of one domain.
@@ -497,39 +419,4 @@ impl Rib {
     pub fn desired(&self, switch: &Name) -> Vec<Route> {
         self.switches.get(switch).map_or_else(Vec::new, |s| s.fib.routes().cloned().collect())
     }
-}
-
-fn count_out<K: Eq + Hash>(counts: &mut HashMap<K, usize>, key: &K, count: usize) {
-    if let Some(held) = counts.get_mut(key) {
-        *held -= count;
-        if *held == 0 {
-            counts.remove(key);
-        }
-    }
-}
-
-fn limit_reached(what: String) -> Refusal {
-    Refusal::new(RefusalCode::Limit, format!("{what}, and that is the limit of this RIB"))
-}
-
-/// The refusal that tells a requester of a certificate error.
-fn refusal(error: CertError) -> Refusal {
-    let code = match &error {
-        CertError::BadSignature { .. } | CertError::WrongKey { .. } => RefusalCode::BadSignature,
-        CertError::NotYetValid { .. } => RefusalCode::NotYetValid,
-        CertError::Expired { .. } => RefusalCode::Expired,
-        CertError::WrongName { .. } => RefusalCode::WrongName,
-        CertError::WrongEntity { .. } => RefusalCode::WrongEntity,
-        CertError::WrongSwitch { .. } => RefusalCode::WrongSwitch,
-        CertError::ReplayedSerial { .. } | CertError::RolledBack { .. } => RefusalCode::ReplayedSerial,
-        CertError::Revoked { .. } => RefusalCode::Revoked,
-        CertError::NotDelegated { .. }
-        | CertError::BeforeDelegation { .. }
-        | CertError::NotAMember { .. }
-        | CertError::ByInvitation { .. }
-        | CertError::WrongRole { .. }
-        | CertError::WrongDomain { .. } => RefusalCode::NotEntitled,
-        CertError::Malformed(_) | CertError::WrongOperation { .. } | CertError::Crypto(_) => RefusalCode::Malformed,
-    };
-    Refusal::new(code, error.to_string())
 }

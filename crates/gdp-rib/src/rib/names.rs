@@ -1,164 +1,28 @@
 //! Who publishes, serves, reads and calls each name, with the certificates that prove it, and which switches need a route
 //! for it.
 
+use crate::rib::model::Key;
+use crate::rib::registration::Registration;
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
 use std::time::Duration;
 
-use gdp_core::cert::{Advert, Revocation, Signed};
+use gdp_core::cert::Revocation;
 use gdp_core::name::{NamePrefix, NameProof};
-use gdp_proto::control::{Credential, NameRole, Record, RecordPlace, Refusal, RefusalCode, Response, Route};
+use gdp_proto::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode, Response, Route};
 use gdp_wire::Name;
 
-use super::telling::Stake;
 use super::topic::{Registrations, Topic, distinct};
-use super::ways::{At, Map, Realm};
-use super::{Limits, limit_reached};
-
-/// A name by which maps are ordered as its hex digits are.
-pub(super) type Key = [u8; 32];
+use super::ways::Map;
+use crate::rib::model::At;
+use crate::rib::model::Limits;
+use crate::rib::model::Stake;
+use crate::rib::model::limit_reached;
 
 /// Bytes of records in one message; what is left of 64 KiB is for what encloses them.
 pub(super) const RECORDS_SIZE: usize = 56 * 1024;
 
-/// What an encoded record has besides credential and statement: two proofs, two names, field names.
-const RECORD_OVERHEAD: usize = 512;
-
 /// Behind all switches of an entity.
 pub(super) const LAST: Name = Name::from_bytes([0xff; 32]);
-
-/// One entity's part in a name, at one switch.
-#[derive(Clone, Debug)]
-pub(super) struct Registration {
-    pub by: Arc<Party>,
-    /// Of another domain, if the entity is abroad.
-    pub switch: Name,
-    pub abroad: Option<Box<Remote>>,
-    pub role: NameRole,
-    pub credential: Credential,
-    pub advert: Signed<Advert>,
-    /// Of the statement.
-    pub serial: u64,
-    /// Domains besides the one that it is stated in, that may know it; of those that read or call always empty.
-    pub scope: Arc<[Name]>,
-    /// What is stated at other switches stands besides; and this one sends it on each link of the entity.
-    pub everywhere: bool,
-    pub ends: Duration,
-    /// Ends with the attachment of its entity; the entity is told of its counterparts, and can be reached by them. One from abroad can
-    /// be reached; what it is told is for the RIB there.
-    pub bound: bool,
-    /// The generation that the entity holds of what it is told of the name through this switch, while there is nothing more to tell: no
-    /// [stream](super::telling) is kept for it then. 0: there is one, or it is told elsewhere.
-    pub told: u64,
-}
-
-/// An entity, as it shows itself in its statements: most of them share one.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) struct Party {
-    pub name: Name,
-    pub proof: NameProof,
-    pub box_key: [u8; 33],
-}
-
-/// Nothing is allocated for an empty scope, as most are.
-pub(super) fn shared(scope: Vec<Name>) -> Arc<[Name]> {
-    if scope.is_empty() { Arc::default() } else { scope.into() }
-}
-
-/// What is known of a registration besides, if another RIB told of it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Remote {
-    pub realm: Realm,
-    /// As in [`super::Foreign`].
-    pub hops: u32,
-    pub local: bool,
-}
-
-/// All about a registration that says with whom it may exchange messages.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Kind {
-    realm: Option<Realm>,
-    /// Entities of this domain may know it.
-    local: bool,
-    scope: Arc<[Name]>,
-}
-
-impl Kind {
-    /// Whether a writer of this kind and a reader of `other` kind are counterparts here: as far as the writer's scope goes, and not if
-    /// their messages reach each other without passing here.
-    fn meets(&self, other: &Self) -> bool {
-        match (self.realm, other.realm) {
-            (None, None) => true,
-            (Some(_), None) => self.local,
-            (None, Some(realm)) => other.local && self.scope.contains(&realm.domain),
-            (Some(from), Some(to)) => {
-                from.domain != to.domain && from.next != to.next && self.scope.contains(&to.domain)
-            }
-        }
-    }
-}
-
-impl Registration {
-    pub fn at(&self) -> At {
-        self.abroad.as_ref().map_or(At::Here(self.switch), |abroad| At::Abroad(abroad.realm))
-    }
-
-    /// Whether the entity is in this domain.
-    pub fn is_here(&self) -> bool {
-        self.abroad.is_none()
-    }
-
-    /// By entity and switch.
-    pub fn place(&self) -> (Name, Name) {
-        (self.by.name, self.switch)
-    }
-
-    /// Whether all certificates in its credential still count.
-    pub fn stands_after(&self, revocation: &Revocation) -> bool {
-        let check = |(what, serial): (_, u64)| revocation.check(what, serial).is_ok();
-        self.credential.serials().is_ok_and(|serials| serials.into_iter().all(check))
-    }
-
-    pub fn kind(&self) -> Kind {
-        let (realm, local) = self.abroad.as_ref().map_or((None, true), |abroad| (Some(abroad.realm), abroad.local));
-        Kind { realm, local, scope: self.scope.clone() }
-    }
-
-    /// Whether two with opposite roles exchange messages.
-    pub fn meets(&self, other: &Self) -> bool {
-        meets(self.role, &self.kind(), &other.kind())
-    }
-
-    pub fn size(&self) -> usize {
-        RECORD_OVERHEAD + self.credential.size() + self.advert.as_bytes().len()
-    }
-
-    pub fn record(&self, now: Duration, name: Name, proof: NameProof) -> Record {
-        Record {
-            name,
-            proof,
-            entity: self.by.proof,
-            switch: self.switch,
-            credential: self.credential.clone(),
-            advert: self.advert.clone(),
-            expires_in: self.ends.saturating_sub(now).as_secs(),
-        }
-    }
-
-    /// Whether a counterpart that knows `other` need not be told of this one. Who calls a service wants to know where its servers are.
-    pub fn tells_the_same(&self, other: &Self) -> bool {
-        let is_as_near = self.role != NameRole::Server || self.switch == other.switch;
-        self.credential == other.credential
-            && self.by.box_key == other.by.box_key
-            && self.kind() == other.kind()
-            && is_as_near
-    }
-}
-
-/// Whether one of this role and kind exchanges messages with one of the opposite role and kind `other`.
-pub(super) fn meets(role: NameRole, kind: &Kind, other: &Kind) -> bool {
-    if role.is_writer() { kind.meets(other) } else { other.meets(kind) }
-}
 
 #[derive(Debug, Default)]
 pub(super) struct Names {

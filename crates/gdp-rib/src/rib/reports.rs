@@ -9,9 +9,11 @@ use gdp_proto::control::{Refusal, RefusalCode};
 use gdp_wire::Name;
 use gdp_wire::table::MAX_LINKS;
 
-use super::telling::Stake;
-use super::ways::At;
-use super::{HOLD, Now, Rib, Timer, UNREPORTED, limit_reached, refusal};
+use super::{HOLD, Rib, Timer, UNREPORTED};
+use crate::rib::model::At;
+use crate::rib::model::Now;
+use crate::rib::model::Stake;
+use crate::rib::model::{limit_reached, refusal};
 
 impl Rib {
     pub(super) fn try_report(

@@ -21,9 +21,10 @@ use serde::{Deserialize, Serialize};
 
 use super::entities::Attachment;
 use super::journal::{Item, Journal};
-use super::names::{Registration, shared};
-use super::telling::Stake;
-use super::{Now, Rib, Timer};
+use super::{Rib, Timer};
+use crate::rib::model::Now;
+use crate::rib::model::Stake;
+use crate::rib::registration::{Registration, shared};
 
 /// Bytes of one stored item; records are what travels in messages of no more.
 pub const MAX_ITEM: usize = 64 * 1024;

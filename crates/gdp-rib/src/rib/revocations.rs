@@ -8,9 +8,9 @@ use gdp_core::cert::Revocation;
 use gdp_core::revocations::{Kept, Origin};
 use gdp_wire::Name;
 
-use super::Limits;
 use super::journal::{Item, Journal};
-use super::names::Key;
+use crate::rib::model::Key;
+use crate::rib::model::Limits;
 
 #[derive(Debug)]
 pub(super) struct Held {

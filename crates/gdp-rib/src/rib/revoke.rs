@@ -7,8 +7,10 @@ use gdp_core::revocations::{Kept, Origin};
 use gdp_proto::control::{NameRole, Refusal, Response};
 use gdp_wire::Name;
 
-use super::telling::Stake;
-use super::{Now, Rib, refusal};
+use super::Rib;
+use crate::rib::model::Now;
+use crate::rib::model::Stake;
+use crate::rib::model::refusal;
 
 impl Rib {
     pub(super) fn revoke(

@@ -13,11 +13,16 @@ use gdp_proto::control::{Credential, EntityRequest, NameRole, RecordPlace, Refus
 use gdp_wire::Name;
 
 use super::entities::Attachment;
-use super::inboxes::Place;
-use super::names::{Key, Registration, shared};
-use super::telling::{Source, Stake};
-use super::ways::{At, Map};
-use super::{Now, Rib, Timer, limit_reached, refusal};
+use super::telling::Source;
+use super::ways::Map;
+use super::{Rib, Timer};
+use crate::rib::model::At;
+use crate::rib::model::Key;
+use crate::rib::model::Now;
+use crate::rib::model::Place;
+use crate::rib::model::Stake;
+use crate::rib::model::{limit_reached, refusal};
+use crate::rib::registration::{Registration, shared};
 
 /// Between two looks at which parts in a name are over: of a name that very many read, some always are.
 const BETWEEN_ENDS: Duration = Duration::from_secs(1);

@@ -4,18 +4,19 @@
 //! entities that do not answer hold up none elsewhere, and little there. Of a stream that has nothing to say, as almost all have, nothing
 //! is kept here: what its entity holds then is [noted](super::names::Registration::told) with what it has stated.
 
+use crate::rib::model::Stake;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::time::Duration;
 
-use gdp_proto::control::{NameRole, Peers, PeersExtent, PeersPush, Record, RecordPlace};
+use gdp_proto::control::{Peers, PeersExtent, PeersPush, Record};
 use gdp_wire::Name;
 
-use super::Told;
 use super::boxes::Boxes;
-use super::journal::Item;
-use super::names::{Key, Names, RECORDS_SIZE, Registration};
+use super::names::{Names, RECORDS_SIZE};
 use super::revocations::Revocations;
+use crate::rib::model::Told;
+use crate::rib::registration::Registration;
 
 /// Messages that are out at once to the entities at one switch, and to one of them.
 pub(super) const AT_ONCE: usize = 64;
@@ -26,32 +27,6 @@ const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_
 
 /// What an entity that is gone takes in a message.
 const GONE_SIZE: usize = 40;
-
-/// What one entity is to one name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Stake {
-    pub name: Key,
-    pub entity: Name,
-    pub role: NameRole,
-}
-
-impl Stake {
-    /// What an entity is to its own name: it takes what its counterparts send there. Of this it is told nothing but who has
-    /// keys for it.
-    pub fn inbox(entity: Name) -> Self {
-        Self { name: entity.to_bytes(), entity, role: NameRole::Subscriber }
-    }
-
-    /// As it is stored, of what is stated at `switch`.
-    pub fn at(&self, switch: Name) -> Item {
-        let (name, entity, role) = (Name::from_bytes(self.name), self.entity, self.role);
-        Item::Registration(RecordPlace { name, role, entity, switch })
-    }
-
-    pub fn is_inbox(&self) -> bool {
-        self.name == self.entity.to_bytes()
-    }
-}
 
 /// What there is to tell of.
 #[derive(Clone, Copy)]

@@ -8,8 +8,10 @@ use gdp_core::name::NameProof;
 use gdp_proto::control::{NameRole, RecordPlace, Route};
 use gdp_wire::Name;
 
-use super::names::{Key, Kind, Registration, meets};
-use super::ways::{At, Map, Realm};
+use super::ways::Map;
+use crate::rib::model::Key;
+use crate::rib::model::{At, Realm};
+use crate::rib::registration::{Kind, Registration, meets};
 
 #[derive(Debug)]
 pub(super) struct Topic {

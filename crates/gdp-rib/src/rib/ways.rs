@@ -5,6 +5,7 @@
 //! name to name. The other side chooses for itself, by its own costs and when it notices changes; so what comes from there may come
 //! by any of the ways between the two, and for a while by those that have just gone.
 
+use crate::rib::model::{At, Realm};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -12,28 +13,12 @@ use std::time::Duration;
 use gdp_wire::Name;
 use gdp_wire::siphash::siphash24;
 
-use super::Way;
 use super::bits::Bits;
-use super::names::Key;
+use crate::rib::model::Key;
 
 /// How long frames may come by a way that is no more, and before what can leave by another leaves by a new one: until the other side has
 /// noticed, too.
 pub(super) const GRACE: Duration = Duration::from_secs(2);
-
-/// The entities of one domain that one neighbouring domain told of. All are reached by the same ways.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub(super) struct Realm {
-    pub next: Name,
-    pub domain: Name,
-}
-
-/// Where an entity is, as seen from here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub(super) enum At {
-    /// At a switch of this domain.
-    Here(Name),
-    Abroad(Realm),
-}
 
 #[derive(Clone, Debug, Default)]
 pub(super) struct Ways {
@@ -174,4 +159,14 @@ impl Map<'_> {
             At::Abroad(realm) => self.ways.borders(realm),
         }
     }
+}
+
+/// A link of a border switch into another domain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Way {
+    /// This domain's switch.
+    pub border: Name,
+    /// The switch at the other end.
+    pub peer: Name,
+    pub cost: u32,
 }

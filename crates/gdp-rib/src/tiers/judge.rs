@@ -1,6 +1,7 @@
 //! Nothing that a neighbour says is taken in before it is verified here: paths, signatures, hosts, scopes, bounds. Each refusal
 //! has a reason that is counted.
 
+pub use crate::tiers::refusal::TierRefusal;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -21,84 +22,6 @@ pub trait Revoked {
 
     /// That of a name which is no domain's, as its owner signed it.
     fn kept(&self, name: &Name) -> Option<&Kept>;
-}
-
-/// Why something that a neighbouring domain says is not taken in.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum TierRefusal {
-    #[error("a path of {0} domains, where 1 to {MAX_PATH} are allowed")]
-    PathLength(usize),
-    #[error("a path that ends in domain {got:#}, from domain {from:#}: a domain speaks for itself only")]
-    NotItsOwn { from: Name, got: Name },
-    #[error("a cycle: it came through domain {0:#} before")]
-    Cycle(Name),
-    #[error("the record of {name:#}: {source}")]
-    Record { name: Name, source: Box<CertError> },
-    #[error("that switch {switch:#} is of domain {domain:#}, which both have to say: {source}")]
-    Host { switch: Name, domain: Name, source: Box<CertError> },
-    #[error(
-        "the writer of {name:#} may be known in its own domain {origin:#} only: have its AdCert issued with the other domains in its scope"
-    )]
-    OutOfScope { name: Name, origin: Name },
-    #[error("the record of {0:#} has ended")]
-    Ended(Name),
-    #[error("a key box of {0:#}, of which no part in a name is known")]
-    NoWriter(Name),
-    #[error("a key box of {writer:#}: {source}")]
-    Box { writer: Name, source: Box<CertError> },
-    #[error("the locator of domain {domain:#}: {source}")]
-    Locator { domain: Name, source: Box<CertError> },
-    #[error(
-        "the locator of domain {0:#} names no border switch: who can be reached nowhere is to take its locator back"
-    )]
-    Nowhere(Name),
-    #[error("domain {0:#} says what was taken back where it is to say who has a part in a name")]
-    Misplaced(Name),
-    #[error("what the owner of {name:#} is said to have taken back: {source}")]
-    Revocation { name: Name, source: Box<CertError> },
-    #[error("{limit} {what} of one domain are kept: that is the limit of this RIB")]
-    Full { what: &'static str, limit: usize },
-    #[error("{limit} parts in {name:#} of one domain are kept: that is the limit of this RIB")]
-    NameFull { name: Name, limit: usize },
-}
-
-impl TierRefusal {
-    /// The name whose owner has taken back what was said.
-    pub fn revoked(&self) -> Option<Name> {
-        match self {
-            Self::Record { name, source } if matches!(**source, CertError::Revoked { .. }) => Some(*name),
-            _ => None,
-        }
-    }
-
-    /// By which it is counted.
-    pub fn as_str(&self) -> &'static str {
-        match self {
-            Self::PathLength(_) => "path_length",
-            Self::NotItsOwn { .. } => "not_its_own",
-            Self::Cycle(_) => "cycle",
-            Self::OutOfScope { .. } => "scope",
-            Self::Ended(_) => "ended",
-            Self::NoWriter(_) => "no_writer",
-            Self::Nowhere(_) => "nowhere",
-            Self::Misplaced(_) => "misplaced",
-            Self::Full { .. } => "limit",
-            Self::NameFull { .. } => "name_limit",
-            Self::Record { source, .. }
-            | Self::Host { source, .. }
-            | Self::Box { source, .. }
-            | Self::Revocation { source, .. }
-            | Self::Locator { source, .. } => match **source {
-                CertError::BadSignature { .. } | CertError::WrongKey { .. } => "signature",
-                CertError::NotYetValid { .. } => "not_yet_valid",
-                CertError::Expired { .. } => "expired",
-                CertError::Revoked { .. } => "revoked",
-                CertError::WrongDomain { .. } => "wrong_domain",
-                CertError::ReplayedSerial { .. } => "replayed",
-                _ => "certificate",
-            },
-        }
-    }
 }
 
 /// What a revocation that a neighbour tells is worth.

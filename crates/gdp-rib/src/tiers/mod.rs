@@ -12,16 +12,21 @@ mod endings;
 mod incoming;
 mod interest;
 mod judge;
+mod limits;
 mod outgoing;
 pub mod peering;
 mod queries;
+mod refusal;
 mod side;
 mod spread;
 mod table;
 #[cfg(test)]
 #[path = "../../tests/unit/tiers/mod.rs"]
 pub mod tests;
+mod ticket;
 
+pub use crate::tiers::limits::Limits;
+pub use crate::tiers::ticket::Ticket;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
@@ -39,28 +44,10 @@ use queries::Queries;
 use side::{Side, Told};
 use table::Table;
 
-pub use judge::{Revoked, TierRefusal};
+pub use crate::tiers::refusal::TierRefusal;
+pub use judge::Revoked;
 pub use side::{HOLD, Kind, OfEntity, SILENCE, Standing};
 pub use table::{Held, Hosted, Item};
-
-/// What is kept of neighbours at most.
-#[derive(Clone, Copy, Debug)]
-pub struct Limits {
-    pub children: usize,
-    /// Of each neighbour: records, key boxes and locators together.
-    pub entries: usize,
-    /// Of each neighbour.
-    pub bytes: usize,
-    /// Of each neighbour: more than anybody here exchanges messages with in one name (`counterparts` of [`crate::rib::Limits`]), of
-    /// writers and readers each.
-    pub parts_per_name: usize,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self { children: 1024, entries: 1 << 20, bytes: 1 << 30, parts_per_name: 8192 }
-    }
-}
 
 /// What is to be sent.
 #[derive(Debug)]
@@ -81,10 +68,6 @@ pub enum Sent {
     Push(TierHolds),
     Query(Ticket),
 }
-
-/// Of a query that is answered later.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Ticket(u64);
 
 #[derive(Debug)]
 pub enum Reply {

@@ -10,9 +10,10 @@ use super::judge::{Judge, Judged, Revoked};
 use super::queries::{Climbing, PATIENCE};
 use super::side::{HELLO, HELLO_AGAIN, HOLD, Standing};
 use super::table::{Item, Table};
-use super::{Effect, Sent, Ticket, Tiers};
+use super::{Effect, Sent, Tiers};
 use crate::feed::Room;
 use crate::rib::Now;
+use crate::tiers::ticket::Ticket;
 
 /// What one push takes: a message has at most 64 KiB, and the rest is for what encloses the entries. A single one always fits.
 const ROOM: Room = Room { entries: 512, bytes: 48 * 1024 };

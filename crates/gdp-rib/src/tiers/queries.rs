@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use gdp_wire::Name;
 
-use super::Ticket;
+use crate::tiers::ticket::Ticket;
 
 /// How long one parent is waited for.
 pub const PATIENCE: Duration = Duration::from_secs(2);

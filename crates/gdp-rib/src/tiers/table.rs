@@ -11,8 +11,8 @@ use gdp_core::revocations::Kept;
 use gdp_proto::control::{Abroad, Extent, NameRole, Record, RecordPlace, TierEntry, TierHolds, TierKey};
 use gdp_wire::Name;
 
-use super::Limits;
-use super::judge::TierRefusal;
+use crate::tiers::limits::Limits;
+use crate::tiers::refusal::TierRefusal;
 
 /// A verified part in a name.
 #[derive(Clone, Debug)]

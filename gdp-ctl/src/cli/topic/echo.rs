@@ -15,11 +15,12 @@ use super::super::node::{Definitions, NodeOptions, listen, parse_positive, tell_
 use super::super::output::lines_of;
 use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
+use crate::ros::item::Item;
 use crate::ros::keyring::called;
 use crate::ros::python;
+use crate::ros::yaml::document;
 use crate::ros::{feed::Decoder, feed::Feed, feed::Heard};
 use crate::ros::{view::Limits, view::View};
-use crate::ros::{yaml::Item, yaml::document};
 
 #[derive(Debug, Args)]
 pub struct Options {

@@ -3,19 +3,8 @@
 mod scalar;
 
 use super::python;
+use crate::ros::item::Item;
 use scalar::text;
-
-/// What is printed.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Item {
-    Bool(bool),
-    Integer(i128),
-    Float(f64),
-    Text(String),
-    List(Vec<Item>),
-    /// By name, in this order.
-    Map(Vec<(String, Item)>),
-}
 
 /// A document, without a line that ends it.
 pub fn document(item: &Item) -> String {

@@ -7,7 +7,7 @@ use gdp_core::name::Name;
 use gdp_proto::control::{Credential, NameRole, Record, RecordPlace, Refusal, RefusalCode};
 
 use super::world::World;
-use crate::rib::telling::Stake;
+use crate::rib::model::Stake;
 use crate::rib::{Foreign, Limits, Rib, Run, Way};
 
 pub struct Federation {

@@ -17,7 +17,7 @@ use gdp_proto::control::{
 use gdp_proto::peers::{Counterparts, PeerEvent};
 
 use crate::rib::fib::Pushed;
-use crate::rib::telling::Stake;
+use crate::rib::model::Stake;
 use crate::rib::{Effect, Item, Limits, Now, Rib, Run, Told};
 use crate::topology::Paths;
 

@@ -1,0 +1,54 @@
+//! The command line of a benchmark program.
+
+use crate::build;
+use crate::setup;
+use crate::setup::Purpose;
+use crate::shell;
+use crate::workspace;
+use crate::workspace::Profile;
+use anyhow::Result;
+use anyhow::bail;
+use std::process::Command;
+
+/// How often and how long to measure, and how to show it.
+pub fn pass(command: &mut Command, rounds: u32, milliseconds: u64, json: bool) {
+    command.args(["--rounds", &rounds.to_string(), "--milliseconds", &milliseconds.to_string()]);
+    if json {
+        command.arg("--json");
+    }
+}
+
+/// Which rows to measure, and whether to draw them.
+#[derive(clap::Args)]
+pub struct Rows {
+    /// Only this row of the figures (can be given several times); an unknown one lists all
+    #[arg(long, value_name = "ROW")]
+    pub only: Vec<String>,
+    /// Draw the plots in docs/plots anew
+    #[arg(long)]
+    pub plots: bool,
+}
+
+impl Rows {
+    pub fn pass(&self, command: &mut Command) {
+        for row in &self.only {
+            command.args(["--only", row]);
+        }
+        if self.plots {
+            command.arg("--plots").arg(workspace::root().join("docs/plots"));
+        }
+    }
+}
+
+/// A bench target of `gdp-tests`, which runs as root in namespaces and is given the XDP switch.
+pub fn target(name: &str) -> Result<Command> {
+    if !workspace::is_root() {
+        bail!("network namespaces need root");
+    }
+    setup::ensure(Purpose::Bench)?;
+    build::ebpf()?;
+    let mut command = shell::cargo();
+    command.args(["bench", "--profile", Profile::Dist.name(), "--workspace", "--bench", name, "--"]);
+    command.arg("--ebpf-object").arg(workspace::ebpf_object());
+    Ok(command)
+}

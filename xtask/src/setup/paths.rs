@@ -1,0 +1,10 @@
+//! The folders of toolchains.
+
+use std::path::Path;
+use std::path::PathBuf;
+
+pub fn home(variable: &str, default: &str) -> PathBuf {
+    std::env::var_os(variable)
+        .map(PathBuf::from)
+        .unwrap_or_else(|| Path::new(&std::env::var_os("HOME").unwrap_or_default()).join(default))
+}
