@@ -1,13 +1,16 @@
 //! One interface as the kernel describes it: state, driver, offloads, and the XDP program on it, whoever's. Only asks. For
 //! [`super::Planes`], which says whose program is in its way, and for `gdp-ctl doctor`.
 
+use std::collections::{HashMap, HashSet};
 use std::fmt;
 use std::io;
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::sync::OnceLock;
 
 use aya::programs::links::LinkType;
 use aya::programs::{loaded_links, loaded_programs};
 
+use super::capabilities::{SYS_ADMIN, missing};
 use super::kernel::Mode;
 use super::netlink::{Netlink, attribute, number};
 
@@ -51,8 +54,9 @@ pub struct AttachedProgram {
     /// Its first 15 characters; empty if the kernel does not say.
     pub name: String,
     pub mode: Mode,
-    /// Whether a BPF link holds it, and not the interface itself.
-    pub by_link: bool,
+    /// Whether a BPF link holds it, and not the interface itself; `None` if the kernel does not
+    /// say.
+    pub by_link: Option<bool>,
 }
 
 /// What the hardware, or who plays it, does to packets before XDP or after; `None` where the driver does not say.
@@ -118,11 +122,12 @@ impl AttachedProgram {
         };
         match (self.is_switch(), self.by_link) {
             (true, _) => "stop the daemon that it belongs to; if none runs, `gdp-ctl xdp detach` removes it".into(),
-            (_, true) => format!(
+            (_, Some(true)) => format!(
                 "it goes with the program that attached it, or with that one's pin: `bpftool link` shows the link of program {id}, \
                  `bpftool link detach id LINK` removes it"
             ),
-            _ => format!("`ip link set dev {interface} {attribute} off` removes it"),
+            (_, Some(false)) => format!("`ip link set dev {interface} {attribute} off` removes it"),
+            (_, None) => format!("`bpftool net` and `bpftool link`, as root, show what holds program {id}"),
         }
     }
 }
@@ -160,6 +165,24 @@ pub fn set_gro(interface: &str) -> io::Result<()> {
     }
 }
 
+/// The driver of an interface as `ethtool -i` names it; `None` if it does not say.
+pub fn driver(interface: &str) -> Option<String> {
+    /// `struct ethtool_drvinfo`, with what follows the name left as it is.
+    #[repr(C)]
+    struct DriverInfo {
+        command: u32,
+        driver: [u8; 32],
+        rest: [u8; 160],
+    }
+    const ETHTOOL_GDRVINFO: u32 = 0x3;
+    let mut info = DriverInfo { command: ETHTOOL_GDRVINFO, driver: [0; 32], rest: [0; 160] };
+    if !ioctl(&socket().ok()?, interface, (&raw mut info).cast()) {
+        return None;
+    }
+    let name = info.driver.split(|byte| *byte == 0).next().unwrap_or_default();
+    Some(String::from_utf8_lossy(name).into_owned()).filter(|name| !name.is_empty())
+}
+
 fn socket() -> io::Result<OwnedFd> {
     // SAFETY: no pointers; the descriptor is owned at once.
     unsafe {
@@ -172,19 +195,24 @@ fn socket() -> io::Result<OwnedFd> {
 
 /// The value that the driver has after a command with one; `None` if it does not know the command, or refuses.
 fn ethtool(socket: &OwnedFd, interface: &str, mut value: [u32; 2]) -> Option<u32> {
+    // These commands read and write eight bytes.
+    ioctl(socket, interface, value.as_mut_ptr().cast()).then_some(value[1])
+}
+
+/// Gives the driver a command, whether it was taken. `data`: what that command reads and writes.
+fn ioctl(socket: &OwnedFd, interface: &str, data: *mut libc::c_char) -> bool {
     const SIOCETHTOOL: libc::c_ulong = 0x8946;
     // SAFETY: zero is a valid value of this structure.
     let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
     // The last byte stays 0.
     let room = &mut request.ifr_name[..libc::IFNAMSIZ - 1];
     if interface.len() > room.len() {
-        return None;
+        return false;
     }
     room.iter_mut().zip(interface.bytes()).for_each(|(to, byte)| *to = byte as libc::c_char);
-    request.ifr_ifru.ifru_data = value.as_mut_ptr().cast();
-    // SAFETY: the request points to eight bytes that outlive the call: what these commands read and write.
-    let result = unsafe { libc::ioctl(socket.as_raw_fd(), SIOCETHTOOL as _, &raw mut request) };
-    (result == 0).then_some(value[1])
+    request.ifr_ifru.ifru_data = data;
+    // SAFETY: the request points to what the command reads and writes, which outlives the call.
+    unsafe { libc::ioctl(socket.as_raw_fd(), SIOCETHTOOL as _, &raw mut request) == 0 }
 }
 
 /// What the kernel says of an interface: an `ifinfomsg`, then attributes.
@@ -233,12 +261,35 @@ fn program(interface: &str, xdp: &[u8]) -> Option<AttachedProgram> {
         // In hardware, then.
         None => (number(xdp, IFLA_XDP_PROG_ID)?, Mode::Native),
     };
-    let name = loaded_programs().flatten().find(|program| program.id() == id);
-    let name = name.and_then(|program| program.name_as_str().map(str::to_owned)).unwrap_or_default();
-    let by_link = loaded_links()
-        .flatten()
-        .any(|link| link.program_id() == id && link.link_type().is_ok_and(|kind| kind == LinkType::Xdp));
-    Some(AttachedProgram { interface: interface.to_owned(), id, name, mode, by_link })
+    let (name, by_link) = match missing(&[SYS_ADMIN])[..] {
+        [] => programs().remove(&id),
+        _ => SEEN.get().and_then(|seen| seen.get(&id).cloned()),
+    }
+    .unzip();
+    Some(AttachedProgram { interface: interface.to_owned(), id, name: name.unwrap_or_default(), mode, by_link })
+}
+
+/// The programs in the kernel, by number: their name, and whether a BPF link holds them to an
+/// interface.
+type Programs = HashMap<u32, (String, bool)>;
+
+/// Those that were there when this process could still ask.
+static SEEN: OnceLock<Programs> = OnceLock::new();
+
+/// Keeps in mind the programs that are there now: without CAP_SYS_ADMIN the kernel does not name
+/// them.
+pub fn remember_programs() {
+    SEEN.get_or_init(programs);
+}
+
+fn programs() -> Programs {
+    let links = loaded_links().flatten().filter(|link| link.link_type().is_ok_and(|kind| kind == LinkType::Xdp));
+    let linked: HashSet<u32> = links.map(|link| link.program_id()).collect();
+    let described = loaded_programs().flatten().map(|program| {
+        let name = program.name_as_str().map(str::to_owned).unwrap_or_default();
+        (program.id(), (name, linked.contains(&program.id())))
+    });
+    described.collect()
 }
 
 #[cfg(test)]

@@ -41,6 +41,10 @@ const ROUTE: &str = "gdp_route";
 /// Why the XDP programs cannot be used at all.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
+    #[error(
+        "this process lacks {}; run it as root, or grant it these with `setcap` or AmbientCapabilities= of systemd", .0.join(", ")
+    )]
+    NotPermitted(Vec<&'static str>),
     #[error("the kernel is {0}, and the XDP programs need {FLOOR} or later")]
     OldKernel(KernelVersion),
     #[error(transparent)]

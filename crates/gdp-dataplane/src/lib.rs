@@ -7,6 +7,8 @@
 //! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`explain`] serve it
 //! - [`dpdk`]: devices that this process drives by itself, and the loops between them
 //! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
+//! - [`capabilities`]: which this needs of Linux's
+//! - [`disturbance`]: on which interfaces XDP is in somebody's way
 //! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
 //! - [`tables`]: the full tables, which threads read while they change
 //! - [`userspace`]: what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
@@ -22,7 +24,9 @@
 // They panic where stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+pub mod capabilities;
 pub mod device;
+pub mod disturbance;
 pub mod dpdk;
 pub mod explain;
 pub mod fib;
@@ -31,6 +35,7 @@ pub mod group_places;
 pub mod groups;
 mod growing;
 pub mod host_pair;
+mod interface_plane;
 pub mod kernel;
 pub mod kernel_groups;
 pub mod kernel_types;
@@ -69,6 +74,7 @@ use dpdk::{DeviceCounters, DpdkConfig, DpdkPlane, DpdkPlaneError};
 use forwarder::{Forwarder, Medium, Shared};
 use group_places::Member;
 use groups::Groups;
+pub use interface_plane::{InterfacePlane, SUPPORTED};
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
 use link_memory::LinkMemory;
 use notices::Notices;
@@ -142,16 +148,6 @@ impl Default for PlaneConfig {
             count_losses: true,
         }
     }
-}
-
-/// Which plane forwards what arrives on an interface, and why that one.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct InterfacePlane {
-    pub interface: String,
-    /// `xdp-native`, `xdp-generic`, `dpdk` or `userspace`.
-    pub kind: &'static str,
-    /// For people.
-    pub reason: String,
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -250,6 +246,8 @@ struct UdpPort {
     pair: Option<host_pair::Ends>,
     /// Interfaces that have one of the socket's addresses, and the switch's end of the pair.
     devices: HashSet<u32>,
+    /// Interfaces that come from now on are logged.
+    logs: bool,
 }
 
 /// An interface that packets arrive on and leave by.
@@ -258,6 +256,8 @@ struct Served {
     attached: Option<Mode>,
     /// Why it got this plane.
     reason: String,
+    /// See [`InterfacePlane::left_alone`].
+    left_alone: bool,
     /// Whether the kernel sends there; its key in the device map is the index of the interface.
     sends: bool,
 }
@@ -266,7 +266,7 @@ impl Planes {
     /// Loads what can be loaded. Fails only if XDP was explicitly wanted.
     pub fn open(config: PlaneConfig) -> Result<Self, PlaneError> {
         let mut kernel = match config.wanted {
-            Wanted::Userspace => Err("`data_plane: userspace` was asked for".to_owned()),
+            Wanted::Userspace => Err("`--no-xdp` or `data_plane: userspace` turns it off".to_owned()),
             Wanted::Dpdk => Err("`data_plane: dpdk` was asked for, and this is none of its ports".to_owned()),
             Wanted::Xdp => Ok(load(&config)?),
             Wanted::Auto => match load(&config) {
@@ -404,9 +404,10 @@ impl Planes {
         self.ports.values().map(|port| &port.forwarder).chain(udp).for_each(Forwarder::stop);
     }
 
-    /// Takes over what arrives over UDP at `bound`: in the kernel on the Ethernet interfaces that have such an address and can run
-    /// native XDP (generic XDP would burden all that the host receives there), otherwise in userspace. `pair`: by which endpoints on
-    /// this host are to send.
+    /// Takes over what arrives over UDP at `bound`: in the kernel on the Ethernet interfaces that
+    /// have such an address and can run native XDP without a [`disturbance`] (generic XDP would
+    /// burden all that the host receives there), otherwise in userspace. `pair`: by which endpoints
+    /// on this host are to send.
     pub fn attach_udp(
         &mut self,
         socket: Arc<DataSocket>,
@@ -417,16 +418,22 @@ impl Planes {
         let forwarder = Forwarder::start(Medium::Udp, socket, LARGEST_UDP_FRAME, &self.shared, self.tables.reader())
             .map_err(|source| PlaneError::Thread { interface: "udp".into(), source })?;
         self.host_pair = pair.as_ref().map_or(0, |pair| pair.switch.index);
-        self.udp = Some(UdpPort { bound, forwarder, pair, devices: HashSet::new() });
+        self.udp = Some(UdpPort { bound, forwarder, pair, devices: HashSet::new(), logs: false });
         self.set_own_bit(self.own_bit)?;
         self.refresh()?;
+        self.udp.iter_mut().for_each(|udp| udp.logs = true);
         let devices = self.udp.iter().flat_map(|udp| &udp.devices);
         Ok(devices.map(|device| self.report_of(&self.devices[device].name, *device)).collect())
     }
 
+    /// Whether there are XDP programs, or why not.
+    pub fn xdp(&self) -> Result<(), String> {
+        self.kernel.as_ref().map(drop).map_err(String::clone)
+    }
+
     /// Whether endpoints on this host can get past the daemon, if there is a kernel plane and `bound` is where they dial in.
     pub fn takes_pair(&self, bound: SocketAddr) -> Result<(), String> {
-        self.kernel.as_ref().map_err(String::clone)?;
+        self.xdp()?;
         // What the kernel plane leaves to the daemon comes to the host's address on the pair.
         let any = bound.ip().is_unspecified();
         any.then_some(()).ok_or_else(|| format!("the UDP address is {bound}, and not 0.0.0.0 or [::]"))
@@ -813,9 +820,13 @@ impl Planes {
         let found = interfaces.collect::<HashSet<_>>().into_iter().filter_map(|name| Interface::find(name).ok());
         let found: HashMap<u32, String> = found.map(|interface| (interface.index, interface.name)).collect();
         let Some(udp) = &mut self.udp else { return Ok(()) };
-        let before = std::mem::replace(&mut udp.devices, found.keys().copied().collect());
+        let (logs, before) = (udp.logs, std::mem::replace(&mut udp.devices, found.keys().copied().collect()));
         for (ifindex, name) in found.iter().filter(|(ifindex, _)| !before.contains(ifindex)) {
+            let is_new = !self.devices.contains_key(ifindex);
             self.use_device(*ifindex, name, false);
+            if logs && is_new {
+                self.report_of(name, *ifindex).log();
+            }
         }
         before
             .into_iter()
@@ -840,10 +851,13 @@ impl Planes {
 
     fn report_of(&self, interface: &str, device: u32) -> InterfacePlane {
         if let Some(dpdk) = self.dpdk.as_ref().and_then(|dpdk| dpdk.device_of(device)) {
-            return InterfacePlane { interface: interface.to_owned(), kind: "dpdk", reason: format!("device {dpdk}") };
+            let (interface, reason) = (interface.to_owned(), format!("device {dpdk}"));
+            return InterfacePlane { interface, kind: "dpdk", reason, left_alone: false };
         }
-        let (attached, reason) =
-            self.devices.get(&device).map_or((None, ""), |device| (device.attached, device.reason.as_str()));
+        let (attached, reason, left_alone) = self
+            .devices
+            .get(&device)
+            .map_or((None, "", false), |device| (device.attached, device.reason.as_str(), device.left_alone));
         let kind = match attached {
             Some(Mode::Native) => "xdp-native",
             Some(Mode::Generic) => "xdp-generic",
@@ -851,14 +865,17 @@ impl Planes {
         };
         let leaves_in_kernel = attached.is_none() || self.kernel_can_send_to(device);
         let reason = reason.to_owned() + if leaves_in_kernel { "" } else { NO_REDIRECT };
-        InterfacePlane { interface: interface.to_owned(), kind, reason }
+        InterfacePlane { interface: interface.to_owned(), kind, reason, left_alone }
     }
 
-    /// Puts the program on an interface, unless it is there. `generic`: if need be in the generic mode.
-    fn use_device(&mut self, ifindex: u32, name: &str, generic: bool) {
+    /// Puts the program on an interface, unless it is there. `named`: whatever that disturbs, and
+    /// if need be in the generic mode.
+    fn use_device(&mut self, ifindex: u32, name: &str, named: bool) {
         if self.devices.get(&ifindex).is_none_or(|device| device.attached.is_none()) {
-            let (attached, reason) = self.attach_program(ifindex, name, generic);
-            self.devices.insert(ifindex, Served { name: name.to_owned(), attached, reason, sends: false });
+            let (attached, reason) = self.attach_program(ifindex, name, named);
+            // With somebody else's program there, naming it changes nothing.
+            let left_alone = attached.is_none() && !named && self.kernel.is_ok() && !reason.starts_with(OCCUPIED);
+            self.devices.insert(ifindex, Served { name: name.to_owned(), attached, reason, left_alone, sends: false });
         }
     }
 
@@ -884,7 +901,7 @@ impl Planes {
         }
     }
 
-    fn attach_program(&mut self, ifindex: u32, name: &str, generic: bool) -> (Option<Mode>, String) {
+    fn attach_program(&mut self, ifindex: u32, name: &str, named: bool) -> (Option<Mode>, String) {
         let kernel = match &mut self.kernel {
             Ok(kernel) => kernel,
             Err(reason) => return (None, reason.clone()),
@@ -896,16 +913,20 @@ impl Planes {
                 tracing::warn!(interface = name, %error, "the program of an earlier daemon cannot be replaced in place");
             }
         }
+        let features = || self.features.as_ref().and_then(|features| features.of(ifindex).ok());
+        if let Some(disturbance) = (!named).then(|| disturbance::of(name, features())).flatten() {
+            return (None, disturbance);
+        }
         let native = match kernel.attach(ifindex, Mode::Native) {
-            Ok(()) => return (Some(Mode::Native), "the driver supports it".into()),
+            Ok(()) => return (Some(Mode::Native), SUPPORTED.into()),
             Err(error) => error,
         };
         if explain::is_occupied(&native) {
             return (None, occupied(ifindex));
         }
         let why = explain::attach(&native);
-        if !generic {
-            return (None, format!("no native XDP: {why}; links over UDP do without generic XDP"));
+        if !named {
+            return (None, format!("no native XDP: {why}; generic XDP would slow down all that arrives there"));
         }
         match kernel.attach(ifindex, Mode::Generic) {
             Ok(()) => (Some(Mode::Generic), format!("no native XDP: {why}")),
@@ -1232,11 +1253,13 @@ fn without(permits: &[Permit], others: &[Permit]) -> Vec<Permit> {
     permits.iter().filter(|permit| !others.contains(permit)).copied().collect()
 }
 
+const OCCUPIED: &str = "another XDP program is attached";
+
 /// Whose program is in the way, and what removes it.
 fn occupied(ifindex: u32) -> String {
     match Device::find(ifindex).ok().and_then(|device| device.program) {
-        Some(program) => format!("another XDP program is attached: {program}; {}", program.remedy()),
-        None => "another XDP program is attached, and gone by now".into(),
+        Some(program) => format!("{OCCUPIED}: {program}; {}", program.remedy()),
+        None => format!("{OCCUPIED}, and gone by now"),
     }
 }
 
@@ -1244,6 +1267,10 @@ const NO_REDIRECT: &str = "; frames leave here through the userspace plane, beca
                            veth takes them while its peer has an XDP program, or GRO on: `ethtool -K PEER gro on`)";
 
 fn load(config: &PlaneConfig) -> Result<KernelPlane, LoadError> {
+    let missing = capabilities::missing(&capabilities::XDP);
+    if !missing.is_empty() {
+        return Err(LoadError::NotPermitted(missing));
+    }
     let object = object::Object::find(config.ebpf_object.as_deref())?;
     let pins = match &config.pins {
         Some(place) => match Pins::open(&place.bpffs, &place.switch) {

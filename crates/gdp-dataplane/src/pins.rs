@@ -224,8 +224,8 @@ pub fn is_mounted(at: &Path) -> bool {
     CString::new(at.as_os_str().as_bytes()).is_ok_and(|path| is_bpffs(&path))
 }
 
-/// Sees to it that there is a BPF file system.
-fn mount(at: &Path) -> Result<(), PinsError> {
+/// Sees to it that there is a BPF file system. To mount one needs CAP_SYS_ADMIN.
+pub fn mount(at: &Path) -> Result<(), PinsError> {
     let missing = |reason: String| PinsError::NoBpffs { path: at.into(), reason };
     let path = CString::new(at.as_os_str().as_bytes()).map_err(|_| missing("no path has a NUL in it".into()))?;
     if is_bpffs(&path) {

@@ -57,7 +57,7 @@ fn frames_cross_a_switch_in_userspace() -> Result<()> {
     let site = Site::build(1500)?;
     let switch = site.switch(Wanted::Userspace)?;
     for report in switch.planes.report() {
-        ensure!(report.kind == "userspace" && report.reason.contains("was asked for"), "{report:?}");
+        ensure!(report.kind == "userspace" && report.reason.contains("turns it off"), "{report:?}");
     }
     let crossed = site.send_through(1400)?;
     ensure!(crossed.len() == 14 + 1400);

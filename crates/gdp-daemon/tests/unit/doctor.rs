@@ -29,6 +29,13 @@ fn whatever_is_wrong_is_found_named_and_comes_with_a_remedy() {
             "5.4, and XDP needs 5.15",
             "data_plane: userspace",
         ),
+        (
+            |f| interface(f).disturbed = Some("the driver x may reset the link".into()),
+            "mode",
+            Level::Warning,
+            "x may reset the link",
+            "--interface eth0",
+        ),
         (|f| f.kernel = KernelVersion(5, 15), "kernel", Level::Warning, "MTU", "5.18"),
         (|f| f.kernel = KernelVersion(6, 1), "kernel", Level::Warning, "redirected", "6.3"),
         (
@@ -246,6 +253,7 @@ fn healthy() -> Facts {
             device,
             offloads,
             features: Some(ALL_FEATURES),
+            disturbed: None,
             owner: Owner::Switch,
             has_vlans: false,
         })]),
@@ -257,7 +265,13 @@ fn left(abi: u32, here: bool) -> LeftOver {
 }
 
 fn foreign() -> AttachedProgram {
-    AttachedProgram { interface: "eth0".into(), id: 42, name: "drop_all".into(), mode: Mode::Native, by_link: false }
+    AttachedProgram {
+        interface: "eth0".into(),
+        id: 42,
+        name: "drop_all".into(),
+        mode: Mode::Native,
+        by_link: Some(false),
+    }
 }
 
 fn interface(facts: &mut Facts) -> &mut Interface {

@@ -31,10 +31,11 @@ fn the_way_to_remove_a_program_depends_on_who_holds_it() {
         id: 42,
         name: "drop_all".into(),
         mode: Mode::Generic,
-        by_link: false,
+        by_link: Some(false),
     };
     assert_eq!(program.to_string(), "program 42 `drop_all`, in generic mode");
     assert_eq!(program.remedy(), "`ip link set dev eth0 xdpgeneric off` removes it");
-    assert!(AttachedProgram { by_link: true, ..program.clone() }.remedy().contains("bpftool link"));
+    assert!(AttachedProgram { by_link: Some(true), ..program.clone() }.remedy().contains("bpftool link detach"));
+    assert!(AttachedProgram { by_link: None, ..program.clone() }.remedy().contains("as root"));
     assert!(AttachedProgram { name: "gdp_switch".into(), ..program }.remedy().contains("gdp-ctl xdp detach"));
 }
