@@ -30,3 +30,7 @@ pub fn run(options: Options) -> Result<()> {
     let error = own(&program).arg("serve").args(options.arguments).exec();
     Err(error).with_context(|| format!("cannot start {}", program.display()))
 }
+
+#[cfg(test)]
+#[path = "../tests/unit/run.rs"]
+mod tests;

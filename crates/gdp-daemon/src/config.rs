@@ -4,6 +4,7 @@
 mod dpdk;
 mod etcd;
 
+use std::collections::HashSet;
 use std::fmt;
 use std::fs;
 use std::io::Read;
@@ -34,8 +35,11 @@ pub struct Config {
     pub identity: PathBuf,
     /// The admin socket.
     pub socket: PathBuf,
-    /// Ethernet interfaces to run on; `None`: all that are up.
+    /// Ethernet interfaces with links of their own; `None`: those that other keys name. See
+    /// [`Config::named_interfaces`].
     pub interfaces: Option<Vec<String>>,
+    /// As if every Ethernet interface that is up at the start were named. No option of the file.
+    pub all_interfaces: bool,
     /// Where to take links over UDP, if at all.
     pub udp: Option<SocketAddr>,
     pub data_plane: DataPlane,
@@ -159,6 +163,7 @@ impl Config {
             socket: identity.with_extension("sock"),
             identity,
             interfaces: Some(Vec::new()),
+            all_interfaces: false,
             udp: Some(udp),
             data_plane: DataPlane::Userspace,
             dpdk: DpdkConfig::default(),
@@ -174,7 +179,7 @@ impl Config {
         }
     }
 
-    /// What a daemon without a configuration runs with: RIB and switch on all Ethernet interfaces (as root) and on UDP.
+    /// What a daemon without a configuration runs with: RIB and switch, with links over UDP.
     pub fn embedded() -> Result<Self, ConfigError> {
         Ok(Self {
             socket: folders::admin_socket()?,
@@ -184,6 +189,29 @@ impl Config {
             bpffs: default_bpffs(),
             ..Self::userspace(folders::state()?.join("switch.pem"), default_udp())
         })
+    }
+
+    /// The Ethernet interfaces that somebody named, each once: those of `interfaces`; without that
+    /// list those of neighbours, and of DPDK's ports if they are used.
+    pub fn named_interfaces(&self) -> Vec<String> {
+        let neighbours = self.neighbours.iter().filter_map(|neighbour| match &neighbour.place.via {
+            Via::Interface(name) => Some(name),
+            Via::Udp(_) => None,
+        });
+        let is_dpdk = self.data_plane == DataPlane::Dpdk;
+        let ports = self.dpdk.ports.iter().filter(|_| is_dpdk).map(|port| &port.interface);
+        let named: Vec<&String> = match &self.interfaces {
+            Some(listed) => listed.iter().collect(),
+            None => ports.chain(neighbours).collect(),
+        };
+        let mut once = HashSet::new();
+        named.into_iter().filter(|name| once.insert(*name)).cloned().collect()
+    }
+
+    /// Names further interfaces.
+    pub fn name_interfaces(&mut self, more: Vec<String>) {
+        let named = [self.named_interfaces(), more].concat();
+        self.interfaces = Some(named);
     }
 
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
@@ -380,6 +408,7 @@ impl File {
                 None => folders::admin_socket()?,
             },
             interfaces: self.interfaces,
+            all_interfaces: false,
             udp: match self.udp {
                 Udp::Absent => Some(default_udp()),
                 Udp::Off => None,

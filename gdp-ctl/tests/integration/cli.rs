@@ -141,6 +141,8 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         (&["advertise", "chatter.card", "--key", "owner.pem", "--for", "soon"], 2, &["is not a time"]),
         (&["serve", "--config", "none.yaml"], 1, &["none.yaml"]),
         (&["serve", "--config", "junk"], 1, &["junk"]),
+        (&["serve", "--no-xdp", "--data-plane", "xdp"], 2, &["cannot be used with"]),
+        (&["serve", "--interface", "e0", "--all-interfaces"], 2, &["cannot be used with"]),
     ] {
         let error = user.refusal(status, arguments);
         for needle in needles {

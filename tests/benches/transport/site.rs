@@ -65,6 +65,7 @@ impl Site {
             identity: files.path().join("s1.pem"),
             socket: files.path().join("s1.sock"),
             interfaces: Some(vec!["l0".into(), "r0".into()]),
+            all_interfaces: false,
             udp: Some((Ipv4Addr::UNSPECIFIED, PORT).into()),
             data_plane: DataPlane::Xdp,
             dpdk: Default::default(),

@@ -1,6 +1,7 @@
 //! What needs root: real XDP, network namespaces, foreign programs. One program of all these tests: each would contain the whole daemon.
 
 mod churn;
+mod defaults;
 mod doctor;
 mod domains;
 mod dpdk;

@@ -244,8 +244,7 @@ impl Site {
     }
 
     fn wait_until_up(&self) -> Result<()> {
-        // What it says last of its ports.
-        let up = || self.daemon.stderr().contains("udp 0.0.0.0:31415");
+        let up = || self.daemon.stderr().contains("ready: switch ");
         wait_for("the daemon to take links", PATIENCE, || Ok(up().then_some(()))).with_context(|| self.report())
     }
 

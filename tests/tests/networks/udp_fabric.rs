@@ -189,6 +189,7 @@ impl Site {
             Ok(Config {
                 identity: identity(label),
                 socket: folder.join(format!("{label}.sock")),
+                all_interfaces: false,
                 interfaces: Some(match (label, data_plane) {
                     ("edge", DataPlane::Dpdk) => vec!["gl0".into()],
                     ("edge", _) => vec!["l0".into()],

@@ -142,6 +142,8 @@ pub struct Interface {
     pub offloads: Offloads,
     /// None before Linux 6.3.
     pub features: Option<Features>,
+    /// What XDP would disturb there, if it is not named.
+    pub disturbed: Option<String>,
     /// Of the program on it, if there is one.
     pub owner: Owner,
     /// Whether VLAN interfaces are on it.

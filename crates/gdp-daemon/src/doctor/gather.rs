@@ -13,15 +13,17 @@ use super::facts::{
 };
 use crate::config::{Config, DataPlane};
 use crate::folders;
+use gdp_dataplane::capabilities::{self, Capability, SYS_ADMIN};
 use gdp_dataplane::device::Device;
 use gdp_dataplane::dpdk::DpdkConfig;
-use gdp_dataplane::host_pair;
 use gdp_dataplane::kernel::KernelPlane;
 use gdp_dataplane::kernel_version::KernelVersion;
 use gdp_dataplane::losses;
 use gdp_dataplane::object::Object;
 use gdp_dataplane::pins::{self, Pins, PinsError};
+use gdp_dataplane::udp;
 use gdp_dataplane::xdp_features::XdpFeatures;
+use gdp_dataplane::{disturbance, host_pair};
 use gdp_util::unix_time::unix_seconds;
 
 /// What a daemon with this configuration would find, in this network namespace.
@@ -32,7 +34,7 @@ pub fn facts(config: &Config) -> Facts {
         wanted,
         dpdk: matches!(wanted, Wanted::Dpdk).then(|| dpdk(&config.dpdk)),
         kernel: KernelVersion::running(),
-        missing_capabilities: missing_capabilities(),
+        missing_capabilities: capabilities::missing(needed(config)),
         losses: losses::net_devices().map(drop).map_err(|error| error.to_string()),
         bpffs: config.bpffs.as_deref().map(bpffs),
         object: match wanted {
@@ -42,15 +44,17 @@ pub fn facts(config: &Config) -> Facts {
         },
         left_over: config.bpffs.as_deref().map(left_over).unwrap_or_default(),
         udp: config.udp.map(udp),
-        interfaces: interfaces(config).map_err(|error| format!("cannot ask for interfaces: {error}")),
+        interfaces: interfaces(config, wanted).map_err(|error| format!("cannot ask for interfaces: {error}")),
     }
 }
 
 fn wanted(config: &Config) -> Wanted {
     match config.data_plane {
         DataPlane::Userspace => Wanted::Userspace("`data_plane: userspace` is configured"),
-        DataPlane::Auto if !folders::is_root() && config.interfaces.is_none() => {
-            Wanted::Userspace("this is not root and no `interfaces` are configured")
+        DataPlane::Auto
+            if config.named_interfaces().is_empty() && !capabilities::missing(needed(config)).is_empty() =>
+        {
+            Wanted::Userspace("this process lacks capabilities and no interface is named")
         }
         DataPlane::Dpdk => Wanted::Dpdk,
         DataPlane::Auto | DataPlane::Xdp => Wanted::Xdp,
@@ -100,23 +104,9 @@ fn clock() -> Clock {
     Clock { unix: unix_seconds(), synchronised: result >= 0 && result != libc::TIME_ERROR }
 }
 
-const CAP_SYS_ADMIN: u32 = 21;
-
-fn missing_capabilities() -> Vec<&'static str> {
-    /// With whether CAP_SYS_ADMIN includes it.
-    const NEEDED: [(&str, u32, bool); 4] =
-        [("CAP_BPF", 39, true), ("CAP_PERFMON", 38, true), ("CAP_NET_ADMIN", 12, false), ("CAP_NET_RAW", 13, false)];
-    let has = capabilities();
-    let missing = NEEDED.into_iter().filter(|(_, number, by_admin)| !(has(*number) || *by_admin && has(CAP_SYS_ADMIN)));
-    missing.map(|(name, ..)| name).collect()
-}
-
-/// Whether this process has the capability of a number.
-fn capabilities() -> impl Fn(u32) -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
-    let effective = effective.and_then(|digits| u64::from_str_radix(digits.trim(), 16).ok()).unwrap_or(0);
-    move |number| effective & 1 << number != 0
+/// The capabilities that it takes to run as configured.
+fn needed(config: &Config) -> &'static [Capability] {
+    if config.named_interfaces().is_empty() { &capabilities::XDP } else { &capabilities::SWITCH }
 }
 
 fn bpffs(at: &Path) -> Bpffs {
@@ -128,7 +118,7 @@ fn bpffs(at: &Path) -> Bpffs {
         }
         let namespace = |process: &str| std::fs::read_link(format!("/proc/{process}/ns/mnt")).ok();
         let private = namespace("1").is_some_and(|first| namespace("self") != Some(first));
-        return Bpffs::Missing { path, may_mount: capabilities()(CAP_SYS_ADMIN), private };
+        return Bpffs::Missing { path, may_mount: capabilities::missing(&[SYS_ADMIN]).is_empty(), private };
     }
     let writable = CString::new(at.as_os_str().as_bytes()).map_err(io::Error::from).and_then(|text| {
         // SAFETY: a C string that outlives the call.
@@ -218,31 +208,30 @@ fn zero_checksum() -> io::Result<()> {
     }
 }
 
-/// Those configured; otherwise all Ethernet interfaces that are up, as the daemon does. With DPDK those of its ports, which are there only
-/// while a daemon runs.
-fn interfaces(config: &Config) -> io::Result<Vec<Result<Interface, String>>> {
+/// Those that are named, and those by whose addresses links over UDP come, as with the daemon.
+/// Ports of DPDK are there only while a daemon runs.
+fn interfaces(config: &Config, plane: Wanted) -> io::Result<Vec<Result<Interface, String>>> {
     let all = Device::list()?;
     let features = XdpFeatures::open().ok();
     let is_dpdk = config.data_plane == DataPlane::Dpdk;
     let is_port = |name: &str| is_dpdk && config.dpdk.ports.iter().any(|port| port.interface == name);
-    let wanted: Vec<Result<&Device, String>> = match &config.interfaces {
-        Some(names) => {
-            let find = |name: &String| all.iter().find(|device| device.name == *name).ok_or_else(|| name.clone());
-            names.iter().map(find).filter(|found| !found.as_ref().is_err_and(|name| is_port(name))).collect()
-        }
-        None if is_dpdk => all.iter().filter(|device| is_port(&device.name)).map(Ok).collect(),
-        None if folders::is_root() => all
-            .iter()
-            .filter(|device| device.ethernet && device.up && !host_pair::is_end(&device.name))
-            .map(Ok)
-            .collect(),
-        None => Vec::new(),
-    };
+    let named = config.named_interfaces();
+    let find = |name: &String| all.iter().find(|device| device.name == *name).ok_or_else(|| name.clone());
+    let found = named.iter().map(find).filter(|found| !found.as_ref().is_err_and(|name| is_port(name)));
+    let mut wanted: Vec<Result<&Device, String>> = found.collect();
+    if let (Some(bound), Wanted::Xdp) = (config.udp, plane) {
+        let taken = udp::taken_at(bound, udp::addresses()?);
+        let by_udp = |device: &&Device| taken.iter().any(|(_, at)| at.interface == device.name);
+        let by_udp = all.iter().filter(|device| device.ethernet && !host_pair::is_end(&device.name)).filter(by_udp);
+        wanted.extend(by_udp.filter(|device| !named.contains(&device.name)).map(Ok));
+    }
     let look = |device: &Device| {
+        let features = features.as_ref().and_then(|features| features.of(device.index).ok());
         Ok(Interface {
             device: device.clone(),
             offloads: device.offloads()?,
-            features: features.as_ref().and_then(|features| features.of(device.index).ok()),
+            features,
+            disturbed: disturbance::of(&device.name, features).filter(|_| !named.contains(&device.name)),
             owner: match &device.program {
                 Some(program) if !program.is_switch() => Owner::Foreign,
                 _ => Owner::Switch,

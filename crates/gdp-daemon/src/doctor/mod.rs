@@ -274,7 +274,10 @@ fn xdp(interface: &Interface, facts: &Facts, any_native: bool) -> Vec<Finding> {
             failed("program", format!("another XDP program is attached: {program}"), program.remedy())
         }
     }];
-    findings.push(if native {
+    findings.push(if let Some(reason) = &interface.disturbed {
+        let command = format!("`gdp-ctl serve --interface {name}` attaches XDP all the same");
+        warning("mode", format!("{reason}, so the daemon leaves it alone; links over UDP are forwarded in userspace"), command)
+    } else if native {
         let room = if device.kind == "veth" { 256 } else { 192 };
         ok("mode", format!("native XDP; drivers leave {room} bytes before a frame, at most {ENCAPSULATION} are needed"))
     } else {

@@ -19,6 +19,7 @@ mod links;
 mod liveness;
 mod peering;
 mod ports;
+mod ready;
 mod refusals;
 mod replica;
 mod report;
@@ -51,9 +52,9 @@ use self::control::Report;
 use self::core::Core;
 use self::domain::KeptDomain;
 use self::kept::KeptRevocations;
+pub use self::ready::Ready;
 use self::replica::Replica;
 use crate::config::{Config, DataPlane};
-use crate::folders;
 use gdp_dataplane::host_pair;
 use gdp_dataplane::{PinPlace, PlaneConfig, PlaneError, Planes, Wanted};
 use gdp_util::unix_time::unix_nanos;
@@ -77,7 +78,7 @@ pub enum StartError {
     #[error("cannot ask the kernel for its interfaces: {0}")]
     Netlink(#[from] rtnetlink::Error),
     #[error(
-        "this daemon has no interface and no UDP address, so nobody can reach it; list interfaces, or set udp: 0.0.0.0:31415"
+        "this daemon has no interface and no UDP address, so nobody can reach it; name interfaces, or set udp: 0.0.0.0:31415"
     )]
     NoPort,
     #[error(transparent)]
@@ -124,15 +125,14 @@ pub struct Running {
     daemon: Arc<Daemon>,
     udp: Option<Arc<Port>>,
     admin: admin::Listening,
+    ready: Ready,
 }
 
 /// Starts a daemon: everything that can be wrong is wrong here, or waited for.
 pub async fn start(config: Config) -> Result<Running, StartError> {
     make_folder(&config.identity)?;
     let identity = Identity::load_or_generate(&config.identity, "switch")?;
-    tracing::info!("switch {}{}", identity.name(), if config.rib { ", with the RIB" } else { "" });
     let wanted = match config.data_plane {
-        DataPlane::Auto if !folders::is_root() && config.interfaces.is_none() => Wanted::Userspace,
         DataPlane::Auto => Wanted::Auto,
         DataPlane::Xdp => Wanted::Xdp,
         DataPlane::Dpdk => Wanted::Dpdk,
@@ -189,24 +189,42 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     for name in &interfaces {
         opened.push(match ports::open_ethernet(&daemon, name) {
             Ok(port) => Some(port),
-            Err(error) if config.interfaces.is_none() || is_absent(&error) => {
+            Err(error) if is_absent(&error) || config.all_interfaces && !is_denied(&error) => {
                 tracing::warn!("{name} is not used for now: {error}");
                 None
             }
             Err(error) => return Err(error),
         });
     }
-    let udp = match config.udp {
-        Some(bind) => Some((bind, ports::open_udp(&daemon, bind).await?)),
+    let (udp, no_pair) = match config.udp {
+        Some(bind) => {
+            let (port, no_pair) = ports::open_udp(&daemon, bind).await?;
+            (Some((bind, port)), no_pair)
+        }
         None => {
             // An earlier daemon may have been killed, and configured otherwise.
             ports::remove_host_pair(&daemon).await;
-            None
+            (None, None)
         }
     };
     if interfaces.is_empty() && udp.is_none() {
         return Err(StartError::NoPort);
     }
+    let mut ready = Ready {
+        switch: daemon.name,
+        rib: config.rib,
+        udp: udp.as_ref().and_then(|(_, port)| port.udp_addr()),
+        ethernet: Vec::new(),
+        awaited: Vec::new(),
+        planes: Vec::new(),
+        no_xdp: None,
+        in_userspace: no_pair.into_iter().collect(),
+        socket: config.socket.clone(),
+    };
+    for (name, port) in interfaces.iter().zip(&opened) {
+        if port.is_some() { &mut ready.ethernet } else { &mut ready.awaited }.push(name.clone());
+    }
+    ready.look_at(&daemon.core().planes);
     for (name, port) in interfaces.into_iter().zip(opened) {
         daemon.spawn(ports::run_ethernet(daemon.clone(), name, port, changes.clone()));
     }
@@ -227,7 +245,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     if let Some(config) = config.domain {
         daemon.spawn(domain::watch(daemon.clone(), config, shown));
     }
-    Ok(Running { daemon, udp: udp.map(|(_, port)| port), admin })
+    Ok(Running { daemon, udp: udp.map(|(_, port)| port), admin, ready })
 }
 
 impl Running {
@@ -238,6 +256,11 @@ impl Running {
     /// Where links over UDP are taken.
     pub fn udp_addr(&self) -> Option<SocketAddr> {
         self.udp.as_ref()?.udp_addr()
+    }
+
+    /// What it had when it was ready.
+    pub fn ready(&self) -> &Ready {
+        &self.ready
     }
 
     /// What `gdp-ctl status` shows.
@@ -346,25 +369,28 @@ async fn follow_addresses(daemon: Arc<Daemon>) {
     }
 }
 
-/// The configured interfaces; without any, all Ethernet interfaces that are up, if this process may use them.
+/// The interfaces that are to have links on Ethernet.
 async fn interfaces_to_use(config: &Config) -> Result<Vec<String>, StartError> {
-    if let Some(interfaces) = &config.interfaces {
-        return Ok(interfaces.clone());
+    let mut used = config.named_interfaces();
+    if config.all_interfaces {
+        let found = interfaces::list().await?;
+        let all = found.into_iter().filter(|i| i.up && i.ethernet && !host_pair::is_end(&i.name));
+        used.extend(all.map(|interface| interface.name).filter(|name| !config.named_interfaces().contains(name)));
     }
-    if config.data_plane == DataPlane::Dpdk {
-        return Ok(config.dpdk.ports.iter().map(|port| port.interface.clone()).collect());
-    }
-    if !folders::is_root() {
-        tracing::info!("not root: no Ethernet links and no XDP; links over UDP only, forwarded by the userspace plane");
-        return Ok(Vec::new());
-    }
-    let found = interfaces::list().await?;
-    Ok(found.into_iter().filter(|i| i.up && i.ethernet && !host_pair::is_end(&i.name)).map(|i| i.name).collect())
+    Ok(used)
 }
 
 fn is_absent(error: &StartError) -> bool {
-    let StartError::Link(LinkError::Io { source, .. }) = error else { return false };
-    matches!(source.raw_os_error(), Some(libc::ENODEV | libc::ENETDOWN))
+    matches!(os_error(error), Some(libc::ENODEV | libc::ENETDOWN))
+}
+
+fn is_denied(error: &StartError) -> bool {
+    matches!(os_error(error), Some(libc::EPERM | libc::EACCES))
+}
+
+fn os_error(error: &StartError) -> Option<i32> {
+    let StartError::Link(LinkError::Io { source, .. }) = error else { return None };
+    source.raw_os_error()
 }
 
 fn make_folder(file: &std::path::Path) -> Result<(), StartError> {

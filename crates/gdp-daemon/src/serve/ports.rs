@@ -31,49 +31,43 @@ const LOOK: Duration = Duration::from_secs(2);
 /// Opens a port on an interface and has the data planes take it over.
 pub fn open_ethernet(daemon: &Arc<Daemon>, name: &str) -> Result<Arc<Port>, StartError> {
     let port = Arc::new(Port::ethernet(name, &daemon.port_config)?);
-    let Some(interface) = port.interface() else { return Ok(port) };
-    let report = daemon.core().planes.attach(interface, port.data())?;
-    let reason = if report.reason.is_empty() { String::new() } else { format!(": {}", report.reason) };
-    tracing::info!("{name}: data plane {}{reason}", report.kind);
+    if let Some(interface) = port.interface() {
+        daemon.core().planes.attach(interface, port.data())?;
+    }
     Ok(port)
 }
 
-/// Opens the UDP port.
-pub async fn open_udp(daemon: &Arc<Daemon>, bind: std::net::SocketAddr) -> Result<Arc<Port>, StartError> {
+/// Opens the UDP port. Beside it: why frames of endpoints on this host go through the daemon, if
+/// they do.
+pub async fn open_udp(
+    daemon: &Arc<Daemon>,
+    bind: std::net::SocketAddr,
+) -> Result<(Arc<Port>, Option<String>), StartError> {
     let port = Arc::new(Port::udp(bind, &daemon.port_config)?);
     let addr = port.udp_addr().unwrap_or(bind);
-    let pair = open_host_pair(daemon, addr).await;
-    let (reports, in_userspace, pair) = {
+    let opened = open_host_pair(daemon, addr).await;
+    let no_pair = opened.as_ref().err().map(|reason| format!("endpoints on this host, because {reason}"));
+    let pair = {
         let planes = &mut daemon.core().planes;
-        (planes.attach_udp(port.data(), addr, pair)?, planes.udp_in_userspace(), planes.host_pair())
+        planes.attach_udp(port.data(), addr, opened.ok())?;
+        planes.host_pair()
     };
     port.set_host_pair(pair);
-    for report in reports {
-        tracing::info!("udp {addr} on {}: data plane {}: {}", report.interface, report.kind, report.reason);
-    }
-    for (family, reason) in ["IPv4", "IPv6"].iter().zip(in_userspace) {
-        if let Some(reason) = reason {
-            tracing::info!("udp {addr}: links over {family} are sent on by the userspace plane: {reason}");
-        }
-    }
-    Ok(port)
+    Ok((port, no_pair))
 }
 
-/// The interfaces by which endpoints on this host reach the kernel plane, if there can be any; otherwise says why not.
-async fn open_host_pair(daemon: &Daemon, bound: std::net::SocketAddr) -> Option<host_pair::Ends> {
+/// The interfaces by which endpoints on this host reach the kernel plane, if there can be any;
+/// otherwise why not.
+async fn open_host_pair(daemon: &Daemon, bound: std::net::SocketAddr) -> Result<host_pair::Ends, String> {
     let possible = daemon.core().planes.takes_pair(bound);
     let opened = match possible {
         Ok(()) => host_pair::open(&daemon.name).await.map_err(|error| error.to_string()),
         Err(reason) => Err(reason),
     };
-    match opened {
-        Ok(ends) => Some(ends),
-        Err(reason) => {
-            tracing::info!("udp {bound}: frames of endpoints on this host go through the daemon: {reason}");
-            remove_host_pair(daemon).await;
-            None
-        }
+    if opened.is_err() {
+        remove_host_pair(daemon).await;
     }
+    opened
 }
 
 /// Removes what this daemon, or an earlier one, made for endpoints on this host.
@@ -119,7 +113,11 @@ pub async fn run_ethernet(
         let open = match port.take() {
             Some(port) => port,
             None => match open_ethernet(&daemon, &name) {
-                Ok(port) => port,
+                Ok(port) => {
+                    let planes = daemon.core().planes.report();
+                    planes.iter().filter(|plane| plane.interface == name).for_each(|plane| plane.log());
+                    port
+                }
                 Err(error) => {
                     tracing::debug!(interface = name, %error, "not usable yet");
                     look(&mut changes).await;

@@ -44,6 +44,23 @@ fn what_is_left_out_has_a_default() {
 }
 
 #[test]
+fn interfaces_are_those_that_somebody_named() {
+    let named = |text: &str| parse(text).unwrap().named_interfaces();
+    assert!(named("").is_empty(), "none unless it is named");
+    assert_eq!(named("interfaces: [a, b, a]"), ["a", "b"]);
+    let near = format!("neighbours: [{{interface: a, switch: {S}}}]");
+    assert_eq!(named(&near), ["a"]);
+    assert_eq!(named(&format!("{near}\ninterfaces: [b, a]")), ["b", "a"]);
+    assert_eq!(named(&format!("uplink: {{interface: a, switch: {S}}}")), ["a"]);
+    let ports = "dpdk: {ports: [{interface: g0, device: net_null0}]}";
+    assert!(named(ports).is_empty());
+    assert_eq!(named(&format!("data_plane: dpdk\n{ports}")), ["g0"]);
+    let mut config = parse(&near).unwrap();
+    config.name_interfaces(vec!["c".into(), "a".into()]);
+    assert_eq!(config.named_interfaces(), ["a", "c"]);
+}
+
+#[test]
 fn a_domain_its_parents_and_who_dials() {
     let config = parse("").unwrap();
     assert_eq!(config.domain, None);

@@ -1,0 +1,88 @@
+//! What a daemon gives up when it starts: all capabilities but those of a switch. Before that it
+//! does what needs more.
+
+use std::ffi::CString;
+use std::io;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use gdp_dataplane::capabilities::{self, Capability};
+use gdp_dataplane::{device, pins};
+
+use crate::config::{Config, DataPlane};
+use crate::folders;
+
+/// Ports below it need CAP_NET_BIND_SERVICE, unless `net.ipv4.ip_unprivileged_port_start` says
+/// otherwise.
+const FIRST_UNPRIVILEGED_PORT: u16 = 1024;
+
+#[derive(Debug, thiserror::Error)]
+pub enum PrivilegesError {
+    #[error("cannot give up the capabilities that a switch does not need: {0}")]
+    Kernel(#[from] io::Error),
+    #[error(
+        "{} belongs to user {owner}, and the daemon gives up root's right to other users' files: `chown root {}`, or run it \
+         as that user with the capabilities", path.display(), path.display()
+    )]
+    OfAnother { path: PathBuf, owner: u32 },
+}
+
+/// Keeps the capabilities of a switch alone, whoever started it, and sets `no_new_privs`. To be
+/// called before there are other threads. A daemon with DPDK keeps what it has, for its devices and
+/// huge pages.
+pub fn restrict(config: &Config) -> Result<(), PrivilegesError> {
+    if config.data_plane == DataPlane::Dpdk {
+        return Ok(());
+    }
+    if let (DataPlane::Auto | DataPlane::Xdp, Some(bpffs)) = (config.data_plane, &config.bpffs)
+        && capabilities::missing(&capabilities::XDP).is_empty()
+    {
+        // If it cannot be mounted, it is missed where it is used.
+        let _ = pins::mount(bpffs);
+    }
+    device::remember_programs();
+    capabilities::keep_only(&needed(config))?;
+    files(config).try_for_each(|(path, mode)| check(path, mode))
+}
+
+fn needed(config: &Config) -> Vec<Capability> {
+    let low_port = config.udp.is_some_and(|udp| (1..FIRST_UNPRIVILEGED_PORT).contains(&udp.port()));
+    capabilities::SWITCH.into_iter().chain(low_port.then_some(capabilities::NET_BIND_SERVICE)).collect()
+}
+
+/// What the daemon reads, and the folders that it writes to.
+fn files(config: &Config) -> impl Iterator<Item = (&Path, libc::c_int)> {
+    let domain = config.domain.iter().flat_map(|domain| {
+        let files = &domain.files;
+        [&files.card, &files.membership].into_iter().chain(&files.peers)
+    });
+    let read = [&config.identity].into_iter().chain(&config.ebpf_object).chain(domain);
+    let folders = [&config.identity, &config.socket].into_iter().filter_map(|file| file.parent());
+    read.map(|path| (path.as_path(), libc::R_OK)).chain(folders.map(|folder| (folder, libc::W_OK | libc::X_OK)))
+}
+
+/// Whether this process may still do that with a file. Only what root could do before is an error
+/// here.
+fn check(path: &Path, mode: libc::c_int) -> Result<(), PrivilegesError> {
+    let path = if path.as_os_str().is_empty() { Path::new(".") } else { path };
+    let above = |mode| path.parent().map_or(Ok(()), |folder| check(folder, mode));
+    let refused = access(path, mode).map_err(|error| error.kind());
+    match (refused, path.metadata()) {
+        (Err(io::ErrorKind::NotFound), _) if mode & libc::W_OK != 0 => above(mode),
+        (Err(io::ErrorKind::PermissionDenied), Err(_)) => above(libc::X_OK),
+        (Err(io::ErrorKind::PermissionDenied), Ok(found)) if folders::is_root() && found.uid() != 0 => {
+            Err(PrivilegesError::OfAnother { path: path.to_owned(), owner: found.uid() })
+        }
+        _ => Ok(()),
+    }
+}
+
+fn access(path: &Path, mode: libc::c_int) -> io::Result<()> {
+    let path = CString::new(path.as_os_str().as_bytes())?;
+    // SAFETY: a C string that outlives the call.
+    match unsafe { libc::access(path.as_ptr(), mode) } {
+        0 => Ok(()),
+        _ => Err(io::Error::last_os_error()),
+    }
+}
