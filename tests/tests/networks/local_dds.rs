@@ -12,7 +12,6 @@ use std::io::PipeWriter;
 use std::os::fd::AsRawFd;
 use std::path::PathBuf;
 use std::process::Command;
-use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -284,7 +283,17 @@ struct Doubler {
 
 impl Doubler {
     fn start(at: &Namespace) -> Result<Self> {
-        let socket = Arc::new(PacketSocket::open(at, "lo")?);
+        {
+            let _inside = at.enter()?;
+            // Otherwise the kernel drops the copies: they come from addresses of the host itself.
+            for (setting, value) in [("accept_local", "1"), ("route_localnet", "1"), ("rp_filter", "0")] {
+                for scope in ["all", "lo"] {
+                    fs::write(format!("/proc/sys/net/ipv4/conf/{scope}/{setting}"), value)
+                        .with_context(|| format!("cannot set {setting} in {}", at.name()))?;
+                }
+            }
+        }
+        let socket = PacketSocket::open(at, "lo")?;
         socket.set_receive_buffer(64 << 20)?;
         let (stopped, running) = std::io::pipe()?;
         let thread = std::thread::spawn(move || {
