@@ -5,7 +5,7 @@ use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use gdp_core::card::NameCard;
-use gdp_core::file_stamp::FileStamp;
+use gdp_util::file_watch::{FileStamp, FileWatcher, WatchedFile};
 use gdp_wire::Name;
 
 use crate::config::Side;
@@ -14,6 +14,9 @@ use crate::material::{Permission, load_permission};
 #[derive(Clone)]
 pub struct CertFile {
     path: PathBuf,
+    watched: WatchedFile,
+    /// It has changed, and what it holds is perhaps not in force.
+    is_pending: bool,
     side: Side,
     topic: String,
     card: NameCard,
@@ -32,9 +35,12 @@ impl CertFile {
         topic: &str,
         card: &NameCard,
         entity: Name,
+        watcher: &FileWatcher,
     ) -> Result<(Self, Permission), String> {
+        let (watched, is_pending) = (watcher.watch(path), false);
         let (path, topic, card) = (path.to_owned(), topic.to_owned(), card.clone());
-        let mut file = Self { path, side, topic, card, entity, taken: None, offered: None, told: None };
+        let (taken, offered, told) = (None, None, None);
+        let mut file = Self { path, watched, is_pending, side, topic, card, entity, taken, offered, told };
         let permission = file.read()?;
         file.taken();
         Ok((file, permission))
@@ -43,9 +49,14 @@ impl CertFile {
     /// What it holds now, if it does for the topic and was not [taken](Self::taken) yet. Until it is, it is offered each time: the RIB
     /// may be away, and the clock may be behind.
     pub fn changed(&mut self) -> Option<Permission> {
+        self.is_pending |= self.watched.has_changed();
+        if !self.is_pending {
+            return None;
+        }
         // Gone: about to be replaced, perhaps.
         let stamp = Some(self.stamp()?);
-        if stamp == self.taken {
+        self.is_pending = stamp != self.taken;
+        if !self.is_pending {
             return None;
         }
         self.read().map_err(|reason| self.refused(&reason)).ok()

@@ -14,6 +14,7 @@ use gdp_proxy::dry_run;
 use gdp_proxy::proxy;
 use gdp_proxy::reload::{Loaded, Watch};
 use gdp_proxy::stats::StatsFile;
+use gdp_util::file_watch::FileWatcher;
 use gdp_util::{log, panics, terminal};
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -75,7 +76,18 @@ fn run(arguments: Arguments) -> Result<()> {
     let Some(path) = arguments.config else {
         return Ok(terminal::print_json(&serde_json::to_string_pretty(&schema())?)?);
     };
-    let loaded = || Loaded::load(&path);
+    // Half of the work is that of other threads: of DDS, and of the node.
+    let workers = std::thread::available_parallelism().map_or(2, |cores| cores.get().div_ceil(2).max(2));
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(workers)
+        .enable_all()
+        .build()
+        .context("cannot start the runtime")?;
+    let _entered = runtime.enter();
+    let watcher = FileWatcher::start();
+    // Before it is read, so that no change is missed.
+    let watch = Watch::new(&path, &watcher).context("cannot listen for SIGHUP")?;
+    let loaded = || Loaded::load(&path, &watcher);
     if arguments.check {
         let Loaded { config, material } = loaded()?;
         let good = format!(
@@ -88,13 +100,6 @@ fn run(arguments: Arguments) -> Result<()> {
         );
         return Ok(terminal::print([good])?);
     }
-    // Half of the work is that of other threads: of DDS, and of the node.
-    let workers = std::thread::available_parallelism().map_or(2, |cores| cores.get().div_ceil(2).max(2));
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(workers)
-        .enable_all()
-        .build()
-        .context("cannot start the runtime")?;
     runtime.block_on(async {
         if let Some(seconds) = arguments.dry_run {
             let report = dry_run::run(&loaded()?, Duration::from_secs(seconds.get().into())).await?;
@@ -107,7 +112,6 @@ fn run(arguments: Arguments) -> Result<()> {
         let stop = stop_signal()?;
         #[cfg(debug_assertions)]
         tokio::spawn(panics::inject());
-        let watch = Watch::new(&path).context("cannot listen for SIGHUP")?;
         proxy::run(loaded()?, watch, arguments.stats.map(StatsFile::new), stop).await
     })
 }

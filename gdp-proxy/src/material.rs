@@ -10,8 +10,9 @@ use std::path::Path;
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
-use gdp_core::domain::{PaperFiles, Papers, Stamps, Trust};
+use gdp_core::domain::{PaperFiles, Papers, Trust};
 use gdp_core::identity::{Identity, SigningKey};
+use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_wire::Name;
 
 use crate::call;
@@ -25,8 +26,8 @@ use gdp_util::unix_time::unix_seconds;
 /// Everything secret or signed that a proxy works with.
 pub struct Material {
     pub identity: Identity,
-    /// With what their files were like.
-    pub papers: Option<(Papers, Stamps)>,
+    /// With their files, which are watched since before they were read.
+    pub papers: Option<(Papers, FileSet)>,
     pub relay: Option<Relay>,
     /// In the order of the configuration's topics, each with which of them it is.
     pub routes: Vec<(usize, RouteMaterial)>,
@@ -106,23 +107,26 @@ pub struct MaterialError {
 }
 
 impl Material {
-    pub fn load(config: &Config) -> Result<Self, MaterialError> {
+    /// Reads all of it. `watcher` reports when a certificate is replaced later.
+    pub fn load(config: &Config, watcher: &FileWatcher) -> Result<Self, MaterialError> {
         let identity = load_identity(&config.identity, "proxy")
             .map_err(|reason| MaterialError { key: "identity".into(), reason: with_path(reason, &config.identity) })?;
         let load = |(i, topic, side)| {
-            load_route(topic, side, identity.name())
+            load_route(topic, side, identity.name(), watcher)
                 .map(|route| (i, route))
                 .map_err(|(key, reason)| MaterialError { key: format!("topics[{i}].{key}"), reason })
         };
         let topics = config.topics.iter().enumerate();
         let routes = topics.flat_map(|(i, topic)| topic.direction.sides().iter().map(move |side| (i, topic, *side)));
         let routes = routes.map(load).collect::<Result<Vec<_>, _>>()?;
-        let papers = config.domain.as_ref().map(|domain| load_papers(&domain.into(), identity.name())).transpose()?;
+        let papers = config.domain.as_ref().map(|domain| load_papers(&domain.into(), identity.name(), watcher));
+        let papers = papers.transpose()?;
         let relay = Relay::load(config)?;
         let expose = config.expose.as_ref().map(load_expose).transpose()?;
         let imports = config.import.iter().enumerate();
-        let imports = imports.map(|(i, import)| load_import(i, import, identity.name())).collect::<Result<_, _>>()?;
-        let calls = call::material::load(config, identity.name())?;
+        let imports = imports.map(|(i, import)| load_import(i, import, identity.name(), watcher));
+        let imports = imports.collect::<Result<_, _>>()?;
+        let calls = call::material::load(config, identity.name(), watcher)?;
         let material = Self { identity, papers, relay, routes, expose, imports, calls };
         material.check_names(config)?;
         Ok(material)
@@ -162,16 +166,21 @@ pub(crate) fn load_identity(path: &Path, kind: &str) -> Result<Identity, String>
     }
 }
 
-fn load_papers(files: &PaperFiles, entity: Name) -> Result<(Papers, Stamps), MaterialError> {
+fn load_papers(files: &PaperFiles, entity: Name, watcher: &FileWatcher) -> Result<(Papers, FileSet), MaterialError> {
     let wrong = |reason: String| MaterialError { key: "domain".into(), reason };
-    let stamps = files.stamps();
+    let watched = FileSet::new(watcher, files.paths());
     let papers = files.load().map_err(|error| wrong(error.to_string()))?;
     Trust::new(entity, papers.clone().into(), true).map_err(|error| wrong(error.to_string()))?;
-    Ok((papers, stamps))
+    Ok((papers, watched))
 }
 
 /// Errors with the key inside the topic.
-fn load_route(topic: &TopicConfig, side: Side, entity: Name) -> Result<RouteMaterial, (&'static str, String)> {
+fn load_route(
+    topic: &TopicConfig,
+    side: Side,
+    entity: Name,
+    watcher: &FileWatcher,
+) -> Result<RouteMaterial, (&'static str, String)> {
     let card = NameCard::load(&topic.card).map_err(|error| ("card", with_path(error, &topic.card)))?;
     let kind = carded_type(topic.kind.as_ref(), &card, &topic.card, "topic").map_err(|reason| ("type", reason))?;
     let key = match side {
@@ -179,7 +188,7 @@ fn load_route(topic: &TopicConfig, side: Side, entity: Name) -> Result<RouteMate
         Side::In => "grant",
     };
     let path = topic.right(side).ok_or((key, "missing".to_owned()))?;
-    let opened = CertFile::open(path, side, topic.topic.as_str(), &card, entity);
+    let opened = CertFile::open(path, side, topic.topic.as_str(), &card, entity, watcher);
     let (file, permission) = opened.map_err(|error| (key, with_path(error, path)))?;
     Ok(RouteMaterial { card, kind, permission, file: Renewal::File(file.into()) })
 }
@@ -205,12 +214,17 @@ fn load_expose(config: &ExposeConfig) -> Result<ExposeMaterial, MaterialError> {
     Ok(ExposeMaterial { owner, catalog })
 }
 
-fn load_import(at: usize, config: &ImportConfig, entity: Name) -> Result<ImportMaterial, MaterialError> {
+fn load_import(
+    at: usize,
+    config: &ImportConfig,
+    entity: Name,
+    watcher: &FileWatcher,
+) -> Result<ImportMaterial, MaterialError> {
     let wrong = |key: &str, reason| MaterialError { key: format!("import[{at}].{key}"), reason };
     let catalog =
         NameCard::load(&config.catalog).map_err(|error| wrong("catalog", with_path(error, &config.catalog)))?;
     let label = config.catalog.display().to_string();
-    let opened = CertFile::open(&config.grant, Side::In, &label, &catalog, entity);
+    let opened = CertFile::open(&config.grant, Side::In, &label, &catalog, entity, watcher);
     let (file, permission) = opened.map_err(|error| wrong("grant", with_path(error, &config.grant)))?;
     match permission {
         Permission::Read(grant) => Ok(ImportMaterial { catalog, grant, file: Renewal::File(file.into()) }),

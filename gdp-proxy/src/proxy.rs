@@ -71,8 +71,8 @@ async fn carry(
     tracing::info!(entity = %node.name(), graphs = ?graphs.keys(), "attached to the switch and in the ROS graphs");
 
     let files = loaded.config.domain.as_ref().map(PaperFiles::from);
-    let stamps = loaded.material.papers.as_ref().map(|(_, stamps)| stamps.clone());
-    let mut keeping = std::pin::pin!(keep_papers(&node, files.as_ref().zip(stamps)));
+    let watched = loaded.material.papers.take().map(|(_, watched)| watched);
+    let mut keeping = std::pin::pin!(keep_papers(&node, files.as_ref().zip(watched)));
 
     let mut running = Running {
         routes: routes::manager(node.clone(), types.clone()),
@@ -177,7 +177,7 @@ async fn load_again(
     graphs: &mut graph::All,
     ros_node: &str,
 ) -> Result<Loaded, LoadError> {
-    let new = loaded.load_again(watch.path())?;
+    let new = loaded.load_again(watch.path(), watch.watcher())?;
     graph::join(graphs, &new.config.graphs, ros_node).await?;
     Ok(new)
 }

@@ -4,19 +4,16 @@
 //! Certificates and the membership of what runs are not looked at here: they are read again by those who hold them.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use gdp_core::file_stamp::FileStamp;
 use gdp_util::backoff::Backoff;
+use gdp_util::file_watch::{FileSet, FileWatcher};
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::time::MissedTickBehavior;
+use tokio::time::{Instant, sleep_until};
 
 use crate::config::{Config, ConfigError};
 use crate::graph::GraphError;
 use crate::material::{Material, MaterialError};
-
-/// How often the files are looked at.
-const LOOK: Duration = Duration::from_secs(1);
 
 /// Before what was refused is tried again though no file is another one, if it may pass by itself: doubled from the first to the second.
 const RETRY: Backoff = Backoff::new(Duration::from_secs(5), Duration::from_secs(60));
@@ -60,9 +57,9 @@ impl LoadError {
 }
 
 impl Loaded {
-    pub fn load(path: &Path) -> Result<Self, LoadError> {
+    pub fn load(path: &Path, watcher: &FileWatcher) -> Result<Self, LoadError> {
         let mut config = Config::load(path)?;
-        match Material::load(&config) {
+        match Material::load(&config, watcher) {
             Ok(material) => Ok(Self { config, material }),
             Err(error) => {
                 let files = config.files().map(|file| file.clone()).collect();
@@ -72,8 +69,8 @@ impl Loaded {
     }
 
     /// The same file as it is now, unless it differs in what cannot change.
-    pub fn load_again(&self, path: &Path) -> Result<Self, LoadError> {
-        let new = Self::load(path)?;
+    pub fn load_again(&self, path: &Path, watcher: &FileWatcher) -> Result<Self, LoadError> {
+        let new = Self::load(path, watcher)?;
         let fixed = |key: String| LoadError::Fixed { path: path.into(), key };
         if new.material.identity.name() != self.material.identity.name() {
             return Err(fixed("identity".into()));
@@ -101,9 +98,9 @@ impl Loaded {
 pub struct Watch {
     path: PathBuf,
     hangup: Signal,
-    ticks: tokio::time::Interval,
-    /// With what they were like when they were loaded, and when they were looked at last.
-    files: Vec<(PathBuf, Option<FileStamp>, Option<FileStamp>)>,
+    watcher: FileWatcher,
+    /// The configuration, and what it names.
+    files: FileSet,
     /// When what was refused is tried again, how long the next pause is, and what was said of it.
     again: Option<Instant>,
     retry: Backoff,
@@ -112,14 +109,14 @@ pub struct Watch {
 
 impl Watch {
     /// Of a configuration that is about to be loaded. From now on, SIGHUP no longer kills the process.
-    pub fn new(path: &Path) -> std::io::Result<Self> {
-        let mut ticks = tokio::time::interval(LOOK);
-        ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let hangup = signal(SignalKind::hangup())?;
-        let (files, again, told) = (vec![], None, None);
-        let mut watch = Self { path: path.into(), hangup, ticks, files, again, retry: RETRY, told };
-        watch.look_at([]);
-        Ok(watch)
+    pub fn new(path: &Path, watcher: &FileWatcher) -> std::io::Result<Self> {
+        let (hangup, files) = (signal(SignalKind::hangup())?, FileSet::new(watcher, [path]));
+        let (path, watcher, again, told) = (path.into(), watcher.clone(), None, None);
+        Ok(Self { path, hangup, watcher, files, again, retry: RETRY, told })
+    }
+
+    pub fn watcher(&self) -> &FileWatcher {
+        &self.watcher
     }
 
     /// The configuration.
@@ -143,51 +140,26 @@ impl Watch {
         is_new
     }
 
-    /// Besides the configuration, `named` are looked at from now on.
+    /// Besides the configuration, `named` are watched from now on.
     fn look_at<'a>(&mut self, named: impl IntoIterator<Item = &'a Path>) {
-        let paths = std::iter::once(self.path.clone()).chain(named.into_iter().map(PathBuf::from));
-        self.files = paths
-            .map(|path| {
-                let known = self.files.iter().find(|(known, ..)| *known == path);
-                let stamp = known.map_or_else(|| FileStamp::of(&path), |(_, loaded, _)| *loaded);
-                (path, stamp, stamp)
-            })
-            .collect();
+        let mut paths = vec![self.path.as_path()];
+        paths.extend(named.into_iter().map(|path| path as &Path));
+        self.files.replace(paths);
     }
 
-    /// Returns at SIGHUP, when a file is another than it was and was not written just now, or when what was refused is to be tried again. What is
-    /// there then counts as loaded. Safe to cancel.
+    /// Returns at SIGHUP, when a file is another than it was and was not written just now, or when what was refused is to be
+    /// tried again. Cancel-safe.
     pub async fn changed(&mut self) {
-        loop {
-            let is_another = tokio::select! {
-                Some(()) = self.hangup.recv() => true,
-                _ = self.ticks.tick() => self.look(),
-            };
-            if is_another {
-                // So it is news, whatever comes of it.
-                (self.retry, self.told) = (RETRY, None);
-                break;
-            }
-            if self.again.is_some_and(|again| Instant::now() >= again) {
-                break;
-            }
+        let again = self.again;
+        let is_another = tokio::select! {
+            Some(()) = self.hangup.recv() => true,
+            () = self.files.changed() => true,
+            () = sleep_until(again.unwrap_or_else(Instant::now)), if again.is_some() => false,
+        };
+        if is_another {
+            // So it is news, whatever comes of it.
+            (self.retry, self.told) = (RETRY, None);
         }
-        for (path, loaded, last) in &mut self.files {
-            (*loaded, *last) = [FileStamp::of(path); 2].into();
-        }
-    }
-
-    /// Whether one has changed, and all stay as they are.
-    fn look(&mut self) -> bool {
-        let (mut changed, mut settled) = (false, true);
-        for (path, loaded, last) in &mut self.files {
-            let now = FileStamp::of(path);
-            // Gone: about to be replaced, perhaps.
-            changed |= now.is_some() && now != *loaded;
-            settled &= now == *last;
-            *last = now;
-        }
-        changed && settled
     }
 }
 

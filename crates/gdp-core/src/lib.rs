@@ -9,7 +9,6 @@ pub mod cbor;
 pub mod cert;
 pub mod crypto;
 pub mod domain;
-pub mod file_stamp;
 pub mod identity;
 pub mod keys;
 pub mod link_target;

@@ -4,7 +4,7 @@
 //! looks at every file from time to time: a bind mount, a network file system or a link into another folder brings no
 //! event.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::fs;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
@@ -12,6 +12,7 @@ use std::sync::{Arc, Weak};
 use std::time::{Duration, SystemTime};
 
 use futures_util::StreamExt as _;
+use futures_util::future::select_all;
 use inotify::{EventOwned, EventStream, Inotify, WatchDescriptor, WatchMask, Watches};
 use parking_lot::Mutex;
 use tokio::sync::{Notify, watch};
@@ -23,6 +24,9 @@ const SLOW_LOOK: Duration = Duration::from_secs(5);
 
 /// A file is often replaced in several steps: what follows an event within this time is one change.
 const SETTLE: Duration = Duration::from_millis(20);
+
+/// A set of files has changed when no more of it changed for this long: one is perhaps still being written.
+const QUIET: Duration = Duration::from_millis(200);
 
 /// Another file, or other content, has another stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,6 +90,69 @@ impl FileWatcher {
         let watched = files.entry(path.to_owned()).or_insert_with(begin);
         self.0.shared.added.notify_one();
         WatchedFile { path: path.to_owned(), changes: watched.changes.subscribe() }
+    }
+}
+
+/// Files that belong together, such as a configuration and what it names. They are watched until this is dropped.
+pub struct FileSet {
+    watcher: FileWatcher,
+    /// Each with its stamp when it counted as unchanged last.
+    files: Vec<(WatchedFile, Option<FileStamp>)>,
+}
+
+impl FileSet {
+    /// Watches these files. What is in them now counts as unchanged, so create it before reading them.
+    pub fn new<'a>(watcher: &FileWatcher, paths: impl IntoIterator<Item = &'a Path>) -> Self {
+        let mut set = Self { watcher: watcher.clone(), files: Vec::new() };
+        set.replace(paths);
+        set
+    }
+
+    /// Watches these files from now on. Of those that were in the set, earlier changes still count.
+    pub fn replace<'a>(&mut self, paths: impl IntoIterator<Item = &'a Path>) {
+        let known = std::mem::take(&mut self.files);
+        for path in paths.into_iter().collect::<BTreeSet<_>>() {
+            let same = known.iter().find(|(file, _)| file.path() == path);
+            self.files.push(same.cloned().unwrap_or_else(|| {
+                let file = self.watcher.watch(path);
+                (file, FileStamp::of(path))
+            }));
+        }
+    }
+
+    /// Whether one of the files that are there has changed. A file that is missing is perhaps about to be replaced.
+    pub fn has_changed(&self) -> bool {
+        self.files.iter().any(|(file, seen)| FileStamp::of(file.path()).is_some_and(|now| Some(now) != *seen))
+    }
+
+    /// Waits until [`Self::has_changed`] and none of the files was written just now. Each change is reported once.
+    /// Cancel-safe.
+    pub async fn changed(&mut self) {
+        loop {
+            while !self.has_changed() {
+                self.event().await;
+            }
+            let before = self.stamps();
+            sleep(QUIET).await;
+            if self.stamps() == before {
+                break;
+            }
+        }
+        for (file, seen) in &mut self.files {
+            *seen = FileStamp::of(file.path());
+        }
+    }
+
+    fn stamps(&self) -> Vec<Option<FileStamp>> {
+        self.files.iter().map(|(file, _)| FileStamp::of(file.path())).collect()
+    }
+
+    /// Waits until the watcher has seen a change.
+    async fn event(&mut self) {
+        if self.files.is_empty() {
+            return std::future::pending().await;
+        }
+        select_all(self.files.iter_mut().map(|(file, _)| Box::pin(file.changed()))).await;
     }
 }
 

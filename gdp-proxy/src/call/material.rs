@@ -1,6 +1,7 @@
 //! The files that the configuration names for a service or an action, as [`crate::material`] has those of topics.
 
 use gdp_core::card::NameCard;
+use gdp_util::file_watch::FileWatcher;
 use gdp_wire::Name;
 
 use crate::cert_file::CertFile;
@@ -9,15 +10,19 @@ use crate::material::{MaterialError, RouteMaterial, carded_type, with_path};
 use crate::renewal::Renewal;
 
 /// All of them, each with which one it is in the order of [`Config::calls`].
-pub fn load(config: &Config, entity: Name) -> Result<Vec<(usize, RouteMaterial)>, MaterialError> {
+pub fn load(
+    config: &Config,
+    entity: Name,
+    watcher: &FileWatcher,
+) -> Result<Vec<(usize, RouteMaterial)>, MaterialError> {
     let load = |(at, (key, call))| {
         let wrong = |(part, reason)| MaterialError { key: format!("{key}.{part}"), reason };
-        Ok((at, load_one(call, entity).map_err(wrong)?))
+        Ok((at, load_one(call, entity, watcher).map_err(wrong)?))
     };
     config.calls().enumerate().map(load).collect()
 }
 
-fn load_one(call: &CallConfig, entity: Name) -> Result<RouteMaterial, (&'static str, String)> {
+fn load_one(call: &CallConfig, entity: Name, watcher: &FileWatcher) -> Result<RouteMaterial, (&'static str, String)> {
     let card = NameCard::load(&call.card).map_err(|error| ("card", with_path(error, &call.card)))?;
     let what = call.what.as_str();
     if let Some(kind) = card.get("kind").filter(|kind| *kind != what) {
@@ -26,7 +31,7 @@ fn load_one(call: &CallConfig, entity: Name) -> Result<RouteMaterial, (&'static 
     let kind = carded_type(call.kind.as_ref(), &card, &call.card, what).map_err(|reason| ("type", reason))?;
     let (key, path) = call.right();
     let path = path.ok_or((key, "missing".to_owned()))?;
-    let opened = CertFile::open(path, call.side, call.name.as_str(), &card, entity);
+    let opened = CertFile::open(path, call.side, call.name.as_str(), &card, entity, watcher);
     let (file, permission) = opened.map_err(|error| (key, with_path(error, path)))?;
     Ok(RouteMaterial { card, kind, permission, file: Renewal::File(file.into()) })
 }

@@ -11,7 +11,7 @@ use super::*;
 use crate::config::{Config, What};
 use crate::graph::{Found, Offered};
 use crate::material::Material;
-use crate::material::tests::Files;
+use crate::material::tests::{Files, watcher};
 use crate::ros2::{TopicName, TypeName};
 
 #[tokio::test]
@@ -159,7 +159,7 @@ async fn load(files: &Files, says: &str) -> (Loaded, graph::All) {
          graphs: {{a: {{master: 'http://127.0.0.1:1', host: 127.0.0.1}}}}, {says}}}"
     );
     let config = Config::parse(&text, Path::new(&files.path("robot.yaml"))).unwrap();
-    let material = Material::load(&config).unwrap();
+    let material = Material::load(&config, &watcher()).unwrap();
     let mut graphs = graph::All::new();
     graph::join(&mut graphs, &config.graphs, "gdp_proxy_test").await.unwrap();
     (Loaded { config, material }, graphs)

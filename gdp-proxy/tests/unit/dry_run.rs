@@ -7,7 +7,7 @@ use gdp_core::cert::{AdCert, issue};
 use super::*;
 use crate::config::CallConfig;
 use crate::material::Material;
-use crate::material::tests::Files;
+use crate::material::tests::{Files, watcher};
 
 #[test]
 fn of_publishers_of_several_types_it_is_shown_who_crosses_and_why_others_do_not() {
@@ -27,7 +27,7 @@ fn of_publishers_of_several_types_it_is_shown_who_crosses_and_why_others_do_not(
     let name = TopicName::parse("/listed").unwrap();
     let call = CallConfig::without_files(What::Service, &name, "ros2", None, Side::Out);
     config.services.push(CallConfig { card: files.path("s.card"), cert: Some(files.path("s.ad")), ..call });
-    let loaded = Loaded { material: Material::load(&config).unwrap(), config };
+    let loaded = Loaded { material: Material::load(&config, &watcher()).unwrap(), config };
 
     let offered = |kinds: &str| {
         let kind = |kind| Offered { kind: TypeName::parse(kind).ok(), qos: None };

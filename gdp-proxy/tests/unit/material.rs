@@ -5,6 +5,8 @@ use crate::ros2::TopicName;
 use gdp_core::cert::{Delegation, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
 use std::fs;
 use std::path::PathBuf;
+use std::sync::LazyLock;
+use tokio::runtime::Runtime;
 
 #[test]
 fn files_that_belong_together_are_taken() {
@@ -56,7 +58,7 @@ fn a_relay_is_refused_by_a_proxy_that_is_built_without() {
     let files = Files::new();
     let mut config = files.config("");
     config.relay = Some(crate::config::RelayConfig::default());
-    let refusal = Material::load(&config).err().expect("a refusal").to_string();
+    let refusal = Material::load(&config, &watcher()).err().expect("a refusal").to_string();
     assert!(refusal.starts_with("relay: ") && refusal.contains("--features relay"), "{refusal}");
 }
 
@@ -105,7 +107,7 @@ fn a_name_is_of_one_topic_in_each_direction() {
     let mut config = files.config("");
     config.topics.push(config.topics[1].clone());
     config.topics[2].topic = TopicName::parse("/third").unwrap();
-    let refusal = Material::load(&config).err().expect("a refusal").to_string();
+    let refusal = Material::load(&config, &watcher()).err().expect("a refusal").to_string();
     assert!(refusal.starts_with("topics[2].card: ") && refusal.contains("already that of topics[1].card"), "{refusal}");
 
     let mut config = files.config("");
@@ -113,7 +115,7 @@ fn a_name_is_of_one_topic_in_each_direction() {
     let mut import: ImportConfig = serde_saphyr::from_str(import).unwrap();
     (import.catalog, import.grant) = (files.path("t.card"), files.path("t.grant"));
     config.import.push(import);
-    let refusal = Material::load(&config).err().expect("a refusal").to_string();
+    let refusal = Material::load(&config, &watcher()).err().expect("a refusal").to_string();
     assert!(refusal.starts_with("import[0].catalog: ") && refusal.contains("topics[1].card"), "{refusal}");
 }
 
@@ -121,6 +123,19 @@ fn a_name_is_of_one_topic_in_each_direction() {
 fn the_type_of_the_name_is_not_another_one() {
     let refusal = Files::new().refusal("type: std_msgs/msg/Int32, ");
     assert!(refusal.contains("std_msgs/msg/Int32, but") && refusal.contains("std_msgs/msg/String"), "{refusal}");
+}
+
+/// Watches files in a runtime of its own, for tests that have none.
+pub fn watcher() -> FileWatcher {
+    static WATCHER: LazyLock<(Runtime, FileWatcher)> = LazyLock::new(|| {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let watcher = {
+            let _entered = runtime.enter();
+            FileWatcher::start()
+        };
+        (runtime, watcher)
+    });
+    WATCHER.1.clone()
 }
 
 pub struct Files {
@@ -158,7 +173,7 @@ impl Files {
 
     /// One topic out and one in; `extra` is said of the one that goes out.
     fn load(&self, extra: &str) -> Result<Material, MaterialError> {
-        Material::load(&self.config(extra))
+        Material::load(&self.config(extra), &watcher())
     }
 
     pub fn config(&self, extra: &str) -> Config {

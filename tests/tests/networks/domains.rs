@@ -7,13 +7,13 @@
 
 use std::fs;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
-use gdp_tests::programs::own;
+use gdp_tests::programs::{Executable as _, Program, own};
 use gdp_tests::tools::Tools;
 use gdp_tests::wait::{PATIENCE, wait_for};
 use serde_json::{Value, json};
@@ -69,24 +69,49 @@ fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
 #[test]
 fn a_proxy_attaches_with_the_configuration_that_join_wrote() -> Result<()> {
     let mut home = Home::start()?;
-    let folder = home.files.path();
-    let invite = ["domain", "invite", "--key", "home/domain.pem", "--role", "robot", "--at", "eth://e0"];
-    let invited = ctl(&home.tools, folder, &[&invite[..], &["--switch", &home.first]].concat())?;
-    let name = join(&home.tools, folder, invited["token"].as_str().context("a line")?)?;
-    let mut command = home.beyond.command(home.tools.gdp_proxy()?)?;
-    command.arg("--config").arg(folder.join("new/gdp.yaml"));
-    let mut proxy = Process::spawn("robot", command, folder)?;
-    wait_for("the proxy to be attached as a member", PATIENCE, || {
-        home.process.check_alive()?;
-        proxy.check_alive()?;
-        let link = standing(&home.tools, folder, "first.sock", &name);
-        Ok(link.filter(|link| link["standing"] == "member" && link["role"] == "endpoint"))
-    })
-    .with_context(|| home.process.report() + &proxy.report())?;
+    let name = home.join_robot()?;
+    let mut proxy = home.start_proxy(&name)?;
     for process in [&mut proxy, &mut home.process] {
         ensure!(process.stop(PATIENCE)?.success(), "{}", process.report());
     }
     Ok(())
+}
+
+/// As in a container: what is written to the mounted file elsewhere brings no event in the folder of the mount.
+#[test]
+fn a_bind_mounted_configuration_is_read_again() -> Result<()> {
+    let mut home = Home::start()?;
+    let name = home.join_robot()?;
+    let (config, source) = (home.files.path().join("new/gdp.yaml"), home.files.path().join("source.yaml"));
+    fs::copy(&config, &source)?;
+    let _mount = BindMount::new(&source, &config)?;
+    let mut proxy = home.start_proxy(&name)?;
+    fs::write(&source, fs::read_to_string(&source)? + "diagnostics: true\n")?;
+    wait_for("the changed file to be read", PATIENCE, || {
+        proxy.check_alive()?;
+        Ok(proxy.stderr().contains("took the changed configuration").then_some(()))
+    })
+    .with_context(|| proxy.report())?;
+    for process in [&mut proxy, &mut home.process] {
+        ensure!(process.stop(PATIENCE)?.success(), "{}", process.report());
+    }
+    Ok(())
+}
+
+/// A file that is mounted on another one, until this is dropped.
+struct BindMount(PathBuf);
+
+impl BindMount {
+    fn new(source: &Path, on: &Path) -> Result<Self> {
+        execute(Program::Mount.command().arg("--bind").args([source, on]))?;
+        Ok(Self(on.into()))
+    }
+}
+
+impl Drop for BindMount {
+    fn drop(&mut self) {
+        let _ = execute(Program::Umount.command().arg(&self.0));
+    }
 }
 
 /// A domain with its first switch, and a cable to whoever is to join.
@@ -119,6 +144,29 @@ impl Home {
         fs::write(folder.join("first.yaml"), config.to_string())?;
         let process = serve(&tools, &at_home, "first", &folder.join("first.yaml"), folder)?;
         Ok(Self { process, first, files, beyond, _at_home: at_home, tools })
+    }
+
+    /// Returns the name of the proxy that may use the folder `new`.
+    fn join_robot(&self) -> Result<String> {
+        let invite = ["domain", "invite", "--key", "home/domain.pem", "--role", "robot", "--at", "eth://e0"];
+        let invited = ctl(&self.tools, self.files.path(), &[&invite[..], &["--switch", &self.first]].concat())?;
+        join(&self.tools, self.files.path(), invited["token"].as_str().context("a line")?)
+    }
+
+    /// Starts the proxy of this name with what `join` wrote, and waits until it is attached.
+    fn start_proxy(&mut self, name: &str) -> Result<Process> {
+        let folder = self.files.path();
+        let mut command = self.beyond.command(self.tools.gdp_proxy()?)?;
+        command.arg("--config").arg(folder.join("new/gdp.yaml"));
+        let mut proxy = Process::spawn("robot", command, folder)?;
+        wait_for("the proxy to be attached as a member", PATIENCE, || {
+            self.process.check_alive()?;
+            proxy.check_alive()?;
+            let link = standing(&self.tools, folder, "first.sock", name);
+            Ok(link.filter(|link| link["standing"] == "member" && link["role"] == "endpoint"))
+        })
+        .with_context(|| self.process.report() + &proxy.report())?;
+        Ok(proxy)
     }
 }
 

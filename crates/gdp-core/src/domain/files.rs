@@ -1,4 +1,4 @@
-//! The files that an entity's [`Papers`] are in, and whether they have changed since they were read.
+//! The files that an entity's [`Papers`] are in.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -8,7 +8,6 @@ use super::Papers;
 use crate::card::{CardError, NameCard};
 use crate::cert::CertError;
 use crate::cert::{MAX_CERT_FILE, Membership, Signed};
-use crate::file_stamp::FileStamp;
 
 #[derive(Debug, thiserror::Error)]
 pub enum PaperFileError {
@@ -30,10 +29,6 @@ pub struct PaperFiles {
     pub peers: Vec<PathBuf>,
 }
 
-/// What the files were like when they were last read.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Stamps(Vec<Option<FileStamp>>);
-
 impl PaperFiles {
     /// Reads them; whether they are of each other is checked, not whether they hold.
     pub fn load(&self) -> Result<Papers, PaperFileError> {
@@ -51,19 +46,9 @@ impl PaperFiles {
         Ok(papers)
     }
 
-    pub fn stamps(&self) -> Stamps {
-        let files = [&self.card, &self.membership].into_iter().chain(&self.peers);
-        Stamps(files.map(|path| FileStamp::of(path)).collect())
-    }
-
-    /// Whether the files are others than at `seen`, all of them there: one that is gone may be about to be replaced.
-    pub fn changed(&self, seen: &mut Stamps) -> bool {
-        let now = self.stamps();
-        if now == *seen || now.0.contains(&None) {
-            return false;
-        }
-        *seen = now;
-        true
+    /// All of them, to be watched: the papers are others when one is.
+    pub fn paths(&self) -> impl Iterator<Item = &Path> {
+        [&self.card, &self.membership].into_iter().chain(&self.peers).map(PathBuf::as_path)
     }
 }
 

@@ -18,7 +18,7 @@ use crate::name::{Name, NameProof};
 use crate::peer::{Peer, Role};
 use crate::revocations::Kept;
 
-pub use files::{PaperFileError, PaperFiles, Stamps};
+pub use files::{PaperFileError, PaperFiles};
 pub use token::{Token, TokenError};
 
 /// Certificates for other domains that one entity shows.

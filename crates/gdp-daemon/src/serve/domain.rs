@@ -24,6 +24,7 @@ use super::kept::Keeper;
 use super::{Daemon, links};
 use crate::config::DomainConfig;
 use crate::domain::{Domain, DomainError, Invitations, MAX_USED, Papers, Trust, Used};
+use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_util::unix_time::unix_seconds;
 
 /// How often the files are looked at, and whether something has ended.
@@ -91,12 +92,11 @@ fn load_used(path: &Path) -> Result<Vec<Used>, SecretFileError> {
 
 /// Reads the files when they change, and closes links at the moment at which what they rest on ends.
 pub async fn watch(daemon: Arc<Daemon>, config: DomainConfig, shown: CurrentPapers) {
-    let mut seen = config.files.stamps();
+    let mut files = FileSet::new(&FileWatcher::start(), config.files.paths());
     loop {
-        sleep(LOOK).await;
-        daemon.recheck_links(true);
-        if config.files.changed(&mut seen) {
-            match config.files.load().map_err(MembershipError::from).and_then(|papers| daemon.renew(papers, &config)) {
+        tokio::select! {
+            () = sleep(LOOK) => daemon.recheck_links(true),
+            () = files.changed() => match config.files.load().map_err(MembershipError::from).and_then(|papers| daemon.renew(papers, &config)) {
                 Ok(papers) => {
                     shown.set(papers.clone());
                     daemon.show_renewed(&papers);
@@ -104,7 +104,7 @@ pub async fn watch(daemon: Arc<Daemon>, config: DomainConfig, shown: CurrentPape
                 Err(error) => {
                     tracing::error!("the renewed membership is not taken, what was there goes on to count: {error}")
                 }
-            }
+            },
         }
     }
 }

@@ -63,6 +63,54 @@ async fn a_folder_that_comes_later_and_a_link_into_another_are_told() {
 }
 
 #[tokio::test]
+async fn a_set_reports_a_file_that_is_replaced_once_and_when_it_is_whole() {
+    let scene = Scene::new();
+    let paths = [scene.path("certificate"), scene.path("card")];
+    paths.iter().for_each(|path| fs::write(path, "one").unwrap());
+    let mut set = FileSet::new(&scene.watcher, paths.iter().map(PathBuf::as_path));
+    assert!(!set.has_changed());
+    for path in &paths {
+        fs::write(scene.path("new"), "two").unwrap();
+        fs::rename(scene.path("new"), path).unwrap();
+        timeout(DEADLINE, set.changed()).await.expect("a file that is replaced is reported");
+        assert!(!set.has_changed(), "it is reported once");
+    }
+    // What is written in steps is one change, and none while it is missing.
+    fs::remove_file(&paths[0]).unwrap();
+    assert!(!set.has_changed());
+    let writes = async {
+        for step in 0..8 {
+            fs::write(&paths[0], format!("step {step}")).unwrap();
+            sleep(QUIET / 4).await;
+        }
+    };
+    let (read, ()) = tokio::join!(
+        async {
+            timeout(DEADLINE, set.changed()).await.expect("a file that is written is reported");
+            fs::read_to_string(&paths[0]).unwrap()
+        },
+        writes
+    );
+    assert_eq!(read, "step 7");
+}
+
+#[tokio::test]
+async fn a_set_forgets_no_change_of_a_file_that_stays_in_it() {
+    let scene = Scene::new();
+    let [stays, goes, comes] = ["stays", "goes", "comes"].map(|name| scene.path(name));
+    let mut set = FileSet::new(&scene.watcher, [stays.as_path(), &goes]);
+    fs::write(&stays, "").unwrap();
+    fs::write(&goes, "").unwrap();
+    set.replace([comes.as_path()]);
+    assert!(!set.has_changed());
+    set.replace([stays.as_path(), &comes]);
+    assert!(!set.has_changed(), "what was not in the set counts as it is now");
+    fs::write(&comes, "").unwrap();
+    set.replace([comes.as_path()]);
+    timeout(DEADLINE, set.changed()).await.expect("the change is not forgotten");
+}
+
+#[tokio::test]
 async fn what_nobody_watches_any_more_is_forgotten() {
     let scene = Scene::new();
     drop(scene.watcher.watch(&scene.path("gone")));

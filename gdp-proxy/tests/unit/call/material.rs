@@ -5,7 +5,7 @@ use std::fs;
 use gdp_core::cert::{AdCert, issue};
 
 use super::*;
-use crate::material::tests::Files;
+use crate::material::tests::{Files, watcher};
 use crate::material::{Material, Permission};
 
 /// With a name of this kind and type, and what is said of it.
@@ -17,7 +17,7 @@ fn load(kind: &str, of: &str, said: &str) -> Result<Vec<RouteMaterial>, Material
     fs::write(files.path("light.ad"), issue(&files.owner, &cert).unwrap().to_pem()).unwrap();
     let text = format!("{{version: 1, identity: id.pem, links: [{{to: 'eth://r0'}}], services: [{said}]}}");
     let config = Config::parse(&text, &files.path("robot.yaml")).unwrap();
-    Material::load(&config).map(|material| material.calls.into_iter().map(|(_, call)| call).collect())
+    Material::load(&config, &watcher()).map(|material| material.calls.into_iter().map(|(_, call)| call).collect())
 }
 
 const LIGHT: &str = "{service: /light, direction: out, card: light.card, cert: light.ad}";
