@@ -3,14 +3,14 @@
 use gdp_core::cert::{
     Host, Invite, Locator, MemberCert, Membership, PeerCert, Revocation, Signed, SwitchStatement, issue,
 };
-use gdp_core::domain::{Papers, Token};
+use gdp_core::domain::{Credentials, Token};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_proto::control::{Extent, Request, TierEntry, TierKey, TierLeg, TierMessage, TierPush, TierRequest};
 use gdp_wire::Name;
 
 pub struct Domain {
     home: Identity,
-    papers: Papers,
+    papers: Credentials,
     invited: Membership,
     host: Host,
     token: Token,
@@ -40,7 +40,10 @@ impl Domain {
         let host = Host { proof: switch.proof(), statement, membership: invited.clone() };
         let revocation = Revocation { name: domain, number: 3, floor: 2, revoked: vec![4, 1 << 60] };
         Self {
-            papers: Papers { membership: Membership::issue(&home, &member).expect("a membership"), peers: vec![peer] },
+            papers: Credentials {
+                membership: Membership::issue(&home, &member).expect("a membership"),
+                peers: vec![peer],
+            },
             invited,
             host,
             revocation: issue(home.key(), &revocation).expect("a revocation"),

@@ -28,8 +28,8 @@ type Seeds = Vec<(String, Vec<u8>)>;
 pub fn seeds(target: &str) -> Seeds {
     match target {
         "decide" => frames(),
-        "control" => Papers::new().messages(),
-        "cert" => Papers::new().certificates(),
+        "control" => Credentials::new().messages(),
+        "cert" => Credentials::new().certificates(),
         "feedback" => feedback(),
         "key_box" => key_box::seeds(),
         "segments" => payloads(),
@@ -132,7 +132,7 @@ fn payloads() -> Seeds {
 }
 
 /// One of each.
-struct Papers {
+struct Credentials {
     card: NameCard,
     robot: Identity,
     ad_cert: Issued<AdCert>,
@@ -143,7 +143,7 @@ struct Papers {
     state: Signed<LinkState>,
 }
 
-impl Papers {
+impl Credentials {
     fn new() -> Self {
         let (owner, robot) =
             (SigningKey::generate().expect("a key"), Identity::generate("proxy").expect("an identity"));

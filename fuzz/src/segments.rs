@@ -11,7 +11,7 @@ use gdp_core::crypto::{Aead, Backend, TAG_LEN};
 use gdp_core::identity::Identity;
 use gdp_core::keys::EpochKey;
 use gdp_e2e::seal::{
-    Draft, Encoding, Limits, MIN_PAYLOAD, MessageId, Moment, Reader, Received, SegmentId, Segments, Writer,
+    Draft, Encoding, Limits, MIN_PAYLOAD, MessageId, Reader, Received, SegmentId, Segments, Timestamps, Writer,
 };
 use gdp_wire::Name;
 
@@ -44,7 +44,7 @@ pub fn segments(data: &[u8]) {
             WRITER => scene.send(bytes),
             ARRIVE => scene.arrive(bytes),
             TIME => scene.wait(bytes),
-            VOUCH => scene.vouch(bytes),
+            VOUCH => scene.confirm_session(bytes),
             _ => scene.change_epoch(bytes),
         }
     }
@@ -68,7 +68,7 @@ struct Scene {
     epoch: u32,
     reader: Reader,
     limits: Limits,
-    now: Moment,
+    now: Timestamps,
     /// What the writer has sealed, by sequence, and under how many cuts.
     sent: HashMap<u64, (Vec<u8>, u16)>,
     delivered: Vec<u64>,
@@ -94,8 +94,8 @@ impl Scene {
         let mut reader = Reader::new(NAME, Backend::default(), limits);
         reader.authorise(name, entity.key().verify_key()).expect("a key");
         reader.set_key(&name, EPOCH, EpochKey::from_bytes(KEY)).expect("an authorised writer");
-        reader.vouch(&name, writer.session(), 1).expect("an authorised writer");
-        let (now, sent, delivered, network) = (Moment::default(), HashMap::new(), Vec::new(), Vec::new());
+        reader.confirm_session(&name, writer.session(), 1).expect("an authorised writer");
+        let (now, sent, delivered, network) = (Timestamps::default(), HashMap::new(), Vec::new(), Vec::new());
         Self { writer, entity, epoch: EPOCH, reader, limits, now, sent, delivered, next_heard: 0, network }
     }
 
@@ -216,11 +216,13 @@ impl Scene {
 
     /// For another session, or for the writer's again. No number of others displaces it but by being vouched for, so it is
     /// vouched for last.
-    fn vouch(&mut self, bytes: &[u8]) {
+    fn confirm_session(&mut self, bytes: &[u8]) {
         let Some((session, rest)) = bytes.split_first_chunk::<16>() else { return };
         let writer = self.entity.name();
-        self.reader.vouch(&writer, *session, rest.len() as u64).expect("an authorised writer");
-        self.reader.vouch(&writer, self.writer.session(), 1 + rest.len() as u64).expect("an authorised writer");
+        self.reader.confirm_session(&writer, *session, rest.len() as u64).expect("an authorised writer");
+        self.reader
+            .confirm_session(&writer, self.writer.session(), 1 + rest.len() as u64)
+            .expect("an authorised writer");
     }
 
     /// The writer begins another epoch, and the reader gets its key; or loses one.

@@ -10,7 +10,7 @@ use gdp_proto::control::Response;
 use serde_json::Value;
 
 /// A daemon that takes longer than this is not well.
-const PATIENCE: Duration = Duration::from_secs(15);
+const TIMEOUT: Duration = Duration::from_secs(15);
 
 /// Why a command got no answer that helps it.
 #[derive(Debug, thiserror::Error)]
@@ -40,8 +40,8 @@ impl Client {
             std::io::ErrorKind::PermissionDenied => ClientError::NotAllowed(path.into()),
             _ => ClientError::NoDaemon { path: path.into(), source },
         })?;
-        stream.set_read_timeout(Some(PATIENCE)).map_err(ClientError::Broken)?;
-        stream.set_write_timeout(Some(PATIENCE)).map_err(ClientError::Broken)?;
+        stream.set_read_timeout(Some(TIMEOUT)).map_err(ClientError::Broken)?;
+        stream.set_write_timeout(Some(TIMEOUT)).map_err(ClientError::Broken)?;
         Ok(Self { stream: BufReader::new(stream) })
     }
 

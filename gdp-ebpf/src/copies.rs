@@ -14,7 +14,7 @@ use aya_ebpf::macros::map;
 use aya_ebpf::maps::{PerCpuArray, PerCpuHashMap};
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::table::{CopyCount, MAX_PORTS};
-use gdp_wire::{GroupPlace, Header};
+use gdp_wire::{GroupSlot, Header};
 
 use crate::carrier::ethernet::{self, Ethernet};
 use crate::packet::{self, Packet};
@@ -64,14 +64,14 @@ impl Label {
 
     /// Which of the copies this is, that now leaves by `interface`. To be asked once for each.
     #[inline(always)]
-    pub fn place(&self, interface: u32) -> Option<GroupPlace> {
+    pub fn place(&self, interface: u32) -> Option<GroupSlot> {
         let [low, middle, high] = self.sequence.map(u64::from);
         let sequence = low | middle << 16 | high << 32;
         // SAFETY: this CPU's part of an element that stays while its interface takes frames; nobody else writes it.
         let counted = unsafe { &mut *COUNTED.get_ptr_mut(interface)? };
         let index = if counted.sequence == sequence { counted.copies } else { 0 };
         *counted = CopyCount { sequence, copies: index + 1, ..*counted };
-        Some(GroupPlace { group: self.group.into(), interface, index })
+        Some(GroupSlot { group: self.group.into(), interface, index })
     }
 }
 
@@ -95,7 +95,7 @@ pub fn take_superfluous(interface: u32) -> u64 {
 /// Makes a copy a frame that no bridge forwards (IEEE 802.1Q, reserved group address) and no host takes (IEEE 802, local experimental
 /// ethertype 2), the shortest there is, with nothing of the copy in it.
 #[inline(always)]
-pub fn become_filler(context: &XdpContext) -> bool {
+pub fn make_discardable(context: &XdpContext) -> bool {
     const SHORTEST: usize = 60;
     const DESTINATION: [u16; 3] = [0x0180u16.to_be(), 0xc200u16.to_be(), 0x000eu16.to_be()];
     const SOURCE: [u16; 3] = [0x0200u16.to_be(), 0, 0];

@@ -16,7 +16,7 @@ use aya_ebpf::bindings::BPF_F_NO_PREALLOC;
 use aya_ebpf::btf_maps::{ArrayOfMaps, DevMapHash};
 use aya_ebpf::macros::{btf_map, map};
 use aya_ebpf::maps::{Array, HashMap};
-use gdp_wire::GroupPlace;
+use gdp_wire::GroupSlot;
 use gdp_wire::table::{MAX_COPIES, MAX_GROUPS};
 
 #[btf_map]
@@ -27,7 +27,7 @@ static SERVED: Array<u64> = Array::with_max_entries(MAX_GROUPS, 0);
 
 /// Values are link ids. Most groups are small, so elements are allocated as they are needed.
 #[map]
-static PLACES: HashMap<GroupPlace, u32> = HashMap::with_max_entries(MAX_GROUPS * MAX_COPIES, BPF_F_NO_PREALLOC);
+static SLOTS: HashMap<GroupSlot, u32> = HashMap::with_max_entries(MAX_GROUPS * MAX_COPIES, BPF_F_NO_PREALLOC);
 
 /// The egress bits that the kernel can copy frames for; this switch's own bit is that of the local readers.
 #[inline(always)]
@@ -54,8 +54,8 @@ pub fn redirect(group: u32) -> bool {
 
 /// The link that gets this copy.
 #[inline(always)]
-pub fn link_at(place: &GroupPlace) -> Option<u32> {
+pub fn link_at(place: &GroupSlot) -> Option<u32> {
     // SAFETY: the value is read at once; an element that is freed meanwhile stays readable until the program ends, as an id of
     // a link that then is another's or nobody's: the copy is of the same name, and for it as for any reader just gone.
-    PLACES.get_ptr(place).map(|link| unsafe { *link })
+    SLOTS.get_ptr(place).map(|link| unsafe { *link })
 }

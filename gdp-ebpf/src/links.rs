@@ -50,7 +50,7 @@ pub fn next_count(link: &LinkEntry) -> u64 {
 }
 
 #[inline(always)]
-pub fn may_complain(link: &LinkEntry) -> bool {
+pub fn may_send_error(link: &LinkEntry) -> bool {
     let Some(last) = COMPLAINTS.get_ptr_mut(link_index(link.id)) else { return false };
     // SAFETY: a helper without arguments, and a live, aligned element of the map; the kernel's JIT makes one load.
     unsafe { bpf_ktime_get_coarse_ns().wrapping_sub(last.read_volatile()) >= COMPLAINT_INTERVAL_NS }
@@ -64,7 +64,7 @@ pub fn may_punt(link: &LinkEntry) -> bool {
 }
 
 #[inline(always)]
-pub fn complain(link: &LinkEntry) {
+pub fn send_error(link: &LinkEntry) {
     if let Some(last) = COMPLAINTS.get_ptr_mut(link_index(link.id)) {
         // SAFETY: as above; the kernel's JIT makes one store.
         unsafe { last.write_volatile(bpf_ktime_get_coarse_ns()) }

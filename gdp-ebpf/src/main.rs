@@ -38,9 +38,9 @@ use aya_ebpf::programs::XdpContext;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
 use gdp_wire::table::{MAX_COPIED_FRAME, PORT_ROUTED};
 use gdp_wire::tables::Tables;
-use gdp_wire::{Counter, GroupPlace, Header, LinkEntry};
+use gdp_wire::{Counter, GroupSlot, Header, LinkEntry};
 
-use crate::carrier::Carried;
+use crate::carrier::FrameLocation;
 use crate::carrier::ethernet::{self, Ethernet};
 use crate::copies::Label;
 use crate::next_hop::NextHop;
@@ -169,7 +169,7 @@ fn handle(context: &XdpContext, length: usize) -> Outcome {
 }
 
 #[inline(always)]
-fn forward_frame(context: &XdpContext, header: &mut Header, carried: Carried, length: usize) -> Outcome {
+fn forward_frame(context: &XdpContext, header: &mut Header, carried: FrameLocation, length: usize) -> Outcome {
     let (ingress, tag) = (header.link_id(), header.tag());
     let outcome = forward_headed(context, header, tag, carried, length);
     tally::count_arrival(ingress, outcome.counter());
@@ -177,7 +177,7 @@ fn forward_frame(context: &XdpContext, header: &mut Header, carried: Carried, le
 }
 
 #[inline(always)]
-fn forward_headed(context: &XdpContext, header: &mut Header, tag: u64, carried: Carried, length: usize) -> Outcome {
+fn forward_headed(context: &XdpContext, header: &mut Header, tag: u64, carried: FrameLocation, length: usize) -> Outcome {
     let in_one_buffer = length == context.data_end() - context.data();
     let tables = Maps { context, length: header.frame_len(), in_one_buffer, next_hop: NextHop::new() };
     let traffic = carrier::traffic(&Packet::of(context), &carried);
@@ -237,7 +237,7 @@ fn leave(context: &XdpContext) -> Departure {
 
 /// Makes a copy the one for the link at its place; how it is then counted.
 #[inline(always)]
-fn copy(context: &XdpContext, header: &mut Header, place: GroupPlace) -> Option<Counter> {
+fn copy(context: &XdpContext, header: &mut Header, place: GroupSlot) -> Option<Counter> {
     let link: &LinkEntry = groups::link_at(&place).and_then(links::get)?;
     let ingress = links::get(header.link_id())?;
     let frame = header.frame_len();
@@ -275,9 +275,9 @@ fn route(context: &XdpContext) -> Option<u32> {
 }
 
 #[inline(always)]
-fn superfluous(context: &XdpContext, place: GroupPlace) -> Departure {
-    let next = GroupPlace { index: place.index + 1, ..place };
-    if groups::link_at(&next).is_none() && copies::become_filler(context) {
+fn superfluous(context: &XdpContext, place: GroupSlot) -> Departure {
+    let next = GroupSlot { index: place.index + 1, ..place };
+    if groups::link_at(&next).is_none() && copies::make_discardable(context) {
         Departure::Filler
     } else {
         copies::count_superfluous(place.interface);

@@ -88,13 +88,13 @@ impl Tables for Maps<'_> {
     }
 
     #[inline(always)]
-    fn may_complain(&self, link: &LinkEntry) -> bool {
-        links::may_complain(link)
+    fn may_send_error(&self, link: &LinkEntry) -> bool {
+        links::may_send_error(link)
     }
 
     #[inline(always)]
-    fn complain(&self, link: &LinkEntry) {
-        links::complain(link);
+    fn send_error(&self, link: &LinkEntry) {
+        links::send_error(link);
     }
 
     #[inline(always)]

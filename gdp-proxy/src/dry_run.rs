@@ -11,10 +11,10 @@ use serde::Serialize;
 
 use crate::automatic::{card_of, choose, judge};
 use crate::config::{Config, ExposeConfig, Side, Thing, What, is_hidden};
-use crate::graph::{self, Found, Offered, Onlooker};
+use crate::graph::{self, Found, GraphObserver, Offered};
 use crate::material::{ExposeMaterial, Material, RouteMaterial};
 use crate::reload::Loaded;
-use crate::ros2::{ShownQos, TopicName, TypeName};
+use crate::ros2::{DisplayedQos, TopicName, TypeName};
 
 /// Of the JSON form: another one whenever a key goes, or means something else.
 const VERSION: u32 = 1;
@@ -64,7 +64,7 @@ enum Of {
 pub async fn run(loaded: &Loaded, patience: Duration) -> Result<Report> {
     let mut graphs = graph::All::new();
     graph::join(&mut graphs, &loaded.config.graphs, &format!("{}dry_run_{}", graph::NODE, std::process::id())).await?;
-    let looked = graphs.iter().map(|(label, graph)| look(label, Onlooker::of(graph), patience));
+    let looked = graphs.iter().map(|(label, graph)| look(label, GraphObserver::of(graph), patience));
     let found: BTreeMap<String, Found> = join_all(looked).await.into_iter().collect();
     graph::leave(graphs).await;
     report(loaded, &found)
@@ -213,19 +213,19 @@ impl Row {
     }
 }
 
-async fn look(label: &str, mut onlooker: Onlooker, patience: Duration) -> (String, Found) {
+async fn look(label: &str, mut graph_observer: GraphObserver, patience: Duration) -> (String, Found) {
     let forever = async {
         loop {
-            onlooker.changed().await;
+            graph_observer.changed().await;
         }
     };
     _ = tokio::time::timeout(patience, forever).await;
-    (label.to_owned(), onlooker.found())
+    (label.to_owned(), graph_observer.found())
 }
 
 /// `reliable, volatile`; of several, all that differ.
 fn qos<'a>(offered: impl Iterator<Item = &'a Offered>) -> Option<String> {
-    let shown = |qos: ShownQos| format!("{:?}, {:?}", qos.reliability, qos.durability);
+    let shown = |qos: DisplayedQos| format!("{:?}, {:?}", qos.reliability, qos.durability);
     let all: BTreeSet<String> = offered.filter_map(|it| it.qos.map(shown)).collect();
     (!all.is_empty()).then(|| all.into_iter().collect::<Vec<_>>().join("; "))
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
-use gdp_core::domain::{PaperFiles, Papers, Trust};
+use gdp_core::domain::{CredentialFiles, Credentials, Trust};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_wire::Name;
@@ -27,7 +27,7 @@ use gdp_util::unix_time::unix_seconds;
 pub struct Material {
     pub identity: Identity,
     /// With their files, which are watched since before they were read.
-    pub papers: Option<(Papers, FileSet)>,
+    pub papers: Option<(Credentials, FileSet)>,
     pub relay: Option<Relay>,
     /// In the order of the configuration's topics, each with which of them it is.
     pub routes: Vec<(usize, RouteMaterial)>,
@@ -119,7 +119,7 @@ impl Material {
         let topics = config.topics.iter().enumerate();
         let routes = topics.flat_map(|(i, topic)| topic.direction.sides().iter().map(move |side| (i, topic, *side)));
         let routes = routes.map(load).collect::<Result<Vec<_>, _>>()?;
-        let papers = config.domain.as_ref().map(|domain| load_papers(&domain.into(), identity.name(), watcher));
+        let papers = config.domain.as_ref().map(|domain| load_credentials(&domain.into(), identity.name(), watcher));
         let papers = papers.transpose()?;
         let relay = Relay::load(config)?;
         let expose = config.expose.as_ref().map(load_expose).transpose()?;
@@ -166,7 +166,11 @@ pub(crate) fn load_identity(path: &Path, kind: &str) -> Result<Identity, String>
     }
 }
 
-fn load_papers(files: &PaperFiles, entity: Name, watcher: &FileWatcher) -> Result<(Papers, FileSet), MaterialError> {
+fn load_credentials(
+    files: &CredentialFiles,
+    entity: Name,
+    watcher: &FileWatcher,
+) -> Result<(Credentials, FileSet), MaterialError> {
     let wrong = |reason: String| MaterialError { key: "domain".into(), reason };
     let watched = FileSet::new(watcher, files.paths());
     let papers = files.load().map_err(|error| wrong(error.to_string()))?;

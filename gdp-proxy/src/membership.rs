@@ -1,17 +1,17 @@
 //! The proxy's membership of a trust domain: read again when its files change, and shown to the switches without new links.
 
 use gdp::node::Node;
-use gdp_core::domain::PaperFiles;
+use gdp_core::domain::CredentialFiles;
 use gdp_util::file_watch::FileSet;
 
 /// Keeps the node's papers those of the files, for ever; without files it does nothing, for ever. `watched` has the same
 /// files, and is older than the papers that the node has.
-pub async fn keep_papers(node: &Node, files: Option<(&PaperFiles, FileSet)>) -> std::convert::Infallible {
+pub async fn store_credentials(node: &Node, files: Option<(&CredentialFiles, FileSet)>) -> std::convert::Infallible {
     let Some((files, mut watched)) = files else { return std::future::pending().await };
     loop {
         watched.changed().await;
         let renewed = match files.load() {
-            Ok(papers) => node.renew_papers(papers).await.map_err(|error| error.to_string()),
+            Ok(papers) => node.renew_credentials(papers).await.map_err(|error| error.to_string()),
             Err(error) => Err(error.to_string()),
         };
         match renewed {

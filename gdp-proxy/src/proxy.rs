@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow};
 use gdp::node::Node;
 use gdp::node::{LinkConfig, NodeConfig};
-use gdp_core::domain::PaperFiles;
+use gdp_core::domain::CredentialFiles;
 use gdp_link::link::RekeySchedule;
 use tokio::time::{Interval, MissedTickBehavior};
 
@@ -18,7 +18,7 @@ use crate::diagnostics::{self, Diagnostics};
 use crate::graph;
 use crate::manager::Changed;
 use crate::material::RouteMaterial;
-use crate::membership::keep_papers;
+use crate::membership::store_credentials;
 use crate::reload::{LoadError, Loaded, Watch};
 use crate::routes::{self, CallPlan, Calls, Carries, Planned, RoutePlan, Routes};
 use crate::stats::{RouteStats, Stats, StatsFile, VERSION};
@@ -70,9 +70,9 @@ async fn carry(
     graph::join(&mut graphs, &loaded.config.graphs, &ros_node).await?;
     tracing::info!(entity = %node.name(), graphs = ?graphs.keys(), "attached to the switch and in the ROS graphs");
 
-    let files = loaded.config.domain.as_ref().map(PaperFiles::from);
+    let files = loaded.config.domain.as_ref().map(CredentialFiles::from);
     let watched = loaded.material.papers.take().map(|(_, watched)| watched);
-    let mut keeping = std::pin::pin!(keep_papers(&node, files.as_ref().zip(watched)));
+    let mut keeping = std::pin::pin!(store_credentials(&node, files.as_ref().zip(watched)));
 
     let mut running = Running {
         routes: routes::manager(node.clone(), types.clone()),

@@ -10,9 +10,9 @@ use crate::config::Side;
 use crate::graph::Graph;
 use crate::manager::{Failure, Manager, Plan, Work};
 use crate::material::RouteMaterial;
+use crate::peer_proxies::Place;
 use crate::ros2::TypeName;
-use crate::standing::{RouteError, Standing};
-use crate::twins::Place;
+use crate::route_status::{RouteError, RouteStatus};
 use crate::{call, route};
 
 pub type Routes = Manager<Arc<RoutePlan>>;
@@ -40,7 +40,7 @@ pub trait Carries: Send + Sync + 'static {
     /// `graph`: what the configuration calls it.
     fn new(config: &Self::Config, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self;
 
-    fn standing(&self) -> &Standing;
+    fn standing(&self) -> &RouteStatus;
 
     fn stats(&self) -> Self::Stats;
 

@@ -1,4 +1,4 @@
-//! Carries by turns what only one proxy of a graph carries at a time, as [`twins`](crate::twins) says.
+//! Carries by turns what only one proxy of a graph carries at a time, as [`peer_proxies`](crate::peer_proxies) says.
 
 use std::pin::Pin;
 use std::time::{Duration, Instant};
@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use gdp::node::Node;
 use gdp_wire::Name;
 
-use crate::standing::Standing;
-use crate::twins::Place;
+use crate::peer_proxies::Place;
+use crate::route_status::RouteStatus;
 
 /// How often it is looked whether another proxy of the graph carries it.
 const LOOK: Duration = Duration::from_millis(250);
@@ -16,13 +16,13 @@ const LOOK: Duration = Duration::from_millis(250);
 pub struct Turns<'a, S> {
     place: &'a Place,
     node: &'a Node,
-    standing: &'a Standing,
+    standing: &'a RouteStatus,
     stop: Pin<&'a mut S>,
     is_stopped: bool,
 }
 
 impl<'a, S: Future<Output = ()>> Turns<'a, S> {
-    pub fn new(place: &'a Place, node: &'a Node, standing: &'a Standing, stop: Pin<&'a mut S>) -> Self {
+    pub fn new(place: &'a Place, node: &'a Node, standing: &'a RouteStatus, stop: Pin<&'a mut S>) -> Self {
         Self { place, node, standing, stop, is_stopped: false }
     }
 

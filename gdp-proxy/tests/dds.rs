@@ -186,10 +186,10 @@ async fn who_stays_on_the_host_finds_others_there() {
 async fn ros_tools_see_the_proxy_as_a_node() {
     let context =
         ros2_client::Context::with_options(ros2_client::ContextOptions::new().domain_id(domain_id())).unwrap();
-    let name = ros2_client::NodeName::new("/", "onlooker").unwrap();
-    let mut onlooker = context.new_node(name, ros2_client::NodeOptions::new().enable_rosout(false)).unwrap();
-    let spinner = tokio::spawn(onlooker.spinner().unwrap().spin());
-    let events = onlooker.status_receiver().unwrap();
+    let name = ros2_client::NodeName::new("/", "graph_observer").unwrap();
+    let mut graph_observer = context.new_node(name, ros2_client::NodeOptions::new().enable_rosout(false)).unwrap();
+    let spinner = tokio::spawn(graph_observer.spinner().unwrap().spin());
+    let events = graph_observer.status_receiver().unwrap();
     let proxy = Domain::join(domain_id(), "gdp_proxy_seen").unwrap();
     within("the node is announced", async {
         loop {

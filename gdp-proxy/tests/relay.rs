@@ -20,9 +20,9 @@ use gdp::node::{LinkState, PublishOptions, Publisher, SubscribeOptions, Subscrip
 use gdp::node::{Node, NodeConfig};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
-use gdp_core::domain::{PaperFiles, Papers};
+use gdp_core::domain::{CredentialFiles, Credentials};
 use gdp_core::identity::{Identity, SigningKey};
-use gdp_daemon::config::{DomainConfig, Neighbour, Place, Via};
+use gdp_daemon::config::{DomainConfig, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
 use gdp_e2e::seal::Encoding;
 use gdp_tests::programs::own;
@@ -30,7 +30,7 @@ use gdp_wire::Name;
 use tokio::time::timeout;
 
 /// How long anything may take on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_that_reaches_only_a_relay_is_carried_both_ways_and_again_when_the_relay_is_back() {
@@ -85,7 +85,7 @@ async fn a_relay_that_is_no_switch_of_the_domain_is_refused_with_the_remedy() {
 /// A message that arrives, as `writer`'s.
 async fn say(publisher: &mut Publisher, subscription: &mut Subscription, writer: &Identity, body: u8) {
     publisher.send(Encoding::Bytes, &[body]).await.unwrap();
-    let message = timeout(PATIENCE, subscription.recv()).await.expect("in time").expect("a message");
+    let message = timeout(TIMEOUT, subscription.recv()).await.expect("in time").expect("a message");
     assert_eq!((message.body.to_vec(), message.writer), (vec![body], writer.name()));
 }
 
@@ -133,7 +133,7 @@ impl Site {
         let mut hub = hub::config(folder.path(), Some(hub_domain(folder.path())));
         let mut member = "domain: {card: domain.card, membership: robot.member}\n";
         if !in_domain {
-            let place = Place { switch: relay, via: Via::Udp(relay_addr) };
+            let place = NeighbourAddress { switch: relay, via: Via::Udp(relay_addr) };
             hub.neighbours = vec![Neighbour { place, cost: None, dial: false, parent: false }];
             (hub.domain, member) = (None, "");
         }
@@ -168,11 +168,11 @@ impl Site {
 
     /// As a member of the domain, if there is one: a relay carries no others.
     async fn attach(&self, identity: &Identity, to: SocketAddr) -> Node {
-        let papers = Papers { membership: self.membership(identity.name(), "proxy"), peers: vec![] };
+        let papers = Credentials { membership: self.membership(identity.name(), "proxy"), peers: vec![] };
         let target = format!("udp://{to}").parse().unwrap();
         let config =
             NodeConfig { papers: self.in_domain.then_some(papers), ..NodeConfig::new(identity.clone(), target) };
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         loop {
             match Node::connect(config.clone()).await {
                 Ok(node) => return node,
@@ -193,7 +193,7 @@ fn membership(domain: &Identity, entity: Name, role: &str) -> Membership {
 /// What makes the hub a member of the domain.
 fn hub_domain(folder: &Path) -> DomainConfig {
     let path = |file: &str| folder.join(file);
-    let files = PaperFiles { card: path("domain.card"), membership: path("hub.member"), peers: vec![] };
+    let files = CredentialFiles { card: path("domain.card"), membership: path("hub.member"), peers: vec![] };
     DomainConfig { files, members_only: true, trace: Default::default() }
 }
 
@@ -216,7 +216,7 @@ impl Drop for Program {
 }
 
 async fn wait(what: &str, condition: impl Fn() -> bool) {
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     while !condition() {
         assert!(Instant::now() < deadline, "waited in vain for {what}");
         tokio::time::sleep(Duration::from_millis(20)).await;

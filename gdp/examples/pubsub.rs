@@ -43,7 +43,7 @@ async fn main() -> Result<()> {
     tracing_subscriber::fmt().with_env_filter(level).with_writer(std::io::stderr).init();
     let options = Options::parse();
     let scratch = tempfile::tempdir()?;
-    let papers = Papers::in_folder(options.dir.as_deref().unwrap_or(scratch.path()))?;
+    let papers = Credentials::in_folder(options.dir.as_deref().unwrap_or(scratch.path()))?;
     println!("name {}", papers.card.name());
     match (options.publish, options.subscribe) {
         (true, _) => publish(&options, &papers).await,
@@ -57,7 +57,7 @@ async fn main() -> Result<()> {
     }
 }
 
-async fn publish(options: &Options, papers: &Papers) -> Result<()> {
+async fn publish(options: &Options, papers: &Credentials) -> Result<()> {
     let node = Node::connect(NodeConfig::new(papers.robot.clone(), options.link.clone())).await?;
     let mut publisher = node.publish(papers.card.proof(), papers.ad_cert()?, PublishOptions::reliable()).await?;
     for i in 1..=options.count {
@@ -72,7 +72,11 @@ async fn publish(options: &Options, papers: &Papers) -> Result<()> {
     Ok(())
 }
 
-async fn subscribe(options: &Options, papers: &Papers, ready: Option<tokio::sync::oneshot::Sender<()>>) -> Result<()> {
+async fn subscribe(
+    options: &Options,
+    papers: &Credentials,
+    ready: Option<tokio::sync::oneshot::Sender<()>>,
+) -> Result<()> {
     let node = Node::connect(NodeConfig::new(papers.cloud.clone(), options.link.clone())).await?;
     let mut subscription = node.subscribe(papers.card.proof(), papers.grant()?, SubscribeOptions::reliable()).await?;
     ready.map(|ready| ready.send(()));
@@ -91,14 +95,14 @@ async fn subscribe(options: &Options, papers: &Papers, ready: Option<tokio::sync
 }
 
 /// What the owner of a topic gives out, and to whom. The owner's key would stay off the robot.
-struct Papers {
+struct Credentials {
     owner: SigningKey,
     card: NameCard,
     robot: Identity,
     cloud: Identity,
 }
 
-impl Papers {
+impl Credentials {
     fn in_folder(dir: &Path) -> Result<Self> {
         std::fs::create_dir_all(dir).with_context(|| format!("cannot make {}", dir.display()))?;
         let owner = SigningKey::load_or_generate(&dir.join("owner.pem"))?;

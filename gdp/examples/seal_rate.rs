@@ -9,7 +9,7 @@ use clap::Parser;
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
 use gdp_core::keys::EpochKey;
-use gdp_e2e::seal::{Draft, Encoding, Limits, Moment, Reader, Received, Segments, Writer};
+use gdp_e2e::seal::{Draft, Encoding, Limits, Reader, Received, Segments, Timestamps, Writer};
 use gdp_wire::Name;
 
 #[derive(Parser)]
@@ -51,7 +51,7 @@ fn measure(options: &Options, batch: usize) -> Result<(f64, f64, usize)> {
     let mut reader = Reader::new(name, Backend::default(), Limits::default());
     reader.authorise(entity.name(), entity.key().verify_key())?;
     reader.set_key(&entity.name(), 1, key)?;
-    reader.vouch(&entity.name(), writer.session(), 1)?;
+    reader.confirm_session(&entity.name(), writer.session(), 1)?;
 
     let body = vec![0x5a; options.bytes];
     let drafts = vec![Draft::new(Encoding::Bytes, &body); batch];
@@ -64,7 +64,7 @@ fn measure(options: &Options, batch: usize) -> Result<(f64, f64, usize)> {
         writer.seal_batch(0, &drafts, options.payload, &mut segments)?;
         let sealed = on_processor();
         for payload in segments.iter() {
-            reader.push(Moment::default(), entity.name(), payload, &mut received)?;
+            reader.push(Timestamps::default(), entity.name(), payload, &mut received)?;
         }
         opening += on_processor() - sealed;
         sealing += sealed - start;

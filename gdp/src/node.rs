@@ -15,33 +15,33 @@
 mod choice;
 mod clock;
 mod counters;
-mod desk;
 mod ending;
 mod feedback;
 mod frame_size;
-mod gathered;
 mod greeting;
 mod held;
 mod home;
 mod inbox;
-mod intake;
 mod lane;
 mod latched;
+mod message_batch;
 mod network;
 mod options;
-mod outlet;
 mod pairs;
-mod parties;
 mod pause;
 mod publication;
 mod publisher;
 mod reading;
 mod receiver;
+mod request_queue;
 mod revoked;
+mod send_path;
+mod service_instances;
 mod services;
 mod shared_entry;
 mod state;
 mod subscription;
+mod subscription_receiver;
 mod supervisor;
 mod told;
 
@@ -61,7 +61,7 @@ use self::receiver::Receiver;
 use self::revoked::Revoked;
 use self::state::{State, Statement};
 use gdp_core::cert::{AdCert, CertError, Issued, Reading as Grant};
-use gdp_core::domain::{DomainError, Papers};
+use gdp_core::domain::{Credentials, DomainError};
 use gdp_core::identity::Identity;
 use gdp_core::name::{NamePrefix, NameProof};
 use gdp_core::peer::MAX_LANES;
@@ -70,7 +70,7 @@ use gdp_e2e::keys::RingError;
 use gdp_e2e::seal::SealError;
 use gdp_link::link::{LinkError, RekeySchedule};
 use gdp_link::port::LinkAddr;
-use gdp_proto::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode, Request};
+use gdp_proto::control::{NameRole, Record, RecordKey, Refusal, RefusalCode, Request};
 use gdp_util::unix_time::unix_seconds;
 
 pub use counters::{Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
@@ -80,8 +80,8 @@ pub use gdp_core::link_target::{LinkTarget, LinkTargetError};
 pub use gdp_wire::ErrorCode;
 pub use lane::{LinkState, LinkStatus};
 pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions, Wants};
-pub use parties::Instance;
 pub use publisher::{Publisher, Unflushed};
+pub use service_instances::Instance;
 pub use services::{Call, Client, Server};
 pub use subscription::Subscription;
 pub use supervisor::SETTLING;
@@ -102,7 +102,7 @@ pub struct NodeConfig {
     pub state: Option<PathBuf>,
     /// What the node shows of its trust domain. With it, it takes switches of that domain only, and of those that the domain has issued
     /// a PeerCert to; without, any.
-    pub papers: Option<Papers>,
+    pub papers: Option<Credentials>,
 }
 
 /// One of a node's links.
@@ -187,7 +187,7 @@ impl NodeError {
                 matches!(refusal.code, RefusalCode::Unreachable | RefusalCode::Limit | RefusalCode::NotAttached)
             }
             Self::Link(_) | Self::NoAnswer { .. } | Self::NoAddress { .. } | Self::NoSwitch(_) => true,
-            // Papers may be renewed.
+            // Credentials may be renewed.
             Self::Domain(_) => true,
             Self::Detached(_) | Self::NoServer(_) | Self::NoInstance { .. } | Self::InstanceLeft { .. } => true,
             Self::TooManyCalls(_) | Self::Unflushed(_) => true,
@@ -267,8 +267,8 @@ impl Node {
         let (events, event_queue) = mpsc::unbounded_channel();
         let revoked = Revoked::open(state.as_deref(), identity.name())?;
         let state = Arc::new(State::new(identity, home, &links, revoked, commands, events));
-        let (outlet, feedback) = (state.outlet.clone(), state.feedback.clone());
-        let receiver = Receiver { commands: command_queue, outlet, feedback };
+        let (send_path, feedback) = (state.send_path.clone(), state.feedback.clone());
+        let receiver = Receiver { commands: command_queue, send_path, feedback };
         spawn("gdp-receive", move || receiver.run())?;
 
         // From here on, dropping the handle ends everything.
@@ -290,8 +290,8 @@ impl Node {
                 None => return Err(failure.map_or(NodeError::Closed, |(_, error)| error)),
             }
         }
-        let outlet = handle.state.outlet.clone();
-        spawn("gdp-send", move || outlet.pump())?;
+        let send_path = handle.state.send_path.clone();
+        spawn("gdp-send", move || send_path.pump())?;
         Ok(Self(Arc::new(handle)))
     }
 
@@ -377,11 +377,7 @@ impl Node {
 
     /// Who publishes and reads the names with this prefix, as far as it verifies: as many as fit an answer, from the one behind
     /// `after` on; and whether there are more.
-    pub async fn query(
-        &self,
-        prefix: NamePrefix,
-        after: Option<RecordPlace>,
-    ) -> Result<(Vec<Record>, bool), NodeError> {
+    pub async fn query(&self, prefix: NamePrefix, after: Option<RecordKey>) -> Result<(Vec<Record>, bool), NodeError> {
         let state = &self.0.state;
         let attachment = state.attached().await?;
         let (mut records, truncated) = state.query(&attachment, prefix.clone(), after).await?;
@@ -402,7 +398,7 @@ impl Node {
 
     /// The links, in the order in which they are wanted, how they are and what went by them.
     pub fn links(&self) -> Vec<LinkStatus> {
-        self.0.state.outlet.links()
+        self.0.state.send_path.links()
     }
 
     /// The switch the node is attached to at the moment, by its main link; `Err` says why there is none.
@@ -412,23 +408,23 @@ impl Node {
 
     /// What became of frames and messages so far.
     pub fn counters(&self) -> NodeCounters {
-        self.0.state.outlet.node_counters()
+        self.0.state.send_path.node_counters()
     }
 
     /// The same at any time, from any task.
     pub fn meter(&self) -> Meter<NodeCounters> {
-        let outlet = self.0.state.outlet.clone();
-        Meter::new(move || outlet.node_counters())
+        let send_path = self.0.state.send_path.clone();
+        Meter::new(move || send_path.node_counters())
     }
 
     /// Shows renewed papers from now on, also on the links there are. An error if they are not this node's, or a switch does not take
     /// them: then what was shown before counts there. Of no effect on a node that was made without.
-    pub async fn renew_papers(&self, papers: Papers) -> Result<(), NodeError> {
+    pub async fn renew_credentials(&self, papers: Credentials) -> Result<(), NodeError> {
         let (state, papers) = (&self.0.state, Arc::new(papers));
         state.home.renew(papers.clone())?;
-        for lane in state.outlet.lanes() {
+        for lane in state.send_path.lanes() {
             if let Status::Up(attachment) = lane.status() {
-                let request = Request::Papers(Box::new(Papers::clone(&papers)));
+                let request = Request::Papers(Box::new(Credentials::clone(&papers)));
                 attachment.link.request(&request).await?.accepted()?;
             }
         }
@@ -438,7 +434,7 @@ impl Node {
     /// Detaches: the switch is told, and withdraws everything at once. Publishers and subscriptions are of no use after.
     pub async fn close(&self) {
         let publications: Vec<_> = self.0.state.publications.lock().values().cloned().collect();
-        publications.iter().for_each(|publication| publication.finish(&self.0.state.outlet));
+        publications.iter().for_each(|publication| publication.finish(&self.0.state.send_path));
         self.0.stop.send_replace(true);
         let task = self.0.supervisor.lock().take();
         if let Some(task) = task {

@@ -4,7 +4,7 @@
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
 use gdp_core::keys::EpochKey;
-use gdp_e2e::seal::{Draft, Encoding, Limits, Moment, Reader, Received, Segments, Writer};
+use gdp_e2e::seal::{Draft, Encoding, Limits, Reader, Received, Segments, Timestamps, Writer};
 use gdp_wire::Name;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -48,7 +48,7 @@ fn frames_cost_no_allocation() {
     let mut reader = Reader::new(name, Backend::AwsLc, Limits::default());
     reader.authorise(entity.name(), entity.key().verify_key()).unwrap();
     reader.set_key(&entity.name(), 1, epoch_key).unwrap();
-    reader.vouch(&entity.name(), writer.session(), 1).unwrap();
+    reader.confirm_session(&entity.name(), writer.session(), 1).unwrap();
     let (mut segments, mut received) = (Segments::new(), Received::default());
     let body = vec![7u8; 200_000];
 
@@ -77,7 +77,7 @@ fn frames_cost_no_allocation() {
 fn push(reader: &mut Reader, source: Name, segments: &Segments, received: &mut Received) {
     received.clear();
     for payload in segments.iter() {
-        reader.push(Moment::default(), source, payload, received).unwrap();
+        reader.push(Timestamps::default(), source, payload, received).unwrap();
     }
 }
 

@@ -3,11 +3,11 @@
 
 use gdp_core::card::NameCard;
 use gdp_core::cert;
-use gdp_core::cert::{AdCert, Advert, AdvertOp, CertError, Grantee, Issued, Mode, ReadGrant, Signed, Speaker};
+use gdp_core::cert::{AdCert, Advert, AdvertOp, CertError, Grantee, Issued, Mode, ReadGrant, Requester, Signed};
 use gdp_core::crypto::Backend;
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::EpochKey;
-use gdp_e2e::seal::{Encoding, Limits, Moment, Reader, Received, Segments, Writer};
+use gdp_e2e::seal::{Encoding, Limits, Reader, Received, Segments, Timestamps, Writer};
 use gdp_wire::Name;
 
 const NOW: u64 = 1_800_000_000;
@@ -42,9 +42,9 @@ fn a_message_crosses_from_an_authorised_writer_to_a_reader() -> anyhow::Result<(
     let mut opening = Reader::new(name, Backend::default(), Limits::default());
     opening.authorise(writer.name(), writer.key().verify_key())?;
     opening.set_key(&writer.name(), 1, epoch_key)?;
-    opening.vouch(&writer.name(), sealing.session(), 1)?;
+    opening.confirm_session(&writer.name(), sealing.session(), 1)?;
     let (mut segments, mut received) = (Segments::new(), Received::default());
-    let now = Moment { steady_ns: 0, unix_ns: NOW * 1_000_000_000 };
+    let now = Timestamps { steady_ns: 0, unix_ns: NOW * 1_000_000_000 };
     let image = vec![0xab; 1 << 20];
     for body in [b"hello".as_slice(), &image] {
         sealing.seal(NOW * 1_000_000_000, Encoding::Cdr, body, 1400, &mut segments)?;
@@ -72,6 +72,6 @@ fn statement(entity: &Identity, op: AdvertOp, name: Name, switch: Name) -> Resul
     cert::issue(entity.key(), &Advert { op, name, entity: entity.name(), switch, serial, lifetime, box_key })
 }
 
-fn speaker(entity: &Identity, switch: Name) -> Speaker {
-    Speaker { entity: entity.name(), entity_key: entity.key().verify_key(), switch, floor: 0, now: NOW }
+fn speaker(entity: &Identity, switch: Name) -> Requester {
+    Requester { entity: entity.name(), entity_key: entity.key().verify_key(), switch, floor: 0, now: NOW }
 }

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use crate::netns::{Namespace, execute};
 use crate::process::Process;
 use crate::programs::Program;
-use crate::wait::{PATIENCE, wait_for};
+use crate::wait::{TIMEOUT, wait_for};
 
 const CLIENTS: u16 = 2379;
 const PEERS: u16 = 2380;
@@ -32,7 +32,7 @@ impl Etcd {
         for (i, (namespace, _)) in at.iter().enumerate() {
             etcd.spawn(i, namespace)?;
         }
-        wait_for("the members of etcd to be one cluster", PATIENCE, || Ok(etcd.leader(at[0].0).ok()))
+        wait_for("the members of etcd to be one cluster", TIMEOUT, || Ok(etcd.leader(at[0].0).ok()))
             .with_context(|| etcd.report())?;
         Ok(etcd)
     }

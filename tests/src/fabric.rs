@@ -14,7 +14,7 @@ use crate::netns::{Namespace, execute};
 use crate::process::Process;
 use crate::programs::{Executable as _, Program, own};
 use crate::tools::Tools;
-use crate::wait::{PATIENCE, wait_for};
+use crate::wait::{TIMEOUT, wait_for};
 
 #[derive(Clone, Debug)]
 pub struct FabricOptions {
@@ -167,7 +167,7 @@ impl Fabric {
     /// Waits until switch `i` holds the topic's name, or does not.
     pub fn wait_for_fib(&mut self, i: usize, present: bool) -> Result<()> {
         let what = format!("s{} to {} {}", i + 1, if present { "hold" } else { "forget" }, self.name);
-        wait_for(&what, PATIENCE, || {
+        wait_for(&what, TIMEOUT, || {
             self.switches[i].process.check_alive()?;
             Ok((self.holds_name(i)? == present).then_some(()))
         })
@@ -225,7 +225,7 @@ impl Fabric {
     }
 
     fn wait_for_status(&mut self, i: usize, what: &str, condition: impl Fn(&Value) -> bool) -> Result<()> {
-        wait_for(&format!("s{} to have {what}", i + 1), PATIENCE, || {
+        wait_for(&format!("s{} to have {what}", i + 1), TIMEOUT, || {
             self.switches[i].process.check_alive()?;
             // The daemon may not listen yet.
             Ok(self.status(i).ok().filter(|status| condition(status)).map(drop))

@@ -31,7 +31,7 @@ use crate::packet::PacketSocket;
 use crate::process::Process;
 use crate::programs::Program;
 use crate::tools::Tools;
-use crate::wait::{PATIENCE, wait_for};
+use crate::wait::{TIMEOUT, wait_for};
 
 /// The switches that the robot may meet, as it lists them: the enterprise's, and the university's two.
 pub const ROBOT_LINKS: [&str; 3] = ["udp://10.1.0.2:31415", "udp://10.2.1.2:31415", "udp://10.2.2.2:31415"];
@@ -396,7 +396,7 @@ impl Federation {
 
     /// Waits until a condition holds; errors, as of a daemon that does not answer yet, count as no.
     pub fn wait(&self, what: &str, condition: impl Fn(&Self) -> Result<bool>) -> Result<()> {
-        wait_for(what, PATIENCE, || Ok(condition(self).unwrap_or(false).then_some(()))).with_context(|| self.report())
+        wait_for(what, TIMEOUT, || Ok(condition(self).unwrap_or(false).then_some(()))).with_context(|| self.report())
     }
 
     /// All that `robot` or `cloud` has.

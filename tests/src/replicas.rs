@@ -20,7 +20,7 @@ use crate::etcd::Etcd;
 use crate::fabric::{Authority, Mounted, Switch};
 use crate::netns::{End, Namespace, veth};
 use crate::tools::Tools;
-use crate::wait::{PATIENCE, wait_for};
+use crate::wait::{TIMEOUT, wait_for};
 
 const SWITCHES: usize = 3;
 
@@ -90,7 +90,7 @@ impl Replicas {
             Switch::start(&tools, &nodes[i], files.path(), (&label, &names[i]), config(i, &names, &bpffs, &etcd))
         };
         let first = start(FIRST_LEADER)?;
-        wait_for("the first replica to lead", PATIENCE, || {
+        wait_for("the first replica to lead", TIMEOUT, || {
             let leads = first.ctl(&tools, &["status"]).is_ok_and(|status| status["rib"].is_object());
             Ok(leads.then_some(()))
         })
@@ -150,7 +150,7 @@ impl Replicas {
 
     /// Waits until a condition holds; errors, as of a daemon that does not answer yet, count as no.
     pub fn wait(&mut self, what: &str, condition: impl Fn(&Self) -> Result<bool>) -> Result<()> {
-        let limit = PATIENCE * 3;
+        let limit = TIMEOUT * 3;
         wait_for(what, limit, || Ok(condition(self).unwrap_or(false).then_some(()))).with_context(|| self.report())
     }
 

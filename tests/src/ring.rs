@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 use crate::fabric::{Authority, Mounted, Switch};
 use crate::netns::{End, Namespace, veth};
 use crate::tools::Tools;
-use crate::wait::{PATIENCE, wait_for};
+use crate::wait::{TIMEOUT, wait_for};
 
 const SWITCHES: usize = 5;
 
@@ -123,7 +123,7 @@ impl Ring {
 
     /// Waits until a condition holds; errors, as of a daemon that does not answer yet, count as no.
     pub fn wait(&mut self, what: &str, condition: impl Fn(&Self) -> Result<bool>) -> Result<()> {
-        wait_for(what, PATIENCE, || Ok(condition(self).unwrap_or(false).then_some(()))).with_context(|| self.report())
+        wait_for(what, TIMEOUT, || Ok(condition(self).unwrap_or(false).then_some(()))).with_context(|| self.report())
     }
 
     /// All that `robot` or `cloud` has.

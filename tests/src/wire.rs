@@ -141,8 +141,8 @@ impl Carrier {
 
     /// The queue of a veth is short: what is at its other end is given time to take from it.
     fn send(&self, port: &PacketSocket, frame: &[u8]) -> Result<()> {
-        const PATIENCE: Duration = Duration::from_secs(1);
-        let deadline = Instant::now() + PATIENCE;
+        const TIMEOUT: Duration = Duration::from_secs(1);
+        let deadline = Instant::now() + TIMEOUT;
         loop {
             match unplugged(port.send(frame)).map(|_| ()) {
                 Err(error) if is(&error, libc::ENOBUFS) && Instant::now() < deadline => std::thread::yield_now(),

@@ -12,7 +12,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use gdp_core::cert::MAX_ADDRESSES;
-use gdp_core::domain::{MAX_PEERS, PaperFiles};
+use gdp_core::domain::{CredentialFiles, MAX_PEERS};
 use gdp_link::link::RekeySchedule;
 use gdp_wire::Name;
 use serde::{Deserialize, Deserializer};
@@ -66,7 +66,7 @@ pub struct Config {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DomainConfig {
     /// Read again when they change.
-    pub files: PaperFiles,
+    pub files: CredentialFiles,
     /// Whether endpoints without a membership get no link.
     pub members_only: bool,
     pub trace: Inside,
@@ -102,7 +102,7 @@ pub enum DataPlane {
 /// [`gdp_rib::topology::cost`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Neighbour {
-    pub place: Place,
+    pub place: NeighbourAddress,
     pub cost: Option<u32>,
     /// This side makes the link. Otherwise the one with the smaller name does.
     pub dial: bool,
@@ -112,7 +112,7 @@ pub struct Neighbour {
 
 /// A neighbouring switch and where it is.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct NeighbourAddress {
     pub switch: Name,
     pub via: Via,
 }
@@ -266,8 +266,8 @@ struct File {
     dpdk: DpdkEntry,
     rib: Option<bool>,
     /// A neighbour like others; that there is one says that the RIB is elsewhere.
-    uplink: Option<PlaceEntry>,
-    neighbours: Vec<PlaceEntry>,
+    uplink: Option<NeighbourAddressEntry>,
+    neighbours: Vec<NeighbourAddressEntry>,
     ebpf_object: Option<PathBuf>,
     fib_capacity: Option<u32>,
     /// `null` turns it off.
@@ -311,7 +311,7 @@ impl<'de> Deserialize<'de> for Udp {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct PlaceEntry {
+struct NeighbourAddressEntry {
     switch: Name,
     interface: Option<String>,
     udp: Option<SocketAddr>,
@@ -423,7 +423,7 @@ impl File {
             bpffs: self.bpffs.map(here),
             public: self.public,
             domain: self.domain.map(|entry| DomainConfig {
-                files: PaperFiles {
+                files: CredentialFiles {
                     card: here(entry.card),
                     membership: here(entry.membership),
                     peers: entry.peers.into_iter().map(here).collect(),
@@ -437,7 +437,7 @@ impl File {
     }
 }
 
-impl PlaceEntry {
+impl NeighbourAddressEntry {
     fn neighbour(self, key: &str) -> Result<Neighbour, ParseError> {
         let cost = self.cost;
         if cost == Some(0) {
@@ -447,7 +447,7 @@ impl PlaceEntry {
         Ok(Neighbour { place: self.place(key)?, cost, dial, parent })
     }
 
-    fn place(self, key: &str) -> Result<Place, ParseError> {
+    fn place(self, key: &str) -> Result<NeighbourAddress, ParseError> {
         let via = match (self.interface, self.udp) {
             (Some(name), None) => Via::Interface(name),
             (None, Some(addr)) => Via::Udp(addr),
@@ -457,7 +457,7 @@ impl PlaceEntry {
                 return Err(ParseError::Invalid(reason));
             }
         };
-        Ok(Place { switch: self.switch, via })
+        Ok(NeighbourAddress { switch: self.switch, via })
     }
 }
 

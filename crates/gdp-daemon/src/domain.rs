@@ -7,7 +7,7 @@ use gdp_core::cert::Invite;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
-pub use gdp_core::domain::{Admission, DomainError, Papers, Standing, Trust};
+pub use gdp_core::domain::{Admission, Credentials, DomainError, Relationship, Trust};
 
 /// Invitations that were used and whose members may still be some.
 pub const MAX_USED: usize = 16_384;

@@ -16,10 +16,10 @@ use aya::maps::{Array, ArrayOfMaps, IterableMap, Map, MapData, MapError};
 use gdp_wire::flat::{BUCKET, Table, buckets_for, count};
 use gdp_wire::{FibEntry, Name};
 
-use super::growing::{self, FIRST, Growing};
 use super::kernel::{LoadError, UpdateError};
 use super::mapping::Mapping;
 use super::pins::{Pins, PinsError};
+use super::resizable_table::{self, FIRST, ResizableTable};
 
 // The kernel wants no dots in them.
 const PIN: &str = "FIB_TABLE";
@@ -72,7 +72,7 @@ impl Fib {
 
     /// Adds a name, or changes where it leads. If there is no room, nothing is changed.
     pub fn insert(&mut self, name: &Name, entry: FibEntry) -> Result<(), UpdateError> {
-        Growing::insert(self, name, entry)
+        ResizableTable::insert(self, name, entry)
     }
 
     /// [`Self::insert`] for many. Those before the one that was refused are in.
@@ -111,7 +111,7 @@ impl Fib {
     }
 }
 
-impl Growing for Fib {
+impl ResizableTable for Fib {
     type Memory = Mapping;
 
     fn table(&self) -> &Table<Mapping> {
@@ -147,7 +147,7 @@ pub fn names_pinned(folder: &Path) -> Result<usize, MapError> {
 /// An empty table for so many names, not yet pinned.
 fn make(names: u32) -> Result<(Table<Mapping>, Buckets), UpdateError> {
     let map = Buckets::create(buckets_for(names), BPF_F_MMAPABLE | BPF_F_INNER_MAP).map_err(map_error)?;
-    let table = growing::begin(names, || map_memory(&map))?;
+    let table = resizable_table::begin(names, || map_memory(&map))?;
     Ok((table, map))
 }
 

@@ -16,9 +16,9 @@ use gdp_wire::replay::WORDS;
 use gdp_wire::table::{CopyCount, EGRESS_SET_SIZE, MAX_PORTS, link_index};
 use gdp_wire::{Counter, FibEntry, LinkEntry, LocalAddress, Name, Permit, SwitchConfig, Vlan};
 
-use super::explain;
 use super::fib::{self, Fib};
-use super::group_places::Member;
+use super::group_slots::Member;
+use super::kernel_errors;
 use super::kernel_groups::{GroupMaps, KernelGroups, OpenError};
 use super::kernel_version::KernelVersion;
 use super::link_memory::{LinkMaps, LinkMemory};
@@ -49,13 +49,13 @@ pub enum LoadError {
     OldKernel(KernelVersion),
     #[error(transparent)]
     NoObject(#[from] BuiltWithoutXdp),
-    #[error("{object}: {}", explain::load(source))]
+    #[error("{object}: {}", kernel_errors::load(source))]
     Object { object: Object, source: Box<EbpfError> },
     #[error(
         "{object}: it has no {what} `{name}`; it belongs to another version: `cargo xtask build` makes the right one"
     )]
     Mismatch { object: Object, what: &'static str, name: &'static str },
-    #[error("{object}: {}", explain::program(source))]
+    #[error("{object}: {}", kernel_errors::program(source))]
     Program { object: Object, source: Box<ProgramError> },
     #[error("{object}: map `{map}`: {source}")]
     Map { object: Object, map: &'static str, source: MapError },

@@ -12,10 +12,10 @@ use std::path::{Path, PathBuf};
 
 use aya::maps::{Array, ArrayOfMaps, DevMapHash, HashMap, IterableMap, Map, MapData, MapError, MapInfo};
 use aya::programs::ProgramFd;
-use gdp_wire::GroupPlace;
+use gdp_wire::GroupSlot;
 use gdp_wire::table::{MAX_COPIES, MAX_GROUPS};
 
-use super::group_places::{Member, Places, Step};
+use super::group_slots::{GroupSlots, Member, Step};
 use super::kernel::{UpdateError, removed, update};
 use super::pins::PinsError;
 
@@ -39,13 +39,13 @@ pub struct GroupMaps {
     /// An array of maps.
     pub groups: Map,
     pub served: Array<MapData, u64>,
-    pub places: HashMap<MapData, GroupPlace, u32>,
+    pub places: HashMap<MapData, GroupSlot, u32>,
 }
 
 struct Group {
     keys: DevMapHash<MapData>,
     /// `None`: not known, or nobody's any more. Then it may be written only after a grace period.
-    places: Option<Places>,
+    places: Option<GroupSlots>,
 }
 
 impl KernelGroups {
@@ -62,7 +62,7 @@ impl KernelGroups {
             let mut keys = open_pinned(&path)?;
             this.renew(&mut keys)?;
             let held = keys_of(&keys)?;
-            let places = Places::found(&held, occupied.get(&number).map_or(&[], Vec::as_slice));
+            let places = GroupSlots::found(&held, occupied.get(&number).map_or(&[], Vec::as_slice));
             this.groups.insert(number, Group { keys, places });
         }
         // Which of them the earlier daemon had come to put there is not known.
@@ -124,7 +124,7 @@ impl KernelGroups {
                 self.serve(number, 0)?;
                 self.put(&[number])?;
                 self.clear(number)?;
-                let mut places = Places::default();
+                let mut places = GroupSlots::default();
                 let steps = places.become_these(members, CAPACITY).unwrap_or_default();
                 self.groups.entry(number).and_modify(|group| group.places = Some(places));
                 steps
@@ -139,10 +139,10 @@ impl KernelGroups {
         let places = &mut self.maps.places;
         match *step {
             Step::Occupy { interface, index, link } => {
-                places.insert(GroupPlace { group, interface, index }, link, 0).map_err(update("PLACES"))
+                places.insert(GroupSlot { group, interface, index }, link, 0).map_err(update("PLACES"))
             }
             Step::Vacate { interface, index } => {
-                removed(places.remove(&GroupPlace { group, interface, index })).map_err(update("PLACES"))
+                removed(places.remove(&GroupSlot { group, interface, index })).map_err(update("PLACES"))
             }
             Step::AddKey { key, interface } => keys
                 .insert(key, interface, Some(&self.egress), 0)
@@ -154,7 +154,7 @@ impl KernelGroups {
 
     /// Removes all keys and places of a group.
     fn clear(&mut self, number: u32) -> Result<(), UpdateError> {
-        let places: Vec<GroupPlace> = self.maps.places.keys().collect::<Result<_, _>>().map_err(update("PLACES"))?;
+        let places: Vec<GroupSlot> = self.maps.places.keys().collect::<Result<_, _>>().map_err(update("PLACES"))?;
         for place in places.iter().filter(|place| place.group == number) {
             removed(self.maps.places.remove(place)).map_err(update("PLACES"))?;
         }
@@ -178,7 +178,7 @@ impl KernelGroups {
         let missing: Vec<u32> = (first..first + TOGETHER).filter(|number| !self.groups.contains_key(number)).collect();
         for number in &missing {
             let keys = self.create(*number).map_err(update("GROUPS"))?;
-            self.groups.insert(*number, Group { keys, places: Some(Places::default()) });
+            self.groups.insert(*number, Group { keys, places: Some(GroupSlots::default()) });
         }
         self.put(&missing)
     }

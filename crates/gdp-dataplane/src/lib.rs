@@ -4,7 +4,7 @@
 //! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the RIB. Called by the daemon
 //! (`serve`); [`kernel`] and [`fib`] also by the kernel tests and `bench forward`.
 //!
-//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`explain`] serve it
+//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`kernel_errors`] serve it
 //! - [`dpdk`]: devices that this process drives by itself, and the loops between them
 //! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
 //! - [`capabilities`]: which this needs of Linux's
@@ -12,8 +12,8 @@
 //! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
 //! - [`tables`]: the full tables, which threads read while they change
 //! - [`userspace`]: what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
-//! - [`fib`]: the names in the kernel; [`growing`]: room for more of them, there and in the full tables
-//! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_places`]: what the kernel holds of them
+//! - [`fib`]: the names in the kernel; [`resizable_table`]: room for more of them, there and in the full tables
+//! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_slots`]: what the kernel holds of them
 //! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
 //! - [`queues`]: where frames wait to be sent
 //! - [`notices`]: what neighbours say to this node itself
@@ -28,15 +28,14 @@ pub mod capabilities;
 pub mod device;
 pub mod disturbance;
 pub mod dpdk;
-pub mod explain;
 pub mod fib;
 pub mod forwarder;
-pub mod group_places;
+pub mod group_slots;
 pub mod groups;
-mod growing;
 pub mod host_pair;
 mod interface_plane;
 pub mod kernel;
+pub mod kernel_errors;
 pub mod kernel_groups;
 pub mod kernel_types;
 pub mod kernel_version;
@@ -48,6 +47,7 @@ pub mod notices;
 pub mod object;
 pub mod pins;
 pub mod queues;
+mod resizable_table;
 pub mod tables;
 pub mod tally;
 pub mod udp;
@@ -72,7 +72,7 @@ use gdp_wire::{
 use device::Device;
 use dpdk::{DeviceCounters, DpdkConfig, DpdkPlane, DpdkPlaneError};
 use forwarder::{Forwarder, Medium, Shared};
-use group_places::Member;
+use group_slots::Member;
 use groups::Groups;
 pub use interface_plane::{InterfacePlane, SUPPORTED};
 use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
@@ -119,7 +119,7 @@ pub struct PlaneConfig {
     /// Of GDP frames.
     pub ethertype: u16,
     /// Where the kernel keeps what is to outlive the daemon, if anything is.
-    pub pins: Option<PinPlace>,
+    pub pins: Option<PinLocation>,
     /// Whether to count the frames that are lost after a redirect. What counts them sees each batch of redirected frames of the whole
     /// machine, so one switch of a machine should.
     pub count_losses: bool,
@@ -127,7 +127,7 @@ pub struct PlaneConfig {
 
 /// A place for the pins of a switch.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PinPlace {
+pub struct PinLocation {
     pub bpffs: PathBuf,
     pub switch: Name,
 }
@@ -921,16 +921,18 @@ impl Planes {
             Ok(()) => return (Some(Mode::Native), SUPPORTED.into()),
             Err(error) => error,
         };
-        if explain::is_occupied(&native) {
+        if kernel_errors::is_occupied(&native) {
             return (None, occupied(ifindex));
         }
-        let why = explain::attach(&native);
+        let why = kernel_errors::attach(&native);
         if !named {
             return (None, format!("no native XDP: {why}; generic XDP would slow down all that arrives there"));
         }
         match kernel.attach(ifindex, Mode::Generic) {
             Ok(()) => (Some(Mode::Generic), format!("no native XDP: {why}")),
-            Err(generic) => (None, format!("no native XDP: {why}; no generic XDP: {}", explain::attach(&generic))),
+            Err(generic) => {
+                (None, format!("no native XDP: {why}; no generic XDP: {}", kernel_errors::attach(&generic)))
+            }
         }
     }
 

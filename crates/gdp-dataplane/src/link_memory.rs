@@ -92,12 +92,12 @@ impl LinkMemory {
     }
 
     /// Whether an error may leave by the link now.
-    pub fn may_complain(&self, id: u32) -> bool {
+    pub fn may_send_error(&self, id: u32) -> bool {
         is_past(self.complaint(id), COMPLAINT_INTERVAL_NS)
     }
 
     /// Says that one leaves now.
-    pub fn complain(&self, id: u32) {
+    pub fn send_error(&self, id: u32) {
         self.complaint(id).store(coarse_monotonic_ns(), Ordering::Relaxed);
     }
 

@@ -16,7 +16,7 @@ use aya::programs::{ProgramError, RawTracePoint};
 use aya::{Ebpf, util};
 use gdp_wire::losses::NetDevices;
 
-use super::explain;
+use super::kernel_errors;
 use super::kernel_types::{KernelTypes, TypesError, VMLINUX};
 use super::pins::Pins;
 use super::verified;
@@ -43,7 +43,7 @@ pub enum LossesError {
         "the eBPF object has no program `{0}`; it belongs to another version: `cargo xtask build` makes the right one"
     )]
     NoProgram(&'static str),
-    #[error("tracepoint {tracepoint}: {}", explain::program(source))]
+    #[error("tracepoint {tracepoint}: {}", kernel_errors::program(source))]
     Program { tracepoint: &'static str, source: ProgramError },
     #[error("tracepoint {tracepoint}: the program cannot be made to outlive the daemon: {source}")]
     Pin { tracepoint: &'static str, source: PinError },

@@ -136,12 +136,12 @@ impl<V: View> Tables for BatchTables<'_, V> {
         false
     }
 
-    fn may_complain(&self, link: &LinkEntry) -> bool {
-        self.view.tables().may_complain(link)
+    fn may_send_error(&self, link: &LinkEntry) -> bool {
+        self.view.tables().may_send_error(link)
     }
 
-    fn complain(&self, link: &LinkEntry) {
-        self.view.tables().complain(link);
+    fn send_error(&self, link: &LinkEntry) {
+        self.view.tables().send_error(link);
     }
 
     fn may_punt(&self, link: &LinkEntry) -> bool {

@@ -17,7 +17,7 @@ use gdp_wire::{Counter, Header, LinkEntry};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::batch::{self, BatchTables};
-use crate::carrier::{self, Carried, Payload, Stations};
+use crate::carrier::{self, FrameLocation, Payload, Stations};
 use crate::local::{At, Local};
 use crate::mbuf::{Burst, Mbuf, Pool};
 use crate::siphash::Tags;
@@ -69,7 +69,7 @@ struct Batch {
 struct Frame {
     /// Until it is handed over.
     mbuf: Option<Mbuf>,
-    carried: Carried,
+    carried: FrameLocation,
 }
 
 /// Which frame leaves, and by which link.
@@ -301,7 +301,7 @@ impl<'a> By<'a> {
         if !mbuf.reshape(self.front as isize - at as isize, self.front + header.0.frame_len()) {
             return None;
         }
-        self.dress(mbuf.bytes_mut()?, header);
+        self.encapsulate(mbuf.bytes_mut()?, header);
         Some(mbuf)
     }
 
@@ -312,7 +312,7 @@ impl<'a> By<'a> {
         let mut mbuf = pool.alloc()?;
         if gathers && payload.len() >= REFERRED && !carrier::has_checksum(&self.link.carrier) {
             mbuf.reshape(0, front + Header::LEN).then_some(())?;
-            self.dress(mbuf.bytes_mut()?, header);
+            self.encapsulate(mbuf.bytes_mut()?, header);
             let mut rest = pool.refer(of)?;
             rest.reshape(-((at + Header::LEN) as isize), payload.len()).then_some(())?;
             return mbuf.chain(rest).then_some(mbuf);
@@ -320,14 +320,14 @@ impl<'a> By<'a> {
         mbuf.reshape(0, front + length).then_some(())?;
         let bytes = mbuf.bytes_mut()?;
         bytes.get_mut(front + Header::LEN..)?.copy_from_slice(payload);
-        self.dress(bytes, header);
+        self.encapsulate(bytes, header);
         Some(mbuf)
     }
 
     /// Writes what is in front of the payload: headers, and the frame's own with its tag. That is not in it yet: a header that was
     /// just written to is slow to copy.
     #[inline]
-    fn dress(&self, packet: &mut [u8], (header, tag): (&Header, u64)) {
+    fn encapsulate(&self, packet: &mut [u8], (header, tag): (&Header, u64)) {
         let Some((before, frame)) = packet.split_at_mut_checked(self.front) else { return };
         if let Some(place) = frame.get_mut(..Header::LEN) {
             place.copy_from_slice(header.as_bytes());
@@ -335,7 +335,7 @@ impl<'a> By<'a> {
         }
         let traffic = Header::ip_traffic(header.flags);
         let frame = Payload { length: header.frame_len(), bytes: frame };
-        carrier::dress(before, frame, &self.link.carrier, self.stations, traffic, self.ethertype);
+        carrier::encapsulate(before, frame, &self.link.carrier, self.stations, traffic, self.ethertype);
     }
 }
 
@@ -366,7 +366,7 @@ impl Arrivals {
 /// What a packet is, before anything is decided about it.
 enum Located {
     /// It has a header, if it is long enough.
-    Frame(Carried),
+    Frame(FrameLocation),
     /// This host's.
     Host(Counter),
     Drop(Counter),

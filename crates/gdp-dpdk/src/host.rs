@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::thread::JoinHandle;
 
-use crate::lane::Lane;
+use crate::lane::TxLane;
 use crate::mbuf::{Mbuf, Pool};
 use crate::tap::Tap;
 
@@ -82,7 +82,7 @@ pub struct Host {
 
 impl Host {
     /// What the kernel sends leaves by `lane`.
-    pub fn start(tap: Arc<Tap>, (to_host, port): (ToHost, u32), pool: Pool, lane: Lane) -> io::Result<Self> {
+    pub fn start(tap: Arc<Tap>, (to_host, port): (ToHost, u32), pool: Pool, lane: TxLane) -> io::Result<Self> {
         let (stop, stopped) = event()?;
         let of = tap.clone();
         let take = move || take_all(&of, stopped.as_fd(), &pool, lane);
@@ -107,7 +107,7 @@ impl Drop for Host {
     }
 }
 
-fn take_all(tap: &Tap, stopped: BorrowedFd<'_>, pool: &Pool, mut lane: Lane) {
+fn take_all(tap: &Tap, stopped: BorrowedFd<'_>, pool: &Pool, mut lane: TxLane) {
     while wait(tap.as_fd(), stopped) {
         loop {
             match take(tap, pool) {

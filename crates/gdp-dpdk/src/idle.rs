@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 /// Questions in vain before a loop sleeps: some tens of microseconds, in which the next packet of a stream comes.
-const PATIENCE: u32 = 512;
+const TIMEOUT: u32 = 512;
 
 /// The first sleep; each is twice as long as the one before.
 const SHORTEST: Duration = Duration::from_micros(10);
@@ -46,7 +46,7 @@ impl Rest {
             return None;
         }
         self.vain = self.vain.saturating_add(1);
-        if self.vain <= PATIENCE {
+        if self.vain <= TIMEOUT {
             return None;
         }
         let now = self.next.min(longest);

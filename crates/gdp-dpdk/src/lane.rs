@@ -9,7 +9,7 @@ use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering;
 
 /// Where a loop's packets leave by a port.
-pub struct Lane {
+pub struct TxLane {
     pub send: Arc<Mutex<Send>>,
     pub gathers: bool,
     pub leaving: Burst,
@@ -17,7 +17,7 @@ pub struct Lane {
     pub lost: Arc<AtomicU64>,
 }
 
-impl Lane {
+impl TxLane {
     /// `lost`: where it counts what the device did not take.
     pub fn new(send: Arc<Mutex<Send>>, gathers: bool, lost: Arc<AtomicU64>) -> Self {
         Self { send, gathers, leaving: Burst::new(), lost }

@@ -21,7 +21,7 @@ const HEADROOM: u16 = sys::RTE_PKTMBUF_HEADROOM as u16;
 
 /// Mbufs that each thread keeps at hand, unless the pool is small; and half as many more for a moment.
 const CACHE: u32 = 256;
-pub(crate) const KEPT: usize = CACHE as usize * 3 / 2;
+pub(crate) const CACHED: usize = CACHE as usize * 3 / 2;
 
 /// The first fields of DPDK's `rte_mbuf`; the shim asserts that they are here.
 #[repr(C)]

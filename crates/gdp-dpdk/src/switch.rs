@@ -17,9 +17,9 @@ use parking_lot::Mutex;
 use crate::forwarding::Counts;
 use crate::host::{Giver, Host, ToHost, WAITING};
 use crate::idle::Idle;
-use crate::lane::Lane;
+use crate::lane::TxLane;
 use crate::local::Local;
-use crate::mbuf::{Burst, KEPT, Pool};
+use crate::mbuf::{Burst, CACHED, Pool};
 use crate::port::{HELD, Port, PortConfig, PortCounters, Receive, Send};
 use crate::tap::Tap;
 use crate::view::Reader;
@@ -147,7 +147,7 @@ impl Switch {
         let gathers = sends.first().is_some_and(Send::gathers);
         let sends: Vec<_> = sends.into_iter().map(|send| Arc::new(Mutex::new(send))).collect();
         let lost = Arc::new(AtomicU64::new(0));
-        let lane = |i: usize| Lane::new(sends[i % sends.len()].clone(), gathers, lost.clone());
+        let lane = |i: usize| TxLane::new(sends[i % sends.len()].clone(), gathers, lost.clone());
         let host = Host::start(tap.clone(), (self.host.clone(), number), self.pool.clone(), lane(self.loops.len()))
             .map_err(SwitchError::Thread)?;
         let mut shares: Vec<Vec<Receive>> = self.loops.iter().map(|_| Vec::new()).collect();
@@ -265,7 +265,7 @@ fn wait(answers: Vec<Receiver<()>>) -> Result<(), SwitchError> {
 /// ones could leave none to receive by.
 fn packets(ports: usize, loops: usize) -> u32 {
     let queues = ports * (loops + loops + 1) * HELD;
-    let under_way = loops * (KEPT + Burst::SIZE * (ports + 2));
+    let under_way = loops * (CACHED + Burst::SIZE * (ports + 2));
     // A pool is fastest with one less than a power of two.
     ((queues + under_way + WAITING).next_power_of_two() - 1) as u32
 }

@@ -1,6 +1,6 @@
 //! A loop: it asks its queues for packets, forwards what there is, and sends.
 
-use crate::lane::Lane;
+use crate::lane::TxLane;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
@@ -30,7 +30,7 @@ pub enum Command {
 pub struct LoopPort {
     pub number: u32,
     pub receive: Vec<Receive>,
-    pub lane: Lane,
+    pub lane: TxLane,
 }
 
 /// A loop.
@@ -142,7 +142,7 @@ impl<R: Reader> Worker<R> {
 
 /// Where a loop's packets go.
 struct Out {
-    lanes: Vec<(u32, Lane)>,
+    lanes: Vec<(u32, TxLane)>,
     host: ToHost,
     /// The place of the port that packets come from now.
     from: usize,
@@ -153,7 +153,7 @@ impl Out {
         self.lanes.iter_mut().for_each(|(_, lane)| lane.flush());
     }
 
-    fn lane(&mut self, port: u32) -> Option<&mut Lane> {
+    fn lane(&mut self, port: u32) -> Option<&mut TxLane> {
         self.lanes.iter_mut().find(|(number, _)| *number == port).map(|(_, lane)| lane)
     }
 }

@@ -9,8 +9,8 @@ mod hello;
 mod ids;
 mod keyed_entry;
 pub mod liveness;
+mod location;
 mod peer_end;
-mod place;
 mod ratchet;
 mod rekey;
 mod streams;
@@ -19,8 +19,8 @@ mod tls;
 
 pub use crate::link::error::LinkError;
 use crate::link::error::close_reason;
-pub(crate) use crate::link::place::Place;
-use crate::link::place::udp_source;
+pub(crate) use crate::link::location::LinkLocation;
+use crate::link::location::udp_source;
 use timing::MAX_STREAMS;
 pub use timing::{HANDSHAKE_TIMEOUT, IDLE_TIMEOUT, KEEP_ALIVE, REQUEST_TIMEOUT};
 
@@ -36,7 +36,7 @@ use tokio::task::JoinHandle;
 use zeroize::Zeroizing;
 
 use crate::port::LinkAddr;
-use gdp_core::domain::Papers;
+use gdp_core::domain::Credentials;
 use gdp_core::peer::{Peer, Role};
 use gdp_proto::control::{Request, Response};
 
@@ -66,11 +66,11 @@ struct Inner {
     mtu: u32,
     /// Whether the peer takes datagrams over IPv6 without a UDP checksum.
     zero_checksum: bool,
-    place: Place,
+    place: LinkLocation,
     connection: quinn::Connection,
     requests: Mutex<mpsc::Receiver<(Request, Responder)>>,
     streams: JoinHandle<()>,
-    papers: StdMutex<Option<Arc<Papers>>>,
+    papers: StdMutex<Option<Arc<Credentials>>>,
     /// Why this side closed it.
     closed_for: OnceLock<String>,
 }
@@ -79,7 +79,7 @@ impl Link {
     /// Derives what data frames need from a connection on which both sides have said hello, and begins to take requests.
     pub(crate) fn new(
         connection: quinn::Connection,
-        place: Place,
+        place: LinkLocation,
         local: (LinkId, u32),
         peer: Peer,
         peer_end: PeerEnd,
@@ -116,12 +116,12 @@ impl Link {
     }
 
     /// What the peer shows of its domain; judged by nobody yet.
-    pub fn papers(&self) -> Option<Arc<Papers>> {
+    pub fn papers(&self) -> Option<Arc<Credentials>> {
         self.0.papers.lock().clone()
     }
 
     /// The peer shows renewed papers.
-    pub fn set_papers(&self, papers: Arc<Papers>) {
+    pub fn set_credentials(&self, papers: Arc<Credentials>) {
         *self.0.papers.lock() = Some(papers);
     }
 
@@ -133,17 +133,17 @@ impl Link {
     /// Largest data frame, header and payload, in bytes. Over UDP it follows what QUIC finds out about the path.
     pub fn mtu(&self) -> u32 {
         match self.0.place {
-            Place::Ethernet { .. } => self.0.mtu,
-            Place::Udp { .. } => self.0.mtu.min(self.0.connection.stats().path.current_mtu.into()),
+            LinkLocation::Ethernet { .. } => self.0.mtu,
+            LinkLocation::Udp { .. } => self.0.mtu.min(self.0.connection.stats().path.current_mtu.into()),
         }
     }
 
     /// Where data frames go. A UDP address moves when the peer did and QUIC has validated its new path.
     pub fn addr(&self) -> LinkAddr {
         match self.0.place {
-            Place::Ethernet { ifindex, peer_mac, .. } => LinkAddr::Ethernet { ifindex, mac: peer_mac },
-            Place::Udp { pair: None, .. } => LinkAddr::udp(self.0.connection.remote_address()),
-            Place::Udp { pair: Some(pair), .. } => {
+            LinkLocation::Ethernet { ifindex, peer_mac, .. } => LinkAddr::Ethernet { ifindex, mac: peer_mac },
+            LinkLocation::Udp { pair: None, .. } => LinkAddr::udp(self.0.connection.remote_address()),
+            LinkLocation::Udp { pair: Some(pair), .. } => {
                 LinkAddr::udp((pair.peer_ip, self.0.connection.remote_address().port()).into())
             }
         }
@@ -151,7 +151,7 @@ impl Link {
 
     /// Whether frames go by the [`HostPair`] of the switch.
     pub fn is_by_pair(&self) -> bool {
-        matches!(self.0.place, Place::Udp { pair: Some(_), .. })
+        matches!(self.0.place, LinkLocation::Udp { pair: Some(_), .. })
     }
 
     /// What carries data frames to the peer. Over UDP it follows the addresses of both sides.
@@ -160,10 +160,10 @@ impl Link {
         // An endpoint takes frames from a socket; a switch before the kernel would join them.
         let joins = if inner.peer.role == Role::Endpoint { Carrier::CHECKSUM } else { 0 };
         match inner.place {
-            Place::Ethernet { vlan, local_mac, peer_mac, .. } => {
+            LinkLocation::Ethernet { vlan, local_mac, peer_mac, .. } => {
                 Carrier { vlan, ..Carrier::ethernet(peer_mac, local_mac) }
             }
-            Place::Udp { bound, pair: Some(pair) } => Carrier {
+            LinkLocation::Udp { bound, pair: Some(pair) } => Carrier {
                 kind: Carrier::UDP4,
                 flags: joins,
                 peer_port: inner.connection.remote_address().port().to_be(),
@@ -172,7 +172,7 @@ impl Link {
                 local_ip: ip_words(pair.local_ip.into()).1,
                 ..Carrier::ethernet(pair.peer_mac, pair.local_mac)
             },
-            Place::Udp { bound, pair: None } => {
+            LinkLocation::Udp { bound, pair: None } => {
                 let peer = inner.connection.remote_address();
                 // Only the side that was dialled knows it from its peer's packets.
                 let local = inner.connection.local_ip().map(|ip| ip.to_canonical());

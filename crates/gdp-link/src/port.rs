@@ -12,8 +12,8 @@ mod discover;
 mod ethernet;
 mod handshakes;
 mod host;
+mod misdelivered;
 mod send;
-mod strays;
 mod sys;
 mod udp;
 mod udp_mtu;
@@ -34,10 +34,10 @@ use tokio::time::{Instant, timeout, timeout_at};
 
 use crate::link;
 use crate::link::{
-    HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, Place, QuicMtu, RekeySchedule, greet_as_client,
+    HANDSHAKE_TIMEOUT, HelloConfig, Link, LinkError, LinkIds, LinkLocation, QuicMtu, RekeySchedule, greet_as_client,
     greet_as_server,
 };
-use gdp_core::domain::CurrentPapers;
+use gdp_core::domain::CurrentCredentials;
 use gdp_core::identity::Identity;
 use gdp_core::peer::Role;
 
@@ -84,7 +84,7 @@ pub struct PortConfig {
     /// When the keys of data frames are replaced.
     pub rekey: RekeySchedule,
     /// What is shown of a domain, to peers of links that are made from now on. Shared by all ports of an entity.
-    pub papers: CurrentPapers,
+    pub papers: CurrentCredentials,
     /// Of peers that dial in. Shared by all ports of an entity.
     pub handshakes: HandshakeCounters,
 }
@@ -102,7 +102,7 @@ impl PortConfig {
 
     fn new(identity: Identity, role: Role, link_ids: LinkIds) -> Self {
         let (ethertype, rekey) = (gdp_wire::ETHERTYPE, RekeySchedule::default());
-        let (papers, handshakes) = (CurrentPapers::default(), HandshakeCounters::default());
+        let (papers, handshakes) = (CurrentCredentials::default(), HandshakeCounters::default());
         Self { identity, role, lane: 0, through: None, link_ids, listen: false, ethertype, rekey, papers, handshakes }
     }
 }
@@ -339,15 +339,15 @@ impl Drop for Port {
 }
 
 impl Medium {
-    fn place(&self, connection: &quinn::Connection) -> Place {
+    fn place(&self, connection: &quinn::Connection) -> LinkLocation {
         match self {
-            Self::Ethernet(interface, _) => Place::Ethernet {
+            Self::Ethernet(interface, _) => LinkLocation::Ethernet {
                 ifindex: interface.index,
                 vlan: interface.vlan.as_ref().map_or(0, |vlan| vlan.id),
                 local_mac: interface.mac,
                 peer_mac: addr::socket_to_mac(&connection.remote_address()),
             },
-            Self::Udp { bound, .. } => Place::Udp { bound: *bound, pair: None },
+            Self::Udp { bound, .. } => LinkLocation::Udp { bound: *bound, pair: None },
         }
     }
 

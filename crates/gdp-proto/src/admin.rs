@@ -1,7 +1,7 @@
 //! What commands and the daemon say to each other over the admin socket: `{"v":1,"op":…}` and `{"v":1,"ok"|"control"|"error":…}`,
 //! a JSON object to a line. Types only: the daemon serves, the command line asks.
 
-use crate::control::{EntityRequest, RecordPlace, Response};
+use crate::control::{EntityRequest, RecordKey, Response};
 use gdp_core::name::{NamePrefix, NameProof};
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
@@ -58,7 +58,7 @@ pub enum Request {
     },
     /// A page of the RIB's records, behind this one.
     Rib {
-        after: Option<RecordPlace>,
+        after: Option<RecordKey>,
     },
     /// Something an entity asks of the RIB, through this daemon's switch.
     Entity {

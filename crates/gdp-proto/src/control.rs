@@ -15,11 +15,11 @@ mod tiers;
 mod traced;
 
 pub use crate::control::extent::Extent;
-pub use crate::control::record::{Credential, Record, RecordPlace, Verified};
+pub use crate::control::record::{Credential, Record, RecordKey, Verified};
 pub use crate::control::refusal::{Refusal, RefusalCode};
 pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
 pub use tiers::{
-    Abroad, MAX_ANCESTORS, MAX_PATH, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
+    MAX_ANCESTORS, MAX_PATH, RemoteRecord, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
     TierResponse,
 };
 pub use traced::{
@@ -36,7 +36,7 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use gdp_core::cert::{
     AdCert, Advert, CertError, Host, Issued, LinkState, Membership, Reading, Revocation, RtCert, Signed,
 };
-use gdp_core::domain::Papers;
+use gdp_core::domain::Credentials;
 use gdp_core::keys::KeyBox;
 use gdp_core::name::{NamePrefix, NameProof};
 
@@ -95,7 +95,7 @@ pub enum Request {
     Ratcheted { generation: u64 },
     /// Either end of a link → the other: my membership, or what my domain lets others do, was renewed. If it does not hold, the answer
     /// says why, and what was shown before goes on to count.
-    Papers(Box<Papers>),
+    Papers(Box<Credentials>),
     /// Either end of a link → the other: a domain has taken certificates back. Sent of all domains that the sender has to do with, first
     /// on every link and whenever there is news; it is the domain's signature that counts.
     DomainRevoked { proof: NameProof, revocation: Signed<Revocation> },
@@ -132,7 +132,7 @@ pub enum EntityRequest {
     /// signature is what counts.
     Revoke { proof: NameProof, revocation: Signed<Revocation> },
     /// Who publishes and reads the names that begin so? Answered by [`Response::Records`], from the one behind `after` on.
-    Query { prefix: NamePrefix, after: Option<RecordPlace> },
+    Query { prefix: NamePrefix, after: Option<RecordKey> },
 }
 
 /// The answer to a request.
@@ -147,7 +147,7 @@ pub enum Response {
     Reported {
         run: u64,
     },
-    /// In the order of their [places](RecordPlace). `truncated`: there are more than fit an answer; ask for those behind
+    /// In the order of their [places](RecordKey). `truncated`: there are more than fit an answer; ask for those behind
     /// the last one.
     Records {
         records: Vec<Record>,

@@ -27,7 +27,7 @@ use crate::tcpros::listener::listen;
 use crate::topic::link::Common;
 use crate::topic::publication::{MessageType, Publication, PublishOptions, Subscriber};
 use crate::topic::sources::Sources;
-use crate::topic::subscription::{Keeper, Listed, Message, SourceStates, SubscribeOptions};
+use crate::topic::subscription::{ConnectionSupervisor, Listed, Message, SourceStates, SubscribeOptions};
 
 /// How often and how rarely a master may be asked for its state.
 const POLL: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(60));
@@ -153,7 +153,7 @@ impl Node {
         let (listed, of_master) = watch::channel(Listed::default());
         let (shown, states) = watch::channel(SourceStates::new());
         let sources = Sources::new(uri.clone());
-        tokio::spawn(Keeper { common: common.clone(), sources, listed: of_master, states: shown }.run());
+        tokio::spawn(ConnectionSupervisor { common: common.clone(), sources, listed: of_master, states: shown }.run());
         subscriptions.insert(topic.clone(), Subscribed { kind: kind.clone(), listed, states: states.clone() });
         let registered = Registered::new(&self.shared, (Kind::Subscriber, topic), kind);
         Ok(Subscription { common, ended: states.clone(), states, registered })

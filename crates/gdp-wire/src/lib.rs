@@ -21,7 +21,7 @@ pub mod tables;
 pub use counter::Counter;
 pub use header::{ControlHeader, ErrorCode, FrameType, Header};
 pub use name::{Name, ParseNameError};
-pub use table::{Carrier, FibEntry, GroupPlace, LinkEntry, LinkRole, LocalAddress, Permit, SwitchConfig, Vlan};
+pub use table::{Carrier, FibEntry, GroupSlot, LinkEntry, LinkRole, LocalAddress, Permit, SwitchConfig, Vlan};
 
 /// Ethertype of GDP frames carried directly on Ethernet: IEEE 802 local experimental 1.
 pub const ETHERTYPE: u16 = 0x88B5;

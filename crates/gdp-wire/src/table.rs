@@ -267,7 +267,7 @@ impl Permit {
 /// A place in a group: which link gets the copy with this index, of those that leave by one interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(C)]
-pub struct GroupPlace {
+pub struct GroupSlot {
     pub group: u32,
     /// Index of the interface.
     pub interface: u32,
@@ -312,7 +312,7 @@ const _: () = {
     // With its name and a generation, one.
     assert!(size_of::<FibEntry>() == 24 && align_of::<FibEntry>() == 8);
     assert!(size_of::<Permit>() == 40 && align_of::<Permit>() == 8);
-    assert!(size_of::<GroupPlace>() == 12 && align_of::<GroupPlace>() == 4);
+    assert!(size_of::<GroupSlot>() == 12 && align_of::<GroupSlot>() == 4);
     assert!(size_of::<CopyCount>() == 16 && align_of::<CopyCount>() == 8);
     assert!(size_of::<LocalAddress>() == 20 && align_of::<LocalAddress>() == 4);
     assert!(size_of::<Vlan>() == 8 && align_of::<Vlan>() == 4);
@@ -331,7 +331,7 @@ mod pod {
     // SAFETY: as above.
     unsafe impl aya::Pod for super::Permit {}
     // SAFETY: as above.
-    unsafe impl aya::Pod for super::GroupPlace {}
+    unsafe impl aya::Pod for super::GroupSlot {}
     // SAFETY: as above.
     unsafe impl aya::Pod for super::CopyCount {}
     // SAFETY: as above.

@@ -57,10 +57,10 @@ pub trait Tables {
     fn has_queue(&self, link: &LinkEntry) -> bool;
 
     /// Whether an error may go to the neighbour on this link now: [`COMPLAINT_INTERVAL_NS`] after the last.
-    fn may_complain(&self, link: &LinkEntry) -> bool;
+    fn may_send_error(&self, link: &LinkEntry) -> bool;
 
     /// Says that an error goes to the neighbour on this link now.
-    fn complain(&self, link: &LinkEntry);
+    fn send_error(&self, link: &LinkEntry);
 
     /// Whether the daemon may be given a probe from the neighbour on this link now: [`PUNT_INTERVAL_NS`] after the last.
     fn may_punt(&self, link: &LinkEntry) -> bool;

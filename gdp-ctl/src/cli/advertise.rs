@@ -11,8 +11,8 @@ use gdp_core::name::Name;
 use gdp_proto::control::{EntityRequest, Response};
 use serde_json::json;
 
+use super::credential_file::CredentialFile;
 use super::key::Kind;
-use super::paper::Paper;
 use crate::cli::context::Context;
 use crate::cli::issuing::{parse_seconds, serial_now, validity};
 use crate::client::Client;
@@ -97,7 +97,7 @@ impl Entity {
 /// The certificate of the file; without one, the owner allows itself.
 fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow::Result<Issued<AdCert>> {
     if let Some(file) = &options.cert {
-        let Paper::Ad(cert) = Paper::load(file)? else {
+        let CredentialFile::Ad(cert) = CredentialFile::load(file)? else {
             bail!("{}: not a certificate to publish; `gdp-ctl cert show` tells what it is", file.display());
         };
         let meant = cert.cert.claims_unverified().map_err(|error| anyhow!("{}: {error}", file.display()))?.entity;

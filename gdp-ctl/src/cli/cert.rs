@@ -6,8 +6,8 @@ use anyhow::Context as _;
 use clap::Subcommand;
 use serde_json::json;
 
-use super::books::Books;
-use super::paper::Paper;
+use super::credential_file::CredentialFile;
+use super::issuance_log::IssuanceLog;
 use crate::cli::context::Context;
 use gdp_util::unix_time::unix_seconds;
 
@@ -29,9 +29,9 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
 
 /// What `cert show` and `domain show` print of a certificate.
 pub fn show(file: &Path, card: Option<&Path>, context: &Context) -> anyhow::Result<()> {
-    let paper = Paper::load(file)?;
+    let paper = CredentialFile::load(file)?;
     let mut value = paper.describe().with_context(|| file.display().to_string())?;
-    value["verified"] = json!(match card.map(Books::open).transpose()? {
+    value["verified"] = json!(match card.map(IssuanceLog::open).transpose()? {
         Some(books) => {
             let (_, revocation) = books.revocation()?.unzip();
             let verdict = paper.verify(books.card(), revocation.as_ref(), unix_seconds());

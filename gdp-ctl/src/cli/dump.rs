@@ -82,11 +82,11 @@ pub fn rib(command: &RibCommand, context: &Context) -> anyhow::Result<()> {
 }
 
 /// All entries of a dump, and its last page.
-fn all<Place: Copy + PartialEq>(
+fn all<NameLocation: Copy + PartialEq>(
     client: &mut Client,
     key: &str,
-    place: impl Fn(&Value) -> Option<Place>,
-    request: impl Fn(Option<Place>) -> Request,
+    place: impl Fn(&Value) -> Option<NameLocation>,
+    request: impl Fn(Option<NameLocation>) -> Request,
 ) -> Result<(Vec<Value>, Value), ClientError> {
     let (mut entries, mut after) = (Vec::new(), None);
     loop {

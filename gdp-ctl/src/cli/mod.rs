@@ -3,24 +3,24 @@
 
 mod action;
 mod advertise;
-mod books;
 mod cert;
 mod context;
+pub(crate) mod credential_file;
 mod doctor;
 mod domain;
 mod dump;
 mod grant;
+mod issuance_log;
 mod issuing;
 mod key;
 mod link;
 mod monitor;
 mod name;
+mod name_location;
 mod node;
 mod output;
-pub(crate) mod paper;
 mod peer;
 mod ping;
-mod place;
 mod query;
 mod revocation;
 mod serve;

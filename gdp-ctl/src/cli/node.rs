@@ -22,7 +22,7 @@ use gdp_daemon::folders;
 use gdp_util::unix_time::unix_seconds;
 
 /// How often somebody is told that nobody publishes.
-const PATIENCE: Duration = Duration::from_secs(3);
+const TIMEOUT: Duration = Duration::from_secs(3);
 
 #[derive(Debug, Args)]
 pub struct NodeOptions {
@@ -117,7 +117,7 @@ pub async fn listen(fabric: &Fabric, card: &NameCard, options: SubscribeOptions)
 
 /// Says once, a moment after the start, if nobody publishes; never returns.
 pub async fn tell_if_silent<T>(fabric: &Fabric, card: &NameCard) -> anyhow::Result<T> {
-    tokio::time::sleep(PATIENCE).await;
+    tokio::time::sleep(TIMEOUT).await;
     if fabric.parties(card).await?.writers.is_empty() {
         note(format_args!("WARNING: topic [{}] does not appear to be published yet", called(card)));
     }

@@ -8,8 +8,8 @@ use gdp_wire::Name;
 use gdp_wire::header::INITIAL_HOP_LIMIT;
 use serde_json::{Value, json};
 
+use super::name_location::{self, NameLocation, millis};
 use super::output::short;
-use super::place::{self, Place, millis};
 use crate::cli::context::Context;
 use crate::client::Client;
 use gdp_proto::admin::Request;
@@ -40,7 +40,7 @@ fn parse_interval(text: &str) -> Result<f64, String> {
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut client = context.client()?;
-    let place = place::find(&options.what, &mut client)?;
+    let place = name_location::find(&options.what, &mut client)?;
     if !context.output.json {
         context.output.print(json!({}), || [format!("PING {:#} {}", place.name, how(&place))])?;
     }
@@ -74,7 +74,7 @@ async fn interrupted(rest: Duration) -> std::io::Result<bool> {
     }
 }
 
-fn how(place: &Place) -> String {
+fn how(place: &NameLocation) -> String {
     match place.egress.len() {
         _ if place.is_near => "by echoes on its link".into(),
         1 => "by probes to its switch".into(),
@@ -83,11 +83,11 @@ fn how(place: &Place) -> String {
 }
 
 /// Whom to ask each time.
-fn targets(place: &Place) -> &[Name] {
+fn targets(place: &NameLocation) -> &[Name] {
     if place.is_near { std::slice::from_ref(&place.name) } else { &place.egress }
 }
 
-fn ask(place: &Place, target: &Name, client: &mut Client) -> anyhow::Result<Value> {
+fn ask(place: &NameLocation, target: &Name, client: &mut Client) -> anyhow::Result<Value> {
     if place.is_near {
         return Ok(client.ask_value(&Request::Echo { peer: place.name })?);
     }

@@ -8,7 +8,7 @@ use gdp_util::terminal::note;
 use gdp_wire::Name;
 use serde_json::{Value, json};
 
-use super::books::{Books, Entry};
+use super::issuance_log::{Entry, IssuanceLog};
 use crate::cli::context::Context;
 use crate::cli::issuing::serial_now;
 use crate::client::ClientError;
@@ -23,7 +23,7 @@ const OLD_NUMBER: &str = "ReplayedSerial";
 /// Sends the newest revocation of the books' name to the daemon, and prints what became of it. `anew`: it was made now, so it is
 /// worth something though no daemon answers; `again` is the command that publishes it then.
 pub fn publish(
-    books: &Books,
+    books: &IssuanceLog,
     signed: Signed<Revocation>,
     claims: &Revocation,
     anew: bool,

@@ -5,8 +5,8 @@ use gdp_proto::control::MAX_PATH;
 use gdp_wire::Name;
 use serde_json::{Value, json};
 
+use super::name_location::{self, NameLocation, millis};
 use super::output::short;
-use super::place::{self, Place, millis};
 use crate::cli::context::Context;
 use crate::client::Client;
 use gdp_proto::admin::Request;
@@ -36,7 +36,7 @@ pub struct Options {
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut client = context.client()?;
-    let place = place::find(&options.what, &mut client)?;
+    let place = name_location::find(&options.what, &mut client)?;
     let mut paths = Vec::new();
     if place.egress.is_empty() {
         // An endpoint whose link is here, and to which nobody here may send.
@@ -55,7 +55,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 }
 
 /// The path to one egress switch.
-fn follow(place: &Place, egress: Name, max_hops: u8, client: &mut Client) -> anyhow::Result<Value> {
+fn follow(place: &NameLocation, egress: Name, max_hops: u8, client: &mut Client) -> anyhow::Result<Value> {
     let mut hops = vec![own(place)];
     let (mut reached, mut silent) = (egress == place.own, 0);
     for hop in 1..=max_hops {
@@ -98,7 +98,7 @@ fn ask(probe: &Request, client: &mut Client) -> anyhow::Result<Value> {
 }
 
 /// The daemon's switch is the first on every path.
-fn own(place: &Place) -> Value {
+fn own(place: &NameLocation) -> Value {
     let is_end = place.egress.is_empty() || place.egress.contains(&place.own);
     let end = if is_end { place.end.clone() } else { Value::Null };
     json!({"hop": 0, "switch": place.own, "rtt_us": 0, "end": end})

@@ -4,7 +4,7 @@
 use gdp_msg::{Base, Count, Dialect, Field, Scalar, Schema, TypeName};
 use serde_json::{Map, Value};
 
-use super::given::Given;
+use super::user_input::UserInput;
 use super::view::{definition, is_octet};
 
 /// Elements of fixed arrays that are filled with zeros, for one message.
@@ -24,7 +24,7 @@ pub enum FillError {
 }
 
 /// The message that is meant by `given`. `now`: seconds and nanoseconds for times that are given as `now`, and for headers given as `auto`.
-pub fn fill(schema: &Schema, given: &Given, now: (u64, u32)) -> Result<Value, FillError> {
+pub fn fill(schema: &Schema, given: &UserInput, now: (u64, u32)) -> Result<Value, FillError> {
     Fill { schema, now, room: MAX_FILLED }.message("", schema.name(), given)
 }
 
@@ -35,17 +35,17 @@ struct Fill<'a> {
 }
 
 impl Fill<'_> {
-    fn message(&mut self, path: &str, of: &TypeName, given: &Given) -> Result<Value, FillError> {
+    fn message(&mut self, path: &str, of: &TypeName, given: &UserInput) -> Result<Value, FillError> {
         let fields = definition(self.schema, of).map_or(&[][..], |definition| &definition.fields);
-        let auto = Given::Map(vec![("stamp".into(), Given::Text("now".into()))]);
+        let auto = UserInput::Map(vec![("stamp".into(), UserInput::Text("now".into()))]);
         let given = match given {
-            Given::Nothing => &[][..],
-            Given::Map(members) => members,
-            Given::Text(text) if text == "auto" && is(of, "std_msgs", "Header") => match &auto {
-                Given::Map(members) => members,
+            UserInput::Nothing => &[][..],
+            UserInput::Map(members) => members,
+            UserInput::Text(text) if text == "auto" && is(of, "std_msgs", "Header") => match &auto {
+                UserInput::Map(members) => members,
                 _ => &[][..],
             },
-            Given::Text(text) if text == "now" && is(of, "builtin_interfaces", "Time") => {
+            UserInput::Text(text) if text == "now" && is(of, "builtin_interfaces", "Time") => {
                 return Ok(self.stamp(["sec", "nanosec"]));
             }
             other => return Err(unlike(path, format!("a mapping with fields of {of}"), other)),
@@ -68,96 +68,96 @@ impl Fill<'_> {
 
     /// What the definition begins a message with; its texts are YAML.
     fn default(&mut self, path: &str, field: &Field) -> Result<Value, FillError> {
-        match field.default.as_ref().and_then(|text| Given::parse(text).ok()) {
+        match field.default.as_ref().and_then(|text| UserInput::parse(text).ok()) {
             Some(given) => self.field(path, field, &given),
-            None => self.field(path, field, &Given::Nothing),
+            None => self.field(path, field, &UserInput::Nothing),
         }
     }
 
-    fn field(&mut self, path: &str, field: &Field, given: &Given) -> Result<Value, FillError> {
+    fn field(&mut self, path: &str, field: &Field, given: &UserInput) -> Result<Value, FillError> {
         if field.count == Count::One {
             return self.one(path, &field.base, given);
         }
         let octets = matches!(field.base, Base::Scalar(scalar) if is_octet(scalar));
         let items = match (given, field.count) {
-            (Given::List(items), Count::Fixed(length)) if items.len() != length as usize => {
+            (UserInput::List(items), Count::Fixed(length)) if items.len() != length as usize => {
                 return Err(FillError::Length { path: path.into(), length, got: items.len() });
             }
-            (Given::List(items), _) => items,
-            (Given::Nothing, Count::Fixed(length)) => {
+            (UserInput::List(items), _) => items,
+            (UserInput::Nothing, Count::Fixed(length)) => {
                 self.room =
                     self.room.checked_sub(length as usize).ok_or_else(|| FillError::TooLarge { path: path.into() })?;
-                let zeros = (0..length).map(|_| self.one(path, &field.base, &Given::Nothing));
+                let zeros = (0..length).map(|_| self.one(path, &field.base, &UserInput::Nothing));
                 return zeros.collect::<Result<_, _>>().map(Value::Array);
             }
-            (Given::Nothing, _) => &vec![],
+            (UserInput::Nothing, _) => &vec![],
             // As JSON has it.
-            (Given::Text(base64), _) if octets => return Ok(Value::String(base64.clone())),
+            (UserInput::Text(base64), _) if octets => return Ok(Value::String(base64.clone())),
             (other, _) => return Err(unlike(path, "a list".into(), other)),
         };
         let filled = items.iter().enumerate().map(|(i, item)| self.one(&format!("{path}[{i}]"), &field.base, item));
         filled.collect::<Result<_, _>>().map(Value::Array)
     }
 
-    fn one(&mut self, path: &str, base: &Base, given: &Given) -> Result<Value, FillError> {
+    fn one(&mut self, path: &str, base: &Base, given: &UserInput) -> Result<Value, FillError> {
         match base {
             Base::Named(name) => self.message(path, name, given),
             Base::Time | Base::Duration => self.stamp_of_ros1(path, given),
             Base::String(_) | Base::WString(_) => match given {
-                Given::Nothing => Ok("".into()),
-                Given::Text(text) => Ok(text.clone().into()),
+                UserInput::Nothing => Ok("".into()),
+                UserInput::Text(text) => Ok(text.clone().into()),
                 // `data: 5` means a text as well, as in ROS 2.
-                Given::Integer(value) => Ok(value.to_string().into()),
-                Given::Float(value) => Ok(super::python::float(*value).into()),
+                UserInput::Integer(value) => Ok(value.to_string().into()),
+                UserInput::Float(value) => Ok(super::python::float(*value).into()),
                 other => Err(unlike(path, "a text, in quotes".into(), other)),
             },
             Base::Scalar(scalar) => self.scalar(path, *scalar, given),
         }
     }
 
-    fn scalar(&self, path: &str, scalar: Scalar, given: &Given) -> Result<Value, FillError> {
+    fn scalar(&self, path: &str, scalar: Scalar, given: &UserInput) -> Result<Value, FillError> {
         let is_float = matches!(scalar, Scalar::Float32 | Scalar::Float64);
         match (scalar, given) {
-            (Scalar::Bool, Given::Nothing) => Ok(false.into()),
-            (Scalar::Bool, Given::Bool(value)) => Ok((*value).into()),
+            (Scalar::Bool, UserInput::Nothing) => Ok(false.into()),
+            (Scalar::Bool, UserInput::Bool(value)) => Ok((*value).into()),
             (Scalar::Bool, other) => Err(unlike(path, "true or false".into(), other)),
-            (_, Given::Nothing) => Ok(0.into()),
-            (_, Given::Integer(value)) if is_float => Ok((*value as f64).into()),
-            (_, Given::Integer(value)) => {
+            (_, UserInput::Nothing) => Ok(0.into()),
+            (_, UserInput::Integer(value)) if is_float => Ok((*value as f64).into()),
+            (_, UserInput::Integer(value)) => {
                 let small = i64::try_from(*value).map(Value::from);
                 // JSON has larger ones as text, and whether it fits is checked there.
                 Ok(small.unwrap_or_else(|_| value.to_string().into()))
             }
-            (_, Given::Float(value)) if is_float => Ok(match *value {
+            (_, UserInput::Float(value)) if is_float => Ok(match *value {
                 value if value.is_nan() => "NaN".into(),
                 f64::INFINITY => "Infinity".into(),
                 f64::NEG_INFINITY => "-Infinity".into(),
                 value => value.into(),
             }),
             // A character, as `topic echo` prints it; else a number as JSON has it.
-            (Scalar::Byte, Given::Text(text))
+            (Scalar::Byte, UserInput::Text(text))
                 if self.schema.dialect() == Dialect::Ros2 && text.chars().count() == 1 =>
             {
                 let byte = text.chars().next().and_then(|c| u8::try_from(c).ok());
                 byte.map(Value::from).ok_or_else(|| unlike(path, "a character of one byte".into(), given))
             }
-            (Scalar::Int64 | Scalar::UInt64 | Scalar::Float32 | Scalar::Float64, Given::Text(text)) => {
+            (Scalar::Int64 | Scalar::UInt64 | Scalar::Float32 | Scalar::Float64, UserInput::Text(text)) => {
                 Ok(text.clone().into())
             }
             (_, other) => Err(unlike(path, format!("a number ({})", scalar.name()), other)),
         }
     }
 
-    fn stamp_of_ros1(&mut self, path: &str, given: &Given) -> Result<Value, FillError> {
+    fn stamp_of_ros1(&mut self, path: &str, given: &UserInput) -> Result<Value, FillError> {
         let members = match given {
-            Given::Text(text) if text == "now" => return Ok(self.stamp(["secs", "nsecs"])),
-            Given::Nothing => &[][..],
-            Given::Map(members) => members,
+            UserInput::Text(text) if text == "now" => return Ok(self.stamp(["secs", "nsecs"])),
+            UserInput::Nothing => &[][..],
+            UserInput::Map(members) => members,
             other => return Err(unlike(path, "a mapping with secs and nsecs".into(), other)),
         };
         let mut stamp = Map::new();
         for name in ["secs", "nsecs"] {
-            let given = members.iter().find(|(given, _)| given == name).map_or(&Given::Nothing, |(_, given)| given);
+            let given = members.iter().find(|(given, _)| given == name).map_or(&UserInput::Nothing, |(_, given)| given);
             stamp.insert(name.into(), self.scalar(&inside(path, name), Scalar::Int64, given)?);
         }
         match members.iter().find(|(name, _)| !stamp.contains_key(name)) {
@@ -179,7 +179,7 @@ fn inside(path: &str, field: &str) -> String {
     if path.is_empty() { field.to_owned() } else { format!("{path}.{field}") }
 }
 
-fn unlike(path: &str, expected: String, got: &Given) -> FillError {
+fn unlike(path: &str, expected: String, got: &UserInput) -> FillError {
     let path = if path.is_empty() { "the message" } else { path };
     FillError::Other { path: path.into(), expected, got: got.what() }
 }

@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, CertError, Issued, Reading};
-use gdp_core::domain::PaperFiles;
+use gdp_core::domain::CredentialFiles;
 use gdp_core::name::NamePrefix;
 use gdp_wire::Name;
 
-use crate::cli::paper::Paper;
+use crate::cli::credential_file::CredentialFile;
 
 /// Entries of a folder that are looked at.
 const MAX_ENTRIES: usize = 10_000;
@@ -75,7 +75,7 @@ pub struct Keyring {
     ads: Vec<(PathBuf, Name, Issued<AdCert>)>,
     grants: Vec<(PathBuf, Name, Reading)>,
     /// Of the domain that the entity is a member of.
-    pub papers: Option<PaperFiles>,
+    pub papers: Option<CredentialFiles>,
     /// Files that were left out, and why.
     pub left_out: Vec<String>,
 }
@@ -115,7 +115,7 @@ impl Keyring {
         match (&domains[..], &members[..]) {
             (_, []) => {}
             ([card], [membership]) => {
-                keyring.papers = Some(PaperFiles { card: card.clone(), membership: membership.clone(), peers });
+                keyring.papers = Some(CredentialFiles { card: card.clone(), membership: membership.clone(), peers });
             }
             _ => keyring.left_out.push(format!(
                 "{} memberships and {} cards of domains: one of each makes a member",
@@ -140,12 +140,12 @@ impl Keyring {
 
     fn right(&mut self, file: &Path) -> Result<(), String> {
         let name = |claimed: Result<Name, CertError>| claimed.map_err(|error| error.to_string());
-        match Paper::load(file).map_err(|error| format!("{error:#}"))? {
-            Paper::Ad(ad) => {
+        match CredentialFile::load(file).map_err(|error| format!("{error:#}"))? {
+            CredentialFile::Ad(ad) => {
                 let of = name(ad.cert.claims_unverified().map(|claims| claims.name))?;
                 self.ads.push((file.into(), of, ad));
             }
-            Paper::Read(reading) => {
+            CredentialFile::Read(reading) => {
                 let of = name(reading.grant.cert.claims_unverified().map(|claims| claims.name))?;
                 self.grants.push((file.into(), of, reading));
             }

@@ -8,10 +8,10 @@ pub mod fabric;
 pub mod feed;
 pub mod figures;
 pub mod fill;
-pub mod given;
 pub mod item;
 pub mod keyring;
 pub mod python;
+pub mod user_input;
 pub mod view;
 pub mod yaml;
 

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::switch::PATIENCE;
+use crate::switch::TIMEOUT;
 use crate::user::User;
 use gdp_tests::process::terminate;
 
@@ -250,7 +250,7 @@ impl Daemon {
         std::fs::write(user.file("daemon.yaml"), config).unwrap();
         let mut command = user.command(&["serve", "--config", "daemon.yaml"]);
         let daemon = Self(command.env_remove("GDP_SOCKET").stderr(Stdio::null()).spawn().unwrap());
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         while !answers(&user.file("ctl.sock")) {
             assert!(Instant::now() < deadline, "the daemon does not answer");
             std::thread::sleep(Duration::from_millis(10));

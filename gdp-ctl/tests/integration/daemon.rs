@@ -5,13 +5,13 @@ use gdp_wire::hop;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant, SystemTime};
 
-use crate::switch::{Chain, PATIENCE, config, wait};
+use crate::switch::{Chain, TIMEOUT, config, wait};
 use gdp::node::{Node, NodeConfig};
 use gdp::node::{NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, LinkState, Mode, ReadGrant, Reading, RtCert, issue};
 use gdp_core::identity::{Identity, SigningKey};
-use gdp_daemon::config::{Config, Neighbour, Place, Via};
+use gdp_daemon::config::{Config, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
 use gdp_e2e::seal::Encoding;
 use gdp_link::link::{Link, LinkIds};
@@ -27,7 +27,7 @@ async fn two_applications_meet_at_one_switch() {
     let folder = tempfile::tempdir().unwrap();
     let switch = start(config(folder.path(), "s1")).await.unwrap();
     let at = switch.udp_addr().unwrap();
-    let papers = Papers::new();
+    let papers = Credentials::new();
 
     let reader = papers.reader(at).await;
     let mut subscription = papers.subscribe(&reader).await;
@@ -67,7 +67,7 @@ async fn a_name_crosses_three_switches_and_outlives_the_loss_of_any_of_them() {
     for i in 0..3 {
         running.push(Some(start(chain.config(i)).await.unwrap()));
     }
-    let papers = Papers::new();
+    let papers = Credentials::new();
     let reader = papers.reader(chain.addrs[2]).await;
     let mut subscription = papers.subscribe(&reader).await;
     let writer = papers.writer(chain.addrs[0]).await;
@@ -100,7 +100,7 @@ async fn a_writer_that_was_told_done_loses_nothing_on_switches_further_on() {
     for i in 0..3 {
         running.push(start(chain.config(i)).await.unwrap());
     }
-    let papers = Papers::new();
+    let papers = Credentials::new();
     let reader = papers.reader(chain.addrs[2]).await;
     let writer = papers.writer(chain.addrs[0]).await;
     for i in 0..20u32 {
@@ -122,7 +122,7 @@ async fn a_name_for_which_the_fib_has_no_room_is_refused_until_there_is_some() {
         start(Config { fib_capacity: 3, ..chain.config(1) }).await.unwrap(),
         start(chain.config(2)).await.unwrap(),
     ];
-    let (first, second) = (Papers::new(), Papers::new());
+    let (first, second) = (Credentials::new(), Credentials::new());
     let mut nodes = Vec::new();
     for papers in [&first, &second] {
         nodes.push((papers.reader(chain.addrs[2]).await, papers.writer(chain.addrs[1]).await));
@@ -148,7 +148,7 @@ async fn a_name_for_which_the_fib_has_no_room_is_refused_until_there_is_some() {
 async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
     let folder = tempfile::tempdir().unwrap();
     let switch = start(config(folder.path(), "s1")).await.unwrap();
-    let papers = Papers::new();
+    let papers = Credentials::new();
     let (_port, link) = papers.bare_link(&switch, 0).await;
     papers.attach(&switch, (&link, 0), u64::MAX).await;
     // The RIB's clock now sleeps for ever, or until there is something nearer.
@@ -175,7 +175,7 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
 async fn an_endpoint_that_the_rib_forgets_attaches_again_by_each_of_its_links() {
     let folder = tempfile::tempdir().unwrap();
     let switch = start(config(folder.path(), "s1")).await.unwrap();
-    let papers = Papers::new();
+    let papers = Credentials::new();
     let (_first_port, first) = papers.bare_link(&switch, 0).await;
     let (_second_port, second) = papers.bare_link(&switch, 1).await;
     let not_after = unix_seconds() + 4;
@@ -183,7 +183,7 @@ async fn an_endpoint_that_the_rib_forgets_attaches_again_by_each_of_its_links() 
         papers.attach(&switch, at, not_after).await;
     }
     for (link, lane) in [(&first, 0), (&second, 1)] {
-        let request = tokio::time::timeout(PATIENCE, link.accept_request()).await.expect("told in time");
+        let request = tokio::time::timeout(TIMEOUT, link.accept_request()).await.expect("told in time");
         let (Request::Detach { entity, .. }, responder) = request.expect("a live link") else {
             panic!("another request")
         };
@@ -218,9 +218,9 @@ async fn writers_of_a_name_may_send_to_it_and_nobody_else() {
     let folder = tempfile::tempdir().unwrap();
     let switch = start(config(folder.path(), "s1")).await.unwrap();
     let at = switch.udp_addr().unwrap();
-    let first = Papers::new();
-    let second = Papers { robot: Identity::generate("proxy").unwrap(), ..first.clone() };
-    let stranger = Papers { robot: Identity::generate("proxy").unwrap(), ..first.clone() };
+    let first = Credentials::new();
+    let second = Credentials { robot: Identity::generate("proxy").unwrap(), ..first.clone() };
+    let stranger = Credentials { robot: Identity::generate("proxy").unwrap(), ..first.clone() };
 
     let reader = first.reader(at).await;
     let mut subscription = first.subscribe(&reader).await;
@@ -257,10 +257,10 @@ async fn writers_of_a_name_may_send_to_it_and_nobody_else() {
 async fn a_name_has_any_number_of_subscribers_and_all_are_found() {
     let folder = tempfile::tempdir().unwrap();
     let switch = start(config(folder.path(), "s1")).await.unwrap();
-    let papers = Papers::new();
+    let papers = Credentials::new();
     let mut nodes = Vec::new();
     for _ in 0..3 {
-        let reader = Papers { cloud: Identity::generate("proxy").unwrap(), ..papers.clone() };
+        let reader = Credentials { cloud: Identity::generate("proxy").unwrap(), ..papers.clone() };
         let node = reader.reader(switch.udp_addr().unwrap()).await;
         let subscription = reader.subscribe(&node).await;
         nodes.push((reader.cloud.name(), node, subscription));
@@ -281,7 +281,7 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
     let folder = tempfile::tempdir().unwrap();
     let (near, far) = (Identity::generate("switch").unwrap(), Identity::generate("switch").unwrap());
     let mut config = config(folder.path(), "s1");
-    let place = Place { switch: near.name(), via: Via::Udp("127.0.0.1:9".parse().unwrap()) };
+    let place = NeighbourAddress { switch: near.name(), via: Via::Udp("127.0.0.1:9".parse().unwrap()) };
     config.neighbours = vec![Neighbour { place, cost: None, dial: false, parent: false }];
     let switch = start(config).await.unwrap();
     let to = LinkAddr::udp(switch.udp_addr().unwrap());
@@ -350,7 +350,7 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
         assert!(refused.contains(needle), "{refused}");
     }
 
-    let (_port, endpoint) = Papers::new().bare_link(&switch, 0).await;
+    let (_port, endpoint) = Credentials::new().bare_link(&switch, 0).await;
     let states = vec![flooded(&far, &LinkState { number: 9, ..claims(&far, &[]) })];
     let refused = endpoint.request(&Request::Flood { states }).await.unwrap();
     assert!(matches!(&refused, Response::Refused(r) if r.reason.contains("an endpoint may not")), "{refused:?}");
@@ -367,7 +367,7 @@ async fn where_no_switch_has_the_rib_that_is_said() {
     for switch in &switches {
         wait("the other one to be reached", async || switch.status().await["topology"]["reached"] == 2).await;
     }
-    let papers = Papers::new();
+    let papers = Credentials::new();
     let mut config = NodeConfig::new(papers.robot.clone(), format!("udp://{}", chain.addrs[0]).parse().unwrap());
     config.connect_timeout = Duration::from_secs(5);
     let error = Node::connect(config).await.err().unwrap();
@@ -379,7 +379,7 @@ async fn where_no_switch_has_the_rib_that_is_said() {
 
 /// A message sent again and again until it arrives: links and routes may just be coming back.
 async fn exchange(publisher: &mut Publisher, subscription: &mut Subscription, what: &str) {
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     loop {
         assert!(Instant::now() < deadline, "no message {what}");
         let _ = publisher.send(Encoding::Bytes, what.as_bytes()).await;
@@ -393,7 +393,7 @@ async fn exchange(publisher: &mut Publisher, subscription: &mut Subscription, wh
 }
 
 async fn next(subscription: &mut Subscription) -> gdp_e2e::seal::Message {
-    tokio::time::timeout(PATIENCE, subscription.recv()).await.expect("a message in time").expect("a live subscription")
+    tokio::time::timeout(TIMEOUT, subscription.recv()).await.expect("a message in time").expect("a live subscription")
 }
 
 async fn fib_names(switch: &Running) -> u64 {
@@ -402,14 +402,14 @@ async fn fib_names(switch: &Running) -> u64 {
 
 /// Who may do what with one name.
 #[derive(Clone)]
-struct Papers {
+struct Credentials {
     owner: SigningKey,
     card: NameCard,
     robot: Identity,
     cloud: Identity,
 }
 
-impl Papers {
+impl Credentials {
     fn new() -> Self {
         let owner = SigningKey::generate().unwrap();
         let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).unwrap();

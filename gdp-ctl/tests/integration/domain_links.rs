@@ -12,7 +12,7 @@ use crate::switch::wait;
 use gdp::node::{Node, NodeConfig, NodeError};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{Invite, Membership, PeerCert, Revocation, Signed, issue};
-use gdp_core::domain::{Papers, Token};
+use gdp_core::domain::{Credentials, Token};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_ctl::client::Client;
@@ -212,7 +212,7 @@ async fn what_cannot_be_kept_of_a_domain_is_not_said_to_be_done() {
     let token = home.invite("arm", &hub);
     let robot = Identity::generate("proxy").unwrap();
     let membership = token.admit(robot.name(), 0, now() as u64 * 1_000_000_000).unwrap();
-    let papers = || Some(Papers { membership: membership.clone(), peers: vec![] });
+    let papers = || Some(Credentials { membership: membership.clone(), peers: vec![] });
     let error = attach(&robot, papers(), hub.addr).await.err().unwrap().to_string();
     assert!(error.contains("taken in, but not kept") && error.contains("invitations"), "{error}");
     std::fs::remove_dir_all(&invitations).unwrap();
@@ -245,7 +245,7 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
     let [robot, thief] = ["proxy"; 2].map(|kind| Identity::generate(kind).unwrap());
     let papers = |robot: &Identity| {
         let membership = token.admit(robot.name(), 0, now() as u64 * 1_000_000_000).unwrap();
-        Some(Papers { membership, peers: vec![] })
+        Some(Credentials { membership, peers: vec![] })
     };
     let node = attach(&robot, papers(&robot), mid.addr).await.unwrap();
     assert_eq!(link_of(&mid_running, robot.name()).await.unwrap()["standing"], "member");
@@ -285,7 +285,7 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     attach(&stranger, None, open.addr).await.unwrap().close().await;
 
     let robot = Identity::generate("proxy").unwrap();
-    let papers = |domain: &Domain, seconds, peers: &[&Signed<PeerCert>]| Papers {
+    let papers = |domain: &Domain, seconds, peers: &[&Signed<PeerCert>]| Credentials {
         membership: domain.admit(robot.name(), "arm", seconds),
         peers: peers.iter().map(|peer| (*peer).clone()).collect(),
     };
@@ -310,13 +310,13 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     // It ends with its papers, and goes on with renewed ones.
     let node = attach(&robot, Some(papers(&home, 6, &[])), hub.addr).await.unwrap();
     let first = link_of(&hub_running, robot.name()).await.unwrap();
-    node.renew_papers(papers(&home, 10, &[])).await.unwrap();
+    node.renew_credentials(papers(&home, 10, &[])).await.unwrap();
     let renewed = link_of(&hub_running, robot.name()).await.unwrap();
     assert!(first["id"] == renewed["id"] && until(&renewed) > until(&first));
     wait("the end of the link", async || link_of(&hub_running, robot.name()).await.is_none()).await;
     wait("the node to notice", async || node.switch().is_err()).await;
     // No switch has to be there to hear it: it is shown with the next link.
-    node.renew_papers(papers(&home, LONG, &[])).await.unwrap();
+    node.renew_credentials(papers(&home, LONG, &[])).await.unwrap();
     wait("the link again", async || node.switch().is_ok_and(|switch| switch == hub.name)).await;
 
     // The switch is stolen: its domain takes it back, and who hears that leaves.
@@ -399,7 +399,7 @@ fn until(link: &Value) -> u64 {
     link["admitted_until"].as_u64().unwrap()
 }
 
-async fn attach(identity: &Identity, papers: Option<Papers>, to: SocketAddr) -> Result<Node, NodeError> {
+async fn attach(identity: &Identity, papers: Option<Credentials>, to: SocketAddr) -> Result<Node, NodeError> {
     let target: LinkTarget = format!("udp://{to}").parse().unwrap();
     let connect_timeout = Duration::from_secs(4);
     Node::connect(NodeConfig { papers, connect_timeout, ..NodeConfig::new(identity.clone(), target) }).await

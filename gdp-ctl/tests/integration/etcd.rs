@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use gdp_daemon::store::{Endpoint, StoreError};
 use gdp_daemon::store::{gateway::Event, gateway::Gateway, gateway::Op, gateway::Watch};
-use gdp_daemon::store::{items::Copy, items::Place, items::Writer};
+use gdp_daemon::store::{items::Copy, items::KeySpace, items::Writer};
 use gdp_rib::rib::Item;
 use gdp_wire::Name;
 use tokio::time::timeout;
@@ -132,7 +132,7 @@ struct Replica {
     name: Name,
     endpoints: Vec<Endpoint>,
     gateway: Gateway,
-    place: Place,
+    place: KeySpace,
     copy: Copy,
     watch: Watch,
     lease: i64,
@@ -143,7 +143,7 @@ struct Replica {
 impl Replica {
     async fn new(cluster: &Cluster, index: u8) -> Self {
         let endpoints = cluster.endpoints();
-        let (mut gateway, place) = (Gateway::new(&endpoints), Place::new("test/rib"));
+        let (mut gateway, place) = (Gateway::new(&endpoints), KeySpace::new("test/rib"));
         let copy = Copy::list(&place, &mut gateway).await.unwrap();
         let watch = gateway.watch(place.prefix(), copy.revision() + 1).await.unwrap();
         Self { name: Name::from_bytes([index; 32]), endpoints, gateway, place, copy, watch, lease: 0, ttl: LONG }

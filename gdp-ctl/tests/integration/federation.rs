@@ -11,7 +11,7 @@
 use std::time::{Duration, Instant};
 
 use crate::member::{Domain, LONG, Place, Settings, now};
-use crate::switch::{PATIENCE, wait};
+use crate::switch::{TIMEOUT, wait};
 use gdp::node::{Node, NodeConfig};
 use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
@@ -89,7 +89,7 @@ async fn borders_peer_on_demand_and_the_third_domain_carries_nothing_until_they_
     let mut publisher = topic.publish(&robot, &robot_node, &f.away).await;
     wait("the borders to peer", is_direct).await;
     let mut before = f.carried().await;
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     loop {
         exchange(&robot, &mut publisher, &mut subscription).await;
         let after = f.carried().await;
@@ -120,7 +120,7 @@ async fn exchange(robot: &Identity, publisher: &mut Publisher, subscription: &mu
     wait("the robot to know the cloud", async || publisher.readers() == 1).await;
     for i in 0..20u8 {
         publisher.send(Encoding::Bytes, &[i]).await.unwrap();
-        let message = timeout(PATIENCE, subscription.recv()).await.expect("in time").expect("a message");
+        let message = timeout(TIMEOUT, subscription.recv()).await.expect("in time").expect("a message");
         assert_eq!((message.body.to_vec(), message.writer), (vec![i], robot.name()));
     }
 }

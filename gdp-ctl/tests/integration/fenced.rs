@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use gdp_core::cert::{LinkState, issue};
 use gdp_core::identity::Identity;
-use gdp_daemon::config::{Config, Neighbour, Place, Via};
+use gdp_daemon::config::{Config, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
 use gdp_link::link::{Link, LinkIds};
 use gdp_link::port::{LinkAddr, Port, PortConfig};
@@ -18,7 +18,7 @@ use gdp_wire::Name;
 use tempfile::TempDir;
 use tokio::time::timeout;
 
-use crate::switch::{PATIENCE, config, wait};
+use crate::switch::{TIMEOUT, config, wait};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_leader_of_yesterday_is_refused_once_another_has_said_something() {
@@ -60,7 +60,7 @@ async fn a_wanted_peering_is_made_at_the_address_that_answers() {
     let port = Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::switch(border.clone(), LinkIds::new())).unwrap();
     let addrs = vec![silent.local_addr().unwrap(), port.udp_addr().unwrap()];
     rib.takes(Request::Peerings { run: 7, wanted: vec![(border.name(), addrs)] }).await;
-    let link = timeout(PATIENCE, port.accept()).await.expect("it is dialled").unwrap().unwrap();
+    let link = timeout(TIMEOUT, port.accept()).await.expect("it is dialled").unwrap().unwrap();
     assert_eq!(link.peer().name, rib.switch.name());
     rib.switch.stop().await;
 }
@@ -83,7 +83,7 @@ impl Rib {
     async fn beside_a_switch(run: u64) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let near = Identity::generate("switch").unwrap();
-        let place = Place { switch: near.name(), via: Via::Udp("127.0.0.1:9".parse().unwrap()) };
+        let place = NeighbourAddress { switch: near.name(), via: Via::Udp("127.0.0.1:9".parse().unwrap()) };
         let neighbours = vec![Neighbour { place, cost: None, dial: false, parent: false }];
         let config = Config { rib: false, neighbours, ..config(folder.path(), "s1") };
         let switch = start(config).await.unwrap();

@@ -4,7 +4,7 @@
 use gdp_wire::hop;
 use std::time::{Duration, Instant, SystemTime};
 
-use crate::switch::{PATIENCE, config, wait};
+use crate::switch::{TIMEOUT, config, wait};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Mode, ReadGrant, Revocation, RtCert, issue};
 use gdp_core::identity::{Identity, SigningKey};
@@ -122,7 +122,7 @@ impl Endpoint {
 
     /// What the RIB tells next.
     async fn told(&mut self) -> Vec<PeerEvent> {
-        let request = tokio::time::timeout(PATIENCE, self.link.accept_request()).await.expect("told in time");
+        let request = tokio::time::timeout(TIMEOUT, self.link.accept_request()).await.expect("told in time");
         let (Request::Peers(push), responder) = request.expect("a live link") else { panic!("told something else") };
         assert_eq!(push.entity, self.name());
         let events = self.take(&push.peers);
@@ -140,7 +140,7 @@ impl Endpoint {
 
     /// Source and destination of the next data frame.
     async fn receive(&self) -> (Name, Name) {
-        let (data, deadline) = (self.port.data(), Instant::now() + PATIENCE);
+        let (data, deadline) = (self.port.data(), Instant::now() + TIMEOUT);
         let mut batch = RecvBatch::new(1500);
         loop {
             assert!(Instant::now() < deadline, "no frame");

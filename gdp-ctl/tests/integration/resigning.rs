@@ -7,14 +7,14 @@ use gdp_daemon::config::{Config, EtcdConfig};
 use gdp_daemon::serve::start;
 use gdp_daemon::store::Endpoint;
 use gdp_daemon::store::gateway::Gateway;
-use gdp_daemon::store::items::Place;
+use gdp_daemon::store::items::KeySpace;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 use tokio::time::timeout;
 
 use crate::cluster::Cluster;
-use crate::switch::{PATIENCE, config, wait};
+use crate::switch::{TIMEOUT, config, wait};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_replica_that_resigns_while_it_is_elected_leaves_no_leader() {
@@ -22,8 +22,8 @@ async fn a_replica_that_resigns_while_it_is_elected_leaves_no_leader() {
     let endpoints = vec![relay(cluster.endpoints()[0].clone(), stands.clone()).await];
     let etcd = Some(EtcdConfig { endpoints, prefix: "test/".into() });
     let switch = start(Config { etcd, ..config(folder.path(), "s1") }).await.unwrap();
-    timeout(PATIENCE, stands.notified()).await.expect("it stands for election");
-    let (place, gateway) = (Place::new("test/"), async || Gateway::new(&cluster.endpoints()));
+    timeout(TIMEOUT, stands.notified()).await.expect("it stands for election");
+    let (place, gateway) = (KeySpace::new("test/"), async || Gateway::new(&cluster.endpoints()));
     wait("the election", async || place.has_leader(&mut gateway().await).await.unwrap()).await;
     switch.resign().await;
     // Its lease would last for seconds.

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::SystemTime;
 
 use crate::owner::Owner;
-use crate::switch::{PATIENCE, config, wait};
+use crate::switch::{TIMEOUT, config, wait};
 use gdp::node::{Ended, NodeError, PublishOptions};
 use gdp::node::{Node, NodeConfig};
 use gdp_core::cert::{AdCert, CertError, Issued, Mode, Revocation, issue};
@@ -31,7 +31,7 @@ async fn a_rib_that_starts_anew_refuses_what_was_revoked() {
         let publisher =
             node.publish(owner.card.proof(), owner.ad_cert(&robot, 1), PublishOptions::reliable()).await.unwrap();
         assert!(matches!(ask(&config, owner.revocation(1, 1)).await, Response::Done));
-        let ended = tokio::time::timeout(PATIENCE, publisher.ended()).await.unwrap();
+        let ended = tokio::time::timeout(TIMEOUT, publisher.ended()).await.unwrap();
         assert!(matches!(ended, Ended::Right(CertError::Revoked { serial: 1, .. })), "{ended}");
     }
     let file = folder.path().join("s1.revocations");

@@ -6,12 +6,12 @@ use std::time::SystemTime;
 
 use crate::owner::Owner;
 use crate::ports::free_addr;
-use crate::switch::{PATIENCE, config, wait};
+use crate::switch::{TIMEOUT, config, wait};
 use gdp::node::{Client, NodeError, Server};
 use gdp::node::{Node, NodeConfig};
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::Identity;
-use gdp_daemon::config::{Config, Neighbour, Place, Via};
+use gdp_daemon::config::{Config, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
 use gdp_e2e::seal::{Encoding, Message};
 
@@ -25,13 +25,13 @@ async fn callers_get_their_own_replies_and_are_told_when_nobody_serves() {
     let serving = tokio::spawn(answer(server, 21));
     for i in 0..10u8 {
         for (client, body) in [(&one, vec![i; 3]), (&two, vec![i; 30_000])] {
-            let reply = tokio::time::timeout(PATIENCE, client.call(Encoding::Cdr, &body)).await.unwrap().unwrap();
+            let reply = tokio::time::timeout(TIMEOUT, client.call(Encoding::Cdr, &body)).await.unwrap().unwrap();
             assert_eq!((&reply.body[..], reply.encoding), (&body[..], Encoding::Cdr));
         }
     }
     // One that comes later is served as well.
     let late = owner.client(&node(&switch).await).await;
-    tokio::time::timeout(PATIENCE, late.call(Encoding::Cdr, b"late")).await.unwrap().unwrap();
+    tokio::time::timeout(TIMEOUT, late.call(Encoding::Cdr, b"late")).await.unwrap().unwrap();
     drop(serving.await.unwrap());
     wait("the server to be gone", async || one.servers() == 0).await;
     assert!(matches!(one.call(Encoding::Cdr, b"").await, Err(NodeError::NoServer(_))));
@@ -55,7 +55,7 @@ async fn the_nearest_server_is_called_and_another_when_it_is_gone() {
 
     for i in 0..10u8 {
         let call = tokio::spawn(call(client.clone(), vec![i; 3000]));
-        let request = tokio::time::timeout(PATIENCE, near_server.recv()).await.unwrap().unwrap();
+        let request = tokio::time::timeout(TIMEOUT, near_server.recv()).await.unwrap().unwrap();
         request.reply(Encoding::Cdr, &[i]).await.unwrap();
         assert_eq!(call.await.unwrap().unwrap().writer, near_name);
     }
@@ -63,9 +63,9 @@ async fn the_nearest_server_is_called_and_another_when_it_is_gone() {
 
     // It dies with a call.
     let waiting = tokio::spawn(call(client.clone(), b"last".to_vec()));
-    let _request = tokio::time::timeout(PATIENCE, near_server.recv()).await.unwrap().unwrap();
+    let _request = tokio::time::timeout(TIMEOUT, near_server.recv()).await.unwrap().unwrap();
     near.close().await;
-    let failed = tokio::time::timeout(PATIENCE, waiting).await.unwrap().unwrap();
+    let failed = tokio::time::timeout(TIMEOUT, waiting).await.unwrap().unwrap();
     assert!(matches!(failed, Err(NodeError::InstanceLeft { instance, .. }) if instance == near_name), "{failed:?}");
     assert_eq!(far.counters().messages_received, 0, "it is sent to no other");
     assert_eq!(call(client.clone(), b"next".to_vec()).await.unwrap().writer, far_name);
@@ -83,7 +83,7 @@ async fn the_nearest_server_is_called_and_another_when_it_is_gone() {
     // Neither is answered before the other is asked, or it would be free for both.
     let mut requests = Vec::new();
     for server in [&mut near_server, &mut twin_server] {
-        requests.push(tokio::time::timeout(PATIENCE, server.recv()).await.unwrap().unwrap());
+        requests.push(tokio::time::timeout(TIMEOUT, server.recv()).await.unwrap().unwrap());
     }
     for request in requests {
         request.reply(Encoding::Cdr, b"shared").await.unwrap();
@@ -93,14 +93,14 @@ async fn the_nearest_server_is_called_and_another_when_it_is_gone() {
         writers.push(call.await.unwrap().unwrap().writer);
     }
     assert!(writers.contains(&near_name) && writers.contains(&twin.name()));
-    let pinned = tokio::time::timeout(PATIENCE, client.call_at(far_name, Encoding::Cdr, b"there")).await.unwrap();
+    let pinned = tokio::time::timeout(TIMEOUT, client.call_at(far_name, Encoding::Cdr, b"there")).await.unwrap();
     assert_eq!(pinned.unwrap().writer, far_name);
     let [one, two, three] = switches;
     tokio::join!(one.stop(), two.stop(), three.stop());
 }
 
 async fn call(client: Arc<Client>, body: Vec<u8>) -> Result<Message, NodeError> {
-    tokio::time::timeout(PATIENCE, client.call(Encoding::Cdr, &body)).await.expect("in time")
+    tokio::time::timeout(TIMEOUT, client.call(Encoding::Cdr, &body)).await.expect("in time")
 }
 
 /// Three switches in a row, each link of cost 1, with the RIB at the first.
@@ -108,7 +108,7 @@ async fn chain(folder: &std::path::Path) -> [Running; 3] {
     let label = |i: usize| format!("s{i}");
     let places = [0, 1, 2].map(|i| {
         let switch = Identity::load_or_generate(&folder.join(format!("{}.pem", label(i))), "switch").unwrap().name();
-        Place { switch, via: Via::Udp(free_addr()) }
+        NeighbourAddress { switch, via: Via::Udp(free_addr()) }
     });
     let mut running = Vec::new();
     for (i, place) in places.iter().enumerate() {

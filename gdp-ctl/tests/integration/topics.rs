@@ -18,7 +18,7 @@ use gdp_wire::Name;
 use serde_json::Value;
 
 use crate::owner::Owner;
-use crate::switch::{PATIENCE, config, wait};
+use crate::switch::{TIMEOUT, config, wait};
 use crate::user::User;
 
 const OFFER: Offer =
@@ -121,7 +121,7 @@ async fn what_is_published_at_the_command_line_arrives_with_its_roster() {
 
     let (mut incoming, mut joined, mut left, mut message) = (Incoming::default(), None, false, None);
     while !left {
-        let got = tokio::time::timeout(PATIENCE, subscription.recv()).await.unwrap().unwrap();
+        let got = tokio::time::timeout(TIMEOUT, subscription.recv()).await.unwrap().unwrap();
         if got.encoding != ROSTER {
             message = Some(got);
             continue;

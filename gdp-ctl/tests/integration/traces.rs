@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::member::{Domain, LONG, Place};
 use crate::switch::wait;
-use gdp_core::domain::Papers;
+use gdp_core::domain::Credentials;
 use gdp_core::identity::Identity;
 use gdp_daemon::serve::Running;
 use gdp_link::link::{Link, LinkIds};
@@ -95,7 +95,7 @@ impl Borders {
         let border = Identity::generate("switch").unwrap();
         let membership = away.admit(border.name(), "border", LONG);
         let config = PortConfig::switch(border.clone(), LinkIds::new());
-        config.papers.set(Arc::new(Papers { membership, peers: vec![away.peer(&home, "peering", LONG)] }));
+        config.papers.set(Arc::new(Credentials { membership, peers: vec![away.peer(&home, "peering", LONG)] }));
         let port = Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap();
         let link = port.dial(LinkAddr::udp(place.addr), Some(place.name)).await.unwrap();
         let borders = Self { home, away, inner, _inner_running: inner_running, running, border, link, _port: port };

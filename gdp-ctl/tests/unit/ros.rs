@@ -7,8 +7,8 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::fill::{FillError, fill};
-use super::given::Given;
 use super::python;
+use super::user_input::UserInput;
 use super::view::{Limits, View, ViewError};
 use super::yaml::document;
 
@@ -46,7 +46,7 @@ fn messages_are_printed_as_ros_2_prints_them() {
 #[test]
 fn fields_are_found_by_their_path() {
     let (schema, root) = known("geometry_msgs/PoseStamped");
-    let json = fill(&schema, &Given::parse("{pose: {position: {x: 1.5}}}").unwrap(), (0, 0)).unwrap();
+    let json = fill(&schema, &UserInput::parse("{pose: {position: {x: 1.5}}}").unwrap(), (0, 0)).unwrap();
     let view = View::of(&schema, &root, &json);
     let path = |text: &str| text.split('.').map(str::to_owned).collect::<Vec<_>>();
     let x = view.at(&path("pose.position.x")).unwrap();
@@ -63,7 +63,7 @@ fn what_is_not_given_is_as_the_definition_says() {
     let text = "string label \"it's\"\nint32[] steps [1, 2]\nfloat64[3] at\nbool is_on true\nuint8 LEVEL=3\nbyte[] raw\nPart part\n\
         ================================================================================\nMSG: my_robot/Part\nint64 count -5\n";
     let schema = Schema::from_text(Dialect::Ros2, &name, text).unwrap();
-    let message = |given: &str| fill(&schema, &Given::parse(given).unwrap(), (0, 0));
+    let message = |given: &str| fill(&schema, &UserInput::parse(given).unwrap(), (0, 0));
     let all = message("{}").unwrap();
     let expected = serde_json::json!({
         "label": "it's", "steps": [1, 2], "at": [0, 0, 0], "is_on": true, "raw": [], "part": {"count": -5},
@@ -90,13 +90,13 @@ fn what_is_not_given_is_as_the_definition_says() {
 #[test]
 fn times_may_be_those_of_the_moment() {
     let (schema, _) = known("std_msgs/Header");
-    let given = Given::parse("{stamp: now, frame_id: map}").unwrap();
+    let given = UserInput::parse("{stamp: now, frame_id: map}").unwrap();
     let header = fill(&schema, &given, (7, 5)).unwrap();
     assert_eq!(header["stamp"], serde_json::json!({"sec": 7, "nanosec": 5}));
     let (schema, _) = known("geometry_msgs/PointStamped");
-    let stamped = fill(&schema, &Given::parse("{header: auto}").unwrap(), (7, 5)).unwrap();
+    let stamped = fill(&schema, &UserInput::parse("{header: auto}").unwrap(), (7, 5)).unwrap();
     assert_eq!(stamped["header"]["stamp"]["sec"], 7);
-    let refusal = fill(&schema, &Given::parse("{point: auto}").unwrap(), (7, 5)).unwrap_err();
+    let refusal = fill(&schema, &UserInput::parse("{point: auto}").unwrap(), (7, 5)).unwrap_err();
     assert!(matches!(refusal, FillError::Other { .. }), "{refusal}");
 }
 
@@ -108,7 +108,7 @@ fn what_echo_prints_can_be_published_again() {
         let json = decode(&schema, &cdr);
         let view = View::of(&schema, &root, &json);
         let printed = document(&view.item(&Limits { length: usize::MAX, ..ALL }).unwrap());
-        let again = fill(&schema, &Given::parse(&printed).unwrap(), (0, 0)).unwrap();
+        let again = fill(&schema, &UserInput::parse(&printed).unwrap(), (0, 0)).unwrap();
         let bytes = encode(&schema, &again);
         assert_eq!(decode(&schema, &bytes), json, "{printed}");
     }

@@ -3,7 +3,7 @@
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Carrier, ETHERTYPE, Vlan};
 
-use crate::carrier::frame::Carried;
+use crate::carrier::frame::FrameLocation;
 use crate::packet::Packet;
 use crate::{config, local};
 
@@ -42,18 +42,18 @@ pub fn ethertype(packet: &Packet) -> Option<u16> {
 }
 
 #[inline(always)]
-pub fn find(length: usize) -> Option<Carried> {
-    Some(Carried { at: LEN, available: length - LEN, over_udp: false })
+pub fn find(length: usize) -> Option<FrameLocation> {
+    Some(FrameLocation { at: LEN, available: length - LEN, over_udp: false })
 }
 
 /// A tagged frame is ours on a VLAN that GDP runs on; others, IP among them, are the host's.
 #[inline(always)]
-pub fn find_tagged(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<Carried> {
+pub fn find_tagged(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<FrameLocation> {
     let tag = packet.get::<Tag>(LEN)?;
     // SAFETY: `get` checked the bounds.
     let (control, inner) = unsafe { (u16::from_be((*tag).control), u16::from_be((*tag).ethertype)) };
     let vlan = Vlan { ifindex: context.ingress_ifindex() as u32, id: u32::from(control & 0xfff) };
-    (u32::from(inner) == ethertype && local::is_our_vlan(&vlan)).then_some(Carried {
+    (u32::from(inner) == ethertype && local::is_our_vlan(&vlan)).then_some(FrameLocation {
         at: TAGGED_LEN,
         available: length - TAGGED_LEN,
         over_udp: false,
@@ -61,7 +61,7 @@ pub fn find_tagged(context: &XdpContext, packet: &Packet, length: usize, etherty
 }
 
 #[inline(always)]
-pub fn dress(context: &XdpContext, carrier: &Carrier) -> bool {
+pub fn encapsulate(context: &XdpContext, carrier: &Carrier) -> bool {
     let Some(ethernet) = Packet::of(context).get::<Ethernet>(0) else { return false };
     // SAFETY: `get` checked the bounds.
     unsafe { address(ethernet, carrier.peer_mac, carrier.local_mac, config::get().ethertype as u16) };
@@ -69,7 +69,7 @@ pub fn dress(context: &XdpContext, carrier: &Carrier) -> bool {
 }
 
 #[inline(always)]
-pub fn dress_tagged(context: &XdpContext, carrier: &Carrier, traffic: u8) -> bool {
+pub fn encapsulate_tagged(context: &XdpContext, carrier: &Carrier, traffic: u8) -> bool {
     let packet = Packet::of(context);
     let (Some(ethernet), Some(tag)) = (packet.get::<Ethernet>(0), packet.get::<Tag>(LEN)) else { return false };
     // SAFETY: `get` checked the bounds.

@@ -3,7 +3,7 @@
 
 /// Where the frame lies in a packet.
 #[derive(Clone, Copy)]
-pub struct Carried {
+pub struct FrameLocation {
     /// Bytes in front of it.
     pub at: usize,
     /// Bytes there are of it, and perhaps of padding behind it.

@@ -1,7 +1,7 @@
 //! What carries a GDP frame in a packet, and its exchange for what carries it on the next link. The frame itself stays where it
 //! is in memory: the start of the packet moves, and headers are written in front of it.
 //!
-//! One file for each carrier, with how it is taken off (`find`) and put on (`dress`). Called by `main.rs`.
+//! One file for each carrier, with how it is taken off (`find`) and put on (`encapsulate`). Called by `main.rs`.
 
 mod checksum;
 pub mod ethernet;
@@ -10,7 +10,7 @@ pub mod udp;
 pub mod udp4;
 pub mod udp6;
 
-pub use crate::carrier::frame::Carried;
+pub use crate::carrier::frame::FrameLocation;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::table::PORT_ROUTED;
@@ -22,7 +22,7 @@ use crate::packet::{self, Packet};
 
 /// The frame in a packet of `length` bytes; `None` if it is none of ours. `ethertype`: of GDP frames, in host order.
 #[inline(always)]
-pub fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<Carried> {
+pub fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<FrameLocation> {
     let found = ethernet::ethertype(packet)?;
     if u32::from(found) == ethertype {
         return ethernet::find(length);
@@ -37,14 +37,14 @@ pub fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32
 
 /// The first byte of what is carried says whether it is QUIC.
 #[inline(always)]
-pub fn is_quic(carried: &Carried, first_byte: u8) -> bool {
+pub fn is_quic(carried: &FrameLocation, first_byte: u8) -> bool {
     carried.over_udp && first_byte >= FIRST_QUIC_BYTE
 }
 
 /// The byte that IP has for DSCP and ECN in what carries a frame; 0 on Ethernet. Read anew: what [`find`] might hand over, the
 /// compiler spills also where there is nothing of it, which the verifier refuses.
 #[inline(always)]
-pub fn traffic(packet: &Packet, carried: &Carried) -> u8 {
+pub fn traffic(packet: &Packet, carried: &FrameLocation) -> u8 {
     match carried.at {
         udp4::LEN => udp4::traffic(packet),
         udp6::LEN => udp6::traffic(packet),
@@ -77,15 +77,15 @@ pub fn exchange(
     let dressed = match carrier.kind {
         Carrier::UDP4 => {
             packet::shift(context, at, udp4::LEN)
-                && udp4::dress(context, carrier, link.port == PORT_ROUTED, hop, traffic, length as u16)
+                && udp4::encapsulate(context, carrier, link.port == PORT_ROUTED, hop, traffic, length as u16)
         }
         Carrier::UDP6 => {
-            packet::shift(context, at, udp6::LEN) && udp6::dress(context, carrier, hop, traffic, length as u16)
+            packet::shift(context, at, udp6::LEN) && udp6::encapsulate(context, carrier, hop, traffic, length as u16)
         }
         _ if carrier.vlan != 0 => {
-            packet::shift(context, at, ethernet::TAGGED_LEN) && ethernet::dress_tagged(context, carrier, traffic)
+            packet::shift(context, at, ethernet::TAGGED_LEN) && ethernet::encapsulate_tagged(context, carrier, traffic)
         }
-        _ => packet::shift(context, at, ethernet::LEN) && ethernet::dress(context, carrier),
+        _ => packet::shift(context, at, ethernet::LEN) && ethernet::encapsulate(context, carrier),
     };
     if dressed && udp > 0 && carrier.flags & Carrier::CHECKSUM != 0 {
         checksum::write(context, carrier, udp, length + size_of::<Udp>());

@@ -7,7 +7,7 @@ use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Carrier, LocalAddress};
 
 use super::ethernet::{self, Ethernet};
-use crate::carrier::frame::Carried;
+use crate::carrier::frame::FrameLocation;
 use crate::local;
 use crate::next_hop::NextHop;
 use crate::packet::Packet;
@@ -41,7 +41,7 @@ struct Ipv4 {
 const _: () = assert!(LEN == 42);
 
 #[inline(always)]
-pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
+pub fn find(packet: &Packet, length: usize) -> Option<FrameLocation> {
     let ip = packet.get::<Ipv4>(ethernet::LEN)?;
     let udp = packet.get::<Udp>(ethernet::LEN + size_of::<Ipv4>())?;
     // SAFETY: `get` checked the bounds.
@@ -54,7 +54,7 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
     let fits = udp_length >= size_of::<Udp>()
         && size_of::<Ipv4>() + udp_length <= ip_length
         && ethernet::LEN + ip_length <= length;
-    (fits && local::is_ours(&to)).then_some(Carried {
+    (fits && local::is_ours(&to)).then_some(FrameLocation {
         at: LEN,
         available: udp_length - size_of::<Udp>(),
         over_udp: true,
@@ -99,7 +99,7 @@ pub fn turn_back(packet: &Packet) -> bool {
 
 /// `length`: of the frame. `routed`: whether `hop` says which stations it goes between, and not the carrier.
 #[inline(always)]
-pub fn dress(context: &XdpContext, carrier: &Carrier, routed: bool, hop: &NextHop, traffic: u8, length: u16) -> bool {
+pub fn encapsulate(context: &XdpContext, carrier: &Carrier, routed: bool, hop: &NextHop, traffic: u8, length: u16) -> bool {
     let packet = Packet::of(context);
     let Some((ethernet, ip, udp)) = headers(&packet) else { return false };
     let (ip_length, fragment) = ((length + HEADERS as u16).to_be(), DO_NOT_FRAGMENT.to_be());

@@ -7,7 +7,7 @@ use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Carrier, LocalAddress};
 
 use super::ethernet::{self, Ethernet};
-use crate::carrier::frame::Carried;
+use crate::carrier::frame::FrameLocation;
 use crate::carrier::udp::{HOP_LIMIT, UDP, Udp};
 use crate::local;
 use crate::next_hop::NextHop;
@@ -32,7 +32,7 @@ struct Ipv6 {
 const _: () = assert!(LEN == 62);
 
 #[inline(always)]
-pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
+pub fn find(packet: &Packet, length: usize) -> Option<FrameLocation> {
     let ip = packet.get::<Ipv6>(ethernet::LEN)?;
     let udp = packet.get::<Udp>(ethernet::LEN + size_of::<Ipv6>())?;
     // SAFETY: `get` checked the bounds.
@@ -45,7 +45,7 @@ pub fn find(packet: &Packet, length: usize) -> Option<Carried> {
     let fits = udp_length >= size_of::<Udp>()
         && udp_length <= ip_length
         && ethernet::LEN + size_of::<Ipv6>() + ip_length <= length;
-    (fits && local::is_ours(&to)).then_some(Carried {
+    (fits && local::is_ours(&to)).then_some(FrameLocation {
         at: LEN,
         available: udp_length - size_of::<Udp>(),
         over_udp: true,
@@ -61,7 +61,7 @@ pub fn traffic(packet: &Packet) -> u8 {
 
 /// `length`: of the frame.
 #[inline(always)]
-pub fn dress(context: &XdpContext, carrier: &Carrier, hop: &NextHop, traffic: u8, length: u16) -> bool {
+pub fn encapsulate(context: &XdpContext, carrier: &Carrier, hop: &NextHop, traffic: u8, length: u16) -> bool {
     let packet = Packet::of(context);
     let (Some(ethernet), Some(ip), Some(udp)) = (
         packet.get::<Ethernet>(0),

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::time::{Duration, Instant};
 
-use crate::config::{ExposeConfig, Manner, Thing, is_hidden, remapped};
+use crate::config::{ExposeConfig, RuleOptions, Thing, is_hidden, remapped};
 use crate::graph::{Found, Offered};
 use crate::ros2::{TopicName, TypeName};
 
@@ -16,7 +16,7 @@ pub const GRACE: Duration = Duration::from_secs(5);
 pub struct Exposed {
     /// What it is called elsewhere.
     pub name: TopicName,
-    pub manner: Manner,
+    pub manner: RuleOptions,
 }
 
 /// Why something is not exposed.

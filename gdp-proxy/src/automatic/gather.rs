@@ -8,7 +8,7 @@ use gdp_wire::Name;
 use tokio::sync::watch;
 
 use super::omissions::{Omissions, Omitted, Reason};
-use crate::config::{CallConfig, MAX_CALLS, MAX_ROUTES, Manner, Side, Thing};
+use crate::config::{CallConfig, MAX_CALLS, MAX_ROUTES, RuleOptions, Side, Thing};
 use crate::graph::Graph;
 use crate::manager::Plan;
 use crate::material::{Permission, RouteMaterial};
@@ -75,7 +75,7 @@ impl<'a> Gathering<'a> {
         &mut self,
         thing: Thing,
         name: &TopicName,
-        manner: &Manner,
+        manner: &RuleOptions,
         place: &(String, Arc<Graph>),
         material: RouteMaterial,
     ) -> bool {

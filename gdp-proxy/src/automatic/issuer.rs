@@ -32,7 +32,7 @@ pub struct Issuer {
 
 /// The certificates of a name.
 #[derive(Clone)]
-pub struct Papers {
+pub struct IssuedCredentials {
     pub cert: Issued<AdCert>,
     pub grants: Vec<Issued<ReadGrant>>,
     /// Unix seconds.
@@ -61,7 +61,7 @@ impl Issuer {
     }
 
     /// For this proxy to publish or serve the name, and for the readers to read or call it. `now`: nanoseconds since 1970.
-    pub fn issue(&self, name: Name, config: &ExposeConfig, now: u64) -> Result<Papers, IssueError> {
+    pub fn issue(&self, name: Name, config: &ExposeConfig, now: u64) -> Result<IssuedCredentials, IssueError> {
         let (serial, issued) = (now, now / 1_000_000_000);
         let (not_before, not_after) = (issued.saturating_sub(BACKDATED), issued.saturating_add(LIFETIME));
         let (entity, mode, scope) = (self.entity, Mode::Multicast, config.scope.clone());
@@ -69,7 +69,7 @@ impl Issuer {
         let grant =
             |to: &Grantee| issue(&self.owner, &ReadGrant { name, to: to.clone(), serial, not_before, not_after });
         let grants = config.readers.iter().map(|reader| Ok(grant(&reader.0)?.into()));
-        Ok(Papers { cert, grants: grants.collect::<Result<_, CertError>>()?, issued })
+        Ok(IssuedCredentials { cert, grants: grants.collect::<Result<_, CertError>>()?, issued })
     }
 }
 
@@ -90,7 +90,7 @@ pub fn card_of(
     Ok(NameCard::new(owner.verify_key(), metadata)?)
 }
 
-impl Papers {
+impl IssuedCredentials {
     /// Half of their time is over, or the clock was set back. `now`: nanoseconds since 1970.
     pub fn are_old(&self, now: u64) -> bool {
         let now = now / 1_000_000_000;

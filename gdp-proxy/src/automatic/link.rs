@@ -8,7 +8,7 @@ use gdp::node::Node;
 use gdp::node::{Ended, Overflow, PublishOptions, Publisher, Reliability, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Issued, Reading};
-use gdp_core::domain::PaperFiles;
+use gdp_core::domain::CredentialFiles;
 use gdp_ros::catalog::{CATALOG, REFRESH};
 use gdp_wire::Name;
 use serde::Serialize;
@@ -19,7 +19,7 @@ use crate::config::Side;
 use crate::large::beside;
 use crate::manager::{Failure, Manager, Plan, Work};
 use crate::renewal::Renewal;
-use crate::standing::{RETRY, Right, RouteError, Standing, ended_because, ticks};
+use crate::route_status::{RETRY, Right, RouteError, RouteStatus, ended_because, ticks};
 use gdp_util::unix_time::unix_seconds;
 
 /// How long one that ends waits for its last word to arrive.
@@ -41,7 +41,7 @@ pub enum End {
     /// It is this, in bytes.
     Writes(Issued<AdCert>, watch::Receiver<Arc<[u8]>>),
     /// What it lists goes here; the files show this proxy's role.
-    Reads(Reading, Arc<watch::Sender<Arc<[Listed]>>>, Option<PaperFiles>),
+    Reads(Reading, Arc<watch::Sender<Arc<[Listed]>>>, Option<CredentialFiles>),
 }
 
 /// One catalog, as the statistics file shows it.
@@ -56,14 +56,14 @@ pub struct CatalogStats {
 pub struct CatalogLink {
     plan: CatalogPlan,
     node: Node,
-    standing: Standing,
+    standing: RouteStatus,
 }
 
 pub fn manager(node: Node) -> Links {
     Manager::new(move |plan: &CatalogPlan| CatalogLink {
         plan: plan.clone(),
         node: node.clone(),
-        standing: Standing::new("catalog".into(), plan.card.name(), None),
+        standing: RouteStatus::new("catalog".into(), plan.card.name(), None),
     })
 }
 
@@ -184,7 +184,7 @@ impl CatalogLink {
         &self,
         right: &mut Right<Reading>,
         listed: &watch::Sender<Arc<[Listed]>>,
-        files: Option<&PaperFiles>,
+        files: Option<&CredentialFiles>,
     ) -> Result<Infallible, RouteError> {
         let mut pause = RETRY;
         let mut catalogs = Catalogs::new(*self.plan.card.owner_key(), self.node.name());
@@ -210,7 +210,7 @@ impl CatalogLink {
     async fn take(
         &self,
         subscription: &mut Subscription,
-        (catalogs, listed, files): (&mut Catalogs, &watch::Sender<Arc<[Listed]>>, Option<&PaperFiles>),
+        (catalogs, listed, files): (&mut Catalogs, &watch::Sender<Arc<[Listed]>>, Option<&CredentialFiles>),
         right: &mut Right<Reading>,
     ) -> Ended {
         let mut looks = ticks();

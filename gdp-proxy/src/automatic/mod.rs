@@ -21,19 +21,19 @@ use gdp_util::unix_time::unix_nanos;
 use anyhow::{Context, Result, anyhow};
 use futures::future::select_all;
 use gdp_core::card::NameCard;
-use gdp_core::domain::PaperFiles;
+use gdp_core::domain::CredentialFiles;
 use gdp_ros::catalog::{Catalog, Entry, MAX_ENTRIES, MAX_ENTRY_BYTES};
 use gdp_wire::Name;
 use tokio::sync::watch;
 
 use self::choice::Choice;
 use self::gather::{Gathering, Kept};
-use self::issuer::{Issuer, Papers};
+use self::issuer::{IssuedCredentials, Issuer};
 use self::link::{CatalogPlan, End};
 use self::listed::{Listed, chosen};
 use self::omissions::Reason;
 use crate::config::{ExposeConfig, ImportConfig, Thing};
-use crate::graph::{self, Found, Graph, Onlooker};
+use crate::graph::{self, Found, Graph, GraphObserver};
 use crate::material::{ImportMaterial, Permission, RouteMaterial};
 use crate::reload::Loaded;
 use crate::routes::{CallPlan, RoutePlan};
@@ -56,23 +56,23 @@ pub struct Automatic {
 struct Expose {
     config: ExposeConfig,
     place: (String, Arc<Graph>),
-    onlooker: Onlooker,
+    graph_observer: GraphObserver,
     choice: Choice,
     issuer: Issuer,
     catalog: NameCard,
     /// By name; of the catalog as well.
-    papers: BTreeMap<Name, Papers>,
+    papers: BTreeMap<Name, IssuedCredentials>,
     list: watch::Sender<Arc<[u8]>>,
 }
 
 struct Import {
     config: ImportConfig,
     place: (String, Arc<Graph>),
-    onlooker: Onlooker,
+    graph_observer: GraphObserver,
     material: ImportMaterial,
     listed: watch::Receiver<Arc<[Listed]>>,
     tell: Arc<watch::Sender<Arc<[Listed]>>>,
-    files: Option<PaperFiles>,
+    files: Option<CredentialFiles>,
 }
 
 /// What the managers are to run.
@@ -103,7 +103,7 @@ impl Automatic {
                     Some(before) => before.with(config),
                     None => Expose {
                         config,
-                        onlooker: Onlooker::of(&place.1),
+                        graph_observer: GraphObserver::of(&place.1),
                         place,
                         choice: Choice::default(),
                         issuer: Issuer::new(material.owner.clone(), entity),
@@ -115,7 +115,7 @@ impl Automatic {
             }
             _ => None,
         };
-        let files = config.domain.as_ref().map(PaperFiles::from);
+        let files = config.domain.as_ref().map(CredentialFiles::from);
         let imports = config.import.iter().zip(&material.imports).map(|(config, material)| {
             let known = before_imports.iter().position(|before| before.material.catalog == material.catalog);
             let tell = match known {
@@ -125,7 +125,7 @@ impl Automatic {
             let (config, place) = (config.clone(), place(&config.graph)?);
             Ok(Import {
                 config,
-                onlooker: Onlooker::of(&place.1),
+                graph_observer: GraphObserver::of(&place.1),
                 place,
                 material: material.clone(),
                 listed: tell.subscribe(),
@@ -146,12 +146,12 @@ impl Automatic {
         let mut news: Vec<Pin<Box<dyn Future<Output = ()> + '_>>> =
             vec![Box::pin(tokio::time::sleep_until(due.into()))];
         if let Some(expose) = &mut self.expose {
-            news.push(Box::pin(expose.onlooker.changed()));
+            news.push(Box::pin(expose.graph_observer.changed()));
         }
-        for Import { config, listed, onlooker, .. } in &mut self.imports {
+        for Import { config, listed, graph_observer, .. } in &mut self.imports {
             news.push(Box::pin(async { _ = listed.changed().await }));
             if config.wants_calls() {
-                news.push(Box::pin(onlooker.changed()));
+                news.push(Box::pin(graph_observer.changed()));
             }
         }
         select_all(news).await;
@@ -180,7 +180,7 @@ impl Expose {
     }
 
     fn plan(&mut self, gathering: &mut Gathering) -> Option<CatalogPlan> {
-        self.choice.update(&self.config, &self.onlooker.found(), Instant::now());
+        self.choice.update(&self.config, &self.graph_observer.found(), Instant::now());
         let now = unix_nanos();
         let catalog = self.catalog.clone();
         let own = papers(&self.issuer, &mut self.papers, &self.config, &catalog, now)?;
@@ -250,11 +250,11 @@ impl Expose {
 /// Those that there are, or new ones if they are old.
 fn papers(
     issuer: &Issuer,
-    known: &mut BTreeMap<Name, Papers>,
+    known: &mut BTreeMap<Name, IssuedCredentials>,
     config: &ExposeConfig,
     card: &NameCard,
     now: u64,
-) -> Option<Papers> {
+) -> Option<IssuedCredentials> {
     let name = card.name();
     if let Some(papers) = known.get(&name).filter(|papers| !papers.are_old(now)) {
         return Some(papers.clone());
@@ -275,7 +275,7 @@ impl Import {
     fn plan(&mut self, gathering: &mut Gathering) -> CatalogPlan {
         let listed = self.listed.borrow_and_update().clone();
         let manner = self.config.manner();
-        let here = if self.config.wants_calls() { self.onlooker.found() } else { Found::new() };
+        let here = if self.config.wants_calls() { self.graph_observer.found() } else { Found::new() };
         for ((thing, called), Listed { card, kind, right, .. }) in chosen(&self.config, &listed) {
             // Both would carry out each call.
             if thing != Thing::Topic && here.contains_key(&(thing, called.clone())) {

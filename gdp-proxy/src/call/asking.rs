@@ -18,7 +18,7 @@ use super::counters::Reason;
 use crate::large::beside;
 
 /// For a server's proxy to answer a question about events, which it does once a minute though there are none.
-const PATIENCE: Duration = Duration::from_secs(90);
+const TIMEOUT: Duration = Duration::from_secs(90);
 
 /// To have a server described: how often it is asked, how long each answer is waited for, and how soon it is asked again if that cannot be.
 const ATTEMPTS: usize = 20;
@@ -97,7 +97,7 @@ pub async fn events(client: &Client, known: &Arc<Known>, after: u64, has_failed:
         tokio::time::sleep(SOON).await;
     }
     let request = Request::Events { epoch: known.epoch, after };
-    match tokio::time::timeout(PATIENCE, ask(client, known.instance, &request)).await {
+    match tokio::time::timeout(TIMEOUT, ask(client, known.instance, &request)).await {
         Err(_) => News::None("no answer".into()),
         Ok(Ok(Reply::Events(events))) => News::Events(events),
         Ok(Ok(Reply::Failure(failure))) if failure.code == FailureCode::Changed => {

@@ -25,12 +25,12 @@ use parking_lot::Mutex;
 use crate::config::{CallConfig, Thing, What};
 use crate::graph::Graph;
 use crate::material::RouteMaterial;
+use crate::peer_proxies::LISTEN;
 use crate::ros2::TopicName;
+use crate::route_status::{EitherRight, RouteError, RouteStatus};
 use crate::routes::{Carries, Way};
-use crate::standing::{EitherRight, RouteError, Standing};
 use crate::tally::Reason as _;
 use crate::turns::{Turns, unless};
-use crate::twins::LISTEN;
 use counters::CallCounters;
 pub use counters::{CallStats, Reason};
 
@@ -45,7 +45,7 @@ pub struct Route {
     graph: String,
     types: Arc<Types>,
     counters: CallCounters,
-    standing: Standing,
+    standing: RouteStatus,
     /// Servers elsewhere were none that this proxy can call: until when it leaves them to others.
     unfit_until: Mutex<Option<Instant>>,
 }
@@ -70,12 +70,12 @@ impl Carries for Route {
             graph: graph.into(),
             types,
             counters: CallCounters::default(),
-            standing: Standing::new(Self::title(config), material.card.name(), kind),
+            standing: RouteStatus::new(Self::title(config), material.card.name(), kind),
             unfit_until: Mutex::new(None),
         }
     }
 
-    fn standing(&self) -> &Standing {
+    fn standing(&self) -> &RouteStatus {
         &self.standing
     }
 
@@ -102,7 +102,7 @@ impl Carries for Route {
         let RouteMaterial { card, kind, permission, file } = material;
         // What has failed is left to others until it shows that it works by now.
         let place =
-            graph.twins().enter(node.name(), self.standing.part(permission.side()), !self.standing.has_failed());
+            graph.peer_proxies().enter(node.name(), self.standing.part(permission.side()), !self.standing.has_failed());
         let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
         let (mut right, mut stop) = (EitherRight::new(permission, file), pin!(stop));
         // A call that two carry out does harm.

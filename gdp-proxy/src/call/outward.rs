@@ -18,7 +18,7 @@ use super::{LAST_WORDS, MAX_PENDING, Route, Way};
 use crate::config::What;
 use crate::graph::{CallerError, Graph, Peer, Servers};
 use crate::ros2::TypeName;
-use crate::standing::{RETRY, Right, RouteError, ended_because, ticks};
+use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
 
 /// A local server, as it is offered.

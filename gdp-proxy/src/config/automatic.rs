@@ -57,7 +57,7 @@ pub struct ExposeConfig {
     pub remap: Vec<Remap>,
     /// How topics cross whose pattern does not say it. Of services and actions, `meta` alone.
     #[serde(default)]
-    pub defaults: Manner,
+    pub defaults: RuleOptions,
 }
 
 /// What is elsewhere and crosses as long as a catalog lists it.
@@ -104,13 +104,13 @@ pub struct ImportConfig {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rule {
     pub topic: Pattern,
-    pub manner: Manner,
+    pub manner: RuleOptions,
 }
 
 /// How topics cross. What is absent is as in `topics`.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct Manner {
+pub struct RuleOptions {
     /// If absent: what each publisher offers.
     pub qos: Option<Qos>,
     pub encoding: Option<Conversion>,
@@ -168,7 +168,7 @@ pub struct Remap {
     pub to: TopicName,
 }
 
-impl Manner {
+impl RuleOptions {
     /// This, and where it says nothing, what `defaults` says.
     pub fn or(&self, defaults: &Self) -> Self {
         let mut meta = defaults.meta.clone();
@@ -217,10 +217,10 @@ pub fn remapped(topic: &TopicName, remap: &[Remap]) -> Option<TopicName> {
 
 impl ExposeConfig {
     /// How it crosses, if a pattern means it.
-    pub fn manner(&self, thing: Thing, name: &TopicName) -> Option<Manner> {
+    pub fn manner(&self, thing: Thing, name: &TopicName) -> Option<RuleOptions> {
         let called = |patterns: &[Pattern]| {
             let is_meant = patterns.iter().any(|pattern| pattern.matches(thing, name));
-            is_meant.then(|| Manner { meta: self.defaults.meta.clone(), ..Manner::default() })
+            is_meant.then(|| RuleOptions { meta: self.defaults.meta.clone(), ..RuleOptions::default() })
         };
         match thing {
             Thing::Topic => {
@@ -232,7 +232,7 @@ impl ExposeConfig {
         }
     }
 
-    fn manners(&self) -> impl Iterator<Item = &Manner> {
+    fn manners(&self) -> impl Iterator<Item = &RuleOptions> {
         self.topics.iter().map(|rule| &rule.manner).chain([&self.defaults])
     }
 
@@ -288,9 +288,9 @@ impl ImportConfig {
         }
     }
 
-    pub fn manner(&self) -> Manner {
+    pub fn manner(&self) -> RuleOptions {
         let frame_prefix = self.frame_prefix.clone();
-        Manner { qos: self.qos, duplicate: Some(self.duplicate), frame_prefix, ..Manner::default() }
+        RuleOptions { qos: self.qos, duplicate: Some(self.duplicate), frame_prefix, ..RuleOptions::default() }
     }
 }
 
@@ -314,13 +314,16 @@ fn check_patterns(
 impl From<RuleSaid> for Rule {
     fn from(said: RuleSaid) -> Self {
         let RuleSaid { topic, qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, meta } = said;
-        Self { topic, manner: Manner { qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, meta } }
+        Self {
+            topic,
+            manner: RuleOptions { qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, meta },
+        }
     }
 }
 
 impl<'de> Deserialize<'de> for Rule {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = |text: &str| Ok(Self { topic: Pattern::parse(text)?, manner: Manner::default() });
+        let text = |text: &str| Ok(Self { topic: Pattern::parse(text)?, manner: RuleOptions::default() });
         let expecting = "a pattern such as /camera/**, or a mapping such as {topic: /camera/**, max_hz: 5}";
         deserializer.deserialize_any(TextOrMap { expecting, text, map: |said: RuleSaid| Ok(said.into()) })
     }

@@ -20,7 +20,7 @@ use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 
 use gdp::node::LinkConfig;
-use gdp_core::domain::PaperFiles;
+use gdp_core::domain::CredentialFiles;
 use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::MAX_LANES;
 use gdp_ros::roster::Dialect;
@@ -28,7 +28,7 @@ use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
-pub use self::automatic::{ExposeConfig, ImportConfig, Manner, Reader, Remap, Rule, remapped};
+pub use self::automatic::{ExposeConfig, ImportConfig, Reader, Remap, Rule, RuleOptions, remapped};
 pub use self::calls::{CallConfig, What};
 pub use self::frames::FramePrefix;
 pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config};
@@ -132,7 +132,7 @@ pub struct DomainConfig {
     pub peers: Vec<PathBuf>,
 }
 
-impl From<&DomainConfig> for PaperFiles {
+impl From<&DomainConfig> for CredentialFiles {
     fn from(config: &DomainConfig) -> Self {
         let DomainConfig { card, membership, peers } = config;
         Self { card: card.clone(), membership: membership.clone(), peers: peers.clone() }

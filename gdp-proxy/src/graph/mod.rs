@@ -1,7 +1,7 @@
 //! What the routes see of a ROS graph, of either version: publishers of a topic that come and go, their messages, and writers that stand for
 //! publishers elsewhere. A message is in the graph's own encoding, and nothing here looks into it.
 
-mod onlooker;
+mod graph_observer;
 mod ros1;
 mod ros2;
 mod services;
@@ -14,12 +14,12 @@ use std::sync::Arc;
 use bytes::Bytes;
 
 use crate::config::{GraphConfig, Graphs};
+use crate::peer_proxies::PeerProxies;
 use crate::ros2::{Domain, Qos, RosError, TopicName, TypeName};
-use crate::twins::Twins;
 use gdp_ros::roster::{Dialect, Kind, Offer};
 use gdp_ros::types::{TypeError, Types};
 
-pub use onlooker::{Found, Offered, Onlooker};
+pub use graph_observer::{Found, GraphObserver, Offered};
 
 /// One graph, until it is [left](Self::leave).
 pub enum Graph {
@@ -144,10 +144,10 @@ impl Graph {
     }
 
     /// What other proxies in it carry.
-    pub fn twins(&self) -> &Arc<Twins> {
+    pub fn peer_proxies(&self) -> &Arc<PeerProxies> {
         match self {
-            Self::Ros1(master) => master.twins(),
-            Self::Ros2(domain) => domain.twins(),
+            Self::Ros1(master) => master.peer_proxies(),
+            Self::Ros2(domain) => domain.peer_proxies(),
         }
     }
 

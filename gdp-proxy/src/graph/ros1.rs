@@ -17,8 +17,8 @@ use tokio::task::JoinHandle;
 use self::publishers::{Publisher, Publishers};
 use super::{Arrived, Event, GraphError, Key, NODE, WriteError};
 use crate::config::Ros1Config;
+use crate::peer_proxies::{self, PeerProxies, Voice};
 use crate::ros2::TopicName;
-use crate::twins::{self, Twins, Voice};
 use gdp_ros::roster::{Dialect, Kind, Offer};
 
 /// What a publisher of ROS 1 comes to: it waits for nobody, and its subscribers take a queue full.
@@ -29,7 +29,7 @@ const OFFER: Offer =
 pub struct Master {
     node: Node,
     publishers: Publishers,
-    twins: Arc<Twins>,
+    peer_proxies: Arc<PeerProxies>,
     presence: JoinHandle<()>,
 }
 
@@ -55,14 +55,14 @@ impl Master {
         let publisher = node.publish(PRESENCE, kind.clone(), PublishOptions::default())?;
         let options = SubscribeOptions { kind: Some((kind.name, kind.md5sum)), ..SubscribeOptions::default() };
         let voice = Presence { publisher, subscription: node.subscribe(PRESENCE, options)? };
-        let twins: Arc<Twins> = Arc::default();
-        let presence = tokio::spawn(twins::beat(twins.clone(), voice));
-        Ok(Self { node, publishers: Publishers::new(config), twins, presence })
+        let peer_proxies: Arc<PeerProxies> = Arc::default();
+        let presence = tokio::spawn(peer_proxies::beat(peer_proxies.clone(), voice));
+        Ok(Self { node, publishers: Publishers::new(config), peer_proxies, presence })
     }
 
     /// What other proxies at the master carry.
-    pub fn twins(&self) -> &Arc<Twins> {
-        &self.twins
+    pub fn peer_proxies(&self) -> &Arc<PeerProxies> {
+        &self.peer_proxies
     }
 
     pub fn graph(&self) -> gdp_ros1::Graph {

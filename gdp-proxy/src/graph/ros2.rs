@@ -10,8 +10,8 @@ use tokio::time::Instant;
 
 use super::{Event, Key, WriteError};
 use crate::ros2::{
-    self, Domain, Durability, Endpoint, Graph, Qos, RawReader, RawSample, RawWriter, Reliability, RosError, ShownQos,
-    TopicName, TypeName,
+    self, DisplayedQos, Domain, Durability, Endpoint, Graph, Qos, RawReader, RawSample, RawWriter, Reliability,
+    RosError, TopicName, TypeName,
 };
 use gdp_ros::roster::{Dialect, Kind, Offer};
 
@@ -240,7 +240,7 @@ pub fn misfit(domain: &Domain, topic: &TopicName, offers: &Offer) -> Option<&'st
 /// last one.
 fn described(publisher: &Endpoint) -> (Kind, Offer) {
     let Endpoint { kind, hash, qos, .. } = publisher;
-    let ShownQos { reliability, durability, deadline, lifespan, liveliness_lease, .. } = *qos;
+    let DisplayedQos { reliability, durability, deadline, lifespan, liveliness_lease, .. } = *qos;
     let hash = hash.as_ref().and_then(|hash| hex::decode(hash.as_str().strip_prefix("RIHS01_")?).ok());
     let ns = |time: Option<Duration>| time.map_or(0, |time| u64::try_from(time.as_nanos()).unwrap_or(0));
     let transient_local = durability == Durability::TransientLocal;

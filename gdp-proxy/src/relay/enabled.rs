@@ -5,10 +5,10 @@
 use std::net::{IpAddr, SocketAddr};
 
 use gdp_core::cert::domain::roles;
-use gdp_core::domain::{PaperFiles, Trust};
+use gdp_core::domain::{CredentialFiles, Trust};
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
-use gdp_daemon::config::{Config as SwitchConfig, DomainConfig, Inside, Neighbour, Place, Via};
+use gdp_daemon::config::{Config as SwitchConfig, DomainConfig, Inside, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve;
 use gdp_daemon::serve::Running;
 use gdp_wire::Name;
@@ -57,7 +57,7 @@ impl Relay {
         }
         let domain = config.domain.as_ref().zip(relay.membership.as_ref());
         let domain = domain.map(|(domain, membership)| {
-            let files = PaperFiles { membership: membership.clone(), ..domain.into() };
+            let files = CredentialFiles { membership: membership.clone(), ..domain.into() };
             check_membership(&files, &identity).map_err(|reason| wrong("relay.membership", reason))?;
             Ok(DomainConfig { files, members_only: true, trace: Inside::Masked })
         });
@@ -101,7 +101,7 @@ fn neighbours(links: &[LinkPlace]) -> Vec<Neighbour> {
         let (LinkTarget::Udp { host, port, interface: None }, Some(switch)) = (&link.to, link.switch) else { continue };
         let Ok(addr) = host.parse::<IpAddr>() else { continue };
         if neighbours.iter().all(|other| other.place.switch != switch) {
-            let place = Place { switch, via: Via::Udp(SocketAddr::new(addr, *port)) };
+            let place = NeighbourAddress { switch, via: Via::Udp(SocketAddr::new(addr, *port)) };
             neighbours.push(Neighbour { place, cost: None, dial: true, parent: false });
         }
     }
@@ -109,7 +109,7 @@ fn neighbours(links: &[LinkPlace]) -> Vec<Neighbour> {
 }
 
 /// A domain has links between its switches only.
-fn check_membership(files: &PaperFiles, identity: &Identity) -> Result<(), String> {
+fn check_membership(files: &CredentialFiles, identity: &Identity) -> Result<(), String> {
     let remedy = |error: String| {
         let (relay, file) = (identity.name(), files.membership.display());
         let error = with_path(error, &files.membership);

@@ -39,12 +39,12 @@ pub struct Endpoint {
     pub kind: TypeName,
     /// If its middleware announces it (Iron and later).
     pub hash: Option<TypeHash>,
-    pub qos: ShownQos,
+    pub qos: DisplayedQos,
 }
 
 /// What discovery shows of an endpoint's QoS; history and depth stay with it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ShownQos {
+pub struct DisplayedQos {
     pub reliability: Reliability,
     pub durability: Durability,
     /// `None`: without end, as for the two below.
@@ -155,7 +155,8 @@ impl Graph {
 
     fn add_to_topic(&mut self, name: TopicName, kind: TypeName, seen: &Seen) {
         let hash = TypeHash::from_user_data(&seen.user_data);
-        let endpoint = Endpoint { id: seen.guid.to_bytes(), kind, hash, qos: ShownQos::new(&seen.qos, seen.writes) };
+        let endpoint =
+            Endpoint { id: seen.guid.to_bytes(), kind, hash, qos: DisplayedQos::new(&seen.qos, seen.writes) };
         let topic = self.topics.entry(name).or_default();
         if seen.writes { &mut topic.publishers } else { &mut topic.subscribers }.push(endpoint);
     }
@@ -179,7 +180,7 @@ impl Graph {
     }
 }
 
-impl ShownQos {
+impl DisplayedQos {
     /// What is not announced has DDS's default, which differs between writers and readers.
     fn new(qos: &QosPolicies, of_writer: bool) -> Self {
         let reliability = match qos.reliability() {

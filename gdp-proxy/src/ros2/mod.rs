@@ -15,7 +15,7 @@ mod service;
 
 pub use action::Action;
 pub use gdp_ros::names::NameError;
-pub use graph::{ActionInfo, Endpoint, Graph, ServiceInfo, ServicePeer, ShownQos, TopicInfo, TypeHash};
+pub use graph::{ActionInfo, DisplayedQos, Endpoint, Graph, ServiceInfo, ServicePeer, TopicInfo, TypeHash};
 pub use names::{Part, TopicName, TypeName};
 pub use qos::{Depth, Durability, Qos, Reliability};
 pub use range::{Range, RangeError};
@@ -36,7 +36,7 @@ use discovery::Discovery;
 use gdp_ros::roster::Offer;
 use graph::PROXY_TOPIC;
 
-use crate::twins::{self, Twins};
+use crate::peer_proxies::{self, PeerProxies};
 use presence::Presence;
 
 /// The largest domain id whose ports (7400 + 250 · id and up) exist.
@@ -52,7 +52,7 @@ pub struct Domain {
     node: Node,
     watch: JoinHandle<()>,
     /// What the other proxies carry, and what tells them that this is one.
-    twins: Arc<Twins>,
+    peer_proxies: Arc<PeerProxies>,
     presence: Option<JoinHandle<()>>,
 }
 
@@ -96,8 +96,8 @@ impl Domain {
         let discovery = Arc::new(Discovery::default());
         let node = announce(&participant, node)?;
         let watch = tokio::spawn(discovery.clone().watch(participant.clone()));
-        let twins = Arc::default();
-        Ok(Self { participant, publisher, subscriber, discovery, node, watch, twins, presence: None })
+        let peer_proxies = Arc::default();
+        Ok(Self { participant, publisher, subscriber, discovery, node, watch, peer_proxies, presence: None })
     }
 
     /// The same, and tells other proxies that this is one: they take nothing from it.
@@ -106,13 +106,14 @@ impl Domain {
         let (topic, kind) = (TopicName::parse("/gdp_proxy")?, TypeName::parse("gdp_proxy/msg/Presence")?);
         let writer = joined.raw_writer(&topic, PROXY_TOPIC, &kind, &Qos::default().into())?;
         let reader = joined.raw_reader(&topic, PROXY_TOPIC, &kind, &Qos::default().into())?;
-        joined.presence = Some(tokio::spawn(twins::beat(joined.twins.clone(), Presence { writer, reader })));
+        joined.presence =
+            Some(tokio::spawn(peer_proxies::beat(joined.peer_proxies.clone(), Presence { writer, reader })));
         Ok(joined)
     }
 
     /// What other proxies in the domain carry.
-    pub fn twins(&self) -> &Arc<Twins> {
-        &self.twins
+    pub fn peer_proxies(&self) -> &Arc<PeerProxies> {
+        &self.peer_proxies
     }
 
     /// What the others in the domain publish, subscribe to, serve and call, and every change of it.

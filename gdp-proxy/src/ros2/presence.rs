@@ -1,7 +1,7 @@
 //! What the proxies in a DDS domain tell one another: a CDR string on a topic that is none of ROS.
 
 use super::{RawReader, RawSample, RawWriter, Representation};
-use crate::twins::Voice;
+use crate::peer_proxies::Voice;
 
 pub struct Presence {
     pub writer: RawWriter,

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 /// How long a writer waits for a first subscriber; without one, nobody may want the topic. What is reliable is worth more patience than what
 /// another message replaces.
-const PATIENCE: Duration = Duration::from_millis(750);
+const TIMEOUT: Duration = Duration::from_millis(750);
 const RELIABLE_PATIENCE: Duration = Duration::from_secs(3);
 
 /// How long it waits for the others, and for the first one to know of it, too.
@@ -27,7 +27,7 @@ pub struct Hold<T> {
 
 impl<T> Hold<T> {
     pub fn new(now: Instant, is_reliable: bool) -> Self {
-        let patience = if is_reliable { RELIABLE_PATIENCE } else { PATIENCE };
+        let patience = if is_reliable { RELIABLE_PATIENCE } else { TIMEOUT };
         Self { until: now + patience, has_matched: false, waiting: VecDeque::new(), bytes: 0 }
     }
 

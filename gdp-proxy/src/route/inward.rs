@@ -16,10 +16,10 @@ use super::locals::{Locals, Whose};
 use super::{Route, Way};
 use crate::delivery::subscribe_options;
 use crate::graph::Graph;
+use crate::peer_proxies::Place;
 use crate::ros2::{Qos, TypeName};
-use crate::standing::{RETRY, Right, RouteError, ended_because, ticks};
+use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
-use crate::twins::Place;
 use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, ROSTER, Taken};
 use gdp_ros::types::Form;
 

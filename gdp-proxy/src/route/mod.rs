@@ -23,13 +23,13 @@ use parking_lot::{Mutex, MutexGuard};
 use crate::config::{Side, Thing, TopicConfig};
 use crate::graph::Graph;
 use crate::material::RouteMaterial;
+use crate::peer_proxies::Place;
 use crate::ros2::TopicName;
+use crate::route_status::{EitherRight, Right, RouteError, RouteStatus};
 use crate::routes::{Carries, Way};
-use crate::standing::{EitherRight, Right, RouteError, Standing};
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 use crate::tally::Reason as _;
 use crate::turns::Turns;
-use crate::twins::Place;
 use gdp_ros::roster::ROSTER;
 use gdp_ros::types::Types;
 use gdp_util::backoff::Backoff;
@@ -43,7 +43,7 @@ pub struct Route {
     side: Side,
     types: Arc<Types>,
     counters: RouteCounters,
-    standing: Standing,
+    standing: RouteStatus,
     /// Of the fabric's side of it.
     fabric: Mutex<FabricCounters>,
 }
@@ -76,12 +76,12 @@ impl Carries for Route {
             side: material.permission.side(),
             types,
             counters: RouteCounters::default(),
-            standing: Standing::new(Self::title(config), material.card.name(), kind),
+            standing: RouteStatus::new(Self::title(config), material.card.name(), kind),
             fabric: Mutex::new(FabricCounters::None),
         }
     }
 
-    fn standing(&self) -> &Standing {
+    fn standing(&self) -> &RouteStatus {
         &self.standing
     }
 
@@ -106,7 +106,7 @@ impl Carries for Route {
         stop: impl Future<Output = ()> + Send,
     ) -> Result<(), RouteError> {
         // What has failed is left to others until it shows that it works by now.
-        let place = graph.twins().enter(node.name(), self.standing.part(self.side), !self.standing.has_failed());
+        let place = graph.peer_proxies().enter(node.name(), self.standing.part(self.side), !self.standing.has_failed());
         let RouteMaterial { card, kind, permission, file } = material;
         let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
         let mut right = EitherRight::new(permission, file);

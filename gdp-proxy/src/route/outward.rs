@@ -16,7 +16,7 @@ use super::{Published, Route, Way};
 use crate::delivery::{lacks, latched, publish_options, stronger};
 use crate::graph::{Arrived, Event, GraphError, Key, Reader};
 use crate::large::is_large;
-use crate::standing::{RETRY, Right, RouteError, ended_because, ticks};
+use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
 use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
 
@@ -48,7 +48,7 @@ struct Out<'a> {
     /// What happened while nobody read the name.
     waiting: VecDeque<Event>,
     /// Publishers that are not carried, and why.
-    strangers: BTreeMap<Key, String>,
+    incompatible_publishers: BTreeMap<Key, String>,
 }
 
 impl Route {
@@ -73,7 +73,7 @@ impl Route {
             *self.fabric() = FabricCounters::Out(new.meter());
             pause = RETRY;
             self.is_up(place);
-            self.show_out("up", &out.strangers);
+            self.show_out("up", &out.incompatible_publishers);
             out.roster.offers().for_each(|(number, offers)| new.latch(&roster::origin(number), latched(&offers)));
             out.wait_for_reader(new).await?;
             let turn = self.carry_out(&mut out, new, right).await?;
@@ -100,25 +100,27 @@ impl Route {
     /// status says so.
     async fn learn<'a>(&self, way: &Way<'a>, offers: Option<Offer>) -> Result<Out<'a>, RouteError> {
         let Way { graph, kind, place, .. } = *way;
-        let mut strangers = BTreeMap::new();
+        let mut incompatible_publishers = BTreeMap::new();
         let mut reader = graph.reader(&self.config.topic, kind, self.config.qos)?;
         let wanted = kind.map(|kind| graph.kind(kind));
         let stated = wanted.clone().filter(|_| self.config.qos.is_some());
         let (first, kind, offered) = match (stated, self.config.qos) {
             (Some(kind), Some(qos)) => (None, kind, qos.into()),
             _ => loop {
-                self.show_out("waiting for a local publisher", &strangers);
+                self.show_out("waiting for a local publisher", &incompatible_publishers);
                 match reader.next().await? {
                     Event::Joined { key, kind, offers } if wanted.as_ref().is_none_or(|it| it.agrees(&kind)) => {
-                        strangers.remove(&key);
+                        incompatible_publishers.remove(&key);
                         break (Some(key), kind, offers);
                     }
                     Event::Joined { key, kind, .. } => {
-                        _ = strangers.insert(key, self.of_another_type(&kind, wanted.as_ref()))
+                        _ = incompatible_publishers.insert(key, self.of_another_type(&kind, wanted.as_ref()))
                     }
-                    Event::Incompatible { key, policy } => _ = strangers.insert(key, self.incompatible(policy)),
+                    Event::Incompatible { key, policy } => {
+                        _ = incompatible_publishers.insert(key, self.incompatible(policy))
+                    }
                     Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
-                    Event::Left(key) => _ = strangers.remove(&key),
+                    Event::Left(key) => _ = incompatible_publishers.remove(&key),
                     Event::Message(_) => {}
                 }
             },
@@ -146,7 +148,7 @@ impl Route {
             pace: Pace::new(self.config.max_hz),
             offers,
             waiting: VecDeque::new(),
-            strangers,
+            incompatible_publishers,
         })
     }
 
@@ -184,12 +186,12 @@ impl Route {
             match event {
                 Event::Joined { key, kind, offers } => {
                     if !kind.agrees(&out.kind) {
-                        out.strangers.insert(key, self.of_another_type(&kind, Some(&out.kind)));
-                        self.show_out("up", &out.strangers);
+                        out.incompatible_publishers.insert(key, self.of_another_type(&kind, Some(&out.kind)));
+                        self.show_out("up", &out.incompatible_publishers);
                         continue;
                     }
-                    if out.strangers.remove(&key).is_some() {
-                        self.show_out("up", &out.strangers);
+                    if out.incompatible_publishers.remove(&key).is_some() {
+                        self.show_out("up", &out.incompatible_publishers);
                     }
                     let offers = self.config.qos.map_or(offers, Offer::from);
                     out.roster.joined(key, offers);
@@ -203,8 +205,8 @@ impl Route {
                     }
                 }
                 Event::Incompatible { key, policy } => {
-                    out.strangers.insert(key, self.incompatible(policy));
-                    self.show_out("up", &out.strangers);
+                    out.incompatible_publishers.insert(key, self.incompatible(policy));
+                    self.show_out("up", &out.incompatible_publishers);
                 }
                 Event::Left(key) => {
                     if let Some(arrived) = out.pace.left(key)
@@ -212,8 +214,8 @@ impl Route {
                     {
                         return Ok(Turn::Ended(error));
                     }
-                    if out.strangers.remove(&key).is_some() {
-                        self.show_out("up", &out.strangers);
+                    if out.incompatible_publishers.remove(&key).is_some() {
+                        self.show_out("up", &out.incompatible_publishers);
                     }
                     if let Some(number) = out.roster.left(&key) {
                         publisher.forget(&roster::origin(number));
@@ -237,7 +239,7 @@ impl Route {
         if let Some(written_ns) = arrived.written_ns {
             self.counters.arrival.record_since(written_ns);
         }
-        if arrived.from.is_some_and(|key| out.strangers.contains_key(&key)) {
+        if arrived.from.is_some_and(|key| out.incompatible_publishers.contains_key(&key)) {
             self.drop(Drop::Unconvertible, "its publisher uses another type");
             return None;
         }
@@ -311,11 +313,11 @@ impl Route {
     }
 
     /// Says in the status which publishers are not carried.
-    fn show_out(&self, otherwise: &str, strangers: &BTreeMap<Key, String>) {
-        match strangers.iter().next() {
+    fn show_out(&self, otherwise: &str, incompatible_publishers: &BTreeMap<Key, String>) {
+        match incompatible_publishers.iter().next() {
             None => self.standing.set_status(otherwise),
             Some((key, why)) => {
-                let more = strangers.len() - 1;
+                let more = incompatible_publishers.len() - 1;
                 let more = if more == 0 { String::new() } else { format!("; and {more} more") };
                 self.standing.set_status(&format!("publisher {key:x} here is not carried: {why}{more}"));
             }

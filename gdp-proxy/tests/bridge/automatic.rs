@@ -9,7 +9,7 @@ use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 
 use super::master::Master;
 use super::site::Site;
-use super::{PATIENCE, RELIABLE, cdr, graph, within};
+use super::{RELIABLE, TIMEOUT, cdr, graph, within};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_matches_crosses_while_it_is_published_and_deny_wins() {
@@ -19,13 +19,14 @@ async fn what_matches_crosses_while_it_is_published_and_deny_wins() {
     let _robot = site.begin("robot", &format!("{{domain_id: {here}}}"), &expose);
     let _cloud = site.begin("cloud", &format!("{{domain_id: {there}}}"), &import);
 
-    let (camera, onlooker) = (Domain::join(here, "camera").unwrap(), Domain::join(there, "onlooker").unwrap());
+    let (camera, graph_observer) =
+        (Domain::join(here, "camera").unwrap(), Domain::join(there, "graph_observer").unwrap());
     let kind = TypeName::parse("std_msgs/msg/String").unwrap();
     let topic = |name: &str| TopicName::parse(name).unwrap();
     let writer = |name: &str| camera.writer(&topic(name), &kind, &RELIABLE).unwrap();
     let _others = [writer("/camera/secret"), writer("/other")];
     let mut image = writer("/camera/image");
-    let reader = onlooker.reader(&topic("/far/r1/camera/image"), &kind, &RELIABLE).unwrap();
+    let reader = graph_observer.reader(&topic("/far/r1/camera/image"), &kind, &RELIABLE).unwrap();
     let heard = within("an image elsewhere", async {
         loop {
             tokio::select! {
@@ -54,7 +55,7 @@ async fn what_matches_crosses_while_it_is_published_and_deny_wins() {
     assert_eq!(text(&back.await.unwrap().sample.bytes), "again");
     until("it is shown at both again", shown).await;
     camera.leave().await;
-    onlooker.leave().await;
+    graph_observer.leave().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -177,9 +178,9 @@ fn text(cdr: &[u8]) -> &str {
 }
 
 async fn until(what: &str, mut is_so: impl FnMut() -> bool) {
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     while !is_so() {
-        assert!(Instant::now() < deadline, "not in {PATIENCE:?}: {what}");
+        assert!(Instant::now() < deadline, "not in {TIMEOUT:?}: {what}");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
 }

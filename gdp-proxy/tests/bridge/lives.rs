@@ -89,8 +89,8 @@ async fn a_publisher_that_is_not_heard_of_is_missed_and_comes_back_with_what_it_
     assert_eq!(texts(&mut early, 1).await, ["the map"]);
 
     // Its proxy is not heard of for longer than it promised to show that it lives.
-    let onlooker = there.node("/onlooker").await;
-    let mut shown = onlooker.graph();
+    let graph_observer = there.node("/graph_observer").await;
+    let mut shown = graph_observer.graph();
     publishers(&mut shown, "/map", 1).await;
     out.signal(libc::SIGSTOP);
     publishers(&mut shown, "/map", 0).await;
@@ -100,7 +100,7 @@ async fn a_publisher_that_is_not_heard_of_is_missed_and_comes_back_with_what_it_
     writer.write(cdr("another map"), 0).await.unwrap();
     // On a machine that is busy it may be missed once more, and then says again what it latches.
     while texts(&mut late, 1).await != ["another map"] {}
-    onlooker.leave().await;
+    graph_observer.leave().await;
     talking.leave().await;
 }
 
@@ -154,8 +154,8 @@ async fn a_proxy_that_ends_leaves_nothing_at_the_master() {
     let topics = [site.topic("/latched", "std_msgs/msg/String")];
     let out = site.proxy("robot", &graph(&here), &topics, "direction: out");
     let into = site.proxy("cloud", &graph(&there), &topics, "direction: in");
-    let onlooker = there.node("/onlooker").await;
-    let mut shown = onlooker.graph();
+    let graph_observer = there.node("/graph_observer").await;
+    let mut shown = graph_observer.graph();
     let one = here.begin("one", &["latch", "/latched", "one"]);
     let _two = here.begin("two", &["latch", "/latched", "two"]);
     publishers(&mut shown, "/latched", 2).await;
@@ -164,7 +164,7 @@ async fn a_proxy_that_ends_leaves_nothing_at_the_master() {
     into.stop();
     publishers(&mut shown, "/latched", 0).await;
     drop(out);
-    onlooker.leave().await;
+    graph_observer.leave().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -183,15 +183,15 @@ async fn diagnostics_say_how_a_topic_does_in_either_version() {
     while !is_told(&received(&reader).await) {}
     listening.leave().await;
 
-    let onlooker = master.node("/onlooker").await;
-    let mut subscription = onlooker.subscribe("/diagnostics", gdp_ros1::SubscribeOptions::default()).unwrap();
+    let graph_observer = master.node("/graph_observer").await;
+    let mut subscription = graph_observer.subscribe("/diagnostics", gdp_ros1::SubscribeOptions::default()).unwrap();
     let mut next = async || within("diagnostics", subscription.next()).await.unwrap();
     let mut message = next().await;
     while !is_told(&message.data) {
         message = next().await;
     }
     assert_eq!(message.publisher.kind, "diagnostic_msgs/DiagnosticArray");
-    onlooker.leave().await;
+    graph_observer.leave().await;
 }
 
 /// The next that is no roster.

@@ -78,7 +78,7 @@ async fn what_one_ros_version_says_the_other_understands_both_ways() {
         site.proxy("c", fro, &back, "direction: out"),
         site.proxy("d", to, &back, "direction: in"),
     ];
-    let participant = Domain::join(domain, "onlooker").unwrap();
+    let participant = Domain::join(domain, "graph_observer").unwrap();
     let kind = TypeName::parse("std_msgs/msg/String").unwrap();
     let topic = |name: &str| TopicName::parse(name).unwrap();
 
@@ -158,7 +158,7 @@ fn graph(master: &Master) -> String {
 }
 
 async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, future).await.unwrap_or_else(|_| panic!("not in {PATIENCE:?}: {what}"))
+    tokio::time::timeout(TIMEOUT, future).await.unwrap_or_else(|_| panic!("not in {TIMEOUT:?}: {what}"))
 }
 
 async fn until(what: &str, mut is_so: impl FnMut() -> bool) {
@@ -186,4 +186,4 @@ fn cdr(text: &str) -> RawSample {
 }
 
 /// How long anything may take on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);

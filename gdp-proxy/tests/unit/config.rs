@@ -10,7 +10,7 @@ const MINIMAL: &str = "{version: 1, identity: robot.pem, links: [{to: 'eth://r0'
 fn a_membership_is_in_files_beside_the_configuration() {
     let text = "{version: 1, identity: robot.pem, links: [{to: 'eth://r0'}], domain: {card: domain.card, membership: /m, peers: [p]}}";
     let config = Config::parse(text, Path::new("/etc/gdp/proxy.yaml")).unwrap();
-    let files = PaperFiles::from(config.domain.as_ref().unwrap());
+    let files = CredentialFiles::from(config.domain.as_ref().unwrap());
     assert_eq!(
         (files.card.as_path(), files.membership.as_path()),
         (Path::new("/etc/gdp/domain.card"), Path::new("/m"))

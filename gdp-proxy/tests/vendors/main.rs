@@ -29,9 +29,9 @@ async fn a_service_of_fast_dds_is_called_and_one_is_offered_to_it() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn clients_of_both_vendors_are_answered_by_one_server_while_it_lives() {
     let domain = Domain::join(domain(2), "gdp_proxy_test").unwrap();
-    let onlooker = Domain::join(self::domain(2), "onlooker").unwrap();
+    let graph_observer = Domain::join(self::domain(2), "graph_observer").unwrap();
     let server = domain.server(&service(), &add_two_ints(), None).unwrap();
-    seen(&onlooker, "the server", |service| service.servers.len() == 1).await;
+    seen(&graph_observer, "the server", |service| service.servers.len() == 1).await;
     let answering = tokio::spawn(add(server));
     for vendor in [Vendor::Cyclone, Vendor::FastDds] {
         let mut client = Peer::call(vendor, self::domain(2), 20, 22);
@@ -39,9 +39,9 @@ async fn clients_of_both_vendors_are_answered_by_one_server_while_it_lives() {
     }
     answering.abort();
     let _ = answering.await;
-    seen(&onlooker, "no server any more", |service| service.servers.is_empty()).await;
+    seen(&graph_observer, "no server any more", |service| service.servers.is_empty()).await;
     domain.leave().await;
-    onlooker.leave().await;
+    graph_observer.leave().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

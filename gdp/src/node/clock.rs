@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use gdp_e2e::seal::Moment;
+use gdp_e2e::seal::Timestamps;
 use gdp_util::unix_time::unix_nanos;
 
 /// Counts from its making on.
@@ -19,7 +19,7 @@ impl Clock {
         self.0.elapsed().as_nanos() as u64
     }
 
-    pub fn moment(&self) -> Moment {
-        Moment { steady_ns: self.now(), unix_ns: unix_nanos() }
+    pub fn moment(&self) -> Timestamps {
+        Timestamps { steady_ns: self.now(), unix_ns: unix_nanos() }
     }
 }

@@ -9,9 +9,9 @@ use gdp_wire::{Counter, ErrorCode};
 use serde::Serialize;
 
 use super::feedback::Feedback;
-use super::intake::Shared;
-use super::outlet::Outlet;
 use super::publication::Publication;
+use super::send_path::SendPath;
+use super::subscription_receiver::Shared;
 use gdp_e2e::seal::DropReason;
 use gdp_e2e::transport::{InboundCounters, TopicCounters};
 
@@ -55,9 +55,9 @@ pub struct PublisherCounters {
 }
 
 impl PublisherCounters {
-    pub(super) fn of(publication: &Publication, outlet: &Outlet, feedback: &Feedback) -> Self {
+    pub(super) fn of(publication: &Publication, send_path: &SendPath, feedback: &Feedback) -> Self {
         Self {
-            topic: publication.counters(outlet),
+            topic: publication.counters(send_path),
             readers: publication.readers(),
             incompatible_readers: publication.incompatible_readers(),
             refused: feedback.errors(),

@@ -1,5 +1,5 @@
 //! When a reader asks a writer which session is its own now: at first, and when frames come of a session that the writer did not
-//! vouch for, which it may have begun, or which may be recorded. No I/O.
+//! confirm_session for, which it may have begun, or which may be recorded. No I/O.
 
 use gdp_core::crypto;
 use gdp_core::crypto::CryptoError;

@@ -1,5 +1,5 @@
 //! Frames that came too early: from a writer that is not known yet, under a key that is not here yet, of a session that the writer
-//! has yet to vouch for. A writer begins as soon as its switch lets it, which can be before its readers were told of it: what it
+//! has yet to confirm_session for. A writer begins as soon as its switch lets it, which can be before its readers were told of it: what it
 //! sends until then waits here, for a moment and within a fixed amount of memory.
 
 use std::collections::VecDeque;
@@ -10,7 +10,7 @@ use gdp_wire::Name;
 use gdp_e2e::seal::DropReason;
 
 /// How long a frame waits.
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Payload bytes that wait, of all names together: the first message of a camera should fit.
 const MAX_BYTES: usize = 2 << 20;
@@ -21,11 +21,11 @@ const OVERHEAD: usize = 128;
 #[derive(Default)]
 pub struct Held {
     /// The oldest first.
-    frames: VecDeque<HeldFrame>,
+    frames: VecDeque<PendingFrame>,
     bytes: usize,
 }
 
-pub struct HeldFrame {
+pub struct PendingFrame {
     since: Instant,
     name: Name,
     pub source: Name,
@@ -35,7 +35,7 @@ pub struct HeldFrame {
     why: (DropReason, u64),
 }
 
-impl HeldFrame {
+impl PendingFrame {
     fn cost(&self) -> usize {
         self.payload.len() + OVERHEAD
     }
@@ -47,31 +47,31 @@ impl Held {
         if self.bytes + payload.len() + OVERHEAD > MAX_BYTES {
             return false;
         }
-        let frame = HeldFrame { since: Instant::now(), name, source, payload: payload.to_vec(), marked, why };
+        let frame = PendingFrame { since: Instant::now(), name, source, payload: payload.to_vec(), marked, why };
         self.bytes += frame.cost();
         self.frames.push_back(frame);
         true
     }
 
     /// One that was released, and is still too early, for another reason perhaps; as long as it has waited in all counts.
-    pub fn hold_again(&mut self, frame: HeldFrame, why: (DropReason, u64)) {
+    pub fn hold_again(&mut self, frame: PendingFrame, why: (DropReason, u64)) {
         self.bytes += frame.cost();
         let at = self.frames.partition_point(|other| other.since <= frame.since);
-        self.frames.insert(at, HeldFrame { why, ..frame });
+        self.frames.insert(at, PendingFrame { why, ..frame });
     }
 
     /// The frames of a source for `name`, in the order of their arrival.
-    pub fn release(&mut self, name: &Name, source: &Name) -> Vec<HeldFrame> {
+    pub fn release(&mut self, name: &Name, source: &Name) -> Vec<PendingFrame> {
         let (released, kept): (Vec<_>, Vec<_>) =
             self.frames.drain(..).partition(|frame| frame.name == *name && frame.source == *source);
-        self.bytes -= released.iter().map(HeldFrame::cost).sum::<usize>();
+        self.bytes -= released.iter().map(PendingFrame::cost).sum::<usize>();
         self.frames = kept.into();
         released
     }
 
     /// The next frame that waited too long: of which name, why it waited, and for how many drops it counts.
     pub fn next_expired(&mut self) -> Option<(Name, (DropReason, u64))> {
-        let frame = self.frames.pop_front_if(|frame| frame.since.elapsed() >= PATIENCE)?;
+        let frame = self.frames.pop_front_if(|frame| frame.since.elapsed() >= TIMEOUT)?;
         self.bytes -= frame.cost();
         Some((frame.name, frame.why))
     }

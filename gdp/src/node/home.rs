@@ -8,7 +8,7 @@ use parking_lot::Mutex;
 use tokio::time::sleep;
 
 use gdp_core::cert::{CertError, Revocation, Signed};
-use gdp_core::domain::{Admission, CurrentPapers, DomainError, Papers, Trust};
+use gdp_core::domain::{Admission, Credentials, CurrentCredentials, DomainError, Trust};
 use gdp_core::identity::Identity;
 use gdp_core::name::NameProof;
 use gdp_core::peer::Role;
@@ -22,15 +22,15 @@ const LOOK: Duration = Duration::from_millis(250);
 pub struct Home {
     trust: Option<Mutex<Trust>>,
     /// For the ports of the node's links.
-    pub shown: CurrentPapers,
+    pub shown: CurrentCredentials,
     /// Rises with all that may change a judgement.
     changes: AtomicU64,
 }
 
 impl Home {
     /// Without papers the node takes any switch.
-    pub fn new(identity: &Identity, papers: Option<Papers>) -> Result<Self, DomainError> {
-        let shown = CurrentPapers::default();
+    pub fn new(identity: &Identity, papers: Option<Credentials>) -> Result<Self, DomainError> {
+        let shown = CurrentCredentials::default();
         let trust = match papers.map(Arc::new) {
             Some(papers) => {
                 shown.set(papers.clone());
@@ -47,7 +47,7 @@ impl Home {
         self.judge_by(link, link.papers().as_deref())
     }
 
-    fn judge_by(&self, link: &Link, shown: Option<&Papers>) -> Result<Admission, DomainError> {
+    fn judge_by(&self, link: &Link, shown: Option<&Credentials>) -> Result<Admission, DomainError> {
         match &self.trust {
             Some(trust) => trust.lock().admit(Role::Endpoint, link.peer(), shown, unix_seconds()),
             None => Ok(Admission::STRANGER),
@@ -55,7 +55,7 @@ impl Home {
     }
 
     /// Puts renewed papers in place of those there were; a node without any stays so.
-    pub fn renew(&self, papers: Arc<Papers>) -> Result<(), DomainError> {
+    pub fn renew(&self, papers: Arc<Credentials>) -> Result<(), DomainError> {
         if let Some(trust) = &self.trust {
             trust.lock().renew(papers.clone(), true)?;
             self.shown.set(papers);
@@ -65,9 +65,9 @@ impl Home {
     }
 
     /// The switch shows renewed papers.
-    pub fn take_papers(&self, link: &Link, papers: Papers) -> Result<(), DomainError> {
+    pub fn take_credentials(&self, link: &Link, papers: Credentials) -> Result<(), DomainError> {
         self.judge_by(link, Some(&papers))?;
-        link.set_papers(Arc::new(papers));
+        link.set_credentials(Arc::new(papers));
         self.changed();
         Ok(())
     }

@@ -7,11 +7,11 @@ use std::sync::Arc;
 use gdp_wire::Name;
 use tokio::sync::watch;
 
-use super::desk::Tray;
 use super::ending::{Ended, Ending};
 use super::options::{PublishOptions, SubscribeOptions};
-use super::parties::{Instance, Parties, Place, joint_right};
 use super::publication::Publication;
+use super::request_queue::Tray;
+use super::service_instances::{Instance, PendingCall, ServiceInstances, joint_right};
 use super::state::State;
 use super::{NodeError, Stated};
 use gdp_e2e::seal::Message;
@@ -24,7 +24,7 @@ pub type Services = HashMap<(Name, NameRole), Service>;
 
 /// A service that this node calls or serves.
 pub struct Service {
-    pub parties: Parties,
+    pub parties: ServiceInstances,
     pub ending: Arc<Ending>,
     /// For what it serves, as long as it may.
     pub tray: Option<Tray>,
@@ -63,7 +63,7 @@ impl State {
     /// A request counts if its writer may call the service, as the service's owner has signed. It may come before the RIB has told of
     /// that: keys that the two have because of another service open it.
     fn take_request(&self, service: Name, request: Message) {
-        let now = self.outlet.clock.now();
+        let now = self.send_path.clock.now();
         let mut services = self.services.lock();
         let served = services.get_mut(&(service, NameRole::Server));
         let Some(Service { parties, tray: Some(tray), .. }) = served else {
@@ -89,10 +89,10 @@ impl State {
     }
 
     /// Those who call or serve a service are now others. To be called with [`State::counterparts`] locked, as all that changes parties.
-    pub(super) fn take_parties(&self, name: Name, role: NameRole, events: &[PeerEvent]) {
+    pub(super) fn take_instances(&self, name: Name, role: NameRole, events: &[PeerEvent]) {
         {
             // Until the end: what is sent before the way is open would be for nobody, so none is to be chosen that has none.
-            let (now, mut services) = (self.outlet.clock.now(), self.services.lock());
+            let (now, mut services) = (self.send_path.clock.now(), self.services.lock());
             let joined = events.iter().filter_map(|event| match event {
                 PeerEvent::Joined(right) => Some(right.entity),
                 _ => None,
@@ -108,9 +108,9 @@ impl State {
         self.release_requests();
     }
 
-    /// Lets go of parties whose time is over. As [`Self::take_parties`].
-    pub(super) fn sweep_parties(&self) {
-        let (now, now_unix) = (self.outlet.clock.now(), unix_seconds());
+    /// Lets go of parties whose time is over. As [`Self::take_instances`].
+    pub(super) fn sweep_instances(&self) {
+        let (now, now_unix) = (self.send_path.clock.now(), unix_seconds());
         {
             let mut services = self.services.lock();
             let gone = services.values_mut().flat_map(|service| service.parties.sweep(now, now_unix)).collect();
@@ -119,12 +119,12 @@ impl State {
         self.release_requests();
     }
 
-    /// Nothing is called or served any more by this. As [`Self::take_parties`].
+    /// Nothing is called or served any more by this. As [`Self::take_instances`].
     pub(super) fn end_service(&self, name: Name, stated: Stated, why: Ended) {
         let mut services = self.services.lock();
         if let Some(mut service) = services.remove(&(name, stated.role())) {
             service.end(why);
-            self.settle(&services, service.parties.clear(self.outlet.clock.now()), &BTreeSet::new());
+            self.settle(&services, service.parties.clear(self.send_path.clock.now()), &BTreeSet::new());
         }
     }
 
@@ -140,7 +140,7 @@ impl State {
                 None => self.close_way(entity),
             }
         }
-        self.outlet.upkeep.notify_one();
+        self.send_path.upkeep.notify_one();
     }
 
     fn open_way(&self, right: Counterpart, returned: bool) {
@@ -152,14 +152,14 @@ impl State {
                 if returned {
                     // The RIB has forgotten the boxes of a pair that had parted.
                     publication.store_again();
-                    publication.returned(&self.outlet, &entity);
+                    publication.returned(&self.send_path, &entity);
                 }
-                publication.take(&self.outlet, unix_seconds(), [joined.clone()]);
+                publication.take(&self.send_path, unix_seconds(), [joined.clone()]);
             }
-            None => match Publication::new(entity, &self.identity, &PublishOptions::reliable(), &self.outlet) {
+            None => match Publication::new(entity, &self.identity, &PublishOptions::reliable(), &self.send_path) {
                 Ok(publication) => {
                     // Before anybody can send by it.
-                    publication.take(&self.outlet, unix_seconds(), [joined.clone()]);
+                    publication.take(&self.send_path, unix_seconds(), [joined.clone()]);
                     self.register(Arc::new(publication));
                 }
                 Err(error) => return tracing::error!(party = %entity, %error, "nothing can be sent to it"),
@@ -177,7 +177,7 @@ impl State {
     }
 
     fn release_requests(&self) {
-        let now = self.outlet.clock.now();
+        let now = self.send_path.clock.now();
         for Service { parties, tray, .. } in self.services.lock().values_mut() {
             let Some(tray) = tray else { continue };
             let (released, late) = tray.release(now, |caller| parties.right(caller).is_some());
@@ -188,7 +188,7 @@ impl State {
     }
 
     /// A place at a server of the service: at `one`, or at the one to call next.
-    pub(super) fn choose(&self, service: Name, one: Option<&Name>) -> Option<Place> {
+    pub(super) fn choose(&self, service: Name, one: Option<&Name>) -> Option<PendingCall> {
         let costs = self.costs();
         self.services.lock().get(&(service, NameRole::Caller))?.parties.choose(one, |switch| costs.get(switch).copied())
     }
@@ -222,7 +222,7 @@ impl State {
 
     /// What paths cost from the switch of the main link, as it last said.
     fn costs(&self) -> Arc<PathCosts> {
-        let main = self.outlet.ways().borrow().main;
+        let main = self.send_path.ways().borrow().main;
         self.costs.lock().get(main).cloned().unwrap_or_default()
     }
 

@@ -1,5 +1,5 @@
 //! One of the node's links, for as long as the node lives: where it leads, how it is, what copies wait for it and what went by it.
-//! [`Outlet`](super::outlet) sends by it, its [supervisor](super::supervisor) makes it again when it is lost.
+//! [`SendPath`](super::send_path) sends by it, its [supervisor](super::supervisor) makes it again when it is lost.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -37,7 +37,7 @@ impl Status {
     }
 }
 
-pub struct Lane {
+pub struct LinkSlot {
     pub budget: Option<u64>,
     /// There may be something to state over it.
     pub unstated: Notify,
@@ -84,7 +84,7 @@ pub enum LinkState {
     Down,
 }
 
-impl Lane {
+impl LinkSlot {
     pub fn new(config: &LinkConfig) -> Self {
         let max_payload = usize::from(SMALLEST_PATH) - Header::LEN;
         Self {

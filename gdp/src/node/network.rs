@@ -29,7 +29,7 @@ const GROUPS: [MulticastGroup; 5] = [
 ];
 
 /// How long the kernel may take to answer. It does at once, unless somebody reconfigures very much.
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// When it is asked again if it has not answered, or with an error.
 const ASK_AGAIN: Duration = Duration::from_secs(1);
@@ -39,7 +39,7 @@ const BETWEEN: Duration = Duration::from_millis(5);
 
 /// How what is sent to an address leaves this machine, as far as the kernel says.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Way {
+pub enum NetworkPath {
     By(Exit),
     /// Not at all.
     Nowhere,
@@ -92,23 +92,23 @@ impl Network {
     }
 
     /// How `to` is reached; `through` no other interface than that one.
-    pub async fn way(&self, to: LinkAddr, through: Option<u32>) -> Way {
+    pub async fn way(&self, to: LinkAddr, through: Option<u32>) -> NetworkPath {
         let (interface, source, router) = match to {
             LinkAddr::Ethernet { ifindex, .. } => (ifindex, None, None),
             LinkAddr::Udp(to) => match self.route(to.ip().to_canonical(), through).await {
                 Answer::Route(route) => route,
-                Answer::NoRoute => return Way::Nowhere,
-                Answer::None => return Way::Unknown,
+                Answer::NoRoute => return NetworkPath::Nowhere,
+                Answer::None => return NetworkPath::Unknown,
             },
         };
         match self.carriers.lock().of(interface) {
-            Some(carrier) => Way::By(Exit { interface, carrier, source, router }),
-            None => Way::Nowhere,
+            Some(carrier) => NetworkPath::By(Exit { interface, carrier, source, router }),
+            None => NetworkPath::Nowhere,
         }
     }
 
     /// Returns how `to` is reached once that is otherwise than `before`; see [`until_other`].
-    pub async fn until_other(&self, to: LinkAddr, through: Option<u32>, before: &Way) -> Way {
+    pub async fn until_other(&self, to: LinkAddr, through: Option<u32>, before: &NetworkPath) -> NetworkPath {
         until_other(self.changes(), before.clone(), || self.way(to, through)).await
     }
 
@@ -127,11 +127,11 @@ impl Network {
 
 /// Returns what `look` finds once that is something else than `before`. What is not known is nothing else; if it was not known before,
 /// what is found first is what it was. `changes`: when it may be otherwise.
-pub async fn until_other<F: Future<Output = Way>>(
+pub async fn until_other<F: Future<Output = NetworkPath>>(
     mut changes: watch::Receiver<()>,
-    mut before: Way,
+    mut before: NetworkPath,
     look: impl Fn() -> F,
-) -> Way {
+) -> NetworkPath {
     loop {
         changes.mark_unchanged();
         let now = look().await;
@@ -142,8 +142,8 @@ pub async fn until_other<F: Future<Output = Way>>(
             }
         };
         match now {
-            Way::Unknown => _ = timeout(ASK_AGAIN, changed).await,
-            now if before == Way::Unknown || before == now => {
+            NetworkPath::Unknown => _ = timeout(ASK_AGAIN, changed).await,
+            now if before == NetworkPath::Unknown || before == now => {
                 before = now;
                 changed.await;
             }
@@ -153,11 +153,15 @@ pub async fn until_other<F: Future<Output = Way>>(
 }
 
 /// As [`until_other`]; but once there is a way, and another one than the last that there was or none.
-pub async fn until_led<F: Future<Output = Way>>(changes: watch::Receiver<()>, before: Way, look: impl Fn() -> F) {
+pub async fn until_led<F: Future<Output = NetworkPath>>(
+    changes: watch::Receiver<()>,
+    before: NetworkPath,
+    look: impl Fn() -> F,
+) {
     let mut way = before;
     loop {
         way = until_other(changes.clone(), way, &look).await;
-        if let Way::By(_) = way {
+        if let NetworkPath::By(_) = way {
             return;
         }
     }
@@ -175,7 +179,7 @@ enum Answer {
 
 impl Answer {
     async fn of(asked: impl Future<Output = Result<Option<RouteMessage>, rtnetlink::Error>>) -> Self {
-        match timeout(PATIENCE, asked).await {
+        match timeout(TIMEOUT, asked).await {
             Ok(Ok(Some(route))) => Self::from(&route),
             Ok(Err(rtnetlink::Error::NetlinkError(error))) if is_no_route(-error.raw_code()) => Self::NoRoute,
             Ok(Err(error)) => {

@@ -32,9 +32,9 @@ pub async fn wait(backoff: &mut Backoff) {
 
 /// When news cut pauses short, the last [`AT_ONCE`] times.
 #[derive(Debug, Default)]
-pub struct Hurry(VecDeque<Instant>);
+pub struct ExpediteToken(VecDeque<Instant>);
 
-impl Hurry {
+impl ExpediteToken {
     /// Waits for the end of the pause, or for `news`; then the next pause is a short one again, unless these may be of no use (`blind`).
     pub async fn pause(&mut self, backoff: &mut Backoff, news: impl Future<Output = ()>, blind: bool) {
         let apart = if blind { BLIND } else { HURRIED };

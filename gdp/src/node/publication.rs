@@ -9,11 +9,11 @@ use parking_lot::Mutex;
 use tokio::sync::Notify;
 
 use super::ending::{Ended, Ending};
-use super::gathered::{GATHERING, Gathered};
 use super::latched::LatchedSamples;
+use super::message_batch::{GATHERING, MessageBatch};
 use super::options::PublishOptions;
-use super::outlet::Outlet;
 use super::publisher::Unflushed;
+use super::send_path::SendPath;
 use super::{NodeError, Reliability};
 use gdp_core::cert::Revocation;
 use gdp_core::crypto::{Backend, PUBLIC_KEY_LEN};
@@ -58,8 +58,8 @@ struct Sealing {
     ring: KeyRing,
     segments: Segments,
     /// Comes next; empty while something is pending. The first of it waits until then.
-    gathered: Gathered,
-    gathered_until: u64,
+    gathered: MessageBatch,
+    batched_until: u64,
     /// When something was sealed last.
     sealed_at: u64,
     /// Sealed, and waits for room.
@@ -103,8 +103,8 @@ struct Reader {
 /// What became of a message.
 pub enum Pushed {
     Taken,
-    /// It waits for others. The first that does says until when: then [`Publication::seal_gathered`] is to be called.
-    Gathered(Option<u64>),
+    /// It waits for others. The first that does says until when: then [`Publication::seal_batch`] is to be called.
+    MessageBatch(Option<u64>),
     /// It waits for room.
     Waits,
 }
@@ -123,22 +123,27 @@ impl Readers {
 }
 
 impl Publication {
-    pub fn new(name: Name, identity: &Identity, options: &PublishOptions, outlet: &Outlet) -> Result<Self, NodeError> {
+    pub fn new(
+        name: Name,
+        identity: &Identity,
+        options: &PublishOptions,
+        send_path: &SendPath,
+    ) -> Result<Self, NodeError> {
         let mut writer = Writer::new(name, identity.name(), identity.key().clone(), Backend::default())?;
         let ring = KeyRing::new(name, identity, options.rotation, unix_nanos())?;
         let (epoch, key) = ring.current();
         writer.set_epoch(epoch, key)?;
         let session = writer.session();
-        let topic = outlet.uplink.lock().open(outlet.clock.now(), name, session, (*options).into());
+        let topic = send_path.uplink.lock().open(send_path.clock.now(), name, session, (*options).into());
         let (segments, latched) = (Segments::new(), LatchedSamples::new(options.latched));
         let is_reliable = matches!(options.reliability, Reliability::Reliable { .. });
-        let gathered = Gathered::new(is_reliable.then_some(options.history));
+        let gathered = MessageBatch::new(is_reliable.then_some(options.history));
         let sealing = Sealing {
             writer,
             ring,
             segments,
             gathered,
-            gathered_until: 0,
+            batched_until: 0,
             sealed_at: 0,
             pending: None,
             latched,
@@ -160,8 +165,8 @@ impl Publication {
     }
 
     /// What is best effort fails while there is no link; what is reliable waits for one.
-    pub fn check_link(&self, outlet: &Outlet) -> Result<(), NodeError> {
-        match outlet.sending_on() {
+    pub fn check_link(&self, send_path: &SendPath) -> Result<(), NodeError> {
+        match send_path.sending_on() {
             Err(NodeError::Detached(_)) if self.is_reliable => Ok(()),
             link => link.map(drop),
         }
@@ -192,14 +197,14 @@ impl Publication {
     }
 
     /// What has not gone yet, and what of it whom has not reached.
-    pub fn unfinished(&self, outlet: &Outlet) -> Unflushed {
+    pub fn unfinished(&self, send_path: &SendPath) -> Unflushed {
         let readers = self.readers.lock();
         let waiting = {
             let sealing = self.sealing.lock();
             let pending = sealing.pending.as_ref().map_or(0, |sealed| sealed.last() - sealed.first() + 1);
             pending + sealing.gathered.len() as u64
         };
-        let (unsent, lacking) = outlet.uplink.lock().unfinished(self.topic).unwrap_or_default();
+        let (unsent, lacking) = send_path.uplink.lock().unfinished(self.topic).unwrap_or_default();
         let lacking = lacking.into_iter().filter(|(reader, _)| self.is_reliable && readers.asks_for_all(reader));
         Unflushed { unsent: unsent + waiting, unacknowledged: lacking.collect() }
     }
@@ -208,7 +213,7 @@ impl Publication {
     /// Returns the sequence of the first, which `begun` is told before anything can go.
     pub fn push(
         &self,
-        outlet: &Outlet,
+        send_path: &SendPath,
         drafts: &[Draft<'_>],
         begun: &mut Option<impl FnOnce(u64)>,
     ) -> Result<Option<(u64, Pushed)>, NodeError> {
@@ -217,87 +222,87 @@ impl Publication {
         if sealing.pending.is_some() {
             return Ok(None);
         }
-        let (now, taken) = (outlet.clock.now(), |first| move |pushed| Some((first, pushed)));
-        if Gathered::takes(drafts) {
+        let (now, taken) = (send_path.clock.now(), |first| move |pushed| Some((first, pushed)));
+        if MessageBatch::takes(drafts) {
             let begins = sealing.gathered.is_empty();
             if begins {
                 // As long as the last one was ago, another is not likely to come.
-                let wait = (outlet.turns.take(now) - now).max(GATHERING);
+                let wait = (send_path.turns.take(now) - now).max(GATHERING);
                 let is_soon = now.saturating_sub(sealing.sealed_at) < wait;
-                sealing.gathered_until = if is_soon { now + wait } else { now };
+                sealing.batched_until = if is_soon { now + wait } else { now };
             }
-            let waits = sealing.gathered_until > now;
+            let waits = sealing.batched_until > now;
             if waits || !begins {
                 let first = sealing.writer.next_sequence() + sealing.gathered.len() as u64;
                 sealing.gathered.push(&drafts[0]);
                 begun.take().into_iter().for_each(|begun| begun(first));
                 if !waits || sealing.gathered.is_full() {
-                    return self.seal_all(outlet, sealing).map(taken(first));
+                    return self.seal_all(send_path, sealing).map(taken(first));
                 }
-                return Ok(Some((first, Pushed::Gathered(begins.then_some(sealing.gathered_until)))));
+                return Ok(Some((first, Pushed::MessageBatch(begins.then_some(sealing.batched_until)))));
             }
         }
-        if let Pushed::Waits = self.seal_all(outlet, sealing)? {
+        if let Pushed::Waits = self.seal_all(send_path, sealing)? {
             return Ok(None);
         }
         let first = sealing.writer.next_sequence();
-        sealing.seal(now, drafts, outlet.max_payload_of(self.topic))?;
+        sealing.seal(now, drafts, send_path.max_payload_of(self.topic))?;
         begun.take().into_iter().for_each(|begun| begun(first));
-        self.push_pending(outlet, sealing).map(taken(first))
+        self.push_pending(send_path, sealing).map(taken(first))
     }
 
     /// Seals what was gathered and waits no longer than until `due`.
-    pub fn seal_gathered(&self, outlet: &Outlet, due: u64) -> Result<Pushed, NodeError> {
+    pub fn seal_batch(&self, send_path: &SendPath, due: u64) -> Result<Pushed, NodeError> {
         self.check()?;
         let sealing = &mut *self.sealing.lock();
-        if sealing.gathered_until > due { Ok(Pushed::Taken) } else { self.seal_all(outlet, sealing) }
+        if sealing.batched_until > due { Ok(Pushed::Taken) } else { self.seal_all(send_path, sealing) }
     }
 
     /// What was gathered waits for nothing more.
-    pub fn finish(&self, outlet: &Outlet) {
-        if self.seal_gathered(outlet, u64::MAX).is_ok() {
-            outlet.send();
+    pub fn finish(&self, send_path: &SendPath) {
+        if self.seal_batch(send_path, u64::MAX).is_ok() {
+            send_path.send();
         }
     }
 
-    fn seal_all(&self, outlet: &Outlet, sealing: &mut Sealing) -> Result<Pushed, NodeError> {
+    fn seal_all(&self, send_path: &SendPath, sealing: &mut Sealing) -> Result<Pushed, NodeError> {
         if sealing.gathered.is_empty() {
             return Ok(Pushed::Taken);
         }
-        let mut gathered = std::mem::replace(&mut sealing.gathered, Gathered::new(None));
-        let sealed = sealing.seal(outlet.clock.now(), &gathered.drafts(), outlet.max_payload_of(self.topic));
+        let mut gathered = std::mem::replace(&mut sealing.gathered, MessageBatch::new(None));
+        let sealed = sealing.seal(send_path.clock.now(), &gathered.drafts(), send_path.max_payload_of(self.topic));
         gathered.clear();
         sealing.gathered = gathered;
         sealed?;
-        self.push_pending(outlet, sealing)
+        self.push_pending(send_path, sealing)
     }
 
     /// Brings what waits for room into the outbox, and then what is to be sent again.
-    pub fn push_waiting(&self, outlet: &Outlet) -> Result<Pushed, NodeError> {
+    pub fn push_waiting(&self, send_path: &SendPath) -> Result<Pushed, NodeError> {
         self.check()?;
         let sealing = &mut *self.sealing.lock();
         loop {
-            if let Pushed::Waits = self.push_pending(outlet, sealing)? {
+            if let Pushed::Waits = self.push_pending(send_path, sealing)? {
                 return Ok(Pushed::Waits);
             }
             // What was gathered has its sequences already.
             if sealing.latched.has_again()
-                && let Pushed::Waits = self.seal_all(outlet, sealing)?
+                && let Pushed::Waits = self.seal_all(send_path, sealing)?
             {
                 return Ok(Pushed::Waits);
             }
             sealing.take_key()?;
             let Sealing { writer, ring, segments, latched, pending, .. } = sealing;
             let Some(draft) = latched.next_again() else { return Ok(Pushed::Taken) };
-            writer.seal_batch(unix_nanos(), &[draft], outlet.max_payload_of(self.topic), segments)?;
+            writer.seal_batch(unix_nanos(), &[draft], send_path.max_payload_of(self.topic), segments)?;
             ring.used(1, segments.total_bytes() as u64);
             *pending = Sealed::new(std::mem::take(segments));
         }
     }
 
     /// Sends the latched messages again, if a reader has come that lacks them.
-    pub fn latch(&self, outlet: &Outlet) {
-        let now = outlet.clock.now();
+    pub fn latch(&self, send_path: &SendPath) {
+        let now = send_path.clock.now();
         {
             let readers = &mut *self.readers.lock();
             let soon = readers.latched_at.is_some_and(|last| now.saturating_sub(last) < BETWEEN_LATCHES);
@@ -307,26 +312,26 @@ impl Publication {
             (readers.lacks_latched, readers.latched_at) = (false, Some(now));
         }
         self.sealing.lock().latched.again();
-        self.send_again(outlet);
+        self.send_again(send_path);
     }
 
-    fn send_again(&self, outlet: &Outlet) {
-        match self.push_waiting(outlet) {
-            Ok(_) => outlet.wake(),
+    fn send_again(&self, send_path: &SendPath) {
+        match self.push_waiting(send_path) {
+            Ok(_) => send_path.wake(),
             Err(error) => tracing::debug!(name = %self.name, %error, "what is kept for readers could not be sent"),
         }
     }
 
     /// Sends a message about the name, and keeps it for readers that come later.
-    pub fn pin(&self, outlet: &Outlet, encoding: Encoding, body: &[u8]) {
+    pub fn pin(&self, send_path: &SendPath, encoding: Encoding, body: &[u8]) {
         self.sealing.lock().latched.pin(encoding, body);
-        self.send_again(outlet);
+        self.send_again(send_path);
     }
 
     /// Sends a message about the name.
-    pub fn mention(&self, outlet: &Outlet, encoding: Encoding, body: &[u8]) {
+    pub fn mention(&self, send_path: &SendPath, encoding: Encoding, body: &[u8]) {
         self.sealing.lock().latched.mention(encoding, body);
-        self.send_again(outlet);
+        self.send_again(send_path);
     }
 
     /// Latches so many of this origin.
@@ -335,15 +340,15 @@ impl Publication {
     }
 
     /// Latches nothing of this origin any more.
-    pub fn forget(&self, outlet: &Outlet, origin: &[u8]) {
+    pub fn forget(&self, send_path: &SendPath, origin: &[u8]) {
         // What was gathered is latched when it is sealed.
-        self.finish(outlet);
+        self.finish(send_path);
         self.sealing.lock().latched.forget(origin);
     }
 
-    fn push_pending(&self, outlet: &Outlet, sealing: &mut Sealing) -> Result<Pushed, NodeError> {
+    fn push_pending(&self, send_path: &SendPath, sealing: &mut Sealing) -> Result<Pushed, NodeError> {
         let Some(sealed) = sealing.pending.take() else { return Ok(Pushed::Taken) };
-        let pushed = outlet.uplink.lock().push(outlet.clock.now(), self.topic, sealed);
+        let pushed = send_path.uplink.lock().push(send_path.clock.now(), self.topic, sealed);
         match pushed {
             Ok(()) => Ok(Pushed::Taken),
             Err(Full::Wait(sealed)) => {
@@ -380,7 +385,7 @@ impl Publication {
     }
 
     /// Answers a reader that asks which session this is.
-    pub fn welcome(&self, outlet: &Outlet, reader: &Name, challenge: [u8; 16], wants: Wants) -> Option<Feedback> {
+    pub fn welcome(&self, send_path: &SendPath, reader: &Name, challenge: [u8; 16], wants: Wants) -> Option<Feedback> {
         let readers = &mut *self.readers.lock();
         let entry = readers.known.get_mut(reader)?;
         entry.wants = wants;
@@ -391,7 +396,7 @@ impl Publication {
             readers.lacks_latched = true;
             // One that asks again has lost what it knew, or has reason to doubt it: it begins with what comes now.
             if entry.greeted.replace(challenge).is_some() {
-                entry.from = outlet.uplink.lock().join(outlet.clock.now(), self.topic, *reader)?;
+                entry.from = send_path.uplink.lock().join(send_path.clock.now(), self.topic, *reader)?;
             }
         }
         let (name, session, sequence, reliable) = (self.name, self.session, entry.from, self.is_reliable);
@@ -399,23 +404,23 @@ impl Publication {
     }
 
     /// A reader that was away is back. If it has begun anew, what is sent from now on is for it, also what goes before it asks.
-    pub fn returned(&self, outlet: &Outlet, reader: &Name) {
+    pub fn returned(&self, send_path: &SendPath, reader: &Name) {
         let readers = &mut *self.readers.lock();
         let Some(entry) = readers.known.get_mut(reader) else { return };
-        if let Some(from) = outlet.uplink.lock().join(outlet.clock.now(), self.topic, *reader) {
+        if let Some(from) = send_path.uplink.lock().join(send_path.clock.now(), self.topic, *reader) {
             (entry.from, entry.greeted) = (from, None);
         }
     }
 
     /// Takes what the RIB told of readers, and was verified.
-    pub fn take(&self, outlet: &Outlet, now_unix: u64, events: impl IntoIterator<Item = PeerEvent>) {
+    pub fn take(&self, send_path: &SendPath, now_unix: u64, events: impl IntoIterator<Item = PeerEvent>) {
         let readers = &mut *self.readers.lock();
         for event in events {
             match event {
-                PeerEvent::Joined(right) => self.join(outlet, readers, right),
+                PeerEvent::Joined(right) => self.join(send_path, readers, right),
                 PeerEvent::Left(reader) => {
                     if let Some(entry) = readers.known.get_mut(&reader) {
-                        entry.absent = entry.absent.or(Some(outlet.clock.now()));
+                        entry.absent = entry.absent.or(Some(send_path.clock.now()));
                     }
                 }
                 PeerEvent::Expelled(reader) => {
@@ -429,34 +434,34 @@ impl Publication {
                 PeerEvent::KeyBox(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }
-        self.sweep(outlet, readers, now_unix);
+        self.sweep(send_path, readers, now_unix);
     }
 
     /// Lets go of readers whose right has ended, or that are absent for long.
-    pub fn expire(&self, outlet: &Outlet, now_unix: u64) {
-        self.sweep(outlet, &mut self.readers.lock(), now_unix);
+    pub fn expire(&self, send_path: &SendPath, now_unix: u64) {
+        self.sweep(send_path, &mut self.readers.lock(), now_unix);
     }
 
-    fn join(&self, outlet: &Outlet, readers: &mut Readers, right: Counterpart) {
+    fn join(&self, send_path: &SendPath, readers: &mut Readers, right: Counterpart) {
         let (entity, box_key) = (right.entity, right.box_key);
         if let Some(entry) = readers.known.get_mut(&entity) {
             if entry.right.box_key != box_key {
-                let mut pairs = outlet.pairs.lock();
+                let mut pairs = send_path.pairs.lock();
                 pairs.introduce(entity, box_key);
                 pairs.part(&entity);
             }
             (entry.right, entry.absent) = (right, None);
             return;
         }
-        outlet.pairs.lock().introduce(entity, box_key);
-        let mut uplink = outlet.uplink.lock();
+        send_path.pairs.lock().introduce(entity, box_key);
+        let mut uplink = send_path.uplink.lock();
         // Beyond what the transport keeps account of, readers get what the others get.
-        let from = uplink.join(outlet.clock.now(), self.topic, entity).unwrap_or(1);
+        let from = uplink.join(send_path.clock.now(), self.topic, entity).unwrap_or(1);
         readers.known.insert(entity, Reader { right, from, greeted: None, absent: None, wants: Wants::Newest });
     }
 
-    fn sweep(&self, outlet: &Outlet, readers: &mut Readers, now_unix: u64) {
-        let now = outlet.clock.now();
+    fn sweep(&self, send_path: &SendPath, readers: &mut Readers, now_unix: u64) {
+        let now = send_path.clock.now();
         let Readers { known, revocation, .. } = readers;
         let too_many = known.values().filter(|reader| reader.absent.is_some()).count().saturating_sub(MOST_ABSENT);
         let mut away: Vec<_> = known.iter().filter_map(|(name, reader)| Some((reader.absent?, *name))).collect();
@@ -470,8 +475,8 @@ impl Publication {
         });
         let gone: Vec<Name> = ended.map(|(name, _)| *name).chain(longest).collect();
         for reader in gone.into_iter().filter(|reader| known.remove(reader).is_some()) {
-            outlet.uplink.lock().leave(now, self.topic, &reader);
-            outlet.pairs.lock().part(&reader);
+            send_path.uplink.lock().leave(now, self.topic, &reader);
+            send_path.pairs.lock().part(&reader);
         }
         let readers: Vec<(Name, [u8; PUBLIC_KEY_LEN])> =
             known.iter().map(|(name, reader)| (*name, reader.right.box_key)).collect();
@@ -534,21 +539,21 @@ impl Publication {
     }
 
     /// What became of messages and frames so far, also once it is closed.
-    pub fn counters(&self, outlet: &Outlet) -> TopicCounters {
-        let now = outlet.uplink.lock().counters(self.topic);
+    pub fn counters(&self, send_path: &SendPath) -> TopicCounters {
+        let now = send_path.uplink.lock().counters(self.topic);
         now.or_else(|| self.last_counters.get().copied()).unwrap_or_default()
     }
 
     /// Nothing is published any more.
-    pub fn close(&self, outlet: &Outlet) {
+    pub fn close(&self, send_path: &SendPath) {
         {
-            let mut uplink = outlet.uplink.lock();
+            let mut uplink = send_path.uplink.lock();
             uplink.counters(self.topic).map(|last| self.last_counters.set(last));
             uplink.close(self.topic);
         }
         self.ending.end(Ended::Closed);
         let readers = std::mem::take(&mut self.readers.lock().known);
-        let mut pairs = outlet.pairs.lock();
+        let mut pairs = send_path.pairs.lock();
         readers.keys().for_each(|reader| pairs.part(reader));
     }
 }

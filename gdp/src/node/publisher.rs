@@ -9,8 +9,8 @@ use gdp_wire::Name;
 
 use super::counters::{Meter, PublisherCounters};
 use super::ending::Ended;
-use super::outlet::Outlet;
 use super::publication::{Publication, Pushed};
+use super::send_path::SendPath;
 use super::state::Statement;
 use super::{Feedback, Handle, NodeError, Stated};
 use gdp_core::cert::{AdCert, Issued};
@@ -58,14 +58,14 @@ impl Publisher {
 
     /// What became of messages and frames so far.
     pub fn counters(&self) -> PublisherCounters {
-        PublisherCounters::of(&self.publication, &self.node.state.outlet, &self.feedback)
+        PublisherCounters::of(&self.publication, &self.node.state.send_path, &self.feedback)
     }
 
     /// The same at any time, from any task.
     pub fn meter(&self) -> Meter<PublisherCounters> {
-        let (publication, outlet, feedback) =
-            (self.publication.clone(), self.node.state.outlet.clone(), self.feedback.clone());
-        Meter::new(move || PublisherCounters::of(&publication, &outlet, &feedback))
+        let (publication, send_path, feedback) =
+            (self.publication.clone(), self.node.state.send_path.clone(), self.feedback.clone());
+        Meter::new(move || PublisherCounters::of(&publication, &send_path, &feedback))
     }
 
     /// Waits until nothing can be sent any more, and says why.
@@ -83,16 +83,16 @@ impl Publisher {
     /// Returns once all that was sent has left this host, and, if the name is reliable, every reader that is live and asks for every message
     /// has acknowledged it; or after `patience`, with what is left. What is best effort fails at once while there is no link.
     pub async fn flush(&mut self, patience: Duration) -> Result<(), NodeError> {
-        let (publication, outlet) = (&self.publication, &self.node.state.outlet);
+        let (publication, send_path) = (&self.publication, &self.node.state.send_path);
         let deadline = tokio::time::Instant::now() + patience;
-        publication.finish(outlet);
+        publication.finish(send_path);
         loop {
             publication.check()?;
-            let unfinished = publication.unfinished(outlet);
+            let unfinished = publication.unfinished(send_path);
             if unfinished == Unflushed::default() {
                 return Ok(());
             }
-            publication.check_link(outlet)?;
+            publication.check_link(send_path)?;
             if tokio::time::Instant::now() >= deadline {
                 return Err(unfinished.into());
             }
@@ -119,13 +119,13 @@ impl Publisher {
     /// rather not seal what newer ones replace. What goes nowhere has its turn at once; what [`Self::send`] would fail with for want of a
     /// link, this does as well.
     pub async fn ready(&self) -> Result<(), NodeError> {
-        let outlet = &self.node.state.outlet;
+        let send_path = &self.node.state.send_path;
         loop {
             let mut room = pin!(self.publication.room.notified());
             room.as_mut().enable();
             self.publication.check()?;
-            self.publication.check_link(outlet)?;
-            if outlet.uplink.lock().has_turn(self.publication.topic) {
+            self.publication.check_link(send_path)?;
+            if send_path.uplink.lock().has_turn(self.publication.topic) {
                 return Ok(());
             }
             room.await;
@@ -144,12 +144,12 @@ impl Publisher {
     /// Sends a message about the name, now and to every reader that comes later, before what is latched; in place of the one that was
     /// pinned before. Readers may get it several times.
     pub fn pin(&self, encoding: Encoding, body: &[u8]) {
-        self.publication.pin(&self.node.state.outlet, encoding, body);
+        self.publication.pin(&self.node.state.send_path, encoding, body);
     }
 
     /// Sends a message about the name to those who read it now. It is not latched.
     pub fn mention(&self, encoding: Encoding, body: &[u8]) {
-        self.publication.mention(&self.node.state.outlet, encoding, body);
+        self.publication.mention(&self.node.state.send_path, encoding, body);
     }
 
     /// Latches the last `most` messages of this origin, whatever [`PublishOptions::latched`](super::PublishOptions::latched) says of the others; until
@@ -160,34 +160,34 @@ impl Publisher {
 
     /// Sends readers that come later nothing more of what was [latched](super::PublishOptions::latched) with this origin.
     pub fn forget(&self, origin: &[u8]) {
-        self.publication.forget(&self.node.state.outlet, origin);
+        self.publication.forget(&self.node.state.send_path, origin);
     }
 
     async fn try_send(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
-        send_through(&self.publication, &self.node.state.outlet, messages, |_| {}).await
+        send_through(&self.publication, &self.node.state.send_path, messages, |_| {}).await
     }
 }
 
 /// Seals messages and sends them; waits for room if it must. `begun` is told the sequence of the first before anything goes.
 pub(super) async fn send_through(
     publication: &Publication,
-    outlet: &Outlet,
+    send_path: &SendPath,
     messages: &[Draft<'_>],
     begun: impl FnOnce(u64),
 ) -> Result<u64, NodeError> {
-    publication.check_link(outlet)?;
+    publication.check_link(send_path)?;
     let mut begun = Some(begun);
     loop {
         // One that was cancelled may be waiting still.
-        until_taken(publication, outlet).await?;
-        let Some((first, pushed)) = publication.push(outlet, messages, &mut begun)? else { continue };
+        until_taken(publication, send_path).await?;
+        let Some((first, pushed)) = publication.push(send_path, messages, &mut begun)? else { continue };
         match pushed {
-            Pushed::Gathered(None) => {}
-            Pushed::Gathered(Some(until)) => outlet.gather(publication.topic, until),
-            Pushed::Taken => outlet.send(),
+            Pushed::MessageBatch(None) => {}
+            Pushed::MessageBatch(Some(until)) => send_path.gather(publication.topic, until),
+            Pushed::Taken => send_path.send(),
             Pushed::Waits => {
-                outlet.send();
-                until_taken(publication, outlet).await?;
+                send_path.send();
+                until_taken(publication, send_path).await?;
             }
         }
         return Ok(first);
@@ -195,24 +195,24 @@ pub(super) async fn send_through(
 }
 
 /// Returns once nothing waits for room any more.
-async fn until_taken(publication: &Publication, outlet: &Outlet) -> Result<(), NodeError> {
+async fn until_taken(publication: &Publication, send_path: &SendPath) -> Result<(), NodeError> {
     loop {
         let mut room = pin!(publication.room.notified());
         room.as_mut().enable();
-        if let Err(NodeError::Closed) = outlet.sending_on() {
+        if let Err(NodeError::Closed) = send_path.sending_on() {
             return Err(NodeError::Closed);
         }
-        if let Pushed::Taken = publication.push_waiting(outlet)? {
+        if let Pushed::Taken = publication.push_waiting(send_path)? {
             return Ok(());
         }
-        outlet.send();
+        send_path.send();
         room.await;
     }
 }
 
 impl Drop for Publisher {
     fn drop(&mut self) {
-        self.publication.finish(&self.node.state.outlet);
+        self.publication.finish(&self.node.state.send_path);
         self.node.state.withdraw(self.publication.name, Stated::Published);
     }
 }

@@ -5,7 +5,7 @@ use std::collections::{HashMap, VecDeque};
 
 use gdp_wire::Name;
 
-use super::intake::Change;
+use super::subscription_receiver::Change;
 use gdp_core::cert::{Revocation, Signed};
 use gdp_core::crypto::PUBLIC_KEY_LEN;
 use gdp_core::identity::Identity;

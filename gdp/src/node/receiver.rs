@@ -14,10 +14,10 @@ use zerocopy::FromBytes;
 use super::counters::Counters;
 use super::feedback::Feedbacks;
 use super::held::Held;
-use super::intake::{Change, Intake, Verdict};
-use super::outlet::Outlet;
 use super::publication::Publication;
+use super::send_path::SendPath;
 use super::shared_entry::SharedEntry;
+use super::subscription_receiver::{Change, SubscriptionReceiver, Verdict};
 use super::supervisor::Attachment;
 use gdp_core::peer::MAX_LANES;
 use gdp_e2e::feedback_wire::Feedback;
@@ -43,7 +43,7 @@ pub enum Command {
     },
     Subscribe {
         name: Name,
-        intake: Box<Intake>,
+        intake: Box<SubscriptionReceiver>,
     },
     Unsubscribe {
         name: Name,
@@ -69,14 +69,14 @@ pub enum Command {
 
 pub struct Receiver {
     pub commands: mpsc::Receiver<Command>,
-    pub outlet: Arc<Outlet>,
+    pub send_path: Arc<SendPath>,
     pub feedback: Arc<Feedbacks>,
 }
 
 impl Receiver {
     /// Runs until it is told to stop, or nobody can tell it any more.
     pub fn run(self) {
-        let mut intakes = Intakes::new(self.outlet, self.feedback);
+        let mut intakes = Intakes::new(self.send_path, self.feedback);
         // By lane.
         let mut attached: [Option<Socket>; MAX_LANES] = Default::default();
         let mut batch = None;
@@ -166,7 +166,7 @@ struct Rest {
     /// Since when it is waited for.
     since: Option<Instant>,
     /// How often it came while it was waited for, less how often it did not.
-    luck: i8,
+    hit_score: i8,
 }
 
 impl Rest {
@@ -178,12 +178,12 @@ impl Rest {
     /// Frames came. `is_amid`: they did not end all messages.
     fn came(&mut self, is_amid: bool) {
         if self.since.take().is_some() {
-            self.luck = (self.luck + 1).clamp(0, Self::MOST);
+            self.hit_score = (self.hit_score + 1).clamp(0, Self::MOST);
         }
-        if is_amid && self.luck >= 0 {
+        if is_amid && self.hit_score >= 0 {
             self.since = Some(Instant::now());
         } else if is_amid {
-            self.luck += 1;
+            self.hit_score += 1;
         }
     }
 
@@ -191,7 +191,7 @@ impl Rest {
     fn is_near(&mut self) -> bool {
         let is_near = self.since.is_some_and(|since| since.elapsed() < Self::NEAR);
         if !is_near && self.since.take().is_some() {
-            self.luck = if self.luck > 0 { self.luck - 1 } else { Self::LEAST };
+            self.hit_score = if self.hit_score > 0 { self.hit_score - 1 } else { Self::LEAST };
         }
         is_near
     }
@@ -305,9 +305,9 @@ impl Ingress {
 }
 
 struct Intakes {
-    outlet: Arc<Outlet>,
+    send_path: Arc<SendPath>,
     feedback: Arc<Feedbacks>,
-    intakes: HashMap<Name, Box<Intake>>,
+    intakes: HashMap<Name, Box<SubscriptionReceiver>>,
     publications: HashMap<Name, Arc<Publication>>,
     /// Frames that came too early.
     held: Held,
@@ -320,9 +320,9 @@ struct Intakes {
 }
 
 impl Intakes {
-    fn new(outlet: Arc<Outlet>, feedback: Arc<Feedbacks>) -> Self {
+    fn new(send_path: Arc<SendPath>, feedback: Arc<Feedbacks>) -> Self {
         Self {
-            outlet,
+            send_path,
             feedback,
             intakes: HashMap::new(),
             publications: HashMap::new(),
@@ -340,7 +340,7 @@ impl Intakes {
     }
 
     fn change(&mut self, name: Name, changes: Vec<Change>) {
-        let now = self.outlet.clock.now();
+        let now = self.send_path.clock.now();
         for change in changes {
             let Some(intake) = self.intakes.get_mut(&name) else { return };
             if let Some(writer) = intake.change(now, change) {
@@ -352,10 +352,10 @@ impl Intakes {
 
     /// Looks again at what came too early from a writer.
     fn release(&mut self, name: &Name, writer: &Name) {
-        let now = self.outlet.clock.moment();
+        let now = self.send_path.clock.moment();
         let Some(intake) = self.intakes.get_mut(name) else { return };
         for frame in self.held.release(name, writer) {
-            match intake.push(now, frame.source, &frame.payload, frame.marked, &self.outlet.counters) {
+            match intake.push(now, frame.source, &frame.payload, frame.marked, &self.send_path.counters) {
                 Verdict::Done => {}
                 Verdict::Early(reason, times) => self.held.hold_again(frame, (reason, times)),
             }
@@ -363,8 +363,8 @@ impl Intakes {
     }
 
     fn take(&mut self, batch: &mut RecvBatch, links: &Links) {
-        let now = self.outlet.clock.moment();
-        let counters = self.outlet.counters.clone();
+        let now = self.send_path.clock.moment();
+        let counters = self.send_path.counters.clone();
         counters.frames_received.add(batch.len() as u64);
         for InFrame { bytes: frame, congested, .. } in batch.frames() {
             let Ok((ref header, rest)) = Header::read_from_prefix(frame) else {
@@ -387,7 +387,7 @@ impl Intakes {
             let payload = &rest[..header.payload_len().into()];
             let marked = congested || header.flags & ECN == CONGESTED;
             // What comes for this node's own name is what counterparts tell it, or segments: requests and replies.
-            if name == self.outlet.name() && payload.first() != Some(&SEGMENT_VERSION) {
+            if name == self.send_path.name() && payload.first() != Some(&SEGMENT_VERSION) {
                 self.hear(source, payload, &counters);
                 continue;
             }
@@ -416,7 +416,7 @@ impl Intakes {
 
     /// Takes a frame to this node's own name: what a counterpart tells it alone.
     fn hear(&mut self, source: Name, payload: &[u8], counters: &Counters) {
-        let feedback = match self.outlet.hear(&source, payload) {
+        let feedback = match self.send_path.hear(&source, payload) {
             Some(Ok(feedback)) => feedback,
             None => return counters.feedback_unknown.add(1),
             Some(Err(PairError::Forged | PairError::Crypto(_))) => return counters.feedback_forged.add(1),
@@ -424,20 +424,20 @@ impl Intakes {
             Some(Err(_)) => return counters.feedback_malformed.add(1),
         };
         counters.feedback_received.add(1);
-        let (name, now) = (feedback.name(), self.outlet.clock.now());
+        let (name, now) = (feedback.name(), self.send_path.clock.now());
         match &feedback {
             Feedback::Hello { challenge, wants, .. } => {
                 let publication = self.publications.get(&name);
-                let welcome = publication.and_then(|it| it.welcome(&self.outlet, &source, *challenge, *wants));
+                let welcome = publication.and_then(|it| it.welcome(&self.send_path, &source, *challenge, *wants));
                 if let Some(welcome) = welcome {
-                    self.outlet.tell(&source, &welcome);
-                    self.outlet.upkeep.notify_one();
+                    self.send_path.tell(&source, &welcome);
+                    self.send_path.upkeep.notify_one();
                 }
             }
             Feedback::Report { .. } | Feedback::Nack { .. } => {
                 if let Some(publication) = self.publications.get(&name) {
-                    self.outlet.uplink.lock().feedback(now, publication.topic, source, &feedback);
-                    self.outlet.settle();
+                    self.send_path.uplink.lock().feedback(now, publication.topic, source, &feedback);
+                    self.send_path.settle();
                 }
             }
             Feedback::Welcome { .. } | Feedback::Gone { .. } => {
@@ -453,8 +453,8 @@ impl Intakes {
     /// Has an intake do what is due, and notes when it wants to be asked again.
     fn poll(&mut self, name: &Name) {
         let Some(intake) = self.intakes.get_mut(name) else { return };
-        let outlet = &self.outlet;
-        intake.poll(outlet.clock.now(), &outlet.counters, |writer, feedback| outlet.tell(writer, feedback));
+        let send_path = &self.send_path;
+        intake.poll(send_path.clock.now(), &send_path.counters, |writer, feedback| send_path.tell(writer, feedback));
         let next = intake.next_wake();
         let before = std::mem::replace(&mut intake.timer, next);
         if before != next {
@@ -464,14 +464,14 @@ impl Intakes {
     }
 
     fn tick(&mut self) {
-        let now = self.outlet.clock.now();
+        let now = self.send_path.clock.now();
         while let Some((_, name)) = self.timers.first().copied().filter(|(at, _)| *at <= now) {
             self.poll(&name);
         }
         while let Some((name, (reason, times))) = self.held.next_expired() {
             match self.intakes.get(&name) {
-                Some(intake) => intake.count_early(reason, times, &self.outlet.counters),
-                None => self.outlet.counters.dropped[reason as usize].add(times),
+                Some(intake) => intake.count_early(reason, times, &self.send_path.counters),
+                None => self.send_path.counters.dropped[reason as usize].add(times),
             }
         }
     }
@@ -479,7 +479,7 @@ impl Intakes {
     /// How long nothing is due.
     fn idle(&self) -> Duration {
         let next = self.timers.first().map_or(u64::MAX, |(at, _)| *at);
-        Duration::from_nanos(next.saturating_sub(self.outlet.clock.now())).min(TICK)
+        Duration::from_nanos(next.saturating_sub(self.send_path.clock.now())).min(TICK)
     }
 }
 

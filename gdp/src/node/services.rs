@@ -8,10 +8,10 @@ use bytes::Bytes;
 use gdp_wire::Name;
 use tokio::sync::{oneshot, watch};
 
-use super::desk::Desk;
 use super::ending::{Ended, Ending};
-use super::parties::{Instance, Place};
 use super::publisher::send_through;
+use super::request_queue::RequestQueue;
+use super::service_instances::{Instance, PendingCall};
 use super::state::{State, Statement};
 use super::{Handle, NodeError, Stated};
 use gdp_core::cert::{AdCert, Issued, Reading};
@@ -24,12 +24,12 @@ const MAX_CALLS: usize = 4096;
 pub struct Server {
     node: Arc<Handle>,
     name: Name,
-    desk: Desk,
+    desk: RequestQueue,
     ending: Arc<Ending>,
 }
 
 impl Server {
-    pub(super) fn new(node: Arc<Handle>, name: Name, desk: Desk, ending: Arc<Ending>) -> Self {
+    pub(super) fn new(node: Arc<Handle>, name: Name, desk: RequestQueue, ending: Arc<Ending>) -> Self {
         Self { node, name, desk, ending }
     }
 
@@ -90,7 +90,7 @@ impl Call {
         let publication = state.publications.lock().get(&writer).cloned().ok_or_else(gone)?;
         let in_reply_to = Some(MessageId { session, sequence });
         let draft = Draft { in_reply_to, ..Draft::new(encoding, body) };
-        send_through(&publication, &state.outlet, &[draft], |_| {}).await.map(drop)
+        send_through(&publication, &state.send_path, &[draft], |_| {}).await.map(drop)
     }
 }
 
@@ -160,7 +160,7 @@ impl Client {
         self.call_there(place, encoding, body).await
     }
 
-    async fn call_there(&self, place: Place, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
+    async fn call_there(&self, place: PendingCall, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
         let (state, service, instance) = (&self.node.state, self.name, place.instance);
         let left = || NodeError::InstanceLeft { service, instance };
         // There is no way to one that has only just come, and none any more to one that has left.
@@ -181,7 +181,7 @@ impl Client {
         let draft = Draft { service: Some(service), ..Draft::new(encoding, body) };
         let drafts = [draft];
         let exchange = async {
-            send_through(&publication, &state.outlet, &drafts, begun).await?;
+            send_through(&publication, &state.send_path, &drafts, begun).await?;
             replied.await.map_err(|_| NodeError::Closed)
         };
         tokio::select! {

@@ -10,22 +10,22 @@ use parking_lot::Mutex;
 use tokio::sync::mpsc;
 
 use super::counters::Counters;
-use super::desk::{self, Desk};
 use super::ending::{Ended, Ending};
 use super::feedback::Feedbacks;
 use super::home::Home;
 use super::inbox::{Service, Services};
-use super::intake::{Intake, Shared};
-use super::lane::{Lane, Status};
+use super::lane::{LinkSlot, Status};
 use super::options::{PublishOptions, SubscribeOptions};
-use super::outlet::Outlet;
-use super::parties::Parties;
 use super::publication::Publication;
 use super::reading::Reading;
 use super::receiver::Command;
+use super::request_queue::{self, RequestQueue};
 use super::revoked::Revoked;
+use super::send_path::SendPath;
+use super::service_instances::ServiceInstances;
 use super::services::Pending;
 use super::subscription::Queue;
+use super::subscription_receiver::{Shared, SubscriptionReceiver};
 use super::supervisor::{Attachment, Event};
 use super::{LinkConfig, NodeError, Stated};
 use gdp_core::cert::{
@@ -34,7 +34,7 @@ use gdp_core::cert::{
 use gdp_core::identity::Identity;
 use gdp_core::name::{NamePrefix, NameProof};
 use gdp_e2e::seal::MessageId;
-use gdp_proto::control::{EntityRequest, NameRole, PathCosts, Record, RecordPlace, RefusalCode, Request, Response};
+use gdp_proto::control::{EntityRequest, NameRole, PathCosts, Record, RecordKey, RefusalCode, Request, Response};
 use gdp_proto::peers::Counterparts;
 use gdp_util::unix_time::unix_seconds;
 
@@ -50,7 +50,7 @@ pub struct State {
     pub home: Home,
     pub counters: Arc<Counters>,
     pub feedback: Arc<Feedbacks>,
-    pub outlet: Arc<Outlet>,
+    pub send_path: Arc<SendPath>,
     pub publications: Mutex<HashMap<Name, Arc<Publication>>>,
     pub readings: Mutex<HashMap<Name, Reading>>,
     /// What this node serves and calls.
@@ -64,7 +64,7 @@ pub struct State {
     /// That subscriptions ended, and why.
     pub subscriptions: Mutex<HashMap<Name, Arc<Ending>>>,
     /// Everything the RIB is to know, stated again after each reconnection.
-    statements: Mutex<HashMap<(Name, Stated), Standing>>,
+    statements: Mutex<HashMap<(Name, Stated), Advertisement>>,
     /// Those on the other side of what is stated.
     pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
     /// What owners have taken back, as far as it came by.
@@ -86,7 +86,7 @@ pub enum Statement {
 }
 
 /// A statement that the application wants to stand.
-struct Standing {
+struct Advertisement {
     statement: Statement,
     /// When the right ends, in Unix seconds.
     not_after: u64,
@@ -136,7 +136,7 @@ impl State {
         let counters = Arc::<Counters>::default();
         Self {
             feedback: Arc::new(Feedbacks::new(identity.name())),
-            outlet: Arc::new(Outlet::new(&identity, counters.clone(), links)),
+            send_path: Arc::new(SendPath::new(&identity, counters.clone(), links)),
             identity,
             home,
             counters,
@@ -157,8 +157,8 @@ impl State {
     }
 
     /// Why there is still no link.
-    pub fn still_lost(&self, lane: &Lane, why: String) {
-        self.outlet.change_status(lane, |status| {
+    pub fn still_lost(&self, lane: &LinkSlot, why: String) {
+        self.send_path.change_status(lane, |status| {
             if let Status::Down(reason) | Status::Held(_, reason) = status {
                 *reason = why;
             }
@@ -166,8 +166,8 @@ impl State {
     }
 
     /// The link that fell silent is of no use any more.
-    pub fn end_hold(&self, lane: &Lane) {
-        self.outlet.change_status(lane, |status| {
+    pub fn end_hold(&self, lane: &LinkSlot) {
+        self.send_path.change_status(lane, |status| {
             if let Status::Held(_, reason) = status {
                 *status = Status::Down(std::mem::take(reason));
             }
@@ -177,19 +177,19 @@ impl State {
     pub fn command(&self, command: Command) {
         // The thread ends only once this node is closed.
         let _ = self.commands.send(command);
-        if let Ok(attachment) = self.outlet.sending_on() {
+        if let Ok(attachment) = self.send_path.sending_on() {
             attachment.data.wake();
         }
     }
 
     /// The main link, if it is up at this moment.
     pub fn attached_now(&self) -> Result<Arc<Attachment>, NodeError> {
-        self.outlet.attached_now()
+        self.send_path.attached_now()
     }
 
     /// The main link, waiting for it a while.
     pub async fn attached(&self) -> Result<Arc<Attachment>, NodeError> {
-        let mut ways = self.outlet.ways();
+        let mut ways = self.send_path.ways();
         let settled = ways.wait_for(|ways| !matches!(ways.status, Status::Down(_) | Status::Held(..)));
         let _ = tokio::time::timeout(LINK_PATIENCE, settled).await;
         self.attached_now()
@@ -214,7 +214,7 @@ impl State {
     pub fn expired(&self, now: u64) -> Vec<(Name, Stated, CertError)> {
         let (statements, own) = (self.statements.lock(), self.identity.name());
         let late = statements.iter().filter(|(_, standing)| !standing.over && standing.not_after < now);
-        let error = |standing: &Standing| standing.statement.verify(own, None, now).err();
+        let error = |standing: &Advertisement| standing.statement.verify(own, None, now).err();
         late.filter_map(|((name, stated), standing)| Some((*name, *stated, error(standing)?))).collect()
     }
 
@@ -269,7 +269,7 @@ impl State {
         let (_, not_after) = statement.verify(self.identity.name(), revocation.as_ref(), unix_seconds())?;
         let old = match self.statements.lock().get_mut(&(name, stated)) {
             Some(standing) if !standing.over => {
-                let new = Standing { statement, not_after, duplicate: standing.duplicate, done: 0, over: false };
+                let new = Advertisement { statement, not_after, duplicate: standing.duplicate, done: 0, over: false };
                 std::mem::replace(standing, new)
             }
             _ => return Err(NodeError::Closed),
@@ -283,7 +283,7 @@ impl State {
             }
             Err(error) if !error.may_pass() => {
                 if let Some(standing) = self.statements.lock().get_mut(&(name, stated)) {
-                    *standing = Standing { done: 0, over: standing.over, ..old };
+                    *standing = Advertisement { done: 0, over: standing.over, ..old };
                 }
                 self.restate();
                 Err(error)
@@ -317,8 +317,8 @@ impl State {
         }
         known.insert((name, stated.role()), counterparts);
         register();
-        statements.insert((name, stated), Standing { statement, not_after, duplicate, done: 0, over: false });
-        self.outlet.double(name, is_doubled(&statements, &name));
+        statements.insert((name, stated), Advertisement { statement, not_after, duplicate, done: 0, over: false });
+        self.send_path.double(name, is_doubled(&statements, &name));
         Ok(())
     }
 
@@ -332,11 +332,11 @@ impl State {
         name: Name,
         stated: Stated,
         statement: Statement,
-    ) -> Result<(Desk, Arc<Ending>), NodeError> {
+    ) -> Result<(RequestQueue, Arc<Ending>), NodeError> {
         self.open_inbox();
-        let ((tray, desk), ending) = (desk::new(), Arc::<Ending>::default());
+        let ((tray, desk), ending) = (request_queue::new(), Arc::<Ending>::default());
         let tray = (stated == Stated::Served).then_some(tray);
-        let service = Service { parties: Parties::new(self.identity.name()), ending: ending.clone(), tray };
+        let service = Service { parties: ServiceInstances::new(self.identity.name()), ending: ending.clone(), tray };
         let register = || _ = self.services.lock().insert((name, stated.role()), service);
         self.begin(name, stated, statement, false, register)?;
         Ok((desk, ending))
@@ -350,14 +350,14 @@ impl State {
         statement: Statement,
         options: &PublishOptions,
     ) -> Result<Arc<Publication>, NodeError> {
-        let publication = Arc::new(Publication::new(name, &self.identity, options, &self.outlet)?);
+        let publication = Arc::new(Publication::new(name, &self.identity, options, &self.send_path)?);
         let begun = self.begin(name, stated, statement, options.duplicate, || self.register(publication.clone()));
-        begun.inspect_err(|_| publication.close(&self.outlet))?;
+        begun.inspect_err(|_| publication.close(&self.send_path))?;
         Ok(publication)
     }
 
     pub fn register(&self, publication: Arc<Publication>) {
-        self.outlet.open(publication.clone());
+        self.send_path.open(publication.clone());
         self.publications.lock().insert(publication.name, publication.clone());
         self.command(Command::Publish { publication });
     }
@@ -365,7 +365,7 @@ impl State {
     pub fn unregister(&self, name: Name) {
         if let Some(publication) = self.publications.lock().remove(&name) {
             self.command(Command::Unpublish { name });
-            self.outlet.close(&publication);
+            self.send_path.close(&publication);
         }
     }
 
@@ -389,7 +389,7 @@ impl State {
         let (shared, ended) = (Arc::<Shared>::default(), Arc::<Ending>::default());
         self.readings.lock().insert(name, Reading::new(name, &self.identity));
         self.subscriptions.lock().insert(name, ended.clone());
-        let intake = Intake::new(name, options, sender, shared.clone());
+        let intake = SubscriptionReceiver::new(name, options, sender, shared.clone());
         self.command(Command::Subscribe { name, intake: Box::new(intake) });
         (Queue::new(name, receiver, shared), ended)
     }
@@ -406,7 +406,7 @@ impl State {
             Stated::Subscribed => {
                 self.subscriptions.lock().remove(&name).into_iter().for_each(|ending| ending.end(Ended::Closed));
                 if let Some(reading) = self.readings.lock().remove(&name) {
-                    let mut pairs = self.outlet.pairs.lock();
+                    let mut pairs = self.send_path.pairs.lock();
                     reading.writers().for_each(|writer| pairs.part(writer));
                 }
                 self.command(Command::Unsubscribe { name });
@@ -420,7 +420,7 @@ impl State {
         {
             let mut statements = self.statements.lock();
             statements.remove(&(name, stated));
-            self.outlet.double(name, is_doubled(&statements, &name));
+            self.send_path.double(name, is_doubled(&statements, &name));
         }
         self.withdraw_later(name, stated);
     }
@@ -461,12 +461,12 @@ impl State {
             attachment.watch_costs(self).await;
         }
         let mut serial = self.serial.lock().await;
-        let several = self.outlet.lanes().len() > 1;
+        let several = self.send_path.lanes().len() > 1;
         let (statement, everywhere) = {
             let mut statements = self.statements.lock();
             let Some(standing) = statements.get_mut(&(name, stated)) else { return Ok(()) };
             let everywhere = several && (stated.sends() || standing.duplicate);
-            let belongs = everywhere || self.outlet.ways().borrow().main == usize::from(attachment.lane);
+            let belongs = everywhere || self.send_path.ways().borrow().main == usize::from(attachment.lane);
             if !belongs || standing.over || standing.done & bit(attachment) != 0 {
                 return Ok(());
             }
@@ -494,7 +494,7 @@ impl State {
         if everywhere {
             self.restate();
         }
-        self.outlet.upkeep.notify_one();
+        self.send_path.upkeep.notify_one();
         Ok(())
     }
 
@@ -538,7 +538,7 @@ impl State {
 
     /// There may be something to state on any link.
     pub fn restate(&self) {
-        self.outlet.lanes().iter().for_each(|lane| lane.unstated.notify_one());
+        self.send_path.lanes().iter().for_each(|lane| lane.unstated.notify_one());
     }
 
     /// The records of the names that begin so, from the one behind `after` on, and whether there are more.
@@ -546,7 +546,7 @@ impl State {
         &self,
         attachment: &Attachment,
         prefix: NamePrefix,
-        after: Option<RecordPlace>,
+        after: Option<RecordKey>,
     ) -> Result<(Vec<Record>, bool), NodeError> {
         match ask(attachment, EntityRequest::Query { prefix, after }).await? {
             Response::Records { records, truncated } => Ok((records, truncated)),
@@ -587,7 +587,7 @@ impl State {
     async fn ask_in_turn(&self, attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
         tokio::select! {
             answer = ask(attachment, request) => answer,
-            () = self.outlet.until_unwanted(attachment) => Err(NodeError::Detached("another link is used".into())),
+            () = self.send_path.until_unwanted(attachment) => Err(NodeError::Detached("another link is used".into())),
         }
     }
 
@@ -606,11 +606,11 @@ impl State {
     }
 }
 
-fn is_doubled(statements: &HashMap<(Name, Stated), Standing>, name: &Name) -> bool {
+fn is_doubled(statements: &HashMap<(Name, Stated), Advertisement>, name: &Name) -> bool {
     Stated::ALL.iter().any(|stated| statements.get(&(*name, *stated)).is_some_and(|standing| standing.duplicate))
 }
 
-/// Of the lane in [`Standing::done`].
+/// Of the lane in [`Advertisement::done`].
 fn bit(attachment: &Attachment) -> u8 {
     1 << attachment.lane
 }

@@ -8,9 +8,9 @@ use tokio::sync::mpsc;
 
 use super::counters::{Meter, SubscriptionCounters};
 use super::ending::{Ended, Ending};
-use super::intake::Shared;
 use super::receiver::Command;
 use super::state::{State, Statement};
+use super::subscription_receiver::Shared;
 use super::{Handle, NodeError, Stated};
 use gdp_core::cert::Reading;
 use gdp_e2e::seal::Message;

@@ -17,11 +17,11 @@ use zerocopy::IntoBytes;
 
 use super::choice::Pulse;
 use super::frame_size::FrameSize;
-use super::lane::{Lane, Status};
-use super::network::{Network, Way, until_led};
-use super::outlet::Ways;
-use super::pause::{BACKOFF, Hurry, wait};
+use super::lane::{LinkSlot, Status};
+use super::network::{Network, NetworkPath, until_led};
+use super::pause::{BACKOFF, ExpediteToken, wait};
 use super::receiver::Command;
+use super::send_path::SwitchLinks;
 use super::shared_entry::SharedEntry;
 use super::state::{self, State};
 use super::{LinkConfig, LinkTarget, NodeError, Stated};
@@ -87,7 +87,7 @@ pub struct Attachment {
     /// What links further on take, as far as it is known.
     pub frame_size: FrameSize,
     /// How the switch was reached when the link was made.
-    way: Way,
+    way: NetworkPath,
     since: Instant,
     count: AtomicU64,
     /// Cookie of the latest answer to an echo.
@@ -97,7 +97,7 @@ pub struct Attachment {
 }
 
 impl Attachment {
-    fn new(lane: u8, link: Link, way: Way, port: &Port) -> Self {
+    fn new(lane: u8, link: Link, way: NetworkPath, port: &Port) -> Self {
         let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
         let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
         let costs_told = AtomicBool::new(false);
@@ -229,8 +229,8 @@ pub async fn run(
     state.revoked.save();
     // In this order: the thread is woken through a link.
     state.command(Command::Stop);
-    state.outlet.stop();
-    state.outlet.shut();
+    state.send_path.stop();
+    state.send_path.shut();
     ending.send_replace(true);
     while supervisors.join_next().await.is_some() {}
 }
@@ -250,8 +250,8 @@ struct Supervisor {
     /// What the host of a UDP target was resolved to last, unless it was not.
     address: Option<SocketAddr>,
     /// How the switch was reached when that was last looked at.
-    way: Way,
-    hurry: Hurry,
+    way: NetworkPath,
+    hurry: ExpediteToken,
 }
 
 impl Supervisor {
@@ -267,12 +267,12 @@ impl Supervisor {
         let papers = state.home.shown.clone();
         let port_config = PortConfig { rekey, lane, through, papers, ..PortConfig::endpoint(state.identity.clone()) };
         let changes = network.as_ref().map(|network| network.changes());
-        let (port, through, address, way, hurry) = (None, None, None, Way::Unknown, Hurry::default());
+        let (port, through, address, way, hurry) = (None, None, None, NetworkPath::Unknown, ExpediteToken::default());
         Self { state, lane, target, pinned, port_config, port, through, network, changes, address, way, hurry }
     }
 
-    fn lane(&self) -> &Lane {
-        &self.state.outlet.lanes()[usize::from(self.lane)]
+    fn lane(&self) -> &LinkSlot {
+        &self.state.send_path.lanes()[usize::from(self.lane)]
     }
 
     /// The first link, within `patience`. What waiting cannot mend is an error at once.
@@ -331,11 +331,11 @@ impl Supervisor {
             let reason = self.serve(attachment.clone()).await;
             tracing::warn!(switch = %self.target, %reason, "lost the link to the switch");
             attachment = if attachment.link.fell_silent() {
-                self.state.outlet.set_status(self.lane(), Status::Held(attachment.clone(), reason));
+                self.state.send_path.set_status(self.lane(), Status::Held(attachment.clone(), reason));
                 let held = Held { attachment, until: Instant::now() + GRACEFUL_RESTART_TIME };
                 self.reconnect_while_held(&held).await
             } else {
-                self.state.outlet.set_status(self.lane(), Status::Down(reason));
+                self.state.send_path.set_status(self.lane(), Status::Down(reason));
                 self.reconnect(None).await
             };
             tracing::info!(switch = %attachment.link.peer().name, "the link to the switch is back");
@@ -348,7 +348,7 @@ impl Supervisor {
         let hold = async {
             let reason = held.end().await;
             tracing::warn!("nothing is sent to the switch any more: {reason}");
-            state.end_hold(&state.outlet.lanes()[lane]);
+            state.end_hold(&state.send_path.lanes()[lane]);
             std::future::pending().await
         };
         tokio::select! {
@@ -398,25 +398,25 @@ impl Supervisor {
     }
 
     /// How the switch would be reached now.
-    async fn look(&self, network: &Network) -> Way {
+    async fn look(&self, network: &Network) -> NetworkPath {
         match &self.target {
             LinkTarget::Ethernet { interface, .. } => match interface_index(interface) {
                 Ok(ifindex) => network.way(LinkAddr::Ethernet { ifindex, mac: [0; 6] }, None).await,
-                Err(_) => Way::Nowhere,
+                Err(_) => NetworkPath::Nowhere,
             },
             LinkTarget::Udp { interface, .. } => match interface.as_deref().map(interface_index).transpose() {
                 Ok(through) => match self.address {
                     Some(to) => network.way(LinkAddr::udp(to), through).await,
-                    None => Way::Unknown,
+                    None => NetworkPath::Unknown,
                 },
-                Err(_) => Way::Nowhere,
+                Err(_) => NetworkPath::Nowhere,
             },
         }
     }
 
     /// One link's life; returns why it ended.
     async fn serve(&self, attachment: Arc<Attachment>) -> String {
-        let others = self.state.outlet.lanes().len() > 1;
+        let others = self.state.send_path.lanes().len() > 1;
         let _watch = others.then(|| AbortOnDrop(tokio::spawn(watch_silence(self.state.clone(), attachment.clone()))));
         let _upkeep = AbortOnDrop(tokio::spawn(keep_stated(self.state.clone(), attachment.clone())));
         let _keys = AbortOnDrop(tokio::spawn(attachment.clone().keep_keys()));
@@ -464,7 +464,7 @@ impl Supervisor {
         };
         self.state.attach(&attachment).await?;
         self.state.counters.links.add(1);
-        self.state.outlet.set_status(self.lane(), Status::Up(attachment.clone()));
+        self.state.send_path.set_status(self.lane(), Status::Up(attachment.clone()));
         Ok(attachment)
     }
 
@@ -492,7 +492,7 @@ impl Supervisor {
                         // What went to the old network is not answered: better begun anew than said again later.
                         _ = network.until_other(*to, self.through, &self.way) => {
                             // However it is reached by now, that has not been tried: the pause is to take it for news.
-                            self.way = Way::Nowhere;
+                            self.way = NetworkPath::Nowhere;
                             return Err(NodeError::Detached("the network of this machine has changed".into()));
                         }
                     }
@@ -581,10 +581,10 @@ fn no_interface(name: &str, source: std::io::Error) -> LinkError {
 async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
     let mut backoff = BACKOFF;
     let mut renewal = Instant::now() + RENEWAL;
-    let (lane, mut preferred) = (state.outlet.lane(&attachment), None);
+    let (lane, mut preferred) = (state.send_path.lane(&attachment), None);
     loop {
         let turn = {
-            let Ways { main, turn, .. } = *state.outlet.ways().borrow();
+            let SwitchLinks { main, turn, .. } = *state.send_path.ways().borrow();
             (main == usize::from(attachment.lane)).then_some(turn)
         };
         if turn.is_some() && turn != preferred {
@@ -613,7 +613,7 @@ async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
 
 /// The switch, if another link leads there as well, is to send on this one what is to come on one. Whether it heard that.
 async fn prefer(state: &State, attachment: &Attachment) -> bool {
-    if state.outlet.lanes().len() == 1 {
+    if state.send_path.lanes().len() == 1 {
         return true;
     }
     let answer = attachment.link.request(&Request::Ready).await;
@@ -622,14 +622,14 @@ async fn prefer(state: &State, attachment: &Attachment) -> bool {
 
 /// Finds out whether the switch answers, so that another link is used at once when it does not, as long as this one is up.
 async fn watch_silence(state: Arc<State>, attachment: Arc<Attachment>) {
-    let (outlet, number) = (&state.outlet, usize::from(attachment.lane));
-    let (lane, mut pulse) = (outlet.lane(&attachment), Pulse::default());
+    let (send_path, number) = (&state.send_path, usize::from(attachment.lane));
+    let (lane, mut pulse) = (send_path.lane(&attachment), Pulse::default());
     loop {
         let cookie = crypto::random().map_or(0, u64::from_le_bytes);
         lane.set_silent(pulse.beat(attachment.answer.load(Ordering::Relaxed), cookie));
         attachment.send(Header::echo(cookie));
-        outlet.choose(false);
-        let pause = if outlet.ways().borrow().main == number { MAIN_ECHOES } else { OTHER_ECHOES };
+        send_path.choose(false);
+        let pause = if send_path.ways().borrow().main == number { MAIN_ECHOES } else { OTHER_ECHOES };
         sleep(pause.max(attachment.link.rtt())).await;
     }
 }
@@ -643,7 +643,7 @@ async fn watch_moves(
     through: Option<u32>,
     attachment: Arc<Attachment>,
 ) {
-    let (lane, link) = (state.outlet.lane(&attachment), &attachment.link);
+    let (lane, link) = (state.send_path.lane(&attachment), &attachment.link);
     let patience = match link.addr() {
         LinkAddr::Udp(_) => ANSWER,
         LinkAddr::Ethernet { .. } => ANSWER_ON_CABLE,
@@ -652,9 +652,9 @@ async fn watch_moves(
     loop {
         way = network.until_other(link.addr(), through, &way).await;
         lane.set_moved(true);
-        state.outlet.choose(false);
+        state.send_path.choose(false);
         let answered = async {
-            if way == Way::Nowhere {
+            if way == NetworkPath::Nowhere {
                 // Wi-Fi may be back in a moment.
                 std::future::pending::<()>().await;
             }
@@ -669,7 +669,7 @@ async fn watch_moves(
                     return link.close("this machine is in another network, from which the switch does not answer");
                 }
                 lane.set_moved(false);
-                state.outlet.choose(false);
+                state.send_path.choose(false);
             }
             // From the top, with what is true by then.
             _ = network.until_other(link.addr(), through, &way) => {}
@@ -700,7 +700,7 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
                 Err(_) => Refusal::new(RefusalCode::Unreachable, "the RIB did not answer").into(),
             }
         }
-        Request::Papers(papers) => match state.home.take_papers(&attachment.link, *papers) {
+        Request::Papers(papers) => match state.home.take_credentials(&attachment.link, *papers) {
             Ok(()) => Response::Done,
             Err(error) => Refusal::new(RefusalCode::NotEntitled, error.to_string()).into(),
         },
@@ -729,7 +729,7 @@ async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), Node
         }
         wait(&mut backoff).await;
     }
-    state.outlet.lane(attachment).unstated.notify_one();
+    state.send_path.lane(attachment).unstated.notify_one();
     Ok(())
 }
 

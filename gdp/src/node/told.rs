@@ -43,7 +43,7 @@ impl State {
                         PeerEvent::Revoked(claims) => {
                             let signed = counterparts.signed_revocation().cloned();
                             signed.into_iter().for_each(|signed| self.revoked.keep(proof, signed, claims.clone()));
-                            self.outlet.upkeep.notify_one();
+                            self.send_path.upkeep.notify_one();
                         }
                         _ => {}
                     }
@@ -65,7 +65,7 @@ impl State {
                 self.act(*name, *role, events);
             }
         }
-        self.sweep_parties();
+        self.sweep_instances();
     }
 
     fn act(&self, name: Name, role: NameRole, events: Vec<PeerEvent>) {
@@ -75,11 +75,11 @@ impl State {
             self.end(name, role, error);
         }
         match role {
-            NameRole::Server | NameRole::Caller => self.take_parties(name, role, &events),
+            NameRole::Server | NameRole::Caller => self.take_instances(name, role, &events),
             NameRole::Publisher => {
                 if let Some(publication) = self.publications.lock().get(&name) {
-                    publication.take(&self.outlet, unix_seconds(), events);
-                    self.outlet.upkeep.notify_one();
+                    publication.take(&self.send_path, unix_seconds(), events);
+                    self.send_path.upkeep.notify_one();
                 }
             }
             NameRole::Subscriber => self.take_writers(name, events),
@@ -113,8 +113,8 @@ impl State {
         for effect in effects {
             match effect {
                 Effect::Change(change) => changes.push(change),
-                Effect::Introduce(writer, box_key) => self.outlet.pairs.lock().introduce(writer, box_key),
-                Effect::Part(writer) => self.outlet.pairs.lock().part(&writer),
+                Effect::Introduce(writer, box_key) => self.send_path.pairs.lock().introduce(writer, box_key),
+                Effect::Part(writer) => self.send_path.pairs.lock().part(&writer),
             }
         }
         if !changes.is_empty() {
@@ -140,12 +140,12 @@ impl State {
                 let _ = tokio::task::spawn_blocking(move || state.revoked.save()).await;
             }
             let publications: Vec<_> = self.publications.lock().values().cloned().collect();
-            publications.iter().for_each(|publication| publication.latch(&self.outlet));
+            publications.iter().for_each(|publication| publication.latch(&self.send_path));
             boxes.notify_one();
             let next = publications.iter().map(|publication| publication.boxes_at()).min().unwrap_or(u64::MAX);
             let pause = Duration::from_nanos(next.saturating_sub(unix_nanos())).clamp(LOOK / 20, LOOK);
             tokio::select! {
-                () = self.outlet.upkeep.notified() => {}
+                () = self.send_path.upkeep.notified() => {}
                 () = tokio::time::sleep(pause) => {}
             }
         }
@@ -174,12 +174,12 @@ impl State {
                     self.act(*name, *role, events);
                 }
             }
-            self.sweep_parties();
+            self.sweep_instances();
         }
         for (name, stated, error) in self.expired(now) {
             self.end(name, stated.role(), error);
         }
-        self.publications.lock().values().for_each(|publication| publication.expire(&self.outlet, now));
+        self.publications.lock().values().for_each(|publication| publication.expire(&self.send_path, now));
         for (name, reading) in self.readings.lock().iter_mut() {
             self.carry_out(*name, reading.expire(unix_nanos()));
         }

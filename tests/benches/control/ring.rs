@@ -15,7 +15,7 @@ use gdp_proto::control::{EntityRequest, Response};
 use gdp_tests::Tools;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::ring::{CLOUD_AT, ROBOT_AT, Ring};
-use gdp_tests::wait::{PATIENCE, check_interrupt, wait_for};
+use gdp_tests::wait::{TIMEOUT, check_interrupt, wait_for};
 use gdp_wire::Name;
 
 use crate::Bench;
@@ -71,10 +71,10 @@ fn cut(ring: &mut Ring, rounds: usize) -> Result<Vec<f64>> {
             std::thread::sleep(Duration::from_millis(100));
             Ok(ring.forwarded(1)? > before + 50)
         })?;
-        traffic.wait_for_more(500, PATIENCE)?;
+        traffic.wait_for_more(500, TIMEOUT)?;
         let lost = traffic.nothing_came_twice()?;
         ring.set_cable(0, false)?;
-        traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+        traffic.wait_for_more(500, TIMEOUT).with_context(|| ring.report())?;
         gaps.push((traffic.nothing_came_twice()? - lost) as f64);
         ring.set_cable(0, true)?;
     }
@@ -148,7 +148,7 @@ fn reconcile(ring: &mut Ring, rounds: usize, names: usize) -> Result<Vec<f64>> {
             let Some(generation) = status["fib"]["generation"].as_u64() else { bail!("no generation in the status") };
             Ok((generation >= before + pushes).then_some(()))
         };
-        wait_for("all names", 3 * PATIENCE, holds).with_context(|| ring.report())?;
+        wait_for("all names", 3 * TIMEOUT, holds).with_context(|| ring.report())?;
         times.push(begin.elapsed().as_secs_f64() * 1000.0);
     }
     Ok(times)

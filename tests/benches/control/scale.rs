@@ -15,7 +15,7 @@ use gdp_core::cert::{Host, MemberCert, Membership, Revocation, SwitchStatement, 
 use gdp_core::identity::Identity;
 use gdp_core::revocations::Kept;
 use gdp_proto::control;
-use gdp_proto::control::{EntityRequest, RecordPlace, Response, TierRequest, TierResponse};
+use gdp_proto::control::{EntityRequest, RecordKey, Response, TierRequest, TierResponse};
 use gdp_rib::rib::{Limits, Now, Rib, Run};
 use gdp_rib::tiers;
 use gdp_rib::tiers::{Change, Effect, Hosted, Item, Reply, Revoked, Sent, Tiers};
@@ -428,7 +428,7 @@ impl Domain {
 
     /// Tells the tiers what has changed in the RIB, as the daemon does.
     fn follow(&mut self, now: Now) -> Result<()> {
-        let changed: Vec<RecordPlace> = self.rib.take_changed_places().into_iter().collect();
+        let changed: Vec<RecordKey> = self.rib.take_changed_places().into_iter().collect();
         for place in changed {
             match self.rib.export(now, &place) {
                 Some(export) => {

@@ -38,7 +38,7 @@ const SMALL: usize = 64;
 const LARGE: usize = 1290;
 
 /// How long what was sent may take to arrive.
-const PATIENCE: Duration = Duration::from_millis(200);
+const TIMEOUT: Duration = Duration::from_millis(200);
 
 /// The name of the TAP device.
 const TAP: &str = "tap0";
@@ -219,7 +219,7 @@ impl Sender {
         let value = start.elapsed().as_nanos() as f64 / sent as f64;
         if sink.is_some() {
             let all = || -> Result<_> { Ok((arrived()? - before >= sent).then_some(())) };
-            wait_for("the frames that were sent", PATIENCE, all)?;
+            wait_for("the frames that were sent", TIMEOUT, all)?;
         }
         Ok(Sample { value, ..Sample::default() })
     }

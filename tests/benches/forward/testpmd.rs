@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use gdp_tests::programs::Program;
 
 /// How long it may take to begin, or to answer.
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Runs while somebody measures it, and is stopped in between: it never rests by itself.
 pub struct Testpmd {
@@ -67,7 +67,7 @@ impl Testpmd {
     /// What its first port has received.
     fn frames(&mut self) -> Result<u64> {
         self.say("show port stats 0")?;
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         loop {
             let line = match self.lines.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(line) => line,

@@ -37,7 +37,7 @@ const START: Duration = Duration::from_secs(5);
 const RUN_UP: Duration = Duration::from_millis(50);
 
 /// How long nothing may arrive before what is missing is taken as lost.
-const PATIENCE: Duration = Duration::from_millis(200);
+const TIMEOUT: Duration = Duration::from_millis(200);
 
 /// A loaded object of the bench; its programs are attached while this lives.
 pub struct Programs(Ebpf);
@@ -214,9 +214,9 @@ impl Traffic {
 
         let (generator, frames) = (self.sink.programs.program(program)?, &self.frames);
         let (arrived, link_count, sent) = (&self.sink.arrived, &self.link_count, &self.sent);
-        let now = || -> Result<Moment> {
+        let now = || -> Result<Timestamps> {
             let unknown = link_count.get(&0, 0)?.wrapping_sub(sent.get(&0, 0)?);
-            Ok(Moment { arrived: arrived.get(&0, 0)?, unknown, at: Instant::now() })
+            Ok(Timestamps { arrived: arrived.get(&0, 0)?, unknown, at: Instant::now() })
         };
         let (known, unknown) = std::thread::scope(|scope| -> Result<(f64, f64)> {
             let (itself, thread) = mpsc::channel();
@@ -226,7 +226,7 @@ impl Traffic {
                 send_until_signalled(generator, frames)
             });
             let thread = thread.recv()?;
-            let measured = (|| -> Result<(Moment, Moment)> {
+            let measured = (|| -> Result<(Timestamps, Timestamps)> {
                 let begun = || Ok((arrived.get(&0, 0)? > before).then_some(()));
                 wait_for("the first frame to arrive", START, begun)?;
                 std::thread::sleep(RUN_UP);
@@ -238,7 +238,7 @@ impl Traffic {
             stop(thread, running)?;
             let (first, last) = measured?;
             let seconds = (last.at - first.at).as_secs_f64();
-            let per_second = |of: fn(&Moment) -> u64| of(&last).wrapping_sub(of(&first)) as f64 / seconds;
+            let per_second = |of: fn(&Timestamps) -> u64| of(&last).wrapping_sub(of(&first)) as f64 / seconds;
             Ok((per_second(|moment| moment.arrived), per_second(|moment| moment.unknown)))
         })?;
 
@@ -251,13 +251,13 @@ impl Traffic {
     /// Frames that do not arrive even when waited for.
     fn lost(&self, before: u64, sent: u64) -> Result<u64> {
         let missing = || -> Result<u64> { Ok(sent - (self.sink.arrived()? - before)) };
-        let all = wait_for("the last frames", PATIENCE, || Ok((missing()? == 0).then_some(0)));
+        let all = wait_for("the last frames", TIMEOUT, || Ok((missing()? == 0).then_some(0)));
         if all.is_ok() { Ok(0) } else { missing() }
     }
 }
 
 /// What was counted until a moment.
-struct Moment {
+struct Timestamps {
     arrived: u64,
     /// But for a constant.
     unknown: u64,

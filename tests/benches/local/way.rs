@@ -44,7 +44,7 @@ const WINDOW: u64 = BATCH as u64;
 const PAYLOAD: usize = 1300;
 
 /// How long nothing may arrive.
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Longest datagram or frame read.
 const LONGEST: usize = 2048;
@@ -199,7 +199,7 @@ impl Way {
     fn receive(&mut self, least: u64) -> Result<u64> {
         let mut received = 0;
         while received < least {
-            ensure!(self.reader.wait_readable(PATIENCE)?, "a frame did not arrive: {:?}", self.counted()?);
+            ensure!(self.reader.wait_readable(TIMEOUT)?, "a frame did not arrive: {:?}", self.counted()?);
             received += self.reader.try_recv_batch(&mut self.batch)? as u64;
         }
         Ok(received)

@@ -6,7 +6,7 @@ use anyhow::{Result, ensure};
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
 use gdp_core::keys::EpochKey;
-use gdp_e2e::seal::{Draft, Encoding, Limits, Moment, Reader, Received, Segments, Writer};
+use gdp_e2e::seal::{Draft, Encoding, Limits, Reader, Received, Segments, Timestamps, Writer};
 use gdp_tests::measure::cpu;
 use gdp_tests::measure::figure::{Aim, Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
@@ -85,7 +85,8 @@ impl Pair {
         writer.set_epoch(EPOCH, &key)?;
         let mut reader = Reader::new(name, Backend::default(), Limits::default());
         reader.authorise(from, identity.key().verify_key())?;
-        let vouched = reader.set_key(&from, EPOCH, key).and_then(|()| reader.vouch(&from, writer.session(), 1));
+        let vouched =
+            reader.set_key(&from, EPOCH, key).and_then(|()| reader.confirm_session(&from, writer.session(), 1));
         ensure!(vouched.is_ok(), "{vouched:?}");
         Ok(Self { writer, reader, from, batch, segments: Segments::new() })
     }
@@ -104,7 +105,7 @@ impl Pair {
                 continue;
             }
             let start = Instant::now();
-            let now = Moment { steady_ns: begun.elapsed().as_nanos() as u64, unix_ns: UNIX_NS };
+            let now = Timestamps { steady_ns: begun.elapsed().as_nanos() as u64, unix_ns: UNIX_NS };
             out.clear();
             for payload in self.segments.iter() {
                 let taken = self.reader.push(now, self.from, payload, &mut out);

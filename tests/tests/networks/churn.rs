@@ -15,7 +15,7 @@ use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::fabric::{Authority, Switch, TYPE};
 use gdp_tests::netns::Namespace;
 use gdp_tests::process::Process;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::json;
 
 const TOPICS: usize = 200;
@@ -37,7 +37,7 @@ fn nodes_come_and_go_and_every_route_still_carries() -> Result<()> {
     let name = authority.switch("s1")?;
     let config = json!({"interfaces": ["l0", "r0"], "udp": null, "data_plane": "xdp", "bpffs": null, "rib": true});
     let switch = Switch::start(&tools, &chain.switches()[0], folder, ("s1", &name), config)?;
-    wait_for("the switch", PATIENCE, || Ok(switch.ctl(&tools, &["status"]).ok()))?;
+    wait_for("the switch", TIMEOUT, || Ok(switch.ctl(&tools, &["status"]).ok()))?;
     let mut proxies = proxies(&tools, &chain, &authority)?;
 
     let gate = folder.join("gate");

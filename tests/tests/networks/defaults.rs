@@ -18,7 +18,7 @@ use gdp_tests::fabric::Mounted;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
 use gdp_tests::programs::{Executable as _, Program, own};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::{Value, json};
 
 /// CAP_NET_ADMIN, CAP_NET_RAW, CAP_PERFMON and CAP_BPF in `/proc/PID/status`.
@@ -50,7 +50,7 @@ fn unasked_it_has_xdp_for_udp_where_there_is_an_address_and_no_links_on_ethernet
     // An interface that comes later.
     site.cable("e2", "b2", 3)?;
     site.host.ip(&["address", "add", "198.51.100.1/24", "dev", "e2"])?;
-    daemon.process.wait_until("XDP on e2", PATIENCE, |_| site.attached("e2").ok()?.then_some(()))?;
+    daemon.process.wait_until("XDP on e2", TIMEOUT, |_| site.attached("e2").ok()?.then_some(()))?;
     let log = daemon.process.stderr();
     ensure!(log.contains("e2: data plane xdp-native") && log.matches("data plane").count() == 1, "{log}");
     daemon.stop()?;
@@ -122,7 +122,7 @@ fn of_roots_capabilities_it_keeps_four_and_they_suffice_for_all_that_comes() -> 
     // A named interface that comes, goes, and comes again.
     for address in [5, 6] {
         site.cable("e9", "b9", address)?;
-        daemon.process.wait_until("XDP on e9", PATIENCE, |_| site.attached("e9").ok()?.then_some(()))?;
+        daemon.process.wait_until("XDP on e9", TIMEOUT, |_| site.attached("e9").ok()?.then_some(()))?;
         site.host.ip(&["link", "del", "e9"])?;
     }
 
@@ -233,7 +233,7 @@ impl Site {
     fn start(&self, command: Command) -> Result<Daemon> {
         let mut process = Process::spawn("daemon", command, self.files.path())?;
         let is_ready = |process: &Process| process.stderr().contains("ready: switch ").then_some(());
-        process.wait_until("the ready line", PATIENCE, is_ready)?;
+        process.wait_until("the ready line", TIMEOUT, is_ready)?;
         Ok(Daemon { process })
     }
 
@@ -254,7 +254,7 @@ impl Site {
 
     /// Until there is a link that the kernel sends on.
     fn wait_for_kernel_link(&self, daemon: &Daemon) -> Result<()> {
-        let link = wait_for("a link in the kernel", PATIENCE, || {
+        let link = wait_for("a link in the kernel", TIMEOUT, || {
             let mut status = own(self.tools.gdp_ctl()?);
             let output = status.arg("--socket").arg(self.file("socket")).args(["status", "-j"]).output()?;
             let status = serde_json::from_slice::<Value>(&output.stdout).unwrap_or_default();
@@ -268,7 +268,7 @@ impl Site {
         let socket = |at: &Namespace, address: &str| -> Result<UdpSocket> {
             let _inside = at.enter()?;
             let socket = UdpSocket::bind((address, 4000))?;
-            socket.set_read_timeout(Some(PATIENCE))?;
+            socket.set_read_timeout(Some(TIMEOUT))?;
             Ok(socket)
         };
         let (here, there) = (socket(&self.host, "192.0.2.1")?, socket(&self.beyond, "192.0.2.2")?);
@@ -329,7 +329,7 @@ impl Daemon {
 
     /// In order, so that nothing stays in the kernel.
     fn stop(mut self) -> Result<()> {
-        ensure!(self.process.stop(PATIENCE)?.success(), "{}", self.process.report());
+        ensure!(self.process.stop(TIMEOUT)?.success(), "{}", self.process.report());
         Ok(())
     }
 

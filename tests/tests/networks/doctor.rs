@@ -17,7 +17,7 @@ use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
 use gdp_tests::programs::{Executable as _, Program, own};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::{Value, json};
 
 #[test]
@@ -221,7 +221,7 @@ impl Site {
     fn serves_in_userspace_because(&self, reason: &str) -> Result<()> {
         let command = self.command(&["serve", "--config"], &self.config("auto")?)?;
         let mut daemon = Process::spawn("daemon", command, self.files.path())?;
-        let status = wait_for("the daemon", PATIENCE, || {
+        let status = wait_for("the daemon", TIMEOUT, || {
             daemon.check_alive()?;
             let mut ctl = own(self.tools.gdp_ctl()?);
             let output = ctl.arg("--socket").arg(self.files.path().join("socket")).args(["status", "-j"]).output()?;

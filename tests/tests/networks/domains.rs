@@ -15,7 +15,7 @@ use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
 use gdp_tests::programs::{Executable as _, Program, own};
 use gdp_tests::tools::Tools;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::{Value, json};
 
 #[test]
@@ -36,7 +36,7 @@ fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
 
     let standing = |socket: &str, peer: &str| standing(&home.tools, folder, socket, peer);
     for (socket, peer) in [("first.sock", &name), ("new.sock", &first)] {
-        let link = wait_for(&format!("{socket} to have the link"), PATIENCE, || {
+        let link = wait_for(&format!("{socket} to have the link"), TIMEOUT, || {
             home.process.check_alive()?;
             newcomer.check_alive()?;
             Ok(standing(socket, peer).filter(|link| link["standing"] == "member"))
@@ -44,14 +44,14 @@ fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
         .with_context(|| home.process.report() + &newcomer.report())?;
         ensure!(link["plane"] == "kernel", "{link:#}");
     }
-    wait_for("the RIB to know both", PATIENCE, || {
+    wait_for("the RIB to know both", TIMEOUT, || {
         let status = user(&["--socket", "first.sock", "status"])?;
         Ok((status["rib"]["switches"] == 2 && status["domain"]["invitations_used"] == 1).then_some(()))
     })?;
 
     user(&["--socket", "first.sock", "domain", "revoke", "--key", "home/domain.pem", "new/membership"])?;
-    wait_for("the link to be gone", PATIENCE, || Ok(standing("first.sock", &name).is_none().then_some(())))?;
-    wait_for("both to say why", PATIENCE, || {
+    wait_for("the link to be gone", TIMEOUT, || Ok(standing("first.sock", &name).is_none().then_some(())))?;
+    wait_for("both to say why", TIMEOUT, || {
         let said = |process: &Process| process.stderr().contains("revoked: the Invite");
         Ok((said(&home.process) && said(&newcomer)).then_some(()))
     })
@@ -61,7 +61,7 @@ fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
         ensure!(!process.stderr().contains(&token[..40]), "{}", process.report());
     }
     for process in [&mut newcomer, &mut home.process] {
-        ensure!(process.stop(PATIENCE)?.success(), "{}", process.report());
+        ensure!(process.stop(TIMEOUT)?.success(), "{}", process.report());
     }
     Ok(())
 }
@@ -72,7 +72,7 @@ fn a_proxy_attaches_with_the_configuration_that_join_wrote() -> Result<()> {
     let name = home.join_robot()?;
     let mut proxy = home.start_proxy(&name)?;
     for process in [&mut proxy, &mut home.process] {
-        ensure!(process.stop(PATIENCE)?.success(), "{}", process.report());
+        ensure!(process.stop(TIMEOUT)?.success(), "{}", process.report());
     }
     Ok(())
 }
@@ -87,13 +87,13 @@ fn a_bind_mounted_configuration_is_read_again() -> Result<()> {
     let _mount = BindMount::new(&source, &config)?;
     let mut proxy = home.start_proxy(&name)?;
     fs::write(&source, fs::read_to_string(&source)? + "diagnostics: true\n")?;
-    wait_for("the changed file to be read", PATIENCE, || {
+    wait_for("the changed file to be read", TIMEOUT, || {
         proxy.check_alive()?;
         Ok(proxy.stderr().contains("took the changed configuration").then_some(()))
     })
     .with_context(|| proxy.report())?;
     for process in [&mut proxy, &mut home.process] {
-        ensure!(process.stop(PATIENCE)?.success(), "{}", process.report());
+        ensure!(process.stop(TIMEOUT)?.success(), "{}", process.report());
     }
     Ok(())
 }
@@ -159,7 +159,7 @@ impl Home {
         let mut command = self.beyond.command(self.tools.gdp_proxy()?)?;
         command.arg("--config").arg(folder.join("new/gdp.yaml"));
         let mut proxy = Process::spawn("robot", command, folder)?;
-        wait_for("the proxy to be attached as a member", PATIENCE, || {
+        wait_for("the proxy to be attached as a member", TIMEOUT, || {
             self.process.check_alive()?;
             proxy.check_alive()?;
             let link = standing(&self.tools, folder, "first.sock", name);

@@ -13,7 +13,7 @@ use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_tests::peers::{Conversation, Side, Traffic, Vendor};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::Value;
 
 #[test]
@@ -48,7 +48,7 @@ fn messages_cross(data_planes: &'static [&'static str], mtu: u32) -> Result<()> 
     let started = Conversation::start(&fabric.tools, talks, hears, fabric.folder());
     let mut both = started.with_context(|| fabric.report())?;
     both.open()?;
-    let messages = both.finish(PATIENCE, PATIENCE).with_context(|| fabric.report())?;
+    let messages = both.finish(TIMEOUT, TIMEOUT).with_context(|| fabric.report())?;
     let complete = messages.len() as u64 == traffic.count && messages.iter().all(|message| message.intact);
     ensure!(complete, "{messages:?}\n{}", fabric.report());
     // A few per cent of a frame are headers, and there are other frames.
@@ -67,7 +67,7 @@ fn messages_cross(data_planes: &'static [&'static str], mtu: u32) -> Result<()> 
         ensure!(status["data_plane"] == reported, "s{}: {status:#}", i + 1);
         ensure!(sent(first) > frames, "s{}: {:#}", i + 1, status["counters_by_plane"]);
         // What the robot's proxy says of itself is up to a second old.
-        wait_for(&format!("s{} to have sent each frame once", i + 1), PATIENCE, || {
+        wait_for(&format!("s{} to have sent each frame once", i + 1), TIMEOUT, || {
             let given = fabric.proxy_stats("robot")["topics"][0]["fabric"]["frames"].as_u64().unwrap_or(0);
             Ok((sent(first) < given + frames / 2).then_some(()))
         })
@@ -100,11 +100,11 @@ fn the_host_is_reached_through_a_port() -> Result<()> {
         let mut buffer = [0; 2000];
         for i in 0..20u8 {
             asking.send_to(&[i; 1200], "10.7.0.2:7000")?;
-            udp.set_read_timeout(Some(PATIENCE))?;
+            udp.set_read_timeout(Some(TIMEOUT))?;
             let (length, from) = udp.recv_from(&mut buffer).with_context(|| format!("{driver}: datagram {i}"))?;
             ensure!(buffer[..length] == [i; 1200], "{driver}: another datagram");
             udp.send_to(&[i], from)?;
-            asking.set_read_timeout(Some(PATIENCE))?;
+            asking.set_read_timeout(Some(TIMEOUT))?;
             ensure!(asking.recv(&mut buffer)? == 1 && buffer[0] == i, "{driver}: answer {i}");
         }
         udp.set_read_timeout(Some(Duration::from_millis(50)))?;
@@ -123,7 +123,7 @@ fn stream(to: &TcpListener) -> Result<()> {
     let sent = vec![0x5a; 3_000_000];
     let writing = std::thread::spawn(move || near.write_all(&sent).map(|()| near));
     let mut received = vec![0; 3_000_000];
-    far.set_read_timeout(Some(PATIENCE))?;
+    far.set_read_timeout(Some(TIMEOUT))?;
     far.read_exact(&mut received)?;
     ensure!(received.iter().all(|byte| *byte == 0x5a), "other bytes");
     drop(writing.join().expect("no panic")?);
@@ -141,12 +141,12 @@ fn loops_share_a_port() -> Result<()> {
         let _inside = site.host.enter()?;
         (UdpSocket::bind("10.7.0.2:7000")?, TcpListener::bind("10.7.0.2:7000")?)
     };
-    hears.set_read_timeout(Some(PATIENCE))?;
+    hears.set_read_timeout(Some(TIMEOUT))?;
     let _inside = site.other.enter()?;
     let mut buffer = [0; 2000];
     for flow in 0..40u8 {
         let asks = UdpSocket::bind("10.7.0.1:0")?;
-        asks.set_read_timeout(Some(PATIENCE))?;
+        asks.set_read_timeout(Some(TIMEOUT))?;
         asks.send_to(&[flow], "10.7.0.2:7000")?;
         let (length, from) = hears.recv_from(&mut buffer).with_context(|| format!("flow {flow}"))?;
         ensure!(buffer[..length] == [flow], "another datagram");
@@ -184,11 +184,11 @@ fn large_packets_reach_the_host() -> Result<()> {
         let mut buffer = [0; 5000];
         for length in [3000, 4016 - 28] {
             asks.send_to(&vec![7; length], "10.7.0.2:7000")?;
-            hears.set_read_timeout(Some(PATIENCE))?;
+            hears.set_read_timeout(Some(TIMEOUT))?;
             let (received, from) = hears.recv_from(&mut buffer).with_context(|| format!("{length} B"))?;
             ensure!(buffer[..received] == vec![7; length], "another datagram of {received} B");
             hears.send_to(&buffer[..received], from)?;
-            asks.set_read_timeout(Some(PATIENCE))?;
+            asks.set_read_timeout(Some(TIMEOUT))?;
             ensure!(asks.recv(&mut buffer)? == length, "an answer of {length} B");
         }
     }
@@ -227,7 +227,7 @@ fn devices_tell_what_they_counted() -> Result<()> {
     let sends = UdpSocket::bind("10.7.0.1:0")?;
     // Nobody answers for the address, so ARP is all there is.
     sends.send_to(&[0], "10.7.0.2:7000")?;
-    let device = wait_for("a packet at the device", PATIENCE, || {
+    let device = wait_for("a packet at the device", TIMEOUT, || {
         let device = *planes.dpdk_devices().get(HOST).context("no device")?;
         Ok((device.received > 0).then_some(device))
     })?;

@@ -19,7 +19,7 @@ use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::Identity;
 use gdp_core::identity::SigningKey;
 use gdp_core::link_target::LinkTarget;
-use gdp_daemon::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_daemon::config::{Config, DataPlane, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
 use gdp_e2e::seal::Encoding;
 use gdp_e2e::transport::TopicCounters;
@@ -28,7 +28,7 @@ use gdp_tests::Tools;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::netns::{Namespace, execute};
 use gdp_tests::programs::Program;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_tests::wire::Wire;
 use serde_json::Value;
 
@@ -168,7 +168,7 @@ impl Site {
             let running = inside.run(start(site.config(i)?))??;
             site.switches.push((running, inside));
         }
-        wait_for("the switches to be neighbours", PATIENCE, || {
+        wait_for("the switches to be neighbours", TIMEOUT, || {
             let linked = |i| site.status(i)["links"].as_array().is_some_and(|links| links.len() == 1);
             Ok((linked(0) && linked(1)).then_some(()))
         })?;
@@ -187,7 +187,7 @@ impl Site {
     fn config(&self, i: usize) -> Result<Config> {
         let folder = self.files.path();
         let identity = |i: usize| folder.join(format!("s{i}.pem"));
-        let near = Place {
+        let near = NeighbourAddress {
             switch: Identity::load_or_generate(&identity(1 - i), "switch")?.name(),
             via: self.cables[1].via(1, i + 1)?,
         };
@@ -247,7 +247,7 @@ impl Site {
         for _ in 0..ROUNDS {
             let received = reader.runtime.spawn(async move {
                 for i in 0..MESSAGES {
-                    let next = tokio::time::timeout(PATIENCE, subscription.recv()).await;
+                    let next = tokio::time::timeout(TIMEOUT, subscription.recv()).await;
                     let message = next.context("not received")?.context("a live subscription")?;
                     ensure!(*message.body == [i as u8; LENGTH], "another message");
                 }

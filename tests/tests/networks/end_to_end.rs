@@ -10,7 +10,7 @@ use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions, TOPIC, TYPE};
 use gdp_tests::packet::{ETHERNET, is_gdp_data};
 use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_wire::Header;
 use serde_json::Value;
 
@@ -32,8 +32,8 @@ fn crosses(from: Vendor, to: Vendor) -> Result<()> {
     let before = kernel_forwards(&fabric)?;
     let eavesdropper = fabric.chain.wire_from_robot()?;
     both.open()?;
-    let frame = eavesdropper.receive(PATIENCE, is_gdp_data)?;
-    let messages = both.finish(PATIENCE, PATIENCE)?;
+    let frame = eavesdropper.receive(TIMEOUT, is_gdp_data)?;
+    let messages = both.finish(TIMEOUT, TIMEOUT)?;
     complete_and_intact(&messages, &traffic)?;
 
     for (i, (before, after)) in before.iter().zip(kernel_forwards(&fabric)?).enumerate() {
@@ -55,7 +55,7 @@ fn a_megabyte_crosses_whole() -> Result<()> {
     let traffic = Traffic { count: 5, rate: 2.0, size: 1 << 20, ..Default::default() };
     let mut both = conversation(&fabric, Vendor::Cyclone, Vendor::FastDds, &traffic)?;
     both.open()?;
-    complete_and_intact(&both.finish(PATIENCE, PATIENCE)?, &traffic)
+    complete_and_intact(&both.finish(TIMEOUT, TIMEOUT)?, &traffic)
 }
 
 #[test]
@@ -68,20 +68,20 @@ fn a_killed_publisher_is_forgotten_everywhere_and_welcome_again() -> Result<()> 
         let records = answer["records"].as_array().into_iter().flatten();
         Ok(records.filter(|record| record["role"] == "publisher").count())
     };
-    wait_for("the RIB to know the writer", PATIENCE, || Ok((writers(&fabric)? == 1).then_some(())))?;
+    wait_for("the RIB to know the writer", TIMEOUT, || Ok((writers(&fabric)? == 1).then_some(())))?;
     let mut robot = fabric.robot.take().expect("started");
     robot.kill()?;
     for i in [0, last] {
         fabric.wait_for_fib(i, false)?;
     }
-    wait_for("the RIB to forget the writer", PATIENCE, || Ok((writers(&fabric)? == 0).then_some(())))?;
+    wait_for("the RIB to forget the writer", TIMEOUT, || Ok((writers(&fabric)? == 0).then_some(())))?;
 
     fabric.start_robot()?;
     fabric.wait_for_route()?;
     let traffic = Traffic { count: 10, ..Default::default() };
     let mut both = conversation(&fabric, Vendor::Cyclone, Vendor::FastDds, &traffic)?;
     both.open()?;
-    complete_and_intact(&both.finish(PATIENCE, PATIENCE)?, &traffic)
+    complete_and_intact(&both.finish(TIMEOUT, TIMEOUT)?, &traffic)
 }
 
 #[test]
@@ -91,14 +91,14 @@ fn a_listener_that_joins_late_gets_what_comes_then() -> Result<()> {
     let traffic = Traffic::default();
     let folder = fabric.folder().to_owned();
     let mut talker = peers::talker(&fabric.tools, fabric.chain.robot(), Vendor::Cyclone, &traffic, &folder)?;
-    talker.wait_event("matched", PATIENCE)?;
+    talker.wait_event("matched", TIMEOUT)?;
     // It has talked into the void; now somebody comes.
-    wait_for("messages that nobody reads", PATIENCE, || Ok((sent(&fabric) > 2).then_some(())))?;
+    wait_for("messages that nobody reads", TIMEOUT, || Ok((sent(&fabric) > 2).then_some(())))?;
     fabric.start_cloud()?;
     fabric.wait_for_route()?;
     let mut listener = peers::listener(&fabric.tools, fabric.chain.cloud(), Vendor::FastDds, &traffic, &folder)?;
     let messages = listener
-        .wait_until("ten messages", PATIENCE, |p| Some(peers::received(p)).filter(|messages| messages.len() >= 10))?;
+        .wait_until("ten messages", TIMEOUT, |p| Some(peers::received(p)).filter(|messages| messages.len() >= 10))?;
     ensure!(messages.iter().all(|m| m.intact), "{messages:?}");
     ensure!(messages[0].sequence > 0, "the listener cannot have heard the first message");
     ensure!(messages.windows(2).all(|pair| pair[0].sequence + 1 == pair[1].sequence), "a gap in {messages:?}");
@@ -116,13 +116,11 @@ fn the_last_messages_of_a_latched_topic_reach_who_comes_later() -> Result<()> {
     let folder = fabric.folder().to_owned();
     // As long as it is there: with a publisher goes what it has latched, as in ROS.
     let _talker = peers::talker(&fabric.tools, fabric.chain.robot(), Vendor::Cyclone, &traffic, &folder)?;
-    wait_for("all messages to be written", PATIENCE, || Ok((sent(&fabric) == traffic.count).then_some(())))?;
+    wait_for("all messages to be written", TIMEOUT, || Ok((sent(&fabric) == traffic.count).then_some(())))?;
     fabric.start_cloud()?;
     let mut listener = peers::listener(&fabric.tools, fabric.chain.cloud(), Vendor::FastDds, &traffic, &folder)?;
     let messages = listener
-        .wait_until("the last message", PATIENCE, |p| {
-            Some(peers::received(p)).filter(|all| all.len() >= depth as usize)
-        })
+        .wait_until("the last message", TIMEOUT, |p| Some(peers::received(p)).filter(|all| all.len() >= depth as usize))
         .with_context(|| fabric.report())?;
     let numbers: Vec<i64> = messages.iter().map(|message| message.sequence).collect();
     ensure!(numbers == [7, 8, 9] && messages.iter().all(|message| message.intact), "{messages:?}");
@@ -136,7 +134,7 @@ fn parties_share_no_secret_and_the_owners_key_stays_with_the_owner() -> Result<(
     let traffic = Traffic { count: 10, ..Default::default() };
     let mut both = conversation(&fabric, Vendor::Cyclone, Vendor::FastDds, &traffic)?;
     both.open()?;
-    complete_and_intact(&both.finish(PATIENCE, PATIENCE)?, &traffic)?;
+    complete_and_intact(&both.finish(TIMEOUT, TIMEOUT)?, &traffic)?;
 
     let mut parties = Vec::new();
     for party in ["robot", "cloud"] {
@@ -166,16 +164,16 @@ fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Resul
     at.enable_loopback_multicast()?;
     let _guest = fabric.admit_reader("guest", at, interface)?;
     let read_by = |label: &str| fabric.proxy_stats(label)["topics"][0]["messages"].as_u64().unwrap_or(0);
-    wait_for("the guest to read", PATIENCE, || Ok((read_by("guest") >= 10).then_some(())))
+    wait_for("the guest to read", TIMEOUT, || Ok((read_by("guest") >= 10).then_some(())))
         .with_context(|| fabric.report())?;
     let from_robot = fabric.chain.wire_from_robot()?;
     let is_topic = |frame: &[u8]| is_gdp_data(frame) && destination(frame) == fabric.name;
-    let before = epoch(&from_robot.receive(PATIENCE, is_topic)?);
+    let before = epoch(&from_robot.receive(TIMEOUT, is_topic)?);
 
     let cloud = fabric.status(2)?["links"].as_array().into_iter().flatten().find(|l| l["role"] == "endpoint").cloned();
     let cloud = cloud.context("the cloud's link")?["peer"].as_str().context("its name")?.to_owned();
     let revoked = fabric.owner(1, &["grant", "revoke", "chatter.card", "--key", "owner.pem", "--entity", &cloud])?;
-    let next = from_robot.receive(PATIENCE, |frame| is_topic(frame) && epoch(frame) != before)?;
+    let next = from_robot.receive(TIMEOUT, |frame| is_topic(frame) && epoch(frame) != before)?;
     ensure!(epoch(&next) > before, "epoch {} after {before}", epoch(&next));
     let readers = fabric.ctl(0, &["query", &fabric.name])?["records"].clone();
     let readers: Vec<_> = readers.as_array().into_iter().flatten().filter(|r| r["role"] == "subscriber").collect();
@@ -184,7 +182,7 @@ fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Resul
     // What was under way is there by the time the guest has read more.
     let guest_reads_on = || {
         let so_far = read_by("guest");
-        wait_for("the guest to read on", PATIENCE, || Ok((read_by("guest") >= so_far + 20).then_some(())))
+        wait_for("the guest to read on", TIMEOUT, || Ok((read_by("guest") >= so_far + 20).then_some(())))
     };
     // Each of them tells of what it has read once a second.
     (0..3).try_for_each(|_| guest_reads_on())?;
@@ -194,10 +192,10 @@ fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Resul
     both.listener.check_alive()?;
 
     // Nor does it come back.
-    fabric.cloud.take().context("started")?.stop(PATIENCE)?;
+    fabric.cloud.take().context("started")?.stop(TIMEOUT)?;
     fabric.start_cloud()?;
     let status = |fabric: &Fabric| fabric.proxy_stats("cloud")["topics"][0]["status"].as_str().map(str::to_owned);
-    wait_for("the cloud to be refused", PATIENCE, || Ok(status(&fabric).filter(|s| s.contains("revoked")).map(drop)))
+    wait_for("the cloud to be refused", TIMEOUT, || Ok(status(&fabric).filter(|s| s.contains("revoked")).map(drop)))
         .with_context(|| format!("{:?}", status(&fabric)))
 }
 
@@ -227,13 +225,13 @@ fn certificates_are_renewed_and_messages_flow_over_the_end_of_the_old_ones() -> 
             let left = |record: &Value| record["expires_in"].as_u64().is_some_and(took);
             Ok(records.as_array().is_some_and(|all| all.len() == 2 && all.iter().all(left)).then_some(()))
         };
-        wait_for("the RIB to have the new certificates", PATIENCE, taken).with_context(|| fabric.report())
+        wait_for("the RIB to have the new certificates", TIMEOUT, taken).with_context(|| fabric.report())
     };
     renew(&format!("{SHORT}s"), &|left| left <= SHORT)?;
     let ended = Instant::now() + Duration::from_secs(SHORT + 1);
     renew("1h", &|left| left > SHORT)?;
     ensure!(Instant::now() < ended, "too late to show anything");
-    complete_and_intact(&both.finish(2 * PATIENCE, PATIENCE)?, &traffic)?;
+    complete_and_intact(&both.finish(2 * TIMEOUT, TIMEOUT)?, &traffic)?;
     ensure!(Instant::now() > ended, "the messages were over before the certificates");
     for (party, ..) in &parties {
         let status = fabric.proxy_stats(party)["topics"][0]["status"].clone();
@@ -250,7 +248,7 @@ fn what_nobody_reads_goes_nowhere() -> Result<()> {
     let folder = fabric.folder().to_owned();
     let traffic = Traffic::default();
     let _talker = peers::talker(&fabric.tools, fabric.chain.robot(), Vendor::FastDds, &traffic, &folder)?;
-    wait_for("messages that nobody reads", PATIENCE, || Ok((sent(&fabric) >= 10).then_some(())))?;
+    wait_for("messages that nobody reads", TIMEOUT, || Ok((sent(&fabric) >= 10).then_some(())))?;
     ensure!(!fabric.holds_name(0)?, "no subscriber, so nothing may be in the FIB");
     let frames = &fabric.proxy_stats("robot")["topics"][0]["fabric"]["frames"];
     ensure!(*frames == 0, "{frames} frames were sent to nobody");

@@ -11,7 +11,7 @@ use gdp_tests::packet::GDP_ETHERTYPE;
 use gdp_tests::peers::{Conversation, Side, Traffic, Vendor};
 use gdp_tests::process::Process;
 use gdp_tests::programs::{Executable as _, Program};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 
 #[test]
 fn a_chain_routes_ip_from_end_to_end() -> Result<()> {
@@ -26,7 +26,7 @@ fn a_chain_routes_ip_from_end_to_end() -> Result<()> {
     };
     let (from, to) = (socket_in(chain.robot())?, socket_in(chain.cloud())?);
     // The bridge in the wire takes a moment to forward.
-    wait_for("a datagram through three routers", PATIENCE, || {
+    wait_for("a datagram through three routers", TIMEOUT, || {
         from.send_to(b"hello", (cloud.as_str(), 4000))?;
         Ok(to.recv(&mut [0; 16]).ok())
     })?;
@@ -46,9 +46,9 @@ fn the_wire_shows_what_passes_and_lets_one_add_to_it() -> Result<()> {
         frame
     };
     switch.send(&ours(1))?;
-    eavesdropper.receive(PATIENCE, |frame| frame == ours(1))?;
+    eavesdropper.receive(TIMEOUT, |frame| frame == ours(1))?;
     attacker.send(&ours(2))?;
-    cloud.receive(PATIENCE, |frame| frame == ours(2))?;
+    cloud.receive(TIMEOUT, |frame| frame == ours(2))?;
     Ok(())
 }
 
@@ -99,7 +99,7 @@ fn the_dds_vendors_understand_each_other() -> Result<()> {
         let [talks, hears] = [from, to].map(|vendor| Side { at: &site, vendor, traffic: &traffic });
         let mut both = Conversation::start(&tools, talks, hears, folder.path())?;
         both.open()?;
-        let messages = both.finish(PATIENCE, PATIENCE)?;
+        let messages = both.finish(TIMEOUT, TIMEOUT)?;
         ensure!(messages.len() == 5, "{messages:?}");
         ensure!(messages.iter().all(|m| m.intact && m.bytes == 64), "{messages:?}");
     }

@@ -15,7 +15,7 @@ use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::packet::{ETHERNET, GDP_ETHERTYPE, PacketSocket, is_gdp_data};
 use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_wire::replay::{self, Window};
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{ErrorCode, Header, Name, forward};
@@ -50,7 +50,7 @@ impl Scene {
         let conversation = Conversation::start(&fabric.tools, talks, hears, fabric.folder())?;
         let eavesdropper = fabric.chain.wire_from_robot()?;
         conversation.open()?;
-        let frame = eavesdropper.receive(PATIENCE, is_gdp_data)?;
+        let frame = eavesdropper.receive(TIMEOUT, is_gdp_data)?;
         let attacker = fabric.chain.wire_to_cloud()?;
         Ok(Self { fabric, conversation, attacker, frame })
     }
@@ -70,7 +70,7 @@ impl Scene {
         const TURN: Duration = Duration::from_millis(2);
         let (from_robot, from_cloud) = (self.fabric.chain.wire_from_robot()?, &self.attacker);
         self.fabric.chain.cut_wire(true)?;
-        let (mut altered, deadline) = (0, Instant::now() + PATIENCE);
+        let (mut altered, deadline) = (0, Instant::now() + TIMEOUT);
         while altered < count {
             ensure!(Instant::now() < deadline, "only {altered} data frames came");
             if let Ok(mut frame) = from_robot.receive(TURN, is_gdp) {
@@ -92,7 +92,7 @@ impl Scene {
     }
 
     fn wait_for_count(&self, reason: &str, expected: u64, count: impl Fn(&Fabric) -> Result<u64>) -> Result<()> {
-        let waited = wait_for(&format!("{reason} to reach {expected}"), PATIENCE, || {
+        let waited = wait_for(&format!("{reason} to reach {expected}"), TIMEOUT, || {
             Ok((count(&self.fabric)? >= expected).then_some(()))
         });
         waited.with_context(|| {
@@ -112,7 +112,7 @@ impl Scene {
     /// Some honest messages may be missing.
     fn no_dishonest_message_arrived(mut self) -> Result<Vec<Received>> {
         let so_far = peers::received(&self.conversation.listener).len();
-        let messages = self.conversation.listener.wait_until("ten more messages", PATIENCE, |p| {
+        let messages = self.conversation.listener.wait_until("ten more messages", TIMEOUT, |p| {
             Some(peers::received(p)).filter(|messages| messages.len() >= so_far + 10)
         });
         let stats = || format!("{}\n{}", self.fabric.proxy_stats("robot"), self.fabric.proxy_stats("cloud"));
@@ -178,7 +178,7 @@ fn an_endpoint_sends_only_in_its_own_name_and_to_what_it_publishes() -> Result<(
         };
         let before = count(&fabric)?;
         stranger.send(destination, source, 20)?;
-        wait_for(&format!("20 frames to be counted as {reason}"), PATIENCE, || {
+        wait_for(&format!("20 frames to be counted as {reason}"), TIMEOUT, || {
             Ok((count(&fabric)? >= before + 20).then_some(()))
         })
         .with_context(|| fabric.status(S1).unwrap_or_default()["counters"].to_string())?;
@@ -214,14 +214,14 @@ impl Stranger {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
         let (port, link) = runtime.block_on(async {
             let port = Port::ethernet(interface, &PortConfig::endpoint(identity.clone()))?;
-            let found = port.discover(Some(name(&fabric.switches[S1].name)?), PATIENCE).await;
+            let found = port.discover(Some(name(&fabric.switches[S1].name)?), TIMEOUT).await;
             let (to, name) = found.first().context("no answer of s1")?;
             let link = port.dial(*to, Some(*name)).await?;
             anyhow::Ok((port, link))
         })?;
         // It is in service a moment after it is made.
         let own = identity.name().to_string();
-        wait_for("s1 to take the link into service", PATIENCE, || {
+        wait_for("s1 to take the link into service", TIMEOUT, || {
             Ok(fabric.status(S1)?["links"].to_string().contains(&own).then_some(()))
         })?;
         let (received, window) = (RecvBatch::new(2048), Box::new(replay::empty()));
@@ -298,7 +298,7 @@ fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Res
     let fabric = Fabric::start(Tools::beside_this_test()?, FabricOptions { chain, ..Default::default() })?;
     let mut stranger = Stranger::attach(&fabric)?;
     let counted = |counter: &str, expected: u64| {
-        wait_for(&format!("{counter} to be {expected}"), PATIENCE, || {
+        wait_for(&format!("{counter} to be {expected}"), TIMEOUT, || {
             Ok((fabric.counter(S1, counter)? == expected).then_some(()))
         })
         .with_context(|| format!("{:?}", fabric.status(S1).map(|status| status["counters"].clone())))
@@ -307,7 +307,7 @@ fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Res
     stranger.send_frames(&[echo, echo, echo])?;
     counted("echoed", 1)?;
     counted("drop_replayed", 2)?;
-    let answers = stranger.receive(PATIENCE)?;
+    let answers = stranger.receive(TIMEOUT)?;
     let is_answer = |header: &Header| (header.egress_bits(), header.egress_set) == (7, Header::ANSWERS);
     ensure!(answers.len() == 1 && answers.iter().all(is_answer), "{answers:?}");
     let mut error = Header::data(Name::default(), stranger.name, 0);
@@ -343,7 +343,7 @@ fn a_flood_of_unknown_names_draws_few_errors_and_stops_nobody() -> Result<()> {
     let (mut sent, mut errors) = (0, 0);
     // As long as it takes to see that messages arrive meanwhile.
     while sent < NAMES || heard() < before + 20 {
-        ensure!(sent < NAMES || began.elapsed() < 3 * PATIENCE, "only {} messages arrived", heard() - before);
+        ensure!(sent < NAMES || began.elapsed() < 3 * TIMEOUT, "only {} messages arrived", heard() - before);
         let batch: Vec<_> = (sent..sent + 64)
             .map(|n| {
                 let mut bytes = [0xee; 32];

@@ -18,7 +18,7 @@ use gdp_tests::frames::carrier::Carrier as Carried;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::programs::Program;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name};
 
 const LEFT_MAC: [u8; 6] = [2, 0, 0, 0, 1, 1];
@@ -107,7 +107,7 @@ fn the_planes_share_the_window_of_a_link() -> Result<()> {
     let mut switch = site.switch(Wanted::Auto)?;
     let (in_userspace, in_kernel) = (site.next_frame(200), site.next_frame(200));
     let counted = |switch: &Switch, counter, count: (u64, u64)| -> Result<()> {
-        wait_for(&format!("{counter:?} to be {count:?}"), PATIENCE, || {
+        wait_for(&format!("{counter:?} to be {count:?}"), TIMEOUT, || {
             Ok((switch.count(counter)? == count).then_some(()))
         })
     };
@@ -168,7 +168,7 @@ fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
         for (link, may) in [first, second].into_iter().zip(may) {
             site.send(&Frame { link_id: link.id, key: link.rx_keys[0], ..site.next_frame(200) })?;
             *(if may { &mut delivered } else { &mut refused }) += 1;
-            wait_for(&format!("{delivered} delivered, {refused} refused at {route:?}"), PATIENCE, || {
+            wait_for(&format!("{delivered} delivered, {refused} refused at {route:?}"), TIMEOUT, || {
                 let counts = (switch.count(Counter::Delivered)?, switch.count(Counter::NotPermitted)?);
                 Ok((counts == ((delivered, 0), (refused, 0))).then_some(()))
             })?;
@@ -177,7 +177,7 @@ fn permission_comes_and_goes_in_the_kernel() -> Result<()> {
     switch.planes.remove_route(&TOPIC)?;
     switch.planes.set_route(TOPIC, &route(&[0x1004, 0x1005]))?;
     site.send(&Frame { link_id: first.id, key: first.rx_keys[0], ..site.next_frame(200) })?;
-    wait_for("a permit to go with its name", PATIENCE, || {
+    wait_for("a permit to go with its name", TIMEOUT, || {
         Ok((switch.count(Counter::NotPermitted)? == (refused + 1, 0)).then_some(()))
     })
 }
@@ -199,7 +199,7 @@ fn who_may_come_from_abroad_comes_and_goes_in_the_kernel() -> Result<()> {
         }
         site.send(&site.next_frame(200))?;
         *(if may { &mut delivered } else { &mut refused }) += 1;
-        wait_for(&format!("{delivered} delivered, {refused} refused at {route:?}"), PATIENCE, || {
+        wait_for(&format!("{delivered} delivered, {refused} refused at {route:?}"), TIMEOUT, || {
             let counts = (switch.count(Counter::Delivered)?, switch.count(Counter::Source)?);
             Ok((counts == ((delivered, 0), (refused, 0))).then_some(()))
         })?;
@@ -221,7 +221,7 @@ fn no_frame_is_lost_while_the_fib_grows() -> Result<()> {
             while sent < 1000 || !over.load(Ordering::Relaxed) {
                 sent += 1;
                 from.send(&Frame { link_counter: sent, ..template.clone() }.bytes())?;
-                to.receive(PATIENCE, gdp_tests::packet::is_gdp_data)
+                to.receive(TIMEOUT, gdp_tests::packet::is_gdp_data)
                     .with_context(|| format!("frame {sent} was lost"))?;
             }
             Ok(sent)
@@ -262,18 +262,18 @@ fn a_vlan_is_served_on_the_interface_below_it() -> Result<()> {
 
     let to = PacketSocket::open(&site.right, "e0")?;
     site.send(&Frame { carrier: TAG, ..site.next_frame(200) })?;
-    to.receive(PATIENCE, gdp_tests::packet::is_gdp_data)?;
+    to.receive(TIMEOUT, gdp_tests::packet::is_gdp_data)?;
     ensure!(switch.counted(Counter::Delivered)? == (1, 0));
 
     // An echo comes back tagged: the kernel takes the tag off before a packet socket sees the frame, and counts it there.
     let from = PacketSocket::open(&site.left, "e0")?;
     let echo = Frame { carrier: TAG, version_type: 0x14, hop_limit: 1, payload: vec![], ..site.next_frame(96) };
     site.send(&echo)?;
-    let answer = from.receive(PATIENCE, |frame| frame.len() == 110 && frame[14] == 0x14)?;
+    let answer = from.receive(TIMEOUT, |frame| frame.len() == 110 && frame[14] == 0x14)?;
     ensure!(answer[..12] == [LEFT_MAC, L0_MAC].concat() && switch.count(Counter::Echoed)? == (1, 0), "{answer:02x?}");
 
     site.send(&Frame { carrier: Carried::Vlan(6), ..site.next_frame(200) })?;
-    wait_for("another VLAN's frame to pass", PATIENCE, || Ok((switch.count(Counter::Foreign)?.0 > 0).then_some(())))?;
+    wait_for("another VLAN's frame to pass", TIMEOUT, || Ok((switch.count(Counter::Foreign)?.0 > 0).then_some(())))?;
     switch.planes.detach(interface.index);
     ensure!(!site.switch.ip(&["-o", "link", "show", "l0"])?.contains("xdp"), "nothing needs it any more");
     Ok(())
@@ -402,7 +402,7 @@ impl Site {
         let to = PacketSocket::open(&self.right, "e0")?;
         let frame = self.next_frame(length);
         self.send(&frame)?;
-        let crossed = to.receive(PATIENCE, gdp_tests::packet::is_gdp_data)?;
+        let crossed = to.receive(TIMEOUT, gdp_tests::packet::is_gdp_data)?;
         let link_counter = u32::from_be_bytes([crossed[26], crossed[27], crossed[28], crossed[29]]).into();
         let expected = Frame {
             to_mac: RIGHT_MAC,
@@ -476,7 +476,7 @@ impl Switch {
 
     /// What the kernel and the userspace plane counted; waits until the latter has come to it.
     fn counted(&self, wanted: Counter) -> Result<(u64, u64)> {
-        wait_for("a frame to be counted", PATIENCE, || Ok(Some(self.count(wanted)?).filter(|count| *count != (0, 0))))
+        wait_for("a frame to be counted", TIMEOUT, || Ok(Some(self.count(wanted)?).filter(|count| *count != (0, 0))))
     }
 }
 

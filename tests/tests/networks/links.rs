@@ -21,7 +21,7 @@ use gdp_tests::Tools;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
 use gdp_tests::programs::own;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_tests::wire::Wire;
 use serde_json::{Value, json};
 
@@ -79,7 +79,7 @@ fn loses_nothing(switches: usize) -> Result<()> {
     let watch = Watch::begin();
     let heard = |flows: &[Flow]| flows.iter().map(Flow::heard).min().unwrap_or(0);
     let until = |what: &str, count: usize| {
-        wait_for(what, PATIENCE, || Ok((heard(&flows) >= count).then_some(()))).with_context(|| site.report())
+        wait_for(what, TIMEOUT, || Ok((heard(&flows) >= count).then_some(()))).with_context(|| site.report())
     };
     until("messages by both links", 100)?;
     for lane in [0, 1] {
@@ -175,7 +175,7 @@ fn what_comes_twice_is_counted_and_dropped() -> Result<()> {
         for (i, topic) in topics.iter().enumerate() {
             let expected = if i % 2 == 0 { segments } else { 0 };
             let duplicates = || topic.subscription.counters().inbound.duplicates;
-            wait_for("all copies", PATIENCE, || Ok((duplicates() >= expected).then_some(())))
+            wait_for("all copies", TIMEOUT, || Ok((duplicates() >= expected).then_some(())))
                 .with_context(|| format!("topic {i}: {:?} {:?}", topic.subscription.counters(), robot.node.links()))?;
             let (sent, counters) = (topic.publisher.counters().topic, topic.subscription.counters().inbound);
             ensure!(sent.repeated == 0 && counters.duplicates == expected, "topic {i}: {sent:?} {counters:?}");

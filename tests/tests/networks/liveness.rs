@@ -10,7 +10,7 @@ use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::Value;
 
 /// Until a link that nothing answers on is given up: QUIC's silence, the echoes', and as long again for a loaded machine. Far
@@ -31,7 +31,7 @@ fn a_switch_whose_daemon_died_is_held_by_its_neighbours_while_its_kernel_forward
     // For much longer than a dead switch would be given.
     let echoes = 2 * 5 * Pace::ETHERNET.misses as u64;
     let before = echoed(&fabric, 1)?;
-    wait_for("the kernel to answer echoes", PATIENCE, || Ok((echoed(&fabric, 1)? >= before + echoes).then_some(())))?;
+    wait_for("the kernel to answer echoes", TIMEOUT, || Ok((echoed(&fabric, 1)? >= before + echoes).then_some(())))?;
     for neighbour in [0, 2] {
         let link = held(&fabric, neighbour, 1)?.context("it is held on")?;
         ensure!(link["role"] == "switch" && link["errors_received"] == serde_json::json!({}), "{link}");
@@ -64,7 +64,7 @@ fn a_cut_cable_ends_the_hold_on_both_sides_and_a_mended_one_carries_again() -> R
     })
     .with_context(|| fabric.report())?;
     fabric.chain.cut_wire(false)?;
-    wait_for("the robot to be back", PATIENCE, || Ok(fabric.proxy_stats("robot")["switch"].as_str().map(drop)))?;
+    wait_for("the robot to be back", TIMEOUT, || Ok(fabric.proxy_stats("robot")["switch"].as_str().map(drop)))?;
     fabric.wait_for_route()?;
     wait_for_more(&mut conversation, 10)?;
     nothing_is_missing(&conversation)
@@ -88,7 +88,7 @@ fn converse(fabric: &Fabric) -> Result<Conversation> {
 fn wait_for_more(conversation: &mut Conversation, more: usize) -> Result<()> {
     let so_far = peers::received(&conversation.listener).len();
     let listener = &mut conversation.listener;
-    listener.wait_until("more messages", PATIENCE, |p| (peers::received(p).len() >= so_far + more).then_some(()))
+    listener.wait_until("more messages", TIMEOUT, |p| (peers::received(p).len() >= so_far + more).then_some(()))
 }
 
 fn nothing_is_missing(conversation: &Conversation) -> Result<()> {

@@ -21,7 +21,7 @@ use gdp_tests::fabric::{Authority, Switch, TOPIC, TYPE};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_tests::packet::{ETHERNET, PacketSocket};
 use gdp_tests::process::Process;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::{Value, json};
 
 use crate::logs::foreign_lines;
@@ -73,15 +73,15 @@ fn a_large_reliable_topic_goes_on_where_every_datagram_comes_twice() -> Result<(
     let options = ["--count", "200", "--rate", "20", "--size", "1000000"];
     let mut talker = site.talk(Vendor::FastDds, &site.robot, 0, TOPIC, &options)?;
     fs::write(site.gate(), "")?;
-    talker.wait_event("done", PATIENCE)?;
+    talker.wait_event("done", TIMEOUT)?;
     let crossed = || site.stats("robot")["topics"][0]["messages"].as_u64().unwrap_or(0);
     wait_for("all messages", Duration::from_secs(20), || Ok((crossed() >= MESSAGES).then_some(())))
         .with_context(|| format!("{} of {MESSAGES}; {}", crossed(), site.stats("robot")["topics"][0]))?;
 
     // The proxy at the other end has written large messages.
-    listener.wait_event("message", PATIENCE).with_context(|| site.report())?;
+    listener.wait_event("message", TIMEOUT).with_context(|| site.report())?;
     for proxy in &mut site.proxies {
-        ensure!(proxy.stop(PATIENCE)?.success(), "{}", proxy.report());
+        ensure!(proxy.stop(TIMEOUT)?.success(), "{}", proxy.report());
         let log = proxy.stderr();
         ensure!(foreign_lines(&log).is_empty(), "{log}");
     }
@@ -147,7 +147,7 @@ impl Site {
         let name = authority.switch("s1")?;
         let config = json!({"interfaces": [], "udp": "0.0.0.0:31415", "data_plane": "userspace", "rib": true});
         let switch = Switch::start(&tools, &robot, folder.path(), ("s1", &name), config)?;
-        wait_for("the switch", PATIENCE, || Ok(switch.ctl(&tools, &["status"]).ok()))?;
+        wait_for("the switch", TIMEOUT, || Ok(switch.ctl(&tools, &["status"]).ok()))?;
         authority.topic()?;
         authority.name("topic", COMMANDS, TYPE, "commands.card")?;
         let mut site = Self { proxies: Vec::new(), _switch: switch, robot, arm, cloud, tools, folder };
@@ -221,7 +221,7 @@ impl Site {
         messages: i64,
     ) -> Result<Counts> {
         for listener in listeners.iter_mut() {
-            listener.wait_event("message", PATIENCE).with_context(|| self.report())?;
+            listener.wait_event("message", TIMEOUT).with_context(|| self.report())?;
         }
         let sockets = [(&self.robot, "lo"), (&self.cloud, "e0"), (&self.arm, "e0")];
         let sockets = sockets.map(|(at, interface)| PacketSocket::open(at, interface));
@@ -229,10 +229,10 @@ impl Site {
         let sockets = [loopback?, uplink?, arm?];
         sockets.iter().try_for_each(|socket| socket.set_receive_buffer(64 << 20))?;
         fs::write(self.gate(), "")?;
-        talker.wait_event("done", PATIENCE)?;
+        talker.wait_event("done", TIMEOUT)?;
         for listener in listeners.iter_mut() {
             let last = |p: &Process| p.json_lines().iter().any(|line| line["seq"] == messages - 1).then_some(());
-            listener.wait_until("the last message", PATIENCE, last)?;
+            listener.wait_until("the last message", TIMEOUT, last)?;
         }
         let [loopback, uplink, arm] = sockets.each_ref().map(copies);
         Ok(Counts { loopback: loopback?, uplink: uplink?, arm: arm? })

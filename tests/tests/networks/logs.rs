@@ -17,7 +17,7 @@ use gdp_tests::fabric::{Authority, Mounted, TOPIC, TYPE};
 use gdp_tests::netns::{Namespace, execute};
 use gdp_tests::process::Process;
 use gdp_tests::programs::{Executable as _, Program, own};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::{Value, json};
 
 /// The status of a program that ends because of a panic.
@@ -48,8 +48,8 @@ fn a_log_disk_that_is_full_costs_nothing_but_lines_of_the_log() -> Result<()> {
     fs::remove_file(&filler)?;
     site.publish()?;
     site.wait_for_link()?;
-    ensure!(daemon.stop(PATIENCE)?.success(), "{}", daemon.report());
-    ensure!(proxy.stop(PATIENCE)?.success(), "{}", proxy.report());
+    ensure!(daemon.stop(TIMEOUT)?.success(), "{}", daemon.report());
+    ensure!(proxy.stop(TIMEOUT)?.success(), "{}", proxy.report());
     let text = fs::read_to_string(&logs[1])?;
     ensure!(text.contains("lines of the log were dropped"), "{text}");
     Ok(())
@@ -74,8 +74,8 @@ fn a_log_that_nobody_takes_costs_nothing_else() -> Result<()> {
             let mut daemon = site.daemon("again", sink()?)?;
             site.wait_for_link()?;
             site.publish()?;
-            ensure!(daemon.stop(PATIENCE)?.success(), "the daemon's status");
-            ensure!(proxy.stop(PATIENCE)?.success(), "the proxy's status");
+            ensure!(daemon.stop(TIMEOUT)?.success(), "the daemon's status");
+            ensure!(proxy.stop(TIMEOUT)?.success(), "the proxy's status");
             Ok(())
         };
         run().context(what)?;
@@ -92,7 +92,7 @@ fn a_task_that_panics_ends_the_daemon_or_the_proxy() -> Result<()> {
     site.wait_for_link()?;
     for (label, process) in [("proxy", &mut proxy), ("daemon", &mut daemon)] {
         fs::write(site.trigger(label), "")?;
-        let status = wait_for("its end", PATIENCE, || process.status())?;
+        let status = wait_for("its end", TIMEOUT, || process.status())?;
         ensure!(status.code() == Some(PANICKED), "{status}: {}", process.report());
         let log = process.stderr();
         let line = log.lines().find(|line| line.contains("panicked")).with_context(|| log.clone())?;
@@ -102,7 +102,7 @@ fn a_task_that_panics_ends_the_daemon_or_the_proxy() -> Result<()> {
     let (_full, full) = full_pipe()?;
     let mut daemon = site.daemon("unheard", full.into())?;
     fs::write(site.trigger("unheard"), "")?;
-    let status = wait_for("its end with a log that stands still", PATIENCE, || daemon.status())?;
+    let status = wait_for("its end with a log that stands still", TIMEOUT, || daemon.status())?;
     ensure!(status.code() == Some(PANICKED), "{status}");
     Ok(())
 }
@@ -116,8 +116,8 @@ fn a_normal_start_and_stop_logs_nothing_of_other_crates() -> Result<()> {
         let mut proxy = site.proxy("proxy", stderr("proxy")?.into())?;
         site.wait_for_link()?;
         site.publish()?;
-        ensure!(proxy.stop(PATIENCE)?.success(), "{}", proxy.report());
-        ensure!(daemon.stop(PATIENCE)?.success(), "{}", daemon.report());
+        ensure!(proxy.stop(TIMEOUT)?.success(), "{}", proxy.report());
+        ensure!(daemon.stop(TIMEOUT)?.success(), "{}", daemon.report());
         for process in [&daemon, &proxy] {
             let log = process.stderr();
             ensure!(!log.is_empty(), "it logs nothing at all");
@@ -188,7 +188,7 @@ impl Site {
         let mut command = self.host.command(self.tools.gdp_ctl()?)?;
         command.args(["serve", "--config"]).arg(self.file("switch.yaml"));
         let mut daemon = self.spawn(label, command, stderr)?;
-        wait_for("the daemon to answer", PATIENCE, || {
+        wait_for("the daemon to answer", TIMEOUT, || {
             daemon.check_alive()?;
             Ok(self.status().ok().map(drop))
         })?;
@@ -213,7 +213,7 @@ impl Site {
 
     /// Until the proxy has a link to the daemon.
     fn wait_for_link(&self) -> Result<()> {
-        wait_for("the proxy's link", PATIENCE, || {
+        wait_for("the proxy's link", TIMEOUT, || {
             let links = self.status()?["links"].as_array().map_or(0, Vec::len);
             Ok((links > 0).then_some(()))
         })
@@ -225,7 +225,7 @@ impl Site {
         command.args(["topic", "pub", "-t", "1", "-w", "0", TOPIC, TYPE, "{data: x}", "--switch", "udp://127.0.0.1"]);
         command.arg("--keyring").arg(self.file("publisher")).arg("--key").arg(self.file("publisher/key.pem"));
         let mut publisher = Process::spawn("publisher", command, self.folder.path())?;
-        let status = wait_for("`topic pub` to end", PATIENCE, || publisher.status())?;
+        let status = wait_for("`topic pub` to end", TIMEOUT, || publisher.status())?;
         ensure!(status.success(), "{status}: {}", publisher.report());
         Ok(())
     }

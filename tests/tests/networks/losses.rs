@@ -16,7 +16,7 @@ use gdp_tests::frames::Frame;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::programs::Program;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_wire::table::{ANY_WRITER, Carrier};
 use gdp_wire::{Counter, ETHERTYPE, FibEntry, LinkEntry, LinkRole, Name, SwitchConfig};
 
@@ -67,7 +67,7 @@ fn in_generic_mode_only_what_the_kernel_refuses_is_counted() -> Result<()> {
     site.settled(10, 10)?;
     site.right_end(Program::Ip, &["link", "set", "e0", "down"])?;
     site.send(0, 11..=15)?;
-    wait_for("the interface to count", PATIENCE, || {
+    wait_for("the interface to count", TIMEOUT, || {
         Ok((site.statistic(&site.switch, "r0", "tx", "dropped")? == 5).then_some(()))
     })?;
     ensure!(site.lost()? == (0, 0), "{:?}", site.lost());
@@ -75,7 +75,7 @@ fn in_generic_mode_only_what_the_kernel_refuses_is_counted() -> Result<()> {
     site.right_end(Program::Ip, &["link", "set", "e0", "up"])?;
     site.switch.ip(&["link", "set", "r0", "down"])?;
     site.send(0, 16..=20)?;
-    wait_for("five lost frames", PATIENCE, || Ok((site.lost()? == (5, 5)).then_some(())))?;
+    wait_for("five lost frames", TIMEOUT, || Ok((site.lost()? == (5, 5)).then_some(())))?;
     ensure!((site.count(Counter::Delivered)?, site.received()?) == (20, 10));
     Ok(())
 }
@@ -101,14 +101,14 @@ fn what_does_not_fit_into_a_full_ring_is_counted() -> Result<()> {
                 Ok(count)
             })
         });
-        let lost = wait_for("frames to be lost", 3 * PATIENCE, || Ok((site.lost()?.0 > 0).then_some(())));
+        let lost = wait_for("frames to be lost", 3 * TIMEOUT, || Ok((site.lost()?.0 > 0).then_some(())));
         stop.store(true, Ordering::Relaxed);
         let sent = senders.map(|sender| sender.join().expect("no panic"));
         lost?;
         sent.into_iter().sum()
     })?;
     // A veth also drops what does not fit on the way to the switch; that is no loss of a redirect.
-    let (delivered, received) = wait_for("the last frames", PATIENCE, || {
+    let (delivered, received) = wait_for("the last frames", TIMEOUT, || {
         let (delivered, received) = (site.count(Counter::Delivered)?, site.received()?);
         Ok((delivered == received + site.lost()?.0).then_some((delivered, received)))
     })?;
@@ -131,7 +131,7 @@ fn losses_are_counted_while_no_daemon_runs_and_by_the_next_one() -> Result<()> {
     site.plane = None;
     site.send(0, 11..=15)?;
     let right = site.ifindex(RIGHT)?;
-    wait_for("losses without a daemon", PATIENCE, || {
+    wait_for("losses without a daemon", TIMEOUT, || {
         let stats = pinned_stats(&pins::find(&mounted.0)?[0].folder)?;
         Ok((stats.losses.get(&right) == Some(&15)).then_some(()))
     })?;
@@ -211,7 +211,7 @@ impl Site {
 
     /// Waits until the switch has decided about so many frames, and so many of them have arrived or been counted as lost.
     fn settled(&self, delivered: u64, received: u64) -> Result<()> {
-        wait_for(&format!("{delivered} delivered, {received} received"), PATIENCE, || {
+        wait_for(&format!("{delivered} delivered, {received} received"), TIMEOUT, || {
             let now = (self.count(Counter::Delivered)?, self.received()?, self.lost()?.0);
             Ok((now == (delivered, received, delivered - received)).then_some(()))
         })

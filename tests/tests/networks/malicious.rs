@@ -17,7 +17,7 @@ use gdp_core::identity::Identity;
 use gdp_e2e::seal::Encoding;
 
 use crate::evil::{Owner, Switch, node};
-use gdp_tests::wait::PATIENCE;
+use gdp_tests::wait::TIMEOUT;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nothing_is_refused_while_everybody_is_honest() -> Result<()> {
@@ -28,7 +28,7 @@ async fn nothing_is_refused_while_everybody_is_honest() -> Result<()> {
     let mut publisher = owner.publish(&robot, PublishOptions::best_effort()).await?;
     for body in [vec![], vec![1; 100], vec![2; 100_000]] {
         publisher.send(Encoding::Bytes, &body).await?;
-        let message = tokio::time::timeout(PATIENCE, subscription.recv()).await?.unwrap();
+        let message = tokio::time::timeout(TIMEOUT, subscription.recv()).await?.unwrap();
         assert_eq!((&message.body[..], message.writer), (&body[..], robot.name()));
     }
     // But for what was asked for again, and then came late.

@@ -15,14 +15,14 @@ use gdp::node::{Publisher, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
-use gdp_daemon::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_daemon::config::{Config, DataPlane, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
 use gdp_e2e::seal::Encoding;
 use gdp_link::link::RekeySchedule;
 use gdp_tests::Tools;
 use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::packet::is_gdp_data;
-use gdp_tests::wait::PATIENCE;
+use gdp_tests::wait::TIMEOUT;
 use gdp_wire::Name;
 use serde_json::Value;
 
@@ -76,7 +76,7 @@ impl Scene {
         let names = names.into_iter().map(|identity| Ok(identity?.name())).collect::<Result<Vec<_>>>()?;
         let mut switches = Vec::new();
         for (i, (interface, other)) in [("r0", 1), ("l0", 0)].into_iter().enumerate() {
-            let place = Place { switch: names[other], via: Via::Interface(interface.into()) };
+            let place = NeighbourAddress { switch: names[other], via: Via::Interface(interface.into()) };
             let config = Config {
                 identity: files.path().join(format!("s{}.pem", i + 1)),
                 socket: files.path().join(format!("s{}.sock", i + 1)),
@@ -104,7 +104,7 @@ impl Scene {
         for (identity, (namespace, interface)) in identities.iter().zip([(chain.robot(), "r0"), (chain.cloud(), "l0")])
         {
             let mut config = NodeConfig::new(identity.clone(), format!("eth://{interface}").parse()?);
-            (config.rekey, config.connect_timeout) = (OFTEN, PATIENCE);
+            (config.rekey, config.connect_timeout) = (OFTEN, TIMEOUT);
             let inside = Inside::new(namespace, ROOT)?;
             let node = inside.run(Node::connect(config))??;
             nodes.push((node, inside));
@@ -124,12 +124,12 @@ impl Scene {
                 way.cross(messages, &self.switches[0].1)?;
             }
             if recorded.is_none() {
-                recorded = Some(wire.receive(PATIENCE, is_gdp_data)?);
+                recorded = Some(wire.receive(TIMEOUT, is_gdp_data)?);
                 lost_before = self.lost()?;
             }
             messages += 1;
             let changes = self.fewest_changes()?;
-            ensure!(begin.elapsed() < 4 * PATIENCE, "only {changes} changes of some key");
+            ensure!(begin.elapsed() < 4 * TIMEOUT, "only {changes} changes of some key");
             if messages >= MESSAGES && changes >= CHANGES {
                 break;
             }
@@ -140,7 +140,7 @@ impl Scene {
         let recorded = recorded.context("there were messages")?;
         let wire = self.chain.wire_to_cloud()?;
         (0..20).try_for_each(|_| wire.send(&recorded))?;
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         let mut refused = 0;
         while refused < 20 {
             ensure!(Instant::now() < deadline, "{refused} of 20 recorded frames were refused: {}", self.status(1));
@@ -229,7 +229,7 @@ impl Way {
         body[..4].copy_from_slice(&number.to_be_bytes());
         inside.runtime.block_on(async {
             self.publisher.send(Encoding::Bytes, &body).await?;
-            let received = tokio::time::timeout(PATIENCE, self.subscription.recv()).await;
+            let received = tokio::time::timeout(TIMEOUT, self.subscription.recv()).await;
             let message =
                 received.with_context(|| format!("message {number} was lost"))?.context("a live subscription")?;
             ensure!(message.body[..] == body[..], "another message");

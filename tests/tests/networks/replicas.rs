@@ -10,7 +10,7 @@ use gdp_proto::admin::Request;
 use gdp_proto::control::{EntityRequest, NameRole, Record, Response};
 use gdp_tests::Tools;
 use gdp_tests::replicas::{CLOUD_AT, FIRST_LEADER, ROBOT_AT, Replicas};
-use gdp_tests::wait::PATIENCE;
+use gdp_tests::wait::TIMEOUT;
 use gdp_wire::Name;
 
 use crate::traffic::Traffic;
@@ -24,7 +24,7 @@ fn nothing_stops_when_the_leading_daemon_and_a_member_of_etcd_are_killed_at_once
     ensure!(replicas.leader()? == FIRST_LEADER);
     let parties = (replicas.folder_of("robot"), replicas.folder_of("cloud"));
     let traffic = Traffic::start((&replicas.robot, parties.0), (&replicas.cloud, parties.1))?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| replicas.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| replicas.report())?;
     let before = serials(&replicas)?;
     ensure!(before.len() == 2, "one writer and one reader: {before:?}");
     ensure!(forwarded(&replicas)? > 0, "it goes by the switch whose daemon leads");
@@ -44,9 +44,9 @@ fn nothing_stops_when_the_leading_daemon_and_a_member_of_etcd_are_killed_at_once
     let parties = (replicas.folder_of_late("robot"), replicas.folder_of_late("cloud"));
     let later = Traffic::start((&replicas.late[0], parties.0), (&replicas.late[1], parties.1))
         .with_context(|| replicas.report())?;
-    later.wait_for_more(500, PATIENCE).with_context(|| replicas.report())?;
+    later.wait_for_more(500, TIMEOUT).with_context(|| replicas.report())?;
     println!("another replica led after {led:?}, a new topic had messages after {:?}", killed.elapsed());
-    traffic.wait_for_more(500, PATIENCE).with_context(|| replicas.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| replicas.report())?;
     traffic.nothing_is_missing().with_context(|| replicas.report())?;
     let both = serials(&replicas)?;
     ensure!(both.len() == 4 && before.iter().all(|entry| both.get(entry.0) == Some(entry.1)), "{both:?}");
@@ -62,7 +62,7 @@ fn nothing_stops_when_the_leading_daemon_and_a_member_of_etcd_are_killed_at_once
     let leading = replicas.etcd.leader(&replicas.nodes[FIRST_LEADER])?;
     let member = members.into_iter().find(|member| *member != leading).context("three members")?;
     replicas.kill(follower, member)?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| replicas.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| replicas.report())?;
     replicas.start_again(follower, member)?;
     replicas.wait_until_whole()?;
     ensure!(replicas.leader()? == second, "nobody else was needed");
@@ -72,9 +72,9 @@ fn nothing_stops_when_the_leading_daemon_and_a_member_of_etcd_are_killed_at_once
         Ok(now.keys().eq(both.keys()) && now.iter().all(|(of, serial)| *serial >= both[of]))
     })?;
     for traffic in [&traffic, &later] {
-        traffic.wait_for_more(500, PATIENCE).with_context(|| replicas.report())?;
+        traffic.wait_for_more(500, TIMEOUT).with_context(|| replicas.report())?;
         let sent = traffic.stop_sending();
-        traffic.wait_for_total(sent, PATIENCE).with_context(|| traffic.summary() + &replicas.report())?;
+        traffic.wait_for_total(sent, TIMEOUT).with_context(|| traffic.summary() + &replicas.report())?;
         traffic.nothing_is_missing().with_context(|| replicas.report())?;
     }
     Ok(())

@@ -4,16 +4,16 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
-use gdp_dataplane::group_places::Member;
+use gdp_dataplane::group_slots::Member;
 use gdp_dataplane::kernel::{KernelPlane, Mode, pinned_stats};
-use gdp_dataplane::{PinPlace, PlaneConfig, pins};
+use gdp_dataplane::{PinLocation, PlaneConfig, pins};
 use gdp_link::port::Interface;
 use gdp_tests::Tools;
 use gdp_tests::fabric::Mounted;
 use gdp_tests::frames::fixtures::{self, Bytes, Fixtures, Verdict};
 use gdp_tests::netns::Door;
 use gdp_tests::process::Process;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_wire::table::{MAX_COPIED_FRAME, MAX_COPIES};
 use gdp_wire::{Counter, LinkEntry, LocalAddress, Name};
 
@@ -285,7 +285,7 @@ fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
     };
 
     let mut process = start("first")?;
-    let mut up = wait_for("the switch", PATIENCE, || is_up(&mut process))?;
+    let mut up = wait_for("the switch", TIMEOUT, || is_up(&mut process))?;
     ensure!(up["left"] == json!([]), "{up}");
     for label in ["second", "third"] {
         traffic(&mut |frames| Ok(frames < 300))?;
@@ -329,7 +329,7 @@ fn process_readers() -> Vec<Leaf> {
 #[test]
 fn switch_process() -> Result<()> {
     let Some(folder) = std::env::var_os(SWITCH_PROCESS) else { return Ok(()) };
-    let pins = PinPlace { bpffs: PathBuf::from(folder).join(BPFFS), switch: TOPIC };
+    let pins = PinLocation { bpffs: PathBuf::from(folder).join(BPFFS), switch: TOPIC };
     let config = PlaneConfig { pins: Some(pins), ..xdp(Tools::beside_this_test()?.ebpf_object()?) };
     let mut switch = Switch::open(config, Door::here()?, PROCESS_INTERFACES)?;
     let left = switch.planes().left().map_or(&[][..], |left| &left.routes);
@@ -393,7 +393,7 @@ fn every_fixture_with_copies() -> Result<()> {
         wanted.sort_unstable();
         let frames = || case.kernel.copies.iter().filter_map(|copy| copy.frame.as_ref());
         let mut counted = Vec::new();
-        let all_there = wait_for(&case.name, PATIENCE, || {
+        let all_there = wait_for(&case.name, TIMEOUT, || {
             counted.clear();
             for (counter, (before, after)) in Counter::ALL.iter().zip(before.into_iter().zip(plane.counters()?)) {
                 counted.extend((before..after).map(|_| counter.as_str()));
@@ -488,7 +488,7 @@ impl Site {
             let before = before?;
             let wanted = if plane == Plane::Kernel { (copies * FRAMES, 0) } else { (0, copies * FRAMES) };
             // The userspace plane counts what it has sent, so it may have arrived before.
-            wait_for(&format!("{counter:?} to grow by {wanted:?}"), PATIENCE, || {
+            wait_for(&format!("{counter:?} to grow by {wanted:?}"), TIMEOUT, || {
                 let after = self.switch.count(counter)?;
                 Ok(((after.0 - before.0, after.1 - before.1) == wanted).then_some(()))
             })

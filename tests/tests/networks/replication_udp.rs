@@ -20,7 +20,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gdp_core::identity::Identity;
 use gdp_dataplane::kernel::pinned_stats;
-use gdp_dataplane::{PinPlace, PlaneConfig, pins};
+use gdp_dataplane::{PinLocation, PlaneConfig, pins};
 use gdp_link::link::LinkIds;
 use gdp_link::port::{LinkAddr, Port, PortConfig};
 use gdp_tests::Tools;
@@ -30,7 +30,7 @@ use gdp_tests::netns::{Door, End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::process::Process;
 use gdp_tests::programs::Program;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_wire::table::ip_words;
 use gdp_wire::{Carrier, Counter, LinkEntry, Name};
 use parking_lot::Mutex;
@@ -104,7 +104,7 @@ fn a_changed_route_is_followed() -> Result<()> {
     let lost = site.far.next_frame(&WRITER, TOPIC, 600);
     site.far.send(&lost)?;
     site.far.wait_for_frames(&[ethernet.leaf], 1).context("nobody else's copy is lost")?;
-    wait_for("the copies that found no way", PATIENCE, || {
+    wait_for("the copies that found no way", TIMEOUT, || {
         Ok((site.switch.count(Counter::RedirectFailed)? == (2, 0)).then_some(()))
     })
     .with_context(|| format!("{:?}", site.switch.counted()))?;
@@ -161,7 +161,7 @@ fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
             let frame = far.next_frame(&WRITER, TOPIC, 600);
             far.send(&frame)?;
             sent += 1;
-            wait_for(&format!("frame {sent}"), PATIENCE, || {
+            wait_for(&format!("frame {sent}"), TIMEOUT, || {
                 let slowest = readers.iter().map(|peer| routed.received(peer.leaf.peer_id())).min();
                 Ok((slowest >= Some(sent) && far.received(&PROCESS_READER) >= sent).then_some(()))
             })?;
@@ -178,7 +178,7 @@ fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
         Ok(!process.json_lines().is_empty())
     };
     let mut process = start("first")?;
-    wait_for("the switch", PATIENCE, || Ok(is_up(&mut process)?.then_some(())))?;
+    wait_for("the switch", TIMEOUT, || Ok(is_up(&mut process)?.then_some(())))?;
     traffic(&mut |frames| Ok(frames < 100))?;
     process.kill()?;
     traffic(&mut |frames| Ok(frames < 100)).context("without a daemon")?;
@@ -208,7 +208,7 @@ fn process_readers() -> [Peer; 3] {
 #[test]
 fn switch_process() -> Result<()> {
     let Some(folder) = std::env::var_os(SWITCH_PROCESS) else { return Ok(()) };
-    let pins = PinPlace { bpffs: PathBuf::from(folder).join(BPFFS), switch: TOPIC };
+    let pins = PinLocation { bpffs: PathBuf::from(folder).join(BPFFS), switch: TOPIC };
     let config = PlaneConfig { pins: Some(pins), ..xdp(Tools::beside_this_test()?.ebpf_object()?) };
     let mut switch = Switch::open(config, Door::here()?, ETHERNETS)?;
     let is_first = switch.planes().left().is_none();
@@ -404,7 +404,7 @@ impl Site {
             let before = before?;
             let wanted = if plane == Plane::Kernel { (copies * FRAMES, 0) } else { (0, copies * FRAMES) };
             // The userspace plane counts what it has sent, so it may have arrived before.
-            wait_for(&format!("{counter:?} to grow by {wanted:?}"), PATIENCE, || {
+            wait_for(&format!("{counter:?} to grow by {wanted:?}"), TIMEOUT, || {
                 let after = self.switch.count(counter)?;
                 Ok(((after.0 - before.0, after.1 - before.1) == wanted).then_some(()))
             })
@@ -469,7 +469,7 @@ impl Site {
         if slowest() >= frames {
             return Ok(());
         }
-        wait_for(&format!("{frames} frames"), PATIENCE, || Ok((slowest() >= frames).then_some(()))).with_context(|| {
+        wait_for(&format!("{frames} frames"), TIMEOUT, || Ok((slowest() >= frames).then_some(()))).with_context(|| {
             format!("got {:?}; {:?}", peers.iter().map(received).collect::<Vec<_>>(), self.switch.counted())
         })
     }

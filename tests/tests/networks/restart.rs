@@ -16,7 +16,7 @@ use gdp_tests::Tools;
 use gdp_tests::chain::ChainOptions;
 use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::process::Process;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 
 use crate::traffic::Traffic;
 
@@ -27,14 +27,14 @@ const RECOVERY: Duration = Duration::from_secs(60);
 fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result<()> {
     let mut fabric = pinned_fabric(1)?;
     let traffic = start_traffic(&fabric)?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| fabric.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| fabric.report())?;
     fabric.switches[0].process.kill()?;
     let killed = Instant::now();
 
     // Without a daemon: until both nodes have noticed, and longer.
     wait_for("both nodes to miss the switch", RECOVERY, || Ok((traffic.links_down() == 2).then_some(())))?;
     ensure!(killed.elapsed() > IDLE_TIMEOUT / 2);
-    traffic.wait_for_more(1000, PATIENCE).context("frames stopped while there was no daemon")?;
+    traffic.wait_for_more(1000, TIMEOUT).context("frames stopped while there was no daemon")?;
     traffic.nothing_is_missing()?;
     let stats = &fabric.xdp("stats")?["switches"][0];
     // The topic, and the ends' own.
@@ -47,15 +47,15 @@ fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result
         Ok((traffic.links_made() == 4 && traffic.links_down() == 0).then_some(()))
     })
     .with_context(|| fabric.report())?;
-    traffic.wait_for_more(500, PATIENCE)?;
-    wait_for("the name to lead to the new link", PATIENCE, || {
+    traffic.wait_for_more(500, TIMEOUT)?;
+    wait_for("the name to lead to the new link", TIMEOUT, || {
         let (status, routes) = (fabric.status(0)?, fabric.ctl(0, &["fib", "dump"])?);
         let topic = routes["routes"].as_array().into_iter().flatten().find(|route| route["name"] == *fabric.name);
         let leads = topic.is_some_and(|topic| topic["readers"][0].is_string());
         Ok((status["rib"]["names"] == 1 && leads).then_some(()))
     })
     .with_context(|| fabric.report())?;
-    traffic.wait_for_more(500, PATIENCE)?;
+    traffic.wait_for_more(500, TIMEOUT)?;
     ensure!(fabric.switches[0].process.stderr().contains("took over"), "{}", fabric.report());
     traffic.nothing_is_missing()?;
 
@@ -68,9 +68,9 @@ fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result
         Ok((traffic.links_made() == 6 && traffic.links_down() == 0).then_some(()))
     })
     .with_context(|| fabric.report())?;
-    traffic.wait_for_more(500, PATIENCE)?;
+    traffic.wait_for_more(500, TIMEOUT)?;
     let sent = traffic.stop_sending();
-    traffic.wait_for_total(sent, PATIENCE).with_context(|| format!("{}\n{}", traffic.summary(), fabric.report()))?;
+    traffic.wait_for_total(sent, TIMEOUT).with_context(|| format!("{}\n{}", traffic.summary(), fabric.report()))?;
     traffic.nothing_is_missing()?;
     ensure!(
         fabric.counter(0, "drop_no_route")? == 0 && fabric.counter(0, "drop_no_link")? == 0,
@@ -84,7 +84,7 @@ fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result
 fn no_message_is_lost_when_any_switch_of_a_chain_is_killed_and_started_again() -> Result<()> {
     let mut fabric = pinned_fabric(3)?;
     let traffic = start_traffic(&fabric)?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| fabric.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| fabric.report())?;
     // A reader that hears of a writer may greet it before the writer's switch has the route; it does so again.
     let before = no_way(&fabric)?;
     // At once, before anybody notices; and so late that the neighbours have.
@@ -110,11 +110,11 @@ fn no_message_is_lost_when_any_switch_of_a_chain_is_killed_and_started_again() -
             Ok((all_up && anew && records(&fabric) == 2).then_some(()))
         })
         .with_context(|| format!("{what}\n{}\n{}", traffic.summary(), fabric.report()))?;
-        traffic.wait_for_more(500, PATIENCE)?;
+        traffic.wait_for_more(500, TIMEOUT)?;
         traffic.nothing_is_missing().with_context(|| format!("{what}\n{}", fabric.report()))?;
     }
     let sent = traffic.stop_sending();
-    traffic.wait_for_total(sent, PATIENCE).with_context(|| format!("{}\n{}", traffic.summary(), fabric.report()))?;
+    traffic.wait_for_total(sent, TIMEOUT).with_context(|| format!("{}\n{}", traffic.summary(), fabric.report()))?;
     traffic.nothing_is_missing()?;
     let after = no_way(&fabric)?;
     ensure!(after == before, "{before:?}, and then {after:?}");
@@ -153,37 +153,37 @@ fn a_stopped_daemon_leaves_nothing_and_a_killed_one_can_be_cleared_away() -> Res
     ensure!(refused.contains("a daemon runs"), "{refused}");
     ensure!(fabric.xdp("stats")?["switches"][0]["daemon"] == true);
 
-    fabric.switches[0].process.stop(PATIENCE)?;
+    fabric.switches[0].process.stop(TIMEOUT)?;
     ensure!(!shown(&fabric)?.contains("xdp"), "a stop takes the programs off");
     ensure!(fabric.xdp("stats")?["switches"] == serde_json::json!([]));
 
     fabric.start_again(0)?;
-    wait_for("the daemon to answer", PATIENCE, || Ok(fabric.status(0).ok()))?;
+    wait_for("the daemon to answer", TIMEOUT, || Ok(fabric.status(0).ok()))?;
     fabric.switches[0].process.kill()?;
     ensure!(shown(&fabric)?.contains("xdp"), "a crash leaves them");
     let detached = fabric.xdp("detach")?;
     ensure!(detached["detached"].as_array().map(Vec::len) == Some(1), "{detached}");
-    wait_for("the programs to go", PATIENCE, || Ok((!shown(&fabric)?.contains("xdp")).then_some(())))?;
+    wait_for("the programs to go", TIMEOUT, || Ok((!shown(&fabric)?.contains("xdp")).then_some(())))?;
     Ok(())
 }
 
 #[test]
 fn a_daemon_that_is_to_be_kept_leaves_the_kernel_to_its_successor() -> Result<()> {
     let mut fabric = pinned_fabric(1)?;
-    fabric.switches[0].process.stop(PATIENCE)?;
+    fabric.switches[0].process.stop(TIMEOUT)?;
     let mut command = fabric.chain.switches()[0].command(fabric.tools.gdp_ctl()?)?;
     command.args(["serve", "--keep", "--config"]).arg(fabric.folder().join("s1.yaml"));
     command.env("GDP_EBPF_OBJECT", fabric.tools.ebpf_object()?);
     let mut kept = Process::spawn("kept", command, fabric.folder())?;
-    wait_for("the daemon to answer", PATIENCE, || Ok(fabric.status(0).ok())).with_context(|| kept.report())?;
-    ensure!(kept.stop(PATIENCE)?.success(), "{}", kept.report());
+    wait_for("the daemon to answer", TIMEOUT, || Ok(fabric.status(0).ok())).with_context(|| kept.report())?;
+    ensure!(kept.stop(TIMEOUT)?.success(), "{}", kept.report());
     let stats = &fabric.xdp("stats")?["switches"][0];
     ensure!(stats["daemon"] == false && stats["programs"].as_array().map(Vec::len) == Some(2), "{stats}");
 
     fabric.start_again(0)?;
     // It answers before it has looked at its interfaces.
     let taken_over = |status: serde_json::Value| status["data_plane_reason"].to_string().contains("taken over");
-    wait_for("the daemon to take over", PATIENCE, || Ok(fabric.status(0).ok().is_some_and(taken_over).then_some(())))
+    wait_for("the daemon to take over", TIMEOUT, || Ok(fabric.status(0).ok().is_some_and(taken_over).then_some(())))
         .with_context(|| fabric.report())
 }
 
@@ -216,7 +216,7 @@ fn maps_of_another_layout_or_version_are_refused_with_the_remedy() -> Result<()>
     ensure!(refused.contains("another version") && refused.contains("gdp-ctl xdp detach"), "{refused}");
     ensure!(fabric.xdp("detach")?["detached"].as_array().map(Vec::len) == Some(1));
     fabric.start_again(0)?;
-    wait_for("the daemon to answer", PATIENCE, || Ok(fabric.status(0).ok())).with_context(|| fabric.report())?;
+    wait_for("the daemon to answer", TIMEOUT, || Ok(fabric.status(0).ok())).with_context(|| fabric.report())?;
     Ok(())
 }
 

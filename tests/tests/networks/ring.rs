@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
 use gdp_tests::ring::{CLOUD_AT, RIB_AT, Ring};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 
 use crate::traffic::Traffic;
 
@@ -14,17 +14,17 @@ use crate::traffic::Traffic;
 fn traffic_flows_again_when_the_active_link_is_cut_and_no_name_is_touched() -> Result<()> {
     let mut ring = Ring::start(Tools::beside_this_test()?)?;
     let traffic = start(&ring)?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| ring.report())?;
     ring.wait("it to go by s2 alone", |ring| {
         let (by_s2, by_s4) = (ring.forwarded(1)?, ring.forwarded(3)?);
-        traffic.wait_for_more(200, PATIENCE)?;
+        traffic.wait_for_more(200, TIMEOUT)?;
         Ok(ring.forwarded(1)? > by_s2 && ring.forwarded(3)? == by_s4)
     })?;
     let told = settled_generations(&ring, 0..5)?;
 
     ring.set_cable(0, false)?;
     let after = ring.forwarded(3)?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| ring.report())?;
     ensure!(ring.forwarded(3)? > after && ring.forwarded(4)? > 0, "it goes by s5 and s4 now");
     let without_a_word = generations(&ring, 0..5)?;
     ensure!(without_a_word == told, "the RIB told switches something: {told:?}, {without_a_word:?}");
@@ -33,13 +33,13 @@ fn traffic_flows_again_when_the_active_link_is_cut_and_no_name_is_touched() -> R
     ring.set_cable(0, true)?;
     let before = ring.forwarded(1)?;
     ring.wait("traffic by s2 again", |ring| Ok(ring.forwarded(1)? > before + 100))?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| ring.report())?;
     let lost_on_return = traffic.nothing_came_twice()? - lost;
     for _ in 0..20 {
         ring.set_cable(0, false)?;
-        traffic.wait_for_more(20, PATIENCE).with_context(|| ring.report())?;
+        traffic.wait_for_more(20, TIMEOUT).with_context(|| ring.report())?;
         ring.set_cable(0, true)?;
-        traffic.wait_for_more(20, PATIENCE).with_context(|| ring.report())?;
+        traffic.wait_for_more(20, TIMEOUT).with_context(|| ring.report())?;
     }
     let lost_by_flapping = traffic.nothing_came_twice()? - lost - lost_on_return;
     let before = ring.forwarded(1)?;
@@ -60,7 +60,7 @@ fn traffic_flows_again_when_the_active_link_is_cut_and_no_name_is_touched() -> R
 fn paths_heal_without_the_rib() -> Result<()> {
     let mut ring = Ring::start(Tools::beside_this_test()?)?;
     let traffic = start(&ring)?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| ring.report())?;
     let told = settled_generations(&ring, 0..RIB_AT)?;
     ring.switches[RIB_AT].process.kill()?;
     ring.wait("its neighbours to miss it", |ring| {
@@ -71,7 +71,7 @@ fn paths_heal_without_the_rib() -> Result<()> {
     traffic.nothing_is_missing()?;
 
     ring.set_cable(0, false)?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| ring.report())?;
     ensure!(ring.forwarded(3)? > 0, "it goes by s5 and s4 now");
     ensure!(generations(&ring, 0..RIB_AT)? == told);
     traffic.nothing_came_twice()?;
@@ -87,7 +87,7 @@ fn the_rib_is_reached_round_what_is_cut_or_dead() -> Result<()> {
     // The cloud subscribes at s3, which the RIB then gives its routes.
     let before = ring.generation(CLOUD_AT)?;
     let traffic = start(&ring)?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| ring.report())?;
     ensure!(ring.generation(CLOUD_AT)? > before);
     ring.set_cable(2, true)?;
     ring.wait_for_way(CLOUD_AT, 3)?;
@@ -116,7 +116,7 @@ fn the_rib_is_reached_round_what_is_cut_or_dead() -> Result<()> {
         })?;
         ring.wait_for_way(CLOUD_AT, 3)?;
         let traffic = start(&ring)?;
-        traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+        traffic.wait_for_more(500, TIMEOUT).with_context(|| ring.report())?;
     }
     Ok(())
 }
@@ -128,7 +128,7 @@ fn start(ring: &Ring) -> Result<Traffic> {
 /// Once the RIB has told all that it had to tell.
 fn settled_generations(ring: &Ring, switches: std::ops::Range<usize>) -> Result<Vec<u64>> {
     let mut before = generations(ring, switches.clone())?;
-    wait_for("the RIB to have told all", PATIENCE, || {
+    wait_for("the RIB to have told all", TIMEOUT, || {
         std::thread::sleep(Duration::from_secs(1));
         let now = generations(ring, switches.clone())?;
         Ok((std::mem::replace(&mut before, now.clone()) == now).then_some(now))

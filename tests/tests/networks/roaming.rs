@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use gdp::node::{LinkState, PublishOptions, SubscribeOptions};
-use gdp_core::domain::{PaperFiles, Papers};
+use gdp_core::domain::{CredentialFiles, Credentials};
 use gdp_core::identity::Identity;
 use gdp_core::identity::SigningKey;
 use gdp_tests::Tools;
@@ -14,7 +14,7 @@ use gdp_tests::federation::{CLOUD_LINK, Federation, ROBOT_LINKS, Site};
 use gdp_tests::netns::Namespace;
 use gdp_tests::packet::gdp_data_in_udp;
 use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_wire::Name;
 
 use crate::flows::{Flow, Heard, Party, Topic};
@@ -89,7 +89,7 @@ fn ros_programs_on_a_robot_that_roams_notice_a_gap_and_nothing_else() -> Result<
         .with_context(|| federation.report())?;
     let air = federation.on_the_air()?;
     both.open()?;
-    let frame = air.receive(PATIENCE, |frame| gdp_data_in_udp(frame).is_some())?;
+    let frame = air.receive(TIMEOUT, |frame| gdp_data_in_udp(frame).is_some())?;
     for word in [TOPIC, TYPE, &traffic.text, "chatter", "String", "hello"] {
         let seen = frame.windows(word.len()).any(|window| window.eq_ignore_ascii_case(word.as_bytes()));
         ensure!(!seen, "{word} can be read in the air");
@@ -97,14 +97,14 @@ fn ros_programs_on_a_robot_that_roams_notice_a_gap_and_nothing_else() -> Result<
     let heard = |federation: &Federation, both: &Conversation| {
         let so_far = peers::received(&both.listener).len();
         let enough = || Ok((peers::received(&both.listener).len() >= so_far + 100).then_some(()));
-        wait_for("messages", PATIENCE, enough).with_context(|| federation.report())
+        wait_for("messages", TIMEOUT, enough).with_context(|| federation.report())
     };
     heard(&federation, &both)?;
     for site in [Site::University, Site::Enterprise] {
         federation.roam(site)?;
         heard(&federation, &both)?;
     }
-    let messages = both.finish(PATIENCE, PATIENCE).with_context(|| federation.report())?;
+    let messages = both.finish(TIMEOUT, TIMEOUT).with_context(|| federation.report())?;
     ensure!(messages.iter().all(|message| message.intact));
     let sequences: Vec<i64> = messages.iter().map(|message| message.sequence).collect();
     ensure!(sequences.iter().copied().eq(0..600), "each once and in order: {sequences:?}");
@@ -117,7 +117,7 @@ fn ros_programs_on_a_robot_that_roams_notice_a_gap_and_nothing_else() -> Result<
 fn flow_on(federation: &Federation, flows: &[(&str, Flow)]) -> Result<()> {
     for (what, flow) in flows {
         let so_far = flow.heard();
-        let waited = wait_for(what, PATIENCE, || Ok((flow.heard() >= so_far + 100).then_some(())));
+        let waited = wait_for(what, TIMEOUT, || Ok((flow.heard() >= so_far + 100).then_some(())));
         waited.with_context(|| federation.report())?;
     }
     Ok(())
@@ -127,12 +127,12 @@ pub fn party(federation: &Federation, label: &str, at: &Namespace, links: &[&str
     federation.admit(label)?;
     let folder = federation.folder_of(label);
     let visit = folder.join("visit.peer");
-    let files = PaperFiles {
+    let files = CredentialFiles {
         card: folder.join("domain.card"),
         membership: folder.join("membership"),
         peers: if visit.exists() { vec![visit] } else { Vec::new() },
     };
-    let papers: Papers = files.load()?;
+    let papers: Credentials = files.load()?;
     let identity = Identity::new(SigningKey::load(&folder.join("key.pem"))?, "proxy");
     Party::connect(at, identity, links, Some(papers)).with_context(|| federation.report())
 }

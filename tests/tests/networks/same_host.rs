@@ -23,7 +23,7 @@ use gdp_tests::fabric::Mounted;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::process::Process;
 use gdp_tests::programs::{Program, own};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::{Value, json};
 
 use crate::inside::{Inside, ROOT};
@@ -41,7 +41,7 @@ fn frames_of_nodes_beside_their_switch_do_not_meet_its_daemon() -> Result<()> {
     let mut ways = [Way::open(&near, &next)?, Way::open(&next, &remote)?, Way::open(&remote, &near)?];
     for way in &mut ways {
         // The first of such size may be lost: what the path takes is learnt from that.
-        wait_for("a first message", PATIENCE, || Ok(way.may_carry(&vec![7; 1 << 16]).then_some(())))?;
+        wait_for("a first message", TIMEOUT, || Ok(way.may_carry(&vec![7; 1 << 16]).then_some(())))?;
     }
     let before = site.status()?;
     for i in 0..100u32 {
@@ -74,7 +74,7 @@ fn what_the_kernel_leaves_to_the_daemon_arrives_there() -> Result<()> {
     let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let remote = Party::connect(&site.remote, ROOT, "eth://e0")?;
     let mut way = Way::open(&near, &remote)?;
-    wait_for("a message by the slow path", PATIENCE, || {
+    wait_for("a message by the slow path", TIMEOUT, || {
         let carried = way.may_carry(b"slowly");
         let counters = site.status()?["counters_by_plane"].take();
         let count = |counter: &str, plane: &str| counters[counter][plane].as_u64().unwrap_or(0);
@@ -100,14 +100,14 @@ fn copies_for_readers_beside_the_switch_and_elsewhere_are_made_in_the_kernel() -
         Ok(readers.iter().zip(&mut subscriptions).all(|(reader, heard)| reader.hears(heard, message, limit)))
     };
     let first = Duration::from_secs(1);
-    wait_for("all readers to hear", PATIENCE, || Ok(all_hear(b"first", first)?.then_some(())))
+    wait_for("all readers to hear", TIMEOUT, || Ok(all_hear(b"first", first)?.then_some(())))
         .with_context(|| site.report())?;
     let replicated = |plane: &str| -> Result<u64> {
         Ok(site.status()?["counters_by_plane"]["replicated"][plane].as_u64().unwrap_or(0))
     };
     let before = (replicated("kernel")?, replicated("userspace")?);
     for i in 0..100u32 {
-        ensure!(all_hear(&i.to_be_bytes(), PATIENCE)?, "message {i} was lost; {}", site.report());
+        ensure!(all_hear(&i.to_be_bytes(), TIMEOUT)?, "message {i} was lost; {}", site.report());
     }
     let after = (replicated("kernel")?, replicated("userspace")?);
     ensure!(after.0 >= before.0 + 100 && after.1 == before.1, "{before:?}, then {after:?}: {}", site.report());
@@ -120,7 +120,7 @@ fn a_daemon_that_is_killed_and_replaced_loses_no_message_of_nodes_beside_it() ->
     let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let mut way = Way::open(&near, &next)?;
-    wait_for("a first message", PATIENCE, || Ok(way.may_carry(b"first").then_some(())))?;
+    wait_for("a first message", TIMEOUT, || Ok(way.may_carry(b"first").then_some(())))?;
     let ends = site.ends()?;
     ensure!(ends.len() == 2, "{ends:?}");
     site.daemon.kill()?;
@@ -131,7 +131,7 @@ fn a_daemon_that_is_killed_and_replaced_loses_no_message_of_nodes_beside_it() ->
     site.start()?;
     let mut i = 0u32;
     let back = |party: &Party| party.node.counters().links == 2 && party.node.switch().is_ok();
-    wait_for("both nodes to have made their links anew", 2 * PATIENCE, || {
+    wait_for("both nodes to have made their links anew", 2 * TIMEOUT, || {
         for _ in 0..20 {
             i += 1;
             ensure!(way.carries(&i.to_be_bytes()), "message {i} was lost with the new daemon");
@@ -152,7 +152,7 @@ fn a_daemon_that_is_killed_and_replaced_loses_no_message_of_nodes_beside_it() ->
 fn the_pair_goes_with_the_daemon_that_is_stopped_or_cleared_away() -> Result<()> {
     let mut site = Site::build("xdp")?;
     ensure!(site.ends()?.len() == 2);
-    site.daemon.stop(PATIENCE)?;
+    site.daemon.stop(TIMEOUT)?;
     ensure!(site.ends()?.is_empty(), "a stop removes it");
     site.start()?;
     site.daemon.kill()?;
@@ -170,14 +170,14 @@ fn without_xdp_or_the_pair_frames_go_through_the_daemon() -> Result<()> {
         let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
         let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
         let mut way = Way::open(&near, &next)?;
-        wait_for("a first message", PATIENCE, || Ok(way.may_carry(b"first").then_some(())))?;
+        wait_for("a first message", TIMEOUT, || Ok(way.may_carry(b"first").then_some(())))?;
         match site.ends()?.first() {
             None => ensure!(plane == "userspace"),
             Some(end) => drop(site.host.ip(&["link", "del", end])?),
         }
         let delivered = |status: Value| status["counters_by_plane"]["delivered"]["userspace"].as_u64().unwrap_or(0);
         let before = delivered(site.status()?);
-        wait_for("messages through the daemon", PATIENCE, || {
+        wait_for("messages through the daemon", TIMEOUT, || {
             let carried = way.may_carry(b"again");
             Ok((carried && delivered(site.status()?) > before).then_some(()))
         })
@@ -196,7 +196,7 @@ fn a_pair_that_is_blocked_is_not_used() -> Result<()> {
     let near = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let next = Party::connect(&site.host, NOBODY, "udp://127.0.0.1:31415")?;
     let mut way = Way::open(&near, &next)?;
-    wait_for("a message", PATIENCE, || Ok(way.may_carry(b"by the daemon").then_some(())))?;
+    wait_for("a message", TIMEOUT, || Ok(way.may_carry(b"by the daemon").then_some(())))?;
     let links = site.status()?["links"].to_string();
     ensure!(links.matches("udp:127.0.0.1:").count() == 2, "{links}");
     Ok(())
@@ -245,7 +245,7 @@ impl Site {
 
     fn wait_until_up(&self) -> Result<()> {
         let up = || self.daemon.stderr().contains("ready: switch ");
-        wait_for("the daemon to take links", PATIENCE, || Ok(up().then_some(()))).with_context(|| self.report())
+        wait_for("the daemon to take links", TIMEOUT, || Ok(up().then_some(()))).with_context(|| self.report())
     }
 
     fn status(&self) -> Result<Value> {
@@ -353,7 +353,7 @@ impl<'a> Way<'a> {
 
     /// Whether a message arrives.
     fn carries(&mut self, body: &[u8]) -> bool {
-        self.carries_within(body, PATIENCE)
+        self.carries_within(body, TIMEOUT)
     }
 
     /// The same of one that may be lost.

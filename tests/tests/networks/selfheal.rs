@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use gdp_tests::Tools;
 use gdp_tests::ring::{CLOUD_AT, RIB_AT, ROBOT_AT, Ring};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::Value;
 
 use crate::traffic::Traffic;
@@ -27,10 +27,10 @@ const RECOVERY: Duration = Duration::from_secs(60);
 fn all_is_as_it_was_when_daemons_are_killed_and_started_again_in_any_order() -> Result<()> {
     let mut ring = Ring::start(Tools::beside_this_test()?)?;
     let traffic = Traffic::start((&ring.robot, ring.folder_of("robot")), (&ring.cloud, ring.folder_of("cloud")))?;
-    traffic.wait_for_more(500, PATIENCE).with_context(|| ring.report())?;
+    traffic.wait_for_more(500, TIMEOUT).with_context(|| ring.report())?;
     ring.wait("two records", |ring| Ok(names(ring)?.len() == 2))?;
     let mut before = State::of(&ring)?;
-    wait_for("the switches to settle", PATIENCE, || {
+    wait_for("the switches to settle", TIMEOUT, || {
         let earlier = std::mem::replace(&mut before, State::of(&ring)?);
         Ok((earlier == before).then_some(()))
     })?;
@@ -65,14 +65,14 @@ fn all_is_as_it_was_when_daemons_are_killed_and_started_again_in_any_order() -> 
                 format!("{what}\nbefore {before:#?}\nnow {now:#?}\n{traffic}\n{}", ring.report())
             })?;
             let whole = started.elapsed();
-            traffic.wait_for_more(500, PATIENCE).with_context(|| format!("{what}\n{}", ring.report()))?;
+            traffic.wait_for_more(500, TIMEOUT).with_context(|| format!("{what}\n{}", ring.report()))?;
             let lost = self::lost(&traffic)? - lost;
             println!("{what}: whole {whole:?} after the start; {lost} messages lost, one each 1 ms");
         }
     }
     let sent = traffic.stop_sending();
     let lost = traffic.nothing_came_twice()? as u64;
-    traffic.wait_for_total(sent - lost, PATIENCE).with_context(|| traffic.summary())?;
+    traffic.wait_for_total(sent - lost, TIMEOUT).with_context(|| traffic.summary())?;
     println!("{lost} of {sent} messages lost in all");
     Ok(())
 }

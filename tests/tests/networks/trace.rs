@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
 use gdp_tests::ring::Ring;
-use gdp_tests::wait::PATIENCE;
+use gdp_tests::wait::TIMEOUT;
 use serde_json::Value;
 
 use crate::traffic::Traffic;
@@ -12,7 +12,7 @@ use crate::traffic::Traffic;
 fn a_trace_shows_every_switch_on_the_way_and_the_other_way_after_a_cut() -> Result<()> {
     let mut ring = Ring::start(Tools::beside_this_test()?)?;
     let traffic = Traffic::start((&ring.robot, ring.folder_of("robot")), (&ring.cloud, ring.folder_of("cloud")))?;
-    traffic.wait_for_more(100, PATIENCE).with_context(|| ring.report())?;
+    traffic.wait_for_more(100, TIMEOUT).with_context(|| ring.report())?;
     let card = ring.folder_of("robot").join("chatter.card");
     let card = card.to_str().context("a path")?.to_owned();
 

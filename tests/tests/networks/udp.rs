@@ -16,7 +16,7 @@ use anyhow::{Context, Result, ensure};
 use gdp_core::identity::Identity;
 use gdp_dataplane::kernel::KernelPlane;
 use gdp_dataplane::pins::Pins;
-use gdp_dataplane::{PinPlace, PlaneConfig, PlaneRoute, Planes, Wanted};
+use gdp_dataplane::{PinLocation, PlaneConfig, PlaneRoute, Planes, Wanted};
 use gdp_link::link::{Link, LinkIds};
 use gdp_link::port::{InFrame, LinkAddr, OutFrame, Port, PortConfig, RecvBatch, UDP_MTU};
 use gdp_tests::Tools;
@@ -24,7 +24,7 @@ use gdp_tests::frames::carrier::internet_checksum;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::programs::{Executable as _, Program};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE, ip_words};
 use gdp_wire::{Carrier, Counter, ErrorCode, FrameType, Header, LinkEntry, Name, SwitchConfig, forward, replay};
 use tokio::runtime::Runtime;
@@ -63,7 +63,7 @@ fn what_the_kernel_sends_is_right_to_the_bit() -> Result<()> {
         let payload: Vec<u8> = (0..length).map(|i| (i * 7) as u8).collect();
         let frame = 96 + length;
         site.send(ROBOT, INET, &payload)?;
-        let v4 = cable.receive(PATIENCE, |frame| is_data(frame, 0x0800, 42))?;
+        let v4 = cable.receive(TIMEOUT, |frame| is_data(frame, 0x0800, 42))?;
         ensure!(v4.len() == 14 + 20 + 8 + frame);
         ensure!(v4[..12] == [2, 0, 0, 0, 2, 2, 2, 0, 0, 0, 2, 1], "to the router: {v4:02x?}");
         ensure!(internet_checksum(&v4[14..34]) == 0, "the header's checksum");
@@ -75,7 +75,7 @@ fn what_the_kernel_sends_is_right_to_the_bit() -> Result<()> {
         ensure!(udp_checksum_holds(&v4, 26..34), "{length} bytes: {:02x?}", &v4[34..42]);
 
         site.send(ROBOT, INET6, &payload)?;
-        let v6 = cable.receive(PATIENCE, |frame| is_data(frame, 0x86dd, 62))?;
+        let v6 = cable.receive(TIMEOUT, |frame| is_data(frame, 0x86dd, 62))?;
         ensure!(v6.len() == 14 + 40 + 8 + frame);
         ensure!(v6[14..18] == [0x60, 0, 0, 0] && v6[18..20] == (8 + frame as u16).to_be_bytes());
         ensure!(v6[20..22] == [17, 64]);
@@ -104,7 +104,7 @@ fn long_datagrams_are_right_to_the_bit() -> Result<()> {
         for &(frame, is_summed) in frames {
             let payload: Vec<u8> = (0..frame - Header::LEN).map(|i| (i * 7) as u8).collect();
             site.send(ROBOT, INET, &payload)?;
-            let sent = cable.receive(PATIENCE, |frame| is_data(frame, 0x0800, 42))?;
+            let sent = cable.receive(TIMEOUT, |frame| is_data(frame, 0x0800, 42))?;
             ensure!(sent.len() == 42 + frame, "{} bytes of {frame} with an MTU of {mtu}", sent.len());
             match is_summed {
                 true => ensure!(udp_checksum_holds(&sent, 26..34), "{frame} bytes: {:02x?}", &sent[34..42]),
@@ -127,7 +127,7 @@ fn datagrams_to_a_switch_have_no_checksum() -> Result<()> {
         entry.carrier.flags &= !Carrier::CHECKSUM;
         site.planes.set_link(entry, address)?;
         site.send(ROBOT, to, b"unchecked")?;
-        let sent = cable.receive(PATIENCE, |frame| is_data(frame, ethertype, at))?;
+        let sent = cable.receive(TIMEOUT, |frame| is_data(frame, ethertype, at))?;
         ensure!(sent[at - 2..at] == [0, 0], "{:02x?}", &sent[at - 8..at]);
         site.received(to, b"unchecked")?;
     }
@@ -151,11 +151,11 @@ fn a_peer_that_refuses_datagrams_without_checksums_is_sent_to_from_userspace() -
     entry.carrier.flags = 0;
     site.planes.set_link(entry, to)?;
     site.send(ROBOT, INET6, b"checked")?;
-    let sent = cable.receive(PATIENCE, |frame| is_data(frame, 0x86dd, 62))?;
+    let sent = cable.receive(TIMEOUT, |frame| is_data(frame, 0x86dd, 62))?;
     ensure!(udp_checksum_holds(&sent, 22..54), "{:02x?}", &sent[54..62]);
     site.received(INET6, b"checked")?;
     // A frame is counted once it was sent, so it may arrive before.
-    wait_for("the counts", PATIENCE, || {
+    wait_for("the counts", TIMEOUT, || {
         let counted = (site.count(Counter::Slow)?, site.count(Counter::Delivered)?);
         Ok((counted == ((1, 0), (0, 1))).then_some(()))
     })
@@ -168,7 +168,7 @@ fn an_unresolved_neighbour_takes_the_slow_path_until_it_is_resolved() -> Result<
     for (to, family) in [(INET, "-4"), (INET6, "-6")] {
         // QUIC may have it resolved again at any moment.
         let slow = site.count(Counter::Slow)?.0;
-        wait_for("a frame that finds no neighbour", PATIENCE, || {
+        wait_for("a frame that finds no neighbour", TIMEOUT, || {
             site.switch.ip(&[family, "neigh", "flush", "dev", "r0"])?;
             site.send(ROBOT, to, b"unresolved")?;
             site.received(to, b"unresolved")?;
@@ -183,7 +183,7 @@ fn an_unresolved_neighbour_takes_the_slow_path_until_it_is_resolved() -> Result<
     }
     // A frame is counted once it was sent, so it may arrive before.
     let slow = site.count(Counter::Slow)?.0;
-    wait_for(&format!("{slow} of {sent} frames to be counted in userspace"), PATIENCE, || {
+    wait_for(&format!("{slow} of {sent} frames to be counted in userspace"), TIMEOUT, || {
         Ok((site.count(Counter::Delivered)? == (sent - slow, slow)).then_some(()))
     })
     .with_context(|| format!("{:?}", site.planes.counters()))
@@ -228,7 +228,7 @@ fn an_attacker_on_the_path_gets_nothing_through() -> Result<()> {
         let before = site.count(reason)?.0;
         attacker.send_to(&[frame.as_bytes(), b"honest"].concat(), V4)?;
         let counted =
-            wait_for(&format!("{reason:?}"), PATIENCE, || Ok(Some(site.count(reason)?).filter(|c| c.0 > before)))?;
+            wait_for(&format!("{reason:?}"), TIMEOUT, || Ok(Some(site.count(reason)?).filter(|c| c.0 > before)))?;
         ensure!(counted == (before + 1, 0), "{reason:?}: {counted:?}");
     }
     ensure!(site.count(Counter::Delivered)? == (1, 0), "nothing but the honest one");
@@ -250,7 +250,7 @@ fn a_link_follows_its_peer_through_a_rebinding() -> Result<()> {
     site.received(ROBOT, b"from elsewhere")?;
     ensure!(site.count(Counter::Delivered)? == (2, 0), "taken from wherever it comes");
 
-    let (entry, after) = wait_for("QUIC to validate the new path", PATIENCE, || {
+    let (entry, after) = wait_for("QUIC to validate the new path", TIMEOUT, || {
         Ok(Some(site.at_switch(INET)).filter(|(_, to)| *to != before))
     })?;
     ensure!(entry.carrier.peer_ip == site.ends[INET].at_switch.carrier().peer_ip);
@@ -268,7 +268,7 @@ fn what_is_not_ours_passes_untouched() -> Result<()> {
         let _inside = site.switch.enter()?;
         (UdpSocket::bind("10.1.0.1:9999")?, TcpListener::bind("10.1.0.1:31415")?)
     };
-    other.set_read_timeout(Some(PATIENCE))?;
+    other.set_read_timeout(Some(TIMEOUT))?;
     let mut buffer = vec![0; 8192];
     let from = site.in_cloud(|| Ok(UdpSocket::bind("10.2.0.9:0")?))?;
     // A first byte as in GDP; and one so large that it comes in fragments.
@@ -277,7 +277,7 @@ fn what_is_not_ours_passes_untouched() -> Result<()> {
         let length = other.recv(&mut buffer)?;
         ensure!(&buffer[..length] == datagram);
     }
-    site.in_cloud(|| Ok(TcpStream::connect_timeout(&V4.parse()?, PATIENCE)?))?;
+    site.in_cloud(|| Ok(TcpStream::connect_timeout(&V4.parse()?, TIMEOUT)?))?;
     listener.accept()?;
     ensure!(site.count(Counter::Unknown)? == (0, 0) && site.count(Counter::Foreign)?.0 >= 5);
     Ok(())
@@ -288,7 +288,7 @@ fn what_does_not_fit_the_path_is_told() -> Result<()> {
     for (to, largest) in [(INET, 1472), (INET6, 1452)] {
         let mut site = Site::build(Wanted::Xdp)?;
         // QUIC tries in steps, and ends within a few bytes of what the path takes.
-        let (entry, address) = wait_for("QUIC to know the path", PATIENCE, || {
+        let (entry, address) = wait_for("QUIC to know the path", TIMEOUT, || {
             Ok(Some(site.at_switch(to)).filter(|(entry, _)| entry.mtu > largest - 25))
         })?;
         ensure!(entry.mtu <= largest, "{entry:?}");
@@ -347,7 +347,7 @@ fn links_over_udp_are_taken_over_from_an_earlier_daemon() -> Result<()> {
         before.set_config(SwitchConfig { own_bit: 1, ethertype: 0x88b5, host_pair: 0 })?;
         links.iter().try_for_each(|link| before.set_link(link))?;
     }
-    let pins = Some(PinPlace { bpffs: folder.path().into(), switch: FORBIDDEN });
+    let pins = Some(PinLocation { bpffs: folder.path().into(), switch: FORBIDDEN });
     let config = PlaneConfig { ebpf_object: Some(object), fib_capacity: 1024, pins, ..Default::default() };
     let mut planes = Planes::open(config)?;
     let left = planes.left().map(|left| left.links.clone()).unwrap_or_default();
@@ -469,7 +469,7 @@ impl Site {
         let listening = &self.ports[usize::from(index != ROBOT)];
         let (link, at_switch) = self.runtime.block_on(async {
             let to = match index {
-                ROBOT => port.discover(None, PATIENCE).await.first().context("an answer")?.0,
+                ROBOT => port.discover(None, TIMEOUT).await.first().context("an answer")?.0,
                 _ => LinkAddr::udp(to.parse()?),
             };
             let (link, accepted) = tokio::join!(port.dial(to, None), listening.accept());
@@ -523,7 +523,7 @@ impl Site {
             }
         }
         let expected = planes(crossed);
-        wait_for(&format!("{expected:?} to be delivered"), PATIENCE, || {
+        wait_for(&format!("{expected:?} to be delivered"), TIMEOUT, || {
             Ok((self.count(Counter::Delivered)? == expected).then_some(()))
         })
         .with_context(|| format!("{:?}", self.planes.counters()))
@@ -563,7 +563,7 @@ impl Site {
         let end = &self.ends[at];
         let (data, entry) = (end.port.data(), end.link.entry(PORT_USERSPACE));
         let mut batch = RecvBatch::new(8192);
-        wait_for("a frame", PATIENCE, || {
+        wait_for("a frame", TIMEOUT, || {
             data.wait_readable(Duration::from_millis(10))?;
             let received = data.try_recv_batch(&mut batch)?;
             let Some(InFrame { bytes: frame, .. }) = batch.frames().next() else { return Ok(None) };

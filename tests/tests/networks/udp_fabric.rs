@@ -15,14 +15,14 @@ use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::Identity;
 use gdp_core::identity::SigningKey;
-use gdp_daemon::config::{Config, DataPlane, Neighbour, Place, Via};
+use gdp_daemon::config::{Config, DataPlane, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
 use gdp_dataplane::dpdk::{DpdkConfig, DpdkPort};
 use gdp_e2e::seal::Encoding;
 use gdp_tests::Tools;
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::programs::Program;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::Value;
 
 use crate::inside::{Inside, ROOT};
@@ -61,7 +61,7 @@ fn messages_cross_three_carriers(data_plane: DataPlane, plane: &str) -> Result<(
     let mut publisher = writer.runtime.block_on(writing.publish(card.proof(), cert, PublishOptions::reliable()))?;
     let mut exchange = |body: &[u8]| -> Result<()> {
         writer.runtime.block_on(publisher.send(Encoding::Bytes, body))?;
-        let next = reader.runtime.block_on(async { tokio::time::timeout(PATIENCE, subscription.recv()).await });
+        let next = reader.runtime.block_on(async { tokio::time::timeout(TIMEOUT, subscription.recv()).await });
         let message = next.context("not received")?.context("a live subscription")?;
         ensure!(message.body == body, "another message");
         Ok(())
@@ -180,12 +180,12 @@ impl Site {
     fn start_switches(&self, folder: &Path, data_plane: DataPlane) -> Result<[Switch; 2]> {
         let ebpf_object = Some(Tools::beside_this_test()?.ebpf_object()?);
         let identity = |label: &str| folder.join(format!("{label}.pem"));
-        let place = |label: &str, addr: &str| -> Result<Place> {
+        let place = |label: &str, addr: &str| -> Result<NeighbourAddress> {
             let switch = Identity::load_or_generate(&identity(label), "switch")?.name();
-            Ok(Place { switch, via: Via::Udp(addr.parse()?) })
+            Ok(NeighbourAddress { switch, via: Via::Udp(addr.parse()?) })
         };
         let (edge, cloud) = (place("edge", "10.1.0.1:31415")?, place("cloud", "10.2.0.9:31415")?);
-        let config = |label: &str, near: &Place, bind: &str| -> Result<Config> {
+        let config = |label: &str, near: &NeighbourAddress, bind: &str| -> Result<Config> {
             Ok(Config {
                 identity: identity(label),
                 socket: folder.join(format!("{label}.sock")),
@@ -220,7 +220,7 @@ impl Site {
         if data_plane == DataPlane::Dpdk {
             self.give_addresses_to_dpdk()?;
         }
-        wait_for("the switches to be neighbours", PATIENCE, || {
+        wait_for("the switches to be neighbours", TIMEOUT, || {
             let linked = |switch: &Switch| switch.status()["links"].as_array().is_some_and(|links| links.len() == 1);
             Ok(switches.iter().all(linked).then_some(()))
         })?;

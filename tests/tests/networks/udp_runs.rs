@@ -14,7 +14,7 @@ use gdp_core::identity::Identity;
 use gdp_link::port::{LinkAddr, OutFrame, Port, PortConfig, RecvBatch, Sent};
 use gdp_tests::netns::{End, Namespace, execute, veth};
 use gdp_tests::programs::Program;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 
 const FRAMES: usize = 500;
 
@@ -96,7 +96,7 @@ impl Cable {
     /// These frames have arrived, in this order, and no others.
     fn expect(&self, frames: &[Vec<u8>]) -> Result<()> {
         let (data, mut batch, mut received) = (self.to.data(), RecvBatch::new(1500), 0);
-        wait_for("all frames", PATIENCE, || {
+        wait_for("all frames", TIMEOUT, || {
             while data.try_recv_batch(&mut batch)? > 0 {
                 for frame in batch.frames() {
                     ensure!(frames.get(received).is_some_and(|sent| *sent == frame.bytes), "frame {received}");

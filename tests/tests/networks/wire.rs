@@ -15,7 +15,7 @@ use gdp_tests::chain::{Chain, ChainOptions};
 use gdp_tests::frames::Frame;
 use gdp_tests::frames::carrier::Carrier;
 use gdp_tests::packet::PacketSocket;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_tests::wire::Wire;
 
 const SEED: u64 = 4;
@@ -78,7 +78,7 @@ fn a_slow_wire_takes_its_time_and_marks_and_drops_what_is_too_much() -> Result<(
     for number in 0..FRAMES {
         site.robot.send(&datagram(number))?;
     }
-    wait_for("the wire", PATIENCE, || Ok((site.wire.counts(0).sent == FRAMES).then_some(())))?;
+    wait_for("the wire", TIMEOUT, || Ok((site.wire.counts(0).sent == FRAMES).then_some(())))?;
     let counts = site.wire.counts(0);
     let arrived = receive(&site.cloud, counts.delivered)?;
     let took = began.elapsed();
@@ -102,7 +102,7 @@ fn nothing_gets_over_a_cut_wire_and_all_over_a_mended_one() -> Result<()> {
     }
     let both = |count: fn(&Wire, usize) -> u64, n| [0, 1].iter().all(|direction| count(&site.wire, *direction) == n);
     let partitioned = || Ok(both(|wire, direction| wire.counts(direction).partitioned, 100).then_some(()));
-    wait_for("frames to meet the cut", PATIENCE, partitioned)?;
+    wait_for("frames to meet the cut", TIMEOUT, partitioned)?;
     site.wire.change([Faults::default(), Faults::default()]);
     for number in 100..200 {
         site.robot.send(&numbered(number))?;
@@ -137,10 +137,10 @@ fn tcp_gets_through_a_bad_wire() -> Result<()> {
     let sending = sent.clone();
     let sender = std::thread::spawn(move || -> Result<()> {
         let _inside = robot.enter()?;
-        Ok(TcpStream::connect_timeout(&format!("{address}:4000").parse()?, PATIENCE)?.write_all(&sending)?)
+        Ok(TcpStream::connect_timeout(&format!("{address}:4000").parse()?, TIMEOUT)?.write_all(&sending)?)
     });
     let (mut stream, _) = listener.accept()?;
-    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_read_timeout(Some(TIMEOUT))?;
     let mut received = Vec::new();
     stream.read_to_end(&mut received)?;
     ensure!(received == sent, "what arrived is not what was sent");
@@ -174,13 +174,13 @@ impl Site {
         if number % 64 != 63 {
             return Ok(());
         }
-        wait_for("the wire", PATIENCE, || Ok((self.wire.counts(direction).sent > number).then_some(())))
+        wait_for("the wire", TIMEOUT, || Ok((self.wire.counts(direction).sent > number).then_some(())))
     }
 }
 
 /// Frames of ours, in the order of their arrival.
 fn receive(socket: &PacketSocket, count: u64) -> Result<Vec<Vec<u8>>> {
-    let frames: Result<Vec<_>> = (0..count).map(|_| socket.receive(PATIENCE, |_| true)).collect();
+    let frames: Result<Vec<_>> = (0..count).map(|_| socket.receive(TIMEOUT, |_| true)).collect();
     ensure!(socket.try_receive(&mut [0; 2048])?.is_none(), "more than {count} frames arrived");
     frames
 }

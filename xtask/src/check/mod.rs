@@ -17,7 +17,7 @@ use anyhow::{Result, bail};
 use self::sources::Source;
 
 /// How many findings of a rule over its limit are printed without `--all`.
-const SHOWN: usize = 20;
+const MAX_PRINTED: usize = 20;
 
 #[derive(clap::Args)]
 pub struct Options {
@@ -84,7 +84,7 @@ impl Rule {
         // What is within the limit has been there before.
         let shown = match self.findings.len() > self.limit {
             _ if all => self.findings.len(),
-            true => SHOWN,
+            true => MAX_PRINTED,
             false => 0,
         };
         self.findings.iter().take(shown).for_each(|finding| println!("         {finding}"));

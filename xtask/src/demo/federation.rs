@@ -168,7 +168,7 @@ fn serving(federation: &Federation) -> Result<&'static str> {
         let status = federation.ctl(label, &["status"])?;
         Ok(status["counters_by_plane"]["forwarded"]["kernel"].as_u64().unwrap_or(0))
     };
-    wait::wait_for("the robot's messages at the university", wait::PATIENCE, || {
+    wait::wait_for("the robot's messages at the university", wait::TIMEOUT, || {
         let before = [forwarded("u1")?, forwarded("u2")?];
         std::thread::sleep(Duration::from_millis(200));
         let more = [forwarded("u1")? - before[0], forwarded("u2")? - before[1]];

@@ -10,7 +10,7 @@ use crate::verify_key::VerifyKey;
 
 /// Who asks, as its link or an earlier verification showed, and when.
 #[derive(Clone, Debug)]
-pub struct Speaker {
+pub struct Requester {
     pub entity: Name,
     pub entity_key: VerifyKey,
     /// The switch it is attached to.
@@ -24,7 +24,7 @@ pub struct Speaker {
 /// May `speaker` publish or serve the name that `proof` shows? `revocation` is the newest that is known of it. Returns
 /// the certificate, with the validity of its chain, and the statement.
 pub fn authorise_advertise(
-    speaker: &Speaker,
+    speaker: &Requester,
     proof: &NameProof,
     cert: &Issued<AdCert>,
     advert: &Signed<Advert>,
@@ -38,7 +38,7 @@ pub fn authorise_advertise(
 
 /// May `speaker` subscribe to or call the name that `proof` shows? As [`authorise_advertise`].
 pub fn authorise_subscribe(
-    speaker: &Speaker,
+    speaker: &Requester,
     proof: &NameProof,
     grant: &Reading,
     advert: &Signed<Advert>,
@@ -50,12 +50,12 @@ pub fn authorise_subscribe(
 }
 
 /// An entity may always withdraw what it stated itself.
-pub fn authorise_withdraw(speaker: &Speaker, advert: &Signed<Advert>) -> Result<Advert, CertError> {
+pub fn authorise_withdraw(speaker: &Requester, advert: &Signed<Advert>) -> Result<Advert, CertError> {
     let name = advert.claims_unverified()?.name;
     speaker.verify_statement(name, Side::Neither, advert)
 }
 
-impl Speaker {
+impl Requester {
     fn verify_statement(&self, name: Name, side: Side, advert: &Signed<Advert>) -> Result<Advert, CertError> {
         let advert = verify_statement(advert, side, name, (self.entity, &self.entity_key), self.switch)?;
         if advert.serial <= self.floor {

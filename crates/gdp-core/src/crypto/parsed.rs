@@ -8,34 +8,34 @@ use super::{Backend, Verifier};
 use crate::crypto::error::CryptoError;
 use crate::crypto::lengths::PUBLIC_KEY_LEN;
 
-const KEPT: usize = 64;
+const CACHED: usize = 64;
 
 type Entry = ([u8; PUBLIC_KEY_LEN], Rc<Verifier>);
 
 #[derive(Default)]
-struct Lately {
+struct KeyCache {
     keys: Vec<Entry>,
     /// Whose place the next one takes.
     oldest: usize,
 }
 
 thread_local! {
-    static LATELY: RefCell<Lately> = RefCell::default();
+    static KEY_CACHE: RefCell<KeyCache> = RefCell::default();
 }
 
 /// The key for verifying, by the default back end.
 pub fn parsed(public: &[u8; PUBLIC_KEY_LEN]) -> Result<Rc<Verifier>, CryptoError> {
-    LATELY.with_borrow_mut(|lately| {
+    KEY_CACHE.with_borrow_mut(|lately| {
         if let Some((_, known)) = lately.keys.iter().find(|(key, _)| key == public) {
             return Ok(known.clone());
         }
         let entry = (*public, Rc::new(Backend::default().verifier(public)?));
         let verifier = entry.1.clone();
-        if lately.keys.len() < KEPT {
+        if lately.keys.len() < CACHED {
             lately.keys.push(entry);
         } else {
             lately.keys[lately.oldest] = entry;
-            lately.oldest = (lately.oldest + 1) % KEPT;
+            lately.oldest = (lately.oldest + 1) % CACHED;
         }
         Ok(verifier)
     })

@@ -1,10 +1,10 @@
-//! The files that an entity's [`Papers`] are in.
+//! The files that an entity's [`Credentials`] are in.
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use super::Papers;
+use super::Credentials;
 use crate::card::{CardError, NameCard};
 use crate::cert::CertError;
 use crate::cert::{MAX_CERT_FILE, Membership, Signed};
@@ -21,7 +21,7 @@ pub enum PaperFileError {
 
 /// Where they are.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PaperFiles {
+pub struct CredentialFiles {
     /// The domain's card.
     pub card: PathBuf,
     pub membership: PathBuf,
@@ -29,9 +29,9 @@ pub struct PaperFiles {
     pub peers: Vec<PathBuf>,
 }
 
-impl PaperFiles {
+impl CredentialFiles {
     /// Reads them; whether they are of each other is checked, not whether they hold.
-    pub fn load(&self) -> Result<Papers, PaperFileError> {
+    pub fn load(&self) -> Result<Credentials, PaperFileError> {
         let domain = NameCard::load(&self.card)?.proof();
         let membership = read(&self.membership, Membership::from_pem)?;
         if membership.domain != domain {
@@ -41,7 +41,7 @@ impl PaperFiles {
             return Err(wrong(CertError::WrongDomain { expected, got }));
         }
         let peers = self.peers.iter().map(|path| read(path, Signed::from_pem)).collect::<Result<_, _>>()?;
-        let papers = Papers { membership, peers };
+        let papers = Credentials { membership, peers };
         papers.check_bounds().map_err(|source| PaperFileError::Cert { path: self.membership.clone(), source })?;
         Ok(papers)
     }

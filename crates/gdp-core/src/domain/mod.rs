@@ -1,4 +1,4 @@
-//! Trust domains, as their members apply them: what an entity shows on its links ([`Papers`]), and whom it takes a link with
+//! Trust domains, as their members apply them: what an entity shows on its links ([`Credentials`]), and whom it takes a link with
 //! ([`Trust`]). No I/O and no clock. Switches and nodes call this; the certificates are in [`crate::cert::domain`], the
 //! invitation that a person carries in [`token`].
 
@@ -18,7 +18,7 @@ use crate::name::{Name, NameProof};
 use crate::peer::{Peer, Role};
 use crate::revocations::Kept;
 
-pub use files::{PaperFileError, PaperFiles};
+pub use files::{CredentialFiles, PaperFileError};
 pub use token::{Token, TokenError};
 
 /// Certificates for other domains that one entity shows.
@@ -30,13 +30,13 @@ pub const MAX_PAPERS: usize = 12 << 10;
 /// What an entity shows of its domain on a link.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Papers {
+pub struct Credentials {
     pub membership: Membership,
     /// What its domain lets other domains do.
     pub peers: Vec<Signed<PeerCert>>,
 }
 
-impl Papers {
+impl Credentials {
     pub fn check_bounds(&self) -> Result<(), CertError> {
         let size = self.membership.size() + self.peers.iter().map(|peer| peer.as_bytes().len()).sum::<usize>();
         if self.peers.len() > MAX_PEERS || size > MAX_PAPERS {
@@ -51,21 +51,21 @@ impl Papers {
 
 /// What an entity shows now, on all its ports. Clones are the same.
 #[derive(Clone, Debug, Default)]
-pub struct CurrentPapers(Arc<Mutex<Option<Arc<Papers>>>>);
+pub struct CurrentCredentials(Arc<Mutex<Option<Arc<Credentials>>>>);
 
-impl CurrentPapers {
-    pub fn get(&self) -> Option<Arc<Papers>> {
+impl CurrentCredentials {
+    pub fn get(&self) -> Option<Arc<Credentials>> {
         self.0.lock().clone()
     }
 
-    pub fn set(&self, papers: Arc<Papers>) {
+    pub fn set(&self, papers: Arc<Credentials>) {
         *self.0.lock() = Some(papers);
     }
 }
 
 /// What a peer is to this side's domain.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Standing {
+pub enum Relationship {
     /// Shows nothing of a domain, and need not.
     Stranger,
     Member {
@@ -87,7 +87,7 @@ pub enum Standing {
     },
 }
 
-impl Standing {
+impl Relationship {
     pub fn as_str(&self) -> &'static str {
         match self {
             Self::Stranger => "stranger",
@@ -106,14 +106,14 @@ impl Standing {
 /// That a peer may have a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Admission {
-    pub standing: Standing,
+    pub standing: Relationship,
     /// The last Unix second at which all of it holds.
     pub until: u64,
 }
 
 impl Admission {
     /// Of one that need not show anything.
-    pub const STRANGER: Self = Self { standing: Standing::Stranger, until: u64::MAX };
+    pub const STRANGER: Self = Self { standing: Relationship::Stranger, until: u64::MAX };
 }
 
 /// Why a peer gets no link, or an entity cannot be what its files say. Both sides read it: it names the certificate and the remedy.
@@ -154,7 +154,7 @@ pub enum DomainError {
 pub struct Trust {
     entity: Name,
     home: Name,
-    papers: Arc<Papers>,
+    papers: Arc<Credentials>,
     members_only: bool,
     revocations: BTreeMap<Name, (Kept, Revocation)>,
 }
@@ -162,13 +162,13 @@ pub struct Trust {
 impl Trust {
     /// For an entity that is what `papers` says. That these hold now is looked at with each link: a machine may start without a clock.
     /// `members_only`: no endpoint gets a link without a membership.
-    pub fn new(entity: Name, papers: Arc<Papers>, members_only: bool) -> Result<Self, DomainError> {
+    pub fn new(entity: Name, papers: Arc<Credentials>, members_only: bool) -> Result<Self, DomainError> {
         let home = check_own(entity, &papers)?;
         Ok(Self { entity, home, papers, members_only, revocations: BTreeMap::new() })
     }
 
     /// Puts renewed papers in place of those there are, and with them what the configuration says.
-    pub fn renew(&mut self, papers: Arc<Papers>, members_only: bool) -> Result<(), DomainError> {
+    pub fn renew(&mut self, papers: Arc<Credentials>, members_only: bool) -> Result<(), DomainError> {
         let home = check_own(self.entity, &papers)?;
         (self.home, self.papers, self.members_only) = (home, papers, members_only);
         Ok(())
@@ -178,7 +178,7 @@ impl Trust {
         self.home
     }
 
-    pub fn papers(&self) -> &Arc<Papers> {
+    pub fn papers(&self) -> &Arc<Credentials> {
         &self.papers
     }
 
@@ -192,7 +192,13 @@ impl Trust {
     }
 
     /// Whether `peer` may have a link with this entity, whose own part in links is `own`; `shown` is what the peer shows.
-    pub fn admit(&self, own: Role, peer: &Peer, shown: Option<&Papers>, now: u64) -> Result<Admission, DomainError> {
+    pub fn admit(
+        &self,
+        own: Role,
+        peer: &Peer,
+        shown: Option<&Credentials>,
+        now: u64,
+    ) -> Result<Admission, DomainError> {
         let Some(shown) = shown else {
             if own == Role::Switch && peer.role == Role::Endpoint && !self.members_only {
                 return Ok(Admission::STRANGER);
@@ -209,7 +215,7 @@ impl Trust {
                 return Err(DomainError::NotASwitch { peer: peer.name, role: cert.role, domain });
             }
             let until = own_cert.not_after.min(cert.not_after);
-            return Ok(Admission { standing: Standing::Member { role: cert.role }, until });
+            return Ok(Admission { standing: Relationship::Member { role: cert.role }, until });
         }
         let home = self.home;
         let ours = self.granted(&self.papers, home, domain, now)?.ok_or(DomainError::Foreign {
@@ -238,14 +244,14 @@ impl Trust {
                     }
                 }
                 until = until.min(theirs.not_after);
-                Standing::Border { domain, ours: ours.rights, theirs: theirs.rights }
+                Relationship::Border { domain, ours: ours.rights, theirs: theirs.rights }
             }
             (Role::Switch, Role::Endpoint) => {
                 needs(&ours, ours.rights.visit, "visit")?;
-                Standing::Visitor { domain }
+                Relationship::Visitor { domain }
             }
             // That it may visit is for its host to know.
-            (Role::Endpoint, _) => Standing::Host { domain },
+            (Role::Endpoint, _) => Relationship::Host { domain },
         };
         Ok(Admission { standing, until })
     }
@@ -297,7 +303,7 @@ impl Trust {
 
     /// What `domain`, whose member shows `papers`, lets `to` do, if it has stated anything. Of several certificates the newest
     /// that holds counts.
-    fn granted(&self, papers: &Papers, domain: Name, to: Name, now: u64) -> Result<Option<PeerCert>, DomainError> {
+    fn granted(&self, papers: &Credentials, domain: Name, to: Name, now: u64) -> Result<Option<PeerCert>, DomainError> {
         let (mut newest, mut failure) = (None::<PeerCert>, None);
         for signed in &papers.peers {
             let Ok(claims) = signed.claims_unverified() else { continue };
@@ -325,7 +331,7 @@ fn needs(cert: &PeerCert, held: bool, right: &'static str) -> Result<(), DomainE
 }
 
 /// The domain that an entity's own papers are of, if the signatures in them are right.
-fn check_own(entity: Name, papers: &Papers) -> Result<Name, DomainError> {
+fn check_own(entity: Name, papers: &Credentials) -> Result<Name, DomainError> {
     let unreadable = |source: CertError| DomainError::Unreadable { of: entity, source: source.into() };
     papers.check_bounds().map_err(unreadable)?;
     let domain = papers.membership.domain.name().map_err(|error| unreadable(error.into()))?;

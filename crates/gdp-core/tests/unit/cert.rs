@@ -198,7 +198,7 @@ fn a_machine_that_does_not_know_the_time_is_told_to_look_at_its_clock() {
 struct Fixture {
     owner: SigningKey,
     entity: Identity,
-    speaker: Speaker,
+    speaker: Requester,
     proof: NameProof,
     name: Name,
 }
@@ -208,7 +208,7 @@ impl Fixture {
         let owner = SigningKey::from_secret_bytes(&[1; 32]).unwrap();
         let entity = Identity::new(SigningKey::from_secret_bytes(&[2; 32]).unwrap(), "proxy");
         let proof = NameProof { owner_key: owner.public(), digest: name::inner_digest(&Default::default()) };
-        let speaker = Speaker {
+        let speaker = Requester {
             entity: entity.name(),
             entity_key: entity.key().verify_key(),
             switch: Name::from_bytes([4; 32]),

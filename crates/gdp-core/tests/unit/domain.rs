@@ -14,11 +14,11 @@ fn members_of_a_domain_take_links_with_each_other() {
     let (switch, other, robot) = (home.member(11, "switch"), home.member(12, "rib"), home.member(13, "arm"));
     let trust = switch.trust(true);
     let met = trust.admit(Role::Switch, &other.as_switch(), other.shows(), NOW).unwrap();
-    assert_eq!(met, Admission { standing: Standing::Member { role: "rib".into() }, until: NOW + 60 });
+    assert_eq!(met, Admission { standing: Relationship::Member { role: "rib".into() }, until: NOW + 60 });
     let met = trust.admit(Role::Switch, &robot.as_endpoint(), robot.shows(), NOW).unwrap();
-    assert_eq!(met.standing, Standing::Member { role: "arm".into() });
+    assert_eq!(met.standing, Relationship::Member { role: "arm".into() });
     let met = robot.trust(false).admit(Role::Endpoint, &switch.as_switch(), switch.shows(), NOW).unwrap();
-    assert_eq!(met.standing, Standing::Member { role: "switch".into() });
+    assert_eq!(met.standing, Relationship::Member { role: "switch".into() });
 
     let refused = trust.admit(Role::Switch, &robot.as_switch(), robot.shows(), NOW).unwrap_err();
     assert!(refused.to_string().contains("is arm in domain"), "{refused}");
@@ -92,7 +92,7 @@ fn domains_peer_when_each_has_said_so() {
         (at_home, abroad)
     };
     let (at_home, abroad) = meet(&both("peering,transit", "peering"));
-    let standing = |domain: &Domain, ours: &str, theirs: &str| Standing::Border {
+    let standing = |domain: &Domain, ours: &str, theirs: &str| Relationship::Border {
         domain: domain.identity.name(),
         ours: ours.parse().unwrap(),
         theirs: theirs.parse().unwrap(),
@@ -147,8 +147,8 @@ fn a_robot_pays_visits_where_both_domains_let_it() {
     assert!(at_host(&robot, &host).unwrap_err().to_string().contains("and visit is needed"));
     host.papers.peers = vec![away.peer(&home, "visit", 5)];
     robot.papers.peers = vec![home.peer(&away, "visit", 6)];
-    assert_eq!(at_host(&robot, &host).unwrap().standing, Standing::Visitor { domain: home.identity.name() });
-    assert_eq!(at_robot(&robot, &host).unwrap().standing, Standing::Host { domain: away.identity.name() });
+    assert_eq!(at_host(&robot, &host).unwrap().standing, Relationship::Visitor { domain: home.identity.name() });
+    assert_eq!(at_robot(&robot, &host).unwrap().standing, Relationship::Host { domain: away.identity.name() });
 }
 
 #[test]
@@ -167,7 +167,7 @@ fn an_invitation_admits_in_its_role_and_time_only() {
     assert_eq!(membership.serial_unverified(), Ok(ISSUED + 7), "revoked by the invitation's");
     assert_eq!(Membership::from_pem(&membership.to_pem()), Ok(membership.clone()));
 
-    let member = Member { identity: newcomer, papers: Papers { membership: membership.clone(), peers: vec![] } };
+    let member = Member { identity: newcomer, papers: Credentials { membership: membership.clone(), peers: vec![] } };
     let mut trust = home.member(11, "switch").trust(true);
     assert!(trust.admit(Role::Switch, &member.as_switch(), member.shows(), NOW).is_ok());
     trust.take_revocation(&home.proof(), &home.revoke(1, 0, vec![ISSUED + 7])).unwrap();
@@ -263,7 +263,7 @@ struct Domain {
 
 struct Member {
     identity: Identity,
-    papers: Papers,
+    papers: Credentials,
 }
 
 impl Domain {
@@ -287,7 +287,7 @@ impl Domain {
             not_after: NOW + 60,
         };
         let membership = Membership::issue(&self.identity, &claims).unwrap();
-        Member { identity, papers: Papers { membership, peers: vec![] } }
+        Member { identity, papers: Credentials { membership, peers: vec![] } }
     }
 
     fn peer(&self, peer: &Self, rights: &str, serial: u64) -> Signed<PeerCert> {
@@ -320,7 +320,7 @@ impl Domain {
 }
 
 impl Member {
-    fn shows(&self) -> Option<&Papers> {
+    fn shows(&self) -> Option<&Credentials> {
         Some(&self.papers)
     }
 

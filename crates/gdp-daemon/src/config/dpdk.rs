@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use serde::Deserialize;
 
-use gdp_dataplane::dpdk::{BEFORE_XDP, BESIDE, DpdkConfig, DpdkPort, LARGEST_ROOM};
+use gdp_dataplane::dpdk::{AUXILIARY, BEFORE_XDP, DpdkConfig, DpdkPort, LARGEST_ROOM};
 
 const MAX_PORTS: usize = 32;
 
@@ -19,7 +19,7 @@ const MAX_LOOPS: usize = 64;
 const MEMORY: std::ops::RangeInclusive<u32> = 64..=65536;
 
 /// From what IPv6 needs to what fits the largest packet.
-const MTU: std::ops::RangeInclusive<u16> = 1280..=(LARGEST_ROOM - BESIDE) as u16;
+const MTU: std::ops::RangeInclusive<u16> = 1280..=(LARGEST_ROOM - AUXILIARY) as u16;
 
 /// What `net_af_packet` has for a packet and for several, unless it is told otherwise; and what the kernel puts in front of a packet there,
 /// its Ethernet header included.
@@ -130,7 +130,7 @@ impl DpdkEntry {
             return Err(format!(
                 "dpdk: {} takes packets that fit a page: with it no port has an mtu above {}, or framesz above {LARGEST_XDP}",
                 xdp.name(),
-                LARGEST_XDP - BESIDE - BEFORE_XDP
+                LARGEST_XDP - AUXILIARY - BEFORE_XDP
             ));
         }
         Ok(config)

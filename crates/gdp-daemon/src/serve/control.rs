@@ -113,7 +113,7 @@ impl Core {
         let origin = match &request {
             Request::Fib(push) if push.switch == own => return Next::Answer(self.push(push)),
             Request::Peers(push) if push.switch == own => {
-                return match (self.heed(push.peers.run), self.link_to(&push.entity)) {
+                return match (self.check_fence(push.peers.run), self.link_to(&push.entity)) {
                     (Err(refusal), _) => Next::Answer(refusal.into()),
                     (Ok(()), Some(link)) => Next::Forward(link, request),
                     (Ok(()), None) => refuse(RefusalCode::Unreachable, format!("{} has no link here", push.entity)),
@@ -184,7 +184,7 @@ impl Core {
     }
 
     /// Refuses what a RIB of this run says if another has taken its place.
-    pub(super) fn heed(&mut self, run: u64) -> Result<(), Refusal> {
+    pub(super) fn check_fence(&mut self, run: u64) -> Result<(), Refusal> {
         let now = self.now().clock;
         let Err(fenced) = self.fence.admit(run, now) else { return Ok(()) };
         tracing::warn!(%fenced, "refused what a RIB says");

@@ -25,18 +25,18 @@ use super::crossing::Tracing;
 use super::events::{Event, Events};
 use super::federation::Federation;
 use super::fence::Fence;
-use super::hold::{GRACE, HeldLink, Hold, Kept};
+use super::graceful_restart::{GRACE, GracefulRestart, Kept, StaleLink};
 use super::peering::Wanted;
 use super::refusals::Refusals;
 use super::routes::{Change, Routes};
 use super::term::{Term, Ticket};
 use super::trace::Outstanding;
 use crate::config::{Inside, Neighbour, Via};
-use crate::domain::{Admission, Domain, Papers, Standing};
+use crate::domain::{Admission, Credentials, Domain, Relationship};
 use gdp_dataplane::{PlaneError, PlaneRoute, Planes};
 use gdp_rib::crossing::Allowance;
 use gdp_rib::rib::fib::Pushed;
-use gdp_rib::rib::{Effect, Limits, Now, Rib, Run, Told};
+use gdp_rib::rib::{Effect, Limits, Now, Rib, Run, UpdateId};
 use gdp_rib::tiers::Sent;
 use gdp_rib::topology::Topology;
 use gdp_rib::topology::cost::Meter;
@@ -71,7 +71,7 @@ pub struct Core {
     pub routes: Routes,
     pub links: HashMap<u32, LinkState>,
     /// Links that the data planes hold besides.
-    pub held: Hold,
+    pub held: GracefulRestart,
     /// The link to each peer; to an endpoint, of each lane.
     pub peers: BTreeMap<(Name, u8), u32>,
     /// Endpoints that the RIB has attached here.
@@ -142,7 +142,7 @@ pub enum Expects {
     /// What became of its push of this generation to this switch.
     Push(Name, u64),
     /// Whether an entity has been told of its counterparts.
-    Told(Told),
+    UpdateId(UpdateId),
     /// What another domain's RIB answers.
     Tier(Name, Sent),
     /// Whether a border has heard which peerings are wanted of it.
@@ -215,7 +215,7 @@ impl Core {
             planes,
             routes: Routes::default(),
             links: HashMap::new(),
-            held: Hold::default(),
+            held: GracefulRestart::default(),
             peers: BTreeMap::new(),
             attached: HashSet::new(),
             report: Report::default(),
@@ -254,7 +254,7 @@ impl Core {
             links.push((entry.clone(), role));
             let (peer, lane) = (entry.peer, entry.lane as u8);
             let (entry, standing) = (entry.clone(), None);
-            self.held.keep(HeldLink { peer, lane, role, entry, to: *to, until, standing, id });
+            self.held.keep(StaleLink { peer, lane, role, entry, to: *to, until, standing, id });
             match role {
                 LinkRole::Endpoint => drop(self.attached.insert(peer)),
                 LinkRole::Switch | LinkRole::Border => {
@@ -293,7 +293,7 @@ impl Core {
     /// Removes a link that is held, because its time is over or nothing forwards at its other end. Returns its peer, if that is
     /// an endpoint that is no longer attached for it.
     pub fn release(&mut self, id: u32) -> Option<Name> {
-        let HeldLink { peer, role, .. } = self.held.take(id)?;
+        let StaleLink { peer, role, .. } = self.held.take(id)?;
         self.remove_link(role, peer, id);
         let gone = role == LinkRole::Endpoint && !self.has_link(&peer) && !self.held.keeps(&peer);
         (gone && self.attached.contains(&peer)).then_some(peer)
@@ -364,7 +364,7 @@ impl Core {
 
     /// What the RIB is to be asked before a member that was admitted by an invitation is taken for one. A neighbour that the
     /// configuration names is taken if there is no way to the RIB but by it: there is nobody else to ask.
-    pub fn question(&self, link: &Link, papers: &Papers) -> Option<Request> {
+    pub fn question(&self, link: &Link, papers: &Credentials) -> Option<Request> {
         let domain = self.domain.as_ref()?;
         let entity = link.peer().name;
         let invite = papers.membership.invite_unverified().ok()??;
@@ -384,7 +384,7 @@ impl Core {
     }
 
     /// The peer of a link shows other papers: whether it may keep the link by them.
-    pub fn renew_link(&mut self, link: &Link, papers: &Papers) -> Result<(), String> {
+    pub fn renew_link(&mut self, link: &Link, papers: &Credentials) -> Result<(), String> {
         let Some(domain) = &self.domain else { return Ok(()) };
         let admitted = domain.trust.admit(Role::Switch, link.peer(), Some(papers), unix_seconds());
         let admission = admitted.map_err(|error| error.to_string())?;
@@ -431,7 +431,7 @@ impl Core {
             }
         }
         // What is held ends soon by itself.
-        let may_stay = |held: &HeldLink| only_ended || held.link().is_none_or(|link| judge(link).is_ok());
+        let may_stay = |held: &StaleLink| only_ended || held.link().is_none_or(|link| judge(link).is_ok());
         let over: Vec<u32> = self.held.iter().filter(|held| !may_stay(held)).map(|held| held.entry.id).collect();
         changed.into_iter().for_each(|id| self.put_flags(id));
         let lost = over.into_iter().filter_map(|id| self.release(id)).collect();
@@ -502,7 +502,7 @@ impl Core {
         }
         let time = if is_replaced { GRACE } else { GRACEFUL_RESTART_TIME };
         let (until, id) = (Instant::now() + time, Kept::Closed { link });
-        let held = HeldLink { peer, lane, role, entry, to, until, standing: Some(admission.standing), id };
+        let held = StaleLink { peer, lane, role, entry, to, until, standing: Some(admission.standing), id };
         if let Some(first) = self.held.keep(held) {
             self.release(first);
         }
@@ -631,7 +631,7 @@ impl Core {
     }
 
     pub(super) fn push(&mut self, push: &FibPush) -> Response {
-        if let Err(refusal) = self.heed(push.run) {
+        if let Err(refusal) = self.check_fence(push.run) {
             return refusal.into();
         }
         match self.routes.push(push) {
@@ -686,7 +686,7 @@ impl Core {
                         (push.switch, Request::Fib(push), expects)
                     }
                     Effect::Peers(push) => {
-                        let expects = Expects::Told(Told::from(&push));
+                        let expects = Expects::UpdateId(UpdateId::from(&push));
                         (push.switch, Request::Peers(push), expects)
                     }
                     Effect::Detach { switch, entity } if switch == own => {
@@ -701,7 +701,7 @@ impl Core {
                 };
                 let (link, request) = match request {
                     Request::Peers(push) if target == own => {
-                        let link = self.heed(push.peers.run).ok().and_then(|()| self.link_to(&push.entity));
+                        let link = self.check_fence(push.peers.run).ok().and_then(|()| self.link_to(&push.entity));
                         (link, Request::Peers(push))
                     }
                     request => (self.link_toward(&target).ok(), control::onward(target, request)),
@@ -725,7 +725,7 @@ impl Core {
             Expects::Push(switch, generation) => {
                 rib.pushed(now, &switch, generation, response.map_or(Pushed::Failed, outcome));
             }
-            Expects::Told(told) => rib.told(now, told, matches!(response, Some(Response::Done))),
+            Expects::UpdateId(told) => rib.told(now, told, matches!(response, Some(Response::Done))),
         }
     }
 
@@ -808,7 +808,7 @@ fn role_on(link: &Link, admission: &Admission) -> LinkRole {
 /// What the entry of a link says of the peer's domain.
 fn flags_of(admission: &Admission) -> u16 {
     match &admission.standing {
-        Standing::Border { ours, .. } if ours.transit => LinkEntry::TRANSIT,
+        Relationship::Border { ours, .. } if ours.transit => LinkEntry::TRANSIT,
         _ => 0,
     }
 }

@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use futures::future::join_all;
-use gdp_core::domain::Standing;
+use gdp_core::domain::Relationship;
 use gdp_link::link::Link;
 use gdp_proto::control::{
     Crossing, Refusal, RefusalCode, Request, Response, TraceLeg, TraceOn, TracedDomain, TracedEnd, TracedSwitch,
@@ -22,7 +22,7 @@ use crate::config::Inside;
 use gdp_rib::crossing::{Walk, check_path, composed, inside, only, path_on, refused, taken};
 
 /// How long all of a trace may take, less than a request over a link may.
-const PATIENCE: Duration = Duration::from_millis(4500);
+const TIMEOUT: Duration = Duration::from_millis(4500);
 
 /// Who is asked has so much less than who asks, for the way.
 const MARGIN: Duration = Duration::from_millis(100);
@@ -93,7 +93,7 @@ impl Core {
             let reason = format!("domain {domain:#} has asked for too many traces; try again in a second");
             return Err(Refusal::new(RefusalCode::Limit, reason));
         }
-        let is_transit = matches!(&state.admission.standing, Standing::Border { ours, .. } if ours.transit);
+        let is_transit = matches!(&state.admission.standing, Relationship::Border { ours, .. } if ours.transit);
         check_path(&request.path, &domain, &home)?;
         // The same words for a name that nobody has and for one that is none of its business.
         if !self.planes.writers(&request.name).contains(&id) {
@@ -118,7 +118,7 @@ impl Daemon {
     pub(super) async fn trace_beyond(&self, name: Name, border: Name, beyond: (Name, Name)) -> Vec<TracedDomain> {
         let home = self.core().domain.as_ref().map(|domain| domain.trust.home());
         match home {
-            Some(home) => self.beyond(name, border, beyond, (&[], home), Instant::now() + PATIENCE).await,
+            Some(home) => self.beyond(name, border, beyond, (&[], home), Instant::now() + TIMEOUT).await,
             None => only(beyond.0, beyond.1, refused("this switch is a member of no domain")),
         }
     }
@@ -279,5 +279,5 @@ fn within(until: Instant) -> u32 {
 }
 
 fn deadline(request: &TraceOn) -> Instant {
-    Instant::now() + PATIENCE.min(Duration::from_millis(request.within_ms.into()))
+    Instant::now() + TIMEOUT.min(Duration::from_millis(request.within_ms.into()))
 }

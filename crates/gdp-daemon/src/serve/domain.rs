@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use gdp_core::cbor;
 use gdp_core::cert::{CertError, Revocation, Signed};
-use gdp_core::domain::{CurrentPapers, PaperFileError};
+use gdp_core::domain::{CurrentCredentials, PaperFileError};
 use gdp_core::identity::Identity;
 use gdp_core::name::NameProof;
 use gdp_core::revocations::{Kept, RevocationFile};
@@ -20,10 +20,10 @@ use gdp_wire::Name;
 use tokio::time::sleep;
 
 use super::core::Next;
-use super::kept::Keeper;
+use super::revocation_store::RevocationStore;
 use super::{Daemon, links};
 use crate::config::DomainConfig;
-use crate::domain::{Domain, DomainError, Invitations, MAX_USED, Papers, Trust, Used};
+use crate::domain::{Credentials, Domain, DomainError, Invitations, MAX_USED, Trust, Used};
 use gdp_util::file_watch::{FileSet, FileWatcher};
 use gdp_util::unix_time::unix_seconds;
 
@@ -48,14 +48,14 @@ pub enum MembershipError {
 }
 
 /// What is kept beside the switch's key.
-pub struct KeptDomain {
+pub struct StoredDomain {
     revocations: RevocationFile,
     invitations: PathBuf,
     /// Of what [`Domain::changes`] counts.
-    keeper: Keeper,
+    keeper: RevocationStore,
 }
 
-impl KeptDomain {
+impl StoredDomain {
     /// The daemon's membership, and what an earlier daemon knew of the domain.
     pub fn recall(
         config: &DomainConfig,
@@ -75,7 +75,10 @@ impl KeptDomain {
             Ok(own) => tracing::info!("{} of domain {:#} until Unix time {}", own.role, own.domain, own.not_after),
             Err(error) => tracing::error!("no link to anybody of a domain: {error}"),
         }
-        Ok((Self { revocations, invitations, keeper: Keeper::new(0) }, Domain::new(trust, Invitations::recall(used))))
+        Ok((
+            Self { revocations, invitations, keeper: RevocationStore::new(0) },
+            Domain::new(trust, Invitations::recall(used)),
+        ))
     }
 }
 
@@ -91,7 +94,7 @@ fn load_used(path: &Path) -> Result<Vec<Used>, SecretFileError> {
 }
 
 /// Reads the files when they change, and closes links at the moment at which what they rest on ends.
-pub async fn watch(daemon: Arc<Daemon>, config: DomainConfig, shown: CurrentPapers) {
+pub async fn watch(daemon: Arc<Daemon>, config: DomainConfig, shown: CurrentCredentials) {
     let mut files = FileSet::new(&FileWatcher::start(), config.files.paths());
     loop {
         tokio::select! {
@@ -110,7 +113,11 @@ pub async fn watch(daemon: Arc<Daemon>, config: DomainConfig, shown: CurrentPape
 }
 
 impl Daemon {
-    fn renew(self: &Arc<Self>, papers: Papers, config: &DomainConfig) -> Result<Arc<Papers>, MembershipError> {
+    fn renew(
+        self: &Arc<Self>,
+        papers: Credentials,
+        config: &DomainConfig,
+    ) -> Result<Arc<Credentials>, MembershipError> {
         let papers = Arc::new(papers);
         if let Some(domain) = &mut self.core().domain {
             domain.trust.renew(papers.clone(), config.members_only)?;
@@ -122,10 +129,10 @@ impl Daemon {
         Ok(papers)
     }
 
-    fn show_renewed(self: &Arc<Self>, papers: &Arc<Papers>) {
+    fn show_renewed(self: &Arc<Self>, papers: &Arc<Credentials>) {
         let links: Vec<Link> = self.core().links.values().map(|state| state.link.clone()).collect();
         for link in links {
-            let request = Request::Papers(Box::new(Papers::clone(papers)));
+            let request = Request::Papers(Box::new(Credentials::clone(papers)));
             self.spawn(async move {
                 match link.request(&request).await {
                     Ok(Response::Refused(refusal)) => {
@@ -211,7 +218,7 @@ impl Daemon {
     }
 
     /// A peer shows renewed papers.
-    pub(super) async fn take_papers(self: &Arc<Self>, link: &Link, papers: Papers) -> Response {
+    pub(super) async fn take_credentials(self: &Arc<Self>, link: &Link, papers: Credentials) -> Response {
         let papers = Arc::new(papers);
         let question = self.core().question(link, &papers);
         if let Some(question) = question
@@ -222,7 +229,7 @@ impl Daemon {
         let renewed = self.core().renew_link(link, &papers);
         match renewed {
             Ok(()) => {
-                link.set_papers(papers);
+                link.set_credentials(papers);
                 // The rights of a neighbouring domain are stated.
                 self.topology_changed();
                 Response::Done
@@ -272,7 +279,7 @@ impl Daemon {
 
     /// Returns once what is known of the domain by now is in its files; to be called before it is said to be done.
     pub(super) async fn keep_domain(self: &Arc<Self>) -> Result<(), Refusal> {
-        let Some(KeptDomain { revocations, invitations, keeper }) = &self.domain else { return Ok(()) };
+        let Some(StoredDomain { revocations, invitations, keeper }) = &self.domain else { return Ok(()) };
         let changes = self.core().domain.as_ref().map_or(0, |domain| domain.changes);
         let collect = || {
             let core = self.core();
@@ -304,7 +311,7 @@ async fn tell(link: Link, request: Request) {
 /// Whether a request is answered here whoever sends it, and then the answer.
 pub async fn answer(daemon: &Arc<Daemon>, link: &Link, request: Request) -> Result<Response, Request> {
     match request {
-        Request::Papers(papers) => Ok(daemon.take_papers(link, *papers).await),
+        Request::Papers(papers) => Ok(daemon.take_credentials(link, *papers).await),
         Request::DomainRevoked { proof, revocation } => {
             Ok(daemon.take_revocation(proof, revocation, Some(link.local_id())).await)
         }

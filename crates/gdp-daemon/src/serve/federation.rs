@@ -10,7 +10,7 @@ use gdp_core::cert::{CertError, Host, Locator, MAX_LOCATED, MAX_LOCATOR, Revocat
 use gdp_core::domain::Trust;
 use gdp_core::keys::KeyBox;
 use gdp_core::revocations::Kept;
-use gdp_proto::control::{RecordPlace, Refusal, RefusalCode, Response, TierKey, TierResponse};
+use gdp_proto::control::{RecordKey, Refusal, RefusalCode, Response, TierKey, TierResponse};
 use gdp_wire::Name;
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
@@ -21,7 +21,7 @@ use super::retries::Retries;
 use super::tiers::records;
 use gdp_rib::rib::{Foreign, Now, Rib};
 use gdp_rib::tiers;
-use gdp_rib::tiers::{Change, Held, Hosted, Item, Limits, Reply, Revoked, Ticket, Tiers};
+use gdp_rib::tiers::{Change, Hosted, Item, Limits, Reply, Revoked, TableRecord, Ticket, Tiers};
 use gdp_rib::tiers::{peering::Peering, peering::Peerings, peering::choose};
 
 /// After so long a border that lacks a wanted peering is told again.
@@ -33,11 +33,11 @@ pub struct Federation {
     /// The switches of the domain that the RIB knows, as they have shown themselves to it.
     hosts: BTreeMap<Name, Shown>,
     /// What entities have stated in this domain, by switch.
-    stated: BTreeMap<Name, BTreeSet<RecordPlace>>,
+    stated: BTreeMap<Name, BTreeSet<RecordKey>>,
     /// What is to be told anew, besides what the RIB says has changed.
-    due: BTreeSet<RecordPlace>,
+    due: BTreeSet<RecordKey>,
     /// By entity and the places it was told with.
-    boxes: BTreeMap<Name, BTreeMap<RecordPlace, Vec<Signed<KeyBox>>>>,
+    boxes: BTreeMap<Name, BTreeMap<RecordKey, Vec<Signed<KeyBox>>>>,
     /// The places abroad of which the RIB did not take what it was told.
     retries: Retries,
     pub(super) waiting: HashMap<Ticket, oneshot::Sender<TierResponse>>,
@@ -238,7 +238,7 @@ impl Federation {
 
     /// Tells the RIB what it may know of other domains: what has changed, and what it refused before for what is over by now.
     pub(super) fn inform(&mut self, now: Now, rib: &mut Rib) {
-        let mut places: BTreeSet<RecordPlace> = self.retries.take_due(now.clock).into_iter().collect();
+        let mut places: BTreeSet<RecordKey> = self.retries.take_due(now.clock).into_iter().collect();
         for change in self.tiers.take_changes(now) {
             match change {
                 Change::Remove(TierKey::Part(place)) => {
@@ -267,7 +267,7 @@ impl Federation {
     }
 
     /// Tells the RIB of one place: of all neighbours that have told of it, what this one says counts.
-    fn give(&mut self, now: Now, rib: &mut Rib, place: RecordPlace, foreign: Foreign) {
+    fn give(&mut self, now: Now, rib: &mut Rib, place: RecordKey, foreign: Foreign) {
         let (domain, next) = (foreign.domain, foreign.next);
         let taken = rib.set_foreign(now, foreign);
         let is_refused = taken.is_err();
@@ -314,10 +314,10 @@ impl Federation {
         let neighbours = self.tiers.neighbours();
         let shown = neighbours.map(|neighbour| {
             let (state, reason) = match neighbour.standing {
-                tiers::Standing::Waiting => ("waiting", neighbour.lacking),
-                tiers::Standing::Up => ("up", neighbour.lacking),
-                tiers::Standing::Lost(_) => ("lost", None),
-                tiers::Standing::Refused { reason, .. } => ("refused", Some(reason)),
+                tiers::SessionState::Waiting => ("waiting", neighbour.lacking),
+                tiers::SessionState::Up => ("up", neighbour.lacking),
+                tiers::SessionState::Lost(_) => ("lost", None),
+                tiers::SessionState::Refused { reason, .. } => ("refused", Some(reason)),
             };
             json!({
                 "domain": neighbour.domain, "kind": if neighbour.kind.is_parent() { "parent" } else { "child" },
@@ -330,7 +330,7 @@ impl Federation {
 }
 
 /// As the RIB is told it; none of what this domain says itself.
-fn foreign(now: Now, held: Arc<Held>, only_passes: bool, boxes: &[Signed<KeyBox>]) -> Option<Foreign> {
+fn foreign(now: Now, held: Arc<TableRecord>, only_passes: bool, boxes: &[Signed<KeyBox>]) -> Option<Foreign> {
     let (domain, next) = (*held.path.first()?, *held.path.last()?);
     let mut record = held.record.clone();
     record.expires_in = held.ends.saturating_sub(now.clock).as_secs();

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_core::cert::Adjoining;
-use gdp_core::domain::Standing;
+use gdp_core::domain::Relationship;
 use gdp_core::peer::Role;
 use gdp_link::link::Link;
 use gdp_link::port::LinkAddr;
@@ -140,7 +140,7 @@ impl Core {
         let mut all = Adjacencies::default();
         for (is_live, role, switch, standing) in live.chain(held) {
             match standing {
-                Some(Standing::Border { domain, ours, theirs }) => {
+                Some(Relationship::Border { domain, ours, theirs }) => {
                     let (domain, cost) = (*domain, self.cost(&switch));
                     let (transit, ours_transit) = (theirs.transit, ours.transit);
                     let parent = self.parent_rank(&switch);

@@ -13,7 +13,7 @@ use tokio::time::timeout;
 use super::control::Report;
 use super::core::{Expects, Next, Statement};
 use super::events::Event;
-use super::{Daemon, Place, control, costs, domain, flooding, liveness, tiers};
+use super::{Daemon, SerializedTask, control, costs, domain, flooding, liveness, tiers};
 use crate::config::Via;
 
 /// How long an accepted statement waits for switches to take their routes.
@@ -111,7 +111,7 @@ async fn say_ready(daemon: Arc<Daemon>, link: Link) {
 /// An endpoint's requests are answered one after the other: its statements carry serials.
 async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
     // Waits until an older link of the same lane is dealt with.
-    let (entity, place) = (link.peer().name, Place::Lane(link.peer().name, link.peer().lane));
+    let (entity, place) = (link.peer().name, SerializedTask::Lane(link.peer().name, link.peer().lane));
     let turns = daemon.turns(place);
     let turn = turns.lock().await;
     let mut watches_costs = false;
@@ -143,12 +143,12 @@ async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
 
 /// Ends the attachment of an endpoint that has no link.
 pub async fn detach_lost(daemon: Arc<Daemon>, entity: Name) {
-    let turns = daemon.turns(Place::Entity(entity));
+    let turns = daemon.turns(SerializedTask::Entity(entity));
     let turn = turns.lock().await;
     detach(&daemon, entity).await;
     drop(turn);
     drop(turns);
-    daemon.leave(Place::Entity(entity));
+    daemon.leave(SerializedTask::Entity(entity));
 }
 
 /// Tells the RIB of a lost attachment. An entity that is back on another link says itself whether what it stated still stands.
@@ -178,7 +178,7 @@ async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityReques
         let reason = format!("this link is number {} of its entity, not {lane}", link.peer().lane);
         return Refusal::new(RefusalCode::Malformed, reason).into();
     }
-    let place = Place::Entity(link.peer().name);
+    let place = SerializedTask::Entity(link.peer().name);
     let turns = daemon.turns(place);
     let turn = turns.lock().await;
     let response = take_request(daemon, link, request).await;
@@ -314,7 +314,7 @@ impl Daemon {
             Next::Answer(response) => response,
             Next::Store(ticket, next) => self.store(ticket, *next).await,
             Next::Keep(response) => self.keep_revocations().await.map_or_else(Response::from, |()| response),
-            Next::Await { waiting, is_query } => match timeout(tiers::PATIENCE, waiting).await {
+            Next::Await { waiting, is_query } => match timeout(tiers::TIMEOUT, waiting).await {
                 Ok(Ok(response)) if is_query => tiers::records(response),
                 Ok(Ok(response)) => Response::Tier(Box::new(response)),
                 _ => Refusal::new(RefusalCode::Unreachable, "no RIB of another domain has answered").into(),
@@ -392,7 +392,7 @@ impl Daemon {
                 };
                 let response = match &message.expects {
                     // Nobody of this domain answers for another.
-                    Expects::Tier(..) => timeout(tiers::PATIENCE, asked).await.ok().flatten(),
+                    Expects::Tier(..) => timeout(tiers::TIMEOUT, asked).await.ok().flatten(),
                     _ => asked.await,
                 };
                 if let (Expects::Reattach, Some(link)) = (&message.expects, &message.link) {

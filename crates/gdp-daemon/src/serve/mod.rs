@@ -12,9 +12,8 @@ pub mod events;
 mod federation;
 mod fence;
 mod flooding;
-mod hold;
+mod graceful_restart;
 pub mod interfaces;
-mod kept;
 mod links;
 mod liveness;
 mod peering;
@@ -24,6 +23,7 @@ mod refusals;
 mod replica;
 mod report;
 mod retries;
+mod revocation_store;
 pub mod routes;
 mod status;
 mod term;
@@ -50,13 +50,13 @@ use tokio::task::JoinSet;
 
 use self::control::Report;
 use self::core::Core;
-use self::domain::KeptDomain;
-use self::kept::KeptRevocations;
+use self::domain::StoredDomain;
 pub use self::ready::Ready;
 use self::replica::Replica;
+use self::revocation_store::StoredRevocations;
 use crate::config::{Config, DataPlane};
 use gdp_dataplane::host_pair;
-use gdp_dataplane::{PinPlace, PlaneConfig, PlaneError, Planes, Wanted};
+use gdp_dataplane::{PinLocation, PlaneConfig, PlaneError, Planes, Wanted};
 use gdp_util::unix_time::unix_nanos;
 
 /// How often the addresses of peers are looked at, because QUIC moves without saying so; how far they are; and links that are held.
@@ -90,16 +90,16 @@ pub struct Daemon {
     name: Name,
     port_config: PortConfig,
     core: Mutex<Core>,
-    revocations: KeptRevocations,
+    revocations: StoredRevocations,
     /// Its part, if this is one of several replicas of the RIB.
     replica: Option<Replica>,
     /// What is kept of the domain, if this is a member of one.
-    domain: Option<KeptDomain>,
+    domain: Option<StoredDomain>,
     ports: Mutex<HashMap<String, Arc<Port>>>,
     /// Where links over UDP are taken.
     udp: OnceLock<SocketAddr>,
     /// Who is at each place, and who waits to be.
-    turns: Mutex<HashMap<Place, Arc<tokio::sync::Mutex<()>>>>,
+    turns: Mutex<HashMap<SerializedTask, Arc<tokio::sync::Mutex<()>>>>,
     report: Notify,
     topology: Notify,
     rib_changed: Notify,
@@ -113,7 +113,7 @@ pub struct Daemon {
 
 /// What is done by one at a time.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
-enum Place {
+enum SerializedTask {
     /// Serving a link of this lane of an entity.
     Lane(Name, u8),
     /// Attaching an entity, or detaching it.
@@ -145,18 +145,18 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         dpdk: config.dpdk.clone(),
         // Like the settings themselves, it is gone when the machine starts anew.
         dpdk_settings: Some(config.socket.with_extension("settings")),
-        pins: config.bpffs.clone().map(|bpffs| PinPlace { bpffs, switch: identity.name() }),
+        pins: config.bpffs.clone().map(|bpffs| PinLocation { bpffs, switch: identity.name() }),
         ..PlaneConfig::default()
     })?;
     let link_ids = LinkIds::new();
     let has_rib = config.rib && config.etcd.is_none();
     let mut core = Core::new(identity.clone(), config.neighbours.clone(), has_rib, planes);
     core.take_over(&link_ids);
-    let revocations = KeptRevocations::recall(&config.identity, &mut core)?;
+    let revocations = StoredRevocations::recall(&config.identity, &mut core)?;
     let port_config = PortConfig { rekey: config.rekey, ..PortConfig::switch(identity.clone(), link_ids) };
     let mut domain = None;
     if let Some(domain_config) = &config.domain {
-        let (kept, member) = KeptDomain::recall(domain_config, &identity, &config.identity)?;
+        let (kept, member) = StoredDomain::recall(domain_config, &identity, &config.identity)?;
         port_config.papers.set(member.trust.papers().clone());
         (domain, core.domain) = (Some(kept), Some(member));
         core.federate(unix_nanos());
@@ -336,12 +336,12 @@ impl Daemon {
         self.report.notify_one();
     }
 
-    fn turns(&self, place: Place) -> Arc<tokio::sync::Mutex<()>> {
+    fn turns(&self, place: SerializedTask) -> Arc<tokio::sync::Mutex<()>> {
         self.turns.lock().entry(place).or_default().clone()
     }
 
     /// Forgets a place that nobody is at or waits for.
-    fn leave(&self, place: Place) {
+    fn leave(&self, place: SerializedTask) {
         let mut turns = self.turns.lock();
         if turns.get(&place).is_some_and(|held| Arc::strong_count(held) == 1) {
             turns.remove(&place);

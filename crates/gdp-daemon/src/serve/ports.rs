@@ -15,7 +15,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, sleep, timeout};
 
 use super::{Daemon, StartError, interfaces, links};
-use crate::config::{Place, Via};
+use crate::config::{NeighbourAddress, Via};
 use gdp_dataplane::host_pair;
 
 /// How long a neighbour may take to answer discovery.
@@ -169,7 +169,7 @@ pub async fn look(changes: &mut watch::Receiver<()>) {
 async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
     let own = daemon.name;
     // Of two neighbours the one with the smaller name dials, unless it is said otherwise.
-    let to_dial: Vec<Place> = {
+    let to_dial: Vec<NeighbourAddress> = {
         let core = daemon.core();
         let near = core.neighbours.iter().filter(|n| n.place.via.same_port(via));
         near.filter(|n| n.dial || own.as_bytes() < n.place.switch.as_bytes()).map(|n| n.place.clone()).collect()

@@ -22,7 +22,7 @@ use crate::config::EtcdConfig;
 use crate::domain::Used;
 use crate::store::StoreError;
 use crate::store::gateway::Gateway;
-use crate::store::{items::Change, items::Copy, items::Place, items::Writer};
+use crate::store::{items::Change, items::Copy, items::KeySpace, items::Writer};
 use gdp_rib::rib::{Item, Limits, RestoreError, Rib, Run, decode_item, encode_item};
 use gdp_util::unix_time::unix_nanos;
 
@@ -47,7 +47,7 @@ const RESIGNATION: Duration = Duration::from_secs(2);
 /// A replica's part in what is kept together.
 pub struct Replica {
     config: EtcdConfig,
-    place: Place,
+    place: KeySpace,
     stage: watch::Sender<Stage>,
 }
 
@@ -70,7 +70,7 @@ struct Elected {
 
 impl Replica {
     pub fn new(config: EtcdConfig) -> Self {
-        Self { place: Place::new(&config.prefix), config, stage: watch::Sender::new(Stage::Standing) }
+        Self { place: KeySpace::new(&config.prefix), config, stage: watch::Sender::new(Stage::Standing) }
     }
 
     /// Returns once it leads no more, and does not stand again; if etcd does not answer, a while later.
@@ -228,7 +228,7 @@ async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -
 
 impl Elected {
     async fn stand(
-        place: &Place,
+        place: &KeySpace,
         gateway: &mut Gateway,
         own: &Name,
         stands_with: &mut Option<i64>,

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::ops::Bound::{Excluded, Unbounded};
 use std::time::Duration;
 
-use gdp_proto::control::RecordPlace;
+use gdp_proto::control::RecordKey;
 use gdp_util::backoff::Backoff;
 use gdp_wire::Name;
 
@@ -23,9 +23,9 @@ const BETWEEN: Duration = Duration::from_secs(1);
 #[derive(Debug, Default)]
 pub struct Retries {
     /// By the neighbour that told of them: each has its turn, whatever the others wait for.
-    due: BTreeMap<Name, Deadlines<RecordPlace>>,
+    due: BTreeMap<Name, Deadlines<RecordKey>>,
     /// Who told of each, and how often it was refused in a row.
-    refused: BTreeMap<RecordPlace, (Name, u32)>,
+    refused: BTreeMap<RecordKey, (Name, u32)>,
     not_before: Duration,
     /// Whose turn was last.
     last: Name,
@@ -33,7 +33,7 @@ pub struct Retries {
 
 impl Retries {
     /// It was refused as `neighbour` told it; how often by now, in a row.
-    pub fn refused(&mut self, now: Duration, neighbour: Name, place: RecordPlace) -> u32 {
+    pub fn refused(&mut self, now: Duration, neighbour: Name, place: RecordKey) -> u32 {
         let before = self.refused.get(&place).filter(|(told_by, _)| *told_by == neighbour).map(|(_, times)| *times);
         self.settled(&place);
         let times = before.unwrap_or(0);
@@ -44,7 +44,7 @@ impl Retries {
     }
 
     /// It was taken, or nobody tells of it any more.
-    pub fn settled(&mut self, place: &RecordPlace) {
+    pub fn settled(&mut self, place: &RecordKey) {
         let Some((neighbour, _)) = self.refused.remove(place) else { return };
         if let Some(due) = self.due.get_mut(&neighbour) {
             due.set(*place, None);
@@ -53,7 +53,7 @@ impl Retries {
     }
 
     /// Those to be tried now, of each neighbour as many as of another: of each it is to be said what became of it.
-    pub fn take_due(&mut self, now: Duration) -> Vec<RecordPlace> {
+    pub fn take_due(&mut self, now: Duration) -> Vec<RecordKey> {
         if now < self.not_before {
             return Vec::new();
         }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use gdp_core::cert::{Adjoining, LinkState};
 use gdp_core::peer::Role;
 use gdp_link::port::HandshakeCounts;
-use gdp_proto::control::RecordPlace;
+use gdp_proto::control::RecordKey;
 use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
 use serde_json::{Map, Value, json};
 
@@ -15,7 +15,7 @@ use super::core::{Core, LinkState as LiveLink, link_role};
 use super::federation::Federation;
 use super::flooding::Adjacencies;
 use super::{Daemon, interfaces, warnings};
-use crate::domain::{Domain, Standing};
+use crate::domain::{Domain, Relationship};
 use gdp_dataplane::host_pair;
 use gdp_util::unix_time::unix_seconds;
 
@@ -171,7 +171,7 @@ fn peer(core: &Core, name: Name) -> Value {
     let state = link.as_ref().and_then(|link| core.links.get(&link.local_id()));
     let standing = state.map(|state| &state.admission.standing);
     let (ours, theirs) = match standing {
-        Some(Standing::Border { ours, theirs, .. }) => (Some(ours.to_string()), Some(theirs.to_string())),
+        Some(Relationship::Border { ours, theirs, .. }) => (Some(ours.to_string()), Some(theirs.to_string())),
         _ => (None, None),
     };
     let refused = core.refusals.iter().find(|(peer, _)| **peer == name).map(|(_, refused)| refused);
@@ -180,11 +180,11 @@ fn peer(core: &Core, name: Name) -> Value {
         "listed": neighbour.is_some(),
         "role": state.map(|state| link_role(state.role())),
         "domain": match standing {
-            Some(Standing::Member { .. }) => core.domain.as_ref().map(|domain| domain.trust.home()),
+            Some(Relationship::Member { .. }) => core.domain.as_ref().map(|domain| domain.trust.home()),
             Some(standing) => foreign(standing),
             None => None,
         },
-        "standing": standing.map(Standing::as_str),
+        "standing": standing.map(Relationship::as_str),
         "rights_given": ours,
         "rights_held": theirs,
         "until": state.map(|state| state.admission.until).filter(|until| *until < u64::MAX),
@@ -282,10 +282,12 @@ fn domain(domain: &Domain) -> Value {
 }
 
 /// The domain of a peer that is of another than this switch.
-fn foreign(standing: &Standing) -> Option<Name> {
+fn foreign(standing: &Relationship) -> Option<Name> {
     match standing {
-        Standing::Border { domain, .. } | Standing::Visitor { domain } | Standing::Host { domain } => Some(*domain),
-        Standing::Stranger | Standing::Member { .. } => None,
+        Relationship::Border { domain, .. } | Relationship::Visitor { domain } | Relationship::Host { domain } => {
+            Some(*domain)
+        }
+        Relationship::Stranger | Relationship::Member { .. } => None,
     }
 }
 
@@ -340,7 +342,7 @@ fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry
 }
 
 /// One page of `gdp-ctl rib dump`, or why there is none.
-pub fn rib(daemon: &Daemon, after: Option<RecordPlace>, limit: usize) -> Result<Value, String> {
+pub fn rib(daemon: &Daemon, after: Option<RecordKey>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
     let Some(rib) = &core.rib else {
         let at = match core.topology.rib() {

@@ -13,7 +13,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 use crate::store::StoreError;
 
 /// How long what is stated waits to be stored.
-const PATIENCE: Duration = Duration::from_secs(4);
+const TIMEOUT: Duration = Duration::from_secs(4);
 
 pub struct Term {
     ends: Mutex<Instant>,
@@ -123,7 +123,7 @@ impl Ticket {
         let mut progress = term.progress.subscribe();
         term.wake.notify_one();
         let settled = progress.wait_for(|progress| progress.done >= number || progress.failed >= number);
-        let why = match timeout(PATIENCE, settled).await {
+        let why = match timeout(TIMEOUT, settled).await {
             Ok(Ok(progress)) if progress.done >= number => return Ok(()),
             Ok(Ok(progress)) => progress.why.clone(),
             Ok(Err(_)) | Err(_) => "etcd takes too long".into(),

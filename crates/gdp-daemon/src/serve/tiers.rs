@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::{Host, MAX_ADDRESSES, SwitchStatement, issue};
-use gdp_core::domain::Standing;
+use gdp_core::domain::Relationship;
 use gdp_core::name::NameProof;
 use gdp_core::revocations::Kept;
 use gdp_link::link::Link;
@@ -19,7 +19,7 @@ use super::control::onward;
 use super::core::{Core, Expects, Next, Outgoing, ask, refuse};
 use super::federation::{Federation, Known};
 use super::peering::Wanted;
-use gdp_rib::rib::Way;
+use gdp_rib::rib::BorderLink;
 use gdp_rib::tiers::{Effect, Sent};
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
 
@@ -27,7 +27,7 @@ use gdp_util::unix_time::{unix_nanos, unix_seconds};
 const PEERINGS_AGAIN: Duration = Duration::from_secs(2);
 
 /// How long another domain's RIB is waited for.
-pub const PATIENCE: Duration = Duration::from_secs(10);
+pub const TIMEOUT: Duration = Duration::from_secs(10);
 
 impl Core {
     /// The RIB here tells other domains, and hears of them, as a member of its own; it knows what they have taken back.
@@ -45,11 +45,11 @@ impl Core {
     pub(super) fn follow_borders(&mut self) {
         let now = self.now();
         let (Some(rib), Some(federation)) = (&mut self.rib, &mut self.federation) else { return };
-        let (mut ways, mut parents) = (BTreeMap::<Name, Vec<Way>>::new(), BTreeSet::new());
+        let (mut ways, mut parents) = (BTreeMap::<Name, Vec<BorderLink>>::new(), BTreeSet::new());
         for (border, adjoining) in self.topology.borders() {
             let to_border = self.topology.paths().costs.get(&border).copied().unwrap_or(0);
             let cost = u32::try_from(to_border).unwrap_or(u32::MAX).saturating_add(adjoining.cost);
-            ways.entry(adjoining.domain).or_default().push(Way { border, peer: adjoining.switch, cost });
+            ways.entry(adjoining.domain).or_default().push(BorderLink { border, peer: adjoining.switch, cost });
             parents.extend(adjoining.parent.map(|rank| (rank, border, adjoining.domain)));
         }
         federation.tiers.set_adjacent(now, ways.keys().copied().collect());
@@ -140,7 +140,7 @@ impl Core {
 
     /// The RIB of this run wants this switch to have these links into other domains.
     pub(super) fn set_peerings(&mut self, run: u64, mut wanted: Wanted) -> Result<(), Refusal> {
-        self.heed(run)?;
+        self.check_fence(run)?;
         wanted.values_mut().for_each(|addrs| addrs.truncate(MAX_ADDRESSES));
         self.peerings.send_if_modified(|held| {
             let changed = *held != wanted;
@@ -188,7 +188,7 @@ impl Core {
     /// The domain whose border is at the other end of a link.
     pub(super) fn domain_of(&self, link: &Link) -> Option<Name> {
         match self.links.get(&link.local_id())?.admission.standing {
-            Standing::Border { domain, .. } => Some(domain),
+            Relationship::Border { domain, .. } => Some(domain),
             _ => None,
         }
     }

@@ -18,11 +18,11 @@ use super::Daemon;
 use super::control::onward;
 use super::core::Core;
 use super::crossing::MAX_EGRESS;
-use crate::domain::Standing;
+use crate::domain::Relationship;
 use gdp_dataplane::notices::Punted;
 
 /// How long an answer may take.
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Probes for this domain's own people that wait for their answers at once.
 const MAX_OUTSTANDING: usize = 64;
@@ -142,7 +142,7 @@ impl Daemon {
     ) -> Result<Option<Hop>, ProbeError> {
         let sent = Instant::now();
         let answer = self.core().send_probe(asked_by, name, switch, hops)?;
-        let answer = timeout(PATIENCE, answer).await.ok().and_then(Result::ok);
+        let answer = timeout(TIMEOUT, answer).await.ok().and_then(Result::ok);
         Ok(answer.map(|(Traced { switch, end, .. }, at)| Hop { switch, end, time: at - sent }))
     }
 
@@ -156,7 +156,7 @@ impl Daemon {
             core.planes.ask(id, cookie);
             (id, core.planes.notices().clone(), sent)
         };
-        let answered = timeout(PATIENCE, notices.answered_with(id, cookie)).await;
+        let answered = timeout(TIMEOUT, notices.answered_with(id, cookie)).await;
         Ok(answered.ok().map(|()| sent.elapsed()))
     }
 }
@@ -203,10 +203,10 @@ impl Core {
         let Some(entry) = self.planes.route(name) else { return end };
         for id in self.planes.readers(&entry) {
             match self.links.get(&id).map(|state| (&state.admission.standing, state.link.peer().name)) {
-                Some((Standing::Border { domain, .. }, switch)) if end.beyond.len() < MAX_BEYOND => {
+                Some((Relationship::Border { domain, .. }, switch)) if end.beyond.len() < MAX_BEYOND => {
                     end.beyond.push((*domain, switch));
                 }
-                Some((Standing::Border { .. }, _)) => {}
+                Some((Relationship::Border { .. }, _)) => {}
                 _ => end.links += 1,
             }
         }

@@ -19,7 +19,7 @@ use super::{Endpoint, StoreError};
 
 /// How long one member has to take a connection, and to answer: so short that a leader can still ask another one before its lease is over.
 const CONNECT: Duration = Duration::from_secs(1);
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Bytes of one answer: a page of items of the largest size.
 const MAX_ANSWER: usize = 32 << 20;
@@ -189,7 +189,7 @@ impl Gateway {
             let limited = http_body_util::Limited::new(body, MAX_ANSWER);
             limited.collect().await.map_err(|error| unreachable(&endpoint, error))
         };
-        let answer = match timeout(PATIENCE, answer).await {
+        let answer = match timeout(TIMEOUT, answer).await {
             Ok(Ok(answer)) => answer.to_bytes(),
             Ok(Err(error)) => return Err(self.turn(error)),
             Err(_) => return Err(self.turn(unreachable(&endpoint, "no answer in time"))),
@@ -242,7 +242,7 @@ impl Gateway {
             .header("content-type", "application/json")
             .body(Full::new(Bytes::from(body.to_string())))
             .map_err(|error| StoreError::Malformed { endpoint: endpoint.clone(), reason: error.to_string() })?;
-        let response = timeout(PATIENCE, connection.send_request(request)).await;
+        let response = timeout(TIMEOUT, connection.send_request(request)).await;
         let response = response.map_err(|_| unreachable(endpoint, "no answer in time"))?;
         let response = response.map_err(|error| unreachable(endpoint, error))?;
         let status = response.status();

@@ -25,11 +25,11 @@ const ATTEMPTS: usize = 4;
 
 /// Where in etcd.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct KeySpace {
     prefix: String,
 }
 
-impl Place {
+impl KeySpace {
     /// `prefix`: without a slash at its end.
     pub fn new(prefix: &str) -> Self {
         Self { prefix: format!("{prefix}/") }
@@ -76,7 +76,7 @@ impl Place {
 /// What a replica that does not lead has of the items, as they lie in etcd: nothing of it is verified.
 #[derive(Debug)]
 pub struct Copy {
-    place: Place,
+    place: KeySpace,
     items: BTreeMap<Item, Stored>,
     size: usize,
     /// Of etcd's history; all before it is in the copy.
@@ -90,7 +90,7 @@ struct Stored {
 }
 
 impl Copy {
-    pub async fn list(place: &Place, gateway: &mut Gateway) -> Result<Self, StoreError> {
+    pub async fn list(place: &KeySpace, gateway: &mut Gateway) -> Result<Self, StoreError> {
         let (all, revision) = gateway.list(place.prefix(), MAX_STORED).await?;
         let mut copy = Self { place: place.clone(), items: BTreeMap::new(), size: 0, revision };
         all.into_iter().for_each(|kv| copy.put(kv));
@@ -156,7 +156,7 @@ pub type Change = (Item, Option<Vec<u8>>);
 
 /// Writes for the leader of one term.
 pub struct Writer {
-    place: Place,
+    place: KeySpace,
     gateway: Gateway,
     term: i64,
     /// As of which revision each item is there.

@@ -28,7 +28,7 @@ const SMALLEST_ROOM: usize = 2 * ROOM_UNIT;
 pub const LARGEST_ROOM: usize = 9 * ROOM_UNIT;
 
 /// Bytes beside a packet that count where network cards compare with the room for it: its Ethernet header, two VLANs, and the checksum.
-pub const BESIDE: usize = 14 + 4 + 4 + 4;
+pub const AUXILIARY: usize = 14 + 4 + 4 + 4;
 
 /// What the kernel keeps free in front of a packet for `net_af_xdp`.
 pub const BEFORE_XDP: usize = 256;
@@ -87,7 +87,7 @@ impl DpdkPort {
     fn room(&self) -> usize {
         let before = if self.is_af_xdp() { BEFORE_XDP } else { 0 };
         let frame = if self.is_af_packet() { self.argument("framesz").unwrap_or(0) } else { 0 };
-        (usize::from(self.mtu()) + BESIDE + before).max(frame)
+        (usize::from(self.mtu()) + AUXILIARY + before).max(frame)
     }
 
     /// A number among the device's arguments.

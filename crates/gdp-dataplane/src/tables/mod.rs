@@ -32,10 +32,10 @@ use gdp_wire::tables::Tables;
 use gdp_wire::{FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
 use papaya::LocalGuard;
 
-use super::growing::Growing;
 use super::kernel::UpdateError;
 use super::link_memory::LinkMemory;
 use super::queues::Queues;
+use super::resizable_table::ResizableTable;
 use super::without;
 use names::{Memory, Names};
 
@@ -377,12 +377,12 @@ impl Tables for View<'_> {
         self.address(link.id).is_some_and(|to| self.common.queues.is_long_to(to))
     }
 
-    fn may_complain(&self, link: &LinkEntry) -> bool {
-        self.common.link_memory.may_complain(link.id)
+    fn may_send_error(&self, link: &LinkEntry) -> bool {
+        self.common.link_memory.may_send_error(link.id)
     }
 
-    fn complain(&self, link: &LinkEntry) {
-        self.common.link_memory.complain(link.id);
+    fn send_error(&self, link: &LinkEntry) {
+        self.common.link_memory.send_error(link.id);
     }
 
     fn may_punt(&self, link: &LinkEntry) -> bool {

@@ -8,7 +8,7 @@ use gdp_wire::flat::{BUCKET, Table, buckets_for};
 
 use crate::kernel::UpdateError;
 use crate::mapping::Mapping;
-use crate::{growing, growing::FIRST, growing::Growing};
+use crate::{resizable_table, resizable_table::FIRST, resizable_table::ResizableTable};
 
 /// The names, for the only one who writes them.
 pub struct Names {
@@ -36,7 +36,7 @@ impl Names {
     }
 }
 
-impl Growing for Names {
+impl ResizableTable for Names {
     type Memory = Memory;
 
     fn table(&self) -> &Table<Memory> {
@@ -75,5 +75,5 @@ impl AsRef<[AtomicU64]> for Memory {
 
 /// An empty table for so many names.
 fn make(names: u32) -> Result<Table<Memory>, UpdateError> {
-    growing::begin(names, || Ok(Memory(Arc::new(Mapping::own(buckets_for(names) as usize * BUCKET)?))))
+    resizable_table::begin(names, || Ok(Memory(Arc::new(Mapping::own(buckets_for(names) as usize * BUCKET)?))))
 }

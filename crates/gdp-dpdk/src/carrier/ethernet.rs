@@ -3,7 +3,7 @@
 use zerocopy::network_endian::U16;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned, transmute};
 
-use crate::carrier::packet::{Carried, Ours, Stations};
+use crate::carrier::packet::{FrameLocation, Ours, Stations};
 
 pub const IPV4: u16 = 0x0800;
 pub const IPV6: u16 = 0x86dd;
@@ -53,20 +53,20 @@ pub fn ethertype(packet: &[u8]) -> Option<u16> {
 
 /// In a packet that has a whole header.
 #[inline(always)]
-pub fn find(packet: &[u8]) -> Carried {
-    Carried { at: LEN, available: packet.len().saturating_sub(LEN), over_udp: false, traffic: 0 }
+pub fn find(packet: &[u8]) -> FrameLocation {
+    FrameLocation { at: LEN, available: packet.len().saturating_sub(LEN), over_udp: false, traffic: 0 }
 }
 
 /// A tagged frame is ours on a VLAN that GDP runs on; others, IP among them, are the host's.
 #[inline]
-pub fn find_tagged(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
+pub fn find_tagged(packet: &[u8], ours: &impl Ours) -> Option<FrameLocation> {
     let (header, rest) = Tagged::ref_from_prefix(packet).ok()?;
     let is_ours = header.ethertype.get() == ours.ethertype() && ours.is_our_vlan(header.control.get() & 0xfff);
-    is_ours.then_some(Carried { at: TAGGED_LEN, available: rest.len(), over_udp: false, traffic: 0 })
+    is_ours.then_some(FrameLocation { at: TAGGED_LEN, available: rest.len(), over_udp: false, traffic: 0 })
 }
 
 #[inline]
-pub fn dress(front: &mut [u8], stations: Stations<'_>, ethertype: u16) {
+pub fn encapsulate(front: &mut [u8], stations: Stations<'_>, ethertype: u16) {
     if let Ok(front) = Ethernet::mut_from_bytes(front) {
         front.address(stations, ethertype);
     }
@@ -74,7 +74,7 @@ pub fn dress(front: &mut [u8], stations: Stations<'_>, ethertype: u16) {
 
 /// The priority is the traffic class: the high three bits of `traffic`.
 #[inline]
-pub fn dress_tagged(front: &mut [u8], vlan: u16, stations: Stations<'_>, traffic: u8, ethertype: u16) {
+pub fn encapsulate_tagged(front: &mut [u8], vlan: u16, stations: Stations<'_>, traffic: u8, ethertype: u16) {
     if let Ok(front) = Tagged::mut_from_bytes(front) {
         front.ethernet.address(stations, VLAN);
         front.control = (vlan & 0xfff | u16::from(traffic >> 5) << 13).into();

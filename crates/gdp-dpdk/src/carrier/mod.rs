@@ -1,4 +1,4 @@
-//! What carries a GDP frame in a packet: how it is taken off ([`find`]) and put on ([`dress`]). One file for each carrier.
+//! What carries a GDP frame in a packet: how it is taken off ([`find`]) and put on ([`encapsulate`]). One file for each carrier.
 //!
 //! The semantics are those of the XDP programs (`gdp-ebpf/src/carrier`): exactly what they take for frames is taken here, and all
 //! else is the host's. Packets are byte slices; nothing here allocates, and no input makes it panic.
@@ -10,15 +10,15 @@ mod udp;
 mod udp4;
 mod udp6;
 
-pub use crate::carrier::packet::{Carried, Ours, Payload, Stations};
+pub use crate::carrier::packet::{FrameLocation, Ours, Payload, Stations};
 use gdp_wire::Carrier;
 
-/// Bytes of the longest headers that [`dress`] writes.
+/// Bytes of the longest headers that [`encapsulate`] writes.
 pub const MAX_LEN: usize = udp6::LEN;
 
 /// The frame in a whole packet, from its Ethernet header on; `None` if it is none of ours.
 #[inline(always)]
-pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
+pub fn find(packet: &[u8], ours: &impl Ours) -> Option<FrameLocation> {
     let found = ethernet::ethertype(packet)?;
     if found == ours.ethertype() {
         return Some(ethernet::find(packet));
@@ -57,7 +57,7 @@ pub fn has_checksum(carrier: &Carrier) -> bool {
 ///
 /// The frame must be one that the link takes: over UDP no longer than 65 507 bytes, which is what the length fields of IPv4 can tell.
 #[inline]
-pub fn dress(
+pub fn encapsulate(
     front: &mut [u8],
     frame: Payload<'_>,
     carrier: &Carrier,
@@ -66,10 +66,10 @@ pub fn dress(
     ethertype: u16,
 ) {
     match carrier.kind {
-        Carrier::UDP4 => udp4::dress(front, frame, carrier, stations, traffic),
-        Carrier::UDP6 => udp6::dress(front, frame, carrier, stations, traffic),
-        _ if carrier.vlan != 0 => ethernet::dress_tagged(front, carrier.vlan, stations, traffic, ethertype),
-        _ => ethernet::dress(front, stations, ethertype),
+        Carrier::UDP4 => udp4::encapsulate(front, frame, carrier, stations, traffic),
+        Carrier::UDP6 => udp6::encapsulate(front, frame, carrier, stations, traffic),
+        _ if carrier.vlan != 0 => ethernet::encapsulate_tagged(front, carrier.vlan, stations, traffic, ethertype),
+        _ => ethernet::encapsulate(front, stations, ethertype),
     }
 }
 

@@ -4,7 +4,7 @@ use gdp_wire::LocalAddress;
 
 /// Where the frame lies in a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Carried {
+pub struct FrameLocation {
     /// Bytes in front of it.
     pub at: usize,
     /// Bytes there are of it, and perhaps of padding behind it; perhaps none. They are all in the packet.

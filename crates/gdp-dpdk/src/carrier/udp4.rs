@@ -9,7 +9,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 use super::checksum;
 use super::ethernet::{self, Ethernet};
-use crate::carrier::packet::{Carried, Ours, Payload, Stations};
+use crate::carrier::packet::{FrameLocation, Ours, Payload, Stations};
 
 /// Bytes in front of the frame.
 pub const LEN: usize = size_of::<Headers>();
@@ -46,7 +46,7 @@ struct Headers {
 const _: () = assert!(LEN == 42);
 
 #[inline]
-pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
+pub fn find(packet: &[u8], ours: &impl Ours) -> Option<FrameLocation> {
     let (Headers { ip, udp, .. }, _) = Headers::ref_from_prefix(packet).ok()?;
     if ip.version_length != VERSION_LENGTH || ip.protocol != UDP || ip.fragment.get() & FRAGMENT != 0 {
         return None;
@@ -59,7 +59,7 @@ pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
         port: u16::from_ne_bytes(udp.destination),
         kind: Carrier::UDP4.into(),
     };
-    (fits && ours.is_ours(&to)).then_some(Carried { at: LEN, available, over_udp: true, traffic: ip.traffic })
+    (fits && ours.is_ours(&to)).then_some(FrameLocation { at: LEN, available, over_udp: true, traffic: ip.traffic })
 }
 
 #[inline]
@@ -68,7 +68,7 @@ pub fn has_checksum(carrier: &Carrier) -> bool {
 }
 
 #[inline]
-pub fn dress(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stations: Stations<'_>, traffic: u8) {
+pub fn encapsulate(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stations: Stations<'_>, traffic: u8) {
     let Ok(front) = Headers::mut_from_bytes(front) else { return };
     let (source, destination) = (carrier.local_ip[0], carrier.peer_ip[0]);
     let addresses = checksum::sum_of_words(&[source, destination]);

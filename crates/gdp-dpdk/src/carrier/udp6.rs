@@ -8,7 +8,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 use super::checksum;
 use super::ethernet::{self, Ethernet};
-use crate::carrier::packet::{Carried, Ours, Payload, Stations};
+use crate::carrier::packet::{FrameLocation, Ours, Payload, Stations};
 use crate::carrier::udp::{HOP_LIMIT, UDP, Udp, udp_length};
 
 /// Bytes in front of the frame.
@@ -38,7 +38,7 @@ struct Headers {
 const _: () = assert!(LEN == 62);
 
 #[inline]
-pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
+pub fn find(packet: &[u8], ours: &impl Ours) -> Option<FrameLocation> {
     let (Headers { ip, udp, .. }, _) = Headers::ref_from_prefix(packet).ok()?;
     let version_class = ip.version_class.get();
     if version_class >> 28 != 6 || ip.next != UDP {
@@ -53,7 +53,7 @@ pub fn find(packet: &[u8], ours: &impl Ours) -> Option<Carried> {
         kind: Carrier::UDP6.into(),
     };
     let traffic = (version_class >> 20) as u8;
-    (fits && ours.is_ours(&to)).then_some(Carried { at: LEN, available, over_udp: true, traffic })
+    (fits && ours.is_ours(&to)).then_some(FrameLocation { at: LEN, available, over_udp: true, traffic })
 }
 
 #[inline]
@@ -62,7 +62,7 @@ pub fn has_checksum(carrier: &Carrier) -> bool {
 }
 
 #[inline]
-pub fn dress(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stations: Stations<'_>, traffic: u8) {
+pub fn encapsulate(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stations: Stations<'_>, traffic: u8) {
     let Ok(front) = Headers::mut_from_bytes(front) else { return };
     let length = udp_length(frame);
     let checksum = match has_checksum(carrier) {

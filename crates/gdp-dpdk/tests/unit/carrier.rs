@@ -8,7 +8,7 @@ use std::net::{IpAddr, SocketAddr};
 use gdp_wire::table::{ip_of, ip_words, mac_words};
 use gdp_wire::{Carrier, LocalAddress};
 
-use super::{Carried, MAX_LEN, Ours, Payload, Stations, checksum, dress, find, has_checksum, len};
+use super::{FrameLocation, MAX_LEN, Ours, Payload, Stations, checksum, encapsulate, find, has_checksum, len};
 
 const ETHERTYPE: u16 = 0x88b5;
 const PEER: [u8; 6] = [0x02, 0, 0, 0x12, 0x34, 0xfe];
@@ -45,10 +45,10 @@ impl Ours for Own {
 }
 
 /// What the reader of the RFCs finds.
-fn expected(packet: &[u8]) -> Option<Carried> {
+fn expected(packet: &[u8]) -> Option<FrameLocation> {
     let place = rfc::find(packet, ETHERTYPE, &own_addresses(), &VLANS)?;
     let rfc::Place { at, length, over_udp, class } = place;
-    Some(Carried { at, available: length, over_udp, traffic: class })
+    Some(FrameLocation { at, available: length, over_udp, traffic: class })
 }
 
 /// SplitMix64.
@@ -92,7 +92,7 @@ fn packets(frame: &[u8]) -> Vec<Vec<u8>> {
 fn finds_what_is_ours() {
     let frame = [0x10; 100];
     let found: Vec<_> = packets(&frame).iter().map(|packet| find(packet, &Own)).collect();
-    let carried = |at, over_udp, traffic| Some(Carried { at, available: 100, over_udp, traffic });
+    let carried = |at, over_udp, traffic| Some(FrameLocation { at, available: 100, over_udp, traffic });
     let expected = [
         carried(14, false, 0),
         carried(18, false, 0),
@@ -249,7 +249,7 @@ fn without_a_checksum_the_length_of_a_frame_is_enough() {
     let frame = [7; 300];
     for (carrier, _) in carriers().into_iter().filter(|(carrier, _)| !has_checksum(carrier)) {
         let mut front = vec![0xa5; len(&carrier)];
-        dress(&mut front, Payload { length: 300, bytes: &frame[..96] }, &carrier, stations(), 0, ETHERTYPE);
+        encapsulate(&mut front, Payload { length: 300, bytes: &frame[..96] }, &carrier, stations(), 0, ETHERTYPE);
         assert_eq!(front, dressed(&carrier, &frame, 0), "{carrier:?}");
     }
 }
@@ -257,7 +257,7 @@ fn without_a_checksum_the_length_of_a_frame_is_enough() {
 /// The headers, which replace what was there before.
 fn dressed(carrier: &Carrier, frame: &[u8], traffic: u8) -> Vec<u8> {
     let mut front = vec![0xa5; len(carrier)];
-    dress(&mut front, whole(frame), carrier, stations(), traffic, ETHERTYPE);
+    encapsulate(&mut front, whole(frame), carrier, stations(), traffic, ETHERTYPE);
     front
 }
 
@@ -343,7 +343,7 @@ fn what_is_put_on_is_found_again() {
             let over_udp = carrier.kind != Carrier::ETHERNET;
             let traffic = if over_udp { traffic } else { 0 };
             let at = len(&carrier);
-            let found = Carried { at, available: frame.len(), over_udp, traffic };
+            let found = FrameLocation { at, available: frame.len(), over_udp, traffic };
             assert_eq!(find(&packet, &Own), Some(found), "{carrier:?}");
         }
     }
@@ -354,7 +354,7 @@ fn a_front_of_another_length_stays_as_it_is() {
     for (carrier, _) in carriers() {
         for length in (0..=MAX_LEN + 9).filter(|length| *length != len(&carrier)) {
             let mut front = vec![0xa5; length];
-            dress(&mut front, whole(b"frame"), &carrier, stations(), 0, ETHERTYPE);
+            encapsulate(&mut front, whole(b"frame"), &carrier, stations(), 0, ETHERTYPE);
             assert!(front.iter().all(|byte| *byte == 0xa5), "{carrier:?}, {length}");
         }
     }

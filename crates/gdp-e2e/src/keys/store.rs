@@ -43,10 +43,10 @@ pub struct KeyStore {
     name: Name,
     reader: Name,
     box_key: BoxKey,
-    writers: HashMap<Name, Kept>,
+    writers: HashMap<Name, CachedKey>,
 }
 
-struct Kept {
+struct CachedKey {
     newest: (u32, EpochKey),
     /// Since when the newest is.
     since: u64,
@@ -73,7 +73,7 @@ impl KeyStore {
             if self.writers.len() == MAX_WRITERS {
                 return Err(StoreError::TooManyWriters);
             }
-            self.writers.insert(writer, Kept { newest: (epoch, key.clone()), since: now, before: None });
+            self.writers.insert(writer, CachedKey { newest: (epoch, key.clone()), since: now, before: None });
             return opened(None);
         };
         let known = kept.before.iter_mut().chain([&mut kept.newest]).find(|known| known.0 == epoch);
@@ -102,7 +102,7 @@ impl KeyStore {
 
     /// Wipes keys of epochs that are over. Returns their writers and numbers. To be asked every few seconds.
     pub fn expire(&mut self, now: u64) -> Vec<(Name, u32)> {
-        let over = |(writer, kept): (&Name, &mut Kept)| {
+        let over = |(writer, kept): (&Name, &mut CachedKey)| {
             let (epoch, _) = kept.before.take_if(|_| is_over(now, kept.since))?;
             Some((*writer, epoch))
         };

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 /// When something happens, on the two clocks that a reader needs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Moment {
+pub struct Timestamps {
     /// Nanoseconds of any clock that never goes back: for deadlines.
     pub steady_ns: u64,
     /// Nanoseconds since the Unix epoch: for the age of what was signed.
@@ -41,7 +41,7 @@ pub struct Lost {
 pub struct Push<'a> {
     pub shared: &'a mut Shared,
     pub scratch: &'a mut [u8],
-    pub now: Moment,
+    pub now: Timestamps,
     pub out: &'a mut Received,
 }
 

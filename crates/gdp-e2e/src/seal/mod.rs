@@ -22,7 +22,7 @@ mod window;
 mod wire;
 mod writer;
 
-pub use crate::seal::event::{Heartbeat, Lost, Moment};
+pub use crate::seal::event::{Heartbeat, Lost, Timestamps};
 pub use crate::seal::event::{Limits, Received};
 pub use drop_reason::DropReason;
 pub use message::{Draft, Encoding, Latched, MAX_ORIGIN, Message, MessageId};

@@ -10,7 +10,7 @@ use super::segment::Segment;
 use super::source::Source;
 use super::wire::{self, Kind};
 use crate::seal::event::{Limits, Received, Shared};
-pub use crate::seal::event::{Moment, Push};
+pub use crate::seal::event::{Push, Timestamps};
 use gdp_core::crypto::{Backend, CryptoError};
 use gdp_core::identity::VerifyKey;
 use gdp_core::keys::EpochKey;
@@ -65,9 +65,9 @@ impl Reader {
 
     /// The writer, asked just now, says that it runs this session and that messages from this sequence on are to be
     /// read: those of other sessions, and those before it, may be recordings. Said again, it can only go back.
-    pub fn vouch(&mut self, writer: &Name, session: [u8; 16], from_sequence: u64) -> Result<(), DropReason> {
+    pub fn confirm_session(&mut self, writer: &Name, session: [u8; 16], from_sequence: u64) -> Result<(), DropReason> {
         let source = self.sources.get_mut(writer).ok_or(DropReason::UnknownWriter)?;
-        source.vouch(&mut self.shared, session, from_sequence);
+        source.confirm_session(&mut self.shared, session, from_sequence);
         Ok(())
     }
 
@@ -77,7 +77,13 @@ impl Reader {
 
     /// Takes the payload of a frame whose source is `source`, and appends what it brings to `out`. If segments of it are
     /// dropped, the first reason is returned, and each is counted; other segments of the payload are used all the same.
-    pub fn push(&mut self, now: Moment, source: Name, payload: &[u8], out: &mut Received) -> Result<(), DropReason> {
+    pub fn push(
+        &mut self,
+        now: Timestamps,
+        source: Name,
+        payload: &[u8],
+        out: &mut Received,
+    ) -> Result<(), DropReason> {
         if self.shared.next_deadline < now.steady_ns {
             self.expire(now.steady_ns);
         }

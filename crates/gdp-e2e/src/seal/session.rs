@@ -7,14 +7,14 @@ use gdp_core::crypto::{Aead, CryptoError};
 use std::collections::BTreeMap;
 
 /// Sequence and cut: a message that is cut anew is put together beside the earlier cut.
-pub type Place = (u64, u16);
+pub type SegmentPosition = (u64, u16);
 
 pub struct Session {
     pub id: [u8; 16],
     pub aeads: Aeads,
     /// Which messages were delivered, of whatever cut.
     pub window: Window,
-    pub assemblies: BTreeMap<Place, Assembly>,
+    pub assemblies: BTreeMap<SegmentPosition, Assembly>,
     /// The first sequence that the writer has vouched for; `None` if it has not vouched for the session.
     pub from: Option<u64>,
     /// The number of the newest heartbeat that was verified.

@@ -6,10 +6,10 @@ use super::assembly::Assembly;
 use super::merkle::SignedTree;
 use super::message::{Message, Preamble};
 use super::segment::Segment;
-use super::session::{Place, Session};
+use super::session::{SegmentPosition, Session};
 use super::wire::{self, HeartbeatBody, Kind, Proof, SegmentHeader};
 use crate::seal::event::Shared;
-use crate::seal::event::{Heartbeat, Lost, Moment, Push};
+use crate::seal::event::{Heartbeat, Lost, Push, Timestamps};
 use bytes::{Buf, Bytes};
 use gdp_core::crypto::{CryptoError, Verifier};
 use gdp_core::keys::EpochKey;
@@ -61,7 +61,7 @@ impl Source {
     }
 
     /// The session counts from now on; if there are too many of those, the one unused longest is forgotten.
-    pub fn vouch(&mut self, shared: &mut Shared, id: [u8; 16], from: u64) {
+    pub fn confirm_session(&mut self, shared: &mut Shared, id: [u8; 16], from: u64) {
         self.clock += 1;
         let at = self.position(&id).unwrap_or_else(|| {
             self.sessions.push(Session::new(id));
@@ -265,9 +265,9 @@ impl Source {
         Ok(())
     }
 
-    fn begin_assembly(&mut self, shared: &mut Shared, now: Moment, at: usize, header: &SegmentHeader, cost: usize) {
-        let patience = u64::try_from(shared.limits.deadline.as_nanos()).unwrap_or(u64::MAX);
-        let deadline = now.steady_ns.saturating_add(patience);
+    fn begin_assembly(&mut self, shared: &mut Shared, now: Timestamps, at: usize, header: &SegmentHeader, cost: usize) {
+        let timeout_factor = u64::try_from(shared.limits.deadline.as_nanos()).unwrap_or(u64::MAX);
+        let deadline = now.steady_ns.saturating_add(timeout_factor);
         let place = (header.sequence, header.cut);
         self.sessions[at].assemblies.insert(place, Assembly::new(header, deadline, cost));
         self.memory += cost;
@@ -277,7 +277,13 @@ impl Source {
 
     /// Gives up this writer's own oldest incomplete messages until `cost` more bytes are within the limits. Never one of
     /// another writer, and never a newer one of the same session.
-    fn make_room(&mut self, push: &mut Push<'_>, at: usize, place: Place, cost: usize) -> Result<(), DropReason> {
+    fn make_room(
+        &mut self,
+        push: &mut Push<'_>,
+        at: usize,
+        place: SegmentPosition,
+        cost: usize,
+    ) -> Result<(), DropReason> {
         let shared = &mut *push.shared;
         loop {
             let crowded = self.sessions[at].assemblies.len() >= MAX_IN_FLIGHT;
@@ -302,7 +308,7 @@ impl Source {
         }
     }
 
-    fn oldest_assembly(&self) -> Option<(usize, Place)> {
+    fn oldest_assembly(&self) -> Option<(usize, SegmentPosition)> {
         let all = self.sessions.iter().enumerate().flat_map(|(at, session)| {
             session.assemblies.iter().map(move |(&place, assembly)| (assembly.deadline, at, place))
         });

@@ -217,7 +217,7 @@ impl Path {
     }
 
     /// By when a report about what went now is overdue.
-    pub fn patience(&self) -> u64 {
+    pub fn timeout_factor(&self) -> u64 {
         (2 * self.rtt() + 3 * self.report_interval).max(100 * MS)
     }
 

@@ -213,7 +213,7 @@ impl<M> Inbound<M> {
             self.highest = position;
         }
         if self.mark.is_none() {
-            self.mark = Some((now + self.patience(), self.highest));
+            self.mark = Some((now + self.timeout_factor(), self.highest));
         }
         self.plan_report(now);
         true
@@ -304,7 +304,7 @@ impl<M> Inbound<M> {
             && at <= now
         {
             self.due = self.due.max(position);
-            self.mark = (self.highest > position).then(|| (now + self.patience(), self.highest));
+            self.mark = (self.highest > position).then(|| (now + self.timeout_factor(), self.highest));
             self.plan_ask(now);
         }
         // A writer that stopped in the middle of a message, or whose last segments were lost.
@@ -366,7 +366,7 @@ impl<M> Inbound<M> {
         }
     }
 
-    fn patience(&self) -> u64 {
+    fn timeout_factor(&self) -> u64 {
         (self.rtt / 8).max(LEAST_PATIENCE)
     }
 

@@ -120,7 +120,7 @@ impl Peer {
 
     /// When what is under way counts as lost, the last of which went at `last`.
     pub fn overdue_at(&self, last: u64) -> u64 {
-        self.progress_at.max(last).saturating_add(self.path.patience())
+        self.progress_at.max(last).saturating_add(self.path.timeout_factor())
     }
 
     /// Nothing was heard of what is under way: it is lost, and the path may be gone.

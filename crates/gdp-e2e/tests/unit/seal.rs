@@ -185,7 +185,7 @@ fn one_writer_cannot_use_up_another_ones_memory() {
     let mut out = Received::default();
     let mut other = f.writer_of(&f.other);
     f.introduce(&mut reader, &f.other);
-    f.vouch(&mut reader, &f.other);
+    f.confirm_session(&mut reader, &f.other);
     let honest = f.seal(&mut other, &[2; 10_000], 1400);
     reader.push(at(0), f.other.name(), &honest[0], &mut out).unwrap();
     let mut greedy = f.writer();
@@ -218,8 +218,8 @@ pub const DEADLINE: u64 = 1_000_000_000;
 pub const EPOCH: u32 = 5;
 
 /// On both clocks.
-pub fn at(ns: u64) -> Moment {
-    Moment { steady_ns: ns, unix_ns: ns }
+pub fn at(ns: u64) -> Timestamps {
+    Timestamps { steady_ns: ns, unix_ns: ns }
 }
 
 pub fn limits() -> Limits {
@@ -285,14 +285,14 @@ impl Fixture {
     /// Knows the entity and its key, and the sessions of the first writers.
     pub fn reader(&self) -> Reader {
         let mut reader = self.strict_reader();
-        self.vouch(&mut reader, &self.entity);
+        self.confirm_session(&mut reader, &self.entity);
         reader
     }
 
     /// The entity vouches for the sessions of the first writers.
-    pub fn vouch(&self, reader: &mut Reader, entity: &Identity) {
+    pub fn confirm_session(&self, reader: &mut Reader, entity: &Identity) {
         for n in 1..=self.limits.max_sessions as u8 {
-            reader.vouch(&entity.name(), Self::session(n), 0).unwrap();
+            reader.confirm_session(&entity.name(), Self::session(n), 0).unwrap();
         }
     }
 

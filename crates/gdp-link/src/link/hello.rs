@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 use super::ids::{LinkId, LinkIds};
 use super::{Link, RekeySchedule, streams, tls};
 use crate::link::error::LinkError;
-use crate::link::place::{PairEnd, Place};
+use crate::link::location::{LinkLocation, PairEnd};
 use crate::port::CurrentPair;
-use gdp_core::domain::{CurrentPapers, MAX_PAPERS, Papers};
+use gdp_core::domain::{Credentials, CurrentCredentials, MAX_PAPERS};
 use gdp_core::identity::Identity;
 use gdp_core::name::NameProof;
 use gdp_core::peer::{MAX_LANES, Peer, Role};
@@ -51,7 +51,7 @@ struct Hello {
     /// there, and not from where QUIC is. The ports are those of QUIC.
     frames_at: Option<[u8; 4]>,
     /// What the sender shows of its domain, if it is a member of one. For who takes the link to judge.
-    papers: Option<Papers>,
+    papers: Option<Credentials>,
 }
 
 /// What this side says of itself.
@@ -69,7 +69,7 @@ pub struct HelloConfig {
     pub host: Option<u64>,
     /// A switch's, for endpoints on its host.
     pub pair: CurrentPair,
-    pub papers: CurrentPapers,
+    pub papers: CurrentCredentials,
     /// Not said, but needed for the link that is made.
     pub rekey: RekeySchedule,
 }
@@ -78,7 +78,7 @@ pub struct HelloConfig {
 /// link may close it before its hello is read: then the error says why.
 pub async fn greet_as_client(
     connection: Connection,
-    place: Place,
+    place: LinkLocation,
     config: &HelloConfig,
     expected: Option<Name>,
 ) -> Result<Link, LinkError> {
@@ -91,7 +91,7 @@ pub async fn greet_as_client(
 
 async fn say_and_hear(
     connection: Connection,
-    place: Place,
+    place: LinkLocation,
     config: &HelloConfig,
     expected: Option<Name>,
 ) -> Result<Link, LinkError> {
@@ -118,7 +118,11 @@ async fn say_and_hear(
 }
 
 /// Answers the hello of a connection the peer dialled. Nothing is allocated before the peer has proven and said who it is.
-pub async fn greet_as_server(connection: Connection, place: Place, config: &HelloConfig) -> Result<Link, LinkError> {
+pub async fn greet_as_server(
+    connection: Connection,
+    place: LinkLocation,
+    config: &HelloConfig,
+) -> Result<Link, LinkError> {
     let (mut send, mut recv) = connection.accept_bi().await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
@@ -155,7 +159,7 @@ async fn say(
         zero_checksum: config.zero_checksum,
         host,
         frames_at: frames_at.map(|ip| ip.octets()),
-        papers: config.papers.get().map(|papers| Papers::clone(&papers)),
+        papers: config.papers.get().map(|papers| Credentials::clone(&papers)),
     };
     streams::write_message(send, &control::encode(&hello)?).await
 }

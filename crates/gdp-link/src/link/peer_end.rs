@@ -1,6 +1,6 @@
 //! What a peer says of its end of a link.
 
-use gdp_core::domain::Papers;
+use gdp_core::domain::Credentials;
 use std::net::Ipv4Addr;
 
 /// What the peer said of its end of the link.
@@ -11,5 +11,5 @@ pub struct PeerEnd {
     pub zero_checksum: bool,
     pub host: Option<u64>,
     pub frames_at: Option<Ipv4Addr>,
-    pub papers: Option<Papers>,
+    pub papers: Option<Credentials>,
 }

@@ -11,11 +11,11 @@ pub struct RecvBatch {
     storage: Vec<u8>,
     largest: usize,
     /// In the order in which they lie, without overlap.
-    places: Vec<Place>,
+    places: Vec<BufferSlot>,
 }
 
 #[derive(Clone, Copy)]
-struct Place {
+struct BufferSlot {
     at: usize,
     length: usize,
     from: LinkAddr,
@@ -48,7 +48,7 @@ impl RecvBatch {
 
     /// Frame `index` of the last receive call, once more: to send what was rewritten in place.
     pub fn frame(&self, index: usize) -> &[u8] {
-        let Place { at, length, .. } = self.places[index];
+        let BufferSlot { at, length, .. } = self.places[index];
         &self.storage[at..at + length]
     }
 
@@ -76,7 +76,7 @@ impl RecvBatch {
             self.storage.resize(end, 0);
         }
         self.storage[at..end].copy_from_slice(frame);
-        self.places.push(Place { at, length: frame.len(), from, congested });
+        self.places.push(BufferSlot { at, length: frame.len(), from, congested });
         true
     }
 
@@ -102,7 +102,7 @@ impl RecvBatch {
     /// Says that a frame begins at `at`, behind those added before.
     pub(super) fn add(&mut self, at: usize, length: usize, from: LinkAddr, congested: bool) {
         debug_assert!(self.places.last().is_none_or(|last| last.at + last.length <= at));
-        self.places.push(Place { at, length, from, congested });
+        self.places.push(BufferSlot { at, length, from, congested });
     }
 }
 

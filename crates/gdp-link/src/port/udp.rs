@@ -21,7 +21,7 @@ use super::LinkAddr;
 use super::batch::RecvBatch;
 use super::control::Control;
 use super::host;
-use super::strays::{Frames, Packets};
+use super::misdelivered::{Frames, Packets};
 use super::sys::{self, Event, RawAddr, step};
 
 /// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the kernel's memory.

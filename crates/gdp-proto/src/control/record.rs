@@ -94,7 +94,7 @@ pub struct Verified {
 /// A record's place in the order in which a RIB lists them: by name, of each its writers before its readers; of those
 /// one at each of its switches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct RecordPlace {
+pub struct RecordKey {
     pub name: Name,
     pub role: NameRole,
     pub entity: Name,
@@ -103,9 +103,9 @@ pub struct RecordPlace {
 
 impl Record {
     /// Where the record is listed; an error if the entity's key is not one, or the statement none that is listed.
-    pub fn place(&self) -> Result<RecordPlace, CertError> {
+    pub fn place(&self) -> Result<RecordKey, CertError> {
         let (role, entity) = (self.role()?, self.entity.name()?);
-        Ok(RecordPlace { name: self.name, role, entity, switch: self.switch })
+        Ok(RecordKey { name: self.name, role, entity, switch: self.switch })
     }
 
     /// What the entity says it is to the name. Believe it once the record is [verified](Self::verify).

@@ -7,7 +7,7 @@ use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
 use crate::control::extent::Extent;
-use crate::control::record::{Record, RecordPlace};
+use crate::control::record::{Record, RecordKey};
 use crate::control::refusal::Refusal;
 use gdp_core::cert::{Host, Locator, Revocation, Signed};
 use gdp_core::keys::KeyBox;
@@ -92,7 +92,7 @@ pub struct TierPush {
 /// Something that is told of another domain.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Copy, Serialize, Deserialize)]
 pub enum TierKey {
-    Part(RecordPlace),
+    Part(RecordKey),
     /// A key of `writer` for `reader`.
     Box {
         writer: Name,
@@ -108,7 +108,7 @@ pub enum TierKey {
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum TierEntry {
-    Part(Box<Abroad>),
+    Part(Box<RemoteRecord>),
     Box(Signed<KeyBox>),
     Locator {
         domain: Name,
@@ -123,7 +123,7 @@ pub enum TierEntry {
 
 /// One entity's part in a name, in another domain, with all that is needed to verify it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Abroad {
+pub struct RemoteRecord {
     pub record: Record,
     /// The switch that the entity is attached to, which is of the first domain of the path.
     pub host: Host,

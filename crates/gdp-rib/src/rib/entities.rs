@@ -13,7 +13,7 @@ use super::journal::{Item, Journal};
 use crate::rib::model::Key;
 use crate::rib::model::Now;
 use crate::rib::model::{count_out, limit_reached};
-use crate::rib::registration::Party;
+use crate::rib::registration::EntityIdentity;
 
 /// How far ahead of the RIB's clock a serial may be, read as Unix time in nanoseconds, if it does not just count up: 2 days.
 const SERIAL_AHEAD: u64 = 2 * 24 * 3600;
@@ -27,7 +27,7 @@ pub(super) struct Entity {
     /// The switch through which it came to be known, or that it was attached to last.
     through: Name,
     /// As it showed itself last.
-    party: Option<Arc<Party>>,
+    party: Option<Arc<EntityIdentity>>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -127,8 +127,8 @@ impl Entities {
     }
 
     /// An entity as it shows itself, to be shared by all that it states so.
-    pub fn party(&mut self, name: Name, proof: NameProof, box_key: [u8; 33]) -> Arc<Party> {
-        let shown = Party { name, proof, box_key };
+    pub fn party(&mut self, name: Name, proof: NameProof, box_key: [u8; 33]) -> Arc<EntityIdentity> {
+        let shown = EntityIdentity { name, proof, box_key };
         let Some(entity) = self.known.get_mut(&name) else { return Arc::new(shown) };
         match &entity.party {
             Some(party) if **party == shown => party.clone(),

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use gdp_core::cert::Signed;
 use gdp_core::keys::KeyBox;
-use gdp_proto::control::{NameRole, Record, RecordPlace};
+use gdp_proto::control::{NameRole, Record, RecordKey};
 use gdp_wire::Name;
 
 use super::Rib;
@@ -24,12 +24,12 @@ pub struct Export {
 
 impl Rib {
     /// The places, here and abroad, of which something else is to be told than at the last call. The first call gives all there are.
-    pub fn take_changed_places(&mut self) -> BTreeSet<RecordPlace> {
+    pub fn take_changed_places(&mut self) -> BTreeSet<RecordKey> {
         self.abroad.changed.replace(BTreeSet::new()).unwrap_or_else(|| self.names.all_places().collect())
     }
 
     /// What there is to tell of a place; none: nothing is there any more.
-    pub fn export(&self, now: Now, place: &RecordPlace) -> Option<Export> {
+    pub fn export(&self, now: Now, place: &RecordKey) -> Option<Export> {
         let (record, registration) = self.names.record_at(now.clock, place)?;
         let origin = registration.abroad.as_ref().map(|abroad| (abroad.realm.domain, abroad.realm.next));
         Some(Export { record, boxes: self.boxes_for_abroad(place, registration), origin })
@@ -40,7 +40,7 @@ impl Rib {
         self.names.places(*name).filter_map(move |place| self.export(now, &place))
     }
 
-    fn boxes_for_abroad(&self, place: &RecordPlace, registration: &Registration) -> Vec<Signed<KeyBox>> {
+    fn boxes_for_abroad(&self, place: &RecordKey, registration: &Registration) -> Vec<Signed<KeyBox>> {
         let key = place.name.to_bytes();
         let others = self.names.bound(&key, place.role.counterpart());
         let abroad = others.filter(|(_, other)| !other.is_here() && registration.meets(other));
@@ -56,7 +56,7 @@ impl Rib {
     /// A writer has new keys for a reader that may be abroad.
     pub(super) fn tell_abroad(&mut self, claims: &KeyBox) {
         let of_name = |name: &Name| self.names.places(*name).filter(|place| place.entity == claims.writer).collect();
-        let places: Vec<RecordPlace> = match claims.name == claims.reader {
+        let places: Vec<RecordKey> = match claims.name == claims.reader {
             false => of_name(&claims.name),
             true => {
                 let names = self.entities.names(&claims.writer).iter().map(|name| Name::from_bytes(*name));

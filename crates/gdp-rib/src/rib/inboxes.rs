@@ -5,13 +5,13 @@
 //! An entity of another domain that has a counterpart is reached by the border toward it, and its frames, to whomever, may come by
 //! the links that lead there.
 
-use crate::rib::model::Place;
+use crate::rib::model::InboxOwner;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use gdp_proto::control::{Refusal, Route};
 use gdp_wire::Name;
 
-use super::ways::Map;
+use super::border_links::Map;
 use crate::rib::model::At;
 use crate::rib::model::Key;
 use crate::rib::model::Limits;
@@ -43,7 +43,7 @@ pub(super) struct Inboxes {
 
 impl Inboxes {
     /// Whether `new` may have these counterparts besides those it has: whether there is room for what [`Self::allow`] adds.
-    pub fn check_room(&self, new: Place, others: &[Place], limits: &Limits) -> Result<(), Refusal> {
+    pub fn check_room(&self, new: InboxOwner, others: &[InboxOwner], limits: &Limits) -> Result<(), Refusal> {
         let limit = limits.counterparts;
         let is_full = |entity: &Name, more: usize| self.reaches.get(entity).copied().unwrap_or_default() + more > limit;
         let full = |entity: &Name| Err(limit_reached(format!("{entity} exchanges messages with {limit} entities")));
@@ -70,7 +70,7 @@ impl Inboxes {
             Some((At::Here(switch), _)) => {
                 Err(limit_reached(format!("the entities at switch {switch} have {limit} counterparts")))
             }
-            Some((At::Abroad(realm), _)) => {
+            Some((At::RemoteRegistrations(realm), _)) => {
                 Err(limit_reached(format!("the entities of domain {} have {limit} counterparts", realm.domain)))
             }
             None => Ok(()),
@@ -78,7 +78,7 @@ impl Inboxes {
     }
 
     /// Lets `sender` send to `inbox`, for one more reason. Returns where the route for it may change.
-    pub fn allow(&mut self, inbox: Place, sender: Place) -> Vec<At> {
+    pub fn allow(&mut self, inbox: InboxOwner, sender: InboxOwner) -> Vec<At> {
         let new = || Inbox { homes: BTreeMap::new(), senders: BTreeMap::new() };
         let held = self.inboxes.entry(inbox.entity.to_bytes()).or_insert_with(new);
         if !held.takes_from(&sender.entity) {
@@ -94,7 +94,7 @@ impl Inboxes {
     }
 
     /// One reason less. Returns where the route may change, and whether `sender` may no longer send from anywhere.
-    pub fn deny(&mut self, inbox: Place, sender: Place) -> (Vec<At>, bool) {
+    pub fn deny(&mut self, inbox: InboxOwner, sender: InboxOwner) -> (Vec<At>, bool) {
         let before = self.affected(inbox, sender);
         if !self.remove(inbox, sender) {
             return (before, false);
@@ -109,14 +109,14 @@ impl Inboxes {
     }
 
     /// Where the inbox comes or goes: with another switch of its own, the routes of all that send there change.
-    fn affected(&self, inbox: Place, sender: Place) -> Vec<At> {
+    fn affected(&self, inbox: InboxOwner, sender: InboxOwner) -> Vec<At> {
         let held = self.inboxes.get(inbox.entity.as_bytes());
         let only_one = held.is_some_and(|held| held.homes.len() > 1 && held.homes.get(&inbox.at) == Some(&1));
         let senders = held.filter(|_| only_one).into_iter().flat_map(|held| held.senders.keys().copied());
         senders.chain([inbox.at, sender.at]).collect()
     }
 
-    fn remove(&mut self, inbox: Place, sender: Place) -> bool {
+    fn remove(&mut self, inbox: InboxOwner, sender: InboxOwner) -> bool {
         let key = inbox.entity.to_bytes();
         let Some(held) = self.inboxes.get_mut(&key) else { return false };
         if let Some(reasons) = held.homes.get_mut(&inbox.at) {
@@ -142,7 +142,7 @@ impl Inboxes {
     }
 
     /// Whether the entity may send to that inbox.
-    pub fn allows(&self, inbox: Name, sender: Place) -> bool {
+    pub fn allows(&self, inbox: Name, sender: InboxOwner) -> bool {
         let here = self.inboxes.get(inbox.as_bytes()).and_then(|inbox| inbox.senders.get(&sender.at));
         here.is_some_and(|here| here.contains_key(&sender.entity))
     }
@@ -162,7 +162,7 @@ impl Inboxes {
             let links: Vec<Name> = match at {
                 At::Here(here) if here == switch => senders.keys().copied().collect(),
                 At::Here(_) => Vec::new(),
-                At::Abroad(realm) => map.arrives_from(realm, switch).collect(),
+                At::RemoteRegistrations(realm) => map.arrives_from(realm, switch).collect(),
             };
             if !links.is_empty() {
                 writers.extend(links);
@@ -173,7 +173,7 @@ impl Inboxes {
         let everywhere: Vec<Name> = held.homes.contains_key(&At::Here(*switch)).then_some(name).into_iter().collect();
         let to_abroad = held.homes.keys().filter_map(|home| match home {
             At::Here(_) => None,
-            At::Abroad(realm) => map.leaves_to(inbox, realm, switch),
+            At::RemoteRegistrations(realm) => map.leaves_to(inbox, realm, switch),
         });
         let locals: BTreeSet<Name> = everywhere.iter().copied().chain(to_abroad).collect();
         let arrives_by = self.arrives_by(inbox, switch, map);
@@ -189,7 +189,7 @@ impl Inboxes {
         let homes = self.inboxes.get(entity).into_iter().flat_map(|held| held.homes.keys());
         let from = homes.flat_map(|home| match home {
             At::Here(_) => Vec::new(),
-            At::Abroad(realm) => map.arrives_from(realm, border).collect(),
+            At::RemoteRegistrations(realm) => map.arrives_from(realm, border).collect(),
         });
         from.collect::<BTreeSet<_>>().into_iter().collect()
     }
@@ -197,5 +197,5 @@ impl Inboxes {
 
 /// Whether both are in the same other domain.
 fn is_one_domain(one: &At, other: &At) -> bool {
-    matches!((one, other), (At::Abroad(one), At::Abroad(other)) if one.domain == other.domain)
+    matches!((one, other), (At::RemoteRegistrations(one), At::RemoteRegistrations(other)) if one.domain == other.domain)
 }

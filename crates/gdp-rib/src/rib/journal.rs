@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
-use gdp_proto::control::{NameRole, RecordPlace};
+use gdp_proto::control::{NameRole, RecordKey};
 use gdp_wire::Name;
 
 /// Something that is stored, by what it is about. In the order in which a RIB can take it back: registrations need the
@@ -23,7 +23,7 @@ pub enum Item {
     /// How far the serials of an entity are spent, and where it is attached.
     Entity(Name),
     /// An entity's part in a name, at one switch.
-    Registration(RecordPlace),
+    Registration(RecordKey),
     /// A key of `writer` for what it sends to `name`, wrapped for `reader`.
     KeyBox { name: Name, writer: Name, epoch: u32, reader: Name },
 }
@@ -37,7 +37,7 @@ impl fmt::Display for Item {
             Self::Revocation(name) => write!(f, "revocation/{name}"),
             Self::Invitation(serial) => write!(f, "invitation/{serial}"),
             Self::Entity(entity) => write!(f, "entity/{entity}"),
-            Self::Registration(RecordPlace { name, role, entity, switch }) => {
+            Self::Registration(RecordKey { name, role, entity, switch }) => {
                 write!(f, "registration/{name}/{role}/{entity}/{switch}")
             }
             Self::KeyBox { name, writer, epoch, reader } => write!(f, "box/{name}/{writer}/{epoch}/{reader}"),
@@ -64,7 +64,7 @@ impl FromStr for Item {
             ["entity", entity] => Self::Entity(name(entity)?),
             ["registration", of, role, entity, switch] => {
                 let role = NameRole::ALL.into_iter().find(|known| known.to_string() == role).ok_or(NoItem)?;
-                Self::Registration(RecordPlace { name: name(of)?, role, entity: name(entity)?, switch: name(switch)? })
+                Self::Registration(RecordKey { name: name(of)?, role, entity: name(entity)?, switch: name(switch)? })
             }
             ["box", of, writer, epoch, reader] => {
                 let epoch = epoch.parse().map_err(|_| NoItem)?;

@@ -1,15 +1,15 @@
 //! Takes in the key boxes of a writer and has their readers told.
 
-use gdp_core::cert::{CertError, Signed, Speaker};
+use gdp_core::cert::{CertError, Requester, Signed};
 use gdp_core::keys::KeyBox;
 use gdp_proto::control::{NameRole, Refusal, RefusalCode, Response};
 use gdp_wire::Name;
 
 use super::Rib;
 use crate::rib::model::At;
+use crate::rib::model::InboxOwner;
 use crate::rib::model::Now;
-use crate::rib::model::Place;
-use crate::rib::model::Stake;
+use crate::rib::model::RegistrationKey;
 use crate::rib::model::refusal;
 
 impl Rib {
@@ -18,20 +18,20 @@ impl Rib {
     pub(super) fn key_boxes(
         &mut self,
         now: Now,
-        speaker: &Speaker,
+        requester: &Requester,
         boxes: &[Signed<KeyBox>],
     ) -> Result<Response, Refusal> {
         for signed in boxes {
             let claims = signed.claims_unverified().map_err(refusal)?;
-            if claims.writer != speaker.entity {
-                return Err(refusal(CertError::WrongEntity { expected: speaker.entity, got: claims.writer }));
+            if claims.writer != requester.entity {
+                return Err(refusal(CertError::WrongEntity { expected: requester.entity, got: claims.writer }));
             }
-            let place = self.sends_from(speaker, &claims)?;
+            let place = self.sends_from(requester, &claims)?;
             if self.boxes.holds(&claims, signed) {
                 continue;
             }
             // For the reader's sake no more than for the RIB's: it verifies this again.
-            signed.verify(&speaker.entity_key, now.unix).map_err(refusal)?;
+            signed.verify(&requester.entity_key, now.unix).map_err(refusal)?;
             self.boxes.put(place, &claims, signed.clone(), &self.limits)?;
             self.tell_reader(&claims);
             self.tell_abroad(&claims);
@@ -40,12 +40,12 @@ impl Rib {
     }
 
     /// Where the writer sends from; a refusal if it may not send to the name of the box.
-    fn sends_from(&self, speaker: &Speaker, claims: &KeyBox) -> Result<Place, Refusal> {
-        let (name, entity) = (claims.name, speaker.entity);
+    fn sends_from(&self, requester: &Requester, claims: &KeyBox) -> Result<InboxOwner, Refusal> {
+        let (name, entity) = (claims.name, requester.entity);
         if let Some(registration) = self.names.get(name.as_bytes(), &entity, NameRole::Publisher) {
-            return Ok(Place { entity, at: registration.at() });
+            return Ok(InboxOwner { entity, at: registration.at() });
         }
-        let here = Place { entity, at: At::Here(speaker.switch) };
+        let here = InboxOwner { entity, at: At::Here(requester.switch) };
         if name == claims.reader && self.inboxes.allows(name, here) {
             return Ok(here);
         }
@@ -56,10 +56,14 @@ impl Rib {
     pub(super) fn tell_reader(&mut self, claims: &KeyBox) {
         let (name, entity) = (claims.name.to_bytes(), claims.reader);
         if self.names.get(&name, &claims.writer, NameRole::Publisher).is_some() {
-            self.telling.boxes_changed(&self.names, Stake { name, entity, role: NameRole::Subscriber }, claims.writer);
+            self.peer_updates.boxes_changed(
+                &self.names,
+                RegistrationKey { name, entity, role: NameRole::Subscriber },
+                claims.writer,
+            );
         }
         if let Some(switch) = self.inbox_home(claims) {
-            self.telling.inbox_boxes_changed(&self.names, Stake::inbox(entity), switch, claims.writer);
+            self.peer_updates.inbox_boxes_changed(&self.names, RegistrationKey::inbox(entity), switch, claims.writer);
         }
     }
 

@@ -5,23 +5,24 @@
 //! Nothing is stored before it is verified: the derivation of names, the certificates and what their owner has revoked of
 //! them, the entity's own statement and its serial. The FIB of every switch is derived from what is stored, and from the
 //! paths in [`paths`]. Here is what goes in and out; [`statements`] takes what entities state, [`key_boxes`] and [`revoke`]
-//! what goes with it, [`reports`] what switches say; [`abroad`] takes what RIBs of other domains tell, and [`exports`] gives what they may
+//! what goes with it, [`reports`] what switches say; [`interdomain`] takes what RIBs of other domains tell, and [`exports`] gives what they may
 //! be told.
 //!
 //! Nobody has to believe this: who is told of others verifies their records again, who is given a key verifies who wrapped it,
 //! and who holds a newer revocation than the RIB gives keeps to that. What a RIB that lies can do is to withhold.
 
-mod abroad;
 mod bits;
-mod boxes;
+mod border_links;
 mod entities;
 mod exports;
 pub mod fib;
 mod inboxes;
+mod interdomain;
 mod journal;
 mod key_boxes;
 mod model;
 mod names;
+mod peer_updates;
 mod registration;
 mod remote_registrations;
 mod reports;
@@ -29,14 +30,13 @@ mod restore;
 mod revocations;
 mod revoke;
 mod statements;
-mod telling;
 #[cfg(test)]
 #[path = "../../tests/unit/rib/mod.rs"]
 mod tests;
 mod topic;
-mod ways;
+mod wrapped_keys;
 
-pub use crate::rib::model::Told;
+pub use crate::rib::model::UpdateId;
 pub use crate::rib::model::{Limits, Now};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -45,33 +45,33 @@ use gdp_core::cert::Revocation;
 use gdp_core::name::{NamePrefix, NameProof};
 use gdp_core::revocations::{Kept, Origin};
 use gdp_proto::control::{
-    EntityRequest, FibPush, NameRole, PeersPush, Record, RecordPlace, Refusal, RefusalCode, Response, Route,
+    EntityRequest, FibPush, NameRole, PeersPush, Record, RecordKey, Refusal, RefusalCode, Response, Route,
 };
 use gdp_wire::Name;
 
 use crate::rib::model::Key;
-use crate::rib::model::Stake;
-use crate::rib::remote_registrations::Abroad;
+use crate::rib::model::RegistrationKey;
+use crate::rib::remote_registrations::RemoteRegistrations;
 use crate::topology::Paths;
 use bits::Bits;
-use boxes::Boxes;
+use border_links::BorderLinks;
 use entities::Entities;
 use fib::{About, Fib, Pushed};
 use inboxes::Inboxes;
 use journal::Journal;
 use names::Names;
+use peer_updates::{PeerUpdates, Source};
 use revocations::Revocations;
-use telling::{Source, Telling};
-use ways::Ways;
+use wrapped_keys::WrappedKeyStore;
 
+pub use crate::rib::border_links::BorderLink;
 pub use crate::rib::remote_registrations::Foreign;
-pub use crate::rib::ways::Way;
 pub use exports::Export;
 pub use journal::Item;
 pub use restore::{MAX_ITEM, RestoreError, decode_item, encode_item};
 
 /// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
-pub const HOLD: Duration = Duration::from_secs(10);
+pub const RESTART_TIME: Duration = Duration::from_secs(10);
 
 /// How long after it is reached a switch that has not reported is asked to.
 const UNREPORTED: Duration = Duration::from_secs(5);
@@ -101,13 +101,13 @@ pub struct Rib {
     entities: Entities,
     names: Names,
     inboxes: Inboxes,
-    boxes: Boxes,
+    boxes: WrappedKeyStore,
     revocations: Revocations,
     /// What domains have taken back, by domain: of those that this one has to do with.
     domains: BTreeMap<Name, Revocation>,
-    telling: Telling,
-    ways: Ways,
-    abroad: Abroad,
+    peer_updates: PeerUpdates,
+    ways: BorderLinks,
+    abroad: RemoteRegistrations,
     timers: Timers,
     detached: BTreeSet<(Name, Name)>,
     /// Switches that are reached and have not reported, and when they are asked to.
@@ -150,7 +150,7 @@ enum Timer {
         switch: Name,
     },
     /// Frames come no more by ways that are gone.
-    Ways,
+    BorderLinks,
     Settled,
 }
 
@@ -169,12 +169,12 @@ impl Rib {
             entities: Entities::default(),
             names: Names::default(),
             inboxes: Inboxes::default(),
-            boxes: Boxes::default(),
+            boxes: WrappedKeyStore::default(),
             revocations: Revocations::default(),
             domains: BTreeMap::new(),
-            telling: Telling::default(),
-            ways: Ways::default(),
-            abroad: Abroad::default(),
+            peer_updates: PeerUpdates::default(),
+            ways: BorderLinks::default(),
+            abroad: RemoteRegistrations::default(),
             timers: Timers::from([(run.settling, Timer::Settled)]),
             detached: BTreeSet::new(),
             unreported: BTreeMap::new(),
@@ -211,7 +211,7 @@ impl Rib {
         origin: Name,
         entity: Option<&NameProof>,
         prefix: &NamePrefix,
-        after: Option<&RecordPlace>,
+        after: Option<&RecordKey>,
     ) -> Result<Response, Refusal> {
         if prefix.full().is_none() {
             self.check_reported(origin)?;
@@ -275,22 +275,22 @@ impl Rib {
                 }
                 Timer::Switch { switch } => self.forget_switch(&switch),
                 Timer::Unreported { switch } => self.ask_to_report(now, switch),
-                Timer::Ways => self.end_earlier_ways(now),
+                Timer::BorderLinks => self.end_earlier_ways(now),
                 Timer::Settled => {
                     std::mem::take(&mut self.silent).iter().for_each(|switch| self.forget_switch(switch));
                     // So that they let go of what nobody has stated again.
                     self.switches.values_mut().for_each(|switch| switch.fib.restart());
-                    self.telling.settled();
+                    self.peer_updates.settled();
                 }
             }
         }
-        self.telling.tick(now.clock);
+        self.peer_updates.tick(now.clock);
     }
 
     /// When [`Self::tick`] and [`Self::effects`] have something to do, if nothing else happens before.
     pub fn next_tick(&self) -> Option<Duration> {
         let retries = self.switches.values().filter_map(|s| s.fib.retry_at());
-        retries.chain(self.timers.first().map(|(at, _)| *at)).chain(self.telling.retry_at()).min()
+        retries.chain(self.timers.first().map(|(at, _)| *at)).chain(self.peer_updates.retry_at()).min()
     }
 
     /// Takes out what is to be sent now. To each switch one FIB push is out at a time, to each entity one about a name and role.
@@ -309,7 +309,7 @@ impl Rib {
         }
         let (names, boxes, revocations) = (&self.names, &self.boxes, &self.revocations);
         let source = Source { run, settling, now: now.clock, names, boxes, revocations };
-        effects.extend(self.telling.next(source).into_iter().map(Effect::Peers));
+        effects.extend(self.peer_updates.next(source).into_iter().map(Effect::Peers));
         effects
     }
 
@@ -322,10 +322,10 @@ impl Rib {
 
     /// Whether what an entity was to be told arrived; if not, it is told the whole through another of its
     /// switches, or a while later.
-    pub fn told(&mut self, now: Now, told: Told, arrived: bool) {
-        let other = self.told_elsewhere(told.stake, &told.switch);
-        if let Some(held) = self.telling.answered(now.clock, told, arrived, other) {
-            self.names.note_told(&told.stake, &told.switch, held);
+    pub fn told(&mut self, now: Now, told: UpdateId, arrived: bool) {
+        let other = self.told_elsewhere(told.registration_key, &told.switch);
+        if let Some(held) = self.peer_updates.answered(now.clock, told, arrived, other) {
+            self.names.note_sent(&told.registration_key, &told.switch, held);
         }
     }
 
@@ -356,7 +356,7 @@ impl Rib {
         let routed: Vec<Name> = self.names.routed(name.as_bytes(), self.map()).into_iter().chain(inboxes).collect();
         let Some(reason) = routed.iter().find_map(lacking) else { return Ok(()) };
         let refusal = Refusal::new(RefusalCode::Limit, reason);
-        self.unregister(Stake { name: name.to_bytes(), entity: *entity, role }, *at);
+        self.unregister(RegistrationKey { name: name.to_bytes(), entity: *entity, role }, *at);
         Err(refusal)
     }
 }
@@ -401,7 +401,7 @@ impl Rib {
     }
 
     /// At most `limit` records behind `after`, and whether there are more.
-    pub fn records(&self, now: Now, after: Option<RecordPlace>, limit: usize) -> (Vec<Record>, bool) {
+    pub fn records(&self, now: Now, after: Option<RecordKey>, limit: usize) -> (Vec<Record>, bool) {
         self.names.records(now.clock, after.as_ref(), limit)
     }
 

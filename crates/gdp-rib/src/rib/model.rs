@@ -4,7 +4,7 @@ use gdp_proto::control::PeersPush;
 
 use crate::rib::journal::Item;
 use gdp_proto::control::NameRole;
-use gdp_proto::control::RecordPlace;
+use gdp_proto::control::RecordKey;
 use gdp_wire::Name;
 
 use gdp_core::cert::CertError;
@@ -125,13 +125,13 @@ pub type Key = [u8; 32];
 
 /// What one entity is to one name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Stake {
+pub struct RegistrationKey {
     pub name: Key,
     pub entity: Name,
     pub role: NameRole,
 }
 
-impl Stake {
+impl RegistrationKey {
     /// What an entity is to its own name: it takes what its counterparts send there. Of this it is told nothing but who has
     /// keys for it.
     pub fn inbox(entity: Name) -> Self {
@@ -141,7 +141,7 @@ impl Stake {
     /// As it is stored, of what is stated at `switch`.
     pub fn at(&self, switch: Name) -> Item {
         let (name, entity, role) = (Name::from_bytes(self.name), self.entity, self.role);
-        Item::Registration(RecordPlace { name, role, entity, switch })
+        Item::Registration(RecordKey { name, role, entity, switch })
     }
 
     pub fn is_inbox(&self) -> bool {
@@ -151,16 +151,16 @@ impl Stake {
 
 /// Which [`PeersPush`] it was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Told {
+pub struct UpdateId {
     pub switch: Name,
-    pub stake: Stake,
+    pub registration_key: RegistrationKey,
     pub generation: u64,
 }
 
-impl From<&PeersPush> for Told {
+impl From<&PeersPush> for UpdateId {
     fn from(push: &PeersPush) -> Self {
-        let stake = Stake { name: push.name.to_bytes(), entity: push.entity, role: push.role };
-        Self { switch: push.switch, stake, generation: push.peers.generation }
+        let registration_key = RegistrationKey { name: push.name.to_bytes(), entity: push.entity, role: push.role };
+        Self { switch: push.switch, registration_key, generation: push.peers.generation }
     }
 }
 
@@ -176,12 +176,12 @@ pub struct Realm {
 pub enum At {
     /// At a switch of this domain.
     Here(Name),
-    Abroad(Realm),
+    RemoteRegistrations(Realm),
 }
 
 /// An attached entity, and where it is attached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct InboxOwner {
     pub entity: Name,
     pub at: At,
 }

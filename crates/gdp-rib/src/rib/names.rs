@@ -8,14 +8,14 @@ use std::time::Duration;
 
 use gdp_core::cert::Revocation;
 use gdp_core::name::{NamePrefix, NameProof};
-use gdp_proto::control::{NameRole, Record, RecordPlace, Refusal, RefusalCode, Response, Route};
+use gdp_proto::control::{NameRole, Record, RecordKey, Refusal, RefusalCode, Response, Route};
 use gdp_wire::Name;
 
+use super::border_links::Map;
 use super::topic::{Registrations, Topic, distinct};
-use super::ways::Map;
 use crate::rib::model::At;
 use crate::rib::model::Limits;
-use crate::rib::model::Stake;
+use crate::rib::model::RegistrationKey;
 use crate::rib::model::limit_reached;
 
 /// Bytes of records in one message; what is left of 64 KiB is for what encloses them.
@@ -27,7 +27,7 @@ pub(super) const LAST: Name = Name::from_bytes([0xff; 32]);
 #[derive(Debug, Default)]
 pub(super) struct Names {
     all: BTreeMap<Key, Box<Topic>>,
-    /// Those of them that are [unserved](Topic::is_unserved).
+    /// Those of them that are [unserved](Topic::has_no_writer).
     unserved: BTreeSet<Key>,
 }
 
@@ -59,7 +59,7 @@ impl Names {
             if part.count_at(&new.at()) >= limit && part.get(entity, &new.switch).is_none() {
                 let place = match new.at() {
                     At::Here(switch) => format!("at switch {switch}"),
-                    At::Abroad(realm) => format!("in domain {}", realm.domain),
+                    At::RemoteRegistrations(realm) => format!("in domain {}", realm.domain),
                 };
                 return Err(limit_reached(format!("{name} has {limit} {}s {place}", new.role)));
             }
@@ -83,14 +83,14 @@ impl Names {
     pub fn insert(&mut self, name: Name, proof: NameProof, new: Registration) -> Option<Registration> {
         let topic = self.all.entry(name.to_bytes()).or_insert_with(|| Topic::new(proof).into());
         let replaced = topic.insert(new);
-        note_unserved(&mut self.unserved, name.to_bytes(), topic);
+        note_without_writer(&mut self.unserved, name.to_bytes(), topic);
         replaced
     }
 
     pub fn remove(&mut self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<Registration> {
         let topic = self.all.get_mut(name)?;
         let removed = topic.remove(entity, role, switch);
-        note_unserved(&mut self.unserved, *name, topic);
+        note_without_writer(&mut self.unserved, *name, topic);
         removed
     }
 
@@ -108,26 +108,29 @@ impl Names {
 
     /// The parts in the name that are over, and when the next one is. It is not to be looked at again before [somebody
     /// asks](Self::look_by) for it.
-    pub fn look(&mut self, name: &Key, now: Duration) -> (Vec<(Stake, Name)>, Option<Duration>) {
+    pub fn look(&mut self, name: &Key, now: Duration) -> (Vec<(RegistrationKey, Name)>, Option<Duration>) {
         let Some(topic) = self.all.get_mut(name) else { return (Vec::new(), None) };
         topic.look_at = Duration::MAX;
         let all = || topic.parts().flat_map(Registrations::iter);
         let over = all().filter(|(_, registration)| registration.ends <= now);
-        let over = over.map(|((entity, switch), r)| (Stake { name: *name, entity, role: r.role }, switch)).collect();
+        let over =
+            over.map(|((entity, switch), r)| (RegistrationKey { name: *name, entity, role: r.role }, switch)).collect();
         (over, all().map(|(_, registration)| registration.ends).filter(|ends| *ends > now).min())
     }
 
     /// An entity holds this of what it is told of a name, and there is nothing more to tell.
-    pub fn note_told(&mut self, stake: &Stake, switch: &Name, held: u64) {
-        let topic = self.all.get_mut(&stake.name);
-        if let Some(registration) = topic.and_then(|topic| topic.get_mut(&stake.entity, stake.role, switch)) {
+    pub fn note_sent(&mut self, registration_key: &RegistrationKey, switch: &Name, held: u64) {
+        let topic = self.all.get_mut(&registration_key.name);
+        if let Some(registration) =
+            topic.and_then(|topic| topic.get_mut(&registration_key.entity, registration_key.role, switch))
+        {
             registration.told = held;
         }
     }
 
-    /// What was [noted](Self::note_told) last, and through which switch.
-    pub fn told(&self, stake: &Stake) -> Option<(Name, u64)> {
-        let all = self.all_of(&stake.name, &stake.entity, stake.role);
+    /// What was [noted](Self::note_sent) last, and through which switch.
+    pub fn told(&self, registration_key: &RegistrationKey) -> Option<(Name, u64)> {
+        let all = self.all_of(&registration_key.name, &registration_key.entity, registration_key.role);
         let last = all.filter(|registration| registration.told > 0).max_by_key(|registration| registration.told)?;
         Some((last.switch, last.told))
     }
@@ -168,15 +171,15 @@ impl Names {
     }
 
     /// What there is to tell one who has this part in a name of a counterpart there, if it is any.
-    pub fn record_for(&self, now: Duration, stake: &Stake, counterpart: &Name) -> Option<Record> {
-        let Stake { name, entity, role } = stake;
+    pub fn record_for(&self, now: Duration, registration_key: &RegistrationKey, counterpart: &Name) -> Option<Record> {
+        let RegistrationKey { name, entity, role } = registration_key;
         let topic = self.all.get(name)?;
         let own = topic.part(*role).of(entity).filter(|own| own.is_here()).max_by_key(|own| own.ends)?;
         let of = self.all_of(name, counterpart, role.counterpart()).filter(|other| own.meets(other));
         Some(of.max_by_key(|other| other.ends)?.record(now, Name::from_bytes(*name), topic.proof))
     }
 
-    pub fn record_at(&self, now: Duration, place: &RecordPlace) -> Option<(Record, &Registration)> {
+    pub fn record_at(&self, now: Duration, place: &RecordKey) -> Option<(Record, &Registration)> {
         let topic = self.all.get(place.name.as_bytes())?;
         let registration = topic.part(place.role).get(&place.entity, &place.switch)?;
         Some((registration.record(now, place.name, topic.proof), registration))
@@ -210,12 +213,12 @@ impl Names {
     }
 
     /// The places of all parts in a name.
-    pub fn places(&self, name: Name) -> impl Iterator<Item = RecordPlace> {
+    pub fn places(&self, name: Name) -> impl Iterator<Item = RecordKey> {
         self.all.get(name.as_bytes()).into_iter().flat_map(move |topic| topic.places(name))
     }
 
     /// The places of all parts in all names.
-    pub fn all_places(&self) -> impl Iterator<Item = RecordPlace> {
+    pub fn all_places(&self) -> impl Iterator<Item = RecordKey> {
         self.all.iter().flat_map(|(key, topic)| topic.places(Name::from_bytes(*key)))
     }
 
@@ -250,14 +253,14 @@ impl Names {
     }
 
     /// Those whose credential rests on a membership that this revocation of a domain takes back, each with its switch.
-    pub fn expelled(&self, of_domain: &Revocation) -> Vec<(Stake, Name)> {
+    pub fn expelled(&self, of_domain: &Revocation) -> Vec<(RegistrationKey, Name)> {
         let newest = |domain: &Name| (*domain == of_domain.name).then_some(of_domain);
         let all = self.all.iter().flat_map(|(name, topic)| {
             let parts = topic.parts().flat_map(Registrations::iter);
-            parts.map(|((entity, switch), r)| (Stake { name: *name, entity, role: r.role }, switch, r))
+            parts.map(|((entity, switch), r)| (RegistrationKey { name: *name, entity, role: r.role }, switch, r))
         });
         let gone = all.filter(|(.., r)| r.credential.check_member(newest).is_err());
-        gone.map(|(stake, switch, _)| (stake, switch)).collect()
+        gone.map(|(registration_key, switch, _)| (registration_key, switch)).collect()
     }
 
     /// The switches whose route changes because registrations of the name `at` these switches did, or ways over them.
@@ -275,7 +278,7 @@ impl Names {
 
     /// The records of the names that begin so and lie behind `after`, as far as one message holds them, and entities of this domain may
     /// know them.
-    pub fn query(&self, now: Duration, prefix: &NamePrefix, after: Option<&RecordPlace>) -> Response {
+    pub fn query(&self, now: Duration, prefix: &NamePrefix, after: Option<&RecordKey>) -> Response {
         let padded: Option<Name> = format!("{:0<64}", prefix.as_str()).parse().ok();
         let begin = padded.unwrap_or_default();
         let matching = self.behind(after, begin).take_while(|(name, ..)| prefix.matches(name));
@@ -294,7 +297,7 @@ impl Names {
     }
 
     /// At most `limit` records behind `after`, and whether there are more.
-    pub fn records(&self, now: Duration, after: Option<&RecordPlace>, limit: usize) -> (Vec<Record>, bool) {
+    pub fn records(&self, now: Duration, after: Option<&RecordKey>, limit: usize) -> (Vec<Record>, bool) {
         let mut rest = self.behind(after, Name::default());
         let records = rest.by_ref().take(limit);
         let records = records.map(|(name, topic, registration)| registration.record(now, name, topic.proof)).collect();
@@ -304,7 +307,7 @@ impl Names {
     /// All registrations of names from `begin` on and behind `after`, in the order of their places.
     fn behind<'a>(
         &'a self,
-        after: Option<&RecordPlace>,
+        after: Option<&RecordKey>,
         begin: Name,
     ) -> impl Iterator<Item = (Name, &'a Topic, &'a Registration)> {
         let after = after.copied();
@@ -325,8 +328,8 @@ impl Names {
     }
 }
 
-fn note_unserved(unserved: &mut BTreeSet<Key>, name: Key, topic: &Topic) {
-    match topic.is_unserved() {
+fn note_without_writer(unserved: &mut BTreeSet<Key>, name: Key, topic: &Topic) {
+    match topic.has_no_writer() {
         true => unserved.insert(name),
         false => unserved.remove(&name),
     };

@@ -19,7 +19,7 @@ pub const RECORD_OVERHEAD: usize = 512;
 /// One entity's part in a name, at one switch.
 #[derive(Clone, Debug)]
 pub struct Registration {
-    pub by: Arc<Party>,
+    pub by: Arc<EntityIdentity>,
     /// Of another domain, if the entity is abroad.
     pub switch: Name,
     pub abroad: Option<Box<Remote>>,
@@ -37,13 +37,13 @@ pub struct Registration {
     /// be reached; what it is told is for the RIB there.
     pub bound: bool,
     /// The generation that the entity holds of what it is told of the name through this switch, while there is nothing more to tell: no
-    /// [stream](super::telling) is kept for it then. 0: there is one, or it is told elsewhere.
+    /// [stream](super::peer_updates) is kept for it then. 0: there is one, or it is told elsewhere.
     pub told: u64,
 }
 
 /// An entity, as it shows itself in its statements: most of them share one.
 #[derive(Debug, PartialEq, Eq)]
-pub struct Party {
+pub struct EntityIdentity {
     pub name: Name,
     pub proof: NameProof,
     pub box_key: [u8; 33],
@@ -89,7 +89,7 @@ impl Kind {
 
 impl Registration {
     pub fn at(&self) -> At {
-        self.abroad.as_ref().map_or(At::Here(self.switch), |abroad| At::Abroad(abroad.realm))
+        self.abroad.as_ref().map_or(At::Here(self.switch), |abroad| At::RemoteRegistrations(abroad.realm))
     }
 
     /// Whether the entity is in this domain.

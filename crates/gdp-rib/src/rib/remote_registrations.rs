@@ -9,7 +9,7 @@ use gdp_core::cert::Signed;
 use gdp_core::keys::KeyBox;
 use gdp_core::name::NameProof;
 use gdp_proto::control::Record;
-use gdp_proto::control::RecordPlace;
+use gdp_proto::control::RecordKey;
 use gdp_wire::Name;
 use std::collections::BTreeMap;
 use std::collections::BTreeSet;
@@ -33,18 +33,18 @@ pub struct Foreign {
 
 /// What is known of other domains besides the registrations in use.
 #[derive(Debug, Default)]
-pub struct Abroad {
+pub struct RemoteRegistrations {
     /// The names that entities of a realm have a part in, and how many parts.
     pub names: BTreeMap<Realm, BTreeMap<Key, usize>>,
     /// By place and neighbour: what would count if another one did not.
-    pub spare: BTreeMap<RecordPlace, BTreeMap<Name, (NameProof, Registration)>>,
+    pub spare: BTreeMap<RecordKey, BTreeMap<Name, (NameProof, Registration)>>,
     /// How many records each neighbour has told of, in use or not.
     pub told: HashMap<Name, usize>,
     /// What other RIBs are still to be told of; none before anybody has asked.
-    pub changed: Option<BTreeSet<RecordPlace>>,
+    pub changed: Option<BTreeSet<RecordKey>>,
 }
 
-impl Abroad {
+impl RemoteRegistrations {
     pub fn enter(&mut self, registration: &Registration, name: Key) {
         let Some(Remote { realm, .. }) = registration.abroad.as_deref().copied() else { return };
         *self.names.entry(realm).or_default().entry(name).or_default() += 1;
@@ -65,13 +65,13 @@ impl Abroad {
         }
     }
 
-    pub fn put_spare(&mut self, place: RecordPlace, next: Name, spare: (NameProof, Registration)) {
+    pub fn put_spare(&mut self, place: RecordKey, next: Name, spare: (NameProof, Registration)) {
         if self.spare.entry(place).or_default().insert(next, spare).is_none() {
             *self.told.entry(next).or_default() += 1;
         }
     }
 
-    pub fn take_spare(&mut self, place: &RecordPlace, next: &Name) -> Option<(NameProof, Registration)> {
+    pub fn take_spare(&mut self, place: &RecordKey, next: &Name) -> Option<(NameProof, Registration)> {
         let spare = self.spare.get_mut(place)?;
         let taken = spare.remove(next)?;
         if spare.is_empty() {
@@ -81,7 +81,7 @@ impl Abroad {
         Some(taken)
     }
 
-    pub fn changed(&mut self, place: RecordPlace) {
+    pub fn changed(&mut self, place: RecordKey) {
         self.changed.iter_mut().for_each(|changed| _ = changed.insert(place));
     }
 }

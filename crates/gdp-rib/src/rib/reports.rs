@@ -9,10 +9,10 @@ use gdp_proto::control::{Refusal, RefusalCode};
 use gdp_wire::Name;
 use gdp_wire::table::MAX_LINKS;
 
-use super::{HOLD, Rib, Timer, UNREPORTED};
+use super::{RESTART_TIME, Rib, Timer, UNREPORTED};
 use crate::rib::model::At;
 use crate::rib::model::Now;
-use crate::rib::model::Stake;
+use crate::rib::model::RegistrationKey;
 use crate::rib::model::{limit_reached, refusal};
 
 impl Rib {
@@ -55,7 +55,7 @@ impl Rib {
         for entity in gone {
             self.end_attachments_at(&entity, switch);
         }
-        self.telling.reconnected(switch);
+        self.peer_updates.reconnected(switch);
     }
 
     /// Holds what is not reached, and has switches that are reached and have not reported asked to.
@@ -68,7 +68,7 @@ impl Rib {
                     state.hold = None;
                 }
                 (false, None) => {
-                    let at = now.clock + HOLD;
+                    let at = now.clock + RESTART_TIME;
                     self.timers.insert((at, Timer::Switch { switch: *name }));
                     state.hold = Some(at);
                 }
@@ -125,7 +125,7 @@ impl Rib {
             self.end_attachments_at(&entity, switch);
         }
         for (name, entity, role) in self.names.registered_at(switch) {
-            self.unregister(Stake { name, entity, role }, *switch);
+            self.unregister(RegistrationKey { name, entity, role }, *switch);
         }
         self.switches.remove(switch);
         self.silent.remove(switch);

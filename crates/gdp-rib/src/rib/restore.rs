@@ -8,12 +8,12 @@ use std::time::Duration;
 
 use gdp_core::cbor;
 use gdp_core::cbor::CborError;
-use gdp_core::cert::{CertError, Signed, Speaker};
+use gdp_core::cert::{CertError, Requester, Signed};
 use gdp_core::keys::KeyBox;
 use gdp_core::name::NameProof;
 use gdp_core::peer::MAX_LANES;
 use gdp_core::revocations::Kept;
-use gdp_proto::control::{NameRole, Record, RecordPlace, Refusal};
+use gdp_proto::control::{NameRole, Record, RecordKey, Refusal};
 use gdp_wire::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
 use serde::de::DeserializeOwned;
@@ -23,7 +23,7 @@ use super::entities::Attachment;
 use super::journal::{Item, Journal};
 use super::{Rib, Timer};
 use crate::rib::model::Now;
-use crate::rib::model::Stake;
+use crate::rib::model::RegistrationKey;
 use crate::rib::registration::{Registration, shared};
 
 /// Bytes of one stored item; records are what travels in messages of no more.
@@ -144,7 +144,7 @@ impl Rib {
                 let through = attachments.last().map_or(through, |attachment| attachment.switch);
                 encode_item(&StoredEntity { floor, through, attachments })
             }
-            Item::Registration(RecordPlace { name, role, entity, switch }) => {
+            Item::Registration(RecordKey { name, role, entity, switch }) => {
                 let proof = self.names.proof(name.as_bytes())?;
                 let registration = self.names.get_at(name.as_bytes(), entity, *role, switch)?;
                 let Registration { ends, everywhere, bound, .. } = *registration;
@@ -215,14 +215,14 @@ impl Rib {
     fn restore_registration(
         &mut self,
         now: Now,
-        place: &RecordPlace,
+        place: &RecordKey,
         stored: StoredRegistration,
     ) -> Result<(), RestoreError> {
         let StoredRegistration { record, ends, everywhere, bound } = stored;
         if record.place()? != *place {
             return Err(RestoreError::Misplaced);
         }
-        let RecordPlace { name, role, entity, switch } = *place;
+        let RecordKey { name, role, entity, switch } = *place;
         let verified = record.verify(self.revocations.claims(name.as_bytes()), now.unix)?;
         // Whatever is stored: no longer than if it were stated now.
         let last = verified.not_after.min(now.unix.saturating_add(verified.advert.lifetime.into()));
@@ -252,10 +252,10 @@ impl Rib {
             bound,
             told: 0,
         };
-        let stake = Stake { name: name.to_bytes(), entity, role };
-        self.register(stake, proof, registration)?;
+        let registration_key = RegistrationKey { name: name.to_bytes(), entity, role };
+        self.register(registration_key, proof, registration)?;
         if bound {
-            self.telling.resume(stake, switch);
+            self.peer_updates.resume(registration_key, switch);
         }
         Ok(())
     }
@@ -273,8 +273,8 @@ impl Rib {
         here.extend(self.entities.known(&writer).map(|(_, through)| through));
         let mut outcome = Err(RestoreError::Unbound);
         for switch in here {
-            let speaker: Speaker = self.speaker(now, switch, &proof)?;
-            match self.key_boxes(now, &speaker, std::slice::from_ref(&signed)) {
+            let requester: Requester = self.requester(now, switch, &proof)?;
+            match self.key_boxes(now, &requester, std::slice::from_ref(&signed)) {
                 Ok(_) => return Ok(()),
                 Err(refusal) => outcome = Err(refusal.into()),
             }

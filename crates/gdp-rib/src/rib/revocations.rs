@@ -13,7 +13,7 @@ use crate::rib::model::Key;
 use crate::rib::model::Limits;
 
 #[derive(Debug)]
-pub(super) struct Held {
+pub(super) struct StoredRevocation {
     pub kept: Kept,
     pub claims: Revocation,
     /// Its place among those that may go; none while it stays, because somebody has a part in the name.
@@ -31,7 +31,7 @@ struct Share {
 
 #[derive(Debug, Default)]
 pub(super) struct Revocations {
-    held: BTreeMap<Key, Held>,
+    held: BTreeMap<Key, StoredRevocation>,
     shares: HashMap<Option<Origin>, Share>,
     idle_count: usize,
     next: u64,
@@ -40,7 +40,7 @@ pub(super) struct Revocations {
 }
 
 impl Revocations {
-    pub fn get(&self, name: &Key) -> Option<&Held> {
+    pub fn get(&self, name: &Key) -> Option<&StoredRevocation> {
         self.held.get(name)
     }
 
@@ -54,7 +54,7 @@ impl Revocations {
         self.remove(&name);
         let share = self.shares.entry(kept.origin).or_default();
         share.used += 1;
-        self.held.insert(name, Held { kept, claims, idle: None });
+        self.held.insert(name, StoredRevocation { kept, claims, idle: None });
         if !is_used || share.used > limits.used_revocations {
             self.leave(&name, limits);
         }
@@ -74,10 +74,10 @@ impl Revocations {
     /// Those of each origin in turn, as many bytes of one as of another: first those of names that somebody has a part in, then the
     /// others, the one that has been so for longest last.
     pub fn all(&self) -> Vec<Kept> {
-        let mut all: Vec<&Held> = self.held.values().collect();
+        let mut all: Vec<&StoredRevocation> = self.held.values().collect();
         all.sort_by_key(|held| held.idle.map_or(0, |place| u64::MAX - place));
         let mut sizes: HashMap<Option<Origin>, usize> = HashMap::new();
-        let before = |held: &&Held| {
+        let before = |held: &&StoredRevocation| {
             let size = sizes.entry(held.kept.origin).or_default();
             let before = *size;
             *size += held.kept.revocation.as_bytes().len();
@@ -118,7 +118,7 @@ impl Revocations {
     }
 
     fn remove(&mut self, name: &Key) {
-        let Some(Held { kept, idle, .. }) = self.held.remove(name) else { return };
+        let Some(StoredRevocation { kept, idle, .. }) = self.held.remove(name) else { return };
         self.journal.mark(Item::Revocation(Name::from_bytes(*name)));
         let Some(share) = self.shares.get_mut(&kept.origin) else { return };
         match idle {

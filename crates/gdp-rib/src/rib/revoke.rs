@@ -9,7 +9,7 @@ use gdp_wire::Name;
 
 use super::Rib;
 use crate::rib::model::Now;
-use crate::rib::model::Stake;
+use crate::rib::model::RegistrationKey;
 use crate::rib::model::refusal;
 
 impl Rib {
@@ -35,24 +35,24 @@ impl Rib {
         let kept = Kept { proof: *proof, revocation: signed.clone(), origin: Some(origin) };
         self.revocations.put(key, kept, claims, self.names.contains(&key), &self.limits);
         for (entity, role, switch) in revoked {
-            self.end_revoked(now, Stake { name: key, entity, role }, switch);
+            self.end_revoked(now, RegistrationKey { name: key, entity, role }, switch);
         }
         for role in NameRole::ALL {
             for (entity, _) in self.names.bound(&key, role) {
-                self.telling.revocation_changed(&self.names, Stake { name: key, entity, role });
+                self.peer_updates.revocation_changed(&self.names, RegistrationKey { name: key, entity, role });
             }
         }
         Ok(Response::Done)
     }
 
     /// Somebody has no part in a name any more, and is told so.
-    fn end_revoked(&mut self, now: Now, stake: Stake, switch: Name) {
-        let Stake { name, entity, role } = stake;
+    fn end_revoked(&mut self, now: Now, registration_key: RegistrationKey, switch: Name) {
+        let RegistrationKey { name, entity, role } = registration_key;
         let is_told = self.names.get_at(&name, &entity, role, &switch).is_some_and(|r| r.bound && r.is_here());
-        self.end(now, stake, switch);
+        self.end(now, registration_key, switch);
         // Through the last of its switches.
         if is_told && self.names.get(&name, &entity, role).is_none() {
-            self.telling.farewell(stake, switch);
+            self.peer_updates.farewell(registration_key, switch);
         }
     }
 
@@ -60,8 +60,8 @@ impl Rib {
     pub fn domain_revoked(&mut self, now: Now, claims: &Revocation) {
         self.tick(now);
         self.domains.insert(claims.name, claims.clone());
-        for (stake, switch) in self.names.expelled(claims) {
-            self.end_revoked(now, stake, switch);
+        for (registration_key, switch) in self.names.expelled(claims) {
+            self.end_revoked(now, registration_key, switch);
         }
     }
 

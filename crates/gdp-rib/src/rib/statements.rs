@@ -5,22 +5,22 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use gdp_core::cert::{
-    Advert, CertError, Signed, Speaker, authorise_advertise, authorise_subscribe, authorise_withdraw,
+    Advert, CertError, Requester, Signed, authorise_advertise, authorise_subscribe, authorise_withdraw,
 };
 use gdp_core::name::NameProof;
 use gdp_core::peer::MAX_LANES;
-use gdp_proto::control::{Credential, EntityRequest, NameRole, RecordPlace, Refusal, RefusalCode, Response, Route};
+use gdp_proto::control::{Credential, EntityRequest, NameRole, RecordKey, Refusal, RefusalCode, Response, Route};
 use gdp_wire::Name;
 
+use super::border_links::Map;
 use super::entities::Attachment;
-use super::telling::Source;
-use super::ways::Map;
+use super::peer_updates::Source;
 use super::{Rib, Timer};
 use crate::rib::model::At;
+use crate::rib::model::InboxOwner;
 use crate::rib::model::Key;
 use crate::rib::model::Now;
-use crate::rib::model::Place;
-use crate::rib::model::Stake;
+use crate::rib::model::RegistrationKey;
 use crate::rib::model::{limit_reached, refusal};
 use crate::rib::registration::{Registration, shared};
 
@@ -51,17 +51,17 @@ impl Rib {
         let proof = entity.ok_or_else(|| {
             Refusal::new(RefusalCode::Malformed, "only queries and revocations may be anonymous: show the entity's key")
         })?;
-        let speaker = self.speaker(now, origin, proof)?;
-        let here = self.entities.is_attached_at(&speaker.entity, &origin);
+        let requester = self.requester(now, origin, proof)?;
+        let here = self.entities.is_attached_at(&requester.entity, &origin);
         if !here && !by_tool && !matches!(request, EntityRequest::Attach { .. }) {
-            let reason = format!("{} is not attached to switch {origin}; attach first", speaker.entity);
+            let reason = format!("{} is not attached to switch {origin}; attach first", requester.entity);
             return Err(Refusal::new(RefusalCode::NotAttached, reason));
         }
         match request {
             EntityRequest::Attach { rt_cert, resumes, lane } => {
-                let cert = rt_cert.verify(&speaker.entity_key, now.unix).map_err(refusal)?;
-                if cert.entity != speaker.entity {
-                    return Err(refusal(CertError::WrongEntity { expected: speaker.entity, got: cert.entity }));
+                let cert = rt_cert.verify(&requester.entity_key, now.unix).map_err(refusal)?;
+                if cert.entity != requester.entity {
+                    return Err(refusal(CertError::WrongEntity { expected: requester.entity, got: cert.entity }));
                 }
                 if cert.switch != origin {
                     return Err(refusal(CertError::WrongSwitch { expected: origin, got: cert.switch }));
@@ -71,13 +71,13 @@ impl Rib {
                 }
                 if !by_tool {
                     let ends = now.clock.saturating_add(Duration::from_secs(cert.not_after - now.unix));
-                    self.attach(&speaker, *lane, ends, *resumes)?;
+                    self.attach(&requester, *lane, ends, *resumes)?;
                 }
-                Ok(Response::Attached { serial: speaker.floor })
+                Ok(Response::Attached { serial: requester.floor })
             }
             EntityRequest::Advertise { proof: name, ad_cert, advert, everywhere } => {
                 let revocation = name.name().ok().and_then(|name| self.revocations.claims(name.as_bytes()));
-                let authorised = authorise_advertise(&speaker, name, ad_cert, advert, revocation);
+                let authorised = authorise_advertise(&requester, name, ad_cert, advert, revocation);
                 let (cert, statement) = authorised.map_err(refusal)?;
                 let verified = Verified {
                     name: *name,
@@ -88,11 +88,11 @@ impl Rib {
                     scope: cert.scope,
                     not_after: cert.not_after,
                 };
-                self.state(now, &speaker, *proof, by_tool, verified)
+                self.state(now, &requester, *proof, by_tool, verified)
             }
             EntityRequest::Subscribe { proof: name, grant, advert, everywhere } => {
                 let revocation = name.name().ok().and_then(|name| self.revocations.claims(name.as_bytes()));
-                let authorised = authorise_subscribe(&speaker, name, grant, advert, revocation);
+                let authorised = authorise_subscribe(&requester, name, grant, advert, revocation);
                 let (cert, statement) = authorised.map_err(refusal)?;
                 grant.check_member(|domain| self.domains.get(domain)).map_err(refusal)?;
                 let verified = Verified {
@@ -104,24 +104,24 @@ impl Rib {
                     scope: Vec::new(),
                     not_after: cert.not_after,
                 };
-                self.state(now, &speaker, *proof, by_tool, verified)
+                self.state(now, &requester, *proof, by_tool, verified)
             }
             EntityRequest::Withdraw { advert } => {
-                let statement = authorise_withdraw(&speaker, advert).map_err(refusal)?;
+                let statement = authorise_withdraw(&requester, advert).map_err(refusal)?;
                 let key = statement.name.to_bytes();
-                if !self.names.has(&key, &speaker.entity) {
-                    let reason = format!("{} neither writes nor reads {}", speaker.entity, statement.name);
+                if !self.names.has(&key, &requester.entity) {
+                    let reason = format!("{} neither writes nor reads {}", requester.entity, statement.name);
                     return Err(Refusal::new(RefusalCode::NotFound, reason));
                 }
-                self.spend(now, &speaker, statement.serial)?;
+                self.spend(now, &requester, statement.serial)?;
                 for role in NameRole::ALL {
-                    let stake = Stake { name: key, entity: speaker.entity, role };
-                    let switches = self.names.switches_of(&key, &speaker.entity, role);
-                    switches.into_iter().for_each(|switch| self.unregister(stake, switch));
+                    let registration_key = RegistrationKey { name: key, entity: requester.entity, role };
+                    let switches = self.names.switches_of(&key, &requester.entity, role);
+                    switches.into_iter().for_each(|switch| self.unregister(registration_key, switch));
                 }
                 Ok(Response::Done)
             }
-            EntityRequest::KeyBoxes { boxes } => self.key_boxes(now, &speaker, boxes),
+            EntityRequest::KeyBoxes { boxes } => self.key_boxes(now, &requester, boxes),
             EntityRequest::Query { .. } | EntityRequest::Revoke { .. } => {
                 Err(Refusal::new(RefusalCode::Malformed, "not a request of an entity"))
             }
@@ -132,19 +132,19 @@ impl Rib {
     fn state(
         &mut self,
         now: Now,
-        speaker: &Speaker,
+        requester: &Requester,
         proof: NameProof,
         by_tool: bool,
         verified: Verified,
     ) -> Result<Response, Refusal> {
         let Verified { name: name_proof, credential, signed, advert, everywhere, scope, not_after } = verified;
-        self.spend(now, speaker, advert.serial)?;
+        self.spend(now, requester, advert.serial)?;
         let ends = lifetime(now, advert.lifetime, not_after);
         let role = NameRole::of(advert.op)
             .ok_or_else(|| Refusal::new(RefusalCode::Malformed, "a withdrawal states nothing about a name"));
         let registered = ends.and_then(|ends| {
-            let (name, switch, box_key, bound) = (advert.name, speaker.switch, advert.box_key, !by_tool);
-            let (role, entity) = (role?, speaker.entity);
+            let (name, switch, box_key, bound) = (advert.name, requester.switch, advert.box_key, !by_tool);
+            let (role, entity) = (role?, requester.entity);
             let registration = Registration {
                 by: self.entities.party(entity, proof, box_key),
                 switch,
@@ -159,64 +159,65 @@ impl Rib {
                 bound,
                 told: 0,
             };
-            let stake = Stake { name: name.to_bytes(), entity, role };
-            self.register(stake, name_proof, registration).map(|()| stake)
+            let registration_key = RegistrationKey { name: name.to_bytes(), entity, role };
+            self.register(registration_key, name_proof, registration).map(|()| registration_key)
         });
-        let stake = registered.inspect_err(|_| self.entities.retire(&speaker.entity))?;
+        let registration_key = registered.inspect_err(|_| self.entities.retire(&requester.entity))?;
         if !everywhere {
-            let mut others = self.names.switches_of(&stake.name, &stake.entity, stake.role);
-            others.retain(|switch| *switch != speaker.switch);
-            others.into_iter().for_each(|switch| self.unregister(stake, switch));
+            let mut others =
+                self.names.switches_of(&registration_key.name, &registration_key.entity, registration_key.role);
+            others.retain(|switch| *switch != requester.switch);
+            others.into_iter().for_each(|switch| self.unregister(registration_key, switch));
         }
-        let other = self.told_elsewhere(stake, &speaker.switch);
+        let other = self.told_elsewhere(registration_key, &requester.switch);
         let (run, names, boxes, revocations) = (self.run.id, &self.names, &self.boxes, &self.revocations);
         let settling = now.clock < self.run.settling;
         let source = Source { run, settling, now: now.clock, names, boxes, revocations };
         if by_tool {
-            return Ok(Response::Peers(self.telling.once(stake, speaker.switch, source)));
+            return Ok(Response::Peers(self.peer_updates.once(registration_key, requester.switch, source)));
         }
-        let (peers, held) = self.telling.begin(stake, speaker.switch, other.is_none(), source);
+        let (peers, held) = self.peer_updates.begin(registration_key, requester.switch, other.is_none(), source);
         if let Some(held) = held {
-            self.names.note_told(&stake, &speaker.switch, held);
+            self.names.note_sent(&registration_key, &requester.switch, held);
         }
         Ok(Response::Peers(peers))
     }
 
-    pub(super) fn speaker(&self, now: Now, switch: Name, proof: &NameProof) -> Result<Speaker, Refusal> {
+    pub(super) fn requester(&self, now: Now, switch: Name, proof: &NameProof) -> Result<Requester, Refusal> {
         let not_a_key = |error| refusal(CertError::Crypto(error));
         let entity = proof.name().map_err(not_a_key)?;
         let entity_key = proof.verify_key().map_err(not_a_key)?;
-        Ok(Speaker { entity, entity_key, switch, floor: self.entities.floor(&entity), now: now.unix })
+        Ok(Requester { entity, entity_key, switch, floor: self.entities.floor(&entity), now: now.unix })
     }
 
-    fn spend(&mut self, now: Now, speaker: &Speaker, serial: u64) -> Result<(), Refusal> {
-        self.entities.spend(now, speaker.entity, speaker.switch, serial, self.limits.unattached_per_switch)
+    fn spend(&mut self, now: Now, requester: &Requester, serial: u64) -> Result<(), Refusal> {
+        self.entities.spend(now, requester.entity, requester.switch, serial, self.limits.unattached_per_switch)
     }
 
     /// Each lane of an entity is attached to one switch. Attaching it again there only renews, if it resumes what was: a link
     /// that does not come back is told of by a detach. Attaching it elsewhere ends what was, unless another lane is there; the old
     /// switch is told, in case its link is still up: the entity must not believe that it is attached there. An entity that begins
     /// anew has no other lanes.
-    fn attach(&mut self, speaker: &Speaker, lane: u8, ends: Duration, resumes: bool) -> Result<(), Refusal> {
+    fn attach(&mut self, requester: &Requester, lane: u8, ends: Duration, resumes: bool) -> Result<(), Refusal> {
         let limit = self.limits.attached_per_switch;
-        let full = |s: &super::Switch| s.attached.len() >= limit && !s.attached.contains(&speaker.entity);
-        if self.switches.get(&speaker.switch).is_some_and(full) {
-            return Err(limit_reached(format!("switch {} has {limit} attached entities", speaker.switch)));
+        let full = |s: &super::Switch| s.attached.len() >= limit && !s.attached.contains(&requester.entity);
+        if self.switches.get(&requester.switch).is_some_and(full) {
+            return Err(limit_reached(format!("switch {} has {limit} attached entities", requester.switch)));
         }
-        let entity = speaker.entity;
+        let entity = requester.entity;
         let earlier: Vec<_> = self.entities.attachments(&entity).collect();
         for (of, old) in earlier {
-            if of == lane && old.switch == speaker.switch && resumes {
+            if of == lane && old.switch == requester.switch && resumes {
                 self.timers.remove(&(old.ends, Timer::Attachment { entity, lane }));
             } else if of == lane || !resumes {
                 self.end_attachment(&entity, of);
-                if old.switch != speaker.switch && !self.entities.is_attached_at(&entity, &old.switch) {
+                if old.switch != requester.switch && !self.entities.is_attached_at(&entity, &old.switch) {
                     self.detached.insert((old.switch, entity));
                 }
             }
         }
-        let Some(switch) = self.switches.get_mut(&speaker.switch) else { return Ok(()) };
-        self.entities.attach(entity, lane, Attachment { switch: speaker.switch, ends });
+        let Some(switch) = self.switches.get_mut(&requester.switch) else { return Ok(()) };
+        self.entities.attach(entity, lane, Attachment { switch: requester.switch, ends });
         switch.attached.insert(entity);
         self.timers.insert((ends, Timer::Attachment { entity, lane }));
         Ok(())
@@ -238,30 +239,37 @@ impl Rib {
                 switch.attached.remove(entity);
             }
             for (name, role) in self.names.bound_of(entity, &switch, self.entities.names(entity)) {
-                self.unregister(Stake { name, entity: *entity, role }, switch);
+                self.unregister(RegistrationKey { name, entity: *entity, role }, switch);
             }
-            self.tell_elsewhere(Stake::inbox(*entity), &switch);
+            self.tell_elsewhere(RegistrationKey::inbox(*entity), &switch);
         }
         self.entities.retire(entity);
     }
 
     /// An entity is no longer to be told of this through `switch`, but through another one, if it has stated it there.
-    fn tell_elsewhere(&mut self, stake: Stake, switch: &Name) {
-        let other = self.told_elsewhere(stake, switch);
-        self.telling.follow(&stake, switch, other);
+    fn tell_elsewhere(&mut self, registration_key: RegistrationKey, switch: &Name) {
+        let other = self.told_elsewhere(registration_key, switch);
+        self.peer_updates.follow(&registration_key, switch, other);
     }
 
     /// Another switch through which an entity may be told of this.
-    pub(super) fn told_elsewhere(&self, stake: Stake, switch: &Name) -> Option<Name> {
-        if stake.is_inbox() {
-            let attachments = self.entities.attachments(&stake.entity);
+    pub(super) fn told_elsewhere(&self, registration_key: RegistrationKey, switch: &Name) -> Option<Name> {
+        if registration_key.is_inbox() {
+            let attachments = self.entities.attachments(&registration_key.entity);
             return attachments.map(|(_, attachment)| attachment.switch).find(|other| other != switch);
         }
-        self.names.bound_at(&stake.name, &stake.entity, stake.role).find(|other| other != switch)
+        self.names
+            .bound_at(&registration_key.name, &registration_key.entity, registration_key.role)
+            .find(|other| other != switch)
     }
 
-    pub(super) fn register(&mut self, stake: Stake, proof: NameProof, new: Registration) -> Result<(), Refusal> {
-        let Stake { name: key, entity, role } = stake;
+    pub(super) fn register(
+        &mut self,
+        registration_key: RegistrationKey,
+        proof: NameProof,
+        new: Registration,
+    ) -> Result<(), Refusal> {
+        let RegistrationKey { name: key, entity, role } = registration_key;
         let name = Name::from_bytes(key);
         if name == entity {
             let reason =
@@ -273,13 +281,13 @@ impl Rib {
             return Err(limit_reached(format!("{entity} already has {} names", names.len())));
         }
         let (switch, everywhere, serial) = (new.switch, new.everywhere, new.serial);
-        self.store(stake, proof, new)?;
+        self.store(registration_key, proof, new)?;
         self.entities.add_name(&entity, key);
         if !everywhere {
             let mut others = self.names.switches_of(&key, &entity, role);
             others.retain(|other| *other != switch);
-            others.into_iter().for_each(|switch| self.unregister(stake, switch));
-            self.forget_abroad(stake, serial);
+            others.into_iter().for_each(|switch| self.unregister(registration_key, switch));
+            self.forget_abroad(registration_key, serial);
         }
         Ok(())
     }
@@ -287,16 +295,16 @@ impl Rib {
     /// Takes in a part in a name that is verified. Returns what its entity had stated there before.
     pub(super) fn store(
         &mut self,
-        stake: Stake,
+        registration_key: RegistrationKey,
         proof: NameProof,
         new: Registration,
     ) -> Result<Option<Registration>, Refusal> {
-        let Stake { name: key, entity, role } = stake;
+        let RegistrationKey { name: key, entity, role } = registration_key;
         let (name, switch, at) = (Name::from_bytes(key), new.switch, new.at());
         self.names.check_room(&name, &entity, &new, &self.limits)?;
         if new.bound {
-            let counterparts: Vec<Place> = self.counterparts(&key, &new).collect();
-            self.inboxes.check_room(Place { entity, at }, &counterparts, &self.limits)?;
+            let counterparts: Vec<InboxOwner> = self.counterparts(&key, &new).collect();
+            self.inboxes.check_room(InboxOwner { entity, at }, &counterparts, &self.limits)?;
         }
         let (ends, bound, kind) = (new.ends, new.bound, new.kind());
         let says_the_same = self.names.tell_the_same(&key, &entity, role, &new);
@@ -306,34 +314,34 @@ impl Rib {
         self.abroad.enter(&new, key);
         let old = self.names.insert(name, proof, new);
         if is_stored {
-            self.journal.mark(stake.at(switch));
+            self.journal.mark(registration_key.at(switch));
         }
         self.expect_end(key, ends);
-        let (mut places, mut told) = (vec![at], self.to_tell_of(stake, &switch));
+        let (mut places, mut told) = (vec![at], self.to_tell_of(registration_key, &switch));
         if let Some(old) = &old {
             self.abroad.leave(old, &key);
             places.push(old.at());
-            told.extend(self.who_knew(stake, old));
+            told.extend(self.who_knew(registration_key, old));
         }
         // First those that are its counterparts now: those that stay so lose nothing.
         let was = old.as_ref().filter(|old| old.bound);
         if bound && was.is_none_or(|old| old.kind() != kind) {
-            self.join(stake, &switch);
+            self.join(registration_key, &switch);
         }
         if let Some(was) = was.filter(|was| !bound || was.kind() != kind) {
-            self.part(stake, was);
+            self.part(registration_key, was);
         }
         if was.is_some() && !bound {
-            self.tell_elsewhere(stake, &switch);
+            self.tell_elsewhere(registration_key, &switch);
         }
         self.follow_up(key, &places);
         if is_new_name {
             self.reroute_inbox(&name);
         }
         if !says_the_same {
-            told.into_iter().for_each(|other| self.telling.record_changed(&self.names, other, entity));
+            told.into_iter().for_each(|other| self.peer_updates.record_changed(&self.names, other, entity));
         }
-        self.abroad.changed(RecordPlace { name, role, entity, switch });
+        self.abroad.changed(RecordKey { name, role, entity, switch });
         Ok(old)
     }
 
@@ -348,24 +356,24 @@ impl Rib {
     /// Ends what is over of the parts in a name.
     pub(super) fn end_due(&mut self, now: Now, name: Key) {
         let (over, next) = self.names.look(&name, now.clock);
-        over.into_iter().for_each(|(stake, switch)| self.end(now, stake, switch));
+        over.into_iter().for_each(|(registration_key, switch)| self.end(now, registration_key, switch));
         if let Some(next) = next {
             self.expect_end(name, next.max(now.clock + BETWEEN_ENDS));
         }
     }
 
-    pub(super) fn unregister(&mut self, stake: Stake, switch: Name) {
-        let Stake { name, entity, role } = stake;
+    pub(super) fn unregister(&mut self, registration_key: RegistrationKey, switch: Name) {
+        let RegistrationKey { name, entity, role } = registration_key;
         let Some(old) = self.names.remove(&name, &entity, role, &switch) else { return };
         // What was told from abroad is told again.
         if old.is_here() {
-            self.journal.mark(stake.at(switch));
+            self.journal.mark(registration_key.at(switch));
         }
         let says_the_same = self.names.tell_the_same(&name, &entity, role, &old);
         self.abroad.leave(&old, &name);
         if old.bound {
-            self.tell_elsewhere(stake, &switch);
-            self.part(stake, &old);
+            self.tell_elsewhere(registration_key, &switch);
+            self.part(registration_key, &old);
         }
         if self.names.get(&name, &entity, NameRole::Publisher).is_none() {
             self.boxes.forget(&name, &entity);
@@ -376,10 +384,10 @@ impl Rib {
         }
         self.follow_up(name, &[old.at()]);
         if !says_the_same {
-            let told = self.who_knew(stake, &old);
-            told.into_iter().for_each(|other| self.telling.record_changed(&self.names, other, entity));
+            let told = self.who_knew(registration_key, &old);
+            told.into_iter().for_each(|other| self.peer_updates.record_changed(&self.names, other, entity));
         }
-        self.abroad.changed(RecordPlace { name: Name::from_bytes(name), role, entity, switch });
+        self.abroad.changed(RecordKey { name: Name::from_bytes(name), role, entity, switch });
         if let Some(look) = self.names.sweep(&name) {
             self.timers.remove(&(look, Timer::Name(name)));
             self.reroute_inbox(&Name::from_bytes(name));
@@ -388,17 +396,17 @@ impl Rib {
     }
 
     /// Those that one with this part in a name exchanges messages with.
-    fn counterparts(&self, name: &Key, registration: &Registration) -> impl Iterator<Item = Place> {
+    fn counterparts(&self, name: &Key, registration: &Registration) -> impl Iterator<Item = InboxOwner> {
         let others = self.names.bound(name, registration.role.counterpart());
         let others = others.filter(|(_, other)| registration.meets(other));
-        others.map(|(entity, other)| Place { entity, at: other.at() })
+        others.map(|(entity, other)| InboxOwner { entity, at: other.at() })
     }
 
     /// Lets an entity and its counterparts send to each other's inbox, because of what it stated at `switch`.
-    fn join(&mut self, stake: Stake, switch: &Name) {
+    fn join(&mut self, registration_key: RegistrationKey, switch: &Name) {
         let mut affected = BTreeSet::new();
-        let new = self.names.get_at(&stake.name, &stake.entity, stake.role, switch);
-        for (inbox, sender) in new.map_or_else(Vec::new, |new| self.pairs(stake, new)) {
+        let new = self.names.get_at(&registration_key.name, &registration_key.entity, registration_key.role, switch);
+        for (inbox, sender) in new.map_or_else(Vec::new, |new| self.pairs(registration_key, new)) {
             let places = self.inboxes.allow(inbox, sender);
             affected.extend(places.into_iter().map(|at| (inbox.entity, at)));
         }
@@ -406,9 +414,9 @@ impl Rib {
     }
 
     /// The entity is no counterpart of these any more, as far as this statement goes.
-    fn part(&mut self, stake: Stake, old: &Registration) {
+    fn part(&mut self, registration_key: RegistrationKey, old: &Registration) {
         let mut affected = BTreeSet::new();
-        for (inbox, sender) in self.pairs(stake, old) {
+        for (inbox, sender) in self.pairs(registration_key, old) {
             let (places, ended) = self.inboxes.deny(inbox, sender);
             if ended {
                 self.boxes.forget(inbox.entity.as_bytes(), &sender.entity);
@@ -419,24 +427,25 @@ impl Rib {
     }
 
     /// The inboxes that concern an entity with this part in a name, each with who sends there for it.
-    fn pairs(&self, stake: Stake, registration: &Registration) -> Vec<(Place, Place)> {
-        let place = Place { entity: stake.entity, at: registration.at() };
-        let others = self.counterparts(&stake.name, registration).filter(|other| other.entity != place.entity);
+    fn pairs(&self, registration_key: RegistrationKey, registration: &Registration) -> Vec<(InboxOwner, InboxOwner)> {
+        let place = InboxOwner { entity: registration_key.entity, at: registration.at() };
+        let others =
+            self.counterparts(&registration_key.name, registration).filter(|other| other.entity != place.entity);
         others.flat_map(|other| [(place, other), (other, place)]).collect()
     }
 
     /// Those to be told of what an entity has stated at `switch`.
-    fn to_tell_of(&self, stake: Stake, switch: &Name) -> Vec<Stake> {
-        let stated = self.names.get_at(&stake.name, &stake.entity, stake.role, switch);
-        stated.map_or_else(Vec::new, |stated| self.who_knew(stake, stated))
+    fn to_tell_of(&self, registration_key: RegistrationKey, switch: &Name) -> Vec<RegistrationKey> {
+        let stated = self.names.get_at(&registration_key.name, &registration_key.entity, registration_key.role, switch);
+        stated.map_or_else(Vec::new, |stated| self.who_knew(registration_key, stated))
     }
 
     /// Those that were told of it. Those of other domains are for their own RIB to tell.
-    fn who_knew(&self, stake: Stake, stated: &Registration) -> Vec<Stake> {
-        let (name, role) = (stake.name, stake.role.counterpart());
+    fn who_knew(&self, registration_key: RegistrationKey, stated: &Registration) -> Vec<RegistrationKey> {
+        let (name, role) = (registration_key.name, registration_key.role.counterpart());
         let others = self.names.bound(&name, role).filter(|(_, other)| other.is_here());
         let others = others.filter(|(_, other)| stated.meets(other));
-        others.map(|(entity, _)| Stake { name, entity, role }).collect()
+        others.map(|(entity, _)| RegistrationKey { name, entity, role }).collect()
     }
 
     /// Brings the desired FIBs in line with what is registered for one name, after a change at these places.

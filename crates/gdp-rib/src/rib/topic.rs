@@ -5,10 +5,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp_core::name::NameProof;
-use gdp_proto::control::{NameRole, RecordPlace, Route};
+use gdp_proto::control::{NameRole, RecordKey, Route};
 use gdp_wire::Name;
 
-use super::ways::Map;
+use super::border_links::Map;
 use crate::rib::model::Key;
 use crate::rib::model::{At, Realm};
 use crate::rib::registration::{Kind, Registration, meets};
@@ -73,7 +73,7 @@ impl Topic {
     }
 
     /// Whether somebody takes the name, and nobody sends to it.
-    pub fn is_unserved(&self) -> bool {
+    pub fn has_no_writer(&self) -> bool {
         let has = |roles: [NameRole; 2]| roles.iter().any(|role| !self.part(*role).is_empty());
         has([NameRole::Subscriber, NameRole::Caller]) && !has([NameRole::Publisher, NameRole::Server])
     }
@@ -82,10 +82,10 @@ impl Topic {
         self.parts.iter().flatten().map(Box::as_ref)
     }
 
-    pub fn places(&self, name: Name) -> impl Iterator<Item = RecordPlace> {
+    pub fn places(&self, name: Name) -> impl Iterator<Item = RecordKey> {
         let of = move |role| self.part(role).iter().map(move |((entity, switch), _)| (role, entity, switch));
         let all = NameRole::ALL.into_iter().flat_map(of);
-        all.map(move |(role, entity, switch)| RecordPlace { name, role, entity, switch })
+        all.map(move |(role, entity, switch)| RecordKey { name, role, entity, switch })
     }
 
     /// Whether somebody publishes the name and somebody reads it. A service is not routed: its servers and callers send to each other's
@@ -147,8 +147,10 @@ impl Topic {
         let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
         let is_sender = |(_, registration): &(Name, &Registration)| spread.has_sender(|| registration.kind());
         let is_taker = |(_, registration): &(Name, &Registration)| spread.has_taker(|| registration.kind());
-        let sent_from = |realm: &Realm| senders.at(&At::Abroad(*realm)).any(|registration| is_sender(&registration));
-        let taken_in = |realm: &Realm| takers.at(&At::Abroad(*realm)).any(|registration| is_taker(&registration));
+        let sent_from =
+            |realm: &Realm| senders.at(&At::RemoteRegistrations(*realm)).any(|registration| is_sender(&registration));
+        let taken_in =
+            |realm: &Realm| takers.at(&At::RemoteRegistrations(*realm)).any(|registration| is_taker(&registration));
         let here = At::Here(*switch);
         let mut writers: BTreeSet<Name> = senders.at(&here).filter(is_sender).map(|(entity, _)| entity).collect();
         for realm in senders.realms().filter(sent_from) {
@@ -276,11 +278,11 @@ impl Registrations {
     fn realms(&self) -> impl Iterator<Item = Realm> {
         let abroad = self.reach_abroad();
         let places = abroad.then(|| self.places()).into_iter().flatten();
-        places.filter_map(|at| if let At::Abroad(realm) = at { Some(realm) } else { None })
+        places.filter_map(|at| if let At::RemoteRegistrations(realm) = at { Some(realm) } else { None })
     }
 
     fn reach_abroad(&self) -> bool {
-        self.by_place.last().is_some_and(|last| matches!(self.place(*last), At::Abroad(_)))
+        self.by_place.last().is_some_and(|last| matches!(self.place(*last), At::RemoteRegistrations(_)))
     }
 
     /// Each kind there is at a place, once.

@@ -8,10 +8,10 @@ use gdp_proto::control::{TierEntry, TierKey};
 use gdp_wire::Name;
 
 use super::Tiers;
-use super::judge::{Judge, Judged, Revoked};
-use super::queries::PATIENCE;
-use super::side::{HOLD, Kind, SILENCE, Standing};
-use super::table::{Held, Item};
+use super::queries::TIMEOUT;
+use super::side::{Kind, RESTART_TIME, SILENCE, SessionState};
+use super::table::{Item, TableRecord};
+use super::verification::{Judged, Revoked, Verification};
 use crate::rib::Now;
 
 impl Tiers {
@@ -25,7 +25,7 @@ impl Tiers {
                 side.told.tell_revoked(about, kept);
             }
         }
-        let judge = Judge { home: self.home, now, revoked };
+        let judge = Verification { home: self.home, now, revoked };
         let (mut gone, mut fewer) = (Vec::new(), Vec::new());
         let is_domain = revoked.kept(&about).is_none();
         for (domain, side) in &self.sides {
@@ -37,11 +37,11 @@ impl Tiers {
                     Err(refusal) => gone.push((*domain, TierKey::Locator(about), refusal)),
                 }
             }
-            let is_of_member = |held: &&Arc<Held>| {
+            let is_of_member = |held: &&Arc<TableRecord>| {
                 let member = held.record.credential.member();
                 member.is_some_and(|member| member.domain.name().is_ok_and(|domain| domain == about))
             };
-            let elsewhere = |held: &&Arc<Held>| held.place.name != about && held.path.first() != Some(&about);
+            let elsewhere = |held: &&Arc<TableRecord>| held.place.name != about && held.path.first() != Some(&about);
             // There is no index of those who read for a role in a domain that they are not in: domains take something back rarely.
             let all = is_domain.then(|| side.table.parts()).into_iter().flatten();
             let of_members = all.filter(elsewhere).filter(is_of_member);
@@ -77,7 +77,7 @@ impl Tiers {
             if side.kind == Kind::Child && now.clock >= side.heard + SILENCE {
                 side.lose(now.clock);
             }
-            if matches!(side.standing, Standing::Lost(since) if now.clock >= since + HOLD) {
+            if matches!(side.standing, SessionState::Lost(since) if now.clock >= since + RESTART_TIME) {
                 gone.push(*domain);
             }
         }
@@ -85,7 +85,7 @@ impl Tiers {
             self.clear(domain);
             match self.sides.get_mut(&domain) {
                 Some(side) if side.kind.is_parent() => {
-                    side.standing = Standing::Waiting;
+                    side.standing = SessionState::Waiting;
                     side.ancestors.clear();
                 }
                 _ => drop(self.sides.remove(&domain)),
@@ -94,7 +94,7 @@ impl Tiers {
         self.queries.expire(now.clock);
         for ticket in self.queries.overdue(now.clock) {
             if let Some(climbing) = self.queries.climbing.get_mut(&ticket) {
-                (climbing.at, climbing.until) = (None, now.clock + PATIENCE);
+                (climbing.at, climbing.until) = (None, now.clock + TIMEOUT);
             }
         }
     }
@@ -105,9 +105,9 @@ impl Tiers {
             let can_ask = self.adjacent.contains(domain) && !side.is_asked;
             let hello = (can_ask && side.kind.is_parent()).then_some(side.hello_at);
             let retry = side.told.feed.retry_at().filter(|_| can_ask && side.is_followed());
-            let silence = (side.kind == Kind::Child && side.standing == Standing::Up).then(|| side.heard + SILENCE);
+            let silence = (side.kind == Kind::Child && side.standing == SessionState::Up).then(|| side.heard + SILENCE);
             let hold = match side.standing {
-                Standing::Lost(since) => Some(since + HOLD),
+                SessionState::Lost(since) => Some(since + RESTART_TIME),
                 _ => None,
             };
             [hello, retry, silence, hold].into_iter().flatten()

@@ -8,10 +8,10 @@ use gdp_proto::control::{
 };
 use gdp_wire::Name;
 
-use super::judge::{Heard, Judge, Judged, Revoked, check_path};
 use super::queries::Climbing;
-use super::side::{Kind, Side, Standing};
-use super::table::{Held, Item};
+use super::side::{Kind, SessionState, Side};
+use super::table::{Item, TableRecord};
+use super::verification::{Announced, Judged, Revoked, Verification, check_path};
 use super::{Reply, Tiers};
 use crate::rib::Now;
 
@@ -51,7 +51,7 @@ impl Tiers {
         }
         let mut above: BTreeSet<Name> = BTreeSet::new();
         for (parent, side) in &self.sides {
-            if side.kind.is_parent() && matches!(side.standing, Standing::Up | Standing::Lost(_)) {
+            if side.kind.is_parent() && matches!(side.standing, SessionState::Up | SessionState::Lost(_)) {
                 above.insert(*parent);
                 above.extend(&side.ancestors);
             }
@@ -68,10 +68,10 @@ impl Tiers {
 
     fn push(&mut self, now: Now, from: Name, push: TierPush, revoked: &impl Revoked) -> Result<TierResponse, Refusal> {
         let Some(side) = self.sides.get_mut(&from) else {
-            self.strangers += 1;
+            self.unknown_domains += 1;
             return Err(not_a_neighbour(from));
         };
-        if let Standing::Refused { reason, .. } = &side.standing {
+        if let SessionState::Refused { reason, .. } = &side.standing {
             return Ok(TierResponse::Partly { refused: push.set.len() as u32, reason: reason.clone() });
         }
         if !side.table.begin(TierHolds { run: push.run, generation: push.generation }, push.extent) {
@@ -80,7 +80,7 @@ impl Tiers {
             return Err(Refusal::new(RefusalCode::ReplayedSerial, reason));
         }
         side.heard = now.clock;
-        let judge = Judge { home: self.home, now, revoked };
+        let judge = Verification { home: self.home, now, revoked };
         let (mut changed, mut refusals) = (BTreeSet::new(), Vec::new());
         // Of these it is told what was taken back.
         let mut unaware = BTreeSet::new();
@@ -94,9 +94,9 @@ impl Tiers {
             let entry = match entry {
                 TierEntry::Revocation { proof, revocation } => {
                     match judge.revocation(proof, revocation) {
-                        Ok(Heard::News(kept)) => self.heard_revoked.push(kept),
-                        Ok(Heard::Known) => {}
-                        Ok(Heard::Older(name)) => drop(unaware.insert(name)),
+                        Ok(Announced::News(kept)) => self.heard_revoked.push(kept),
+                        Ok(Announced::Known) => {}
+                        Ok(Announced::Older(name)) => drop(unaware.insert(name)),
                         Err(refusal) => {
                             side.count(refusal.as_str());
                             refusals.push(refusal);
@@ -148,7 +148,7 @@ impl Tiers {
     fn asked(&mut self, now: Now, from: Name, name: Name, path: Vec<Name>) -> Reply {
         let is_child = self.sides.get(&from).is_some_and(|side| side.kind == Kind::Child && !side.is_refused());
         if !is_child {
-            self.strangers += 1;
+            self.unknown_domains += 1;
             return Reply::Now(TierResponse::Refused(not_a_neighbour(from)));
         }
         if let Err(refusal) = check_path(self.home, from, &path) {
@@ -172,7 +172,7 @@ impl Tiers {
             return Reply::Now(TierResponse::Answer { entries, truncated });
         }
         let is_asked = |parent: &&Name| {
-            let is_up = self.sides.get(*parent).is_some_and(|side| side.standing == Standing::Up);
+            let is_up = self.sides.get(*parent).is_some_and(|side| side.standing == SessionState::Up);
             is_up && self.adjacent.contains(*parent) && !path.contains(*parent)
         };
         let left: Vec<Name> = self.parents.iter().rev().filter(is_asked).copied().collect();
@@ -211,7 +211,7 @@ impl Tiers {
 }
 
 /// Whether somebody in domain `asker` who knows the name may hear of a part in it: writers have a scope.
-pub(super) fn may_hear(held: &Held, asker: Name, home: Name) -> bool {
+pub(super) fn may_hear(held: &TableRecord, asker: Name, home: Name) -> bool {
     held.origin(home) != asker && (!held.place.role.is_writer() || held.scope.contains(&asker))
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use gdp_proto::control::NameRole;
 use gdp_wire::Name;
 
-use super::table::Held;
+use super::table::TableRecord;
 
 /// Those on one side who have a part in a name, by their domains: however many they are, a domain is looked at once.
 #[derive(Debug, Default)]
@@ -19,7 +19,7 @@ pub struct Interest {
 }
 
 impl Interest {
-    pub fn of<'a>(home: Name, parts: impl Iterator<Item = &'a Arc<Held>>) -> Self {
+    pub fn of<'a>(home: Name, parts: impl Iterator<Item = &'a Arc<TableRecord>>) -> Self {
         let mut interest = Self::default();
         for held in parts {
             let (role, origin) = (held.place.role, held.origin(home));
@@ -42,7 +42,7 @@ impl Interest {
     }
 
     /// Whether one of them exchanges messages with `other`: in another domain, and in the scope of whichever of the two writes.
-    pub fn wants(&self, other: &Held, home: Name) -> bool {
+    pub fn wants(&self, other: &TableRecord, home: Name) -> bool {
         let (origin, role) = (other.origin(home), other.place.role.counterpart());
         if role.is_writer() {
             let origins = self.writers.get(&(role, origin));

@@ -4,14 +4,13 @@
 //!
 //! A domain has parents, in order, and children; any depth. To each it tells what [`spread`] chooses, kept the same at both ends by a
 //! [`Feed`](crate::feed::Feed). Each record carries the domains it came through: a domain that finds itself there refuses it, as it
-//! refuses a parent that it is above of. Nothing is believed because of who says it: [`judge`] verifies all again.
+//! refuses a parent that it is above of. Nothing is believed because of who says it: [`verification`] verifies all again.
 //!
 //! What a neighbour that lies can do is to withhold, and to say what its own domain alone may say.
 
 mod endings;
 mod incoming;
 mod interest;
-mod judge;
 mod limits;
 mod outgoing;
 pub mod peering;
@@ -24,6 +23,7 @@ mod table;
 #[path = "../../tests/unit/tiers/mod.rs"]
 pub mod tests;
 mod ticket;
+mod verification;
 
 pub use crate::tiers::limits::Limits;
 pub use crate::tiers::ticket::Ticket;
@@ -34,20 +34,20 @@ use std::time::Duration;
 use gdp_core::cert::{CertError, Locator, Signed};
 use gdp_core::keys::KeyBox;
 use gdp_core::revocations::Kept;
-use gdp_proto::control::{Record, RecordPlace, TierHolds, TierKey, TierRequest, TierResponse};
+use gdp_proto::control::{Record, RecordKey, TierHolds, TierKey, TierRequest, TierResponse};
 use gdp_wire::Name;
 
 use crate::deadlines::Deadlines;
 use crate::feed::Room;
 use crate::rib::Now;
 use queries::Queries;
-use side::{Side, Told};
+use side::{SentUpdate, Side};
 use table::Table;
 
 pub use crate::tiers::refusal::TierRefusal;
-pub use judge::Revoked;
-pub use side::{HOLD, Kind, OfEntity, SILENCE, Standing};
-pub use table::{Held, Hosted, Item};
+pub use side::{Kind, OfEntity, RESTART_TIME, SILENCE, SessionState};
+pub use table::{Hosted, Item, TableRecord};
+pub use verification::Revoked;
 
 /// What is to be sent.
 #[derive(Debug)]
@@ -88,7 +88,7 @@ pub enum Change {
 pub struct Neighbour {
     pub domain: Name,
     pub kind: Kind,
-    pub standing: Standing,
+    pub standing: SessionState,
     /// Entries that it says, and that it is told.
     pub entries_in: usize,
     pub entries_out: usize,
@@ -112,7 +112,7 @@ pub struct Tiers {
     sides: BTreeMap<Name, Side>,
     /// What the own RIB says, and what it may know.
     own: Table,
-    known: Told,
+    known: SentUpdate,
     changed_names: BTreeSet<Name>,
     changed_writers: BTreeSet<Name>,
     changed_locators: BTreeSet<Name>,
@@ -123,7 +123,7 @@ pub struct Tiers {
     /// What owners have taken back, as neighbours have said since somebody last asked.
     heard_revoked: Vec<Kept>,
     /// Messages of domains that are neither parent nor child.
-    strangers: u64,
+    unknown_domains: u64,
 }
 
 /// What the own domain says of itself.
@@ -139,7 +139,7 @@ impl Tiers {
             adjacent: BTreeSet::new(),
             sides: BTreeMap::new(),
             own: Table::default(),
-            known: Told::default(),
+            known: SentUpdate::default(),
             changed_names: BTreeSet::new(),
             changed_writers: BTreeSet::new(),
             changed_locators: BTreeSet::new(),
@@ -147,7 +147,7 @@ impl Tiers {
             queries: Queries::default(),
             answers: Vec::new(),
             heard_revoked: Vec::new(),
-            strangers: 0,
+            unknown_domains: 0,
         }
     }
 
@@ -196,7 +196,7 @@ impl Tiers {
             return Ok(());
         }
         let ends = now.clock + Duration::from_secs(record.expires_in);
-        let held = Held { place, record, host, path: Vec::new(), scope, ends };
+        let held = TableRecord { place, record, host, path: Vec::new(), scope, ends };
         let key = TierKey::Part(place);
         if self.own.insert(key, Item::part(Arc::new(held))) {
             self.changed(key);
@@ -204,7 +204,7 @@ impl Tiers {
         Ok(())
     }
 
-    pub fn remove_own(&mut self, place: RecordPlace) {
+    pub fn remove_own(&mut self, place: RecordKey) {
         let key = TierKey::Part(place);
         if self.own.remove(&key).is_some() {
             self.changed(key);
@@ -259,7 +259,7 @@ impl Tiers {
     }
 
     /// The part at a place that the own RIB may know, and whether it only passes through this domain.
-    pub fn known_at(&self, place: &RecordPlace) -> Option<(Arc<Held>, bool)> {
+    pub fn known_at(&self, place: &RecordKey) -> Option<(Arc<TableRecord>, bool)> {
         match self.known.feed.entries().get(&TierKey::Part(*place)) {
             Some(Item::Part { held, only_passes }) => Some((held.clone(), *only_passes)),
             _ => None,
@@ -296,8 +296,8 @@ impl Tiers {
     }
 
     /// Messages of domains that are neither parent nor child.
-    pub fn strangers(&self) -> u64 {
-        self.strangers
+    pub fn unknown_domains(&self) -> u64 {
+        self.unknown_domains
     }
 }
 

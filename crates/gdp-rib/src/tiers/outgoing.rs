@@ -6,10 +6,10 @@ use gdp_proto::control::{MAX_ANCESTORS, TierEntry, TierHolds, TierPush, TierRequ
 use gdp_wire::Name;
 
 use super::incoming::may_hear;
-use super::judge::{Judge, Judged, Revoked};
-use super::queries::{Climbing, PATIENCE};
-use super::side::{HELLO, HELLO_AGAIN, HOLD, Standing};
+use super::queries::{Climbing, TIMEOUT};
+use super::side::{HELLO, HELLO_AGAIN, RESTART_TIME, SessionState};
 use super::table::{Item, Table};
+use super::verification::{Judged, Revoked, Verification};
 use super::{Effect, Sent, Tiers};
 use crate::feed::Room;
 use crate::rib::Now;
@@ -64,7 +64,7 @@ impl Tiers {
             self.answers.push((ticket, TierResponse::Answer { entries: Vec::new(), truncated: false }));
             return None;
         };
-        (climbing.at, climbing.until) = (Some(to), now.clock + PATIENCE);
+        (climbing.at, climbing.until) = (Some(to), now.clock + TIMEOUT);
         let request = TierRequest::Query { name: climbing.name, path: climbing.path.clone() };
         Some(Effect::Ask { to, sent: Sent::Query(ticket), request })
     }
@@ -116,19 +116,19 @@ impl Tiers {
         side.ancestors = ancestors.into_iter().take(MAX_ANCESTORS).collect();
         let is_below = side.ancestors.contains(&self.home);
         match &side.standing {
-            Standing::Refused { until, .. } if !is_below && *until <= now.clock => side.standing = Standing::Up,
-            Standing::Refused { .. } => return,
+            SessionState::Refused { until, .. } if !is_below && *until <= now.clock => side.standing = SessionState::Up,
+            SessionState::Refused { .. } => return,
             _ if is_below => {
                 side.cycles += 1;
                 side.count("cycle");
                 // All domains of the cycle may find it at once; not all are to try again at once.
-                let until = now.clock + HOLD + spread_out(self.home, side.cycles);
+                let until = now.clock + RESTART_TIME + spread_out(self.home, side.cycles);
                 let reason = format!(
                     "a cycle: domain {:#} is above domain {parent:#}, which can be no parent of it: take `parent: true` away \
                      from one of them",
                     self.home
                 );
-                side.standing = Standing::Refused { until, reason };
+                side.standing = SessionState::Refused { until, reason };
                 self.clear(parent);
             }
             _ => return,
@@ -151,7 +151,7 @@ impl Tiers {
         let Some(TierResponse::Answer { entries, truncated }) = response else { return };
         let asker = climbing.path.first().copied().unwrap_or(self.home);
         let (name, home) = (climbing.name, self.home);
-        let judge = Judge { home, now, revoked };
+        let judge = Verification { home, now, revoked };
         let (mut told, nothing) = (Vec::new(), Table::default());
         for entry in entries {
             match judge.entry(from, &nothing, entry) {

@@ -9,7 +9,7 @@ use gdp_wire::Name;
 use crate::tiers::ticket::Ticket;
 
 /// How long one parent is waited for.
-pub const PATIENCE: Duration = Duration::from_secs(2);
+pub const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// How long it is remembered that nobody knows a name.
 pub const MISSED: Duration = Duration::from_secs(10);

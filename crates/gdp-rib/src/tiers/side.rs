@@ -8,14 +8,14 @@ use std::time::Duration;
 use gdp_core::cert::Signed;
 use gdp_core::keys::KeyBox;
 use gdp_core::revocations::Kept;
-use gdp_proto::control::{RecordPlace, TierHolds, TierKey};
+use gdp_proto::control::{RecordKey, TierHolds, TierKey};
 use gdp_wire::Name;
 
-use super::table::{Held, Item, Table, count_out, first_box, first_place, is_box_of};
+use super::table::{Item, Table, TableRecord, count_out, first_box, first_place, is_box_of};
 use crate::feed::Feed;
 
 /// How long what a neighbour said stays after it was heard last: a restart or a short partition must not cost the names.
-pub const HOLD: Duration = Duration::from_secs(30);
+pub const RESTART_TIME: Duration = Duration::from_secs(30);
 
 /// After so long a child that says nothing counts as lost.
 pub const SILENCE: Duration = Duration::from_secs(15);
@@ -43,12 +43,12 @@ impl Kind {
 
 /// How this domain and a neighbour stand.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Standing {
+pub enum SessionState {
     /// Nothing has been heard of it.
     #[default]
     Waiting,
     Up,
-    /// Since this time. What it said is kept for [`HOLD`].
+    /// Since this time. What it said is kept for [`RESTART_TIME`].
     Lost(Duration),
     /// It would be above itself. Nothing is taken from it and nothing told to it before this time.
     Refused {
@@ -60,9 +60,9 @@ pub enum Standing {
 #[derive(Debug)]
 pub struct Side {
     pub kind: Kind,
-    pub standing: Standing,
+    pub standing: SessionState,
     pub table: Table,
-    pub told: Told,
+    pub told: SentUpdate,
     /// Of what is told: another number than that of any side before, whose generations the neighbour may still hold.
     pub run: u64,
     /// Of the neighbour's side that was heard last.
@@ -86,9 +86,9 @@ impl Side {
     pub fn new(now: Duration, kind: Kind, run: u64) -> Self {
         Self {
             kind,
-            standing: Standing::Waiting,
+            standing: SessionState::Waiting,
             table: Table::default(),
-            told: Told::default(),
+            told: SentUpdate::default(),
             run,
             heard_run: None,
             heard: now,
@@ -103,19 +103,19 @@ impl Side {
     }
 
     pub fn is_refused(&self) -> bool {
-        matches!(self.standing, Standing::Refused { .. })
+        matches!(self.standing, SessionState::Refused { .. })
     }
 
     /// Whether it is told what changes: one that is refused, that it is told nothing any more.
     pub fn is_followed(&self) -> bool {
-        matches!(self.standing, Standing::Up | Standing::Refused { .. })
+        matches!(self.standing, SessionState::Up | SessionState::Refused { .. })
     }
 
     /// It said hello, and which of this side's pushes it holds. What it lacks it is sent.
     pub fn hello(&mut self, now: Duration, run: u64, holds: Option<TierHolds>) {
         self.heard = now;
         if !self.is_refused() {
-            self.standing = Standing::Up;
+            self.standing = SessionState::Up;
         }
         let lacks = match self.told.feed.held() {
             Some(generation) => holds != Some(TierHolds { run: self.run, generation }),
@@ -132,8 +132,8 @@ impl Side {
 
     /// It does not answer, or is not reached.
     pub fn lose(&mut self, now: Duration) {
-        if self.standing == Standing::Up {
-            self.standing = Standing::Lost(now);
+        if self.standing == SessionState::Up {
+            self.standing = SessionState::Lost(now);
         }
     }
 
@@ -145,23 +145,23 @@ impl Side {
 /// What is told of one entity.
 pub struct OfEntity {
     /// Each with whether it only passes through this domain.
-    pub parts: Vec<(Arc<Held>, bool)>,
+    pub parts: Vec<(Arc<TableRecord>, bool)>,
     pub boxes: Vec<Signed<KeyBox>>,
 }
 
 /// What one side is to be told, and by which sides it was said: this RIB's own entities are such a side, too.
 #[derive(Debug, Default)]
-pub struct Told {
+pub struct SentUpdate {
     pub feed: Feed<TierKey, Item>,
     /// Of each entity the parts that are told, and who said them.
-    entities: BTreeMap<Name, BTreeMap<RecordPlace, Name>>,
+    entities: BTreeMap<Name, BTreeMap<RecordKey, Name>>,
     /// Of each domain how many of the parts stated there were said by whom.
     origins: BTreeMap<Name, BTreeMap<Name, usize>>,
     /// The names of which it is told what was taken back, in the order in which that came.
     revoked: VecDeque<Name>,
 }
 
-impl Told {
+impl SentUpdate {
     /// Makes these the parts in a name that are told. Returns the entities that had a part before, and the domains whose
     /// parts changed.
     pub fn replace_parts(&mut self, home: Name, name: Name, parts: Vec<Item>) -> (BTreeSet<Name>, BTreeSet<Name>) {

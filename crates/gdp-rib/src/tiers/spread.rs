@@ -5,12 +5,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use gdp_proto::control::{MAX_PATH, RecordPlace, TierKey};
+use gdp_proto::control::{MAX_PATH, RecordKey, TierKey};
 use gdp_wire::Name;
 
 use super::interest::Interest;
 use super::side::Kind;
-use super::table::{Held, Item};
+use super::table::{Item, TableRecord};
 use super::{Tiers, side::Side};
 
 impl Tiers {
@@ -27,7 +27,7 @@ impl Tiers {
 
     fn spread_name(&mut self, name: Name, writers: &mut BTreeSet<Name>, origins: &mut BTreeSet<Name>) {
         let home = self.home;
-        let mut ways: BTreeMap<RecordPlace, Vec<Arc<Held>>> = BTreeMap::new();
+        let mut ways: BTreeMap<RecordKey, Vec<Arc<TableRecord>>> = BTreeMap::new();
         let interests: BTreeMap<Name, Interest> = {
             let sides = self.sides.iter().filter(|(_, side)| !side.is_refused());
             let tables = sides.map(|(domain, side)| (*domain, &side.table)).chain([(home, &self.own)]);
@@ -48,9 +48,9 @@ impl Tiers {
         writers.extend(ways.keys().map(|place| place.entity));
 
         for (domain, side) in &mut self.sides {
-            let is_from_above = |held: &Held| self.parents.contains(&held.via(home));
+            let is_from_above = |held: &TableRecord| self.parents.contains(&held.via(home));
             let interest = interests.get(domain);
-            let is_fit = |held: &&Arc<Held>| {
+            let is_fit = |held: &&Arc<TableRecord>| {
                 held.path.len() < MAX_PATH
                     && !held.path.contains(domain)
                     && match side.kind {
@@ -68,11 +68,12 @@ impl Tiers {
             origins.extend(changed);
         }
 
-        let passes = |held: &&Arc<Held>| {
+        let passes = |held: &&Arc<TableRecord>| {
             let others = interests.iter().filter(|(domain, _)| **domain != home && !held.path.contains(domain));
             others.map(|(_, interest)| interest).any(|interest| interest.wants(held, home))
         };
-        let is_wanted = |held: &&Arc<Held>| interests.get(&home).is_some_and(|interest| interest.wants(held, home));
+        let is_wanted =
+            |held: &&Arc<TableRecord>| interests.get(&home).is_some_and(|interest| interest.wants(held, home));
         // What was stated here is known here. Otherwise one neighbour's word is not to hide another's: a way that is of no use does not
         // count, however short.
         let abroad = ways.values().filter(|ways| ways.iter().all(|held| !held.path.is_empty()));

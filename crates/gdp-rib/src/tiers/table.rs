@@ -8,7 +8,7 @@ use std::time::Duration;
 use gdp_core::cert::{Host, Locator, Signed};
 use gdp_core::keys::KeyBox;
 use gdp_core::revocations::Kept;
-use gdp_proto::control::{Abroad, Extent, NameRole, Record, RecordPlace, TierEntry, TierHolds, TierKey};
+use gdp_proto::control::{Extent, NameRole, Record, RecordKey, RemoteRecord, TierEntry, TierHolds, TierKey};
 use gdp_wire::Name;
 
 use crate::tiers::limits::Limits;
@@ -16,8 +16,8 @@ use crate::tiers::refusal::TierRefusal;
 
 /// A verified part in a name.
 #[derive(Clone, Debug)]
-pub struct Held {
-    pub place: RecordPlace,
+pub struct TableRecord {
+    pub place: RecordKey,
     pub record: Record,
     pub host: Arc<Hosted>,
     /// The domains it came through, the one that said it last; none for what was stated in this domain.
@@ -38,7 +38,7 @@ pub struct Hosted {
     pub not_after: u64,
 }
 
-impl Held {
+impl TableRecord {
     /// The domain it was stated in.
     pub fn origin(&self, home: Name) -> Name {
         self.path.first().copied().unwrap_or(home)
@@ -50,7 +50,7 @@ impl Held {
     }
 
     /// Whether this is what `abroad` says, path and remaining time aside: then it need not be verified again.
-    pub fn states_the_same(&self, abroad: &Abroad) -> bool {
+    pub fn states_the_same(&self, abroad: &RemoteRecord) -> bool {
         let (own, other) = (&self.record, &abroad.record);
         (own.proof, own.entity, own.switch) == (other.proof, other.entity, other.switch)
             && (&own.credential, &own.advert) == (&other.credential, &other.advert)
@@ -64,15 +64,15 @@ impl Held {
     }
 
     /// As it is told to a neighbour.
-    pub fn told(&self, now: Duration, home: Name) -> Abroad {
+    pub fn told(&self, now: Duration, home: Name) -> RemoteRecord {
         let record = Record { expires_in: self.ends.saturating_sub(now).as_secs(), ..self.record.clone() };
         let path = self.path.iter().copied().chain([home]).collect();
-        Abroad { record, host: self.host.host.clone(), path }
+        RemoteRecord { record, host: self.host.host.clone(), path }
     }
 }
 
 /// How long it lasts is no part of it: a renewal comes as another statement.
-impl PartialEq for Held {
+impl PartialEq for TableRecord {
     fn eq(&self, other: &Self) -> bool {
         let Record { name: _, proof, entity, switch: _, credential, advert, expires_in: _ } = &self.record;
         let that = &other.record;
@@ -87,7 +87,7 @@ impl PartialEq for Held {
 pub enum Item {
     /// `only_passes`: nobody of this domain may know it, but it takes part in routes through this domain.
     Part {
-        held: Arc<Held>,
+        held: Arc<TableRecord>,
         only_passes: bool,
     },
     Box(Arc<Signed<KeyBox>>),
@@ -100,7 +100,7 @@ pub enum Item {
 }
 
 impl Item {
-    pub fn part(held: Arc<Held>) -> Self {
+    pub fn part(held: Arc<TableRecord>) -> Self {
         Self::Part { held, only_passes: false }
     }
 
@@ -117,7 +117,7 @@ impl Item {
     pub fn size(&self) -> usize {
         match self {
             Self::Part { held, .. } => {
-                let Held { record, host, path, .. } = &**held;
+                let TableRecord { record, host, path, .. } = &**held;
                 PART_OVERHEAD
                     + record.credential.size()
                     + record.advert.as_bytes().len()
@@ -140,14 +140,14 @@ const REVOCATION_OVERHEAD: usize = 160;
 
 /// Where parts are, by something that many may have in common.
 #[derive(Debug, Default)]
-struct Places(BTreeMap<Name, BTreeSet<RecordPlace>>);
+struct RecordIndex(BTreeMap<Name, BTreeSet<RecordKey>>);
 
-impl Places {
-    fn insert(&mut self, of: Name, place: RecordPlace) {
+impl RecordIndex {
+    fn insert(&mut self, of: Name, place: RecordKey) {
         self.0.entry(of).or_default().insert(place);
     }
 
-    fn remove(&mut self, of: &Name, place: &RecordPlace) {
+    fn remove(&mut self, of: &Name, place: &RecordKey) {
         let Some(places) = self.0.get_mut(of) else { return };
         places.remove(place);
         if places.is_empty() {
@@ -155,7 +155,7 @@ impl Places {
         }
     }
 
-    fn of(&self, of: Name) -> impl Iterator<Item = &RecordPlace> {
+    fn of(&self, of: Name) -> impl Iterator<Item = &RecordKey> {
         self.0.get(&of).into_iter().flatten()
     }
 }
@@ -163,9 +163,9 @@ impl Places {
 #[derive(Debug, Default)]
 pub struct Table {
     items: BTreeMap<TierKey, Item>,
-    entities: Places,
+    entities: RecordIndex,
     /// By the domain they were stated in, if it is another one.
-    origins: Places,
+    origins: RecordIndex,
     /// The switches that parts are at, each as it was told last, and how many parts there are.
     hosts: BTreeMap<Name, (Arc<Hosted>, usize)>,
     /// How many parts there are in each name, of those that write and of the others.
@@ -228,7 +228,7 @@ impl Table {
             return Err(TierRefusal::Full { what, limit });
         }
         match key {
-            TierKey::Part(RecordPlace { name, role, .. })
+            TierKey::Part(RecordKey { name, role, .. })
                 if before.is_none()
                     && self
                         .names
@@ -283,18 +283,18 @@ impl Table {
     }
 
     /// The parts that rest on what the owner of a name, or a domain, has said.
-    pub fn parts_about(&self, about: Name) -> impl Iterator<Item = &Arc<Held>> {
+    pub fn parts_about(&self, about: Name) -> impl Iterator<Item = &Arc<TableRecord>> {
         let stated_there = self.origins.of(about).filter_map(|place| self.part_at(place));
         self.parts_of(about).chain(stated_there)
     }
 
     /// All parts, in the order of their places.
-    pub fn parts(&self) -> impl Iterator<Item = &Arc<Held>> {
+    pub fn parts(&self) -> impl Iterator<Item = &Arc<TableRecord>> {
         self.items.values().map_while(|item| if let Item::Part { held, .. } = item { Some(held) } else { None })
     }
 
     /// The parts in one name.
-    pub fn parts_of(&self, name: Name) -> impl Iterator<Item = &Arc<Held>> {
+    pub fn parts_of(&self, name: Name) -> impl Iterator<Item = &Arc<TableRecord>> {
         self.items.range(first_place(name)..).map_while(move |(key, item)| match (key, item) {
             (TierKey::Part(place), Item::Part { held, .. }) if place.name == name => Some(held),
             _ => None,
@@ -312,11 +312,11 @@ impl Table {
     }
 
     /// Some part that an entity has.
-    pub fn part_by(&self, entity: &Name) -> Option<&Arc<Held>> {
+    pub fn part_by(&self, entity: &Name) -> Option<&Arc<TableRecord>> {
         self.part_at(self.entities.of(*entity).next()?)
     }
 
-    fn part_at(&self, place: &RecordPlace) -> Option<&Arc<Held>> {
+    fn part_at(&self, place: &RecordKey) -> Option<&Arc<TableRecord>> {
         match self.items.get(&TierKey::Part(*place)) {
             Some(Item::Part { held, .. }) => Some(held),
             _ => None,
@@ -341,7 +341,7 @@ pub fn count_out<K: Ord>(counts: &mut BTreeMap<K, usize>, of: &K) {
 /// Where the parts in a name begin.
 pub fn first_place(name: Name) -> TierKey {
     let nobody = Name::default();
-    TierKey::Part(RecordPlace { name, role: NameRole::Publisher, entity: nobody, switch: nobody })
+    TierKey::Part(RecordKey { name, role: NameRole::Publisher, entity: nobody, switch: nobody })
 }
 
 /// Where the boxes of a writer begin.

@@ -13,9 +13,9 @@ use gdp_wire::table::EGRESS_SET_SIZE;
 const MAX_SWITCHES: usize = 4 * EGRESS_SET_SIZE as usize;
 
 #[derive(Default)]
-pub struct Database(BTreeMap<Name, Held>);
+pub struct Database(BTreeMap<Name, StoredState>);
 
-struct Held {
+struct StoredState {
     flooded: Flooded,
     claims: LinkState,
     expires: Duration,
@@ -55,7 +55,7 @@ impl Database {
         }
         let left = flooded.expires_in.min(claims.lifetime);
         let expires = now + Duration::from_secs(left.into());
-        self.0.insert(claims.switch, Held { flooded, claims, expires });
+        self.0.insert(claims.switch, StoredState { flooded, claims, expires });
         Taken::News { changed }
     }
 

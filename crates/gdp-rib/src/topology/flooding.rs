@@ -34,12 +34,12 @@ pub struct BatchId {
 
 #[derive(Default)]
 pub struct Flooding {
-    links: BTreeMap<u32, Desk>,
+    links: BTreeMap<u32, PendingAcks>,
     number: u64,
 }
 
 /// What one neighbour is to be told.
-struct Desk {
+struct PendingAcks {
     owed: BTreeSet<Name>,
     /// Told, and not answered.
     out: BTreeMap<BatchId, Vec<Name>>,
@@ -49,7 +49,7 @@ struct Desk {
 
 impl Flooding {
     pub fn up<'a>(&mut self, link: u32, all: impl Iterator<Item = &'a Name>) {
-        let desk = Desk { owed: all.copied().collect(), out: BTreeMap::new(), retry: None, wait: RETRY.0 };
+        let desk = PendingAcks { owed: all.copied().collect(), out: BTreeMap::new(), retry: None, wait: RETRY.0 };
         self.links.insert(link, desk);
     }
 
@@ -117,7 +117,7 @@ impl Flooding {
     }
 }
 
-impl Desk {
+impl PendingAcks {
     /// Takes out as many of those that are owed as fit a message. What is forgotten meanwhile is owed no more.
     fn page(&mut self, now: Duration, database: &Database) -> (Vec<Flooded>, Vec<Name>) {
         let (mut states, mut names, mut room) = (Vec::new(), Vec::new(), BATCH_SIZE);

@@ -26,7 +26,7 @@ const MAX_CONNECTIONS: usize = 128;
 const MAX_CALL: usize = 1 << 20;
 
 /// For the header of a request, which is also how long a connection may idle, and for its body.
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 /// Serves until it is dropped. `answer` must not wait for anything.
 pub async fn serve(listener: TcpListener, answer: impl Fn(SlaveCall) -> Value + Send + Sync + 'static) {
@@ -43,7 +43,7 @@ async fn connection(stream: TcpStream, answer: Arc<impl Fn(SlaveCall) -> Value>)
     let service = service_fn(|request| respond(request, &*answer));
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
-        .header_read_timeout(PATIENCE)
+        .header_read_timeout(TIMEOUT)
         .max_buf_size(64 << 10)
         .title_case_headers(true)
         .serve_connection(TokioIo::new(stream), service);
@@ -59,7 +59,7 @@ async fn respond(
     if request.method() != Method::POST {
         return Ok(status(StatusCode::METHOD_NOT_ALLOWED));
     }
-    let Ok(body) = timeout(PATIENCE, Limited::new(request.into_body(), MAX_CALL).collect()).await else {
+    let Ok(body) = timeout(TIMEOUT, Limited::new(request.into_body(), MAX_CALL).collect()).await else {
         return Ok(status(StatusCode::REQUEST_TIMEOUT));
     };
     let Ok(body) = body else { return Ok(status(StatusCode::PAYLOAD_TOO_LARGE)) };

@@ -33,7 +33,7 @@ pub struct ServiceInfo {
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {
     #[error("nobody serves {service}: is its node running?")]
-    Unserved { service: String },
+    NoServer { service: String },
     #[error(transparent)]
     Master(#[from] MasterError),
     #[error("{service} is said to be served at {uri:?}, which is not of the form rosrpc://HOST:PORT")]
@@ -94,7 +94,7 @@ impl ServiceClient {
     async fn connect(&self, fields: &[(&str, &str)]) -> Result<(Stream, String, Header), CallError> {
         let service = || self.service.clone();
         let uri = self.master.lookup_service(&self.service).await.map_err(|error| match error {
-            MasterError::Refused { .. } => CallError::Unserved { service: service() },
+            MasterError::Refused { .. } => CallError::NoServer { service: service() },
             error => error.into(),
         })?;
         let Some((host, port)) =

@@ -18,7 +18,7 @@ const MAX_CONNECTIONS: usize = 4096;
 const MAX_HANDSHAKES: usize = 256;
 
 /// Time to say so.
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Serves until it is dropped; then all connections end. `serve` takes a connection whose header has come.
 pub async fn listen<F>(listener: TcpListener, serve: impl Fn(Stream, Header) -> F + Send + Sync + 'static)
@@ -51,13 +51,13 @@ where
 
 async fn begin(socket: TcpStream) -> Result<(Stream, Header), TcprosError> {
     let mut stream = Stream::new(socket)?;
-    let header = timeout(PATIENCE, stream.read_header()).await.map_err(|_| TcprosError::Timeout(PATIENCE))??;
+    let header = timeout(TIMEOUT, stream.read_header()).await.map_err(|_| TcprosError::Timeout(TIMEOUT))??;
     Ok((stream, header))
 }
 
 /// Tells the peer why it is not served.
 pub async fn refuse(mut stream: Stream, reason: &str) -> Result<(), TcprosError> {
-    timeout(PATIENCE, stream.write_header(&Header::new([("error", reason)])))
+    timeout(TIMEOUT, stream.write_header(&Header::new([("error", reason)])))
         .await
-        .map_err(|_| TcprosError::Timeout(PATIENCE))?
+        .map_err(|_| TcprosError::Timeout(TIMEOUT))?
 }

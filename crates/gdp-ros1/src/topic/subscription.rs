@@ -44,7 +44,7 @@ pub struct Listed {
 }
 
 /// What keeps the connections of one subscription as the master lists them. Ends when `listed` does.
-pub struct Keeper {
+pub struct ConnectionSupervisor {
     pub common: Arc<Common>,
     pub sources: Sources,
     pub listed: watch::Receiver<Listed>,
@@ -61,7 +61,7 @@ struct Links {
     connected: mpsc::Sender<Arc<PublisherInfo>>,
 }
 
-impl Keeper {
+impl ConnectionSupervisor {
     pub async fn run(mut self) {
         let (connected, mut connections) = mpsc::channel(16);
         let mut links = Links { tasks: JoinSet::new(), by_id: HashMap::new(), by_uri: HashMap::new(), connected };

@@ -28,7 +28,7 @@ async fn services_of_rospy_are_called_without_knowing_their_type() {
     let node = master.node("/ns/bridge").await;
     let client = node.client("/light").unwrap();
     let unserved = client.probe(LIMIT).await;
-    assert!(matches!(&unserved, Err(CallError::Unserved { service }) if service == "/light"), "{unserved:?}");
+    assert!(matches!(&unserved, Err(CallError::NoServer { service }) if service == "/light"), "{unserved:?}");
     let (mut light, _) = master.peer("light", &["serve", "/light"]).await;
     let info = ServiceInfo { kind: set_bool().name, md5sum: MD5.to_owned(), caller_id: "/light".to_owned() };
     assert_eq!(client.probe(LIMIT).await.unwrap(), info);
@@ -73,7 +73,7 @@ async fn services_of_ours_are_called_by_rospy() {
     drop(server);
     registered(&node).await;
     let client = node.client("/light").unwrap();
-    assert!(matches!(client.probe(LIMIT).await, Err(CallError::Unserved { .. })));
+    assert!(matches!(client.probe(LIMIT).await, Err(CallError::NoServer { .. })));
 }
 
 #[tokio::test]

@@ -16,23 +16,23 @@ pub fn echo<'t, T: Tables>(header: &mut Header, ingress: &'t LinkEntry, tables: 
 /// A refusal, with a code only if the neighbour is to be told of it: not about frames for several egress switches, and not
 /// faster than the link's rate.
 #[inline(always)]
-pub fn as_told<T: Tables>(refusal: Refusal, header: &Header, ingress: &LinkEntry, tables: &T) -> Refusal {
+pub fn as_disclosed<T: Tables>(refusal: Refusal, header: &Header, ingress: &LinkEntry, tables: &T) -> Refusal {
     let bits = header.egress_bits();
     let is_multicast = ingress.role == LinkRole::Switch as u32 && bits & bits.wrapping_sub(1) != 0;
-    let told = refusal.code.is_some() && !is_multicast && tables.may_complain(ingress);
+    let told = refusal.code.is_some() && !is_multicast && tables.may_send_error(ingress);
     Refusal { code: if told { refusal.code } else { None }, ..refusal }
 }
 
 /// Drops a data frame, and tells the neighbour why if the refusal has a code.
 #[inline(always)]
-pub fn complain<'t, T: Tables>(
+pub fn send_error<'t, T: Tables>(
     header: &mut Header,
     refusal: Refusal,
     ingress: &'t LinkEntry,
     tables: &T,
 ) -> Verdict<'t> {
     let Some(code) = refusal.code else { return Verdict::Drop(refusal.counter) };
-    tables.complain(ingress);
+    tables.send_error(ingress);
     header.become_error(code, refusal.mtu);
     tables.stamp(header, ingress);
     Verdict::Answer(ingress, refusal.counter)

@@ -15,7 +15,7 @@ mod route;
 mod verdict;
 
 use crate::forward::frame_type::frame_type;
-use crate::forward::rewrite::{carry_mark, travel, wait};
+use crate::forward::rewrite::{carry_mark, rewrite_hop, wait};
 pub use crate::forward::verdict::{Kind, Verdict};
 pub use arrival::{accept, keyed};
 pub use copy::{Copy, copy};
@@ -40,7 +40,7 @@ pub fn classify(first_byte: u8) -> Kind {
 
 /// Decides what happens to a frame of which `available` bytes are there, header included, and rewrites its header
 /// accordingly. `traffic`: the byte that IP has for DSCP and ECN in what carried it, of which only a router's mark counts (CE,
-/// RFC 3168); 0 on Ethernet. What lies behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries
+/// RFC 3168); 0 on Ethernet. ActionKind lies behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries
 /// the verdict out leaves it behind. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or [`Verdict::Drop`], the header is unchanged.
 #[inline(always)]
 pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8, tables: &'t T) -> Verdict<'t> {
@@ -48,47 +48,47 @@ pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8,
         Ok(arrival) => arrival,
         Err(counter) => return Verdict::Drop(counter),
     };
-    let fate = fate(header, ingress, tables);
-    // What is left to another plane is left as it came. Its window is the same: taken here, it would be refused there.
-    if !T::LAST && !is_for_this_plane(&fate, header.frame_len(), tables) {
+    let classify_action = classify_action(header, ingress, tables);
+    // ActionKind is left to another plane is left as it came. Its window is the same: taken here, it would be refused there.
+    if !T::LAST && !is_for_this_plane(&classify_action, header.frame_len(), tables) {
         return Verdict::Slow;
     }
     if !replay::take(&window, count) {
         return Verdict::Drop(Counter::Replayed);
     }
-    match fate.what {
-        What::Send => {
+    match classify_action.what {
+        ActionKind::Send => {
             if !carry_mark(header, traffic) {
                 return Verdict::Drop(Counter::Congested);
             }
-            travel(header, ingress, fate.bits, fate.set);
-            wait(header, fate.link, tables);
-            tables.stamp(header, fate.link);
-            Verdict::Send(fate.link, fate.counter)
+            rewrite_hop(header, ingress, classify_action.bits, classify_action.set);
+            wait(header, classify_action.link, tables);
+            tables.stamp(header, classify_action.link);
+            Verdict::Send(classify_action.link, classify_action.counter)
         }
-        What::Copy => {
+        ActionKind::Copy => {
             if !carry_mark(header, traffic) {
                 return Verdict::Drop(Counter::Congested);
             }
-            travel(header, ingress, fate.bits, fate.set);
-            Verdict::Copies(fate.group)
+            rewrite_hop(header, ingress, classify_action.bits, classify_action.set);
+            Verdict::Copies(classify_action.group)
         }
-        What::Refuse => answer::complain(header, fate.refusal, ingress, tables),
-        What::Echo => answer::echo(header, ingress, tables),
-        What::Notice => Verdict::Notice(ingress),
-        What::Punt => {
+        ActionKind::Refuse => answer::send_error(header, classify_action.refusal, ingress, tables),
+        ActionKind::Echo => answer::echo(header, ingress, tables),
+        ActionKind::Notice => Verdict::Notice(ingress),
+        ActionKind::Punt => {
             tables.punt(ingress);
             Verdict::Notice(ingress)
         }
     }
 }
 
-/// What is to be done with a frame, before this plane knows whether it is the one to do it.
+/// ActionKind is to be done with a frame, before this plane knows whether it is the one to do it.
 ///
 /// Every field always holds something. Where an enum leaves one out, the compiler spills a register that nothing was written to
 /// when a plane's answer is a call, and the kernel's verifier refuses that.
-struct Fate<'t> {
-    what: What,
+struct Decision<'t> {
+    what: ActionKind,
     /// Where it leaves; the one it came by, if it leaves by none.
     link: &'t LinkEntry,
     group: u32,
@@ -99,7 +99,7 @@ struct Fate<'t> {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum What {
+enum ActionKind {
     Send,
     Copy,
     Refuse,
@@ -110,43 +110,53 @@ enum What {
 }
 
 #[inline(always)]
-fn fate<'t, T: Tables>(header: &Header, ingress: &'t LinkEntry, tables: &'t T) -> Fate<'t> {
+fn classify_action<'t, T: Tables>(header: &Header, ingress: &'t LinkEntry, tables: &'t T) -> Decision<'t> {
     let refusal = Refusal { counter: Counter::Unknown, code: None, mtu: 0 };
-    let none = Fate { what: What::Notice, link: ingress, group: 0, bits: 0, set: 0, counter: Counter::Notice, refusal };
+    let none = Decision {
+        what: ActionKind::Notice,
+        link: ingress,
+        group: 0,
+        bits: 0,
+        set: 0,
+        counter: Counter::Notice,
+        refusal,
+    };
     if header.version_type == FrameType::Data.first_byte() {
         match route(header, header.frame_len(), ingress, tables) {
-            Ok(Egress::One { link, bits, set, counter }) => Fate { what: What::Send, link, bits, set, counter, ..none },
-            Ok(Egress::Many { group, bits, set }) => Fate { what: What::Copy, group, bits, set, ..none },
+            Ok(Egress::One { link, bits, set, counter }) => {
+                Decision { what: ActionKind::Send, link, bits, set, counter, ..none }
+            }
+            Ok(Egress::Many { group, bits, set }) => Decision { what: ActionKind::Copy, group, bits, set, ..none },
             Err(refusal) => {
-                let refusal = answer::as_told(refusal, header, ingress, tables);
-                Fate { what: What::Refuse, refusal, ..none }
+                let refusal = answer::as_disclosed(refusal, header, ingress, tables);
+                Decision { what: ActionKind::Refuse, refusal, ..none }
             }
         }
     } else if header.version_type == FrameType::Probe.first_byte() {
         match probe::next(header, ingress, tables) {
             Ok(Some(link)) => {
                 let (bits, set, counter) = (header.egress_bits(), header.egress_set, Counter::Forwarded);
-                Fate { what: What::Send, link, bits, set, counter, ..none }
+                Decision { what: ActionKind::Send, link, bits, set, counter, ..none }
             }
-            Ok(None) => Fate { what: What::Punt, ..none },
-            Err(counter) => Fate { what: What::Refuse, refusal: counter.into(), ..none },
+            Ok(None) => Decision { what: ActionKind::Punt, ..none },
+            Err(counter) => Decision { what: ActionKind::Refuse, refusal: counter.into(), ..none },
         }
     } else if header.version_type == FrameType::Echo.first_byte() && header.egress_set == Header::ASKS {
-        Fate { what: What::Echo, ..none }
+        Decision { what: ActionKind::Echo, ..none }
     } else if header.version_type == FrameType::Error.first_byte() && ingress.role == LinkRole::Endpoint as u32 {
         // Nothing is sent to an endpoint that it could refuse.
-        Fate { what: What::Refuse, ..none }
+        Decision { what: ActionKind::Refuse, ..none }
     } else {
         none
     }
 }
 
 #[inline(always)]
-fn is_for_this_plane<T: Tables>(fate: &Fate<'_>, length: usize, tables: &T) -> bool {
-    match fate.what {
-        What::Send | What::Echo => tables.can_send(fate.link),
-        What::Copy => tables.can_copy(fate.group, fate.bits, length),
-        What::Refuse => fate.refusal.code.is_none() || tables.can_send(fate.link),
-        What::Notice | What::Punt => false,
+fn is_for_this_plane<T: Tables>(classify_action: &Decision<'_>, length: usize, tables: &T) -> bool {
+    match classify_action.what {
+        ActionKind::Send | ActionKind::Echo => tables.can_send(classify_action.link),
+        ActionKind::Copy => tables.can_copy(classify_action.group, classify_action.bits, length),
+        ActionKind::Refuse => classify_action.refusal.code.is_none() || tables.can_send(classify_action.link),
+        ActionKind::Notice | ActionKind::Punt => false,
     }
 }

@@ -1,4 +1,4 @@
-//! What changes in the header of a frame that a switch forwards.
+//! ActionKind changes in the header of a frame that a switch forwards.
 
 use crate::Header;
 use crate::LinkEntry;
@@ -28,9 +28,9 @@ pub fn wait<T: Tables>(header: &mut Header, link: &LinkEntry, tables: &T) {
     }
 }
 
-/// What changes in a frame on its way through a switch, whatever link it leaves by.
+/// ActionKind changes in a frame on its way through a switch, whatever link it leaves by.
 #[inline(always)]
-pub fn travel(header: &mut Header, ingress: &LinkEntry, bits: u64, set: u8) {
+pub fn rewrite_hop(header: &mut Header, ingress: &LinkEntry, bits: u64, set: u8) {
     header.hop_limit -= 1;
     header.egress_set = set;
     header.set_egress_bits(bits);

@@ -1,8 +1,8 @@
-//! What a data plane must do with a frame.
+//! ActionKind a data plane must do with a frame.
 
 use crate::{Counter, LinkEntry};
 
-/// What a data plane must do with a frame.
+/// ActionKind a data plane must do with a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict<'t> {
     /// Send it by this link; the header has been rewritten for it, but for what [`Tables::stamp`] has left for later.
@@ -20,7 +20,7 @@ pub enum Verdict<'t> {
     Drop(Counter),
 }
 
-/// What the first bytes of a frame say it is, before its header is read whole.
+/// ActionKind the first bytes of a frame say it is, before its header is read whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Has a [`Header`]: for [`decide`], or [`accept`].

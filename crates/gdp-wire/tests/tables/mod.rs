@@ -208,11 +208,11 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
         self.queues.contains(&link.id)
     }
 
-    fn may_complain(&self, _: &LinkEntry) -> bool {
+    fn may_send_error(&self, _: &LinkEntry) -> bool {
         true
     }
 
-    fn complain(&self, _: &LinkEntry) {}
+    fn send_error(&self, _: &LinkEntry) {}
 
     fn may_punt(&self, _: &LinkEntry) -> bool {
         !self.punted

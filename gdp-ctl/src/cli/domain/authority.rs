@@ -6,14 +6,14 @@ use anyhow::{Context as _, bail};
 use gdp_core::cert::Revocation;
 use gdp_core::identity::{Identity, SigningKey};
 
-use super::super::books::Books;
+use super::super::issuance_log::IssuanceLog;
 use super::super::revocation::next_serial;
 use super::ledger::Issue;
 
 /// A domain's key and ledger, for as long as a command issues something.
 pub struct Authority {
     pub identity: Identity,
-    pub books: Books,
+    pub books: IssuanceLog,
     pub issued: Vec<Issue>,
     pub revocation: Option<Revocation>,
     /// Of what is issued next.
@@ -25,7 +25,7 @@ impl Authority {
     pub fn open(key: &Path, card: Option<&Path>) -> anyhow::Result<Self> {
         let identity = Identity::new(SigningKey::load(key)?, "domain");
         let card = card.map_or_else(|| card_beside(key), Path::to_path_buf);
-        let books = Books::open(&card)?;
+        let books = IssuanceLog::open(&card)?;
         if books.card().name() != identity.name() {
             bail!(
                 "{} is the key of domain {}, and {} the card of {}",

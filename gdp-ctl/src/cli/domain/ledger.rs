@@ -7,7 +7,7 @@ use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::super::books;
+use super::super::issuance_log;
 
 /// One certificate of the domain.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -31,7 +31,7 @@ pub enum To {
     Peer { domain: Name, rights: PeerRights },
 }
 
-impl books::Entry for Issue {
+impl issuance_log::Entry for Issue {
     const SUFFIX: &'static str = ".members";
 
     fn serial(&self) -> u64 {

@@ -8,7 +8,7 @@ use gdp_core::cert::issue;
 use gdp_core::domain::Token;
 use gdp_wire::Name;
 
-use super::super::paper::Paper;
+use super::super::credential_file::CredentialFile;
 use super::super::revocation::{next, publish};
 use super::issue::KeyOptions;
 use super::ledger::To;
@@ -62,7 +62,7 @@ impl Options {
                 Ok(serial) => serial,
                 Err(_) if text == "-" => serial_of(&super::join::read_token("-")?, authority)?,
                 Err(_) => {
-                    let paper = Paper::load(Path::new(text))?;
+                    let paper = CredentialFile::load(Path::new(text))?;
                     paper.domain_serial(authority.identity.name()).with_context(|| text.clone())?
                 }
             });

@@ -7,7 +7,7 @@ use gdp_core::card::NameCard;
 use gdp_core::domain::Token;
 use serde_json::{Value, json};
 
-use super::super::books::Books;
+use super::super::issuance_log::IssuanceLog;
 use super::super::revocation::describe_revocation;
 use super::super::{cert, output};
 use super::join::read_token;
@@ -58,7 +58,7 @@ fn token(token: &Token, context: &Context) -> anyhow::Result<()> {
 }
 
 fn domain(card: &Path, context: &Context) -> anyhow::Result<()> {
-    let books = Books::open(card)?;
+    let books = IssuanceLog::open(card)?;
     let (issued, (_, revocation), now) = (books.ledger::<Issue>()?, books.revocation()?.unzip(), unix_seconds());
     let state = |issue: &Issue| issue.state(revocation.as_ref(), now);
     let name = books.card().name();

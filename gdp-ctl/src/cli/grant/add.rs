@@ -12,7 +12,7 @@ use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_wire::Name;
 use serde_json::json;
 
-use super::super::books::Books;
+use super::super::issuance_log::IssuanceLog;
 use super::super::output;
 use super::super::revocation::next_serial;
 use super::ledger::{Grant, Holder};
@@ -85,7 +85,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     if options.output.exists() {
         bail!("{}: a file of this name exists and is not overwritten", options.output.display());
     }
-    let books = Books::open(&options.card)?;
+    let books = IssuanceLog::open(&options.card)?;
     let issuer = Issuer::open(&options, &books)?;
     let (name, serial, Validity { not_before, not_after }) = (issuer.card.name(), issuer.serial, issuer.validity);
     let (publish, read) = (options.publish, options.read);
@@ -134,7 +134,7 @@ struct Issuer<'b> {
 }
 
 impl<'b> Issuer<'b> {
-    fn open(options: &Options, books: &'b Books) -> anyhow::Result<Self> {
+    fn open(options: &Options, books: &'b IssuanceLog) -> anyhow::Result<Self> {
         let (card, key) = (books.card(), SigningKey::load(&options.key)?);
         let (grants, revocation) = (books.ledger::<Grant>()?, books.revocation()?.map(|(_, revocation)| revocation));
         let mut serial = next_serial(&grants, revocation.as_ref())?;

@@ -8,7 +8,7 @@ use gdp_core::identity::VerifyKey;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
-use super::super::books;
+use super::super::issuance_log;
 
 /// One certificate that was issued from here.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -25,7 +25,7 @@ pub struct Grant {
     pub file: PathBuf,
 }
 
-impl books::Entry for Grant {
+impl issuance_log::Entry for Grant {
     const SUFFIX: &'static str = ".grants";
 
     fn serial(&self) -> u64 {

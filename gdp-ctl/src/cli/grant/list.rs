@@ -6,7 +6,7 @@ use clap::Args;
 use gdp_core::cert::{AdCert, Claims, Delegation, ReadGrant, Revocation};
 use serde_json::{Value, json};
 
-use super::super::books::Books;
+use super::super::issuance_log::IssuanceLog;
 use super::super::output;
 use super::super::revocation::describe_revocation;
 use super::ledger::{Grant, Holder};
@@ -20,7 +20,7 @@ pub struct Options {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let books = Books::open(&options.card)?;
+    let books = IssuanceLog::open(&options.card)?;
     let (grants, (_, revocation)) = (books.ledger::<Grant>()?, books.revocation()?.unzip());
     let now = unix_seconds();
     let state = |grant: &Grant| state(grant, revocation.as_ref(), now);

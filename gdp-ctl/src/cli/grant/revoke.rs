@@ -9,8 +9,8 @@ use gdp_core::cert::{Revocation, Signed, issue};
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_wire::Name;
 
-use super::super::books::Books;
-use super::super::paper::Paper;
+use super::super::credential_file::CredentialFile;
+use super::super::issuance_log::IssuanceLog;
 use super::super::revocation::{next, next_serial, publish};
 use super::ledger::{Grant, Holder};
 use crate::cli::context::Context;
@@ -39,7 +39,7 @@ pub struct Options {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let books = Books::open(&options.card)?;
+    let books = IssuanceLog::open(&options.card)?;
     let known = books.revocation()?;
     let anew =
         options.revokes().then(|| options.revoke(&books, known.as_ref().map(|(_, claims)| claims))).transpose()?;
@@ -66,7 +66,11 @@ impl Options {
         self.all || !self.serials.is_empty() || !self.entity.is_empty() || !self.delegate.is_empty()
     }
 
-    fn revoke(&self, books: &Books, known: Option<&Revocation>) -> anyhow::Result<(Signed<Revocation>, Revocation)> {
+    fn revoke(
+        &self,
+        books: &IssuanceLog,
+        known: Option<&Revocation>,
+    ) -> anyhow::Result<(Signed<Revocation>, Revocation)> {
         let card = books.card();
         let path = self.key.as_deref().context("only the owner revokes: add --key OWNER.pem")?;
         let key = SigningKey::load(path)?;
@@ -85,7 +89,7 @@ impl Options {
         for text in &self.serials {
             chosen.push(match text.parse() {
                 Ok(serial) => serial,
-                Err(_) => Paper::load(Path::new(text))?.serial(card).with_context(|| text.clone())?,
+                Err(_) => CredentialFile::load(Path::new(text))?.serial(card).with_context(|| text.clone())?,
             });
         }
         let entities = self.entity.iter().copied().map(Holder::Entity);

@@ -18,9 +18,9 @@ use super::super::node::{Definitions, NodeOptions, unless_interrupted};
 use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::fill::fill;
-use crate::ros::given::Given;
 use crate::ros::keyring::called;
 use crate::ros::python;
+use crate::ros::user_input::UserInput;
 use crate::ros::view::View;
 use gdp_util::unix_time::unix_seconds;
 use gdp_util::unix_time::unix_time;
@@ -50,7 +50,7 @@ pub struct Options {
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let (keyring, types) = (options.node.keyring()?, options.definitions.load()?);
     let card = keyring.find(&options.what, "service")?;
-    let (given, wanted) = (Given::parse(&options.values)?, TypeName::parse(&options.type_name)?);
+    let (given, wanted) = (UserInput::parse(&options.values)?, TypeName::parse(&options.type_name)?);
     let ask = async |fabric: &Fabric| {
         let grant = fabric.keyring.grant(&card, fabric.node.name(), unix_seconds())?;
         let client = fabric.node.client(card.proof(), grant).await?;

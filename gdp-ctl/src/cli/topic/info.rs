@@ -16,7 +16,7 @@ use crate::ros::{fabric::Fabric, fabric::Parties};
 use crate::ros::{feed::Feed, feed::Publisher};
 
 /// For what the writers say of their publishers.
-const PATIENCE: Duration = Duration::from_secs(3);
+const TIMEOUT: Duration = Duration::from_secs(3);
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -49,7 +49,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 
 async fn gather(fabric: &Fabric, card: &NameCard) -> anyhow::Result<Info> {
     let mut feed = listen(fabric, card, SubscribeOptions::best_effort()).await?;
-    let (parties, deadline) = (fabric.parties(card).await?, Instant::now() + PATIENCE);
+    let (parties, deadline) = (fabric.parties(card).await?, Instant::now() + TIMEOUT);
     let heard = |feed: &Feed| feed.publishers().keys().map(|(writer, _)| *writer).collect::<Vec<_>>();
     while parties.writers.iter().any(|writer| !heard(&feed).contains(writer)) {
         let step = tokio::time::timeout(deadline.saturating_duration_since(Instant::now()), feed.step()).await;

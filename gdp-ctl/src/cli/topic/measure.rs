@@ -57,7 +57,7 @@ impl Options {
 pub fn hz(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut intervals = Intervals::new(options.window(TIMES));
     measure(options, context, |figure| match figure {
-        Figure::Came(at, _) => {
+        Figure::Arrivals(at, _) => {
             intervals.came(at);
             Ok(())
         }
@@ -77,7 +77,7 @@ pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
         context.output.print(json!({}), || [format!("Subscribed to [{}]", options.what)])?;
     }
     measure(options, context, |figure| match figure {
-        Figure::Came(at, message) => {
+        Figure::Arrivals(at, message) => {
             match unpacked(message.encoding, message.body.clone()) {
                 Ok((_, body)) => sizes.came(at, body.len()),
                 Err(error) => note(format_args!("gdp-ctl: {error}")),
@@ -97,7 +97,7 @@ pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
 
 /// What happens, with the time in nanoseconds on a clock that is never set.
 enum Figure<'a> {
-    Came(u64, &'a Message),
+    Arrivals(u64, &'a Message),
     Show(u64),
 }
 
@@ -116,7 +116,7 @@ fn measure(
             tokio::select! {
                 received = subscription.recv() => match received {
                     Some(message) if message.encoding == ROSTER => {}
-                    Some(message) => take(Figure::Came(at(), &message))?,
+                    Some(message) => take(Figure::Arrivals(at(), &message))?,
                     None => return ended(fabric, &card),
                 },
                 _ = ticks.tick() => take(Figure::Show(at()))?,

@@ -16,9 +16,9 @@ use super::super::node::{Definitions, NodeOptions, parse_positive};
 use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::fill::fill;
-use crate::ros::given::Given;
 use crate::ros::keyring::called;
 use crate::ros::python;
+use crate::ros::user_input::UserInput;
 use crate::ros::view::View;
 use gdp_util::unix_time::unix_seconds;
 use gdp_util::unix_time::unix_time;
@@ -27,7 +27,7 @@ use gdp_util::unix_time::unix_time;
 const DISCOVERY: Duration = Duration::from_secs(1);
 
 /// How long readers may take for the last messages.
-const PATIENCE: Duration = Duration::from_secs(5);
+const TIMEOUT: Duration = Duration::from_secs(5);
 
 /// How often it is looked for readers, and whether a roster is due.
 const LOOK: Duration = Duration::from_millis(100);
@@ -137,7 +137,7 @@ struct Maker {
     kind: Kind,
     schema: std::sync::Arc<Schema>,
     root: Base,
-    given: Given,
+    given: UserInput,
     mapping: Mapping,
 }
 
@@ -156,7 +156,7 @@ impl Maker {
         let hash = gdp_msg::hash::type_hash(&schema);
         kind.hash = hex::decode(hash.trim_start_matches("RIHS01_")).unwrap_or_default();
         let mapping = Mapping::within(&schema, Encoding::Json, Encoding::Cdr)?;
-        let (root, given) = (Base::Named(schema.name().clone()), Given::parse(values)?);
+        let (root, given) = (Base::Named(schema.name().clone()), UserInput::parse(values)?);
         Ok(Self { kind, schema, root, given, mapping })
     }
 
@@ -243,9 +243,9 @@ impl Source {
 
     /// Waits until readers have everything, and says that this publisher leaves.
     async fn end(mut self) -> anyhow::Result<()> {
-        self.publisher.flush(PATIENCE).await.context("not everything has arrived")?;
+        self.publisher.flush(TIMEOUT).await.context("not everything has arrived")?;
         self.roster.left(&());
         self.announce()?;
-        Ok(self.publisher.close(PATIENCE).await?)
+        Ok(self.publisher.close(TIMEOUT).await?)
     }
 }

@@ -7,9 +7,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{MemberCert, Membership, PeerCert, Signed, issue};
-use gdp_core::domain::PaperFiles;
+use gdp_core::domain::CredentialFiles;
 use gdp_core::identity::Identity;
-use gdp_daemon::config::{Config, DomainConfig, Inside, Neighbour, Place as At, Via};
+use gdp_daemon::config::{Config, DomainConfig, Inside, Neighbour, NeighbourAddress as At, Via};
 use gdp_daemon::serve::{Running, start};
 use gdp_wire::Name;
 
@@ -100,7 +100,8 @@ impl Place {
     }
 
     pub fn settings_in_domain(&self) -> Settings {
-        let files = PaperFiles { card: self.file("domain.card"), membership: self.file("membership"), peers: vec![] };
+        let files =
+            CredentialFiles { card: self.file("domain.card"), membership: self.file("membership"), peers: vec![] };
         let domain = Some(DomainConfig { files, members_only: false, trace: Inside::Masked });
         Settings(Config { udp: Some(self.addr), rib: false, domain, ..config(self.folder.path(), "switch") })
     }

@@ -5,13 +5,13 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use gdp_core::identity::Identity;
-use gdp_daemon::config::{Config, Neighbour, Place, Via};
+use gdp_daemon::config::{Config, Neighbour, NeighbourAddress, Via};
 use gdp_wire::Name;
 
 use crate::ports::free_addr;
 
 /// How long anything may take on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// A switch with its RIB; its files lie in the folder under this label.
 pub fn config(folder: &Path, label: &str) -> Config {
@@ -20,7 +20,7 @@ pub fn config(folder: &Path, label: &str) -> Config {
 }
 
 pub async fn wait(what: &str, condition: impl AsyncFn() -> bool) {
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     while !condition().await {
         assert!(Instant::now() < deadline, "waited in vain for {what}");
         tokio::time::sleep(Duration::from_millis(20)).await;
@@ -41,7 +41,7 @@ impl<'a> Chain<'a> {
     }
 
     pub fn config(&self, i: usize) -> Config {
-        let place = |j: usize| Place { switch: self.names[j], via: Via::Udp(self.addrs[j]) };
+        let place = |j: usize| NeighbourAddress { switch: self.names[j], via: Via::Udp(self.addrs[j]) };
         let near = [i.checked_sub(1), (i < 2).then_some(i + 1)].into_iter().flatten();
         Config {
             udp: Some(self.addrs[i]),

@@ -24,7 +24,7 @@ use super::outbox::Outbox;
 use super::stand::Stands;
 use super::{LAST_WORDS, Route, Way};
 use crate::graph::Asked;
-use crate::standing::{RETRY, Right, RouteError, ended_because, ticks};
+use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
 use servers::{ask_for_events, withdraw};
 

@@ -18,7 +18,7 @@ use super::super::stand::Stands;
 use super::{Doing, Done, In, Remote, Route};
 use crate::config::What;
 use crate::graph::GraphError;
-use crate::standing::RouteError;
+use crate::route_status::RouteError;
 
 /// Servers elsewhere that are told apart; of more, the nearest.
 const MAX_SERVERS: usize = 64;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::*;
-use crate::config::{Manner, Reader, What};
+use crate::config::{Reader, RuleOptions, What};
 use crate::ros2::TopicName;
 
 const NOW: u64 = 1_800_000_000_000_000_000;
@@ -13,7 +13,8 @@ fn a_name_is_the_same_every_time_and_another_for_everything_else() {
     let (owner, other) = (SigningKey::generate().unwrap(), SigningKey::generate().unwrap());
     let name = |owner: &SigningKey, thing: Thing, topic: &str, kind: &str, meta: &str| {
         let meta = BTreeMap::from([("site".into(), meta.into())]);
-        let exposed = Exposed { name: TopicName::parse(topic).unwrap(), manner: Manner { meta, ..Manner::default() } };
+        let exposed =
+            Exposed { name: TopicName::parse(topic).unwrap(), manner: RuleOptions { meta, ..RuleOptions::default() } };
         let kind = TypeName::parse(kind).ok();
         Issuer::new(owner.clone(), entity()).card(thing, kind.as_ref(), &exposed).unwrap().name()
     };
@@ -35,7 +36,7 @@ fn a_name_is_the_same_every_time_and_another_for_everything_else() {
 fn papers_are_good_for_this_proxy_and_its_readers_and_grow_old() {
     let owner = SigningKey::generate().unwrap();
     let issuer = Issuer::new(owner.clone(), entity());
-    let exposed = Exposed { name: TopicName::parse("/a").unwrap(), manner: Manner::default() };
+    let exposed = Exposed { name: TopicName::parse("/a").unwrap(), manner: RuleOptions::default() };
     let card = issuer.card(Thing::Topic, TypeName::parse("a/msg/A").ok().as_ref(), &exposed).unwrap();
     assert_eq!((card.get("topic"), card.get("nonce").unwrap().len()), (Some("/a"), 32));
     let mut config: ExposeConfig = serde_saphyr::from_str("{owner: o, catalog: c, topics: [/a]}").unwrap();

@@ -4,13 +4,13 @@ use gdp_ros::roster::Dialect;
 use gdp_wire::Name;
 
 use super::*;
-use crate::config::{Conversion, Direction, Manner};
+use crate::config::{Conversion, Direction, RuleOptions};
 use crate::ros2::TopicName;
 
 #[test]
 fn what_goes_out_compressed_comes_in_as_it_was_whatever_is_said_there() {
     let (types, kind) = (Types::load([]).unwrap(), kind("std_msgs/msg/String"));
-    let config = config(Manner { compression: Some(Compression::Zstd), ..Manner::default() });
+    let config = config(RuleOptions { compression: Some(Compression::Zstd), ..RuleOptions::default() });
     let mut out = Outbound::new(&config, &types, &kind, None).unwrap();
     let mut into = Inbound::new(&types, (kind.clone(), kind), (None, None), None).unwrap();
     for length in [10, 10_000] {
@@ -35,7 +35,7 @@ fn frames_have_the_prefix_of_either_side() {
     let prefix = FramePrefix::try_from("r1/".to_owned()).unwrap();
     let cdr = Bytes::from_static(b"\0\x01\0\0\x01\0\0\0\x02\0\0\0\x05\0\0\0/map\0");
     let json = Some(Conversion::Json);
-    let manner = Manner { frame_prefix: Some(prefix.clone()), encoding: json, ..Manner::default() };
+    let manner = RuleOptions { frame_prefix: Some(prefix.clone()), encoding: json, ..RuleOptions::default() };
     let mut out = Outbound::new(&config(manner), &types, &header, None).unwrap();
     let body = out.convert(cdr.clone()).unwrap();
     assert_eq!(body, &br#"{"stamp":{"sec":1,"nanosec":2},"frame_id":"r1/map"}"#[..]);
@@ -52,7 +52,7 @@ fn frames_have_the_prefix_of_either_side() {
 fn frames_of_a_type_that_nobody_knows_are_not_guessed() {
     let (types, own) = (Types::load([]).unwrap(), kind("my_robot/msg/Unheard"));
     let prefix = FramePrefix::try_from("r1/".to_owned()).unwrap();
-    let config = config(Manner { frame_prefix: Some(prefix.clone()), ..Manner::default() });
+    let config = config(RuleOptions { frame_prefix: Some(prefix.clone()), ..RuleOptions::default() });
     let refusals = [
         Outbound::new(&config, &types, &own, None).err(),
         Inbound::new(&types, (own.clone(), own.clone()), (None, None), Some(prefix.clone())).err(),
@@ -73,7 +73,7 @@ fn kind(name: &str) -> Kind {
     Kind { dialect: Dialect::Ros2, name: name.into(), hash: vec![] }
 }
 
-fn config(manner: Manner) -> TopicConfig {
+fn config(manner: RuleOptions) -> TopicConfig {
     manner.topic(&TopicName::parse("/a").unwrap(), "here", None, Direction::Out)
 }
 

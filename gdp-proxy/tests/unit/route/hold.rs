@@ -5,7 +5,7 @@ use super::*;
 #[test]
 fn it_waits_for_the_first_subscriber_and_no_longer_than_it_may() {
     let now = Instant::now();
-    for (is_reliable, patience) in [(true, RELIABLE_PATIENCE), (false, PATIENCE)] {
+    for (is_reliable, patience) in [(true, RELIABLE_PATIENCE), (false, TIMEOUT)] {
         let mut hold = Hold::<u8>::new(now, is_reliable);
         assert!(!hold.is_over(now + patience - SETTLE / 2, || false) && hold.is_over(now + patience, || false));
     }
@@ -15,7 +15,7 @@ fn it_waits_for_the_first_subscriber_and_no_longer_than_it_may() {
     assert!(hold.is_over(now + 2 * SETTLE, || true));
     assert_eq!(hold.into_waiting().collect::<Vec<_>>(), ['a']);
     let mut late = Hold::<u8>::new(now, false);
-    assert!(!late.is_over(now + PATIENCE - SETTLE / 2, || true) && late.is_over(now + PATIENCE, || true));
+    assert!(!late.is_over(now + TIMEOUT - SETTLE / 2, || true) && late.is_over(now + TIMEOUT, || true));
 }
 
 #[test]

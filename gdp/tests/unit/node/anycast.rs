@@ -114,7 +114,7 @@ async fn who_may_call_one_service_does_not_call_another_of_the_same_server() {
     let publication = cloud.0.state.publications.lock().get(&robot.name()).cloned().unwrap();
     let forge = async |service: Name| {
         let draft = Draft { service: Some(service), ..Draft::new(Encoding::Bytes, b"open up") };
-        publisher::send_through(&publication, &cloud.0.state.outlet, &[draft], |_| {}).await.unwrap()
+        publisher::send_through(&publication, &cloud.0.state.send_path, &[draft], |_| {}).await.unwrap()
     };
     let refused = || robot.counters().drops.get("drop_request_refused").copied().unwrap_or_default();
     forge(unknown.name()).await;
@@ -229,5 +229,5 @@ async fn echo(server: &mut Server) {
 }
 
 async fn soon<T>(what: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, what).await.expect("in time")
+    tokio::time::timeout(TIMEOUT, what).await.expect("in time")
 }

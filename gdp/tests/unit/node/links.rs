@@ -20,7 +20,7 @@ async fn what_goes_by_two_links_is_not_missed_when_one_is_cut_and_comes_once() {
     let robot = fabric.node_by("proxy", [None, None]).await;
     let cloud = fabric.node("proxy").await;
     // For as long as it takes on a machine that is busy.
-    let (reliability, history) = (Reliability::BestEffort { lifetime: PATIENCE }, 1024);
+    let (reliability, history) = (Reliability::BestEffort { lifetime: TIMEOUT }, 1024);
     let best_effort = PublishOptions { reliability, history, ..PublishOptions::best_effort() };
     for options in [PublishOptions::reliable(), best_effort] {
         let (owner, reliable) = (Owner::new("/cmd_vel"), matches!(options.reliability, Reliability::Reliable { .. }));
@@ -207,7 +207,7 @@ async fn copies_that_wait_for_a_link_that_is_lost_are_counted() {
 async fn nothing_is_left_of_the_links_of_a_node_that_is_closed() {
     let fabric = Fabric::start().await;
     let robot = fabric.node_by("proxy", [None, None]).await;
-    let attachments = robot.0.state.outlet.lanes().iter().map(|lane| lane.status().attachment().cloned().unwrap());
+    let attachments = robot.0.state.send_path.lanes().iter().map(|lane| lane.status().attachment().cloned().unwrap());
     let sockets: Vec<_> = attachments.map(|attachment| Arc::downgrade(&attachment.data)).collect();
     robot.close().await;
     let links = robot.links();
@@ -219,23 +219,24 @@ async fn nothing_is_left_of_the_links_of_a_node_that_is_closed() {
 async fn frames_are_as_small_as_another_link_takes_only_if_they_may_go_by_it() {
     let fabric = Fabric::start().await;
     let robot = fabric.node_by("proxy", [None, None]).await;
-    let (outlet, owner) = (&robot.0.state.outlet, Owner::new("/scan"));
+    let (send_path, owner) = (&robot.0.state.send_path, Owner::new("/scan"));
     let mut publisher = Owner::new("/image").publish(&robot).await.unwrap();
     let small = usize::from(SMALLEST_PATH) - Header::LEN;
-    let frames_of_main = |outlet: &super::super::outlet::Outlet| outlet.attached_now().unwrap().max_payload();
-    eventually("the main link takes large frames", || frames_of_main(outlet) > small).await;
+    let frames_of_main =
+        |send_path: &super::super::send_path::SendPath| send_path.attached_now().unwrap().max_payload();
+    eventually("the main link takes large frames", || frames_of_main(send_path) > small).await;
     // It begins anew with small ones.
     fabric.end_link(&robot, 1);
     eventually("the other is back", || robot.counters().links == 3 && robot.links()[1].state == LinkState::Up).await;
     publisher.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
-    assert!(outlet.uplink.lock().max_payload() > small);
+    assert!(send_path.uplink.lock().max_payload() > small);
     let options = PublishOptions { duplicate: true, ..PublishOptions::reliable() };
     let mut doubled = owner.publish_as(&robot, options).await.unwrap();
     doubled.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
-    assert_eq!(outlet.uplink.lock().max_payload(), small);
+    assert_eq!(send_path.uplink.lock().max_payload(), small);
     drop(doubled);
     publisher.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
-    assert!(outlet.uplink.lock().max_payload() > small);
+    assert!(send_path.uplink.lock().max_payload() > small);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -274,7 +275,7 @@ async fn one_link_is_enough_to_begin_with_and_there_are_a_few_at_most() {
         ..NodeConfig::new(Identity::generate("proxy").unwrap(), fabric.target())
     };
     let missing: LinkConfig = "eth://gdpnone0".parse::<LinkTarget>().unwrap().into();
-    let node = Node::connect(config(vec![missing.clone(), fabric.target().into()], PATIENCE)).await.unwrap();
+    let node = Node::connect(config(vec![missing.clone(), fabric.target().into()], TIMEOUT)).await.unwrap();
     let owner = Owner::new("/chatter");
     let mut subscription = owner.subscribe(&fabric.node("proxy").await).await.unwrap();
     let mut publisher = owner.publish(&node).await.unwrap();

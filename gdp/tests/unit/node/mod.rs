@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use gdp_wire::Header;
 
-use self::fabric::{Fabric, Owner, PATIENCE, eventually};
+use self::fabric::{Fabric, Owner, TIMEOUT, eventually};
 use super::*;
 use gdp_core::crypto::Backend;
 use gdp_core::keys::EpochKey;
@@ -32,7 +32,7 @@ async fn messages_arrive_by_name() {
     let mut publisher = owner.publish(&robot).await.unwrap();
     for body in [vec![], b"hello".to_vec(), vec![7; 1_000], vec![8; 100_000], vec![9; 1_000_000]] {
         publisher.send(Encoding::Cdr, &body).await.unwrap();
-        let received = tokio::time::timeout(PATIENCE, subscription.recv()).await;
+        let received = tokio::time::timeout(TIMEOUT, subscription.recv()).await;
         let message = received.unwrap_or_else(|_| panic!("{:?} {:?}", robot.counters(), cloud.counters())).unwrap();
         assert_eq!((&message.body[..], message.encoding, message.writer), (&body[..], Encoding::Cdr, robot.name()));
     }
@@ -63,7 +63,7 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
     writer.set_epoch(1, &EpochKey::generate().unwrap()).unwrap();
     writer.seal(unix_nanos(), Encoding::Bytes, b"forged", 1000, &mut segments).unwrap();
     let attachment = rogue.0.state.attached_now().unwrap();
-    rogue.0.state.outlet.send_one_on(&attachment, card.name(), segments.iter().next().unwrap());
+    rogue.0.state.send_path.send_one_on(&attachment, card.name(), segments.iter().next().unwrap());
     fabric.tell(card.name()).await;
     eventually("the forger's frame is dropped", || cloud.counters().drops.contains_key("seal_unknown_writer")).await;
 
@@ -317,9 +317,9 @@ async fn what_is_best_effort_waits_for_no_turn_while_there_is_no_link() {
         assert!(waits.is_err(), "another waits still");
         tokio::join!(publisher.ready(), fabric.stop()).0
     };
-    let error = tokio::time::timeout(PATIENCE, stopping).await.expect("it does not wait").unwrap_err();
+    let error = tokio::time::timeout(TIMEOUT, stopping).await.expect("it does not wait").unwrap_err();
     assert!(matches!(error, NodeError::Detached(_)), "{error}");
-    let flushed = tokio::time::timeout(PATIENCE, publisher.flush(Duration::from_secs(3600))).await;
+    let flushed = tokio::time::timeout(TIMEOUT, publisher.flush(Duration::from_secs(3600))).await;
     let error = flushed.expect("nor for that").unwrap_err();
     assert!(matches!(error, NodeError::Detached(_)), "{error}");
 }
@@ -351,7 +351,7 @@ async fn recorded_messages_of_yesterday_are_not_read_by_a_restarted_reader() {
     assert_eq!(&recv(&mut subscription).await.body[..], b"stop");
     let attachment = robot.0.state.attached_now().unwrap();
     let tape = recorded.lock().clone();
-    tape.iter().for_each(|payload| robot.0.state.outlet.send_one_on(&attachment, name, payload));
+    tape.iter().for_each(|payload| robot.0.state.send_path.send_one_on(&attachment, name, payload));
     eventually("all are refused", || {
         let drops = cloud.counters().drops;
         ["seal_stale", "seal_duplicate"].into_iter().filter_map(|reason| drops.get(reason)).sum::<u64>() >= 2
@@ -544,7 +544,7 @@ async fn large_frames_that_vanish_are_noticed_without_any_word_of_the_reader() {
     let swallows = Swallows::begin(&fabric, &mut publisher, &mut subscription).await;
     // A multiple of what frames carry: none of them is small.
     let body = vec![7; 200_000];
-    let deadline = tokio::time::Instant::now() + PATIENCE;
+    let deadline = tokio::time::Instant::now() + TIMEOUT;
     loop {
         assert!(tokio::time::Instant::now() < deadline, "{:?} {:?}", publisher.counters(), robot.counters());
         publisher.send(Encoding::Bytes, &body).await.unwrap();
@@ -607,7 +607,7 @@ async fn calls_are_answered_and_no_caller_reads_anothers() {
         }
         readers.push((name, writer.name(), reader));
     }
-    let now = gdp_e2e::seal::Moment { steady_ns: 0, unix_ns: unix_nanos() };
+    let now = gdp_e2e::seal::Timestamps { steady_ns: 0, unix_ns: unix_nanos() };
     let tape = taped.lock().clone();
     for (name, writer, reader) in &mut readers {
         let mut received = gdp_e2e::seal::Received::default();
@@ -679,5 +679,5 @@ fn only_late(drops: &std::collections::BTreeMap<&'static str, u64>) -> bool {
 }
 
 async fn recv(subscription: &mut Subscription) -> gdp_e2e::seal::Message {
-    tokio::time::timeout(PATIENCE, subscription.recv()).await.expect("a message in time").unwrap()
+    tokio::time::timeout(TIMEOUT, subscription.recv()).await.expect("a message in time").unwrap()
 }

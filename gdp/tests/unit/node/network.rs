@@ -23,11 +23,11 @@ async fn an_address_on_this_machine_is_reached_and_nothing_changes_by_itself() {
     let network = Network::open().unwrap();
     let to = LinkAddr::udp("127.0.0.1:9".parse().unwrap());
     let way = network.way(to, None).await;
-    let is_local = matches!(&way, Way::By(exit) if exit.source == Some("127.0.0.1".parse().unwrap()));
+    let is_local = matches!(&way, NetworkPath::By(exit) if exit.source == Some("127.0.0.1".parse().unwrap()));
     assert!(is_local, "{way:?}");
     assert_eq!(network.way(to, None).await, way);
-    assert_eq!(network.until_other(to, None, &Way::Nowhere).await, way, "at once, as it is another");
-    assert_eq!(network.way(to, Some(u32::MAX >> 1)).await, Way::Nowhere, "by an interface that is not there");
+    assert_eq!(network.until_other(to, None, &NetworkPath::Nowhere).await, way, "at once, as it is another");
+    assert_eq!(network.way(to, Some(u32::MAX >> 1)).await, NetworkPath::Nowhere, "by an interface that is not there");
 }
 
 #[tokio::test]
@@ -52,26 +52,26 @@ async fn a_kernel_that_does_not_say_is_not_taken_to_say_no() {
 #[tokio::test]
 async fn what_is_not_known_is_no_other_way() {
     let (told, changes) = watch::channel(());
-    let found = Mutex::new(vec![by(2), Way::Unknown, by(1), Way::Unknown]);
+    let found = Mutex::new(vec![by(2), NetworkPath::Unknown, by(1), NetworkPath::Unknown]);
     let look = || {
         told.send_replace(());
         std::future::ready(found.lock().pop().expect("not asked again"))
     };
-    let way = timeout(LONG, until_other(changes.clone(), Way::Unknown, look)).await;
+    let way = timeout(LONG, until_other(changes.clone(), NetworkPath::Unknown, look)).await;
     assert_eq!((way, found.lock().len()), (Ok(by(2)), 0), "the one that was found first is the one that was");
 }
 
 #[tokio::test]
 async fn only_news_of_another_way_to_the_switch_matter() {
     let (told, changes) = watch::channel(());
-    let found = Mutex::new(vec![by(1), Way::Nowhere, by(1), by(1), by(1)]);
+    let found = Mutex::new(vec![by(1), NetworkPath::Nowhere, by(1), by(1), by(1)]);
     let look = || {
         told.send_replace(());
         std::future::ready(found.lock().pop().expect("not asked again"))
     };
     timeout(LONG, until_led(changes.clone(), by(1), look)).await.expect("it was gone, and is back");
     assert_eq!(found.lock().len(), 0);
-    let gone = async || until_led(changes.clone(), by(1), || std::future::ready(Way::Nowhere)).await;
+    let gone = async || until_led(changes.clone(), by(1), || std::future::ready(NetworkPath::Nowhere)).await;
     assert!(timeout(20 * BETWEEN, gone()).await.is_err(), "that there is no way any more is nothing to go by");
 }
 
@@ -91,6 +91,6 @@ async fn a_stream_of_news_is_no_stream_of_questions() {
 
 const LONG: Duration = Duration::from_secs(60);
 
-fn by(interface: u32) -> Way {
-    Way::By(Exit { interface, carrier: 0, source: None, router: None })
+fn by(interface: u32) -> NetworkPath {
+    NetworkPath::By(Exit { interface, carrier: 0, source: None, router: None })
 }

@@ -8,7 +8,7 @@ const LONG: Duration = Duration::from_secs(600);
 
 #[tokio::test]
 async fn news_cut_a_pause_short_but_not_without_end() {
-    let (mut hurry, start) = (Hurry::default(), Instant::now());
+    let (mut hurry, start) = (ExpediteToken::default(), Instant::now());
     for attempts in 0..3 * AT_ONCE {
         let first = Backoff::new(HURRIED, LONG);
         let mut backoff = first;
@@ -23,7 +23,7 @@ async fn news_cut_a_pause_short_but_not_without_end() {
 
 #[tokio::test]
 async fn news_that_may_be_of_no_use_leave_pauses_long_and_come_apart() {
-    let (mut hurry, mut backoff, start) = (Hurry::default(), Backoff::new(LONG, LONG), Instant::now());
+    let (mut hurry, mut backoff, start) = (ExpediteToken::default(), Backoff::new(LONG, LONG), Instant::now());
     for _ in 0..=AT_ONCE {
         hurry.pause(&mut backoff, ready(()), true).await;
     }
@@ -32,7 +32,7 @@ async fn news_that_may_be_of_no_use_leave_pauses_long_and_come_apart() {
 
 #[tokio::test]
 async fn without_news_pauses_grow() {
-    let (mut hurry, mut backoff) = (Hurry::default(), Backoff::new(Duration::from_millis(2), LONG));
+    let (mut hurry, mut backoff) = (ExpediteToken::default(), Backoff::new(Duration::from_millis(2), LONG));
     hurry.pause(&mut backoff, pending(), false).await;
     assert!(backoff.next_delay() == Duration::from_millis(4) && hurry.0.is_empty());
 }

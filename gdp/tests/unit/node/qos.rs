@@ -73,7 +73,7 @@ async fn a_reliable_publisher_that_is_closed_leaves_nobody_without_its_last_mess
     for i in 0..100u32 {
         publisher.send(Encoding::Bytes, &i.to_be_bytes().repeat(500)).await.unwrap();
     }
-    publisher.close(PATIENCE).await.unwrap();
+    publisher.close(TIMEOUT).await.unwrap();
     robot.close().await;
     for i in 0..100u32 {
         assert_eq!(recv(&mut subscription).await.body[..4], i.to_be_bytes());
@@ -91,13 +91,13 @@ async fn what_cannot_be_brought_to_its_readers_is_told_in_time() {
     let mut best_effort = camera.publish_as(&robot, PublishOptions::best_effort()).await.unwrap();
     publisher.send(Encoding::Bytes, b"one").await.unwrap();
     recv(&mut subscription).await;
-    publisher.flush(PATIENCE).await.unwrap();
+    publisher.flush(TIMEOUT).await.unwrap();
     fabric.set_fate(Some(Box::new(|_, _| false)));
     for _ in 0..3 {
         publisher.send(Encoding::Bytes, b"lost").await.unwrap();
         best_effort.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
     }
-    best_effort.close(PATIENCE).await.expect("all has left the host");
+    best_effort.close(TIMEOUT).await.expect("all has left the host");
     let error = publisher.close(Duration::from_secs(1)).await.unwrap_err();
     let NodeError::Unflushed(Unflushed { unsent, unacknowledged }) = &error else { panic!("{error}") };
     assert_eq!((*unsent, unacknowledged.get(&cloud.name())), (0, Some(&3)), "{error}");
@@ -127,7 +127,7 @@ async fn counters_are_read_from_anywhere_and_outlive_what_they_count() {
     let (sent, received, node) = (publisher.meter(), subscription.meter(), robot.meter());
     publisher.send(Encoding::Bytes, b"one").await.unwrap();
     recv(&mut subscription).await;
-    assert!(robot.0.state.outlet.send_one(owner.name(), &[7; 40], false));
+    assert!(robot.0.state.send_path.send_one(owner.name(), &[7; 40], false));
     let seen = received.clone();
     let counted = tokio::spawn(async move {
         let dropped = || seen.read().drops.get("seal_truncated").copied();

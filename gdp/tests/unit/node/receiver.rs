@@ -43,7 +43,7 @@ fn frames_of_unknown_sources_wait_a_moment() {
         assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
     }
     intakes.take(&mut batch, &link);
-    let counters = intakes.outlet.counters.snapshot(0);
+    let counters = intakes.send_path.counters.snapshot(0);
     assert_eq!((counters.frames_received, counters.drops), (50, BTreeMap::new()));
 }
 
@@ -51,11 +51,11 @@ fn frames_of_unknown_sources_wait_a_moment() {
 fn what_strangers_tell_this_node_is_counted_and_no_more() {
     let (mut intakes, link) = (subscribed(), links());
     let mut batch = RecvBatch::new(1500);
-    let mut header = Header::data(intakes.outlet.name(), Name::from_bytes([9; 32]), 0);
+    let mut header = Header::data(intakes.send_path.name(), Name::from_bytes([9; 32]), 0);
     hop::stamp(&mut header, &link.current.entry, 1);
     assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
     intakes.take(&mut batch, &link);
-    let drops = intakes.outlet.counters.snapshot(0).drops;
+    let drops = intakes.send_path.counters.snapshot(0).drops;
     assert_eq!(drops, BTreeMap::from([("drop_feedback_unknown", 1)]));
 }
 
@@ -71,7 +71,7 @@ fn a_frame_that_comes_again_on_its_link_is_refused() {
             assert!(batch.push(header.as_bytes(), LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] }, false));
         }
         intakes.take(&mut batch, link);
-        intakes.outlet.counters.refused[Counter::Replayed as usize].get()
+        intakes.send_path.counters.refused[Counter::Replayed as usize].get()
     };
     let link = links();
     assert_eq!(take(&link, &[1, 3, 2, 1]), 1);
@@ -82,7 +82,7 @@ fn a_frame_that_comes_again_on_its_link_is_refused() {
 #[test]
 fn errors_are_told_to_the_publisher_of_their_name_and_to_no_other() {
     let (mut intakes, link) = (subscribed(), links());
-    let (node, outlet) = (intakes.outlet.name(), intakes.outlet.clone());
+    let (node, send_path) = (intakes.send_path.name(), intakes.send_path.clone());
     let (told, other) = (intakes.feedback.of(NAME), intakes.feedback.of(Name::from_bytes([3; 32])));
     let mut take = |count: u32, source: Name, code: u8| {
         let mut header = Header::data(NAME, source, 0);
@@ -100,7 +100,7 @@ fn errors_are_told_to_the_publisher_of_their_name_and_to_no_other() {
     take(4, node, 0);
     take(5, node, ErrorCode::COUNT as u8 + 1);
     let errors = |too_big| BTreeMap::from([("no_route", 1), ("too_big", too_big)]);
-    let counters = outlet.counters.snapshot(0);
+    let counters = send_path.counters.snapshot(0);
     assert_eq!((counters.errors_received, told.errors()), (errors(2), errors(1)), "one was not about this node");
     assert_eq!(counters.drops, BTreeMap::from([("drop_unknown", 2)]), "codes that nobody knows");
     let last = told.last().unwrap();
@@ -133,9 +133,10 @@ fn a_link_that_fell_silent_keeps_its_window_through_attempts_to_replace_it() {
 
 fn subscribed() -> Intakes {
     let node = Identity::generate("proxy").unwrap();
-    let outlet = Arc::new(Outlet::new(&node, Arc::default(), &[]));
-    let mut intakes = Intakes::new(outlet, Arc::new(Feedbacks::new(node.name())));
-    let intake = Intake::new(NAME, SubscribeOptions::best_effort(), async_mpsc::channel(1).0, Arc::default());
+    let send_path = Arc::new(SendPath::new(&node, Arc::default(), &[]));
+    let mut intakes = Intakes::new(send_path, Arc::new(Feedbacks::new(node.name())));
+    let intake =
+        SubscriptionReceiver::new(NAME, SubscribeOptions::best_effort(), async_mpsc::channel(1).0, Arc::default());
     intakes.intakes.insert(NAME, Box::new(intake));
     intakes
 }

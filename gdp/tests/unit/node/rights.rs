@@ -124,7 +124,7 @@ async fn handles_tell_that_they_ended_and_why() {
         Box::pin(client.ended()),
     ];
     for end in ends {
-        let why = tokio::time::timeout(PATIENCE, end).await.expect("in time");
+        let why = tokio::time::timeout(TIMEOUT, end).await.expect("in time");
         assert!(matches!(why, Ended::Right(CertError::Expired { .. })), "{why}");
     }
     assert!(subscription.recv().await.is_none());
@@ -167,8 +167,8 @@ async fn a_node_that_starts_anew_has_forgotten_no_revocation() {
         let publisher = owner.publish(&robot).await.unwrap();
         let subscription = owner.subscribe_by(&cloud, 9, SubscribeOptions::reliable()).await.unwrap();
         fabric.revoke(owner.revocation(1, vec![1, 9])).await;
-        tokio::time::timeout(PATIENCE, publisher.ended()).await.expect("in time");
-        tokio::time::timeout(PATIENCE, subscription.ended()).await.expect("in time");
+        tokio::time::timeout(TIMEOUT, publisher.ended()).await.expect("in time");
+        tokio::time::timeout(TIMEOUT, subscription.ended()).await.expect("in time");
         robot.close().await;
         cloud.close().await;
     }

@@ -27,11 +27,11 @@ use gdp::node::NodeCounters;
 use gdp::node::{Node, NodeConfig};
 use gdp_core::identity::Identity;
 use gdp_e2e::seal::Message;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 
 /// Waits for a condition with a deadline.
 pub fn eventually<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> Result<T> {
-    tokio::task::block_in_place(|| wait_for(what, PATIENCE, || Ok(condition())))
+    tokio::task::block_in_place(|| wait_for(what, TIMEOUT, || Ok(condition())))
 }
 
 /// A node of this identity at the switch.

@@ -8,7 +8,7 @@ use gdp_core::crypto;
 use gdp_core::crypto::{Backend, TAG_LEN};
 use gdp_core::identity::Identity;
 use gdp_core::keys::{self, EpochKey, KeyBox};
-use gdp_e2e::seal::{Encoding, Limits, Message, Moment, Reader, Received, Segments, Writer};
+use gdp_e2e::seal::{Encoding, Limits, Message, Reader, Received, Segments, Timestamps, Writer};
 use gdp_proto::control::{Credential, EntityRequest, NameRole, Peers, Record, Response};
 use gdp_wire::Name;
 
@@ -134,10 +134,10 @@ impl Rogue {
             reader.set_key(&writer.name(), epoch, key)?;
         }
         let mut received = Received::default();
-        let now = Moment { steady_ns: 0, unix_ns: unix().as_nanos() as u64 };
+        let now = Timestamps { steady_ns: 0, unix_ns: unix().as_nanos() as u64 };
         for frame in frames.iter().filter(|frame| frame.destination == name && frame.source == writer.name()) {
             let session = frame.payload.get(SESSION).and_then(|session| session.try_into().ok());
-            session.map(|session| reader.vouch(&writer.name(), session, 0)).transpose()?;
+            session.map(|session| reader.confirm_session(&writer.name(), session, 0)).transpose()?;
             // What does not open is what the test is about.
             let _ = reader.push(now, frame.source, &frame.payload, &mut received);
         }

@@ -13,7 +13,7 @@ use parking_lot::Mutex;
 use tokio::time::timeout;
 
 use crate::patient::patient;
-use gdp_tests::wait::PATIENCE;
+use gdp_tests::wait::TIMEOUT;
 
 use super::{Frame, Owner, Switch, dropped, eventually, node};
 
@@ -60,7 +60,7 @@ impl Scene {
 
     /// The next message that the application gets.
     pub async fn next(&mut self) -> Result<Message> {
-        match timeout(PATIENCE, self.subscription.recv()).await {
+        match timeout(TIMEOUT, self.subscription.recv()).await {
             Ok(Some(message)) => Ok(message),
             Ok(None) => bail!("the node is closed"),
             Err(_) => bail!("no message: robot {:?}, cloud {:?}", self.robot.counters(), self.cloud.counters()),

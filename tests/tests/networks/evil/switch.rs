@@ -20,7 +20,7 @@ use gdp_proto::control::{
     EntityRequest, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode, Request, Response,
 };
 use gdp_rib::rib::fib::Pushed;
-use gdp_rib::rib::{Effect, Limits, Now, Rib, Run, Told};
+use gdp_rib::rib::{Effect, Limits, Now, Rib, Run, UpdateId};
 use gdp_wire::Name;
 use gdp_wire::replay::{self, Window};
 use gdp_wire::table::PORT_USERSPACE;
@@ -286,7 +286,7 @@ impl Inner {
     }
 
     fn tell(self: &Arc<Self>, state: &mut State, mut push: PeersPush) {
-        let told = Told::from(&push);
+        let told = UpdateId::from(&push);
         (state.lie)(push.entity, push.name, push.role, &mut push.peers);
         let link = state.link_to(push.entity);
         if let Some(heard) = state.rogues.get_mut(&push.entity) {

@@ -7,14 +7,14 @@ use gdp::node::{LinkStatus, PublishOptions, Publisher, SubscribeOptions, Subscri
 use gdp::node::{Node, NodeConfig};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp_core::domain::Papers;
+use gdp_core::domain::Credentials;
 use gdp_core::identity::Identity;
 use gdp_core::identity::SigningKey;
 use gdp_core::link_target::LinkTarget;
 use gdp_e2e::seal::Encoding;
 use gdp_e2e::transport::InboundCounters;
 use gdp_tests::netns::Namespace;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_wire::Name;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -31,20 +31,20 @@ pub struct Party {
 
 impl Party {
     /// `to`: its links, in the order in which they are wanted.
-    pub fn connect(at: &Namespace, identity: Identity, to: &[&str], papers: Option<Papers>) -> Result<Self> {
+    pub fn connect(at: &Namespace, identity: Identity, to: &[&str], papers: Option<Credentials>) -> Result<Self> {
         let inside = Inside::new(at, ROOT)?;
         let mut config = NodeConfig::new(identity.clone(), to[0].parse()?);
         for link in &to[1..] {
             config.links.push(link.parse::<LinkTarget>()?.into());
         }
-        (config.connect_timeout, config.papers) = (PATIENCE, papers);
+        (config.connect_timeout, config.papers) = (TIMEOUT, papers);
         let node = inside.run(Node::connect(config))??;
         Ok(Self { node, identity, inside })
     }
 
     pub fn wait_for_links(&self, condition: impl Fn(&[LinkStatus]) -> bool) -> Result<()> {
         let links = || self.node.links();
-        wait_for("links", PATIENCE, || Ok(condition(&links()).then_some(()))).with_context(|| format!("{:#?}", links()))
+        wait_for("links", TIMEOUT, || Ok(condition(&links()).then_some(()))).with_context(|| format!("{:#?}", links()))
     }
 }
 
@@ -76,7 +76,7 @@ impl<'a> Topic<'a> {
         let subscription = to.inside.runtime.block_on(subscribe)?;
         let publish = from.node.publish(card.proof(), issue(&owner, &cert)?.into(), out);
         let publisher = from.inside.runtime.block_on(publish)?;
-        wait_for("the reader to be known", PATIENCE, || Ok((publisher.readers() == 1).then_some(())))?;
+        wait_for("the reader to be known", TIMEOUT, || Ok((publisher.readers() == 1).then_some(())))?;
         Ok(Self { from, to, publisher, subscription })
     }
 
@@ -87,7 +87,7 @@ impl<'a> Topic<'a> {
 
     /// The sequence of the next message.
     pub fn hear(&mut self) -> Result<u64> {
-        let next = async { tokio::time::timeout(PATIENCE, self.subscription.recv()).await };
+        let next = async { tokio::time::timeout(TIMEOUT, self.subscription.recv()).await };
         let message = self.to.inside.runtime.block_on(next).context("no message in time")?;
         Ok(message.context("the subscription ended")?.sequence)
     }
@@ -170,7 +170,7 @@ impl<'a> Flow<'a> {
         self.stop.send_replace(true);
         let sent = self.from.inside.runtime.block_on(self.sending)??;
         self.last.send_replace(sent);
-        let heard = async { tokio::time::timeout(PATIENCE, self.hearing).await };
+        let heard = async { tokio::time::timeout(TIMEOUT, self.hearing).await };
         let (slowest, counters) =
             self.to.inside.runtime.block_on(heard).context("the last message did not come")???;
         let messages = self.messages.lock().expect("no panic").clone();

@@ -19,7 +19,7 @@ use gdp_core::identity::Identity;
 use gdp_tests::Tools;
 use gdp_tests::fabric::{Authority, Switch};
 use gdp_tests::netns::{End, Namespace, veth};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use quinn::udp::{RecvMeta, Transmit};
 use quinn::{AsyncUdpSocket, ClientConfig, Connecting, Endpoint, EndpointConfig, Runtime, TokioRuntime, UdpPoller};
 use rustls::client::AlwaysResolvesClientRawPublicKeys;
@@ -68,11 +68,11 @@ fn ten_thousand_handshakes_that_are_not_finished_take_little_memory_and_stop_nob
     });
     let daemon = Switch::start(&tools, &switch, files.path(), ("s1", &names[0]), config)?;
     let status = || daemon.ctl(&tools, &["status"]);
-    wait_for("the daemon to answer", PATIENCE, || Ok(status().ok())).with_context(|| daemon.process.report())?;
+    wait_for("the daemon to answer", TIMEOUT, || Ok(status().ok())).with_context(|| daemon.process.report())?;
     let attach = || -> Result<Duration> {
         let (inside, began) = (Inside::new(&robot, ROOT)?, Instant::now());
         let config = NodeConfig::new(Identity::generate("proxy")?, "udp://10.7.0.1:31415".parse()?);
-        let connect = async move { tokio::time::timeout(PATIENCE, Node::connect(config)).await };
+        let connect = async move { tokio::time::timeout(TIMEOUT, Node::connect(config)).await };
         let node = inside.run(connect)?.context("no link")??;
         let took = began.elapsed();
         inside.runtime.block_on(node.close());
@@ -92,7 +92,7 @@ fn ten_thousand_handshakes_that_are_not_finished_take_little_memory_and_stop_nob
         most = most.max(super::resident_of(daemon.process.pid())?);
     }
     let enough = |counts: &Value| counts["challenged"].as_u64() >= Some(HANDSHAKES as u64 / 2);
-    let counts = wait_for("the daemon to have turned most away", PATIENCE, || {
+    let counts = wait_for("the daemon to have turned most away", TIMEOUT, || {
         most = most.max(super::resident_of(daemon.process.pid())?);
         Ok(Some(status()?["handshakes"].clone()).filter(enough))
     })

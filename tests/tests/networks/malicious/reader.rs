@@ -14,7 +14,7 @@ use gdp_wire::Name;
 
 use super::rib::revoke;
 use crate::evil::{Frame, Recording, Rogue, Scene, bodies, dropped, drops, eventually, frames, serial};
-use gdp_tests::wait::PATIENCE;
+use gdp_tests::wait::TIMEOUT;
 
 /// A reader of the scene's name, with a grant and the robot's present key.
 fn insider(scene: &Scene) -> Result<Rogue> {
@@ -177,7 +177,7 @@ async fn a_revoked_reader_reads_nothing_of_the_next_epoch() -> Result<()> {
     assert!(matches!(revoke(&scene.switch, &scene.owner, &revocation), Response::Done));
     let before = epoch(&recording, name);
     // Those that are sealed until the writer has heard, and has begun another epoch, are the last that it reads.
-    let (mut sent, deadline) = (Vec::new(), Instant::now() + PATIENCE);
+    let (mut sent, deadline) = (Vec::new(), Instant::now() + TIMEOUT);
     while sent.is_empty() || epoch(&recording, name) == before {
         assert!(Instant::now() < deadline, "the epoch did not change");
         let body = sent.len().to_be_bytes();
@@ -216,7 +216,7 @@ async fn a_stolen_robot_that_is_revoked_is_not_heard_and_hears_nothing() -> Resu
     let mut subscription = orders.subscribe(&scene.robot, SubscribeOptions::best_effort()).await?;
     let mut publisher = orders.publish(&scene.cloud, PublishOptions::best_effort()).await?;
     publisher.send(Encoding::Bytes, b"go").await?;
-    assert!(tokio::time::timeout(PATIENCE, subscription.recv()).await?.is_some());
+    assert!(tokio::time::timeout(TIMEOUT, subscription.recv()).await?.is_some());
 
     let robot = scene.robot.name();
     for owner in [&scene.owner, &orders] {

@@ -13,7 +13,7 @@ use gdp_proto::control::{Credential, EntityRequest, NameRole, Response};
 use gdp_wire::Name;
 
 use crate::evil::{Frame, Owner, Recording, Rogue, Scene, Switch, drops, eventually, node, serial};
-use gdp_tests::wait::PATIENCE;
+use gdp_tests::wait::TIMEOUT;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_has_no_certificate_of_the_owner_is_not_believed_to_write() -> Result<()> {
@@ -240,7 +240,7 @@ async fn a_rib_that_starts_anew_stops_nothing_that_runs() -> Result<()> {
     // A reader begins with what is sent once the writer knows of it.
     eventually("the robot to know both", || (scene.publisher.readers() == 2).then_some(()))?;
     scene.publisher.send(Encoding::Bytes, b"to both").await?;
-    let message = tokio::time::timeout(PATIENCE, again.recv()).await?;
+    let message = tokio::time::timeout(TIMEOUT, again.recv()).await?;
     assert_eq!(message.map(|message| message.body).as_deref(), Some(&b"to both"[..]));
     Ok(())
 }

@@ -17,7 +17,7 @@ use gdp_wire::Name;
 use tokio::time::timeout;
 
 use crate::evil::{Frame, Owner, Rogue, Switch, drops, eventually, frames, node};
-use gdp_tests::wait::PATIENCE;
+use gdp_tests::wait::TIMEOUT;
 
 /// How a sealed segment begins, and nothing else that comes to an entity's own name.
 const SEGMENT: u8 = 2;
@@ -27,9 +27,9 @@ async fn another_client_reads_neither_requests_nor_replies() -> Result<()> {
     let mut service = Service::start().await?;
     let client = service.client_node.name();
     let (reply, ()) = tokio::try_join!(
-        async { Ok(timeout(PATIENCE, service.client.call(Encoding::Bytes, b"where to?")).await??) },
+        async { Ok(timeout(TIMEOUT, service.client.call(Encoding::Bytes, b"where to?")).await??) },
         async {
-            let call = timeout(PATIENCE, service.server.recv()).await?.context("a call")?;
+            let call = timeout(TIMEOUT, service.server.recv()).await?.context("a call")?;
             assert_eq!((&call.body()[..], call.client()), (&b"where to?"[..], client));
             anyhow::Ok(call.reply(Encoding::Bytes, b"home").await?)
         },
@@ -92,7 +92,7 @@ async fn a_client_answers_no_other_client() -> Result<()> {
     // It sees the request, and answers before the server does: as itself, and as the server.
     let call = client.call(Encoding::Bytes, b"where to?");
     let answered = async {
-        let request = timeout(PATIENCE, server.recv()).await?.context("a call")?;
+        let request = timeout(TIMEOUT, server.recv()).await?.context("a call")?;
         let asked = eventually("the request", || {
             let frames = other.listen(switch);
             of(&frames, robot, to).next().cloned()
@@ -109,7 +109,7 @@ async fn a_client_answers_no_other_client() -> Result<()> {
         }
         anyhow::Ok(request.reply(Encoding::Bytes, b"home").await?)
     };
-    let (reply, ()) = tokio::try_join!(async { Ok(timeout(PATIENCE, call).await??) }, answered)?;
+    let (reply, ()) = tokio::try_join!(async { Ok(timeout(TIMEOUT, call).await??) }, answered)?;
     assert_eq!((&reply.body[..], reply.writer), (&b"home"[..], robot));
     Ok(())
 }
@@ -122,9 +122,9 @@ async fn another_server_reads_no_request_and_cannot_have_it_carried_out_again() 
         &mut service;
     eventually("the client to know both servers", || (client.servers() == 2).then_some(()))?;
     let (reply, ()) = tokio::try_join!(
-        async { Ok(timeout(PATIENCE, client.call_at(robot, Encoding::Bytes, b"where to?")).await??) },
+        async { Ok(timeout(TIMEOUT, client.call_at(robot, Encoding::Bytes, b"where to?")).await??) },
         async {
-            let call = timeout(PATIENCE, server.recv()).await?.context("a call")?;
+            let call = timeout(TIMEOUT, server.recv()).await?.context("a call")?;
             anyhow::Ok(call.reply(Encoding::Bytes, b"home").await?)
         },
     )?;

@@ -13,7 +13,7 @@ use tokio::time::timeout;
 
 use crate::evil::{Frame, Owner, Recording, Scene, dropped, eventually, node};
 use crate::patient::patient;
-use gdp_tests::wait::PATIENCE;
+use gdp_tests::wait::TIMEOUT;
 
 /// What becomes of a payload.
 type Alter = Box<dyn Fn(&mut Vec<u8>) + Send>;
@@ -245,7 +245,7 @@ async fn a_restarted_reader_does_not_take_yesterdays_messages() -> Result<()> {
         let refused = || reasons.iter().map(|reason| dropped(&cloud.counters(), reason)).sum::<u64>();
         eventually("all to be refused", || (refused() >= 4 * u64::from(COUNT)).then_some(()))?;
         publisher.send(Encoding::Bytes, b"now").await?;
-        while let Some(message) = timeout(PATIENCE, subscription.recv()).await? {
+        while let Some(message) = timeout(TIMEOUT, subscription.recv()).await? {
             match &message.body[..] {
                 b"today" => {}
                 other => {
@@ -299,7 +299,7 @@ async fn what_readers_said_yesterday_moves_nothing_at_a_restarted_writer() -> Re
     let robot = node(&switch, &robot_identity).await?;
     let mut publisher = owner.publish(&robot, PublishOptions::reliable()).await?;
     publisher.send(Encoding::Bytes, b"hello").await?;
-    assert!(timeout(PATIENCE, subscription.recv()).await?.is_some());
+    assert!(timeout(TIMEOUT, subscription.recv()).await?.is_some());
     drop(publisher);
     robot.close().await;
     let said: Vec<Frame> = recording.frames().into_iter().filter(|frame| frame.destination == to_robot).collect();
@@ -308,7 +308,7 @@ async fn what_readers_said_yesterday_moves_nothing_at_a_restarted_writer() -> Re
     let robot = node(&switch, &robot_identity).await?;
     let mut publisher = owner.publish(&robot, PublishOptions::reliable()).await?;
     publisher.send(Encoding::Bytes, b"hello").await?;
-    assert!(timeout(PATIENCE, subscription.recv()).await?.is_some());
+    assert!(timeout(TIMEOUT, subscription.recv()).await?.is_some());
     // Every other message needs a repair, while all that was said is said again.
     let mut seen = BTreeSet::new();
     switch.tamper(move |frames| {
@@ -324,7 +324,7 @@ async fn what_readers_said_yesterday_moves_nothing_at_a_restarted_writer() -> Re
         publisher.send(Encoding::Bytes, &[i; 10]).await?;
     }
     for i in 0..COUNT {
-        let message = timeout(PATIENCE, subscription.recv())
+        let message = timeout(TIMEOUT, subscription.recv())
             .await
             .with_context(|| format!("{i}: {:?} {:?}", robot.counters(), cloud.counters()))?;
         assert_eq!(message.map(|message| message.body).as_deref(), Some(&[i; 10][..]), "each once and in order");
@@ -345,7 +345,7 @@ async fn frames_moved_to_another_name_writer_or_session_do_not_open() -> Result<
     let recording = Recording::of(switch);
     for publisher in [&mut from_robot, &mut from_second] {
         publisher.send(Encoding::Bytes, b"other").await?;
-        assert!(timeout(PATIENCE, others.recv()).await?.is_some());
+        assert!(timeout(TIMEOUT, others.recv()).await?.is_some());
     }
     scene.passes(b"true").await?;
     let frames = recording.frames();
@@ -375,7 +375,7 @@ async fn frames_moved_to_another_name_writer_or_session_do_not_open() -> Result<
         .with_context(|| format!("{:?}, before {before:?}", scene.cloud.counters()))?;
     scene.passes(b"still true").await?;
     from_robot.send(Encoding::Bytes, b"still other").await?;
-    let message = timeout(PATIENCE, others.recv()).await?;
+    let message = timeout(TIMEOUT, others.recv()).await?;
     assert_eq!(message.map(|message| message.body).as_deref(), Some(&b"still other"[..]));
     Ok(())
 }

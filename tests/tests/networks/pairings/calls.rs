@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::site::{Carried, Site, Vendor};
 
 /// With everything started at once on two cores.
-const PATIENCE: Duration = Duration::from_secs(90);
+const TIMEOUT: Duration = Duration::from_secs(90);
 
 /// What each vendor's server serves.
 const SERVICE: &str = "lamp";
@@ -44,7 +44,7 @@ fn every_client_calls_every_server_and_sees_it_go_and_an_action_runs_its_course(
     site.check_alive()?;
 
     for server in &mut servers {
-        let status = server.stop(PATIENCE)?;
+        let status = server.stop(TIMEOUT)?;
         ensure!(status.success(), "{status}\n{}", server.report());
     }
     for client in &mut clients {
@@ -57,14 +57,14 @@ fn every_client_calls_every_server_and_sees_it_go_and_an_action_runs_its_course(
 
 /// One goal gets a number of numbers, and with each the feedback; the other is cancelled after three.
 fn feedback_and_results(patient: &mut Process, hasty: &mut Process) -> Result<()> {
-    let result = hasty.wait_event("result", PATIENCE)?;
+    let result = hasty.wait_event("result", TIMEOUT)?;
     ensure!(result["status"] == "canceled" && result["shown"] == "canceled", "{}", hasty.report());
-    ensure!(hasty.wait_event("canceling", PATIENCE)?["goals"] == 1, "{}", hasty.report());
-    let result = patient.wait_event("result", PATIENCE)?;
+    ensure!(hasty.wait_event("canceling", TIMEOUT)?["goals"] == 1, "{}", hasty.report());
+    let result = patient.wait_event("result", TIMEOUT)?;
     let whole = result["status"] == "succeeded" && result["shown"] == "succeeded" && result["length"] == 20;
     ensure!(whole, "{}", patient.report());
     // The last may overtake nothing, but come after the result, which another topic carries.
-    let heard = patient.wait_until("the last feedback", PATIENCE, |patient| {
+    let heard = patient.wait_until("the last feedback", TIMEOUT, |patient| {
         let lines = patient.json_lines();
         let feedback = lines.iter().filter(|line| line["event"] == "feedback");
         let lengths: Vec<u64> = feedback.filter_map(|line| line["length"].as_u64()).collect();
@@ -85,7 +85,7 @@ fn answers(service: &str) -> [Value; 2] {
 
 /// What a program has said, once it is that many lines.
 fn lines(site: &Site, program: &mut Process, count: usize) -> Result<Vec<Value>> {
-    let said = program.wait_until(&format!("{count} lines"), PATIENCE, |program| {
+    let said = program.wait_until(&format!("{count} lines"), TIMEOUT, |program| {
         Some(program.json_lines()).filter(|lines| lines.len() >= count)
     });
     said.with_context(|| site.report())

@@ -17,7 +17,7 @@ use gdp_tests::fabric::{Authority, Switch};
 use gdp_tests::netns::{End, Namespace, veth};
 use gdp_tests::process::Process;
 use gdp_tests::programs::Program;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -104,7 +104,7 @@ impl Site {
             "interfaces": ["p0", "p1", "p2"], "udp": null, "data_plane": "xdp", "bpffs": null, "rib": true,
         });
         let switch = Switch::start(&tools, &s1, folder, ("s1", &name), config)?;
-        wait_for("the switch", PATIENCE, || Ok(switch.ctl(&tools, &["status"]).ok()))?;
+        wait_for("the switch", TIMEOUT, || Ok(switch.ctl(&tools, &["status"]).ok()))?;
 
         let masters = [("robot", &robot), ("old", &old)].map(|(label, at)| master(label, at, folder));
         let _masters = masters.into_iter().collect::<Result<Vec<_>>>()?;

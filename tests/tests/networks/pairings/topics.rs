@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use super::site::{Carried, Site, Vendor};
 
 /// With everything started at once on two cores.
-const PATIENCE: Duration = Duration::from_secs(90);
+const TIMEOUT: Duration = Duration::from_secs(90);
 
 /// What is published: the files of `samples.py`.
 const KEYS: [&str; 6] = ["string", "image", "cloud", "joints", "tf", "report"];
@@ -26,7 +26,7 @@ fn every_source_is_heard_at_every_sink_with_every_type() -> Result<()> {
     let talkers = Vendor::ALL.map(|vendor| talk(&site, vendor, &types)).into_iter().collect::<Result<Vec<_>>>()?;
     let listeners = Vendor::ALL.map(|vendor| listen(&site, vendor, &types)).into_iter().collect::<Result<Vec<_>>>()?;
     site.programs = talkers;
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     loop {
         let mut missing = Vec::new();
         for (sink, listener) in Vendor::ALL.iter().zip(&listeners) {
@@ -44,7 +44,7 @@ fn every_source_is_heard_at_every_sink_with_every_type() -> Result<()> {
         }
         if Instant::now() >= deadline {
             let listeners: String = listeners.iter().map(|listener| listener.stderr()).collect();
-            bail!("not heard in {PATIENCE:?}: {missing:?}\n{}\n{listeners}", site.report());
+            bail!("not heard in {TIMEOUT:?}: {missing:?}\n{}\n{listeners}", site.report());
         }
         site.check_alive()?;
         std::thread::sleep(Duration::from_millis(200));

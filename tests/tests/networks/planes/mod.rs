@@ -3,7 +3,7 @@
 pub mod dpdk;
 
 use anyhow::{Context, Result, bail, ensure};
-use gdp_dataplane::group_places::Member;
+use gdp_dataplane::group_slots::Member;
 use gdp_dataplane::kernel::{Action, Buffers, KernelPlane};
 use gdp_dataplane::link_memory::LinkMemory;
 use gdp_dataplane::tables::UserTables;

@@ -20,7 +20,7 @@ use gdp_tests::frames::Frame;
 use gdp_tests::netns::{Door, End, Namespace, execute, veth};
 use gdp_tests::packet::PacketSocket;
 use gdp_tests::programs::{Executable as _, Program};
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name};
 use parking_lot::Mutex;
 
@@ -291,7 +291,7 @@ impl Far {
         if slowest() >= frames {
             return Ok(());
         }
-        wait_for(&format!("{frames} frames at each of {} links", leaves.len()), PATIENCE, || {
+        wait_for(&format!("{frames} frames at each of {} links", leaves.len()), TIMEOUT, || {
             Ok((slowest() >= frames).then_some(()))
         })
         .with_context(|| format!("got {:?}", leaves.iter().map(|leaf| self.received(leaf)).collect::<Vec<_>>()))

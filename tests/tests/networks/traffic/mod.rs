@@ -13,7 +13,7 @@ use gdp_core::cert::{Issued, Reading};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_e2e::seal::Encoding;
 use gdp_tests::netns::Namespace;
-use gdp_tests::wait::{PATIENCE, wait_for};
+use gdp_tests::wait::{TIMEOUT, wait_for};
 use tokio::time::MissedTickBehavior;
 
 use crate::patient::patient;
@@ -62,7 +62,7 @@ impl Traffic {
             }
             Ok(())
         })?;
-        wait_for("the subscription", PATIENCE, || {
+        wait_for("the subscription", TIMEOUT, || {
             traffic.check()?;
             Ok(traffic.shared.nodes()[1].is_some().then_some(()))
         })?;
@@ -132,7 +132,7 @@ impl Traffic {
         self.shared.stop_sending.store(true, Ordering::Relaxed);
         // One may be on its way; it is counted once it is sent, and then nothing follows.
         let mut before = u64::MAX;
-        let settled = wait_for("the last message", PATIENCE, || {
+        let settled = wait_for("the last message", TIMEOUT, || {
             let sent = self.shared.sent.load(Ordering::Relaxed);
             Ok((std::mem::replace(&mut before, sent) == sent).then_some(sent))
         });

@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 /// The port that zenoh's routers listen at.
 const PORT: u16 = 7447;
 
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 pub struct Bridges([Process; 2]);
 
@@ -88,6 +88,6 @@ fn start(program: &Path, label: &str, at: &Namespace, config: Value, folder: &Pa
     let mut command = at.command(program)?;
     command.arg(file).env("CYCLONEDDS_URI", ON_LOOPBACK).env("ROS_DISTRO", "jazzy");
     let mut process = Process::spawn(label, command, folder)?;
-    process.wait_event("ready", PATIENCE)?;
+    process.wait_event("ready", TIMEOUT)?;
     Ok(process)
 }

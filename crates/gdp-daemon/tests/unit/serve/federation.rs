@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::issue;
-use gdp_core::domain::Papers;
+use gdp_core::domain::Credentials;
 use gdp_core::identity::Identity;
-use gdp_proto::control::{Abroad, Extent, NameRole, Record, TierEntry, TierPush, TierRequest, TierResponse};
+use gdp_proto::control::{Extent, NameRole, Record, RemoteRecord, TierEntry, TierPush, TierRequest, TierResponse};
 
 use super::*;
 use gdp_rib::rib::{Limits, Run};
@@ -149,7 +149,7 @@ impl Home {
     fn show(&mut self, switch: &Identity, signer: &Identity, role: &str, until: u64) -> Result<(), CertError> {
         let mut shown = host(&self.world.domains[0].identity, switch, role, until);
         shown.statement = issue(signer.key(), &shown.statement.claims_unverified()?)?;
-        let papers = Papers { membership: self.world.domains[0].host.membership.clone(), peers: vec![] };
+        let papers = Credentials { membership: self.world.domains[0].host.membership.clone(), peers: vec![] };
         let own = self.world.domains[0].switch.name();
         let trust = Trust::new(own, Arc::new(papers), false).expect("papers of this switch");
         self.federation.show(self.world.now, &trust, switch.name(), shown)
@@ -161,7 +161,7 @@ impl Home {
         let extent = if self.generation == 1 { Extent::Full { part: 0, last: true } } else { Extent::Delta };
         let child = &self.world.domains[1];
         let (host, path) = (child.host.clone(), vec![child.identity.name()]);
-        let part = |record| TierEntry::Part(Box::new(Abroad { record, host: host.clone(), path: path.clone() }));
+        let part = |record| TierEntry::Part(Box::new(RemoteRecord { record, host: host.clone(), path: path.clone() }));
         let set = set.into_iter().map(part).collect();
         let remove = remove.into_iter().map(|record| TierKey::Part(place(record))).collect();
         let push = TierPush { run: 77, generation: self.generation, extent, set, remove };
@@ -186,12 +186,12 @@ impl Home {
     }
 
     /// What the RIB knows of the child.
-    fn known(&self) -> Vec<RecordPlace> {
+    fn known(&self) -> Vec<RecordKey> {
         let (records, _) = self.rib.records(self.world.now, None, 10);
         records.iter().map(place).collect()
     }
 }
 
-fn place(record: &Record) -> RecordPlace {
+fn place(record: &Record) -> RecordKey {
     record.place().unwrap()
 }

@@ -45,7 +45,7 @@ fn no_neighbour_waits_for_what_others_told() {
     assert!(taken.len() == AT_ONCE && [250, 251].iter().all(|i| taken.contains(&place(*i))), "{taken:?}");
     taken.iter().for_each(|place| retries.settled(place));
     for neighbour in [few, third] {
-        (0..40).for_each(|i| _ = retries.refused(now, neighbour, RecordPlace { switch: neighbour, ..place(i) }));
+        (0..40).for_each(|i| _ = retries.refused(now, neighbour, RecordKey { switch: neighbour, ..place(i) }));
     }
     now += BETWEEN;
     let taken = retries.take_due(now);
@@ -69,7 +69,7 @@ fn neighbour(i: u8) -> Name {
     Name::from_bytes([i; 32])
 }
 
-fn place(i: u8) -> RecordPlace {
+fn place(i: u8) -> RecordKey {
     let name = Name::from_bytes([i; 32]);
-    RecordPlace { name, role: NameRole::Publisher, entity: name, switch: name }
+    RecordKey { name, role: NameRole::Publisher, entity: name, switch: name }
 }

@@ -243,7 +243,7 @@ fn authentic_but_endless_messages_stay_within_the_limits() {
     let mut out = Received::default();
     for session in 0..40 {
         let mut writer = f.writer();
-        reader.vouch(&f.writer_name(), writer.session(), 0).unwrap();
+        reader.confirm_session(&f.writer_name(), writer.session(), 0).unwrap();
         for _ in 0..20 {
             let frames = f.seal(&mut writer, &[1; 100_000], 1400);
             let _ = reader.push(at(session), f.writer_name(), &frames[0], &mut out);
@@ -253,7 +253,7 @@ fn authentic_but_endless_messages_stay_within_the_limits() {
     assert!(reader.drops()[DropReason::Evicted as usize] > 700);
     // Many tiny ones.
     let mut writer = f.writer();
-    reader.vouch(&f.writer_name(), writer.session(), 0).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 0).unwrap();
     for _ in 0..2000 {
         let frame = f.seal(&mut writer, b"tiny", 1400).remove(0);
         let body_only = &frame[..OVERHEAD + 20];
@@ -263,7 +263,7 @@ fn authentic_but_endless_messages_stay_within_the_limits() {
     assert!(out.messages.is_empty());
     // An honest message still comes through.
     let mut writer = f.writer();
-    reader.vouch(&f.writer_name(), writer.session(), 0).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 0).unwrap();
     assert_eq!(push_all(&mut reader, f.writer_name(), f.seal(&mut writer, &[5; 4000], 1400)).len(), 1);
 }
 
@@ -280,7 +280,7 @@ fn segments_of_one_message_agree_on_its_shape() {
     );
 }
 
-/// A proof is bound to its message: one from the same batch does not vouch for another message.
+/// A proof is bound to its message: one from the same batch does not confirm_session for another message.
 #[test]
 fn proofs_cannot_be_exchanged_within_a_batch() {
     let f = Fixture::new();

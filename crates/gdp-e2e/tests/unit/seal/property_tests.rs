@@ -57,7 +57,7 @@ struct Run {
 impl Run {
     fn new(f: &Fixture, seed: u64, last_epoch: u32) -> Self {
         let (writer, mut reader) = (f.writer(), f.strict_reader());
-        reader.vouch(&f.writer_name(), writer.session(), 1).unwrap();
+        reader.confirm_session(&f.writer_name(), writer.session(), 1).unwrap();
         Self {
             random: Random::new(seed),
             writer,

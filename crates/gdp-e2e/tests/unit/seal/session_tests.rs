@@ -23,9 +23,9 @@ fn a_session_that_nobody_vouched_for_is_refused_once_it_opened() {
     }
     assert_eq!(reader.memory(), 0);
 
-    reader.vouch(&f.writer_name(), writer.session(), 1).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 1).unwrap();
     assert_eq!(only(push_all(&mut reader, f.writer_name(), &frames)).body, [1; 3000][..]);
-    assert_eq!(reader.vouch(&f.name, writer.session(), 1), Err(DropReason::UnknownWriter));
+    assert_eq!(reader.confirm_session(&f.name, writer.session(), 1), Err(DropReason::UnknownWriter));
 }
 
 #[test]
@@ -34,14 +34,14 @@ fn what_is_before_the_vouched_sequence_is_stale() {
     let (mut writer, mut reader) = (f.writer(), f.strict_reader());
     // Small ones in one frame, large ones in several.
     let history: Vec<_> = (0..6).map(|i| f.seal(&mut writer, &vec![i; 900 * usize::from(i % 3)], 1400)).collect();
-    reader.vouch(&f.writer_name(), writer.session(), 5).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 5).unwrap();
     let refused: Vec<_> = history.iter().flatten().map(|frame| refusal(&mut reader, &f, frame)).collect();
     assert_eq!(refused.iter().filter(|reason| **reason == Some(DropReason::Stale)).count(), 5);
     assert_eq!(reader.drops()[DropReason::Stale as usize], 9, "each segment counts");
     assert_eq!(reader.memory(), 0);
     // Said again, it only goes back: for a reader that may have what is kept.
-    reader.vouch(&f.writer_name(), writer.session(), 2).unwrap();
-    reader.vouch(&f.writer_name(), writer.session(), 6).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 2).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 6).unwrap();
     assert_eq!(push_all(&mut reader, f.writer_name(), history[1..4].iter().flatten()).len(), 3);
     assert_eq!(refusal(&mut reader, &f, &history[0][0]), Some(DropReason::Stale));
 }
@@ -53,7 +53,7 @@ fn a_forgotten_session_cannot_be_replayed() {
     let mut recordings = vec![];
     for i in 0..10 {
         let mut writer = f.writer();
-        reader.vouch(&f.writer_name(), writer.session(), 1).unwrap();
+        reader.confirm_session(&f.writer_name(), writer.session(), 1).unwrap();
         recordings.push(f.seal(&mut writer, b"once", 1400).remove(0));
         assert_eq!(push_all(&mut reader, f.writer_name(), [&recordings[i]]).len(), 1, "session {i}");
     }
@@ -68,7 +68,7 @@ fn a_forgotten_session_cannot_be_replayed() {
 fn sessions_that_nobody_vouched_for_displace_none_that_somebody_did() {
     let f = Fixture::new();
     let (mut writer, mut reader) = (f.writer(), f.strict_reader());
-    reader.vouch(&f.writer_name(), writer.session(), 1).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 1).unwrap();
     let slow = f.seal(&mut writer, &[1; 2000], 1400);
     assert_eq!(refusal(&mut reader, &f, &slow[0]), None);
     let memory = reader.memory();
@@ -89,7 +89,7 @@ fn what_was_signed_too_long_ago_is_too_old() {
     let mut segments = Segments::new();
     let mut push = |timestamp, unix_ns, body: &[u8]| {
         writer.seal(timestamp, Encoding::Bytes, body, 1400, &mut segments).unwrap();
-        let (now, mut out) = (Moment { steady_ns: 0, unix_ns }, Received::default());
+        let (now, mut out) = (Timestamps { steady_ns: 0, unix_ns }, Received::default());
         segments.iter().try_for_each(|payload| reader.push(now, f.writer_name(), payload, &mut out))
     };
     for body in [&[][..], &[1; 3000]] {
@@ -101,7 +101,7 @@ fn what_was_signed_too_long_ago_is_too_old() {
     let mut out = Received::default();
     writer.heartbeat(1000, u64::MAX, 1, &mut segments).unwrap();
     let payload = segments.iter().next().unwrap();
-    let now = |unix_ns| Moment { steady_ns: 0, unix_ns };
+    let now = |unix_ns| Timestamps { steady_ns: 0, unix_ns };
     assert_eq!(reader.push(now(1101), f.writer_name(), payload, &mut out), Err(DropReason::TooOld));
     assert_eq!(reader.push(now(1100), f.writer_name(), payload, &mut out), Ok(()));
     assert_eq!(reader.memory(), 0);
@@ -111,7 +111,7 @@ fn what_was_signed_too_long_ago_is_too_old() {
 fn a_session_goes_on_over_epochs() {
     let f = Fixture::new();
     let (mut writer, mut reader) = (f.writer(), f.strict_reader());
-    reader.vouch(&f.writer_name(), writer.session(), 1).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 1).unwrap();
     let before = f.seal(&mut writer, &[1; 3000], 1400);
     writer.set_epoch(EPOCH + 1, &EpochKey::from_bytes(NEXT_KEY)).unwrap();
     let after = f.seal(&mut writer, &[2; 3000], 1400);
@@ -168,7 +168,7 @@ fn a_message_that_is_cut_anew_is_delivered_once() {
     let body = [7; 3000];
     for (first, expected_segments) in [(0, 3), (1, 13)] {
         let (mut writer, mut reader) = (f.writer(), f.strict_reader());
-        reader.vouch(&f.writer_name(), writer.session(), 1).unwrap();
+        reader.confirm_session(&f.writer_name(), writer.session(), 1).unwrap();
         let wide = f.seal(&mut writer, &body, 1400);
         let narrow = cut_anew(&mut writer, 1, &body, 300);
         assert!(narrow.iter().all(|frame| frame.len() <= 300));
@@ -200,7 +200,7 @@ fn a_message_that_is_cut_anew_is_delivered_once() {
 fn a_cut_that_was_spoilt_does_not_spoil_the_next() {
     let f = Fixture::new();
     let (mut writer, mut reader) = (f.writer(), f.strict_reader());
-    reader.vouch(&f.writer_name(), writer.session(), 1).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 1).unwrap();
     let mut insider = f.writer_in(writer.session(), &SigningKey::from_secret_bytes(&[66; 32]).unwrap());
     let (honest, forged) = (f.seal(&mut writer, &[1; 2000], 1400), f.seal(&mut insider, &[6; 2000], 1400));
     assert_eq!(refusal(&mut reader, &f, &forged[0]), None);
@@ -239,7 +239,7 @@ fn heartbeats_say_how_far_a_session_is() {
     let (mut writer, mut reader) = (f.writer(), f.strict_reader());
     let first = beat(&mut writer, 1);
     assert_eq!(refusal(&mut reader, &f, &first), Some(DropReason::Unvouched));
-    reader.vouch(&f.writer_name(), writer.session(), 1).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 1).unwrap();
     let mut out = Received::default();
     push_into(&mut reader, f.writer_name(), [&first], &mut out);
     f.seal(&mut writer, b"lost", 1400);
@@ -264,7 +264,7 @@ fn a_heartbeat_from_before_the_vouched_sequence_is_stale() {
     let (mut writer, mut reader) = (f.writer(), f.strict_reader());
     let old = beat(&mut writer, 1);
     f.seal(&mut writer, b"x", 1400);
-    reader.vouch(&f.writer_name(), writer.session(), 2).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 2).unwrap();
     assert_eq!(refusal(&mut reader, &f, &old), Some(DropReason::Stale));
     assert_eq!(refusal(&mut reader, &f, &beat(&mut writer, 1)), None);
 }
@@ -274,7 +274,7 @@ fn a_heartbeat_from_before_the_vouched_sequence_is_stale() {
 fn another_reader_cannot_forge_a_heartbeat() {
     let f = Fixture::new();
     let (mut writer, mut reader) = (f.writer(), f.strict_reader());
-    reader.vouch(&f.writer_name(), writer.session(), 1).unwrap();
+    reader.confirm_session(&f.writer_name(), writer.session(), 1).unwrap();
     let true_one = beat(&mut writer, 1);
     let mut insider = f.writer_in(writer.session(), &SigningKey::from_secret_bytes(&[66; 32]).unwrap());
     for _ in 0..50 {

@@ -95,7 +95,7 @@ fn vectors_of_segments() {
             let mut reader = Reader::new(name, backend, Limits::default());
             reader.authorise(writer_name, key.verify_key()).unwrap();
             reader.set_key(&writer_name, epoch, EpochKey::from_bytes(epoch_key)).unwrap();
-            reader.vouch(&writer_name, session, 1).unwrap();
+            reader.confirm_session(&writer_name, session, 1).unwrap();
             let mut received = Received::default();
             tests::push_into(&mut reader, writer_name, segments.iter(), &mut received);
             received

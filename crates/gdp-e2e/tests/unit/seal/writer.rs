@@ -103,9 +103,9 @@ fn messages_are_cut_anew_from_what_was_sealed() {
     let mut reader = crate::seal::Reader::new(name, Backend::default(), Default::default());
     reader.authorise(name, key).unwrap();
     reader.set_key(&name, 8, EpochKey::from_bytes([2; 32])).unwrap();
-    reader.vouch(&name, writer.session(), 1).unwrap();
+    reader.confirm_session(&name, writer.session(), 1).unwrap();
     let mut received = crate::seal::Received::default();
-    let now = crate::seal::Moment { steady_ns: 0, unix_ns: 77 };
+    let now = crate::seal::Timestamps { steady_ns: 0, unix_ns: 77 };
     again.iter().for_each(|payload| reader.push(now, name, payload, &mut received).unwrap());
     for (i, (message, body)) in received.messages.iter().zip(&bodies).enumerate() {
         assert_eq!((message.sequence, message.timestamp_ns, &message.body[..]), (i as u64 + 1, 77, &body[..]));

@@ -4,11 +4,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use gdp_core::name::Name;
-use gdp_proto::control::{Credential, NameRole, Record, RecordPlace, Refusal, RefusalCode};
+use gdp_proto::control::{Credential, NameRole, Record, RecordKey, Refusal, RefusalCode};
 
 use super::world::World;
-use crate::rib::model::Stake;
-use crate::rib::{Foreign, Limits, Rib, Run, Way};
+use crate::rib::model::RegistrationKey;
+use crate::rib::{BorderLink, Foreign, Limits, Rib, Run};
 
 pub struct Federation {
     pub domains: Vec<World>,
@@ -68,12 +68,12 @@ impl Federation {
         }
     }
 
-    pub fn ways(&self, of: usize) -> BTreeMap<Name, Vec<Way>> {
-        let mut ways = BTreeMap::<Name, Vec<Way>>::new();
+    pub fn ways(&self, of: usize) -> BTreeMap<Name, Vec<BorderLink>> {
+        let mut ways = BTreeMap::<Name, Vec<BorderLink>>::new();
         for Border(ends, costs) in &self.borders {
             for (own, other) in [(0, 1), (1, 0)].into_iter().filter(|(own, _)| ends[*own].0 == of) {
                 let [border, peer] = [own, other].map(|end| self.switch(ends[end]));
-                ways.entry(domain(ends[other].0)).or_default().push(Way { border, peer, cost: costs[own] });
+                ways.entry(domain(ends[other].0)).or_default().push(BorderLink { border, peer, cost: costs[own] });
             }
         }
         ways
@@ -108,7 +108,7 @@ impl Federation {
         self.domains.iter_mut().for_each(World::settle);
     }
 
-    fn tell(&mut self, from: usize, to: usize, place: &RecordPlace) {
+    fn tell(&mut self, from: usize, to: usize, place: &RecordKey) {
         let (next, other) = (domain(from), domain(to));
         let export = self.domains[from].rib.export(self.domains[from].now, place);
         let export = export.filter(|export| export.origin.is_none_or(|(origin, via)| origin != other && via != other));
@@ -244,8 +244,8 @@ impl Federation {
             for place in w.rib.names.all_places() {
                 let (record, registration) = w.rib.names.record_at(w.now.clock, &place).unwrap();
                 let (entity, role) = (place.entity, place.role);
-                let stake = Stake { name: place.name.to_bytes(), entity, role };
-                anew.store(stake, record.proof, registration.clone()).unwrap();
+                let registration_key = RegistrationKey { name: place.name.to_bytes(), entity, role };
+                anew.store(registration_key, record.proof, registration.clone()).unwrap();
             }
             for switch in &w.switches {
                 assert_eq!(w.rib.desired(&switch.name()), anew.desired(&switch.name()));

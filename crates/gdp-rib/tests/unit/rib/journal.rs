@@ -5,7 +5,7 @@ use super::*;
 #[test]
 fn every_item_has_one_key_and_nothing_else_is_one() {
     let [a, b, c] = [1, 2, 3].map(|i| Name::from_bytes([i; 32]));
-    let place = |role| Item::Registration(RecordPlace { name: a, role, entity: b, switch: c });
+    let place = |role| Item::Registration(RecordKey { name: a, role, entity: b, switch: c });
     let mut items = vec![
         Item::Floor,
         Item::Switch(a),

@@ -12,19 +12,19 @@ fn of_who_has_been_told_all_no_stream_is_kept_and_changes_follow_all_the_same() 
     let mut w = World::chain(2);
     let (robot, cloud, late) = (w.attached("robot", 0), w.attached("cloud", 1), w.attached("late", 0));
     w.publish(&robot, 0, 1);
-    assert_eq!(w.rib.telling.streams(), 0, "it was answered with all there is");
+    assert_eq!(w.rib.peer_updates.streams(), 0, "it was answered with all there is");
     w.subscribe(&cloud, 1, 1);
-    assert_eq!(w.rib.telling.streams(), 1, "the writer has a reader now");
+    assert_eq!(w.rib.peer_updates.streams(), 1, "the writer has a reader now");
     let first = w.tell();
     assert_eq!(first.len(), 1);
-    assert_eq!(w.rib.telling.streams(), 0, "and has heard of it");
+    assert_eq!(w.rib.peer_updates.streams(), 0, "and has heard of it");
     w.publish(&late, 0, 1);
     w.detach(&robot, 0);
     let pushes = w.tell();
     let [to_reader] = &pushes[..] else { panic!("{pushes:?}") };
     assert!(matches!(to_reader.peers.extent, PeersExtent::After(_)), "not the whole: {to_reader:?}");
     assert_eq!((to_reader.peers.records.len(), &to_reader.peers.gone[..]), (1, &[robot.name()][..]));
-    assert_eq!((w.tell_all(), w.rib.telling.streams()), (0, 0));
+    assert_eq!((w.tell_all(), w.rib.peer_updates.streams()), (0, 0));
     w.check_told();
 }
 
@@ -41,7 +41,7 @@ fn an_entity_that_is_reached_by_two_ways_keeps_both() {
     let whole: Vec<_> = w.tell().into_iter().filter(|push| push.entity == cloud.name()).collect();
     let [push] = &whole[..] else { panic!("{whole:?}") };
     assert_eq!((push.switch, push.peers.extent), (w.switch(0), PeersExtent::Whole { part: 0, last: true }));
-    assert_eq!((w.tell_all(), w.rib.telling.streams()), (0, 0), "there is one way now");
+    assert_eq!((w.tell_all(), w.rib.peer_updates.streams()), (0, 0), "there is one way now");
     w.check_told();
 }
 

@@ -1,14 +1,14 @@
 //! The RIB as a whole: what it refuses and why, what a lost attachment takes with it, which routes follow.
 
-mod abroad;
-mod boxes;
 mod counterparts;
 mod federation;
+mod interdomain;
 mod kept;
 mod random;
 mod revocations;
 mod stored;
 mod world;
+mod wrapped_keys;
 
 use std::time::Duration;
 
@@ -21,8 +21,8 @@ use gdp_proto::control::{EntityRequest, Extent, FibPush, NameRole, PeersExtent, 
 
 use self::world::{Parts, UNIX, World, expect_refused};
 use super::fib::Pushed;
-use super::telling::AT_ONCE;
-use super::{Effect, HOLD, Limits, Rib, Run, Told, UNREPORTED};
+use super::peer_updates::AT_ONCE;
+use super::{Effect, Limits, RESTART_TIME, Rib, Run, UNREPORTED, UpdateId};
 
 #[test]
 fn every_bad_advertisement_is_refused_with_its_reason() {
@@ -229,13 +229,13 @@ fn a_reader_is_told_of_its_writers_in_order() {
     w.publish(&late, 0, 1);
     w.detach(&robot, 0);
     assert!(pushed(&mut w).is_empty(), "not before the first is answered");
-    w.rib.told(w.now, Told::from(first), true);
+    w.rib.told(w.now, UpdateId::from(first), true);
     let pushes = pushed(&mut w);
     let [second] = &pushes[..] else { panic!("{pushes:?}") };
     assert_eq!(second.peers.extent, PeersExtent::After(first.peers.generation));
     assert_eq!((second.peers.records.len(), &second.peers.gone[..]), (1, &[robot.name()][..]));
 
-    w.rib.told(w.now, Told::from(second), false);
+    w.rib.told(w.now, UpdateId::from(second), false);
     assert!(pushed(&mut w).is_empty(), "not at once after a failure");
     assert_eq!(w.rib.next_tick(), Some(w.now.clock + Duration::from_millis(500)));
     w.pass(Duration::from_millis(500));
@@ -243,8 +243,8 @@ fn a_reader_is_told_of_its_writers_in_order() {
     let [whole] = &pushes[..] else { panic!("{pushes:?}") };
     assert_eq!(whole.peers.extent, PeersExtent::Whole { part: 0, last: true }, "nobody knows what arrived");
     assert_eq!(whole.peers.records.len(), 1);
-    w.rib.told(w.now, Told::from(second), true);
-    w.rib.told(w.now, Told::from(whole), false);
+    w.rib.told(w.now, UpdateId::from(second), true);
+    w.rib.told(w.now, UpdateId::from(whole), false);
     w.report(1, &[cloud.name()]);
     assert_eq!(pushed(&mut w).len(), 1, "its switch is there again");
 }
@@ -561,20 +561,20 @@ fn what_does_not_arrive_through_one_link_is_told_through_the_other() {
     };
     let lost = next(&mut w).unwrap();
     assert_eq!(lost.switch, w.switch(1), "where it was stated last");
-    w.rib.told(w.now, Told::from(&lost), false);
+    w.rib.told(w.now, UpdateId::from(&lost), false);
     let again = next(&mut w).unwrap();
     assert_eq!((again.switch, again.peers.records.len()), (w.switch(0), 1));
-    w.rib.told(w.now, Told::from(&again), false);
+    w.rib.told(w.now, UpdateId::from(&again), false);
     assert!(next(&mut w).is_none(), "both ways were tried");
     let mut since = Duration::ZERO;
     for _ in 0..4 {
-        let wait = w.rib.telling.retry_at().unwrap() - w.now.clock;
+        let wait = w.rib.peer_updates.retry_at().unwrap() - w.now.clock;
         assert!(wait >= (since * 2).max(Duration::from_millis(500)), "{wait:?} after {since:?}");
         since = wait;
         w.pass(wait);
         let tried = std::iter::from_fn(|| {
             let push = next(&mut w)?;
-            w.rib.told(w.now, Told::from(&push), false);
+            w.rib.told(w.now, UpdateId::from(&push), false);
             Some(push.switch)
         });
         let tried: Vec<_> = tried.take(3).collect();
@@ -858,7 +858,7 @@ fn a_switch_nobody_reaches_is_forgotten_after_a_while() {
     w.subscribe(&cloud, 2, 1);
     w.links.retain(|(a, b)| (*a, *b) != (1, 2));
     w.rewire();
-    w.pass(HOLD - Duration::from_secs(1));
+    w.pass(RESTART_TIME - Duration::from_secs(1));
     assert_eq!(w.routes().len(), 2, "held");
     w.links.push((1, 2));
     w.rewire();
@@ -866,7 +866,7 @@ fn a_switch_nobody_reaches_is_forgotten_after_a_while() {
     assert_eq!(w.routes().len(), 2, "it came back");
     w.links.retain(|(a, b)| (*a, *b) != (1, 2));
     w.rewire();
-    w.pass(HOLD);
+    w.pass(RESTART_TIME);
     assert_eq!(w.routes(), []);
     assert_eq!(w.rib.bit(&w.switch(2)), None);
     assert!(matches!(w.subscribe(&cloud, 2, 2), Response::Refused(_)));
@@ -877,7 +877,7 @@ fn a_switch_that_is_reached_and_says_nothing_is_asked_to_report() {
     let mut w = World::chain(3);
     w.links.retain(|(a, b)| (*a, *b) != (1, 2));
     w.rewire();
-    w.pass(HOLD);
+    w.pass(RESTART_TIME);
     assert_eq!(w.rib.bit(&w.switch(2)), None);
     let detaches = w.detaches();
     assert!(!detaches.contains(&(w.switch(2), w.switch(2))));

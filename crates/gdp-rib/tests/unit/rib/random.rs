@@ -140,7 +140,7 @@ fn check(w: &mut World) {
     // What was lost comes again, after a while.
     let before = w.rib.timers.clone();
     w.tell_all();
-    while let Some(retry) = w.rib.telling.retry_at() {
+    while let Some(retry) = w.rib.peer_updates.retry_at() {
         w.pass(retry.saturating_sub(w.now.clock).max(Duration::from_nanos(1)));
         w.tell_all();
     }

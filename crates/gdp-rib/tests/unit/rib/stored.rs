@@ -11,7 +11,7 @@ use gdp_proto::control;
 use gdp_proto::control::{NameRole, Record, RefusalCode, Response};
 
 use super::world::{World, expect_refused};
-use crate::rib::{HOLD, Item, Run};
+use crate::rib::{Item, RESTART_TIME, Run};
 use crate::rib::{restore::decode_item, restore::encode_item};
 
 #[test]
@@ -50,7 +50,7 @@ fn what_no_switch_reports_ends() {
     w.report(0, &[entities[0].name()]);
     w.report(1, &[]);
     assert_eq!(listed(&w), 2);
-    w.pass(HOLD);
+    w.pass(RESTART_TIME);
     assert_eq!(listed(&w), 1);
     w.store();
     let left = |item: &&Item| matches!(item, Item::Registration(_) | Item::Entity(_));
@@ -148,7 +148,7 @@ fn talking() -> (World, [Identity; 2], Name) {
 }
 
 fn take_over(w: &mut World, id: u64) -> Vec<(Item, String)> {
-    w.take_over(Run { id, settling: w.now.clock + HOLD })
+    w.take_over(Run { id, settling: w.now.clock + RESTART_TIME })
 }
 
 /// All that somebody has signed.

@@ -17,8 +17,8 @@ use gdp_proto::control::{
 use gdp_proto::peers::{Counterparts, PeerEvent};
 
 use crate::rib::fib::Pushed;
-use crate::rib::model::Stake;
-use crate::rib::{Effect, Item, Limits, Now, Rib, Run, Told};
+use crate::rib::model::RegistrationKey;
+use crate::rib::{Effect, Item, Limits, Now, Rib, Run, UpdateId};
 use crate::topology::Paths;
 
 pub const UNIX: u64 = 1_800_000_000;
@@ -36,7 +36,7 @@ pub struct World {
     pub switches: Vec<Identity>,
     pub links: Vec<(usize, usize)>,
     /// What each switch holds after the pushes it got.
-    pub held: BTreeMap<Name, Held>,
+    pub held: BTreeMap<Name, StoredRevocation>,
     /// The switch that each lane of each entity attached to last.
     pub entities: BTreeMap<(Name, u8), Name>,
     /// What entities hold of their counterparts: by entity, name and role.
@@ -51,7 +51,7 @@ pub struct World {
 }
 
 #[derive(Default)]
-pub struct Held {
+pub struct StoredRevocation {
     pub own_bit: u8,
     pub routes: BTreeMap<Name, Route>,
 }
@@ -355,7 +355,7 @@ impl World {
         let mut is_lost = || self.loss > 0 && self.random.below(self.loss) == 0;
         let (lost, answer_lost) = (is_lost(), is_lost());
         let arrived = !lost && self.take(push.entity, push.name, push.role, &push.peers);
-        self.rib.told(self.now, Told::from(push), arrived && !answer_lost);
+        self.rib.told(self.now, UpdateId::from(push), arrived && !answer_lost);
     }
 
     /// What the SDK of an entity does with what it is told. Whether it follows.
@@ -569,9 +569,13 @@ impl World {
             let is_settling = self.now.clock < self.rib.run.settling;
             assert!(known == expected || is_settling && known.is_superset(&expected), "{known:?}, {expected:?}");
             assert_eq!(node.revocation(), self.rib.revocations.claims(record.name.as_bytes()));
-            let own = Stake { name: record.name.to_bytes(), entity, role };
-            for (stake, other) in expected.iter().flat_map(|other| [(own, other), (Stake::inbox(entity), other)]) {
-                for kept in self.rib.boxes.between(&stake, other).map(|signed| signed.claims_unverified().unwrap()) {
+            let own = RegistrationKey { name: record.name.to_bytes(), entity, role };
+            for (registration_key, other) in
+                expected.iter().flat_map(|other| [(own, other), (RegistrationKey::inbox(entity), other)])
+            {
+                for kept in
+                    self.rib.boxes.between(&registration_key, other).map(|signed| signed.claims_unverified().unwrap())
+                {
                     assert!(
                         self.given.contains(&(kept.name, kept.writer, kept.reader, kept.epoch)),
                         "a box is missing"

@@ -3,7 +3,7 @@
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::{Host, Revocation, issue};
 use gdp_core::name::Name;
-use gdp_proto::control::{Abroad, Extent, NameRole, TierEntry, TierPush, TierRequest, TierResponse};
+use gdp_proto::control::{Extent, NameRole, RemoteRecord, TierEntry, TierPush, TierRequest, TierResponse};
 
 use super::hostile::{Victim, flipped};
 use super::world::{DAY, UNIX, host};
@@ -19,7 +19,7 @@ fn a_switch_is_of_no_domain_that_it_does_not_name_itself() {
     let Host { proof, membership: issued, .. } = moved.clone();
     let forged = issue(v.w.domains[2].switch.key(), &moved.statement.claims_unverified().unwrap()).unwrap();
     let claim = |host: &Host| {
-        let abroad = Abroad { host: host.clone(), path: vec![child], ..truth.clone() };
+        let abroad = RemoteRecord { host: host.clone(), path: vec![child], ..truth.clone() };
         vec![TierEntry::Part(Box::new(abroad))]
     };
     for (run, time) in [(1, "before it is known"), (2, "once it is known")] {
@@ -39,7 +39,7 @@ fn a_switch_is_of_no_domain_that_it_does_not_name_itself() {
             assert_eq!((v.counted(counted), v.entries()), (1, 0), "{time}, {what}: {reason}");
             v.forget_counts();
         }
-        push_by_parent(&mut v, run, Abroad { path: vec![third, parent], ..truth.clone() });
+        push_by_parent(&mut v, run, RemoteRecord { path: vec![third, parent], ..truth.clone() });
         let known = known_of(&mut v, entity);
         assert_eq!(known, [(vec![third, parent], false)], "it is reached where it is");
     }
@@ -51,22 +51,22 @@ fn a_way_that_is_of_no_use_hides_no_other() {
     let mut v = Victim::new();
     let stranger = Name::from_bytes([9; 32]);
     let [parent, child, third] = [1, 2, 3].map(|index| v.w.domains[index].identity.name());
-    let part = |abroad: Abroad| vec![TierEntry::Part(Box::new(abroad))];
+    let part = |abroad: RemoteRecord| vec![TierEntry::Part(Box::new(abroad))];
     // What the writer had a certificate for before: not for this domain.
-    let before = Abroad { path: vec![third, child], ..v.part(3, &[2]) };
+    let before = RemoteRecord { path: vec![third, child], ..v.part(3, &[2]) };
     let entity = before.record.entity.name().unwrap();
     assert!(matches!(v.push(part(before.clone())), TierResponse::Done));
     assert_eq!(known_of(&mut v, entity), []);
     let longer = vec![third, stranger, parent];
-    let now = Abroad { path: longer.clone(), ..v.part(3, &[0]) };
+    let now = RemoteRecord { path: longer.clone(), ..v.part(3, &[0]) };
     push_by_parent(&mut v, 1, now);
     assert_eq!(known_of(&mut v, entity), [(longer.clone(), false)]);
 
     // Somebody in the child may hear it, and not by way of the child.
     let record = v.w.record(2, 0, 101, NameRole::Subscriber, &[]);
-    let reader = Abroad { record, host: v.w.domains[2].host.clone(), path: vec![child] };
+    let reader = RemoteRecord { record, host: v.w.domains[2].host.clone(), path: vec![child] };
     v.push(part(reader));
-    push_by_parent(&mut v, 2, Abroad { path: longer.clone(), ..before });
+    push_by_parent(&mut v, 2, RemoteRecord { path: longer.clone(), ..before });
     assert_eq!(known_of(&mut v, entity), [(longer, true)]);
 }
 
@@ -74,7 +74,7 @@ fn a_way_that_is_of_no_use_hides_no_other() {
 fn a_switch_that_is_known_is_believed_no_longer_than_it_would_be_otherwise() {
     let mut v = Victim::new();
     v.w.renew(2, UNIX + 10);
-    let part = |abroad: Abroad| vec![TierEntry::Part(Box::new(abroad))];
+    let part = |abroad: RemoteRecord| vec![TierEntry::Part(Box::new(abroad))];
     let first = v.part_in(2, 0, 100, &[0]);
     assert!(matches!(v.push(part(first)), TierResponse::Done));
     let right = v.part_in(2, 1, 101, &[0]);
@@ -100,7 +100,7 @@ fn a_switch_that_is_known_is_believed_no_longer_than_it_would_be_otherwise() {
 }
 
 /// Of the parent, in a run of its own, and nothing else.
-fn push_by_parent(v: &mut Victim, run: u64, abroad: Abroad) {
+fn push_by_parent(v: &mut Victim, run: u64, abroad: RemoteRecord) {
     let extent = Extent::Full { part: 0, last: true };
     let push = TierPush { run, generation: 1, extent, set: vec![TierEntry::Part(Box::new(abroad))], remove: vec![] };
     let response = v.ask(1, TierRequest::Push(Box::new(push)));

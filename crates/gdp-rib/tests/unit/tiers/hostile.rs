@@ -7,7 +7,7 @@ use gdp_core::cert::{Host, Locator, MemberCert, Membership, Revocation, Signed, 
 use gdp_core::keys::KeyBox;
 use gdp_core::name::Name;
 use gdp_proto::control::{
-    Abroad, Extent, MAX_PATH, NameRole, RefusalCode, TierEntry, TierKey, TierPush, TierRequest, TierResponse,
+    Extent, MAX_PATH, NameRole, RefusalCode, RemoteRecord, TierEntry, TierKey, TierPush, TierRequest, TierResponse,
 };
 
 use super::world::{DAY, UNIX, World, identity, owner};
@@ -28,7 +28,7 @@ fn a_part_is_refused_unless_all_of_it_fits() {
     let stranger = Name::from_bytes([9; 32]);
     let [home, child, third] = [0, 2, 3].map(|index| v.w.domains[index].identity.name());
     let right = v.part(2, &[0, 3]);
-    let with = |change: &dyn Fn(&mut Abroad)| {
+    let with = |change: &dyn Fn(&mut RemoteRecord)| {
         let mut abroad = right.clone();
         change(&mut abroad);
         abroad
@@ -39,11 +39,11 @@ fn a_part_is_refused_unless_all_of_it_fits() {
     for (what, abroad, counted) in [
         ("no path", with(&|a| a.path.clear()), "path_length"),
         ("a long path", with(&|a| a.path = vec![stranger; MAX_PATH + 1]), "path_length"),
-        ("another's word", Abroad { path: vec![third], ..of_third.clone() }, "not_its_own"),
+        ("another's word", RemoteRecord { path: vec![third], ..of_third.clone() }, "not_its_own"),
         ("through us", with(&|a| a.path = vec![child, home, child]), "cycle"),
         ("through one twice", with(&|a| a.path = vec![child, third, child]), "cycle"),
         ("of another domain", with(&|a| a.path = vec![third, child]), "wrong_domain"),
-        ("a switch of another domain", Abroad { path: vec![child], ..of_third.clone() }, "wrong_domain"),
+        ("a switch of another domain", RemoteRecord { path: vec![child], ..of_third.clone() }, "wrong_domain"),
         ("another's switch", with(&|a| a.host = of_third.host.clone()), "wrong_domain"),
         ("another switch", with(&|a| a.record.switch = stranger), "certificate"),
         ("another name", with(&|a| a.record.name = stranger), "certificate"),
@@ -217,7 +217,7 @@ fn who_is_no_neighbour_is_told_so_and_limits_hold() {
         let response = v.ask(3, request);
         assert!(matches!(&response, TierResponse::Refused(refusal) if refusal.code == RefusalCode::NotAttached));
     }
-    assert_eq!(v.w.domains[0].tiers.strangers(), 2);
+    assert_eq!(v.w.domains[0].tiers.unknown_domains(), 2);
     let parent = v.w.domains[1].identity.name();
     let response = v.ask(1, TierRequest::Query { name, path: vec![parent] });
     assert!(matches!(response, TierResponse::Refused(_)), "a parent does not ask its child");
@@ -319,15 +319,15 @@ impl Victim {
     }
 
     /// A right part of entity 100 in topic 0, stated in domain `at`, as that says it itself.
-    pub fn part(&mut self, at: usize, scope: &[usize]) -> Abroad {
+    pub fn part(&mut self, at: usize, scope: &[usize]) -> RemoteRecord {
         self.part_in(at, 0, 100, scope)
     }
 
-    pub fn part_in(&mut self, at: usize, topic: usize, entity: usize, scope: &[usize]) -> Abroad {
+    pub fn part_in(&mut self, at: usize, topic: usize, entity: usize, scope: &[usize]) -> RemoteRecord {
         let scope: Vec<Name> = scope.iter().map(|index| self.w.domains[*index].identity.name()).collect();
         let record = self.w.record(at, topic, entity, Publisher, &scope);
         let domain = &self.w.domains[at];
-        Abroad { record, host: domain.host.clone(), path: vec![domain.identity.name()] }
+        RemoteRecord { record, host: domain.host.clone(), path: vec![domain.identity.name()] }
     }
 
     /// Of the child: the first is the whole, the following change it.

@@ -4,13 +4,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_core::name::Name;
-use gdp_proto::control::{NameRole, RecordPlace, TierEntry, TierKey, TierRequest, TierResponse};
+use gdp_proto::control::{NameRole, RecordKey, TierEntry, TierKey, TierRequest, TierResponse};
 
 use super::hostile::Victim;
 use super::world::{Random, World, hosted};
 use crate::tiers::interest::Interest;
 use crate::tiers::{Item, Limits, Tiers};
-use crate::tiers::{table::Held, table::Table};
+use crate::tiers::{table::Table, table::TableRecord};
 
 use NameRole::{Caller, Publisher, Server, Subscriber};
 
@@ -23,15 +23,15 @@ fn who_wants_what_is_the_same_as_if_all_parts_were_looked_at() {
             let role = [Publisher, Subscriber, Server, Caller][random.below(4)];
             let scope = (0..5).filter(|_| role.is_writer() && random.below(3) == 0).map(domain).collect();
             let path = (0..random.below(3)).map(|_| domain(1 + random.below(4))).collect();
-            let mut held = Held { scope, path, ..template.clone() };
+            let mut held = TableRecord { scope, path, ..template.clone() };
             held.place.role = role;
             Arc::new(held)
         };
         let home = domain(0);
-        let parts: Vec<Arc<Held>> = (0..random.below(8)).map(|_| part(&mut random)).collect();
+        let parts: Vec<Arc<TableRecord>> = (0..random.below(8)).map(|_| part(&mut random)).collect();
         let interest = Interest::of(home, parts.iter());
         for other in (0..8).map(|_| part(&mut random)) {
-            let meets = |own: &Arc<Held>| {
+            let meets = |own: &Arc<TableRecord>| {
                 let (writer, reader) = if own.place.role.is_writer() { (own, &other) } else { (&other, own) };
                 own.place.role.counterpart() == other.place.role
                     && own.origin(home) != other.origin(home)
@@ -74,7 +74,7 @@ fn what_there_was_no_room_for_is_told_again() {
     let places = [1, 2, 3].map(|entity| w.state(1, 0, entity, Publisher, &[0]));
     w.run(Duration::from_secs(10));
     let name = places[0].name;
-    let held = |w: &World| -> Vec<RecordPlace> {
+    let held = |w: &World| -> Vec<RecordKey> {
         let sides = w.domains[0].tiers.sides.values();
         sides.flat_map(|side| side.table.parts_of(name)).map(|held| held.place).collect()
     };
@@ -102,7 +102,7 @@ fn what_there_was_no_room_for_is_told_again() {
 fn what_rests_on_a_domain_or_a_name_is_found_without_looking_at_the_rest() {
     let (mut random, template, mut table) = (Random(2), template(), Table::default());
     for _ in 0..400 {
-        let mut held = Held { path: vec![domain(10 + random.below(3)), domain(13)], ..template.clone() };
+        let mut held = TableRecord { path: vec![domain(10 + random.below(3)), domain(13)], ..template.clone() };
         (held.place.name, held.place.entity) = (domain(random.below(4)), domain(20 + random.below(6)));
         let key = TierKey::Part(held.place);
         match random.below(3) {
@@ -110,19 +110,20 @@ fn what_rests_on_a_domain_or_a_name_is_found_without_looking_at_the_rest() {
             _ => drop(table.insert(key, Item::part(Arc::new(held)))),
         }
         for about in 0..20 {
-            let is_concerned = |held: &&Arc<Held>| held.place.name == domain(about) || held.path[0] == domain(about);
+            let is_concerned =
+                |held: &&Arc<TableRecord>| held.place.name == domain(about) || held.path[0] == domain(about);
             let concerned: Vec<_> = table.parts().filter(is_concerned).collect();
             assert_eq!(table.parts_about(domain(about)).collect::<Vec<_>>(), concerned);
         }
     }
 }
 
-fn template() -> Held {
+fn template() -> TableRecord {
     let mut w = World::new(1, &[&[]]);
     let record = w.record(0, 0, 0, Publisher, &[]);
     let (place, host, ends) =
         (record.place().unwrap(), hosted(w.domains[0].identity.name(), &w.domains[0].host), w.now.clock);
-    Held { place, record, host, path: Vec::new(), scope: Vec::new(), ends }
+    TableRecord { place, record, host, path: Vec::new(), scope: Vec::new(), ends }
 }
 
 fn domain(i: usize) -> Name {

@@ -11,9 +11,9 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use gdp_core::cert::Revocation;
-use gdp_proto::control::{NameRole, RecordPlace, encode};
+use gdp_proto::control::{NameRole, RecordKey, encode};
 
-use super::{HOLD, Item, Standing};
+use super::{Item, RESTART_TIME, SessionState};
 use world::{Random, World, owner, pair};
 
 use NameRole::{Caller, Publisher, Server, Subscriber};
@@ -75,10 +75,10 @@ fn what_is_away_for_a_short_time_stays_and_then_it_goes() {
     w.run(MOMENT);
     w.check("both are there");
     w.set_link((0, 1), false);
-    w.run(HOLD / 2);
+    w.run(RESTART_TIME / 2);
     let knows = |w: &World| w.domains[2].known.values().filter(is_own_part).count();
     assert_eq!(knows(&w), 1, "a short partition costs nothing");
-    w.run(HOLD);
+    w.run(RESTART_TIME);
     assert_eq!(knows(&w), 0);
     w.set_link((0, 1), true);
     w.run(3 * MOMENT);
@@ -113,7 +113,7 @@ fn a_neighbour_that_begins_anew_is_understood_at_once() {
     w.down.insert((0, 1));
     let (now, adjacent) = (w.now, w.adjacent(0));
     w.domains[0].tiers.set_adjacent(now, adjacent);
-    w.run(HOLD + Duration::from_secs(1));
+    w.run(RESTART_TIME + Duration::from_secs(1));
     assert!(w.domains[0].tiers.neighbours().all(|neighbour| neighbour.domain != child));
     assert!(w.domains[1].tiers.neighbours().all(|neighbour| neighbour.entries_in > 0));
     w.set_link((0, 1), true);
@@ -133,12 +133,12 @@ fn a_second_parent_takes_over() {
         for child in [2, 3] {
             w.set_link(pair(dead, child), false);
         }
-        w.run(2 * HOLD);
+        w.run(2 * RESTART_TIME);
         w.check("one parent is gone");
         for child in [2, 3] {
             w.set_link(pair(dead, child), true);
         }
-        w.run(2 * HOLD);
+        w.run(2 * RESTART_TIME);
     }
 }
 
@@ -154,7 +154,7 @@ fn a_cycle_is_refused_with_a_reason_and_mended_when_it_is_gone() {
     let reasons: Vec<String> = w.domains.iter().flat_map(|d| d.tiers.neighbours().collect::<Vec<_>>()).fold(
         Vec::new(),
         |mut reasons, neighbour| {
-            if let Standing::Refused { reason, .. } = neighbour.standing {
+            if let SessionState::Refused { reason, .. } = neighbour.standing {
                 assert!(neighbour.refused["cycle"] > 0);
                 reasons.push(reason);
             }
@@ -278,7 +278,7 @@ fn whatever_happens_every_domain_knows_in_the_end_what_it_should() {
             .collect();
         let parents: Vec<&[usize]> = parents.iter().map(Vec::as_slice).collect();
         let mut w = World::new(seed, &parents);
-        let mut places: Vec<RecordPlace> = Vec::new();
+        let mut places: Vec<RecordKey> = Vec::new();
         for step in 0..40 {
             match random.below(10) {
                 0..5 => {
@@ -315,7 +315,8 @@ fn whatever_happens_every_domain_knows_in_the_end_what_it_should() {
         let edges: usize = parents.iter().map(|parents| parents.len()).sum();
         assert!(hellos <= 2 * 13 * edges as u64 + 12, "seed {seed}: {hellos} messages a minute over {edges} edges");
         let refused = w.domains.iter().flat_map(|d| d.tiers.neighbours().collect::<Vec<_>>());
-        if !refused.map(|neighbour| neighbour.standing).any(|standing| matches!(standing, Standing::Refused { .. })) {
+        if !refused.map(|neighbour| neighbour.standing).any(|standing| matches!(standing, SessionState::Refused { .. }))
+        {
             assert_eq!(w.pushes, pushes, "seed {seed}: nothing is told while nothing changes");
         }
     }

@@ -7,10 +7,10 @@ use gdp_core::revocations::Kept;
 use gdp_proto::control::{Credential, NameRole, TierEntry, TierKey, TierResponse};
 use gdp_wire::Name;
 
-use super::HOLD;
+use super::RESTART_TIME;
 use super::hostile::Victim;
 use super::world::{DAY, UNIX, World, hosted, identity, owner, revocation};
-use crate::tiers::{side::MAX_REVOKED_NAMES, side::Told};
+use crate::tiers::{side::MAX_REVOKED_NAMES, side::SentUpdate};
 
 use NameRole::{Publisher, Subscriber};
 
@@ -63,9 +63,9 @@ fn who_was_away_hears_of_it_once_it_says_what_holds_no_more() {
     w.run(MOMENT);
     let serial = serial(&w, 5, 0);
     w.set_link((0, 2), false);
-    w.run(2 * HOLD);
+    w.run(2 * RESTART_TIME);
     w.revoke(3, 0, 1, vec![serial]);
-    w.run(2 * HOLD);
+    w.run(2 * RESTART_TIME);
     assert_eq!((aware(&w, 0), w.domains[5].parts.len()), (vec![0, 1, 3], 1));
     w.set_link((0, 2), true);
     w.run(2 * MOMENT);
@@ -125,7 +125,7 @@ fn who_reads_for_a_role_that_its_domain_takes_back_is_forgotten() {
 
 #[test]
 fn one_neighbour_is_told_of_so_many_names() {
-    let (mut told, kept) = (Told::default(), revocation(0, 1, vec![1]));
+    let (mut told, kept) = (SentUpdate::default(), revocation(0, 1, vec![1]));
     let name = |i: usize| Name::from_bytes([(i >> 8) as u8, i as u8].repeat(16).try_into().unwrap());
     let all = MAX_REVOKED_NAMES + 10;
     (0..all).for_each(|i| told.tell_revoked(name(i), &kept));

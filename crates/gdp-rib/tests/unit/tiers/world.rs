@@ -16,10 +16,10 @@ use gdp_core::keys::KeyBox;
 use gdp_core::name::{Name, NameProof};
 use gdp_core::revocations::Kept;
 use gdp_proto::control;
-use gdp_proto::control::{Credential, NameRole, Record, RecordPlace, TierEntry, TierKey, TierRequest, TierResponse};
+use gdp_proto::control::{Credential, NameRole, Record, RecordKey, TierEntry, TierKey, TierRequest, TierResponse};
 
 use gdp_rib::rib::Now;
-use gdp_rib::tiers::{Change, Effect, Hosted, Item, Kind, Limits, Reply, Revoked, Sent, Standing, Ticket, Tiers};
+use gdp_rib::tiers::{Change, Effect, Hosted, Item, Kind, Limits, Reply, Revoked, Sent, SessionState, Ticket, Tiers};
 
 pub const UNIX: u64 = 1_800_000_000;
 pub const DAY: u64 = 86_400;
@@ -42,12 +42,12 @@ impl Revoked for Revocations {
 }
 
 /// What all know, and besides what the RIB of one domain has heard of owners.
-struct Heard<'a> {
+struct Announced<'a> {
     all: &'a Revocations,
     own: &'a BTreeMap<Name, (Kept, Revocation)>,
 }
 
-impl Revoked for Heard<'_> {
+impl Revoked for Announced<'_> {
     fn newest(&self, name: &Name) -> Option<&Revocation> {
         self.all.newest(name).or_else(|| Some(&self.own.get(name)?.1))
     }
@@ -64,7 +64,7 @@ pub struct Domain {
     pub locator: Locator,
     pub parents: Vec<usize>,
     pub tiers: Tiers,
-    pub parts: BTreeMap<RecordPlace, Part>,
+    pub parts: BTreeMap<RecordKey, Part>,
     pub boxes: BTreeMap<Name, Vec<Signed<KeyBox>>>,
     /// What the own RIB was told, with whether it only passes.
     pub known: BTreeMap<TierKey, Item>,
@@ -96,7 +96,7 @@ pub struct World {
     pub random: Random,
     /// Queries of other domains that are answered later: whose, by ticket.
     waiting: BTreeMap<(usize, Ticket), (usize, Sent)>,
-    pub answers: Vec<(usize, Vec<RecordPlace>)>,
+    pub answers: Vec<(usize, Vec<RecordKey>)>,
     pub pushes: u64,
     pub messages: u64,
     /// What own RIBs were told to forget.
@@ -199,7 +199,7 @@ impl World {
     }
 
     /// An entity states a part in a topic. Its scope: these domains.
-    pub fn state(&mut self, at: usize, topic: usize, entity: usize, role: NameRole, scope: &[usize]) -> RecordPlace {
+    pub fn state(&mut self, at: usize, topic: usize, entity: usize, role: NameRole, scope: &[usize]) -> RecordKey {
         let scope: Vec<Name> = scope.iter().map(|index| self.domains[*index].identity.name()).collect();
         let record = self.record(at, topic, entity, role, &scope);
         let place = record.place().unwrap();
@@ -239,7 +239,7 @@ impl World {
         domain.tiers.set_own_boxes(writer.name(), boxes.clone()).unwrap();
     }
 
-    pub fn withdraw(&mut self, place: RecordPlace) {
+    pub fn withdraw(&mut self, place: RecordKey) {
         for domain in &mut self.domains {
             if domain.parts.remove(&place).is_some() {
                 domain.tiers.remove_own(place);
@@ -371,7 +371,7 @@ impl World {
                 let request: TierRequest = control::decode(&bytes).unwrap();
                 let asker = self.domains[from].identity.name();
                 let Domain { tiers, owners, .. } = &mut self.domains[to];
-                let heard = Heard { all: &self.revocations, own: owners };
+                let heard = Announced { all: &self.revocations, own: owners };
                 let reply = tiers.request(self.now, asker, request, &heard);
                 tiers.take_revoked().into_iter().for_each(|kept| self.take_revoked(to, kept, Some(asker)));
                 match reply {
@@ -383,7 +383,7 @@ impl World {
                 let response = bytes.map(|bytes| control::decode(&bytes).unwrap());
                 let name = self.domains[from].identity.name();
                 let Domain { tiers, owners, .. } = &mut self.domains[to];
-                let heard = Heard { all: &self.revocations, own: owners };
+                let heard = Announced { all: &self.revocations, own: owners };
                 tiers.answered(self.now, name, sent, response, &heard);
             }
         }
@@ -408,16 +408,15 @@ impl World {
         let gone = parts.extract_if(.., |place, part| place.name == name && !holds(part));
         gone.for_each(|(place, _)| tiers.remove_own(place));
         owners.insert(name, (kept, claims));
-        tiers.reconsider(now, name, said_by, &Heard { all: &self.revocations, own: owners });
+        tiers.reconsider(now, name, said_by, &Announced { all: &self.revocations, own: owners });
     }
 
     /// The parents of each domain that it has accepted, over links that are up.
     pub fn accepted(&self) -> Vec<BTreeSet<usize>> {
         let parents = |index: usize| {
-            let up = self.domains[index]
-                .tiers
-                .neighbours()
-                .filter(|neighbour| matches!(neighbour.kind, Kind::Parent(_)) && neighbour.standing == Standing::Up);
+            let up = self.domains[index].tiers.neighbours().filter(|neighbour| {
+                matches!(neighbour.kind, Kind::Parent(_)) && neighbour.standing == SessionState::Up
+            });
             up.map(|neighbour| self.index(neighbour.domain)).collect()
         };
         (0..self.domains.len()).map(parents).collect()
@@ -451,9 +450,9 @@ impl World {
                     && !above[index].is_disjoint(&above[other.at])
                     && domain.parts.values().any(|own| meets(own, other))
             };
-            let expected: BTreeSet<RecordPlace> =
+            let expected: BTreeSet<RecordKey> =
                 all.iter().filter(hears).map(|part| part.record.place().unwrap()).collect();
-            let known: BTreeSet<RecordPlace> = domain
+            let known: BTreeSet<RecordKey> = domain
                 .known
                 .values()
                 .filter_map(|item| match item {
@@ -538,7 +537,7 @@ fn box_key(signed: &Signed<KeyBox>) -> TierKey {
     TierKey::Box { writer, reader, name, epoch }
 }
 
-fn places(entries: &[TierEntry]) -> Vec<RecordPlace> {
+fn places(entries: &[TierEntry]) -> Vec<RecordKey> {
     let places = entries.iter().filter_map(|entry| match entry {
         TierEntry::Part(abroad) => Some(abroad.record.place().unwrap()),
         _ => None,

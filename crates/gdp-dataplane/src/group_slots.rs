@@ -1,0 +1,105 @@
+//! Which place in a group of the kernel each link has, and what to change, in which order, so that nobody else in the group
+//! misses a frame or gets one twice meanwhile. The rules are those of `gdp-ebpf/src/groups.rs`. Sans-IO; called by
+//! [`super::kernel_groups`].
+
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A link that takes copies, and the interface they leave by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Member {
+    pub link: u32,
+    pub interface: u32,
+}
+
+/// The places of a group.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct GroupSlots {
+    by_interface: BTreeMap<u32, Vec<Place>>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Place {
+    /// In the device map; which of an interface's keys belongs to which of its places does not matter.
+    key: u32,
+    /// 0: empty.
+    link: u32,
+}
+
+/// One write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    Occupy { interface: u32, index: u32, link: u32 },
+    Vacate { interface: u32, index: u32 },
+    AddKey { key: u32, interface: u32 },
+    RemoveKey { key: u32 },
+}
+
+impl GroupSlots {
+    /// What is found in the maps: (key, interface) and (interface, index, link). `None` if a place has no key, as when a
+    /// daemon ended between two steps.
+    pub fn found(keys: &[(u32, u32)], occupied: &[(u32, u32, u32)]) -> Option<Self> {
+        let mut places = Self::default();
+        for (key, interface) in keys {
+            places.by_interface.entry(*interface).or_default().push(Place { key: *key, link: 0 });
+        }
+        for (interface, index, link) in occupied {
+            places.by_interface.get_mut(interface)?.get_mut(*index as usize)?.link = *link;
+        }
+        Some(places)
+    }
+
+    pub fn members(&self) -> impl Iterator<Item = Member> {
+        let places = self.by_interface.iter().flat_map(|(interface, places)| places.iter().map(|p| (*interface, p)));
+        places.filter(|(_, place)| place.link != 0).map(|(interface, place)| Member { link: place.link, interface })
+    }
+
+    /// Makes `wanted` the members. `None`, and no change, if that takes more than `capacity` keys, those of empty places included.
+    pub fn become_these(&mut self, wanted: &[Member], capacity: usize) -> Option<Vec<Step>> {
+        let (wanted, held): (BTreeSet<_>, BTreeSet<_>) = (wanted.iter().copied().collect(), self.members().collect());
+        let mut after = self.clone();
+        let mut steps = Vec::new();
+        held.difference(&wanted).for_each(|member| after.leave(*member, &mut steps));
+        for member in wanted.difference(&held) {
+            after.join(*member, capacity, &mut steps)?;
+        }
+        *self = after;
+        Some(steps)
+    }
+
+    fn leave(&mut self, member: Member, steps: &mut Vec<Step>) {
+        let interface = member.interface;
+        let Some(places) = self.by_interface.get_mut(&interface) else { return };
+        let Some(index) = places.iter().position(|place| place.link == member.link) else { return };
+        places[index].link = 0;
+        steps.push(Step::Vacate { interface, index: index as u32 });
+        while let Some(last) = places.pop_if(|last| last.link == 0) {
+            steps.push(Step::RemoveKey { key: last.key });
+        }
+        if places.is_empty() {
+            self.by_interface.remove(&interface);
+        }
+    }
+
+    fn join(&mut self, Member { link, interface }: Member, capacity: usize, steps: &mut Vec<Step>) -> Option<()> {
+        let free = self.free_key(capacity);
+        let places = self.by_interface.entry(interface).or_default();
+        if let Some(index) = places.iter().position(|place| place.link == 0) {
+            places[index].link = link;
+            steps.push(Step::Occupy { interface, index: index as u32, link });
+            return Some(());
+        }
+        let (index, key) = (places.len() as u32, free?);
+        places.push(Place { key, link });
+        steps.extend([Step::Occupy { interface, index, link }, Step::AddKey { key, interface }]);
+        Some(())
+    }
+
+    fn free_key(&self, capacity: usize) -> Option<u32> {
+        let used: BTreeSet<u32> = self.by_interface.values().flatten().map(|place| place.key).collect();
+        (0..capacity as u32).find(|key| !used.contains(key))
+    }
+}
+
+#[cfg(test)]
+#[path = "../tests/unit/group_slots.rs"]
+mod tests;

@@ -1,0 +1,74 @@
+//! What a link needs to know of the port it is on.
+
+use std::net::IpAddr;
+use std::net::UdpSocket;
+
+use crate::port::HostPair;
+use std::net::Ipv4Addr;
+use std::net::SocketAddr;
+
+/// What a link needs to know of the port it is on.
+#[derive(Clone, Copy, Debug)]
+pub enum LinkLocation {
+    Ethernet {
+        ifindex: u32,
+        vlan: u16,
+        local_mac: [u8; 6],
+        peer_mac: [u8; 6],
+    },
+    /// `bound`: what the port's socket is bound to, perhaps the unspecified address.
+    /// `pair`: how frames go, if not by where QUIC is.
+    Udp {
+        bound: SocketAddr,
+        pair: Option<PairEnd>,
+    },
+}
+
+impl LinkLocation {
+    /// Whether a peer's address is one of this host: then the kernel sends from it as well.
+    pub fn leads_to_this_host(self, peer: SocketAddr) -> bool {
+        matches!(self, Self::Udp { bound, .. } if udp_source(bound.ip(), peer) == peer.ip().to_canonical())
+    }
+
+    pub fn by(self, end: PairEnd) -> Self {
+        match self {
+            Self::Udp { bound, .. } => Self::Udp { bound, pair: Some(end) },
+            ethernet => ethernet,
+        }
+    }
+}
+
+/// One side's view of a [`HostPair`].
+#[derive(Clone, Copy, Debug)]
+pub struct PairEnd {
+    /// Not known to the endpoint, nor are MAC addresses: its kernel knows them.
+    pub local_ip: Ipv4Addr,
+    pub local_mac: [u8; 6],
+    pub peer_ip: Ipv4Addr,
+    pub peer_mac: [u8; 6],
+}
+
+impl PairEnd {
+    pub fn toward(switch: Ipv4Addr) -> Self {
+        Self { local_ip: Ipv4Addr::UNSPECIFIED, local_mac: [0; 6], peer_ip: switch, peer_mac: [0; 6] }
+    }
+
+    pub fn of_switch(pair: &HostPair) -> Self {
+        let HostPair { switch_ip, switch_mac, host_ip, host_mac } = *pair;
+        Self { local_ip: switch_ip, local_mac: switch_mac, peer_ip: host_ip, peer_mac: host_mac }
+    }
+}
+
+/// The address that a socket bound to `bound` sends from to `peer`; the unspecified one if there is no route.
+pub fn udp_source(bound: IpAddr, peer: SocketAddr) -> IpAddr {
+    if !bound.is_unspecified() {
+        return bound.to_canonical();
+    }
+    // Connecting a UDP socket sends nothing: the kernel looks its routes up.
+    let ask = || {
+        let socket = UdpSocket::bind((bound, 0))?;
+        socket.connect(peer)?;
+        socket.local_addr()
+    };
+    ask().map_or(bound, |local| local.ip().to_canonical())
+}

@@ -1,0 +1,299 @@
+//! Parts that entities of other domains have in names, as the RIBs of those domains tell. They are taken in like what is stated here,
+//! and routed over borders: by which, [`super::border_links`] says. What is told on to other RIBs is in [`super::exports`].
+
+use crate::rib::border_links::BorderLink;
+use crate::rib::remote_registrations::Foreign;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use gdp_core::cert::{CertError, Signed};
+use gdp_core::keys::KeyBox;
+use gdp_core::name::NameProof;
+use gdp_proto::control::{NameRole, RecordKey, Refusal, RefusalCode};
+use gdp_wire::Name;
+
+use super::border_links::{Changed, GRACE};
+use super::statements::lifetime;
+use super::{Rib, Timer};
+use crate::rib::model::InboxOwner;
+use crate::rib::model::Key;
+use crate::rib::model::Now;
+use crate::rib::model::Realm;
+use crate::rib::model::RegistrationKey;
+use crate::rib::model::{limit_reached, refusal};
+use crate::rib::registration::{EntityIdentity, Registration, Remote, shared};
+
+impl Rib {
+    /// Takes in, or replaces, what the neighbour `foreign.next` told of one place. Verified here but for the domain of its switch.
+    /// Of several neighbours that tell of one place, the one with the newest statement counts, and of those the nearest; the word of
+    /// the others is kept for when that one takes back its own. Key boxes are taken one after the other, up to one that is refused: for
+    /// what reason, is returned.
+    pub fn set_foreign(&mut self, now: Now, foreign: Foreign) -> Result<Option<Refusal>, Refusal> {
+        self.tick(now);
+        let Foreign { record, domain, next, hops, boxes, local } = foreign;
+        let place = record.place().map_err(refusal)?;
+        let (key, role) = (record.name.to_bytes(), place.role);
+        // Before signatures are verified: what there is no room for is told again and again.
+        self.check_told(&place, &next)?;
+        let verified = record.verify(self.revocations.claims(&key), now.unix).map_err(refusal)?;
+        record.credential.check_member(|domain| self.domains.get(domain)).map_err(refusal)?;
+        let (entity, advert) = (verified.entity, verified.advert);
+        let registration_key = RegistrationKey { name: key, entity, role };
+        self.check_foreign(registration_key, &place.switch, &next, advert.serial)?;
+        let seconds = u32::try_from(record.expires_in).unwrap_or(u32::MAX).min(advert.lifetime);
+        let scope = record.credential.scope().map_err(refusal)?;
+        let new = Registration {
+            by: Arc::new(EntityIdentity { name: entity, proof: record.entity, box_key: advert.box_key }),
+            switch: record.switch,
+            abroad: Some(Box::new(Remote { realm: Realm { next, domain }, hops, local })),
+            role,
+            credential: record.credential,
+            advert: record.advert,
+            serial: advert.serial,
+            scope: shared(scope),
+            everywhere: false,
+            ends: lifetime(now, seconds, verified.not_after)?,
+            bound: true,
+            told: 0,
+        };
+        if self.next_of(&place) == Some(next) {
+            self.store(registration_key, record.proof, new)?;
+        } else {
+            self.abroad.put_spare(place, next, (record.proof, new));
+        }
+        self.settle_place(now, place)?;
+        self.forget_here(registration_key, advert.serial);
+        Ok(boxes.iter().find_map(|signed| self.foreign_box(now, registration_key, &record.entity, signed).err()))
+    }
+
+    /// The neighbours that have told of a place, whether or not their word counts.
+    pub fn told_by(&self, place: &RecordKey) -> Vec<Name> {
+        let spare = self.abroad.spare.get(place).into_iter().flat_map(BTreeMap::keys).copied();
+        self.next_of(place).into_iter().chain(spare).collect()
+    }
+
+    /// The neighbour whose word counts of a place.
+    pub fn next_of(&self, place: &RecordKey) -> Option<Name> {
+        let registration = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch)?;
+        registration.abroad.as_ref().map(|abroad| abroad.realm.next)
+    }
+
+    /// The neighbour `next` takes back what it told of the place.
+    pub fn remove_foreign(&mut self, now: Now, place: &RecordKey, next: &Name) {
+        self.tick(now);
+        self.abroad.take_spare(place, next);
+        if self.next_of(place) == Some(*next) {
+            self.end(now, registration_key_of(place), place.switch);
+        }
+    }
+
+    /// The neighbour is gone for good, with all that it told.
+    pub fn remove_foreign_of(&mut self, now: Now, next: &Name) {
+        let names = self.abroad.names.iter().filter(|(realm, _)| realm.next == *next);
+        let names: BTreeSet<Key> = names.flat_map(|(_, names)| names.keys().copied()).collect();
+        let spare = self.abroad.spare.iter().filter(|(_, spare)| spare.contains_key(next)).map(|(place, _)| *place);
+        let used = names.iter().flat_map(|name| self.names.places(Name::from_bytes(*name)));
+        let places: Vec<RecordKey> = spare.chain(used).collect();
+        places.iter().for_each(|place| self.remove_foreign(now, place, next));
+    }
+
+    /// The links into each neighbouring domain are now these, all of them. A domain that is not named here is reached by those to the
+    /// neighbour that told of its entities.
+    pub fn set_ways(&mut self, now: Now, ways: BTreeMap<Name, Vec<BorderLink>>) {
+        self.tick(now);
+        let changed = self.ways.set(now.clock, ways, self.limits.ways_per_domain);
+        if !changed.is_empty() {
+            self.timers.insert((now.clock + GRACE, Timer::BorderLinks));
+            self.follow_ways(&changed);
+        }
+    }
+
+    pub(super) fn end_earlier_ways(&mut self, now: Now) {
+        let changed = self.ways.end(now.clock);
+        self.follow_ways(&changed);
+    }
+
+    /// The border got an egress bit, or lost it.
+    pub(super) fn follow_border(&mut self, border: Name) {
+        let domains = self.ways.domains_over(&border).into_iter();
+        self.follow_ways(&domains.map(|domain| (domain, BTreeSet::from([border]))).collect());
+    }
+
+    /// What an entity has stated here counts, and not what it had stated abroad before.
+    pub(super) fn forget_abroad(&mut self, registration_key: RegistrationKey, serial: u64) {
+        let earlier = self.names.all_of(&registration_key.name, &registration_key.entity, registration_key.role);
+        let earlier = earlier.filter(|earlier| !earlier.is_here() && earlier.serial < serial);
+        let switches: Vec<Name> = earlier.map(|earlier| earlier.switch).collect();
+        for switch in switches {
+            self.unregister(registration_key, switch);
+        }
+    }
+
+    /// What an entity has stated abroad counts, and not what it had stated here before: it has moved, though the link that it had here may
+    /// not be missed yet.
+    fn forget_here(&mut self, registration_key: RegistrationKey, serial: u64) {
+        let earlier = self.names.all_of(&registration_key.name, &registration_key.entity, registration_key.role);
+        let earlier = earlier.filter(|it| it.is_here() && !it.everywhere && it.serial < serial);
+        let switches: Vec<Name> = earlier.map(|earlier| earlier.switch).collect();
+        switches.into_iter().for_each(|switch| self.unregister(registration_key, switch));
+    }
+
+    /// A registration is over. What another neighbour says of it counts then, if it came from abroad.
+    pub(super) fn end(&mut self, now: Now, registration_key: RegistrationKey, switch: Name) {
+        let place = place_of(registration_key, switch);
+        self.unregister(registration_key, switch);
+        if let Err(refusal) = self.settle_place(now, place) {
+            tracing::warn!(%refusal, "what another domain told does not count now");
+        }
+    }
+
+    fn check_foreign(
+        &self,
+        registration_key: RegistrationKey,
+        switch: &Name,
+        next: &Name,
+        serial: u64,
+    ) -> Result<(), Refusal> {
+        let RegistrationKey { name, entity, role } = registration_key;
+        if self.switches.contains_key(switch) {
+            let reason = format!("switch {switch} is of this domain, and domain {next} tells that {entity} is there");
+            return Err(Refusal::new(RefusalCode::WrongSwitch, reason));
+        }
+        if name == entity.to_bytes() {
+            let reason = format!("{entity} is reached under its own name as it is, by its counterparts");
+            return Err(Refusal::new(RefusalCode::Unsupported, reason));
+        }
+        let before = self.word_of(&place_of(registration_key, *switch), next);
+        let since = self.names.all_of(&name, &entity, role).filter(|here| here.is_here() && !here.everywhere);
+        if let Some(newer) = since.chain(before).find(|newer| newer.serial > serial) {
+            return Err(refusal(CertError::ReplayedSerial { floor: newer.serial - 1, got: serial }));
+        }
+        Ok(())
+    }
+
+    fn check_told(&self, place: &RecordKey, next: &Name) -> Result<(), Refusal> {
+        let limit = self.limits.records_per_neighbour;
+        if self.word_of(place, next).is_none() && self.abroad.told.get(next).is_some_and(|told| *told >= limit) {
+            return Err(limit_reached(format!("domain {next} has told of {limit} parts in names")));
+        }
+        Ok(())
+    }
+
+    /// What a neighbour has told of a place, whether or not it counts.
+    fn word_of(&self, place: &RecordKey, next: &Name) -> Option<&Registration> {
+        let used = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch);
+        let used = used.filter(|used| used.abroad.as_ref().is_some_and(|abroad| abroad.realm.next == *next));
+        used.or_else(|| Some(&self.abroad.spare.get(place)?.get(next)?.1))
+    }
+
+    /// Lets the best word on a place count, of those that still hold.
+    fn settle_place(&mut self, now: Now, place: RecordKey) -> Result<(), Refusal> {
+        let (key, registration_key) = (place.name.to_bytes(), registration_key_of(&place));
+        let used = self.names.get_at(&key, &place.entity, place.role, &place.switch).map(rank);
+        let revocation = self.revocations.claims(&key);
+        let stands = |spare: &Registration| {
+            let is_member = || spare.credential.check_member(|domain| self.domains.get(domain)).is_ok();
+            spare.ends > now.clock && revocation.is_none_or(|revocation| spare.stands_after(revocation)) && is_member()
+        };
+        let spare = self.abroad.spare.get(&place).into_iter().flatten().filter(|(_, (_, spare))| stands(spare));
+        let Some((next, (_, best))) = spare.min_by_key(|(_, (_, spare))| rank(spare)) else { return Ok(()) };
+        let next = *next;
+        if used.is_some_and(|used| used <= rank(best)) {
+            return Ok(());
+        }
+        let Some((proof, best)) = self.abroad.take_spare(&place, &next) else { return Ok(()) };
+        match self.store(registration_key, proof, best.clone()) {
+            Ok(Some(before)) => {
+                if let Some(next) = before.abroad.as_ref().map(|abroad| abroad.realm.next) {
+                    self.abroad.put_spare(place, next, (proof, before));
+                }
+                Ok(())
+            }
+            Ok(None) => Ok(()),
+            // For when there is room.
+            Err(refusal) => {
+                self.abroad.put_spare(place, next, (proof, best));
+                Err(refusal)
+            }
+        }
+    }
+
+    /// Keeps a box of an entity abroad, if this RIB knows for what it is.
+    fn foreign_box(
+        &mut self,
+        now: Now,
+        registration_key: RegistrationKey,
+        proof: &NameProof,
+        signed: &Signed<KeyBox>,
+    ) -> Result<(), Refusal> {
+        let claims = signed.claims_unverified().map_err(refusal)?;
+        if claims.writer != registration_key.entity {
+            return Err(refusal(CertError::WrongEntity { expected: registration_key.entity, got: claims.writer }));
+        }
+        let told = self
+            .names
+            .all_of(&registration_key.name, &registration_key.entity, registration_key.role)
+            .find(|told| !told.is_here());
+        let Some(place) = told.map(|told| InboxOwner { entity: registration_key.entity, at: told.at() }) else {
+            return Ok(());
+        };
+        let is_sent = registration_key.role == NameRole::Publisher && claims.name.to_bytes() == registration_key.name;
+        let is_inbox = claims.name == claims.reader && self.inboxes.allows(claims.name, place);
+        if !is_sent && !is_inbox || self.boxes.holds(&claims, signed) {
+            return Ok(());
+        }
+        let not_a_key = |error| refusal(CertError::Crypto(error));
+        signed.verify(&proof.verify_key().map_err(not_a_key)?, now.unix).map_err(refusal)?;
+        self.boxes.put(place, &claims, signed.clone(), &self.limits)?;
+        self.tell_reader(&claims);
+        self.tell_abroad(&claims);
+        Ok(())
+    }
+
+    /// Brings the desired FIBs in line with other ways. Only names with a part in the domains concerned are looked at.
+    fn follow_ways(&mut self, changed: &Changed) {
+        let mut names: BTreeMap<Key, BTreeSet<Name>> = BTreeMap::new();
+        for (realm, parts) in &self.abroad.names {
+            let concerned: Vec<_> =
+                [realm.domain, realm.next].iter().filter_map(|domain| changed.get(domain)).collect();
+            if concerned.is_empty() {
+                continue;
+            }
+            let mut borders = self.ways.borders(realm);
+            borders.extend(concerned.into_iter().flatten());
+            parts.keys().for_each(|name| names.entry(*name).or_default().extend(&borders));
+        }
+        let mut inboxes: BTreeMap<Name, BTreeSet<Name>> = BTreeMap::new();
+        for (name, borders) in names {
+            for entity in self.names.entities(&name) {
+                inboxes.entry(entity).or_default().extend(&borders);
+            }
+            self.follow_up_at(name, borders);
+        }
+        for (inbox, mut switches) in inboxes {
+            switches.extend(self.inboxes.routed(&inbox, self.map()));
+            self.reroute(inbox.to_bytes(), switches);
+        }
+    }
+}
+
+/// The lowest counts, of what is told of one place: the newest, and of that the nearest.
+fn rank(registration: &Registration) -> (Reverse<u64>, u32, Option<Name>) {
+    let abroad = registration.abroad.as_deref();
+    let hops = abroad.map_or(0, |abroad| abroad.hops);
+    (Reverse(registration.serial), hops, abroad.map(|abroad| abroad.realm.next))
+}
+
+fn place_of(registration_key: RegistrationKey, switch: Name) -> RecordKey {
+    RecordKey {
+        name: Name::from_bytes(registration_key.name),
+        role: registration_key.role,
+        entity: registration_key.entity,
+        switch,
+    }
+}
+
+fn registration_key_of(place: &RecordKey) -> RegistrationKey {
+    RegistrationKey { name: place.name.to_bytes(), entity: place.entity, role: place.role }
+}

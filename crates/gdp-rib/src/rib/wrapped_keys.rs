@@ -1,0 +1,174 @@
+//! Key boxes: the content keys of writers, each wrapped for one reader. StoredKeys beside the writer's advertisement, so that it need
+//! not be asked when a reader comes; only the reader can open them, and it verifies again who wrapped them.
+
+use std::collections::{BTreeMap, HashMap};
+use std::ops::Bound;
+
+use gdp_core::cert::Signed;
+use gdp_core::keys::KeyBox;
+use gdp_proto::control::{NameRole, Refusal, RefusalCode};
+use gdp_wire::Name;
+
+use super::journal::{Item, Journal};
+use crate::rib::model::At;
+use crate::rib::model::InboxOwner;
+use crate::rib::model::Key;
+use crate::rib::model::Limits;
+use crate::rib::model::RegistrationKey;
+use crate::rib::model::{count_out, limit_reached};
+
+/// Epochs of one writer and name that are kept: the present one and the one before.
+const EPOCHS: usize = 2;
+
+/// What an encoded box has in a message besides itself.
+const BOX_OVERHEAD: usize = 4;
+
+#[derive(Debug)]
+struct StoredKeys {
+    /// Where the writer was when it first gave some.
+    at: At,
+    /// By epoch, at most [`EPOCHS`], and reader.
+    epochs: BTreeMap<u32, BTreeMap<Name, Signed<KeyBox>>>,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct WrappedKeyStore {
+    /// By name and writer.
+    kept: BTreeMap<(Key, Name), StoredKeys>,
+    by_writer: HashMap<Name, usize>,
+    by_switch: HashMap<At, usize>,
+    journal: Journal,
+}
+
+impl WrappedKeyStore {
+    /// Whether just this is kept already.
+    pub fn holds(&self, claims: &KeyBox, signed: &Signed<KeyBox>) -> bool {
+        let kept = self.kept.get(&(claims.name.to_bytes(), claims.writer));
+        let readers = kept.and_then(|kept| kept.epochs.get(&claims.epoch));
+        readers.and_then(|readers| readers.get(&claims.reader)).is_some_and(|held| held == signed)
+    }
+
+    /// Keeps a verified box of the writer at `place`, and lets go of epochs that are too old.
+    pub fn put(
+        &mut self,
+        place: InboxOwner,
+        claims: &KeyBox,
+        signed: Signed<KeyBox>,
+        limits: &Limits,
+    ) -> Result<(), Refusal> {
+        let KeyBox { name, writer, reader, epoch, .. } = claims;
+        let key = (name.to_bytes(), *writer);
+        let epochs = self.kept.get(&key).map(|kept| &kept.epochs);
+        let oldest = epochs.filter(|epochs| epochs.len() == EPOCHS && !epochs.contains_key(epoch));
+        let oldest = oldest.and_then(|epochs| epochs.keys().next().copied());
+        if let Some(oldest) = oldest.filter(|oldest| epoch < oldest) {
+            let reason =
+                format!("a key box of epoch {epoch} of {writer} for {name} is too old: {oldest} is the oldest kept");
+            return Err(Refusal::new(RefusalCode::ReplayedSerial, reason));
+        }
+        let readers = epochs.and_then(|epochs| epochs.get(epoch));
+        if !readers.is_some_and(|readers| readers.contains_key(reader)) {
+            let going = oldest.and_then(|oldest| epochs?.get(&oldest)).map_or(0, BTreeMap::len);
+            let beside = |count: Option<&usize>| count.map_or(0, |count| count.saturating_sub(going));
+            for (what, held, limit) in [
+                ("readers of an epoch", readers.map_or(0, BTreeMap::len), limits.box_readers),
+                ("key boxes", beside(self.by_writer.get(writer)), limits.boxes_per_entity),
+                (
+                    "key boxes of all at its switch, or of its domain,",
+                    beside(self.by_switch.get(&place.at)),
+                    limits.boxes_per_switch,
+                ),
+            ] {
+                if held >= limit {
+                    return Err(limit_reached(format!("{limit} {what} are kept for {writer}")));
+                }
+            }
+        }
+        let new = || StoredKeys { at: place.at, epochs: BTreeMap::new() };
+        let kept = self.kept.entry(key).or_insert_with(new);
+        let at = kept.at;
+        let gone = oldest.and_then(|oldest| Some((oldest, kept.epochs.remove(&oldest)?)));
+        let is_new = kept.epochs.entry(*epoch).or_default().insert(*reader, signed).is_none();
+        if is_new {
+            *self.by_writer.entry(*writer).or_default() += 1;
+            *self.by_switch.entry(at).or_default() += 1;
+        }
+        if is_stored(&at) {
+            self.journal.mark(Item::KeyBox { name: *name, writer: *writer, epoch: *epoch, reader: *reader });
+        }
+        if let Some((epoch, readers)) = gone {
+            self.mark(&key, &at, epoch, &readers);
+            self.count_out(writer, &at, readers.len());
+        }
+        Ok(())
+    }
+
+    /// The writer sends to this name no more.
+    pub fn forget(&mut self, name: &Key, writer: &Name) {
+        if let Some(kept) = self.kept.remove(&(*name, *writer)) {
+            kept.epochs.iter().for_each(|(epoch, readers)| self.mark(&(*name, *writer), &kept.at, *epoch, readers));
+            let count = kept.epochs.values().map(BTreeMap::len).sum();
+            self.count_out(writer, &kept.at, count);
+        }
+    }
+
+    /// What a counterpart has for the entity: the keys of what it sends to the name, if the entity is to take that.
+    pub fn between(
+        &self,
+        registration_key: &RegistrationKey,
+        counterpart: &Name,
+    ) -> impl Iterator<Item = &Signed<KeyBox>> {
+        let kept = self
+            .kept
+            .get(&(registration_key.name, *counterpart))
+            .filter(|_| registration_key.role == NameRole::Subscriber);
+        let reader = registration_key.entity;
+        kept.into_iter().flat_map(|kept| kept.epochs.values()).filter_map(move |readers| readers.get(&reader))
+    }
+
+    /// All that a writer has for those that take what it sends to the name.
+    pub fn of(&self, name: &Key, writer: &Name) -> impl Iterator<Item = (&Name, &Signed<KeyBox>)> {
+        self.kept.get(&(*name, *writer)).into_iter().flat_map(|kept| kept.epochs.values()).flatten()
+    }
+
+    /// Those behind `after` that have boxes for what they send to a name.
+    pub fn writers(&self, name: &Key, after: Option<Name>) -> impl Iterator<Item = Name> {
+        let first = after.map_or(Bound::Included((*name, Name::default())), |after| Bound::Excluded((*name, after)));
+        self.kept
+            .range((first, Bound::Unbounded))
+            .take_while(move |((of, _), _)| of == name)
+            .map(|((_, writer), _)| *writer)
+    }
+
+    /// Bytes that [`Self::between`] takes in a message.
+    pub fn size(&self, registration_key: &RegistrationKey, counterpart: &Name) -> usize {
+        self.between(registration_key, counterpart).map(|signed| signed.as_bytes().len() + BOX_OVERHEAD).sum()
+    }
+
+    pub fn get(&self, name: &Key, writer: &Name, epoch: u32, reader: &Name) -> Option<&Signed<KeyBox>> {
+        self.kept.get(&(*name, *writer))?.epochs.get(&epoch)?.get(reader)
+    }
+
+    pub fn journal(&mut self) -> &mut Journal {
+        &mut self.journal
+    }
+
+    fn mark(&mut self, (name, writer): &(Key, Name), at: &At, epoch: u32, readers: &BTreeMap<Name, Signed<KeyBox>>) {
+        if !is_stored(at) {
+            return;
+        }
+        let name = Name::from_bytes(*name);
+        let each = readers.keys().map(|reader| Item::KeyBox { name, writer: *writer, epoch, reader: *reader });
+        each.for_each(|item| self.journal.mark(item));
+    }
+
+    fn count_out(&mut self, writer: &Name, at: &At, count: usize) {
+        count_out(&mut self.by_writer, writer, count);
+        count_out(&mut self.by_switch, at, count);
+    }
+}
+
+/// What entities of other domains have for readers here is told again by their RIBs.
+fn is_stored(at: &At) -> bool {
+    matches!(at, At::Here(_))
+}

@@ -1,0 +1,143 @@
+//! What a certificate file may hold, for the commands that show, use or revoke one.
+
+use std::io::Read;
+use std::path::Path;
+
+use anyhow::{Context as _, bail};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{
+    AdCert, CertError, Claims, Delegation, Grantee, Issued, MAX_CERT_FILE, MemberCert, Membership, PeerCert, ReadGrant,
+    Reading, Revocation, RtCert, Signed,
+};
+use gdp_wire::Name;
+use serde_json::{Value, json};
+
+pub enum CredentialFile {
+    Ad(Issued<AdCert>),
+    Read(Reading),
+    Delegation(Signed<Delegation>),
+    Revocation(Signed<Revocation>),
+    Member(Membership),
+    Peer(Signed<PeerCert>),
+    Route(Signed<RtCert>),
+}
+
+impl CredentialFile {
+    pub fn load(file: &Path) -> anyhow::Result<Self> {
+        let mut text = String::new();
+        let opened = std::fs::File::open(file).with_context(|| format!("cannot open {}", file.display()))?;
+        opened
+            .take(MAX_CERT_FILE as u64 + 1)
+            .read_to_string(&mut text)
+            .with_context(|| format!("cannot read {} as text", file.display()))?;
+        Self::parse(&text).with_context(|| file.display().to_string())
+    }
+
+    fn parse(text: &str) -> anyhow::Result<Self> {
+        let begins = |label: &str| text.trim_ascii_start().starts_with(&format!("-----BEGIN {label}-----"));
+        Ok(match () {
+            () if begins(AdCert::LABEL) => Self::Ad(Issued::from_pem(text)?),
+            () if begins(ReadGrant::LABEL) => Self::Read(Reading::from_pem(text)?),
+            () if begins(Delegation::LABEL) => Self::Delegation(Signed::from_pem(text)?),
+            () if begins(Revocation::LABEL) => Self::Revocation(Signed::from_pem(text)?),
+            () if begins(MemberCert::LABEL) => Self::Member(Membership::from_pem(text)?),
+            () if begins(PeerCert::LABEL) => Self::Peer(Signed::from_pem(text)?),
+            () if begins(RtCert::LABEL) => Self::Route(Signed::from_pem(text)?),
+            () => bail!("not a certificate: no line such as \"-----BEGIN {}-----\"", AdCert::LABEL),
+        })
+    }
+
+    /// The kind of certificate, what it says and what it rests on; believed by nobody.
+    pub fn describe(&self) -> Result<Value, CertError> {
+        match self {
+            Self::Ad(issued) => described(&issued.cert, issued.delegation.as_ref(), None),
+            Self::Read(Reading { grant, member }) => {
+                described(&grant.cert, grant.delegation.as_ref(), member.as_deref())
+            }
+            Self::Delegation(signed) => described(signed, None, None),
+            Self::Revocation(signed) => described(signed, None, None),
+            Self::Member(member) => {
+                let mut value = described(&member.cert, None, None)?;
+                value["invite"] = json!(member.invite_unverified()?);
+                Ok(value)
+            }
+            Self::Peer(signed) => described(signed, None, None),
+            Self::Route(signed) => described(signed, None, None),
+        }
+    }
+
+    /// That the owner of the card's name, or the domain whose card it is, stands behind it; `false` for what neither signs.
+    pub fn verify(&self, card: &NameCard, revocation: Option<&Revocation>, now: u64) -> Result<bool, CertError> {
+        let about_card = |name| match card.name() {
+            expected if expected == name => Ok(()),
+            expected => Err(CertError::WrongName { expected, got: name }),
+        };
+        match self {
+            Self::Ad(issued) => drop(issued.verify(&card.proof(), revocation, now)?),
+            Self::Read(reading) => {
+                let grant = reading.grant.verify(&card.proof(), revocation, now)?;
+                let reader = match (&grant.to, &reading.member) {
+                    (Grantee::Entity(entity), _) => Some(*entity),
+                    (Grantee::Role { .. }, Some(member)) => Some(member.cert.claims_unverified()?.entity),
+                    // The domain's part is still to come.
+                    (Grantee::Role { .. }, None) => None,
+                };
+                if let Some(reader) = reader {
+                    reading.verify(&card.proof(), reader, revocation, now)?;
+                }
+            }
+            Self::Delegation(signed) => {
+                let claims = signed.verify(card.owner_key(), now)?;
+                about_card(claims.name)?;
+                revocation.map_or(Ok(()), |revocation| revocation.check(Delegation::KIND, claims.serial))?;
+            }
+            Self::Revocation(signed) => about_card(signed.verify(card.owner_key(), now)?.name)?,
+            Self::Member(member) => drop(member.verify(card.name(), revocation, now)?),
+            Self::Peer(signed) => _ = signed.verify_peer(&card.proof(), revocation, now)?,
+            Self::Route(_) => return Ok(false),
+        }
+        Ok(true)
+    }
+
+    /// Which certificate of the card's name this is, whether it still holds or not.
+    pub fn serial(&self, card: &NameCard) -> anyhow::Result<u64> {
+        let (name, serial) = match self {
+            Self::Ad(issued) => issued.cert.claims_unverified().map(|claims| (claims.name, claims.serial))?,
+            Self::Read(reading) => reading.grant.cert.claims_unverified().map(|claims| (claims.name, claims.serial))?,
+            Self::Delegation(signed) => signed.claims_unverified().map(|claims| (claims.name, claims.serial))?,
+            Self::Revocation(_) | Self::Member(_) | Self::Peer(_) | Self::Route(_) => {
+                bail!("no owner of a name can revoke this")
+            }
+        };
+        if name != card.name() {
+            bail!("the certificate is about {name}, not about the card's name {}", card.name());
+        }
+        Ok(serial)
+    }
+
+    /// As [`Self::serial`], of what this domain issued.
+    pub fn domain_serial(&self, domain: Name) -> anyhow::Result<u64> {
+        let (of, serial) = match self {
+            Self::Member(member) => (member.domain.name()?, member.serial_unverified()?),
+            Self::Peer(signed) => signed.claims_unverified().map(|claims| (claims.domain, claims.serial))?,
+            _ => bail!("no domain can revoke this"),
+        };
+        if of != domain {
+            bail!("it is of domain {of}, not of {domain}");
+        }
+        Ok(serial)
+    }
+}
+
+fn described<T: Claims>(
+    signed: &Signed<T>,
+    delegation: Option<&Signed<Delegation>>,
+    member: Option<&Membership>,
+) -> Result<Value, CertError> {
+    Ok(json!({
+        "kind": T::KIND,
+        "claims": signed.claims_unverified()?,
+        "delegation": delegation.map(Signed::claims_unverified).transpose()?,
+        "member": member.map(|member| member.cert.claims_unverified()).transpose()?,
+    }))
+}

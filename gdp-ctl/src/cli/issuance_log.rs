@@ -1,0 +1,138 @@
+//! What is kept beside the card of a name or a domain: the ledger of what was issued from here (`CARD.grants`, `CARD.members`), and
+//! `CARD.revocation`, the newest revocation. Both are written whole or not at all, mode 0600; nobody else changes them while
+//! [`IssuanceLog`] are open.
+//!
+//! The revocation is the owner's word and is checked like one. The ledger is a memory: without it nothing that was granted
+//! stops to hold, but only its serial or its file can name it.
+
+use std::fs::File;
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use gdp_core::card::NameCard;
+use gdp_core::cert::{Revocation, Signed};
+use gdp_core::secret_file;
+use gdp_core::secret_file::SecretFileError;
+use gdp_util::escape::escape_json;
+use gdp_wire::Name;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+const VERSION: u32 = 1;
+
+/// About 300 bytes an entry.
+const MAX_LEDGER: usize = 4 << 20;
+
+const MAX_REVOCATION: usize = 16 << 10;
+
+/// A name's card, and the files beside it.
+pub struct IssuanceLog {
+    card: NameCard,
+    path: PathBuf,
+    /// Held on the card itself, which no command replaces.
+    _lock: File,
+}
+
+/// One certificate that was issued from here.
+pub trait Entry: Serialize + DeserializeOwned {
+    /// Ends the name of the file with all of them.
+    const SUFFIX: &'static str;
+
+    fn serial(&self) -> u64;
+    /// When all that rests on it has ended.
+    fn ends(&self) -> u64;
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Ledger<E> {
+    version: u32,
+    name: Name,
+    issued: Vec<E>,
+}
+
+impl IssuanceLog {
+    /// Waits for another command that has them open.
+    pub fn open(card: &Path) -> anyhow::Result<Self> {
+        let books = Self {
+            card: NameCard::load(card)?,
+            path: card.into(),
+            _lock: File::open(card).with_context(|| format!("cannot open {}", card.display()))?,
+        };
+        books._lock.lock().with_context(|| format!("cannot lock {}", card.display()))?;
+        Ok(books)
+    }
+
+    pub fn card(&self) -> &NameCard {
+        &self.card
+    }
+
+    pub fn ledger_path<E: Entry>(&self) -> PathBuf {
+        self.beside(E::SUFFIX)
+    }
+
+    pub fn revocation_path(&self) -> PathBuf {
+        self.beside(".revocation")
+    }
+
+    /// What was issued from here, in the order of serials; empty if nothing was.
+    pub fn ledger<E: Entry>(&self) -> anyhow::Result<Vec<E>> {
+        let path = self.ledger_path::<E>();
+        let Some(content) = read(&path, MAX_LEDGER)? else { return Ok(Vec::new()) };
+        let ledger: Ledger<E> = serde_json::from_slice(&content)
+            .with_context(|| format!("{}: not a ledger of what was issued", path.display()))?;
+        if ledger.version != VERSION || ledger.name != self.card.name() {
+            let (version, name) = (ledger.version, ledger.name);
+            bail!(
+                "{}: version {version} for {name}, where version {VERSION} for {} is expected",
+                path.display(),
+                self.card.name()
+            );
+        }
+        Ok(ledger.issued)
+    }
+
+    pub fn keep_ledger<E: Entry>(&self, issued: Vec<E>) -> anyhow::Result<()> {
+        let ledger = Ledger { version: VERSION, name: self.card.name(), issued };
+        let text = escape_json(&serde_json::to_string_pretty(&ledger)?).into_owned() + "\n";
+        let path = self.ledger_path::<E>();
+        if text.len() > MAX_LEDGER {
+            bail!("{}: longer than {MAX_LEDGER} bytes; make a new name, or a new copy of the card", path.display());
+        }
+        Ok(secret_file::replace(&path, text.as_bytes())?)
+    }
+
+    /// The newest revocation of the name that is known here.
+    pub fn revocation(&self) -> anyhow::Result<Option<(Signed<Revocation>, Revocation)>> {
+        let path = self.revocation_path();
+        let Some(content) = read(&path, MAX_REVOCATION)? else { return Ok(None) };
+        let check = || -> anyhow::Result<_> {
+            let signed = Signed::<Revocation>::from_pem(std::str::from_utf8(&content)?)?;
+            let claims = signed.verify_signature(self.card.owner_key())?;
+            if claims.name != self.card.name() {
+                bail!("it is of {}, not of {}", claims.name, self.card.name());
+            }
+            Ok((signed, claims))
+        };
+        check().map(Some).with_context(|| path.display().to_string())
+    }
+
+    pub fn keep_revocation(&self, signed: &Signed<Revocation>) -> anyhow::Result<()> {
+        Ok(secret_file::replace(&self.revocation_path(), signed.to_pem().as_bytes())?)
+    }
+
+    fn beside(&self, suffix: &str) -> PathBuf {
+        let mut name = self.path.file_name().unwrap_or_default().to_owned();
+        name.push(suffix);
+        self.path.with_file_name(name)
+    }
+}
+
+/// The content of a file, if there is one.
+fn read(path: &Path, max: usize) -> Result<Option<impl Deref<Target = Vec<u8>>>, SecretFileError> {
+    match secret_file::read(path, max) {
+        Err(error) if error.is_not_found() => Ok(None),
+        result => result.map(Some),
+    }
+}

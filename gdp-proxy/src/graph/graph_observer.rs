@@ -1,0 +1,86 @@
+//! What others publish and serve in a ROS graph, for whoever chooses among it. What proxies have there is not in it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use tokio::sync::watch;
+
+use super::Graph;
+use super::ros1::is_proxy;
+use crate::config::{Thing, What};
+use crate::ros2::{self, DisplayedQos, ServicePeer, TopicName, TypeName};
+
+/// The topics that have publishers, and the services and actions that have servers.
+pub type Found = BTreeMap<(Thing, TopicName), Vec<Offered>>;
+
+/// What a topic is published or a service or action is served as; of ROS 1, one for all who do.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Offered {
+    /// As ROS 2 writes it. Masters of ROS 1 do not know those of services.
+    pub kind: Option<TypeName>,
+    /// Of the publishers of ROS 2.
+    pub qos: Option<DisplayedQos>,
+}
+
+/// Watches one graph.
+pub enum GraphObserver {
+    Ros1(gdp_ros1::Graph),
+    Ros2(watch::Receiver<Arc<ros2::Graph>>),
+}
+
+impl GraphObserver {
+    pub fn of(graph: &Graph) -> Self {
+        match graph {
+            Graph::Ros1(master) => Self::Ros1(master.graph()),
+            Graph::Ros2(domain) => Self::Ros2(domain.graph()),
+        }
+    }
+
+    /// Waits until something about it changes; for ever once the graph was left. Safe to cancel.
+    pub async fn changed(&mut self) {
+        let changed = match self {
+            Self::Ros1(graph) => graph.changes().await.is_some(),
+            Self::Ros2(graph) => graph.changed().await.is_ok(),
+        };
+        if !changed {
+            std::future::pending().await
+        }
+    }
+
+    /// What there is now. Names and types that are none of ROS's are left out.
+    pub fn found(&self) -> Found {
+        match self {
+            Self::Ros1(graph) => of_ros1(graph.snapshot()),
+            Self::Ros2(graph) => of_ros2(&graph.borrow()),
+        }
+    }
+}
+
+fn of_ros1(there: &gdp_ros1::Snapshot) -> Found {
+    let topics = there.topics.iter().filter_map(|(name, topic)| {
+        topic.publishers.iter().find(|node| !is_proxy(node))?;
+        let kind = TypeName::parse(&topic.kind.as_ref()?.replacen('/', "/msg/", 1)).ok()?;
+        Some((Thing::Topic, name, Some(kind)))
+    });
+    let services = there.services.iter().filter(|(_, nodes)| nodes.iter().any(|node| !is_proxy(node)));
+    let services = services.map(|(name, _)| (Thing::Call(What::Service), name, None));
+    let all = topics.chain(services).filter_map(|(thing, name, kind)| {
+        Some(((thing, TopicName::parse(name).ok()?), vec![Offered { kind, qos: None }]))
+    });
+    all.collect()
+}
+
+fn of_ros2(graph: &ros2::Graph) -> Found {
+    let published = |topic: &ros2::TopicInfo| {
+        let publishers = topic.publishers.iter();
+        publishers.map(|it| Offered { kind: Some(it.kind.clone()), qos: Some(it.qos) }).collect()
+    };
+    let served = |servers: &[ServicePeer]| -> Vec<Offered> {
+        servers.iter().map(|it| Offered { kind: Some(it.kind.clone()), qos: None }).collect()
+    };
+    let topics = graph.topics.iter().map(|(name, it)| (Thing::Topic, name, published(it)));
+    let services = graph.services.iter().map(|(name, it)| (Thing::Call(What::Service), name, served(&it.servers)));
+    let actions = graph.actions.iter().map(|(name, it)| (Thing::Call(What::Action), name, served(&it.servers)));
+    let all = topics.chain(services).chain(actions).filter(|(.., offered)| !offered.is_empty());
+    all.map(|(thing, name, offered)| ((thing, name.clone()), offered)).collect()
+}

@@ -1,0 +1,259 @@
+//! Those on the other side of a service, servers or callers, as far as their right to it was verified; and which of several servers is
+//! called. What the RIB told goes in, whom that concerns comes out. No I/O.
+
+use std::cmp::Ordering;
+use std::collections::{BTreeSet, HashMap};
+use std::sync::Arc;
+use std::sync::atomic::{self, AtomicUsize};
+
+use gdp_wire::Name;
+use tokio::sync::watch;
+
+use gdp_core::cert::Revocation;
+use gdp_core::crypto::Backend;
+use gdp_proto::peers::{Counterpart, PeerEvent};
+
+/// One that is not attached any more keeps its place for so long, and what is under way between the two stands: links come back.
+const ABSENCE: u64 = 60_000_000_000;
+
+/// Those that are absent and keep their places; of more, the one longest away loses it.
+const MOST_ABSENT: usize = 64;
+
+/// ServiceInstances of one service that are known at once. Of each a key is kept (`keys::MAX_WRITERS`).
+const MAX_PARTIES: usize = 1024;
+
+/// A server of a service, as one that calls it sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Instance {
+    pub name: Name,
+    /// What the path to its switch costs, if the caller's switch knows of one: not of one in another domain.
+    pub cost: Option<u64>,
+    /// Calls of this node to the service that wait for its reply.
+    pub waiting: usize,
+    tie: [u8; 32],
+}
+
+impl Instance {
+    /// The nearest first; of those the one with the fewest calls; of those the one that the hash of caller and server chooses, so that
+    /// callers spread.
+    fn order(&self, other: &Self) -> Ordering {
+        let rank = |one: &Self| (one.cost.unwrap_or(u64::MAX), one.waiting, one.tie);
+        rank(self).cmp(&rank(other))
+    }
+}
+
+/// Calls that wait for one server, for as long as it is attached.
+#[derive(Debug)]
+struct Presence {
+    calls: AtomicUsize,
+    left: watch::Sender<bool>,
+}
+
+/// One call's place at a server; given up when it is dropped.
+#[derive(Debug)]
+pub struct PendingCall {
+    pub instance: Name,
+    presence: Arc<Presence>,
+}
+
+impl PendingCall {
+    /// Returns once the server is not attached any more.
+    pub async fn left(&self) {
+        // The sender is held here.
+        let _ = self.presence.left.subscribe().wait_for(|left| *left).await;
+    }
+
+    pub fn has_left(&self) -> bool {
+        *self.presence.left.borrow()
+    }
+}
+
+impl Drop for PendingCall {
+    fn drop(&mut self) {
+        self.presence.calls.fetch_sub(1, atomic::Ordering::Relaxed);
+    }
+}
+
+struct ServiceInstance {
+    right: Counterpart,
+    /// When that was told.
+    told: u64,
+    /// While it is attached.
+    presence: Option<Arc<Presence>>,
+    absent_since: u64,
+    tie: [u8; 32],
+}
+
+impl ServiceInstance {
+    /// Whether it was attached.
+    fn leave(&mut self, now: u64) -> bool {
+        let Some(presence) = self.presence.take() else { return false };
+        presence.left.send_replace(true);
+        self.absent_since = now;
+        true
+    }
+}
+
+/// The parties of one service on its other side.
+pub struct ServiceInstances {
+    own: Name,
+    known: HashMap<Name, ServiceInstance>,
+    revocation: Option<Revocation>,
+    /// Told when others are attached than before.
+    changed: watch::Sender<()>,
+}
+
+impl ServiceInstances {
+    /// None yet, of the entity `own`.
+    pub fn new(own: Name) -> Self {
+        Self { own, known: HashMap::new(), revocation: None, changed: watch::Sender::new(()) }
+    }
+
+    /// Sees a change whenever one is attached that was not, or is not any more; the end once there are no parties for good.
+    pub fn changes(&self) -> watch::Receiver<()> {
+        self.changed.subscribe()
+    }
+
+    /// Takes what the RIB told of the `service` at `now` (steady clock, nanoseconds), and was verified. Returns whom that concerns.
+    pub fn take(&mut self, now: u64, service: &Name, events: &[PeerEvent]) -> BTreeSet<Name> {
+        let mut concerned = BTreeSet::new();
+        for event in events {
+            match event {
+                // It does not call itself.
+                PeerEvent::Joined(right) if right.entity == self.own => {}
+                PeerEvent::Joined(right) if self.has_room(&right.entity) => {
+                    concerned.insert(right.entity);
+                    self.join(now, right.clone());
+                }
+                PeerEvent::Joined(right) => {
+                    tracing::warn!(%service, party = %right.entity, "more than {MAX_PARTIES} entities on the other side; this one is left out");
+                }
+                PeerEvent::Left(entity) => {
+                    if self.known.get_mut(entity).is_some_and(|party| party.leave(now)) {
+                        self.changed.send_replace(());
+                    }
+                }
+                PeerEvent::Expelled(entity) => {
+                    self.known.get_mut(entity).into_iter().for_each(|party| party.right.not_after = 0);
+                }
+                PeerEvent::Revoked(revocation) => self.revocation = Some(revocation.clone()),
+                PeerEvent::Refused(error) => {
+                    tracing::warn!(%service, %error, "the RIB told of one that does not verify");
+                }
+                // Nothing goes to the service's name, so there are no keys for it; a RIB that is behind is the supervisor's business.
+                PeerEvent::KeyBox(_) | PeerEvent::RibIsBehind(_) => {}
+            }
+        }
+        concerned
+    }
+
+    fn has_room(&self, entity: &Name) -> bool {
+        self.known.len() < MAX_PARTIES || self.known.contains_key(entity)
+    }
+
+    fn join(&mut self, told: u64, right: Counterpart) {
+        let (own, entity) = (self.own, right.entity);
+        let new = || ServiceInstance {
+            right: right.clone(),
+            told,
+            presence: None,
+            absent_since: 0,
+            tie: Backend::default().sha256(&[own.as_bytes(), entity.as_bytes()]),
+        };
+        let party = self.known.entry(entity).or_insert_with(new);
+        if party.presence.is_none() {
+            party.presence = Some(Presence { calls: AtomicUsize::new(0), left: watch::Sender::new(false) }.into());
+            self.changed.send_replace(());
+        }
+        (party.right, party.told) = (right, told);
+    }
+
+    /// Lets go of those whose right has ended by `now_unix` (seconds) or was revoked, or that are absent for long. Returns them.
+    pub fn sweep(&mut self, now: u64, now_unix: u64) -> BTreeSet<Name> {
+        let revocation = self.revocation.as_ref();
+        let holds = |right: &Counterpart| {
+            right.not_after >= now_unix && revocation.is_none_or(|revocation| right.holds(revocation))
+        };
+        let mut away: Vec<_> = self.known.iter().filter(|(_, party)| party.presence.is_none()).collect();
+        away.sort_unstable_by_key(|(name, party)| (party.absent_since, **name));
+        let too_many = away.len().saturating_sub(MOST_ABSENT);
+        let long = away.iter().filter(|(_, party)| now.saturating_sub(party.absent_since) > ABSENCE);
+        let gone = away.iter().take(too_many).chain(long).map(|(name, _)| **name);
+        let ended = self.known.iter().filter(|(_, party)| !holds(&party.right)).map(|(name, _)| *name);
+        let gone: BTreeSet<Name> = gone.chain(ended).collect();
+        for name in &gone {
+            if self.known.remove(name).is_some_and(|mut party| party.leave(now)) {
+                self.changed.send_replace(());
+            }
+        }
+        gone
+    }
+
+    /// Nobody is a party any more. Returns those who were.
+    pub fn clear(&mut self, now: u64) -> BTreeSet<Name> {
+        let mut known = std::mem::take(&mut self.known);
+        if known.values_mut().filter_map(|party| party.leave(now).then_some(())).count() > 0 {
+            self.changed.send_replace(());
+        }
+        known.into_keys().collect()
+    }
+
+    /// When the right of one that is known, attached or not, was told, and that right.
+    pub fn right(&self, entity: &Name) -> Option<(u64, &Counterpart)> {
+        self.known.get(entity).map(|party| (party.told, &party.right))
+    }
+
+    /// Those that are attached, the one to call first in front. `cost`: of the path to a switch.
+    pub fn instances(&self, cost: impl Fn(&Name) -> Option<u64>) -> Vec<Instance> {
+        let mut instances: Vec<_> = self.attached(cost).collect();
+        instances.sort_unstable_by(Instance::order);
+        instances
+    }
+
+    pub fn is_attached(&self, entity: &Name) -> bool {
+        self.known.get(entity).is_some_and(|party| party.presence.is_some())
+    }
+
+    pub fn attached_count(&self) -> usize {
+        self.known.values().filter(|party| party.presence.is_some()).count()
+    }
+
+    /// A place at the server to call, or at this `one`; `None` if it is not attached.
+    pub fn choose(&self, one: Option<&Name>, cost: impl Fn(&Name) -> Option<u64>) -> Option<PendingCall> {
+        let chosen = match one {
+            Some(one) => *one,
+            None => self.attached(cost).min_by(Instance::order)?.name,
+        };
+        let presence = self.known.get(&chosen)?.presence.clone()?;
+        presence.calls.fetch_add(1, atomic::Ordering::Relaxed);
+        Some(PendingCall { instance: chosen, presence })
+    }
+
+    fn attached(&self, cost: impl Fn(&Name) -> Option<u64>) -> impl Iterator<Item = Instance> {
+        self.known.iter().filter_map(move |(name, party)| {
+            let waiting = party.presence.as_ref()?.calls.load(atomic::Ordering::Relaxed);
+            Some(Instance { name: *name, cost: cost(&party.right.switch), waiting, tie: party.tie })
+        })
+    }
+}
+
+/// Of the rights that an entity has in several services, one that holds for as long as any of them, with the key that it showed last.
+pub fn joint_right<'a>(rights: impl Iterator<Item = (u64, &'a Counterpart)>) -> Option<Counterpart> {
+    let mut joint: Option<(u64, Counterpart)> = None;
+    for (told, right) in rights {
+        joint = Some(match joint {
+            None => (told, right.clone()),
+            Some((newest, held)) => {
+                let not_after = held.not_after.max(right.not_after);
+                let (told, mut newer) = if told > newest { (told, right.clone()) } else { (newest, held) };
+                newer.not_after = not_after;
+                (told, newer)
+            }
+        });
+    }
+    joint.map(|(_, right)| right)
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/node/service_instances.rs"]
+mod tests;

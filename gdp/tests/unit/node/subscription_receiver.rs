@@ -1,0 +1,89 @@
+//! Unit tests of `node::subscription_receiver`.
+
+use super::*;
+use gdp_core::identity::SigningKey;
+use gdp_core::keys::EpochKey;
+use gdp_e2e::seal::{Encoding, Segments};
+
+const NAME: Name = Name::from_bytes([1; 32]);
+
+/// The RIB may tell of a writer twice, and what that sent before it was asked again may have found no way.
+#[test]
+fn what_was_lost_between_two_greetings_is_asked_for() {
+    let (queue, _messages) = mpsc::channel(4);
+    let mut intake = SubscriptionReceiver::new(NAME, SubscribeOptions::reliable(), queue, Arc::default());
+    let (key, counters, writer) =
+        (SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Counters::default(), Name::from_bytes([2; 32]));
+    let session = [3; 16];
+    let mut asked = Vec::new();
+    for (now, sequence) in [(0, 1), (1_000_000_000, 3)] {
+        intake.change(now, Change::Authorise { writer, key: key.verify_key() });
+        intake.poll(now, &counters, |_, said| match said {
+            Feedback::Hello { challenge, .. } => asked.push(*challenge),
+            other => panic!("{other:?}"),
+        });
+        let challenge = *asked.last().unwrap();
+        assert!(intake.hear(
+            now,
+            &writer,
+            &Feedback::Welcome { name: NAME, challenge, session, sequence, reliable: true }
+        ));
+    }
+    assert_ne!(asked[0], asked[1]);
+    let (mut missing, mut now) = (Vec::new(), 1_000_000_000);
+    while missing.is_empty() && now < 3_000_000_000 {
+        now += 10_000_000;
+        intake.poll(now, &counters, |_, said| {
+            if let Feedback::Nack { missing: ranges, .. } = said {
+                missing.extend(ranges.iter().map(|range| range.sequence));
+            }
+        });
+    }
+    assert_eq!(missing, [1, 2]);
+}
+
+/// Ten thousand writers come, send a message and the beginning of another, and go.
+#[test]
+fn nothing_is_left_of_writers_that_came_and_went() {
+    let (queue, mut messages) = mpsc::channel(4);
+    let mut intake = SubscriptionReceiver::new(NAME, SubscribeOptions::reliable(), queue, Arc::default());
+    let (key, counters) = (SigningKey::from_secret_bytes(&[1; 32]).unwrap(), Counters::default());
+    let mut segments = Segments::new();
+    for n in 0..10_000_u64 {
+        let mut bytes = [0; 32];
+        bytes[..8].copy_from_slice(&n.to_be_bytes());
+        let writer = Name::from_bytes(bytes);
+        let mut seals = gdp_e2e::seal::Writer::new(NAME, writer, key.clone(), Backend::default()).unwrap();
+        seals.set_epoch(1, &EpochKey::from_bytes([2; 32])).unwrap();
+        let now = Timestamps { steady_ns: n * 1_000_000, unix_ns: 1_000_000_000 };
+        intake.change(now.steady_ns, Change::Authorise { writer, key: key.verify_key() });
+        let opened = Opened { epoch: 1, key: EpochKey::from_bytes([2; 32]), dropped: None };
+        intake.change(now.steady_ns, Change::Key { writer, opened });
+        let mut challenge = None;
+        intake.poll(now.steady_ns, &counters, |_, said| match said {
+            Feedback::Hello { challenge: asked, .. } => challenge = Some(*asked),
+            other => panic!("{other:?}"),
+        });
+        let welcome = Feedback::Welcome {
+            name: NAME,
+            challenge: challenge.unwrap(),
+            session: seals.session(),
+            sequence: 1,
+            reliable: true,
+        };
+        assert!(intake.hear(now.steady_ns, &writer, &welcome));
+        for body in [&b"whole"[..], &[7; 3000]] {
+            seals.seal(now.unix_ns, Encoding::Bytes, body, 1000, &mut segments).unwrap();
+            intake.push(now, writer, segments.iter().next().unwrap(), false, &counters);
+        }
+        intake.poll(now.steady_ns, &counters, |_, _| {});
+        assert_eq!(&messages.try_recv().unwrap().body[..], b"whole");
+        assert!(intake.reader.memory() > 0, "of the message that is not complete");
+        intake.change(now.steady_ns, Change::Revoke { writer });
+    }
+    assert_eq!((intake.writers.len(), intake.reader.writers().count(), intake.reader.memory()), (0, 0, 0));
+    assert!(
+        intake.writers.capacity() < 64 && intake.stalled.capacity() < 64 && intake.received.segments.capacity() < 64
+    );
+    assert_eq!(intake.next_wake(), None);
+}
