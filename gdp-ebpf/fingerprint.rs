@@ -1,7 +1,7 @@
 //! A hash over everything that the XDP programs are compiled from.
 //!
-//! `xtask`, which compiles them, and the build script that embeds them include this file: an object that was made from
-//! other source is never embedded.
+//! `xtask`, which compiles them, and the build script that embeds them include this file: an object
+//! that was made from other source is never embedded.
 
 use std::collections::BTreeSet;
 use std::hash::{DefaultHasher, Hasher as _};

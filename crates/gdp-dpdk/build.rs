@@ -1,4 +1,5 @@
-//! Finds the installed DPDK, compiles the shim around its inline functions, and has bindgen read the declarations of the others.
+//! Finds the installed DPDK, compiles the shim around its inline functions, and has bindgen read
+//! the declarations of the others.
 
 use std::env;
 use std::path::PathBuf;
@@ -23,7 +24,8 @@ fn main() {
     if !MAJORS.iter().any(|major| dpdk.version.starts_with(major)) {
         fail(&format!("DPDK {} is installed; this crate is written for {}", dpdk.version, MAJORS.join(" or ")));
     }
-    // Of what pkg-config says, the compiler needs the folders, the configuration header and the instruction set.
+    // Of what pkg-config says, the compiler needs the folders, the configuration header and the
+    // instruction set.
     let mut flags: Vec<String> = dpdk.include_paths.iter().map(|path| format!("-I{}", path.display())).collect();
     flags.extend(["-include".to_owned(), "rte_config.h".to_owned()]);
     if env::var("CARGO_CFG_TARGET_ARCH").as_deref() == Ok("x86_64") {
@@ -58,7 +60,8 @@ fn main() {
 
 fn fail(what: &str) -> ! {
     eprintln!(
-        "{what}\nThe DPDK data plane needs DPDK 22.11 with its headers, and libclang: `cargo xtask setup dpdk` installs them \
+        "{what}\nThe DPDK data plane needs DPDK 22.11 with its headers, and libclang: `cargo xtask setup dpdk` \
+         installs them \
                on Debian 12; elsewhere install libdpdk-dev, the drivers (dpdk) and libclang."
     );
     std::process::exit(1);

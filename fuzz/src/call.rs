@@ -1,11 +1,13 @@
-//! What proxies say to each other about services and actions, and the messages of actions that they look into.
+//! What proxies say to each other about services and actions, and the messages of actions that they
+//! look into.
 
 use bytes::Bytes;
 use gdp_ros::action::cdr::{Canceling, Status, aborted, goal_of, is_accepted, result_status, status_array, statuses};
 use gdp_ros::call::{Definitions, Description, Epoch, Event, Events, FailureCode, MAX_EVENTS, Part, Reply, Request};
 use gdp_ros::roster::{Dialect, Kind};
 
-/// What is taken for a request or a reply is its only encoding; what is taken for a message of an action says the same when it is written by us.
+/// What is taken for a request or a reply is its only encoding; what is taken for a message of an
+/// action says the same when it is written by us.
 pub fn call(data: &[u8]) {
     let bytes = Bytes::copy_from_slice(data);
     if let Ok(request) = Request::from_bytes(&bytes) {

@@ -1,8 +1,9 @@
-//! Frames as they come from a cable, through the parser and the forwarding decision of both kinds of data plane.
+//! Frames as they come from a cable, through the parser and the forwarding decision of both kinds
+//! of data plane.
 //!
-//! The input is a few frames for one switch, the one of `tests/fixtures/frames.json`: a byte of options, two of length, and
-//! the Ethernet frame; until there is nothing left. Nobody guesses a hop tag, so a frame whose options say so is tagged with the key of
-//! the link it says it is on.
+//! The input is a few frames for one switch, the one of `tests/fixtures/frames.json`: a byte of
+//! options, two of length, and the Ethernet frame; until there is nothing left. Nobody guesses a
+//! hop tag, so a frame whose options say so is tagged with the key of the link it says it is on.
 
 use std::collections::HashSet;
 use std::sync::OnceLock;
@@ -68,8 +69,8 @@ fn check(frame: &[u8], fate: &Fate, switch: &Switch) {
     }
 }
 
-/// A frame that leaves does so by a link, tagged for it, and is no longer than it came. Only what has come with a good tag leaves.
-/// Returns the link, and the header as it leaves.
+/// A frame that leaves does so by a link, tagged for it, and is no longer than it came. Only what
+/// has come with a good tag leaves. Returns the link, and the header as it leaves.
 fn check_sent<'s>(packet: &[u8], sent: &[u8], switch: &'s Switch) -> (&'s Link, [u8; HEADER]) {
     let (&came, payload) = parts(frame_in(packet, switch).expect("what is not for this switch does not leave by it"));
     let (link, sent) = sent_by(sent, switch);
@@ -134,7 +135,8 @@ fn frames(mut data: &[u8]) -> impl Iterator<Item = (u8, Vec<u8>)> {
     std::iter::from_fn(next).take(MAX_FRAMES)
 }
 
-/// Writes the tag that the neighbour would have written. The high half of its count is that of what was taken last.
+/// Writes the tag that the neighbour would have written. The high half of its count is that of what
+/// was taken last.
 fn tag(packet: &mut [u8], switch: &Switch) {
     let Some(place) = switch.find(packet) else { return };
     let Some(bytes) = packet[place.at..place.at + place.length].first_chunk_mut::<HEADER>() else { return };

@@ -1,4 +1,5 @@
-//! What fuzzing of certificates and control messages begins with, as far as it is about trust domains.
+//! What fuzzing of certificates and control messages begins with, as far as it is about trust
+//! domains.
 
 use gdp_core::cert::{
     Host, Invite, Locator, MemberCert, Membership, PeerCert, Revocation, Signed, SwitchStatement, issue,

@@ -6,7 +6,8 @@ use gdp_core::identity::Identity;
 use gdp_e2e::feedback_wire::{Feedback, MAX_FEEDBACK};
 use gdp_e2e::keys::PairKey;
 
-/// Bytes that are taken for feedback are its only encoding, and come through a sealed channel once; bytes that nobody sealed do not.
+/// Bytes that are taken for feedback are its only encoding, and come through a sealed channel once;
+/// bytes that nobody sealed do not.
 pub fn feedback(data: &[u8]) {
     let (own, peer) = keys();
     let mut opener = peer.opener();

@@ -11,8 +11,8 @@ use gdp_wire::Name;
 
 const EPOCH: u32 = 1_800_000_000;
 
-/// A reader takes the box that was made for it, and no other: neither one that the writer has not signed, nor one that it has, with
-/// something else in it.
+/// A reader takes the box that was made for it, and no other: neither one that the writer has not
+/// signed, nor one that it has, with something else in it.
 pub fn key_box(data: &[u8]) {
     let world = World::get();
     let Ok(signed) = Signed::<KeyBox>::from_bytes(data.to_vec()) else { return };

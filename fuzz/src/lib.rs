@@ -1,6 +1,7 @@
-//! What bytes from a wire must never do, as functions of those bytes. Each is run by libFuzzer, guided by coverage
-//! (`cargo xtask fuzz TARGET`), and by the tests over the [seeds] and over `corpus/TARGET`: a file there is a case worth keeping,
-//! named for what it shows; what a crash leaves goes there under a name of its own.
+//! What bytes from a wire must never do, as functions of those bytes. Each is run by libFuzzer,
+//! guided by coverage (`cargo xtask fuzz TARGET`), and by the tests over the [seeds] and over
+//! `corpus/TARGET`: a file there is a case worth keeping, named for what it shows; what a crash
+//! leaves goes there under a name of its own.
 
 mod call;
 mod cert;

@@ -6,10 +6,12 @@ use gdp_msg::{Dialect, Encoding, Mapping, Options, Registry, Schema, TypeName};
 
 const ENCODINGS: [Encoding; 4] = [Encoding::Cdr, Encoding::CdrBigEndian, Encoding::Ros1, Encoding::Json];
 
-/// A schema survives its bundle. A message that is taken becomes one of every encoding that is taken as well, and leads back to itself;
-/// none becomes larger than the limit, with a prefix in front of its frames or without.
+/// A schema survives its bundle. A message that is taken becomes one of every encoding that is
+/// taken as well, and leads back to itself; none becomes larger than the limit, with a prefix in
+/// front of its frames or without.
 ///
-/// Input: dialect and encoding in one byte, the length of the definitions in two (big endian), the definitions, the message.
+/// Input: dialect and encoding in one byte, the length of the definitions in two (big endian), the
+/// definitions, the message.
 pub fn msg(data: &[u8]) {
     let Some(([options, high, low], rest)) = data.split_first_chunk() else { return };
     let length = usize::from(u16::from_be_bytes([*high, *low])).min(rest.len());

@@ -1,5 +1,5 @@
-//! What fuzzing begins with, by target and name: a whole and right input of each kind. Made by the code under test, so that they
-//! are messages of this version, and not of the one before.
+//! What fuzzing begins with, by target and name: a whole and right input of each kind. Made by the
+//! code under test, so that they are messages of this version, and not of the one before.
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{
@@ -41,7 +41,8 @@ pub fn seeds(target: &str) -> Seeds {
     }
 }
 
-/// The fixtures, each twice in a row; what becomes of one by mutation has a good tag, unless that is what the fixture is about.
+/// The fixtures, each twice in a row; what becomes of one by mutation has a good tag, unless that
+/// is what the fixture is about.
 fn frames() -> Seeds {
     let input = |options: u8, frame: Vec<u8>| [&[options][..], &(frame.len() as u16).to_be_bytes(), &frame].concat();
     let cases = fixtures::read().cases.into_iter().map(|case| {

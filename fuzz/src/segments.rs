@@ -1,8 +1,8 @@
 //! Payloads of data frames, through a reader.
 //!
-//! The input is a few steps: a byte that says which, two of length, and that many bytes; until there is nothing left. Nobody
-//! guesses a key, so there is a step that seals what it is given, as another reader of the name could, and one that has the
-//! true writer send something.
+//! The input is a few steps: a byte that says which, two of length, and that many bytes; until
+//! there is nothing left. Nobody guesses a key, so there is a step that seals what it is given, as
+//! another reader of the name could, and one that has the true writer send something.
 
 use std::collections::HashMap;
 use std::time::Duration;
@@ -34,7 +34,8 @@ pub const VOUCH: u8 = 5;
 pub const EPOCHS: u8 = 6;
 const KINDS: u8 = 7;
 
-/// Whatever comes, memory stays within the limits, and what is delivered was sent by the writer, is unchanged and comes once.
+/// Whatever comes, memory stays within the limits, and what is delivered was sent by the writer, is
+/// unchanged and comes once.
 pub fn segments(data: &[u8]) {
     let mut scene = Scene::new();
     for (kind, bytes) in steps(data) {
@@ -123,8 +124,8 @@ impl Scene {
         assert!(present <= payload.len());
     }
 
-    /// Headers, each with the plaintext behind it in the place of the ciphertext, sealed by somebody who has the key. What says
-    /// session 0 is of the writer's.
+    /// Headers, each with the plaintext behind it in the place of the ciphertext, sealed by
+    /// somebody who has the key. What says session 0 is of the writer's.
     fn sealed(&self, bytes: &[u8]) -> Vec<u8> {
         let mut payload = Vec::new();
         let mut rest = bytes;
@@ -153,7 +154,8 @@ impl Scene {
         Backend::default().aead(&key).expect("a cipher")
     }
 
-    /// The writer seals something; all of it is on its way then. The bytes: what, how large payloads are, and a body.
+    /// The writer seals something; all of it is on its way then. The bytes: what, how large
+    /// payloads are, and a body.
     fn send(&mut self, bytes: &[u8]) {
         let &[what, size, ref body @ ..] = bytes else { return };
         let max_payload = MIN_PAYLOAD + 3 * 32 + 4 * usize::from(size);
@@ -187,7 +189,8 @@ impl Scene {
         self.network.extend(segments.iter().map(<[u8]>::to_vec));
     }
 
-    /// One payload on its way arrives: which, by the first byte; it stays there for an odd second; a third and fourth damage it.
+    /// One payload on its way arrives: which, by the first byte; it stays there for an odd second;
+    /// a third and fourth damage it.
     fn arrive(&mut self, bytes: &[u8]) {
         let &[which, again, ref damage @ ..] = bytes else { return };
         if self.network.is_empty() {
@@ -214,8 +217,8 @@ impl Scene {
         }
     }
 
-    /// For another session, or for the writer's again. No number of others displaces it but by being vouched for, so it is
-    /// vouched for last.
+    /// For another session, or for the writer's again. No number of others displaces it but by
+    /// being vouched for, so it is vouched for last.
     fn confirm_session(&mut self, bytes: &[u8]) {
         let Some((session, rest)) = bytes.split_first_chunk::<16>() else { return };
         let writer = self.entity.name();

@@ -1,5 +1,5 @@
-//! The targets over their seeds and corpora, and over what a plain mutator makes of these: no engine, no instrumentation, so that this
-//! runs wherever tests run.
+//! The targets over their seeds and corpora, and over what a plain mutator makes of these: no
+//! engine, no instrumentation, so that this runs wherever tests run.
 
 use std::fs;
 use std::path::PathBuf;

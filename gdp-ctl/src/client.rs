@@ -16,7 +16,8 @@ const TIMEOUT: Duration = Duration::from_secs(15);
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     #[error(
-        "no daemon answers at {}: {source}; start one with `gdp-ctl serve`, or say where it is with --socket", path.display()
+        "no daemon answers at {}: {source}; start one with `gdp-ctl serve`, or say where it is with \
+         --socket", path.display()
     )]
     NoDaemon { path: PathBuf, source: std::io::Error },
     #[error("not allowed to use the daemon's socket {}; run this as the user who runs the daemon", .0.display())]
@@ -104,7 +105,8 @@ pub struct Happenings(Client);
 impl Iterator for Happenings {
     type Item = Result<Value, ClientError>;
 
-    /// Waits for the next [`Event`](gdp_daemon::serve::events::Event); none once the daemon has ended.
+    /// Waits for the next [`Event`](gdp_daemon::serve::events::Event); none once the daemon has
+    /// ended.
     fn next(&mut self) -> Option<Self::Item> {
         self.0.reply().transpose().map(|reply| match reply? {
             Reply::Ok(event) => Ok(event),

@@ -1,26 +1,27 @@
-//! What `cargo xtask bench forward` and kernel tests load beside the switch: generators, a sink, the least a switch can do, and
-//! [`bench_lookups`].
+//! What `cargo xtask bench forward` and kernel tests load beside the switch: generators, a sink,
+//! the least a switch can do, and [`bench_lookups`].
 //!
-//! Generators run under `BPF_PROG_TEST_RUN` with live frames: the kernel hands them frames, they send them by an interface. The
-//! sink sits on the interface where the frames should arrive. A generator is an endpoint: it counts and tags each frame.
-//! It does the same whatever forwards behind it, also where nothing will look at the tag, so that its own work weighs the same
-//! on all that are compared.
+//! Generators run under `BPF_PROG_TEST_RUN` with live frames: the kernel hands them frames, they
+//! send them by an interface. The sink sits on the interface where the frames should arrive. A
+//! generator is an endpoint: it counts and tags each frame. It does the same whatever forwards
+//! behind it, also where nothing will look at the tag, so that its own work weighs the same on all
+//! that are compared.
 #![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
 
 mod bench_lookups;
 mod bench_names;
 mod fib;
 
-use gdp_wire::hop;
 use aya_ebpf::bindings::xdp_action::{XDP_ABORTED, XDP_DROP, XDP_PASS};
 use aya_ebpf::helpers::bpf_ktime_get_ns;
 use aya_ebpf::macros::{map, xdp};
 use aya_ebpf::maps::{Array, DevMap};
 use aya_ebpf::programs::XdpContext;
+use gdp_wire::hop;
 use gdp_wire::{Header, LinkEntry, Name};
 
-/// What forwarding changes lies in the first 104 bytes: at most Ethernet with a VLAN tag, IPv6, UDP, and a GDP header up to
-/// the destination name.
+/// What forwarding changes lies in the first 104 bytes: at most Ethernet with a VLAN tag, IPv6,
+/// UDP, and a GDP header up to the destination name.
 const TEMPLATE_WORDS: usize = 13;
 
 /// Above any offset of a GDP header that a template may have.
@@ -61,11 +62,13 @@ static LINK: Array<LinkEntry> = Array::with_max_entries(1, 0);
 #[map]
 static OUT: DevMap = DevMap::with_max_entries(1, 0);
 
-/// Entry 0: frames sent to the known name, as many times as they are to arrive. Written by the generator, which runs on one CPU; by user space while it does not run.
+/// Entry 0: frames sent to the known name, as many times as they are to arrive. Written by the
+/// generator, which runs on one CPU; by user space while it does not run.
 #[map]
 static SENT: Array<u64> = Array::with_max_entries(1, 0);
 
-/// Entry 0: frames sent on the link, to whatever name. Written by the generators only, and never begun again.
+/// Entry 0: frames sent on the link, to whatever name. Written by the generators only, and never
+/// begun again.
 #[map]
 static LINK_COUNT: Array<u64> = Array::with_max_entries(1, 0);
 
@@ -73,8 +76,8 @@ static LINK_COUNT: Array<u64> = Array::with_max_entries(1, 0);
 #[map]
 static DUE: Array<[u64; 2]> = Array::with_max_entries(1, 0);
 
-/// Entry 0: frames that arrived. Written by the sink, and by a generator that keeps its frames, on the CPU of the generator: user space keeps that on one, and veths stay
-/// there.
+/// Entry 0: frames that arrived. Written by the sink, and by a generator that keeps its frames, on
+/// the CPU of the generator: user space keeps that on one, and veths stay there.
 #[map]
 static ARRIVED: Array<u64> = Array::with_max_entries(1, 0);
 
@@ -119,7 +122,8 @@ pub fn bare(_context: XdpContext) -> u32 {
     OUT.redirect(0, XDP_DROP.into()).unwrap_or(XDP_ABORTED)
 }
 
-/// Counts frames and drops them; lets what hosts say to each other (ARP, and other short ones) pass.
+/// Counts frames and drops them; lets what hosts say to each other (ARP, and other short ones)
+/// pass.
 #[xdp]
 pub fn sink(context: XdpContext) -> u32 {
     const SMALLEST: usize = 110;
@@ -149,7 +153,8 @@ fn send(context: &XdpContext, destination: Option<Name>) -> u32 {
     if start + TEMPLATE_WORDS * 8 > end {
         return XDP_ABORTED;
     }
-    // The kernel reuses the pages of frames that were received, with all that was rewritten on the way.
+    // The kernel reuses the pages of frames that were received, with all that was rewritten on the
+    // way.
     let mut i = 0;
     while i < TEMPLATE_WORDS {
         // SAFETY: within the bounds checked above.
@@ -160,8 +165,8 @@ fn send(context: &XdpContext, destination: Option<Name>) -> u32 {
     if at + Header::LEN > end {
         return XDP_ABORTED;
     }
-    // SAFETY: within the bounds just checked; for the alignment see `packet`. The count is an element of a map that only one
-    // program writes at a time.
+    // SAFETY: within the bounds just checked; for the alignment see `packet`. The count is an
+    // element of a map that only one program writes at a time.
     let (header, count) = unsafe { (&mut *(at as *mut Header), &mut *count) };
     if let Some(destination) = destination {
         header.destination = destination;
@@ -175,7 +180,8 @@ fn send(context: &XdpContext, destination: Option<Name>) -> u32 {
     OUT.redirect(0, XDP_DROP.into()).unwrap_or(XDP_ABORTED)
 }
 
-/// Whether `due` is over; if so, it is moved on. What was missed is made up for, if that is less than 20 milliseconds.
+/// Whether `due` is over; if so, it is moved on. What was missed is made up for, if that is less
+/// than 20 milliseconds.
 #[inline(always)]
 fn is_due(due: &mut u64, now: u64, interval: u64) -> bool {
     const MISSED: u64 = 20_000_000;

@@ -1,5 +1,6 @@
-//! What a lookup costs: programs that ask for one random name at a time, in the FIB of the switch and in a hash of the kernel, for
-//! `bench forward` under `BPF_PROG_TEST_RUN`. And what a lookup finds while user space changes the FIB, for the kernel tests.
+//! What a lookup costs: programs that ask for one random name at a time, in the FIB of the switch
+//! and in a hash of the kernel, for `bench forward` under `BPF_PROG_TEST_RUN`. And what a lookup
+//! finds while user space changes the FIB, for the kernel tests.
 
 use aya_ebpf::bindings::xdp_action::{XDP_ABORTED, XDP_DROP};
 use aya_ebpf::macros::{map, xdp};
@@ -27,8 +28,8 @@ struct Question {
 #[map]
 static HASH: HashMap<Name, FibEntry> = HashMap::with_max_entries(1, 0);
 
-/// Lookups that found a route of the name, that found something else, and that missed one of the names that must be found.
-/// Written by these programs, of which one runs at a time.
+/// Lookups that found a route of the name, that found something else, and that missed one of the
+/// names that must be found. Written by these programs, of which one runs at a time.
 #[map]
 static FOUND: Array<[u64; 3]> = Array::with_max_entries(1, 0);
 
@@ -45,7 +46,8 @@ pub fn lookup_flat(context: XdpContext) -> u32 {
 
 #[xdp]
 pub fn lookup_hash(context: XdpContext) -> u32 {
-    // SAFETY: elements are preallocated, so the memory stays an entry; nobody removes any while this runs.
+    // SAFETY: elements are preallocated, so the memory stays an entry; nobody removes any while
+    // this runs.
     ask(&context, |name, _| HASH.get_ptr(name).map(|entry| unsafe { *entry }))
 }
 

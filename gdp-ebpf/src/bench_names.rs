@@ -1,5 +1,5 @@
-//! The names and routes of `bench forward` and of the tests of the FIB in the kernel, by number. Programs and user space, which
-//! includes this file by its path, must make the same.
+//! The names and routes of `bench forward` and of the tests of the FIB in the kernel, by number.
+//! Programs and user space, which includes this file by its path, must make the same.
 
 /// Four words of the name with this number.
 #[inline(always)]

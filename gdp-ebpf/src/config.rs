@@ -1,5 +1,6 @@
-//! What the switch knows of itself. Written whole by user space before the programs attach and when the RIB assigns
-//! the own bit; the two words in it are each read once, so a racing reader sees either an old or a new one.
+//! What the switch knows of itself. Written whole by user space before the programs attach and when
+//! the RIB assigns the own bit; the two words in it are each read once, so a racing reader sees
+//! either an old or a new one.
 
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::Array;

@@ -1,14 +1,17 @@
-//! From the switch to the program at the interface where a copy leaves: what the copy is for. It is written in place of the Ethernet
-//! addresses, which no longer matter then; so it reaches every driver's copies, whereas XDP metadata would not. The rest of the
-//! frame is the same for all copies: [`gdp_wire::forward::copy`] makes each of them from it.
+//! From the switch to the program at the interface where a copy leaves: what the copy is for. It is
+//! written in place of the Ethernet addresses, which no longer matter then; so it reaches every
+//! driver's copies, whereas XDP metadata would not. The rest of the frame is the same for all
+//! copies: [`gdp_wire::forward::copy`] makes each of them from it.
 //!
-//! The kernel makes the copies of a frame that leave by one interface in a row, on the CPU that the switch ran on. So a count by CPU
-//! and interface tells them apart: `COUNTED`, of which user space makes an entry before an interface takes frames, and
-//! that only the CPU's own runs write. `SEQUENCE` tells frames apart.
+//! The kernel makes the copies of a frame that leave by one interface in a row, on the CPU that the
+//! switch ran on. So a count by CPU and interface tells them apart: `COUNTED`, of which user space
+//! makes an entry before an interface takes frames, and that only the CPU's own runs write.
+//! `SEQUENCE` tells frames apart.
 //!
-//! A copy that nobody needs is dropped, but for the last at its interface. The kernel sends up to 16 frames at a time, and if it is
-//! left with none of the last ones it does not tell the driver that there were others before: those would wait for
-//! the next frame. So the last copy leaves in any case, as a filler if need be.
+//! A copy that nobody needs is dropped, but for the last at its interface. The kernel sends up to
+//! 16 frames at a time, and if it is left with none of the last ones it does not tell the driver
+//! that there were others before: those would wait for the next frame. So the last copy leaves in
+//! any case, as a filler if need be.
 
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::{PerCpuArray, PerCpuHashMap};
@@ -25,7 +28,8 @@ static SEQUENCE: PerCpuArray<u64> = PerCpuArray::with_max_entries(1, 0);
 #[map]
 static COUNTED: PerCpuHashMap<u32, CopyCount> = PerCpuHashMap::with_max_entries(MAX_PORTS, 0);
 
-/// No interface has a group address of its own, so no frame that leaves otherwise has this in its source.
+/// No interface has a group address of its own, so no frame that leaves otherwise has this in its
+/// source.
 const MARK: u16 = 0xffff;
 
 /// What a copy is for, in the place of the Ethernet addresses.
@@ -67,7 +71,8 @@ impl Label {
     pub fn place(&self, interface: u32) -> Option<GroupSlot> {
         let [low, middle, high] = self.sequence.map(u64::from);
         let sequence = low | middle << 16 | high << 32;
-        // SAFETY: this CPU's part of an element that stays while its interface takes frames; nobody else writes it.
+        // SAFETY: this CPU's part of an element that stays while its interface takes frames; nobody
+        // else writes it.
         let counted = unsafe { &mut *COUNTED.get_ptr_mut(interface)? };
         let index = if counted.sequence == sequence { counted.copies } else { 0 };
         *counted = CopyCount { sequence, copies: index + 1, ..*counted };
@@ -92,8 +97,9 @@ pub fn take_superfluous(interface: u32) -> u64 {
     unsafe { core::mem::take(&mut (*counted).superfluous).into() }
 }
 
-/// Makes a copy a frame that no bridge forwards (IEEE 802.1Q, reserved group address) and no host takes (IEEE 802, local experimental
-/// ethertype 2), the shortest there is, with nothing of the copy in it.
+/// Turns a copy into the shortest frame there is, with nothing of the copy in it. No bridge
+/// forwards it (IEEE 802.1Q, reserved group address). No host takes it (IEEE 802, local
+/// experimental ethertype 2).
 #[inline(always)]
 pub fn make_discardable(context: &XdpContext) -> bool {
     const SHORTEST: usize = 60;

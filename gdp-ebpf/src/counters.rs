@@ -1,5 +1,6 @@
-//! One count per [`Counter`] and CPU. Written here only, by the CPU that owns the slot; XDP programs do not preempt
-//! each other on a CPU, so a plain increment loses nothing. User space only reads, and sums.
+//! One count per [`Counter`] and CPU. Written here only, by the CPU that owns the slot; XDP
+//! programs do not preempt each other on a CPU, so a plain increment loses nothing. User space only
+//! reads, and sums.
 
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::PerCpuArray;

@@ -1,6 +1,7 @@
-//! Where names lead. `FIB` holds one flat table (`gdp_wire::flat`, which says what a reader may meet), in an array that user
-//! space maps and writes while programs read. To grow, user space fills another array and puts it in the place of the first: a
-//! program runs to its end on the one that it began with.
+//! Where names lead. `FIB` holds one flat table (`gdp_wire::flat`, which says what a reader may
+//! meet), in an array that user space maps and writes while programs read. To grow, user space
+//! fills another array and puts it in the place of the first: a program runs to its end on the one
+//! that it began with.
 
 use aya_ebpf::bindings::{BPF_F_INNER_MAP, BPF_F_MMAPABLE};
 use aya_ebpf::btf_maps::{Array, ArrayOfMaps};
@@ -37,17 +38,19 @@ struct Bucket(*const u64);
 impl flat::Words for Bucket {
     #[inline(always)]
     fn load(self, index: usize) -> u64 {
-        // SAFETY: within the element, whose memory stays while the program runs; aligned; the kernel's JIT makes one load of it.
+        // SAFETY: within the element, whose memory stays while the program runs; aligned; the
+        // kernel's JIT makes one load of it.
         unsafe { self.0.add(index).read_volatile() }
     }
 
-    /// A load whose address depends on what another load returned happens after that one, on every machine the kernel runs on, and
-    /// costs no barrier.
+    /// A load whose address depends on what another load returned happens after that one, on every
+    /// machine the kernel runs on, and costs no barrier.
     #[cfg(target_arch = "bpf")]
     #[inline(always)]
     fn after(self, loaded: u64) -> Self {
         let mut words = self.0;
-        // SAFETY: adds zero, in a way that neither the compiler nor the JIT sees through; touches two registers.
+        // SAFETY: adds zero, in a way that neither the compiler nor the JIT sees through; touches
+        // two registers.
         unsafe {
             core::arch::asm!(
                 "{loaded} &= 0",

@@ -1,15 +1,17 @@
-//! The switch's links. `LINKS` is written by user space only, whole entries: a link is written before any route leads
-//! to it and removed after. A frame that races with the first write of an entry fails its tag or finds no link.
+//! The switch's links. `LINKS` is written by user space only, whole entries: a link is written
+//! before any route leads to it and removed after. A frame that races with the first write of an
+//! entry fails its tag or finds no link.
 //!
-//! While its id stays, a link's keys change in two writes: first a key that no frame is tagged with, then, a round trip or
-//! more later, the phase that points to it. So a program that reads while the kernel copies finds one phase or the other, and
-//! the key of either whole.
+//! While its id stays, a link's keys change in two writes: first a key that no frame is tagged
+//! with, then, a round trip or more later, the phase that points to it. So a program that reads
+//! while the kernel copies finds one phase or the other, and the key of either whole.
 //!
-//! `TX_COUNTERS` is shared with the userspace plane, which maps it: a link has one sequence of counters, whichever
-//! plane sends. Hence atomic additions, and nothing else, on both sides.
+//! `TX_COUNTERS` is shared with the userspace plane, which maps it: a link has one sequence of
+//! counters, whichever plane sends. Hence atomic additions, and nothing else, on both sides.
 //!
-//! `COMPLAINTS` and `PUNTS` are shared likewise. Two that race write nearly the same time, and the link gets one error more, or the
-//! daemon one probe. The second is written by user space only, which is where probes get to the daemon.
+//! `COMPLAINTS` and `PUNTS` are shared likewise. Two that race write nearly the same time, and the
+//! link gets one error more, or the daemon one probe. The second is written by user space only,
+//! which is where probes get to the daemon.
 
 use aya_ebpf::bindings::BPF_F_MMAPABLE;
 use aya_ebpf::helpers::bpf_ktime_get_coarse_ns;
@@ -52,7 +54,8 @@ pub fn next_count(link: &LinkEntry) -> u64 {
 #[inline(always)]
 pub fn may_send_error(link: &LinkEntry) -> bool {
     let Some(last) = COMPLAINTS.get_ptr_mut(link_index(link.id)) else { return false };
-    // SAFETY: a helper without arguments, and a live, aligned element of the map; the kernel's JIT makes one load.
+    // SAFETY: a helper without arguments, and a live, aligned element of the map; the kernel's JIT
+    // makes one load.
     unsafe { bpf_ktime_get_coarse_ns().wrapping_sub(last.read_volatile()) >= COMPLAINT_INTERVAL_NS }
 }
 
@@ -71,8 +74,8 @@ pub fn send_error(link: &LinkEntry) {
     }
 }
 
-/// Adds to `*slot` atomically and returns what it was. The compiler's description of the target says it has no such
-/// instruction; the kernel has it since 5.12.
+/// Adds to `*slot` atomically and returns what it was. The compiler's description of the target
+/// says it has no such instruction; the kernel has it since 5.12.
 ///
 /// # Safety
 ///
@@ -82,7 +85,8 @@ pub fn send_error(link: &LinkEntry) {
 unsafe fn fetch_add(slot: *mut u64, mut value: u64) -> u64 {
     // SAFETY: the caller's promise; the instruction touches only `*slot` and the register.
     unsafe {
-        core::arch::asm!("{value} = atomic_fetch_add((u64 *)({slot} + 0), {value})", slot = in(reg) slot, value = inout(reg) value);
+        core::arch::asm!("{value} = atomic_fetch_add((u64 *)({slot} + 0), \
+                          {value})", slot = in(reg) slot, value = inout(reg) value);
     }
     value
 }

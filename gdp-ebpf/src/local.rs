@@ -1,5 +1,6 @@
-//! What on the interfaces is ours beside untagged GDP frames. Written by user space only, an element before the first link that
-//! needs it, and removed after the last. Only whether a key is there counts.
+//! What on the interfaces is ours beside untagged GDP frames. Written by user space only, an
+//! element before the first link that needs it, and removed after the last. Only whether a key is
+//! there counts.
 
 use aya_ebpf::bindings::BPF_F_NO_PREALLOC;
 use aya_ebpf::macros::map;

@@ -1,9 +1,11 @@
-//! Counts the frames that are lost after the switch has redirected them: the verdict only queues a frame, and the kernel hands it
-//! to the other interface later, a batch at a time, where nobody hears what that interface did not take. Two tracepoints tell.
+//! Counts the frames that are lost after the switch has redirected them: the verdict only queues a
+//! frame, and the kernel hands it to the other interface later, a batch at a time, where nobody
+//! hears what that interface did not take. Two tracepoints tell.
 //!
-//! They see the whole machine, so a loss counts only if it was on the way from one watched interface to another: those that are
-//! keys of `REDIRECT_LOSSES`, in the network namespace of `NET_DEVICES`. Keys are written by user space only, values here only, by
-//! the CPU that owns them; the tracepoints fire where the switch runs, and a program does not interrupt itself.
+//! They see the whole machine, so a loss counts only if it was on the way from one watched
+//! interface to another: those that are keys of `REDIRECT_LOSSES`, in the network namespace of
+//! `NET_DEVICES`. Keys are written by user space only, values here only, by the CPU that owns them;
+//! the tracepoints fire where the switch runs, and a program does not interrupt itself.
 
 use core::ptr;
 
@@ -25,8 +27,9 @@ static REDIRECT_LOSSES: PerCpuHashMap<u32, u64> = PerCpuHashMap::with_max_entrie
 #[unsafe(no_mangle)]
 static NET_DEVICES: NetDevices = NetDevices { namespace: 0, ifindex: 0, net: 0, inum: 0 };
 
-/// `xdp_devmap_xmit(from_dev, to_dev, sent, drops, err)`: a batch was handed to an interface. What the program that it went through
-/// dropped is among the drops: the copies that nobody needs, which are no losses.
+/// `xdp_devmap_xmit(from_dev, to_dev, sent, drops, err)`: a batch was handed to an interface. What
+/// the program that it went through dropped is among the drops: the copies that nobody needs, which
+/// are no losses.
 #[raw_tracepoint(tracepoint = "xdp_devmap_xmit")]
 pub fn gdp_devmap_xmit(context: RawTracePointContext) -> i32 {
     let drops: i32 = context.arg(3);
@@ -36,13 +39,15 @@ pub fn gdp_devmap_xmit(context: RawTracePointContext) -> i32 {
     0
 }
 
-/// `xdp_redirect_err(dev, prog, target, err, map_type, map_id, index)`: a frame was refused before it came into a batch. An
-/// interface that a broadcast passes over, because it is down or takes no such frames, is told by nobody.
+/// `xdp_redirect_err(dev, prog, target, err, map_type, map_id, index)`: a frame was refused before
+/// it came into a batch. An interface that a broadcast passes over, because it is down or takes no
+/// such frames, is told by nobody.
 #[raw_tracepoint(tracepoint = "xdp_redirect_err")]
 pub fn gdp_redirect_err(context: RawTracePointContext) -> i32 {
     let (target, map_type): (*const *const u8, u32) = (context.arg(2), context.arg(4));
     if map_type == BPF_MAP_TYPE_DEVMAP || map_type == BPF_MAP_TYPE_DEVMAP_HASH {
-        // An entry of a device map begins with the interface, which the kernel keeps so for tracepoints. A broadcast has none.
+        // An entry of a device map begins with the interface, which the kernel keeps so for
+        // tracepoints. A broadcast has none.
         let from = context.arg(0);
         lost(from, read(target).unwrap_or(from), |_| 1);
     }
@@ -65,7 +70,8 @@ fn lost(from: *const u8, to: *const u8, frames: impl FnOnce(u32) -> u64) {
 /// The index of a `struct net_device` and this CPU's count for it, if it is one of ours.
 #[inline(always)]
 fn watched(device: *const u8) -> Option<(u32, *mut u64)> {
-    // SAFETY: a static; user space has replaced its value, which the compiler must not take for known.
+    // SAFETY: a static; user space has replaced its value, which the compiler must not take for
+    // known.
     let at = unsafe { ptr::read_volatile(&raw const NET_DEVICES) };
     let net: *const u8 = read(device.wrapping_add(at.net as usize).cast())?;
     let inum: u32 = read(net.wrapping_add(at.inum as usize).cast())?;
@@ -78,6 +84,7 @@ fn watched(device: *const u8) -> Option<(u32, *mut u64)> {
 
 #[inline(always)]
 fn read<T>(at: *const T) -> Option<T> {
-    // SAFETY: the helper checks the address and fails where there is nothing; integers and pointers are any bytes.
+    // SAFETY: the helper checks the address and fails where there is nothing; integers and pointers
+    // are any bytes.
     unsafe { bpf_probe_read_kernel(at) }.ok()
 }

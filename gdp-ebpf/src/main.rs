@@ -1,16 +1,19 @@
-//! The XDP programs of a switch. Everything that decides is in `gdp_wire::forward`; here is only what the kernel needs
-//! done around it: find the header in the packet, look up in BPF maps, carry the verdict out, count.
+//! The XDP programs of a switch. Everything that decides is in `gdp_wire::forward`; here is only
+//! what the kernel needs done around it: find the header in the packet, look up in BPF maps, carry
+//! the verdict out, count.
 //!
-//! Loaded by `gdp_dataplane::kernel`. The modules are the maps, each with the rule of who may write it when; [`packet`] and
-//! [`carrier`], what is around a frame; and [`next_hop`]. Only this file turns outcomes into XDP actions and counters.
+//! Loaded by `gdp_dataplane::kernel`. The modules are the maps, each with the rule of who may write
+//! it when; [`packet`] and [`carrier`], what is around a frame; and [`next_hop`]. Only this file
+//! turns outcomes into XDP actions and counters.
 //!
-//! [`gdp_switch`] runs where a frame arrives, [`gdp_egress`] where the kernel has been told to send it. The second is there for the
-//! copies of a frame; but the kernel runs one program over all frames that leave by an interface together, so where copies
-//! leave every frame comes by it.
+//! [`gdp_switch`] runs where a frame arrives, [`gdp_egress`] where the kernel has been told to send
+//! it. The second is there for the copies of a frame; but the kernel runs one program over all
+//! frames that leave by an interface together, so where copies leave every frame comes by it.
 //!
-//! Of both there are two that do the same. Those above take packets that span several buffers (MTU above about 3500), which
-//! kernels before 5.18 cannot; for those there are [`gdp_switch_linear`] and [`gdp_egress_linear`]. The first of these is also the
-//! better one where packets are smaller, because it need not ask the kernel how long they are.
+//! Of both there are two that do the same. Those above take packets that span several buffers (MTU
+//! above about 3500), which kernels before 5.18 cannot; for those there are [`gdp_switch_linear`]
+//! and [`gdp_egress_linear`]. The first of these is also the better one where packets are smaller,
+//! because it need not ask the kernel how long they are.
 #![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
 
 mod carrier;
@@ -73,15 +76,16 @@ pub fn gdp_egress_linear(context: XdpContext) -> u32 {
     act_at_egress(leave(&context))
 }
 
-/// Never attached: user space runs it to ask where frames for a link over UDP leave. The packet begins with the id of the link; the answer
-/// is the interface, as [`gdp_egress`] would find it for the largest frame that it is given for the link, or 0.
+/// Never attached: user space runs it to ask where frames for a link over UDP leave. The packet
+/// begins with the id of the link; the answer is the interface, as [`gdp_egress`] would find it for
+/// the largest frame that it is given for the link, or 0.
 #[xdp]
 pub fn gdp_route(context: XdpContext) -> u32 {
     route(&context).unwrap_or(0)
 }
 
-/// For the interface of an endpoint on a veth: a veth takes redirected frames only if its other end runs a program
-/// (or has GRO on).
+/// For the interface of an endpoint on a veth: a veth takes redirected frames only if its other end
+/// runs a program (or has GRO on).
 #[xdp(frags)]
 pub fn gdp_pass(_context: XdpContext) -> u32 {
     XDP_PASS
@@ -124,7 +128,8 @@ enum Departure {
     Copied(Counter),
     /// It is a copy that nobody needs.
     Superfluous,
-    /// It is such a copy, the last at its interface, and has become what no host takes: see [`copies`].
+    /// It is such a copy, the last at its interface, and has become what no host takes: see
+    /// [`copies`].
     Filler,
 }
 
@@ -177,7 +182,13 @@ fn forward_frame(context: &XdpContext, header: &mut Header, carried: FrameLocati
 }
 
 #[inline(always)]
-fn forward_headed(context: &XdpContext, header: &mut Header, tag: u64, carried: FrameLocation, length: usize) -> Outcome {
+fn forward_headed(
+    context: &XdpContext,
+    header: &mut Header,
+    tag: u64,
+    carried: FrameLocation,
+    length: usize,
+) -> Outcome {
     let in_one_buffer = length == context.data_end() - context.data();
     let tables = Maps { context, length: header.frame_len(), in_one_buffer, next_hop: NextHop::new() };
     let traffic = carrier::traffic(&Packet::of(context), &carried);
@@ -210,7 +221,8 @@ fn forward_headed(context: &XdpContext, header: &mut Header, tag: u64, carried: 
     }
 }
 
-/// Has copies made of the frame that lies `at`, without the bytes `behind` it. Each then becomes one for its link in [`leave`].
+/// Has copies made of the frame that lies `at`, without the bytes `behind` it. Each then becomes
+/// one for its link in [`leave`].
 #[inline(always)]
 fn replicate(context: &XdpContext, group: u32, at: usize, behind: usize) -> Outcome {
     let bare = packet::cut(context, behind) && packet::shift(context, at, ethernet::LEN);

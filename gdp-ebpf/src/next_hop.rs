@@ -1,7 +1,8 @@
-//! Where the kernel's routing table leads for a link over UDP: an interface, and the MAC addresses of the neighbour there and of
-//! the interface. Asked before a frame is taken, so that one for which there is no answer (no route, a neighbour that is yet to be
-//! resolved, an interface that takes no redirected frames) is left, untouched, to the host: the daemon's socket then sends it, the
-//! kernel resolves the neighbour for that, and later frames find it.
+//! Where the kernel's routing table leads for a link over UDP: an interface, and the MAC addresses
+//! of the neighbour there and of the interface. Asked before a frame is taken, so that one for
+//! which there is no answer (no route, a neighbour that is yet to be resolved, an interface that
+//! takes no redirected frames) is left, untouched, to the host: the daemon's socket then sends it,
+//! the kernel resolves the neighbour for that, and later frames find it.
 
 use core::cell::UnsafeCell;
 
@@ -17,33 +18,38 @@ use crate::ports;
 const AF_INET: u8 = 2;
 const AF_INET6: u8 = 10;
 
-/// `lo`, in every network namespace. Asked as if from there, the table answers as it does for what the host itself sends; the
-/// kernel wants forwarding enabled on that interface, which the daemon sees to.
+/// `lo`, in every network namespace. Asked as if from there, the table answers as it does for what
+/// the host itself sends; the kernel wants forwarding enabled on that interface, which the daemon
+/// sees to.
 const LOOPBACK: u32 = 1;
 
-/// Not 0: also programs in device maps can ask. User space replaces the value before the programs are loaded. Before Linux 6.12 they run
-/// without the interface that a packet came by, from which the kernel takes the network namespace: to ask there would crash it.
+/// Not 0: also programs in device maps can ask. User space replaces the value before the programs
+/// are loaded. Before Linux 6.12 they run without the interface that a packet came by, from which
+/// the kernel takes the network namespace: to ask there would crash it.
 #[unsafe(no_mangle)]
 static ASKS_AT_EGRESS: u32 = 0;
 
 /// Whether what leaves can be asked for where it does.
 #[inline(always)]
 pub fn asks_at_egress() -> bool {
-    // SAFETY: a static; user space has replaced its value, which the compiler must not take for known.
+    // SAFETY: a static; user space has replaced its value, which the compiler must not take for
+    // known.
     unsafe { (&raw const ASKS_AT_EGRESS).read_volatile() != 0 }
 }
 
 /// Words of a question.
 const WORDS: usize = size_of::<Lookup>() / size_of::<u64>();
 
-/// The last question, and its answer. On the stack of the program, as words because those are what it begins with.
+/// The last question, and its answer. On the stack of the program, as words because those are what
+/// it begins with.
 pub struct NextHop(UnsafeCell<[u64; WORDS]>);
 
 const _: () = assert!(WORDS * size_of::<u64>() == size_of::<Lookup>() && align_of::<Lookup>() <= align_of::<u64>());
 
 impl NextHop {
-    /// The kernel wants all of it written before anything is read. Most frames never ask, so this must cost next to nothing: a zero that
-    /// the compiler knows becomes a call of a function that writes byte by byte.
+    /// The kernel wants all of it written before anything is read. Most frames never ask, so this
+    /// must cost next to nothing: a zero that the compiler knows becomes a call of a function that
+    /// writes byte by byte.
     #[inline(always)]
     pub fn new() -> Self {
         Self(UnsafeCell::new([core::hint::black_box(0); WORDS]))
@@ -54,13 +60,15 @@ impl NextHop {
         self.0.get().cast()
     }
 
-    /// Asks for a frame of `length` bytes; `false` if it cannot be sent. A function of its own also in the kernel: it is asked in
-    /// several places, and inlined the compiler spills a register there that holds nothing, which the verifier refuses.
+    /// Asks for a frame of `length` bytes; `false` if it cannot be sent. A function of its own also
+    /// in the kernel: it is asked in several places, and inlined the compiler spills a register
+    /// there that holds nothing, which the verifier refuses.
     #[inline(never)]
     pub fn ask(&self, context: &XdpContext, link: &LinkEntry, length: usize) -> bool {
         let carrier = &link.carrier;
         let lookup = self.lookup();
-        // SAFETY: the program's own memory, and there is no reference into it. The helper writes within the size it is given.
+        // SAFETY: the program's own memory, and there is no reference into it. The helper writes
+        // within the size it is given.
         let answer = unsafe {
             (*lookup).l4_protocol = UDP;
             (*lookup).sport = carrier.local_port;

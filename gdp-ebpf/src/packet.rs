@@ -1,4 +1,5 @@
-//! A packet as XDP hands it over: bounds checks where the verifier sees them, access in place, and changes of its length.
+//! A packet as XDP hands it over: bounds checks where the verifier sees them, access in place, and
+//! changes of its length.
 
 use aya_ebpf::helpers::{bpf_xdp_adjust_head, bpf_xdp_adjust_tail, bpf_xdp_get_buff_len};
 use aya_ebpf::programs::XdpContext;
@@ -18,10 +19,12 @@ impl Packet {
         Self { start: context.data(), end: context.data_end() }
     }
 
-    /// What lies `at` bytes behind the start, if all of it is here. `T`: plain integers, for which any bytes are a value.
+    /// What lies `at` bytes behind the start, if all of it is here. `T`: plain integers, for which
+    /// any bytes are a value.
     ///
-    /// The address need not be a multiple of the type's alignment: in the machine code of all targets the kernel compiles this
-    /// for, an unaligned word access is an ordinary one, whereas telling the compiler so makes it build every word from bytes.
+    /// The address need not be a multiple of the type's alignment: in the machine code of all
+    /// targets the kernel compiles this for, an unaligned word access is an ordinary one, whereas
+    /// telling the compiler so makes it build every word from bytes.
     #[inline(always)]
     pub fn get<T>(&self, at: usize) -> Option<*mut T> {
         let from = self.start + at;
@@ -31,7 +34,8 @@ impl Packet {
     /// The GDP header `at` bytes behind the start, in place.
     #[inline(always)]
     pub fn header(&mut self, at: usize) -> Option<&mut Header> {
-        // SAFETY: `get` checked the bounds, and the packet is this program's alone while it runs; for the alignment see there.
+        // SAFETY: `get` checked the bounds, and the packet is this program's alone while it runs;
+        // for the alignment see there.
         self.get::<Header>(at).map(|header| unsafe { &mut *header })
     }
 }
@@ -50,7 +54,8 @@ pub fn cut(context: &XdpContext, bytes: usize) -> bool {
     bytes == 0 || unsafe { bpf_xdp_adjust_tail(context.ctx, -(bytes as i32)) == 0 }
 }
 
-/// Moves the start so that what was `from` bytes behind it is `to` bytes behind it; `false` if there is no room.
+/// Moves the start so that what was `from` bytes behind it is `to` bytes behind it; `false` if
+/// there is no room.
 #[inline(always)]
 pub fn shift(context: &XdpContext, from: usize, to: usize) -> bool {
     // SAFETY: as above.

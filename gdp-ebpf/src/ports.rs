@@ -1,6 +1,7 @@
-//! The interfaces frames can leave by, by interface index: those that take redirected frames. Written by user space before a link
-//! with that port exists. A port whose interface is gone is empty, and a redirect to it fails and is counted. Where
-//! copies leave, an element has the program of what leaves; see `main`.
+//! The interfaces frames can leave by, by interface index: those that take redirected frames.
+//! Written by user space before a link with that port exists. A port whose interface is gone is
+//! empty, and a redirect to it fails and is counted. Where copies leave, an element has the program
+//! of what leaves; see `main`.
 
 use aya_ebpf::bindings::xdp_action::XDP_DROP;
 use aya_ebpf::macros::map;

@@ -1,8 +1,10 @@
-//! What became of the frames of each link, and which names are the busiest. Written here only, by the CPU that owns the
-//! slot, as the counters are; user space reads and sums, and clears the row of a link before it writes a new one there.
+//! What became of the frames of each link, and which names are the busiest. Written here only, by
+//! the CPU that owns the slot, as the counters are; user space reads and sums, and clears the row
+//! of a link before it writes a new one there.
 //!
-//! Of the frames that leave, one in [`SAMPLING`] is counted for its name, chosen by its hop tag, which nobody but the
-//! neighbour can steer. Here a map may forget: the least recently seen name makes room.
+//! Of the frames that leave, one in [`SAMPLING`] is counted for its name, chosen by its hop tag,
+//! which nobody but the neighbour can steer. Here a map may forget: the least recently seen name
+//! makes room.
 
 use aya_ebpf::bindings::BPF_ANY;
 use aya_ebpf::macros::map;

@@ -1,9 +1,11 @@
-//! What has arrived on each link. Shared with the userspace plane, which maps it: frames of a link may come to either.
+//! What has arrived on each link. Shared with the userspace plane, which maps it: frames of a link
+//! may come to either.
 //!
-//! Every word is changed by compare-exchange only, in the kernel and in user space, except that user space clears the
-//! window of a link that is new, before it writes the link. A frame runs to its end on one CPU and is over within
-//! microseconds; an index rests while 1023 others are used, so no frame of a link that is gone meets a window of the next.
-//! What several CPUs may do to one window at once is in `gdp_wire::replay`.
+//! Every word is changed by compare-exchange only, in the kernel and in user space, except that
+//! user space clears the window of a link that is new, before it writes the link. A frame runs to
+//! its end on one CPU and is over within microseconds; an index rests while 1023 others are used,
+//! so no frame of a link that is gone meets a window of the next. What several CPUs may do to one
+//! window at once is in `gdp_wire::replay`.
 
 use aya_ebpf::bindings::BPF_F_MMAPABLE;
 use aya_ebpf::macros::map;
@@ -26,18 +28,21 @@ pub fn get(link: &LinkEntry) -> Option<Window> {
 impl Words for Window {
     #[inline(always)]
     fn load(&self, index: usize) -> u64 {
-        // SAFETY: within the element, whose memory stays; aligned; the kernel's JIT makes one load of it.
+        // SAFETY: within the element, whose memory stays; aligned; the kernel's JIT makes one load
+        // of it.
         unsafe { self.0.add(index).read_volatile() }
     }
 
     #[inline(always)]
     fn compare_exchange(&self, index: usize, current: u64, new: u64) -> u64 {
-        // SAFETY: within the element, whose memory stays; aligned; everybody accesses it atomically.
+        // SAFETY: within the element, whose memory stays; aligned; everybody accesses it
+        // atomically.
         unsafe { compare_exchange(self.0.add(index), current, new) }
     }
 }
 
-/// Writes `new` to `*word` if that is `current`, atomically, and returns what it was. See `links::fetch_add`.
+/// Writes `new` to `*word` if that is `current`, atomically, and returns what it was. See
+/// `links::fetch_add`.
 ///
 /// # Safety
 ///

@@ -1,6 +1,7 @@
-//! `gdp-wire` file by file, but for SipHash: here a hop tag is always 0. The programs around it are the shipped ones, and
-//! compared with these they show what the tag costs. So nothing that is shipped knows of a way to leave the tag out. (No name is
-//! sampled, though, because the tag chooses which are; of shipped programs' frames that is one in 64.)
+//! `gdp-wire` file by file, but for SipHash: here a hop tag is always 0. The programs around it are
+//! the shipped ones, and compared with these they show what the tag costs. So nothing that is
+//! shipped knows of a way to leave the tag out. (No name is sampled, though, because the tag
+//! chooses which are; of shipped programs' frames that is one in 64.)
 //!
 //! Built and loaded by `cargo xtask bench forward` only.
 #![no_std]

@@ -1,5 +1,5 @@
-//! A topic's certificate, which may be replaced while the proxy runs: read again when its file changes, until what it holds is in
-//! force.
+//! A topic's certificate, which may be replaced while the proxy runs: read again when its file
+//! changes, until what it holds is in force.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,8 @@ pub struct CertFile {
     topic: String,
     card: NameCard,
     entity: Name,
-    /// Of the file whose content is in force, of the one that was offered last, and of the one that the log has told of.
+    /// Of the file whose content is in force, of the one that was offered last, and of the one that
+    /// the log has told of.
     taken: Option<FileStamp>,
     offered: Option<FileStamp>,
     told: Option<FileStamp>,
@@ -46,8 +47,8 @@ impl CertFile {
         Ok((file, permission))
     }
 
-    /// What it holds now, if it does for the topic and was not [taken](Self::taken) yet. Until it is, it is offered each time: the RIB
-    /// may be away, and the clock may be behind.
+    /// What it holds now, if it does for the topic and was not [taken](Self::taken) yet. Until it
+    /// is, it is offered each time: the RIB may be away, and the clock may be behind.
     pub fn changed(&mut self) -> Option<Permission> {
         self.is_pending |= self.watched.has_changed();
         if !self.is_pending {

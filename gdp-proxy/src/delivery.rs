@@ -1,21 +1,24 @@
-//! A topic's quality of service as the fabric takes it: what the name's publisher keeps, and what its reader waits for.
+//! A topic's quality of service as the fabric takes it: what the name's publisher keeps, and what
+//! its reader waits for.
 
-use gdp::node::{Overflow, PublishOptions, Reliability, SubscribeOptions, Wants};
+use gdp::{Overflow, PublishOptions, Reliability, SubscribeOptions, Wants};
 
 use crate::config::TopicConfig;
 use crate::ros2;
 use gdp_ros::roster::Offer;
 
-/// Messages of a reliable topic that a remote reader may ask for again, whatever the depth. ROS 2's usual depth of 10 is meant for one
-/// machine; over a network, more is under way before a gap is noticed.
+/// Messages of a reliable topic that a remote reader may ask for again, whatever the depth. ROS 2's
+/// usual depth of 10 is meant for one machine; over a network, more is under way before a gap is
+/// noticed.
 const REPAIRABLE: usize = 256;
 
 /// Messages of a publisher that keeps all.
 const ALL: usize = 10_000;
 
-/// For publishers of which each offers no more than this. A reliable topic drops its oldest message rather than wait for room, as a
-/// keep-last history does: a reader that fell behind holds up neither the ROS nodes nor the other readers. What is latched is said of each
-/// publisher ([`latched`]).
+/// For publishers of which each offers no more than this. A reliable topic drops its oldest message
+/// rather than wait for room, as a keep-last history does: a reader that fell behind holds up
+/// neither the ROS nodes nor the other readers. What is latched is said of each publisher
+/// ([`latched`]).
 pub fn publish_options(offers: &Offer, topic: &TopicConfig) -> PublishOptions {
     let depth = depth(offers);
     let options = if offers.reliable {

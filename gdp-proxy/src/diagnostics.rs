@@ -105,7 +105,8 @@ impl Diagnostics {
         Ok(Self { entity, outlets, ticks, before: HashMap::new() })
     }
 
-    /// In all graphs, if the configuration wants it and the graphs take it; topics are worth more than what is said of them.
+    /// In all graphs, if the configuration wants it and the graphs take it; topics are worth more
+    /// than what is said of them.
     pub async fn wanted(config: &Config, entity: Name, graphs: &All, types: &Types) -> Option<Self> {
         if !config.diagnostics {
             return None;

@@ -32,7 +32,8 @@ pub struct Report {
     imports: Vec<Name>,
 }
 
-/// Something in one direction, or that does not cross, or those who offer it that do not because they use another type.
+/// Something in one direction, or that does not cross, or those who offer it that do not because
+/// they use another type.
 #[derive(Serialize)]
 struct Row {
     graph: String,
@@ -60,7 +61,8 @@ enum Of {
     Call { what: What, service: String },
 }
 
-/// Looks for so long. The graphs are joined under a name of their own, so a proxy that runs is not disturbed.
+/// Looks for so long. The graphs are joined under a name of their own, so a proxy that runs is not
+/// disturbed.
 pub async fn run(loaded: &Loaded, patience: Duration) -> Result<Report> {
     let mut graphs = graph::All::new();
     graph::join(&mut graphs, &loaded.config.graphs, &format!("{}dry_run_{}", graph::NODE, std::process::id())).await?;

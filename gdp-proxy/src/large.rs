@@ -2,7 +2,8 @@
 
 use tokio::runtime::{Handle, RuntimeFlavor};
 
-/// To convert, compress or seal so many bytes takes longer than to hand other work to another thread.
+/// To convert, compress or seal so many bytes takes longer than to hand other work to another
+/// thread.
 const LARGE: usize = 128 << 10;
 
 /// Whether others are to be left to another thread while so many bytes are worked on.
@@ -12,7 +13,8 @@ pub fn is_large(bytes: usize) -> bool {
     bytes >= LARGE && is_shared()
 }
 
-/// Works on so many bytes. If that is large, what else this thread is to do is left to others meanwhile.
+/// Works on so many bytes. If that is large, what else this thread is to do is left to others
+/// meanwhile.
 pub fn beside<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
     if is_large(bytes) { tokio::task::block_in_place(work) } else { work() }
 }

@@ -18,11 +18,14 @@ use gdp_util::file_watch::FileWatcher;
 use gdp_util::{log, panics, terminal};
 use tokio::signal::unix::{SignalKind, signal};
 
-/// Carries ROS topics over the Global Data Plane, as a YAML file says; without one it exposes nothing.
+/// Carries ROS topics over the Global Data Plane, as a YAML file says; without one it exposes
+/// nothing.
 ///
-/// The file is read again at SIGHUP and when it changes. What it still says alike goes on without losing a message.
+/// The file is read again at SIGHUP and when it changes. What it still says alike goes on without
+/// losing a message.
 ///
-/// Exit codes: 0 ended by a signal or checked, 1 failed, 2 wrong usage. RUST_LOG sets what is logged, on stderr.
+/// Exit codes: 0 ended by a signal or checked, 1 failed, 2 wrong usage. RUST_LOG sets what is
+/// logged, on stderr.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
@@ -32,7 +35,8 @@ struct Arguments {
     /// Check the configuration and the files it names, then end
     #[arg(long)]
     check: bool,
-    /// Look at the ROS graphs, but not at the fabric, print what would cross under which name, and what would not and why, then end
+    /// Look at the ROS graphs, but not at the fabric, print what would cross under which name, and
+    /// what would not and why, then end
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "3", conflicts_with = "check")]
     dry_run: Option<NonZeroU16>,
     /// With --dry-run: as JSON

@@ -1,9 +1,10 @@
-//! What is wanted beside what runs: begins what is wanted and does not run, ends what is not wanted any more, and leaves alone what is
-//! wanted as it is.
+//! What is wanted beside what runs: begins what is wanted and does not run, ends what is not wanted
+//! any more, and leaves alone what is wanted as it is.
 //!
-//! A [`Plan`] says what is to run and where; a [`Work`] is what runs then, as a task. In one place runs one work at a time: another
-//! one begins there when the one before has ended. What fails is begun again, because ROS graphs mend; what only a new start of the proxy can mend is
-//! returned by [`Manager::failed`].
+//! A [`Plan`] says what is to run and where; a [`Work`] is what runs then, as a task. In one place
+//! runs one work at a time: another one begins there when the one before has ended. What fails is
+//! begun again, because ROS graphs mend; what only a new start of the proxy can mend is returned by
+//! [`Manager::failed`].
 
 use std::collections::BTreeMap;
 use std::ops::Add;
@@ -112,8 +113,8 @@ impl<P: Plan> Manager<P> {
         changed
     }
 
-    /// The first failure that only a new start can mend; waits until there is one. It must be polled for works to follow one another, and is
-    /// safe to cancel.
+    /// The first failure that only a new start can mend; waits until there is one. It must be
+    /// polled for works to follow one another, and is safe to cancel.
     pub async fn failed(&mut self) -> anyhow::Error {
         loop {
             match self.tasks.join_next().await {

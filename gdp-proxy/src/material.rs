@@ -1,5 +1,6 @@
-//! The files that a configuration names: identity, name cards, certificates. Read at start (certificates also when they change: `cert_file`), and checked
-//! against each other here, so that a mistake is said with the key of the configuration it is under, and not as a refusal from a RIB
+//! The files that a configuration names: identity, name cards, certificates. Read at start
+//! (certificates also when they change: `cert_file`), and checked against each other here, so that
+//! a mistake is said with the key of the configuration it is under, and not as a refusal from a RIB
 //! three hops away. The RIB verifies everything again.
 
 use std::collections::BTreeMap;
@@ -132,7 +133,8 @@ impl Material {
         Ok(material)
     }
 
-    /// A name has one publisher and one subscription per proxy: two topics in it would be indistinguishable at its readers.
+    /// A name has one publisher and one subscription per proxy: two topics in it would be
+    /// indistinguishable at its readers.
     fn check_names(&self, config: &Config) -> Result<(), MaterialError> {
         let routes =
             self.routes.iter().map(|(at, route)| (format!("topics[{at}].card"), &route.card, route.permission.side()));
@@ -146,7 +148,8 @@ impl Material {
             let name = card.name();
             if let Some(first) = known.insert((name, side), key.clone()) {
                 let reason = format!(
-                    "the name {name:#} is already that of {first}, in the same direction; make a card of its own for this, or remove one of them"
+                    "the name {name:#} is already that of {first}, in the same direction; make a card of its own for \
+                     this, or remove one of them"
                 );
                 return Err(MaterialError { key, reason });
             }

@@ -1,11 +1,12 @@
-//! The proxy's membership of a trust domain: read again when its files change, and shown to the switches without new links.
+//! The proxy's membership of a trust domain: read again when its files change, and shown to the
+//! switches without new links.
 
-use gdp::node::Node;
+use gdp::Node;
 use gdp_core::domain::CredentialFiles;
 use gdp_util::file_watch::FileSet;
 
-/// Keeps the node's papers those of the files, for ever; without files it does nothing, for ever. `watched` has the same
-/// files, and is older than the papers that the node has.
+/// Keeps the node's papers those of the files, for ever; without files it does nothing, for ever.
+/// `watched` has the same files, and is older than the papers that the node has.
 pub async fn store_credentials(node: &Node, files: Option<(&CredentialFiles, FileSet)>) -> std::convert::Infallible {
     let Some((files, mut watched)) = files else { return std::future::pending().await };
     loop {

@@ -1,12 +1,12 @@
-//! Puts the halves together: joins the ROS graphs, attaches to the switch, runs a route per topic and direction, shows counters, and
-//! leaves both sides properly.
+//! Puts the halves together: joins the ROS graphs, attaches to the switch, runs a route per topic
+//! and direction, shows counters, and leaves both sides properly.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
-use gdp::node::Node;
-use gdp::node::{LinkConfig, NodeConfig};
+use gdp::Node;
+use gdp::{LinkConfig, NodeConfig};
 use gdp_core::domain::CredentialFiles;
 use gdp_link::link::RekeySchedule;
 use tokio::time::{Interval, MissedTickBehavior};
@@ -29,7 +29,8 @@ const STATS_PERIOD: Duration = Duration::from_secs(1);
 /// How often the log says that the switch does not answer.
 const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
 
-/// Runs until `stop` ends, or something fails that only a new start can mend. `watch`: of the configuration that was loaded.
+/// Runs until `stop` ends, or something fails that only a new start can mend. `watch`: of the
+/// configuration that was loaded.
 pub async fn run(
     mut loaded: Loaded,
     watch: Watch,
@@ -99,7 +100,8 @@ async fn carry(
             }
             () = watch.changed() => match load_again(&loaded, &watch, &mut graphs, &ros_node).await {
                 Ok(new) => {
-                    if new.config.diagnostics != loaded.config.diagnostics || new.config.graphs != loaded.config.graphs {
+                    let (new_config, old_config) = (&new.config, &loaded.config);
+                    if new_config.diagnostics != old_config.diagnostics || new_config.graphs != old_config.graphs {
                         diagnostics = Diagnostics::wanted(&new.config, node.name(), &graphs, &types).await;
                     }
                     loaded = new;
@@ -111,7 +113,8 @@ async fn carry(
                 }
                 Err(error) => {
                     if watch.refused(&loaded, &error) {
-                        tracing::error!("the changed configuration is not taken, everything goes on as it was: {error}");
+                        tracing::error!("the changed configuration is not taken, everything goes on as it was: \
+                                         {error}");
                     }
                 }
             },
@@ -246,7 +249,8 @@ fn planned<R: Carries>(
     Ok(Arc::new(Planned { config: of, label: label.into(), graph, material: material.clone() }))
 }
 
-/// The statistics file, if there is one. Topics are worth more than their statistics: a full disk stops only these, until it is mended.
+/// The statistics file, if there is one. Topics are worth more than their statistics: a full disk
+/// stops only these, until it is mended.
 struct Shown {
     file: Option<StatsFile>,
     ticks: Interval,

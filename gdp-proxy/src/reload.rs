@@ -1,7 +1,10 @@
-//! The configuration of a proxy that runs: read again at SIGHUP and when it, or a card that it names, is another file. What does not do as a whole is refused
-//! as a whole, and everything goes on as it was; it is tried again whenever one of the files that it names is another one, and from time to time.
+//! The configuration of a proxy that runs: read again at SIGHUP and when it, or a card that it
+//! names, is another file. What does not do as a whole is refused as a whole, and everything goes
+//! on as it was; it is tried again whenever one of the files that it names is another one, and from
+//! time to time.
 //!
-//! Certificates and the membership of what runs are not looked at here: they are read again by those who hold them.
+//! Certificates and the membership of what runs are not looked at here: they are read again by
+//! those who hold them.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -15,7 +18,8 @@ use crate::config::{Config, ConfigError};
 use crate::graph::GraphError;
 use crate::material::{Material, MaterialError};
 
-/// Before what was refused is tried again though no file is another one, if it may pass by itself: doubled from the first to the second.
+/// Before what was refused is tried again though no file is another one, if it may pass by itself:
+/// doubled from the first to the second.
 const RETRY: Backoff = Backoff::new(Duration::from_secs(5), Duration::from_secs(60));
 
 /// A configuration with all that it names.
@@ -39,7 +43,8 @@ pub enum LoadError {
 }
 
 impl LoadError {
-    /// Whether it may be otherwise though no file is another one: one may be readable by now, or the clock may be right.
+    /// Whether it may be otherwise though no file is another one: one may be readable by now, or
+    /// the clock may be right.
     fn may_pass(&self) -> bool {
         match self {
             Self::Config(ConfigError::Io { .. }) | Self::Material { .. } | Self::Graph(_) => true,
@@ -108,7 +113,8 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Of a configuration that is about to be loaded. From now on, SIGHUP no longer kills the process.
+    /// Of a configuration that is about to be loaded. From now on, SIGHUP no longer kills the
+    /// process.
     pub fn new(path: &Path, watcher: &FileWatcher) -> std::io::Result<Self> {
         let (hangup, files) = (signal(SignalKind::hangup())?, FileSet::new(watcher, [path]));
         let (path, watcher, again, told) = (path.into(), watcher.clone(), None, None);
@@ -130,7 +136,8 @@ impl Watch {
         self.look_at(loaded.cards());
     }
 
-    /// It was not, and what was loaded before goes on. Whether the reason is another one than before.
+    /// It was not, and what was loaded before goes on. Whether the reason is another one than
+    /// before.
     pub fn refused(&mut self, loaded: &Loaded, error: &LoadError) -> bool {
         self.look_at(loaded.cards().chain(error.files().iter().map(PathBuf::as_path)));
         self.again = error.may_pass().then(|| Instant::now() + self.retry.next_delay());
@@ -147,8 +154,8 @@ impl Watch {
         self.files.replace(paths);
     }
 
-    /// Returns at SIGHUP, when a file is another than it was and was not written just now, or when what was refused is to be
-    /// tried again. Cancel-safe.
+    /// Returns at SIGHUP, when a file is another than it was and was not written just now, or when
+    /// what was refused is to be tried again. Cancel-safe.
     pub async fn changed(&mut self) {
         let again = self.again;
         let is_another = tokio::select! {

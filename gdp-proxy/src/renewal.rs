@@ -1,4 +1,5 @@
-//! Where another certificate for a topic comes from while the proxy runs: from its file, or from whoever issues or learns it here.
+//! Where another certificate for a topic comes from while the proxy runs: from its file, or from
+//! whoever issues or learns it here.
 
 use std::fmt::Display;
 

@@ -1,11 +1,11 @@
-//! What everything that crosses has in common, topics as well as services, actions and catalogs: the right that it rests on, how far it has come, and
-//! why it ends.
+//! What everything that crosses has in common, topics as well as services, actions and catalogs:
+//! the right that it rests on, how far it has come, and why it ends.
 
 use std::fmt::Display;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Duration;
 
-use gdp::node::{Ended, NodeError};
+use gdp::{Ended, NodeError};
 use gdp_core::cert::{AdCert, Issued, Reading};
 use gdp_util::backoff::Backoff;
 use gdp_wire::Name;
@@ -147,8 +147,8 @@ impl RouteStatus {
         self.set_status(why);
     }
 
-    /// Waits until the name is to be asked for again, by another right if there is one by then. A refusal is no reason to end: others may be fine, and
-    /// owners, RIBs and clocks mend.
+    /// Waits until the name is to be asked for again, by another right if there is one by then. A
+    /// refusal is no reason to end: others may be fine, and owners, RIBs and clocks mend.
     pub async fn pause<T: Clone>(&self, error: impl Display, retry: &mut Backoff, right: &mut Right<T>) {
         let (message, delay) = (error.to_string(), retry.next_delay());
         tracing::warn!(what = %self.title, name = %self.name, "{message}; trying again in {delay:?}");

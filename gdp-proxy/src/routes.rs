@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use gdp::node::Node;
+use gdp::Node;
 use gdp_core::card::NameCard;
 use gdp_ros::types::Types;
 
@@ -44,7 +44,8 @@ pub trait Carries: Send + Sync + 'static {
 
     fn stats(&self) -> Self::Stats;
 
-    /// Carries until `stop` ends, or the graph fails or the node is closed. What has been sent by then arrives, if it can.
+    /// Carries until `stop` ends, or the graph fails or the node is closed. What has been sent by
+    /// then arrives, if it can.
     fn run(
         &self,
         graph: &Graph,
@@ -88,7 +89,8 @@ pub fn manager<R: Carries>(node: Node, types: Arc<Types>) -> Manager<Arc<Planned
     })
 }
 
-/// What a right is comes from its file or issuer, which routes look at themselves: another right is no other route.
+/// What a right is comes from its file or issuer, which routes look at themselves: another right is
+/// no other route.
 impl<R: Carries> PartialEq for Planned<R> {
     fn eq(&self, other: &Self) -> bool {
         let (own, others) = (&self.material, &other.material);

@@ -1,12 +1,12 @@
-//! Counters: what crossed, and what did not and why. Counting never allocates or locks; [`StatsFile`] shows the counters
-//! to other programs.
+//! Counters: what crossed, and what did not and why. Counting never allocates or locks;
+//! [`StatsFile`] shows the counters to other programs.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-use gdp::node::{LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
+use gdp::{LinkStatus, Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 use gdp_util::escape::escape_json;
 use gdp_wire::Name;
 use serde::Serialize;
@@ -22,7 +22,8 @@ reasons! {
     pub enum Drop {
         /// A local message is not XCDR version 1.
         Unreadable = "unreadable",
-        /// A local message was lost between its writer and the proxy: what best effort drops, and what came too fast.
+        /// A local message was lost between its writer and the proxy: what best effort drops, and
+        /// what came too fast.
         Lost = "lost",
         /// The fabric did not take the message.
         SendFailed = "send_failed",
@@ -34,7 +35,8 @@ reasons! {
         NoCounterpart = "no_counterpart",
         /// Remote messages of a writer that has not said of what they are.
         Unannounced = "unannounced",
-        /// Remote messages that are not kept for late subscribers, or did not wait for the first: there are too many bytes of them.
+        /// Remote messages that are not kept for late subscribers, or did not wait for the first:
+        /// there are too many bytes of them.
         Crowded = "crowded",
         /// A remote message, or what its writer says of the topic, is not what a proxy sends.
         Malformed = "malformed",
@@ -54,7 +56,8 @@ pub struct RouteCounters {
     bytes: AtomicU64,
     bytes_carried: AtomicU64,
     drops: Tally<Drop>,
-    /// Until the proxy has a message: `out` since the ROS node wrote it, `in` since the other proxy sealed it.
+    /// Until the proxy has a message: `out` since the ROS node wrote it, `in` since the other proxy
+    /// sealed it.
     pub arrival: Timing,
     /// `out`: to seal, sign and send it; `in`: to write it into DDS.
     pub handling: Timing,
@@ -68,7 +71,8 @@ impl RouteCounters {
         self.bytes_carried.fetch_add(carried as u64, Relaxed);
     }
 
-    /// So many did not. True if they are the first ones for this reason, which deserves a line in the log.
+    /// So many did not. True if they are the first ones for this reason, which deserves a line in
+    /// the log.
     pub fn dropped(&self, reason: Drop, count: u64) -> bool {
         self.drops.add(reason, count)
     }
@@ -127,8 +131,8 @@ pub struct RouteStats {
     pub name: Name,
     #[serde(flatten)]
     pub counted: Counted,
-    /// `gdp::node::PublisherCounters` of what goes `out`, `SubscriptionCounters` of what comes `in`, with what was dropped by reason; null
-    /// before the first time that the route is up.
+    /// `gdp::PublisherCounters` of what goes `out`, `SubscriptionCounters` of what comes
+    /// `in`, with what was dropped by reason; null before the first time that the route is up.
     pub fabric: FabricStats,
 }
 
@@ -189,7 +193,8 @@ impl StatsFile {
         &self.0
     }
 
-    /// Whether the file can be made at all: a mistaken path is better said before anything depends on the proxy.
+    /// Whether the file can be made at all: a mistaken path is better said before anything depends
+    /// on the proxy.
     pub fn probe(&self) -> io::Result<()> {
         std::fs::File::create(self.next())?;
         std::fs::remove_file(self.next())

@@ -1,4 +1,5 @@
-//! How long a stage of a message's way takes: percentiles of the latest messages, for the statistics.
+//! How long a stage of a message's way takes: percentiles of the latest messages, for the
+//! statistics.
 
 use std::time::Duration;
 

@@ -1,9 +1,10 @@
-//! Carries by turns what only one proxy of a graph carries at a time, as [`peer_proxies`](crate::peer_proxies) says.
+//! Carries by turns what only one proxy of a graph carries at a time, as
+//! [`peer_proxies`](crate::peer_proxies) says.
 
 use std::pin::Pin;
 use std::time::{Duration, Instant};
 
-use gdp::node::Node;
+use gdp::Node;
 use gdp_wire::Name;
 
 use crate::peer_proxies::Place;
@@ -58,7 +59,8 @@ pub async fn unless<T>(over: &mut (impl Future<Output = ()> + Unpin), work: impl
     }
 }
 
-/// Waits for what is wanted of who carries it instead of this proxy; and tells meanwhile whether this one could.
+/// Waits for what is wanted of who carries it instead of this proxy; and tells meanwhile whether
+/// this one could.
 async fn until<T>(node: &Node, place: &Place, wanted: impl Fn(Option<Name>) -> Option<T>) -> T {
     loop {
         place.set_attached(node.switch().is_ok());

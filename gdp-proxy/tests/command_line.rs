@@ -1,5 +1,5 @@
-//! The program as a shell or systemd sees it: exit codes, what is on stdout and stderr, and that it ends when told to.
-//! No switch and no root: what needs those is in the workspace's `tests`.
+//! The program as a shell or systemd sees it: exit codes, what is on stdout and stderr, and that it
+//! ends when told to. No switch and no root: what needs those is in the workspace's `tests`.
 
 use std::fs;
 use std::path::PathBuf;
@@ -64,7 +64,8 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
     let mut text = fs::read_to_string(files.path("robot.yaml")).unwrap();
     let domain = 50 + std::process::id() % 40;
     text += &format!(
-        "graphs: {{a: {{domain_id: {domain}}}}}\nexpose: {{owner: owner.pem, catalog: catalog.card, topics: [/a/**], services: [/a/**], deny: [/a/secret]}}\n"
+        "graphs: {{a: {{domain_id: {domain}}}}}\nexpose: {{owner: owner.pem, catalog: catalog.card, topics: [/a/**], \
+         services: [/a/**], deny: [/a/secret]}}\n"
     );
     fs::write(files.path("robot.yaml"), text).unwrap();
 
@@ -196,7 +197,8 @@ impl Files {
         key.save_new(&path("robot.pem")).unwrap();
         card.save_new(&path("chatter.card")).unwrap();
         fs::write(path("chatter.ad"), ad.to_pem()).unwrap();
-        let config = "version: 1\nidentity: robot.pem\nlinks:\n  - to: udp://127.0.0.1:9\ntopics:\n  - {topic: /chatter, direction: out, card: \
+        let config = "version: 1\nidentity: robot.pem\nlinks:\n  - to: udp://127.0.0.1:9\ntopics:\n  - {topic: \
+                      /chatter, direction: out, card: \
                       chatter.card, cert: chatter.ad}\n";
         fs::write(path("robot.yaml"), config).unwrap();
         let entity = entity.to_string();

@@ -1,5 +1,6 @@
-//! Two participants in one process, over loopback: no root, no fabric, no other vendor (those are in the workspace's
-//! `tests`). RustDDS finds participants of the same host by unicast to 127.0.0.1, so loopback multicast is not needed.
+//! Two participants in one process, over loopback: no root, no fabric, no other vendor (those are
+//! in the workspace's `tests`). RustDDS finds participants of the same host by unicast to
+//! 127.0.0.1, so loopback multicast is not needed.
 
 use std::collections::HashSet;
 use std::time::Duration;
@@ -59,8 +60,8 @@ async fn publishers_are_told_apart_and_each_is_heard_once() {
     graph::leave(there).await;
 }
 
-/// What a participant says as it leaves is the last that it sends, and nothing repeats it: without it, others wait for a minute's lease to
-/// run out.
+/// What a participant says as it leaves is the last that it sends, and nothing repeats it: without
+/// it, others wait for a minute's lease to run out.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_leaves_is_seen_to_go_at_once() {
     let there = graphs().await;
@@ -127,7 +128,8 @@ async fn what_the_participant_wrote_itself_is_not_read_back() {
     own_writer.write(sample([0, 1, 0, 0], 16), 0).await.unwrap();
     let crossed = within("another participant reads it", other_reader.recv()).await.unwrap();
     assert_eq!(crossed.sample, sample([0, 1, 0, 0], 16));
-    // Whatever comes first to our own reader is the other's: its message is longer, ours was written before it.
+    // Whatever comes first to our own reader is the other's: its message is longer, ours was
+    // written before it.
     other_writer.write(sample([0, 1, 0, 0], 32), 0).await.unwrap();
     let read = within("the other's message is read", own_reader.recv()).await.unwrap();
     assert_eq!(read.sample, sample([0, 1, 0, 0], 32));
@@ -148,7 +150,8 @@ async fn a_best_effort_reader_is_served_by_a_reliable_writer() {
     there.leave().await;
 }
 
-/// Its writer asks the thread that sends to take it up, and at once to send: each in a queue of its own.
+/// Its writer asks the thread that sends to take it up, and at once to send: each in a queue of its
+/// own.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_written_as_soon_as_there_is_a_writer_is_sent() {
     let (here, there) = (join(), join());

@@ -1,5 +1,5 @@
-//! A proxy that carries others, as a program, on loopback UDP and without root: a node that knows no other address than the relay's
-//! talks with one at the switch.
+//! A proxy that carries others, as a program, on loopback UDP and without root: a node that knows
+//! no other address than the relay's talks with one at the switch.
 //!
 //! ```text
 //!    near ── relay (in the proxy's process) ── hub (switch, RIB) ── far
@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use gdp::node::{LinkState, PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::node::{Node, NodeConfig};
+use gdp::{LinkState, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::{Node, NodeConfig};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
 use gdp_core::domain::{CredentialFiles, Credentials};
@@ -140,7 +140,8 @@ impl Site {
         let hub = start(hub).await.unwrap();
         let hub_addr = hub.udp_addr().unwrap();
         let config = format!(
-            "version: 1\nidentity: robot.pem\nlinks: [{{to: 'udp://{hub_addr}', switch: {}}}]\ngraphs: {{a: {{domain_id: 97}}}}\n{member}\
+            "version: 1\nidentity: robot.pem\nlinks: [{{to: 'udp://{hub_addr}', switch: {}}}]\ngraphs: {{a: \
+             {{domain_id: 97}}}}\n{member}\
              relay: {{udp: '{relay_addr}'}}\n",
             hub.name()
         );

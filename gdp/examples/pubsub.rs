@@ -1,4 +1,5 @@
-//! Publish and subscribe bytes by name, without ROS. Needs a running switch: `gdp-ctl serve` (no root needed).
+//! Publish and subscribe bytes by name, without ROS. Needs a running switch: `gdp-ctl serve` (no
+//! root needed).
 //!
 //! ```text
 //! cargo run -p gdp --example pubsub                               both ends in one process
@@ -11,8 +12,8 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use clap::Parser;
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::{Node, NodeConfig};
+use gdp::{PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, issue};
 use gdp_core::identity::{Identity, SigningKey};
@@ -24,7 +25,8 @@ struct Options {
     /// Where the switch is: udp://HOST:PORT, or eth://INTERFACE as root.
     #[arg(long, default_value = "udp://127.0.0.1:31415")]
     link: gdp_core::link_target::LinkTarget,
-    /// Folder of keys and certificates, made if it is not there; without it, all are made anew and forgotten.
+    /// Folder of keys and certificates, made if it is not there; without it, all are made anew and
+    /// forgotten.
     #[arg(long)]
     dir: Option<PathBuf>,
     /// Only publish.
@@ -80,7 +82,8 @@ async fn subscribe(
     let node = Node::connect(NodeConfig::new(papers.cloud.clone(), options.link.clone())).await?;
     let mut subscription = node.subscribe(papers.card.proof(), papers.grant()?, SubscribeOptions::reliable()).await?;
     ready.map(|ready| ready.send(()));
-    // An endpoint that publishes a moment later is known by its certificate; nothing has to be set up for it here.
+    // An endpoint that publishes a moment later is known by its certificate; nothing has to be set
+    // up for it here.
     for received in 0..options.count {
         let waiting = tokio::time::timeout(Duration::from_secs(60), subscription.recv());
         let Ok(Some(message)) = waiting.await else {

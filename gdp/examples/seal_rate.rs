@@ -1,6 +1,7 @@
-//! How many signed messages one core seals, and how many it opens and verifies, by the size of the batch that shares a
-//! signature: `cargo run --release -p gdp --example seal_rate`. One line of JSON for each size. Time is this thread's on the
-//! processor, so that what else runs matters little.
+//! How many signed messages one core seals, and how many it opens and verifies, by the size of the
+//! batch that shares a signature: `cargo run --release -p gdp --example seal_rate`. One line of
+//! JSON for each size. Time is this thread's on the processor, so that what else runs matters
+//! little.
 
 use std::time::Duration;
 
@@ -43,7 +44,8 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Messages sealed a second, messages opened a second, and bytes of frame payload that a message takes.
+/// Messages sealed a second, messages opened a second, and bytes of frame payload that a message
+/// takes.
 fn measure(options: &Options, batch: usize) -> Result<(f64, f64, usize)> {
     let (entity, name, key) = (Identity::generate("proxy")?, Name::from_bytes([1; 32]), EpochKey::generate()?);
     let mut writer = Writer::new(name, entity.name(), entity.key().clone(), Backend::default())?;

@@ -1,16 +1,8 @@
-//! The SDK: a node is an entity attached to a switch, by one link or several, that publishes and subscribes to names.
+//! The SDK: a node is an entity attached to a switch, by one link or several, that publishes and
+//! subscribes to names.
 //!
-//! ```no_run
-//! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
-//! # let (identity, card, cert): (gdp::Identity, gdp::NameCard, _) = todo!();
-//! let node = gdp::Node::connect(gdp::NodeConfig::new(identity, "eth://r0".parse()?)).await?;
-//! let mut publisher = node.publish(card.proof(), cert, gdp::node::PublishOptions::best_effort()).await?;
-//! publisher.send(gdp::seal::Encoding::Bytes, b"hello").await?;
-//! # Ok(()) }
-//! ```
-//!
-//! What the switch and its RIB say is verified here again before it is believed: who may write a name follows from
-//! certificates of the name's owner alone.
+//! What the switch and its RIB say is verified here again before it is believed: who may write a
+//! name follows from certificates of the name's owner alone.
 
 mod choice;
 mod clock;
@@ -76,8 +68,7 @@ use gdp_util::unix_time::unix_seconds;
 pub use counters::{Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 pub use ending::Ended;
 pub use feedback::{Feedback, FrameError};
-pub use gdp_core::link_target::{LinkTarget, LinkTargetError};
-pub use gdp_wire::ErrorCode;
+use gdp_core::link_target::LinkTarget;
 pub use lane::{LinkState, LinkStatus};
 pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOptions, Wants};
 pub use publisher::{Publisher, Unflushed};
@@ -90,18 +81,19 @@ pub use supervisor::SETTLING;
 #[derive(Clone, Debug)]
 pub struct NodeConfig {
     pub identity: Identity,
-    /// One to [`MAX_LANES`], in the order in which they are wanted, each to a switch of the same domain. Everything goes by the first that
-    /// is up, and what is to be [duplicated](PublishOptions::duplicate) by the next one as well.
+    /// One to [`MAX_LANES`], in the order in which they are wanted, each to a switch of the same
+    /// domain. Everything goes by the first that is up, and what is to be
+    /// [duplicated](PublishOptions::duplicate) by the next one as well.
     pub links: Vec<LinkConfig>,
     /// How long [`Node::connect`] keeps trying.
     pub connect_timeout: Duration,
     /// When the keys of data frames are replaced.
     pub rekey: RekeySchedule,
-    /// A folder in which the node keeps the revocations that it hears of, made if it is not there; without one, it forgets them when it
-    /// ends.
+    /// A folder in which the node keeps the revocations that it hears of, made if it is not there;
+    /// without one, it forgets them when it ends.
     pub state: Option<PathBuf>,
-    /// What the node shows of its trust domain. With it, it takes switches of that domain only, and of those that the domain has issued
-    /// a PeerCert to; without, any.
+    /// What the node shows of its trust domain. With it, it takes switches of that domain only, and
+    /// of those that the domain has issued a PeerCert to; without, any.
     pub papers: Option<Credentials>,
 }
 
@@ -111,7 +103,8 @@ pub struct LinkConfig {
     pub target: LinkTarget,
     /// The name that the switch must prove; without it, any switch at `target` is taken.
     pub switch: Option<Name>,
-    /// Bytes a second that topics send by this link at most, of frames with their header; `None`: what the ways to their readers take.
+    /// Bytes a second that topics send by this link at most, of frames with their header; `None`:
+    /// what the ways to their readers take.
     pub budget: Option<u64>,
 }
 
@@ -179,7 +172,8 @@ pub enum NodeError {
 }
 
 impl NodeError {
-    /// Whether it is about this moment, and time may mend it; otherwise the same again meets with the same.
+    /// Whether it is about this moment, and time may mend it; otherwise the same again meets with
+    /// the same.
     pub fn may_pass(&self) -> bool {
         match self {
             Self::Link(LinkError::Io { .. } | LinkError::WrongPeer { .. }) => false,
@@ -218,7 +212,8 @@ impl Stated {
         }
     }
 
-    /// Whether it concerns what the node sends, which may go by any of its links: to the name, or to those who serve it.
+    /// Whether it concerns what the node sends, which may go by any of its links: to the name, or
+    /// to those who serve it.
     fn sends(self) -> bool {
         matches!(self, Self::Published | Self::Called)
     }
@@ -244,7 +239,8 @@ impl std::fmt::Display for Stated {
     }
 }
 
-/// An attached entity. Clones are the same node; it detaches when the last of them and of what it handed out is dropped.
+/// An attached entity. Clones are the same node; it detaches when the last of them and of what it
+/// handed out is dropped.
 #[derive(Clone)]
 pub struct Node(Arc<Handle>);
 
@@ -256,7 +252,8 @@ struct Handle {
 }
 
 impl Node {
-    /// Makes links to the switches and attaches by them; returns as soon as one is up. Call within a tokio runtime.
+    /// Makes links to the switches and attaches by them; returns as soon as one is up. Call within
+    /// a tokio runtime.
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
         let NodeConfig { identity, links, connect_timeout, rekey, state, papers } = config;
         if !(1..=MAX_LANES).contains(&links.len()) {
@@ -328,8 +325,8 @@ impl Node {
         Ok(subscription)
     }
 
-    /// Answers calls to a name, as one of those who serve it: `ad_cert` shows that its owner allows it. Requests and replies can be read by
-    /// the one caller and the one server alone.
+    /// Answers calls to a name, as one of those who serve it: `ad_cert` shows that its owner allows
+    /// it. Requests and replies can be read by the one caller and the one server alone.
     pub async fn serve(&self, proof: NameProof, ad_cert: Issued<AdCert>) -> Result<Server, NodeError> {
         let state = &self.0.state;
         let statement = Statement::Write { proof, ad_cert };
@@ -352,8 +349,8 @@ impl Node {
         Ok(client)
     }
 
-    /// States something to the RIB, and has keys for what is sent stored there: so those who are there have them before the first
-    /// message.
+    /// States something to the RIB, and has keys for what is sent stored there: so those who are
+    /// there have them before the first message.
     async fn make_known(
         &self,
         name: Name,
@@ -375,8 +372,8 @@ impl Node {
         Ok(())
     }
 
-    /// Who publishes and reads the names with this prefix, as far as it verifies: as many as fit an answer, from the one behind
-    /// `after` on; and whether there are more.
+    /// Who publishes and reads the names with this prefix, as far as it verifies: as many as fit an
+    /// answer, from the one behind `after` on; and whether there are more.
     pub async fn query(&self, prefix: NamePrefix, after: Option<RecordKey>) -> Result<(Vec<Record>, bool), NodeError> {
         let state = &self.0.state;
         let attachment = state.attached().await?;
@@ -401,7 +398,8 @@ impl Node {
         self.0.state.send_path.links()
     }
 
-    /// The switch the node is attached to at the moment, by its main link; `Err` says why there is none.
+    /// The switch the node is attached to at the moment, by its main link; `Err` says why there is
+    /// none.
     pub fn switch(&self) -> Result<Name, NodeError> {
         self.0.state.attached_now().map(|attachment| attachment.link.peer().name)
     }
@@ -417,8 +415,9 @@ impl Node {
         Meter::new(move || send_path.node_counters())
     }
 
-    /// Shows renewed papers from now on, also on the links there are. An error if they are not this node's, or a switch does not take
-    /// them: then what was shown before counts there. Of no effect on a node that was made without.
+    /// Shows renewed papers from now on, also on the links there are. An error if they are not this
+    /// node's, or a switch does not take them: then what was shown before counts there. Of no
+    /// effect on a node that was made without.
     pub async fn renew_credentials(&self, papers: Credentials) -> Result<(), NodeError> {
         let (state, papers) = (&self.0.state, Arc::new(papers));
         state.home.renew(papers.clone())?;
@@ -431,7 +430,8 @@ impl Node {
         Ok(())
     }
 
-    /// Detaches: the switch is told, and withdraws everything at once. Publishers and subscriptions are of no use after.
+    /// Detaches: the switch is told, and withdraws everything at once. Publishers and subscriptions
+    /// are of no use after.
     pub async fn close(&self) {
         let publications: Vec<_> = self.0.state.publications.lock().values().cloned().collect();
         publications.iter().for_each(|publication| publication.finish(&self.0.state.send_path));

@@ -1,5 +1,5 @@
-//! Sealing and opening must not allocate per frame. This file is a program of its own because it counts every
-//! allocation of the process.
+//! Sealing and opening must not allocate per frame. This file is a program of its own because it
+//! counts every allocation of the process.
 
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
@@ -15,8 +15,8 @@ thread_local! {
     static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
 }
 
-// SAFETY: everything is passed on to the system's allocator; counting touches only a `const` thread-local without
-// destructor, which itself never allocates.
+// SAFETY: everything is passed on to the system's allocator; counting touches only a `const`
+// thread-local without destructor, which itself never allocates.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.with(|count| count.set(count.get() + 1));

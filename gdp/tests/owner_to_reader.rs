@@ -1,5 +1,5 @@
-//! The public API from end to end, without a network: an owner makes a name and lets a writer and a reader in, a RIB
-//! checks both, and a message crosses.
+//! The public API from end to end, without a network: an owner makes a name and lets a writer and a
+//! reader in, a RIB checks both, and a message crosses.
 
 use gdp_core::card::NameCard;
 use gdp_core::cert;

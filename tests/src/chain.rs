@@ -22,8 +22,8 @@ pub struct ChainOptions {
     pub switches: usize,
     /// MTU of every interface, in bytes.
     pub mtu: u32,
-    /// The link (0 is robot – s1) to put the wire into. Native XDP passes frames by where no capture sees them; on a
-    /// bridge in between they can be seen, and added.
+    /// The link (0 is robot – s1) to put the wire into. Native XDP passes frames by where no
+    /// capture sees them; on a bridge in between they can be seen, and added.
     pub wire: Option<usize>,
 }
 
@@ -95,7 +95,8 @@ impl Chain {
         })
     }
 
-    /// Makes the wire a bad cable, as long as what is returned lives; then it is cut. `faults`: toward the cloud, toward the robot.
+    /// Makes the wire a bad cable, as long as what is returned lives; then it is cut. `faults`:
+    /// toward the cloud, toward the robot.
     pub fn disturb_wire(&self, faults: [Faults; 2], seed: u64) -> Result<Wire> {
         let at = self.wire()?;
         for port in [WIRE_LEFT, WIRE_RIGHT] {
@@ -104,12 +105,14 @@ impl Chain {
         Wire::start(at, [WIRE_LEFT, WIRE_RIGHT], faults, seed)
     }
 
-    /// The namespace that the wire is in, and an interface in it that reaches both ends of the wire.
+    /// The namespace that the wire is in, and an interface in it that reaches both ends of the
+    /// wire.
     pub fn on_the_wire(&self) -> Result<(&Namespace, &'static str)> {
         Ok((self.wire()?, WIRE))
     }
 
-    /// Gives every interface an address (`10.9.LINK.1` left, `.2` right) and makes the switches plain IP routers.
+    /// Gives every interface an address (`10.9.LINK.1` left, `.2` right) and makes the switches
+    /// plain IP routers.
     pub fn become_ip_routers(&self) -> Result<()> {
         let last = self.nodes.len() - 1;
         for (i, node) in self.nodes.iter().enumerate() {

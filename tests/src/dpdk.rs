@@ -8,8 +8,9 @@ pub const DRIVERS: [&str; 2] = ["net_af_packet", "net_af_xdp"];
 /// With them, `net_af_packet` takes packets of an MTU of up to 4016.
 const LARGE_FRAMES: &str = ",framesz=4096,blocksz=4096";
 
-/// What a configuration needs for a data plane, or driver of DPDK's, on these interfaces with this MTU: the interfaces to run on,
-/// `data_plane` and `dpdk`. DPDK's are the host's sides of its ports, which begin with a `g`.
+/// What a configuration needs for a data plane, or driver of DPDK's, on these interfaces with this
+/// MTU: the interfaces to run on, `data_plane` and `dpdk`. DPDK's are the host's sides of its
+/// ports, which begin with a `g`.
 pub fn planned(data_plane: &'static str, interfaces: &[&str], mtu: u32) -> (Vec<String>, &'static str, Value) {
     if !DRIVERS.contains(&data_plane) {
         return (interfaces.iter().map(|interface| (*interface).to_owned()).collect(), data_plane, json!({}));

@@ -1,4 +1,5 @@
-//! Members of etcd, real ones, each in a namespace of its own and with an address that the others reach.
+//! Members of etcd, real ones, each in a namespace of its own and with an address that the others
+//! reach.
 
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
@@ -25,7 +26,8 @@ struct Member {
 }
 
 impl Etcd {
-    /// A member at each of these addresses, which its namespace has. `folder`: where they keep their data and write their output.
+    /// A member at each of these addresses, which its namespace has. `folder`: where they keep
+    /// their data and write their output.
     pub fn start(at: &[(&Namespace, Ipv4Addr)], folder: &Path) -> Result<Self> {
         let members = at.iter().map(|(_, address)| Member { address: *address, process: None }).collect();
         let mut etcd = Self { members, folder: folder.to_owned() };

@@ -1,6 +1,7 @@
-//! A whole fabric on a [`Chain`]: keys, names and certificates made with `gdp-ctl` as a user would, a daemon on every
-//! switch (the last one is the RIB), and a `gdp-proxy` at each end. The topic's owner, the robot and the cloud have a folder
-//! each, as they would have a machine: what one does not get copied, it does not have.
+//! A whole fabric on a [`Chain`]: keys, names and certificates made with `gdp-ctl` as a user would,
+//! a daemon on every switch (the last one is the RIB), and a `gdp-proxy` at each end. The topic's
+//! owner, the robot and the cloud have a folder each, as they would have a machine: what one does
+//! not get copied, it does not have.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,15 +20,16 @@ use crate::wait::{TIMEOUT, wait_for};
 #[derive(Clone, Debug)]
 pub struct FabricOptions {
     pub chain: ChainOptions,
-    /// Of the switches: `auto`, `xdp`, `userspace`, or a driver of DPDK's ([`crate::dpdk::DRIVERS`]). They take turns, if there are fewer
-    /// than switches.
+    /// Of the switches: `auto`, `xdp`, `userspace`, or a driver of DPDK's
+    /// ([`crate::dpdk::DRIVERS`]). They take turns, if there are fewer than switches.
     pub data_planes: &'static [&'static str],
     pub best_effort: bool,
     pub transient_local: bool,
     pub depth: u32,
     /// That cross from robot to cloud: [`TOPIC`], and others like it with a number behind.
     pub topics: u32,
-    /// Whether what is in the kernel outlives the daemons; in a BPF file system of the fabric's own.
+    /// Whether what is in the kernel outlives the daemons; in a BPF file system of the fabric's
+    /// own.
     pub pinned: bool,
 }
 
@@ -120,7 +122,8 @@ impl Fabric {
         self.files.path().join(BPFFS)
     }
 
-    /// `gdp-ctl xdp …` on this fabric's BPF file system, as JSON; an error if it exits with another status than 0.
+    /// `gdp-ctl xdp …` on this fabric's BPF file system, as JSON; an error if it exits with another
+    /// status than 0.
     pub fn xdp(&self, verb: &str) -> Result<Value> {
         let mut command = own(self.tools.gdp_ctl()?);
         parse(&execute(command.args(["xdp", verb, "-j", "--bpffs"]).arg(self.bpffs()))?)
@@ -265,8 +268,8 @@ impl Fabric {
 }
 
 impl Switch {
-    /// Starts a daemon with this configuration, except for where its identity and its socket are: `LABEL.pem` and
-    /// `LABEL.sock` in the folder.
+    /// Starts a daemon with this configuration, except for where its identity and its socket are:
+    /// `LABEL.pem` and `LABEL.sock` in the folder.
     pub fn start(
         tools: &Tools,
         at: &Namespace,
@@ -372,7 +375,8 @@ impl Authority<'_> {
         field(&self.ctl(OWNER, &[&["name", "create"], &topic[..]].concat())?, "name")
     }
 
-    /// One more topic of the owner, for robot and cloud, who have their keys: `chatterI.card` and `chatterI.cert`.
+    /// One more topic of the owner, for robot and cloud, who have their keys: `chatterI.card` and
+    /// `chatterI.cert`.
     fn further_topic(&self, i: u32) -> Result<()> {
         let name = format!("chatter{i}");
         self.name("topic", &format!("{TOPIC}{i}"), TYPE, &format!("{name}.card"))?;
@@ -383,7 +387,8 @@ impl Authority<'_> {
         Ok(())
     }
 
-    /// A proxy makes its key and tells the owner its name; the owner hands it the card and a certificate.
+    /// A proxy makes its key and tells the owner its name; the owner hands it the card and a
+    /// certificate.
     pub fn admit(&self, label: &str, right: &str) -> Result<()> {
         let entity = self.proxy(label)?;
         self.grant(label, &entity, &[right])

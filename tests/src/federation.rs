@@ -1,5 +1,5 @@
-//! The paper's Figure 4: two trust domains below a third, a robot that roams from one to the other, and a cloud; robot and cloud are
-//! behind NAT, whatever network they are in.
+//! The paper's Figure 4: two trust domains below a third, a robot that roams from one to the other,
+//! and a cloud; robot and cloud are behind NAT, whatever network they are in.
 //!
 //! ```text
 //!                           ╔═ tier 1 ═══════╗
@@ -16,8 +16,9 @@
 //!               └┄┄┄┄┄┄┄ wlan0 robot ┄┄┄┄┄┄┄┄┄┄┘
 //! ```
 //!
-//! Switches are connected by Ethernet and have XDP; what is behind NAT dials out, over UDP. The robot is a member of the enterprise's
-//! domain, which lets it visit the university's; the cloud is a member of the latter. The third domain lets both cross it.
+//! Switches are connected by Ethernet and have XDP; what is behind NAT dials out, over UDP. The
+//! robot is a member of the enterprise's domain, which lets it visit the university's; the cloud is
+//! a member of the latter. The third domain lets both cross it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -33,7 +34,8 @@ use crate::programs::Program;
 use crate::tools::Tools;
 use crate::wait::{TIMEOUT, wait_for};
 
-/// The switches that the robot may meet, as it lists them: the enterprise's, and the university's two.
+/// The switches that the robot may meet, as it lists them: the enterprise's, and the university's
+/// two.
 pub const ROBOT_LINKS: [&str; 3] = ["udp://10.1.0.2:31415", "udp://10.2.1.2:31415", "udp://10.2.2.2:31415"];
 
 /// The one that the cloud is at.
@@ -92,8 +94,9 @@ pub struct Federation {
     files: tempfile::TempDir,
 }
 
-/// A switch: its domain's number, its role, its cables by interface with who is at the other end, and its address, if it takes links
-/// over UDP. The first cable of a border leads to the domain above.
+/// A switch: its domain's number, its role, its cables by interface with who is at the other end,
+/// and its address, if it takes links over UDP. The first cable of a border leads to the domain
+/// above.
 struct Plan {
     label: &'static str,
     domain: usize,
@@ -125,7 +128,8 @@ const PLANS: [Plan; 6] = [
 const ACCESS: &str = "e0";
 
 impl Federation {
-    /// Networks, keys, papers and daemons; each RIB below is on terms with the one above. The robot is at the enterprise.
+    /// Networks, keys, papers and daemons; each RIB below is on terms with the one above. The robot
+    /// is at the enterprise.
     pub fn start(tools: Tools) -> Result<Self> {
         let nodes = PLANS.iter().map(|plan| Ok((plan.label, Namespace::create(plan.label)?)));
         let nodes = nodes.collect::<Result<Vec<_>>>()?;
@@ -221,8 +225,8 @@ impl Federation {
         Ok(())
     }
 
-    /// The robot leaves the network it is in for the other one, as Wi-Fi does: its interface loses the carrier and gets it back
-    /// elsewhere, with another address and another router.
+    /// The robot leaves the network it is in for the other one, as Wi-Fi does: its interface loses
+    /// the carrier and gets it back elsewhere, with another address and another router.
     pub fn roam(&mut self, to: Site) -> Result<()> {
         let (from, into) = (self.nat_of(self.at), self.nat_of(to));
         from.ip(&["link", "set", INSIDE, "netns", into.name()])?;
@@ -277,8 +281,9 @@ impl Federation {
         Ok(())
     }
 
-    /// Makes an entity with a key of its own a member: the robot (`robot`) of the enterprise, others of the university. Its folder has
-    /// `key.pem`, `domain.card`, `membership`, and for the robot `visit.peer`. Returns its name.
+    /// Makes an entity with a key of its own a member: the robot (`robot`) of the enterprise,
+    /// others of the university. Its folder has `key.pem`, `domain.card`, `membership`, and for the
+    /// robot `visit.peer`. Returns its name.
     pub fn admit(&self, label: &str) -> Result<String> {
         let folder = self.folder_of(label);
         let authority = Authority { tools: &self.tools, folder: self.files.path() };
@@ -295,8 +300,8 @@ impl Federation {
         Ok(name)
     }
 
-    /// A topic that the robot publishes and the cloud reads, in either domain, and a proxy at each of them. The switches on the way hold
-    /// its name.
+    /// A topic that the robot publishes and the cloud reads, in either domain, and a proxy at each
+    /// of them. The switches on the way hold its name.
     pub fn start_proxies(&mut self) -> Result<()> {
         for end in [&self.robot, &self.cloud] {
             end.enable_loopback_multicast()?;

@@ -1,12 +1,16 @@
-//! What the tests that need root are built from, and what `xtask demo` and `xtask bench` build from as well.
+//! What the tests that need root are built from, and what `xtask demo` and `xtask bench` build from
+//! as well.
 //!
 //! - [`netns`]: network namespaces, veth pairs, entering one and leaving it again
-//! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its cables;
+//! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its
+//!   cables;
 //!   [`wire`]: a cable that is bad
-//! - [`ring`]: five daemons in a ring; [`replicas`]: three that are replicas of the RIB, on [`etcd`]
+//! - [`ring`]: five daemons in a ring; [`replicas`]: three that are replicas of the RIB, on
+//!   [`etcd`]
 //! - [`federation`]: three trust domains, and a robot that roams between two of them
 //! - [`dpdk`]: switches that DPDK forwards in
-//! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its ends
+//! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its
+//!   ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
 //! - [`measure`]: benchmarks: in turn, figures, tables, plots
 //! - [`programs`]: every external program that is started

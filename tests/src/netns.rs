@@ -1,6 +1,7 @@
 //! Network namespaces and veth pairs that go when their guard goes.
 //!
-//! Names are `gdp-PID-LABEL`, so that tests run side by side and [`sweep`] can tell what a killed run left behind.
+//! Names are `gdp-PID-LABEL`, so that tests run side by side and [`sweep`] can tell what a killed
+//! run left behind.
 
 use std::fs::File;
 use std::marker::PhantomData;
@@ -16,7 +17,8 @@ use crate::programs::{Executable, Program};
 
 const PREFIX: &str = "gdp-";
 
-/// A network namespace with `lo` up and IPv6 off. Dropping it deletes it, and with it the veths inside.
+/// A network namespace with `lo` up and IPv6 off. Dropping it deletes it, and with it the veths
+/// inside.
 #[derive(Debug)]
 pub struct Namespace {
     name: String,
@@ -32,7 +34,8 @@ impl Namespace {
         let namespace = Self { name };
         {
             let _inside = namespace.enter()?;
-            // Otherwise the kernel's own neighbour and router discovery mixes with the frames that are counted.
+            // Otherwise the kernel's own neighbour and router discovery mixes with the frames that
+            // are counted.
             for scope in ["all", "default"] {
                 std::fs::write(format!("/proc/sys/net/ipv6/conf/{scope}/disable_ipv6"), "1")
                     .with_context(|| format!("cannot turn IPv6 off in {}", namespace.name))?;
@@ -145,8 +148,8 @@ pub struct End<'a> {
     pub mac: [u8; 6],
 }
 
-/// Connects two namespaces. Transmit offloads are off, so that XDP sees finished frames; GRO is on, because a veth drops
-/// redirected frames unless its peer has GRO or an XDP program.
+/// Connects two namespaces. Transmit offloads are off, so that XDP sees finished frames; GRO is on,
+/// because a veth drops redirected frames unless its peer has GRO or an XDP program.
 pub fn veth(a: &End, b: &End, mtu: u32) -> Result<()> {
     let (mtu, mac_a, mac_b) = (mtu.to_string(), mac(a.mac), mac(b.mac));
     ip(&[

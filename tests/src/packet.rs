@@ -1,4 +1,5 @@
-//! Raw Ethernet frames on an interface: to look at what passes, and to send what no honest node would.
+//! Raw Ethernet frames on an interface: to look at what passes, and to send what no honest node
+//! would.
 
 use std::io::{Error, ErrorKind};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};

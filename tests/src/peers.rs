@@ -38,14 +38,16 @@ pub struct Traffic {
     pub peer: Option<String>,
     /// Over `lo` alone, as on a robot whose other interfaces come and go; of Cyclone DDS.
     pub on_loopback: bool,
-    /// On so many topics in turn, each with the number behind its name but for the first; of Fast DDS.
+    /// On so many topics in turn, each with the number behind its name but for the first; of Fast
+    /// DDS.
     pub topics: u32,
     /// Be a ROS node of this name, which some bridges insist on; of Cyclone DDS.
     pub node: Option<String>,
 }
 
 /// What keeps Cyclone DDS on `lo`.
-pub const ON_LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" multicast=\"true\"/></Interfaces>\
+pub const ON_LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" \
+                               multicast=\"true\"/></Interfaces>\
                            </General></Domain></CycloneDDS>";
 
 impl Default for Traffic {
@@ -87,8 +89,8 @@ pub struct Conversation {
 }
 
 impl Conversation {
-    /// Starts both and waits until warm-up messages arrive on every topic, so that afterwards every message counts. `folder` takes
-    /// the output of both.
+    /// Starts both and waits until warm-up messages arrive on every topic, so that afterwards every
+    /// message counts. `folder` takes the output of both.
     pub fn start(tools: &Tools, talks: Side, hears: Side, folder: &Path) -> Result<Self> {
         let listener = listener(tools, hears.at, hears.vendor, hears.traffic, folder)?;
         let gate = folder.join("gate");
@@ -111,7 +113,8 @@ impl Conversation {
         std::fs::write(&self.gate, "").with_context(|| format!("cannot write {}", self.gate.display()))
     }
 
-    /// Waits until the talker has sent all, and the last has come (or, after `limit` more, will not come).
+    /// Waits until the talker has sent all, and the last has come (or, after `limit` more, will not
+    /// come).
     pub fn finish(&mut self, sending: Duration, limit: Duration) -> Result<Vec<Received>> {
         self.talker.wait_event("done", sending + limit)?;
         let (last, all) = (self.count as i64 - 1, self.count as usize);

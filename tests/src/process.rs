@@ -1,4 +1,5 @@
-//! Programs that end when their guard is dropped. Their output is kept in a file and can be read while they run.
+//! Programs that end when their guard is dropped. Their output is kept in a file and can be read
+//! while they run.
 
 use std::fs::File;
 use std::os::unix::process::CommandExt;
@@ -22,13 +23,15 @@ pub struct Process {
 impl Process {
     /// Starts `command` and writes its output to `folder/LABEL.out` and `folder/LABEL.err`.
     ///
-    /// The program dies with the *thread* that started it, so that even a killed test leaves nothing behind.
+    /// The program dies with the *thread* that started it, so that even a killed test leaves
+    /// nothing behind.
     pub fn spawn(label: &str, command: Command, folder: &Path) -> Result<Self> {
         let stderr = create(&folder.join(format!("{label}.err")))?;
         Self::spawn_with_stderr(label, command, folder, stderr.into())
     }
 
-    /// The same, with stderr elsewhere; then [`Process::stderr`] is empty, unless that is `folder/LABEL.err`.
+    /// The same, with stderr elsewhere; then [`Process::stderr`] is empty, unless that is
+    /// `folder/LABEL.err`.
     pub fn spawn_with_stderr(label: &str, mut command: Command, folder: &Path, to: Stdio) -> Result<Self> {
         let stdout = folder.join(format!("{label}.out"));
         let stderr = folder.join(format!("{label}.err"));
@@ -54,7 +57,8 @@ impl Process {
     pub fn cpu(&self) -> Result<Duration> {
         let threads = std::fs::read_dir(format!("/proc/{}/task", self.pid())).context("its threads")?;
         let taken = threads.flatten().filter_map(|thread| {
-            // The first number is nanoseconds on a processor (Documentation/scheduler/sched-stats.rst).
+            // The first number is nanoseconds on a processor
+            // (Documentation/scheduler/sched-stats.rst).
             let text = std::fs::read_to_string(thread.path().join("schedstat")).ok()?;
             text.split_ascii_whitespace().next()?.parse::<u64>().ok()
         });
@@ -91,7 +95,8 @@ impl Process {
         }
     }
 
-    /// Waits until `condition` holds for this program; if it ends meanwhile, or at the deadline, shows its output.
+    /// Waits until `condition` holds for this program; if it ends meanwhile, or at the deadline,
+    /// shows its output.
     pub fn wait_until<T>(
         &mut self,
         what: &str,
@@ -176,7 +181,8 @@ pub fn terminate(child: &Child) -> Result<()> {
 }
 
 fn send(child: &Child, signal: libc::c_int) -> std::io::Result<()> {
-    // SAFETY: the child is ours and not reaped yet, so the pid cannot have been given to another process.
+    // SAFETY: the child is ours and not reaped yet, so the pid cannot have been given to another
+    // process.
     match unsafe { libc::kill(child.id() as libc::pid_t, signal) } {
         0 => Ok(()),
         _ => Err(std::io::Error::last_os_error()),

@@ -1,7 +1,8 @@
 //! Every external program that tests, benchmarks and `xtask` start.
 //!
-//! All of them are started through [`Executable`]: clippy refuses `Command::new` elsewhere (`clippy.toml`), so this list is
-//! complete. `cargo xtask setup` installs what it names, and `cargo xtask fresh` looks each up on a clean Debian.
+//! All of them are started through [`Executable`]: clippy refuses `Command::new` elsewhere
+//! (`clippy.toml`), so this list is complete. `cargo xtask setup` installs what it names, and
+//! `cargo xtask fresh` looks each up on a clean Debian.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -9,7 +10,8 @@ use std::process::Command;
 
 macro_rules! programs {
     ($($(#[$doc:meta])* $variant:ident = $name:literal,)*) => {
-        /// A program that is not built from this tree. The name is looked up on `PATH`, unless it is a path.
+        /// A program that is not built from this tree. The name is looked up on `PATH`, unless it
+        /// is a path.
         #[derive(Clone, Copy, PartialEq, Eq, Debug)]
         pub enum Program {
             $($(#[$doc])* $variant,)*
@@ -67,7 +69,8 @@ programs! {
 }
 
 impl Program {
-    /// The file that `PATH` gives (and `/usr/sbin`, which an unprivileged user's `PATH` leaves out).
+    /// The file that `PATH` gives (and `/usr/sbin`, which an unprivileged user's `PATH` leaves
+    /// out).
     pub fn find(self) -> Option<PathBuf> {
         let path = std::env::var_os("PATH").unwrap_or_default();
         std::env::split_paths(&path)

@@ -1,5 +1,6 @@
-//! Three switches in a triangle, each with a daemon that is a replica of the RIB and a member of etcd, which are reached over a network of
-//! their own. A robot at the first, a cloud at the second; their traffic goes by the third, whose daemon is started first and leads.
+//! Three switches in a triangle, each with a daemon that is a replica of the RIB and a member of
+//! etcd, which are reached over a network of their own. A robot at the first, a cloud at the
+//! second; their traffic goes by the third, whose daemon is started first and leads.
 //!
 //! ```text
 //!  robot r0 ── e0 s1 r0 ═══ 10 ═══ l0 s2 e0 ── l0 cloud
@@ -32,7 +33,8 @@ pub const FIRST_LEADER: usize = 2;
 /// What is owned by another than the topic of robot and cloud, is in this folder.
 const LATER: &str = "second";
 
-/// Running replicas. Dropping it ends the daemons and members, then removes the namespaces and files.
+/// Running replicas. Dropping it ends the daemons and members, then removes the namespaces and
+/// files.
 pub struct Replicas {
     // Order is the order of the end: programs, network, file systems, files.
     pub switches: Vec<Switch>,
@@ -40,7 +42,8 @@ pub struct Replicas {
     pub nodes: Vec<Namespace>,
     pub robot: Namespace,
     pub cloud: Namespace,
-    /// A robot at the first switch and a cloud at the second that come later; their topic is another owner's.
+    /// A robot at the first switch and a cloud at the second that come later; their topic is
+    /// another owner's.
     pub late: [Namespace; 2],
     _bridge: Namespace,
     tools: Tools,
@@ -49,7 +52,8 @@ pub struct Replicas {
 }
 
 impl Replicas {
-    /// Network, keys, etcd and daemons; every switch knows a path to every other, and the third leads.
+    /// Network, keys, etcd and daemons; every switch knows a path to every other, and the third
+    /// leads.
     pub fn start(tools: Tools) -> Result<Self> {
         let nodes: Vec<_> = (1..=SWITCHES).map(|i| Namespace::create(&format!("s{i}"))).collect::<Result<_>>()?;
         let [robot, cloud, late_robot, late_cloud] = ["robot", "cloud", "later", "late"].map(Namespace::create);

@@ -1,5 +1,5 @@
-//! Five switches in a ring, as on the paper's testbed, each with a daemon; a robot at the first, a cloud at the third, the RIB
-//! at the fifth:
+//! Five switches in a ring, as on the paper's testbed, each with a daemon; a robot at the first, a
+//! cloud at the third, the RIB at the fifth:
 //!
 //! ```text
 //!  robot r0 ── e0 s1 r0 ──── l0 s2 r0 ──── l0 s3 e0 ── l0 cloud
@@ -9,8 +9,8 @@
 //!                     RIB
 //! ```
 //!
-//! The way from robot to cloud is by s2; if that is cut, by s5 and s4. s3 asks the RIB by s4; if that is cut, or s4's daemon dead, by s2
-//! and s1. No switch is told where the RIB is.
+//! The way from robot to cloud is by s2; if that is cut, by s5 and s4. s3 asks the RIB by s4; if
+//! that is cut, or s4's daemon dead, by s2 and s1. No switch is told where the RIB is.
 
 use std::path::PathBuf;
 
@@ -45,8 +45,8 @@ pub struct Ring {
 }
 
 impl Ring {
-    /// Network, keys and daemons; every switch knows the shortest path to every other. The owner of a topic has admitted the robot as its
-    /// publisher and the cloud as a reader.
+    /// Network, keys and daemons; every switch knows the shortest path to every other. The owner of
+    /// a topic has admitted the robot as its publisher and the cloud as a reader.
     pub fn start(tools: Tools) -> Result<Self> {
         let nodes: Vec<_> = (1..=SWITCHES).map(|i| Namespace::create(&format!("s{i}"))).collect::<Result<Vec<_>>>()?;
         let (robot, cloud) = (Namespace::create("robot")?, Namespace::create("cloud")?);

@@ -18,7 +18,8 @@ impl Tools {
         Self { executables, target, ebpf_object: "gdp-ebpf" }
     }
 
-    /// For a test: the executables of the profile it was itself built with (`target/PROFILE/deps/TEST`).
+    /// For a test: the executables of the profile it was itself built with
+    /// (`target/PROFILE/deps/TEST`).
     pub fn beside_this_test() -> Result<Self> {
         let test = std::env::current_exe()?;
         match (test.ancestors().nth(2), test.ancestors().nth(3)) {

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 
-/// How long a test waits for what takes a few seconds at most where nothing else runs: what takes longer is broken, and not slow.
+/// How long a test waits for what takes a few seconds at most where nothing else runs: what takes
+/// longer is broken, and not slow.
 pub const TIMEOUT: Duration = Duration::from_secs(60);
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
@@ -25,7 +26,8 @@ pub fn wait_for<T>(what: &str, limit: Duration, mut condition: impl FnMut() -> R
     }
 }
 
-/// From now on Ctrl-C and SIGTERM make every wait fail instead of ending the process, so that guards clean up.
+/// From now on Ctrl-C and SIGTERM make every wait fail instead of ending the process, so that
+/// guards clean up.
 pub fn catch_interrupts() {
     extern "C" fn note(_: libc::c_int) {
         INTERRUPTED.store(true, Ordering::Relaxed);

@@ -1,12 +1,15 @@
-//! A bad cable: carries frames between two interfaces of a namespace through a [`gdp_faults::Link`] each way, by the real clock.
+//! A bad cable: carries frames between two interfaces of a namespace through a [`gdp_faults::Link`]
+//! each way, by the real clock.
 //!
 //! ```text
 //!  left ── w0:wire:w1 ── right          this thread: w0 ─► Link ─► w1
 //!                                                    w0 ◄─ Link ◄─ w1
 //! ```
 //!
-//! What is lost, doubled, held back and damaged is what the first cable of a [`gdp_faults::Network`] with the same seed does in simulated
-//! time; only times are the machine's, never earlier than the model's. [`crate::chain::Chain::disturb_wire`] makes one of a chain's wire.
+//! What is lost, doubled, held back and damaged is what the first cable of a
+//! [`gdp_faults::Network`] with the same seed does in simulated time; only times are the machine's,
+//! never earlier than the model's. [`crate::chain::Chain::disturb_wire`] makes one of a chain's
+//! wire.
 
 use std::io::PipeWriter;
 use std::os::fd::AsRawFd;
@@ -56,7 +59,8 @@ impl Wire {
         Ok(Self { links, ports, began, thread: Some(thread), running: Some(running) })
     }
 
-    /// What the link of one direction has done to frames: 0 from the first interface, 1 from the second.
+    /// What the link of one direction has done to frames: 0 from the first interface, 1 from the
+    /// second.
     pub fn counts(&self, direction: usize) -> Counts {
         self.links.lock()[direction].counts()
     }
@@ -72,7 +76,8 @@ impl Wire {
         }
     }
 
-    /// Fails unless every frame went through the model: the thread runs and the kernel has dropped nothing before it.
+    /// Fails unless every frame went through the model: the thread runs and the kernel has dropped
+    /// nothing before it.
     pub fn check(&self) -> Result<()> {
         ensure!(self.thread.as_ref().is_some_and(|thread| !thread.is_finished()), "the wire has ended");
         for port in self.ports.iter() {
@@ -121,7 +126,8 @@ impl Carrier {
         }
     }
 
-    /// As many as have come, up to a bound: what is due on the other side must not wait for a flood to end.
+    /// As many as have come, up to a bound: what is due on the other side must not wait for a flood
+    /// to end.
     fn take(&self, from: usize, link: &mut Link<Vec<u8>>, buffer: &mut [u8]) -> Result<()> {
         const AT_ONCE: usize = 64;
         for _ in 0..AT_ONCE {
@@ -178,7 +184,8 @@ fn is(error: &anyhow::Error, number: i32) -> bool {
     error.downcast_ref::<std::io::Error>().is_some_and(|error| error.raw_os_error() == Some(number))
 }
 
-/// Congestion experienced (RFC 3168), on packets of IP whose sender takes such marks; others stay as they are.
+/// Congestion experienced (RFC 3168), on packets of IP whose sender takes such marks; others stay
+/// as they are.
 fn mark(frame: &mut [u8]) {
     const CE: u8 = 0b11;
     let capable = |codepoint: u8| matches!(codepoint & CE, 0b01 | 0b10);

@@ -21,7 +21,8 @@ pub struct Options {
     /// Build with overflow checks and debug assertions, as the tests do
     #[arg(long)]
     checked: bool,
-    /// Build what is shipped and measured: with link-time optimisation, stripped, and debug symbols in files of their own
+    /// Build what is shipped and measured: with link-time optimisation, stripped, and debug symbols
+    /// in files of their own
     #[arg(long, conflicts_with = "checked")]
     dist: bool,
     /// Build gdp-ctl with the DPDK data plane
@@ -53,13 +54,15 @@ pub fn run(options: Options) -> Result<()> {
     executables(Executables::All, profile, options.dpdk)
 }
 
-/// Executables with the XDP programs inside, and perhaps with DPDK. Fails if the programs are not inside.
+/// Executables with the XDP programs inside, and perhaps with DPDK. Fails if the programs are not
+/// inside.
 pub fn executables(which: Executables, profile: Profile, dpdk: bool) -> Result<()> {
     ebpf()?;
     let mut command = shell::cargo();
     command.args(["build", "--profile", profile.name(), "--bin", SWITCH]);
     match which {
-        // Of this package alone: features of dependencies that others ask for would have to be compiled as well.
+        // Of this package alone: features of dependencies that others ask for would have to be
+        // compiled as well.
         Executables::Switch => command.args(["--package", SWITCH]),
         Executables::All => command.args(["--bin", PROXY]),
     };
@@ -78,8 +81,8 @@ pub fn executables(which: Executables, profile: Profile, dpdk: bool) -> Result<(
 const SWITCH: &str = "gdp-ctl";
 const PROXY: &str = "gdp-proxy";
 
-/// Compiles `gdp-ebpf` with the compiler that [`EbpfCompiler`] finds, to [`workspace::ebpf_object`] and to where the build
-/// script of the executables looks.
+/// Compiles `gdp-ebpf` with the compiler that [`EbpfCompiler`] finds, to [`workspace::ebpf_object`]
+/// and to where the build script of the executables looks.
 pub fn ebpf() -> Result<()> {
     shell::run(&mut ebpf_cargo("build", "bpf")?)?;
     let built = workspace::target().join("bpf/bpfel-unknown-none/release/gdp-ebpf");
@@ -96,8 +99,8 @@ pub fn ebpf() -> Result<()> {
     copy_if_changed(&built, &embedded)
 }
 
-/// The same programs in other instructions, as a later build has them: what a daemon that takes over may come with. Beside
-/// [`workspace::ebpf_object`], as `gdp-ebpf-rebuilt`.
+/// The same programs in other instructions, as a later build has them: what a daemon that takes
+/// over may come with. Beside [`workspace::ebpf_object`], as `gdp-ebpf-rebuilt`.
 pub fn ebpf_rebuilt() -> Result<()> {
     let mut command = ebpf_cargo("build", "bpf-rebuilt")?;
     shell::run(command.args(["--bin", "gdp-ebpf", "--config", "profile.release.opt-level=2"]))?;
@@ -105,12 +108,14 @@ pub fn ebpf_rebuilt() -> Result<()> {
     copy_if_changed(&built, &workspace::ebpf_object().with_file_name("gdp-ebpf-rebuilt"))
 }
 
-/// The shipped programs with a hop tag that costs nothing, for `bench forward`, to [`workspace::ebpf_untagged_object`].
+/// The shipped programs with a hop tag that costs nothing, for `bench forward`, to
+/// [`workspace::ebpf_untagged_object`].
 pub fn ebpf_untagged() -> Result<()> {
     shell::run(ebpf_cargo("build", "bpf")?.args(["--package", "gdp-ebpf-untagged"]))
 }
 
-/// `cargo VERB --release` for the eBPF target, in the eBPF workspace, into a folder of Cargo's target folder.
+/// `cargo VERB --release` for the eBPF target, in the eBPF workspace, into a folder of Cargo's
+/// target folder.
 fn ebpf_cargo(verb: &str, into: &str) -> Result<Command> {
     let Some(compiler) = EbpfCompiler::find() else { bail!("no compiler for eBPF: run `cargo xtask setup run`") };
     let Some(linker) = setup::bpf_linker() else { bail!("no bpf-linker: run `cargo xtask setup run`") };
@@ -128,7 +133,8 @@ fn ebpf_cargo(verb: &str, into: &str) -> Result<Command> {
         .env_remove("CARGO_ENCODED_RUSTFLAGS");
     match compiler {
         EbpfCompiler::Debian => {
-            // Debian's stable compiler; the crates use a few features that only nightly has otherwise.
+            // Debian's stable compiler; the crates use a few features that only nightly has
+            // otherwise.
             command.env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");
         }
         EbpfCompiler::Nightly => {

@@ -1,4 +1,5 @@
-//! Debug symbols in files of their own, so that executables are small and backtraces still have names and lines.
+//! Debug symbols in files of their own, so that executables are small and backtraces still have
+//! names and lines.
 
 use std::path::Path;
 
@@ -7,8 +8,8 @@ use gdp_tests::programs::{Executable as _, Program};
 
 use crate::shell;
 
-/// Moves the symbols of `PROGRAM` to `PROGRAM.debug` beside it, where debuggers and Rust's backtraces find them by the
-/// `.gnu_debuglink` that stays.
+/// Moves the symbols of `PROGRAM` to `PROGRAM.debug` beside it, where debuggers and Rust's
+/// backtraces find them by the `.gnu_debuglink` that stays.
 pub fn split(executable: &Path) -> Result<()> {
     let (debug, stripped) = (executable.with_extension("debug"), executable.with_extension("stripped"));
     let folder = executable.parent().context("the executable is in a folder")?;

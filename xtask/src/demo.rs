@@ -1,7 +1,8 @@
-//! `cargo xtask demo`: a robot that roams between two trust domains while its ROS 2 topic flows to the cloud, as in the paper's Figure 4;
-//! with `--chain` the simplest network there is.
+//! `cargo xtask demo`: a robot that roams between two trust domains while its ROS 2 topic flows to
+//! the cloud, as in the paper's Figure 4; with `--chain` the simplest network there is.
 //!
-//! Everything runs in network namespaces of its own, with real programs; nothing stays behind, Ctrl-C included.
+//! Everything runs in network namespaces of its own, with real programs; nothing stays behind,
+//! Ctrl-C included.
 
 mod chain;
 mod federation;

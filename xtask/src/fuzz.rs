@@ -1,7 +1,9 @@
-//! `cargo xtask fuzz TARGET`: libFuzzer, guided by coverage, on the compiler that builds everything else.
+//! `cargo xtask fuzz TARGET`: libFuzzer, guided by coverage, on the compiler that builds everything
+//! else.
 //!
-//! The instrumentation is LLVM's and needs no nightly flags; only the address sanitizer would, and the targets are safe Rust
-//! but for a few lines. What is found is kept in the target folder; what a crash leaves is named, to become a case in `fuzz/corpus`.
+//! The instrumentation is LLVM's and needs no nightly flags; only the address sanitizer would, and
+//! the targets are safe Rust but for a few lines. What is found is kept in the target folder; what
+//! a crash leaves is named, to become a case in `fuzz/corpus`.
 
 use anyhow::{Context, Result};
 use gdp_tests::programs::{Executable as _, Program, own};

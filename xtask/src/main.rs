@@ -1,7 +1,7 @@
 //! `cargo xtask VERB`: everything a developer does with this project, one file a verb.
 //!
-//! Each verb is a module with `Options` and `run`. What several verbs share is in [`shell`] (running commands) and
-//! [`workspace`] (where things are). Nothing here is part of the product.
+//! Each verb is a module with `Options` and `run`. What several verbs share is in [`shell`]
+//! (running commands) and [`workspace`] (where things are). Nothing here is part of the product.
 
 mod bench;
 mod build;
@@ -39,7 +39,8 @@ enum Verb {
     Run(run::Options),
     /// Unit tests, kernel tests and network-namespace tests (needs root)
     Test(test::Options),
-    /// A ROS 2 topic crosses three switches from one DDS vendor to another, and what can be seen of it (needs root)
+    /// A ROS 2 topic crosses three switches from one DDS vendor to another, and what can be seen of
+    /// it (needs root)
     Demo(demo::Options),
     /// Check the rules of the source tree: circles, lengths, words, the facade
     Check(check::Options),

@@ -1,4 +1,5 @@
-//! The foreign DDS programs (sources in `tests/peers`): Fast DDS is compiled here, Cyclone DDS is Python.
+//! The foreign DDS programs (sources in `tests/peers`): Fast DDS is compiled here, Cyclone DDS is
+//! Python.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -37,7 +38,8 @@ fn compile(name: &str, interface: Option<&str>, source: &str) -> Result<()> {
         return Ok(());
     }
     std::fs::create_dir_all(&out).with_context(|| format!("cannot create {}", out.display()))?;
-    // Linked under another name and renamed, so that a failed build leaves nothing that looks current.
+    // Linked under another name and renamed, so that a failed build leaves nothing that looks
+    // current.
     let partial = out.join(format!("{name}.new"));
     let mut compiler = Program::Cxx.command();
     compiler.args(["-std=c++17", "-O1", "-Wall", "-Wno-deprecated-declarations", "-I"]).arg(&out);

@@ -48,8 +48,8 @@ pub fn run(options: Options) -> Result<()> {
     if options.no_root {
         return Ok(());
     }
-    // Of the whole workspace, as above and below: with other packages Cargo would choose other features for the dependencies,
-    // and compile them all again.
+    // Of the whole workspace, as above and below: with other packages Cargo would choose other
+    // features for the dependencies, and compile them all again.
     let mut executables = shell::cargo();
     executables.args(["build", "--workspace", "--profile", Profile::Checked.name(), "--features", RELAY]);
     shell::say_and_run(executables.args(["--bin", "gdp-ctl", "--bin", "gdp-proxy", "--test", NETWORKS]))?;

@@ -37,8 +37,8 @@ pub enum Profile {
     Release,
     /// What is shipped and measured: with link-time optimisation.
     Dist,
-    /// Optimised, with overflow checks and debug assertions in this project's crates: what is tested. One profile
-    /// for unit and integration tests, so that dependencies are compiled once.
+    /// Optimised, with overflow checks and debug assertions in this project's crates: what is
+    /// tested. One profile for unit and integration tests, so that dependencies are compiled once.
     Checked,
 }
 

@@ -1,4 +1,5 @@
-//! Checks the patches of `third_party/rustdds`: their form, and that git applies them to the published crate.
+//! Checks the patches of `third_party/rustdds`: their form, and that git applies them to the
+//! published crate.
 
 use std::{
     fs,
@@ -82,7 +83,8 @@ fn patches() -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
-/// Looks the published crate up as `build.rs` does: by a copy of the manifest, with the versions of the workspace.
+/// Looks the published crate up as `build.rs` does: by a copy of the manifest, with the versions of
+/// the workspace.
 fn published() -> Result<Value> {
     let copy = tempfile::tempdir()?;
     fs::copy(folder().join("published/Cargo.toml"), copy.path().join("Cargo.toml"))?;

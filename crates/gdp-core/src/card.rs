@@ -1,5 +1,6 @@
-//! Name cards: the JSON files that hold the metadata a name is derived from. Whoever has the card derives the name.
-//! A card is no secret key, but it tells the topic: it is given to those who should know it.
+//! Name cards: the JSON files that hold the metadata a name is derived from. Whoever has the card
+//! derives the name. A card is no secret key, but it tells the topic: it is given to those who
+//! should know it.
 
 use crate::crypto;
 use crate::crypto::CryptoError;
@@ -63,8 +64,9 @@ impl NameCard {
         Ok(Self { owner_key, metadata })
     }
 
-    /// The card of a topic, service or action. `kind` is `topic`, …; `type_name` is, for ROS 2, `std_msgs/msg/String`.
-    /// Without a `nonce` 128 random bits are drawn; a memorable one lets others guess what the name stands for.
+    /// The card of a topic, service or action. `kind` is `topic`, …; `type_name` is, for ROS 2,
+    /// `std_msgs/msg/String`. Without a `nonce` 128 random bits are drawn; a memorable one lets
+    /// others guess what the name stands for.
     pub fn create(
         owner_key: VerifyKey,
         kind: &str,
@@ -145,7 +147,8 @@ impl NameCard {
         })
     }
 
-    /// Writes a new file, readable by its owner only: the card tells the topic. An existing file is never overwritten.
+    /// Writes a new file, readable by its owner only: the card tells the topic. An existing file is
+    /// never overwritten.
     pub fn save_new(&self, path: &Path) -> Result<(), CardError> {
         let mut file = OpenOptions::new()
             .write(true)
@@ -161,7 +164,8 @@ impl NameCard {
     }
 }
 
-/// The JSON form. `name` repeats what follows from the rest, so that people find it and damage shows.
+/// The JSON form. `name` repeats what follows from the rest, so that people find it and damage
+/// shows.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CardFile {
@@ -171,7 +175,8 @@ struct CardFile {
     metadata: UniqueMap,
 }
 
-/// A map that refuses a key given twice: two readers could otherwise derive two names from one card.
+/// A map that refuses a key given twice: two readers could otherwise derive two names from one
+/// card.
 #[derive(Serialize)]
 #[serde(transparent)]
 struct UniqueMap(Metadata);

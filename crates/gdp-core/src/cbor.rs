@@ -1,5 +1,6 @@
-//! Deterministic CBOR (RFC 8949 §4.2.1) of serde types, and byte arrays as byte strings (hex text in formats for people).
-//! Called by certificates and control messages; nothing here knows what it encodes.
+//! Deterministic CBOR (RFC 8949 §4.2.1) of serde types, and byte arrays as byte strings (hex text
+//! in formats for people). Called by certificates and control messages; nothing here knows what it
+//! encodes.
 
 use ciborium::Value;
 use serde::{Serialize, de::DeserializeOwned};
@@ -19,15 +20,17 @@ pub enum CborError {
     Unencodable(String),
 }
 
-/// Encodes `value` with map keys in bytewise order of their encodings, shortest integers and definite lengths.
+/// Encodes `value` with map keys in bytewise order of their encodings, shortest integers and
+/// definite lengths.
 pub fn encode<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>, CborError> {
     let mut value = Value::serialized(value).map_err(|e| CborError::Unencodable(e.to_string()))?;
     sort_maps(&mut value)?;
     to_bytes(&value)
 }
 
-/// Decodes at most `max` bytes of `bytes` as exactly one `T`. What another encoder could have written differently is
-/// refused, and with it trailing bytes, duplicate keys and fields that `T` does not know.
+/// Decodes at most `max` bytes of `bytes` as exactly one `T`. What another encoder could have
+/// written differently is refused, and with it trailing bytes, duplicate keys and fields that `T`
+/// does not know.
 pub fn decode<T: DeserializeOwned + Serialize>(bytes: &[u8], max: usize) -> Result<T, CborError> {
     if bytes.len() > max {
         return Err(CborError::TooLong { got: bytes.len(), max });
@@ -68,7 +71,8 @@ fn to_bytes(value: &Value) -> Result<Vec<u8>, CborError> {
     Ok(out)
 }
 
-/// `#[serde(with = "gdp::cbor::array")]` for `[u8; N]`: a byte string in CBOR, lower-case hex text in JSON and YAML.
+/// `#[serde(with = "gdp::cbor::array")]` for `[u8; N]`: a byte string in CBOR, lower-case hex text
+/// in JSON and YAML.
 pub mod array {
     use serde::{Deserializer, Serializer, de::Error};
 
@@ -83,7 +87,8 @@ pub mod array {
     }
 }
 
-/// `#[serde(with = "gdp::cbor::bytes")]` for `Vec<u8>`: a byte string in CBOR, lower-case hex text in JSON and YAML.
+/// `#[serde(with = "gdp::cbor::bytes")]` for `Vec<u8>`: a byte string in CBOR, lower-case hex text
+/// in JSON and YAML.
 pub mod bytes {
     use serde::de::{Deserializer, Error, Visitor};
     use serde::ser::Serializer;

@@ -1,5 +1,5 @@
-//! P-256 keys, and the entity one of them makes. Private keys live in PKCS#8 PEM files of mode 0600, never in a log and
-//! no longer in memory than their owner.
+//! P-256 keys, and the entity one of them makes. Private keys live in PKCS#8 PEM files of mode
+//! 0600, never in a log and no longer in memory than their owner.
 
 use crate::crypto;
 use crate::crypto::CryptoError;
@@ -63,7 +63,8 @@ impl SigningKey {
         secret_file::create(path, pem.as_bytes())
     }
 
-    /// Loads `path`, or creates it with a new key. Of two processes that create it at once, both get the same key.
+    /// Loads `path`, or creates it with a new key. Of two processes that create it at once, both
+    /// get the same key.
     pub fn load_or_generate(path: &Path) -> Result<Self, SecretFileError> {
         match Self::load(path) {
             Err(e) if e.is_not_found() => {}
@@ -86,8 +87,8 @@ impl SigningKey {
         VerifyKey(self.0.public)
     }
 
-    /// ECDSA with SHA-256, `r ‖ s`. The caller separates domains: what is signed for one purpose must not be a valid
-    /// input of another.
+    /// ECDSA with SHA-256, `r ‖ s`. The caller separates domains: what is signed for one purpose
+    /// must not be a valid input of another.
     pub fn sign(&self, message: &[u8]) -> Result<[u8; SIGNATURE_LEN], CryptoError> {
         self.0.signer.sign(message)
     }
@@ -137,7 +138,8 @@ impl fmt::Debug for SigningKey {
     }
 }
 
-/// An entity: a proxy, switch, RIB or domain. Its name follows from its own key and its metadata, `{kind: …}`.
+/// An entity: a proxy, switch, RIB or domain. Its name follows from its own key and its metadata,
+/// `{kind: …}`.
 #[derive(Clone, Debug)]
 pub struct Identity {
     key: SigningKey,

@@ -1,4 +1,5 @@
-//! Names, name cards, identities, certificates, domains, wrapped keys and revocations of the Global Data Plane.
+//! Names, name cards, identities, certificates, domains, wrapped keys and revocations of the Global
+//! Data Plane.
 //!
 //! The cryptography stands behind [`crypto`]. No sockets and no clock: callers bring the time.
 // They panic where stdout or stderr cannot be written.

@@ -9,9 +9,11 @@ use crate::mac::{DisplayMac, parse_mac};
 /// What a node dials.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum LinkTarget {
-    /// The switch with this MAC address on the segment of an interface; without one, whichever answers there.
+    /// The switch with this MAC address on the segment of an interface; without one, whichever
+    /// answers there.
     Ethernet { interface: String, mac: Option<[u8; 6]> },
-    /// A host name or address, and a port. With an interface: through that one only, whatever the routing table prefers.
+    /// A host name or address, and a port. With an interface: through that one only, whatever the
+    /// routing table prefers.
     Udp { host: String, port: u16, interface: Option<String> },
 }
 

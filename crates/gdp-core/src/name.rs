@@ -12,7 +12,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-/// The string map a name is derived from. Its order in memory is not the order of its canonical form.
+/// The string map a name is derived from. Its order in memory is not the order of its canonical
+/// form.
 pub type Metadata = BTreeMap<String, String>;
 
 /// SHA-256 of the canonical JSON (RFC 8785) of `metadata`.
@@ -25,7 +26,8 @@ pub fn derive(owner_key: &[u8; PUBLIC_KEY_LEN], digest: &[u8; 32]) -> Name {
     Name::from_bytes(Backend::default().sha256(&[b"gdp/name/1", owner_key, digest]))
 }
 
-/// RFC 8785 for a map of strings: keys ordered by their UTF-16 code units, no white space, the fewest escapes.
+/// RFC 8785 for a map of strings: keys ordered by their UTF-16 code units, no white space, the
+/// fewest escapes.
 pub fn canonical_json(metadata: &Metadata) -> String {
     let mut entries: Vec<(&String, &String)> = metadata.iter().collect();
     entries.sort_by(|a, b| a.0.encode_utf16().cmp(b.0.encode_utf16()));
@@ -73,7 +75,8 @@ pub struct NameProof {
 }
 
 impl NameProof {
-    /// The name this proves. Refuses an owner key that is no point on the curve: nobody could sign for its names.
+    /// The name this proves. Refuses an owner key that is no point on the curve: nobody could sign
+    /// for its names.
     pub fn name(&self) -> Result<Name, CryptoError> {
         self.verify_key()?;
         Ok(derive(&self.owner_key, &self.digest))

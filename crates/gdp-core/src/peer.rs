@@ -8,9 +8,11 @@ use serde::{Deserialize, Serialize};
 use crate::name::{Name, NameProof};
 use crate::verify_key::VerifyKey;
 
-/// How long keys and routes of a lost link stay in use, unless a new link replaces it earlier (RFC 4724, section 4.2).
+/// How long keys and routes of a lost link stay in use, unless a new link replaces it earlier (RFC
+/// 4724, section 4.2).
 ///
-/// The daemon of a switch may be gone while its kernel forwards on: the neighbour's data plane must answer echoes meanwhile.
+/// The daemon of a switch may be gone while its kernel forwards on: the neighbour's data plane must
+/// answer echoes meanwhile.
 pub const GRACEFUL_RESTART_TIME: Duration = Duration::from_secs(60);
 
 /// Links that an endpoint has at once, to one switch or several.
@@ -32,7 +34,8 @@ impl From<Role> for LinkRole {
     }
 }
 
-/// Who is at the other end. The key is proven and the name derived from it; the role is what it says of itself.
+/// Who is at the other end. The key is proven and the name derived from it; the role is what it
+/// says of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Peer {
     pub name: Name,

@@ -1,5 +1,6 @@
-//! Revocations that outlive a process: a file of the newest that were verified, written whole and read back with suspicion. So what
-//! an owner took back stays so for a node or a RIB that starts anew, also before anybody tells it again.
+//! Revocations that outlive a process: a file of the newest that were verified, written whole and
+//! read back with suspicion. So what an owner took back stays so for a node or a RIB that starts
+//! anew, also before anybody tells it again.
 
 use std::path::{Path, PathBuf};
 
@@ -30,7 +31,8 @@ pub struct Kept {
     pub origin: Option<Origin>,
 }
 
-/// Where a RIB took something in: through a switch, from a tool there or from an entity; or from the RIB of a neighbouring domain.
+/// Where a RIB took something in: through a switch, from a tool there or from an entity; or from
+/// the RIB of a neighbouring domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Origin {
@@ -74,7 +76,8 @@ impl RevocationFile {
         &self.path
     }
 
-    /// All that were kept and still verify, in the order in which they were; none if there is no file.
+    /// All that were kept and still verify, in the order in which they were; none if there is no
+    /// file.
     pub fn load(&self) -> Result<Vec<(Kept, Revocation)>, SecretFileError> {
         let bytes = match secret_file::read(&self.path, self.max) {
             Err(error) if error.is_not_found() => return Ok(Vec::new()),
@@ -92,7 +95,8 @@ impl RevocationFile {
         Ok(loaded)
     }
 
-    /// Keeps these instead of what is there, as many of them as there is room for. Returns how many there was none for.
+    /// Keeps these instead of what is there, as many of them as there is room for. Returns how many
+    /// there was none for.
     pub fn save<'a>(&self, kept: impl IntoIterator<Item = &'a Kept>) -> Result<usize, SecretFileError> {
         let (mut bytes, mut omitted) = (HEAD.to_vec(), 0);
         for entry in kept {

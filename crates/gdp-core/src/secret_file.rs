@@ -1,6 +1,6 @@
-//! Files that hold secrets: created at mode 0600 and never visible wider or half-written, refused when anybody but the
-//! owner may touch them. Used for private keys and what the command line remembers of a name; the content is the caller's
-//! business.
+//! Files that hold secrets: created at mode 0600 and never visible wider or half-written, refused
+//! when anybody but the owner may touch them. Used for private keys and what the command line
+//! remembers of a name; the content is the caller's business.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -35,8 +35,9 @@ impl SecretFileError {
     }
 }
 
-/// Creates `path` with `content`. The bytes are written and synced under a temporary name and then linked to the final
-/// one, which fails if that exists: whoever opens `path` sees the whole content or no file.
+/// Creates `path` with `content`. The bytes are written and synced under a temporary name and then
+/// linked to the final one, which fails if that exists: whoever opens `path` sees the whole content
+/// or no file.
 pub(crate) fn create(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
     with_temporary(path, content, |temporary| {
         fs::hard_link(temporary, path).map_err(|source| match source.kind() {
@@ -46,7 +47,8 @@ pub(crate) fn create(path: &Path, content: &[u8]) -> Result<(), SecretFileError>
     })
 }
 
-/// As [`create`], but takes the place of a file that is there. After a crash there is the one or the other, whole.
+/// As [`create`], but takes the place of a file that is there. After a crash there is the one or
+/// the other, whole.
 pub fn replace(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
     with_temporary(path, content, |temporary| {
@@ -74,12 +76,14 @@ fn with_temporary(
         .open(&temporary)
         .and_then(|mut file| file.write_all(content).and_then(|()| file.sync_all()));
     let result = written.map_err(io).and_then(|()| place(&temporary));
-    // Nothing to do about a failure: the file has moved, was not created, or its name is of no interest to anybody.
+    // Nothing to do about a failure: the file has moved, was not created, or its name is of no
+    // interest to anybody.
     let _ = fs::remove_file(&temporary);
     result
 }
 
-/// The whole of `path`, at most `max` bytes. A symbolic link is followed; what counts is the file it leads to.
+/// The whole of `path`, at most `max` bytes. A symbolic link is followed; what counts is the file
+/// it leads to.
 pub fn read(path: &Path, max: usize) -> Result<Zeroizing<Vec<u8>>, SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
     // Without O_NONBLOCK, opening a FIFO would wait for a writer.

@@ -1,5 +1,5 @@
-//! The daemon's configuration file, and what it is without one. Strict YAML: unknown keys are refused. Read once, at
-//! start; paths in it are relative to its folder.
+//! The daemon's configuration file, and what it is without one. Strict YAML: unknown keys are
+//! refused. Read once, at start; paths in it are relative to its folder.
 
 mod dpdk;
 mod etcd;
@@ -52,7 +52,8 @@ pub struct Config {
     pub fib_capacity: u32,
     /// The BPF file system in which XDP outlives the daemon; `None`: it ends with it.
     pub bpffs: Option<PathBuf>,
-    /// The trust domain it is a member of; without, it takes any neighbour that is listed and any endpoint.
+    /// The trust domain it is a member of; without, it takes any neighbour that is listed and any
+    /// endpoint.
     pub domain: Option<DomainConfig>,
     /// Of a border: the addresses at which those of other domains reach it, best first.
     pub public: Vec<SocketAddr>,
@@ -98,15 +99,16 @@ pub enum DataPlane {
     Userspace,
 }
 
-/// A switch this one has a link with, and what crossing the link costs; none: as its round-trip time says, see
-/// [`gdp_rib::topology::cost`].
+/// A switch this one has a link with, and what crossing the link costs; none: as its round-trip
+/// time says, see [`gdp_rib::topology::cost`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Neighbour {
     pub place: NeighbourAddress,
     pub cost: Option<u32>,
     /// This side makes the link. Otherwise the one with the smaller name does.
     pub dial: bool,
-    /// It is a border of another domain, whose RIB is above this one's. Parents are asked in the order of the list.
+    /// It is a border of another domain, whose RIB is above this one's. Parents are asked in the
+    /// order of the list.
     pub parent: bool,
 }
 
@@ -157,7 +159,8 @@ pub enum ConfigError {
 }
 
 impl Config {
-    /// A switch without privileges, on this UDP address alone, with nothing around it; whoever makes it says what else it is.
+    /// A switch without privileges, on this UDP address alone, with nothing around it; whoever
+    /// makes it says what else it is.
     pub fn userspace(identity: PathBuf, udp: SocketAddr) -> Self {
         Self {
             socket: identity.with_extension("sock"),
@@ -233,7 +236,8 @@ impl Config {
         let file: File = if text.trim().is_empty() {
             File { bpffs: default_bpffs(), ..File::default() }
         } else {
-            // A snippet would put the text into the log, and the file may be a key, given by mistake.
+            // A snippet would put the text into the log, and the file may be a key, given by
+            // mistake.
             let options = serde_saphyr::options! { with_snippet: false };
             serde_saphyr::from_str_with_options(text, options)
                 .map_err(|error| ParseError::Invalid(error.to_string()))?

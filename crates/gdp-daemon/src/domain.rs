@@ -1,5 +1,6 @@
-//! What a daemon knows of its trust domain, without I/O: whom it takes links with ([`Trust`]), and whom invitations have admitted.
-//! [`crate::serve::domain`] reads and keeps the files, asks and tells others; the links are judged in [`crate::serve::core`].
+//! What a daemon knows of its trust domain, without I/O: whom it takes links with ([`Trust`]), and
+//! whom invitations have admitted. [`crate::serve::domain`] reads and keeps the files, asks and
+//! tells others; the links are judged in [`crate::serve::core`].
 
 use std::collections::BTreeMap;
 
@@ -37,7 +38,8 @@ pub struct Used {
     pub until: u64,
 }
 
-/// The invitations of the own domain that were used. The RIB decides by them, switches remember what it decided.
+/// The invitations of the own domain that were used. The RIB decides by them, switches remember
+/// what it decided.
 #[derive(Debug, Default)]
 pub struct Invitations(BTreeMap<u64, Used>);
 
@@ -45,15 +47,18 @@ pub struct Invitations(BTreeMap<u64, Used>);
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotInvited {
     #[error(
-        "the invitation with serial {serial} has admitted {by:#}, and it admits one: have another made with `gdp-ctl domain invite`"
+        "the invitation with serial {serial} has admitted {by:#}, and it admits one: have another made with `gdp-ctl \
+         domain invite`"
     )]
     Used { serial: u64, by: Name },
     #[error(
-        "the invitation with serial {serial} ended at Unix time {at} without having been used, now is {now}: have another made"
+        "the invitation with serial {serial} ended at Unix time {at} without having been used, now is {now}: have \
+         another made"
     )]
     TooLate { serial: u64, at: u64, now: u64 },
     #[error(
-        "{MAX_USED} members by invitation, and that is the limit of this RIB: have them admitted with `gdp-ctl domain admit`"
+        "{MAX_USED} members by invitation, and that is the limit of this RIB: have them admitted with `gdp-ctl \
+         domain admit`"
     )]
     Full,
 }
@@ -76,7 +81,8 @@ impl Invitations {
         self.0.get(&serial).is_some_and(|used| used.entity == *entity)
     }
 
-    /// As the RIB decides: the first entity is admitted, while the invitation holds. Whether that is new.
+    /// As the RIB decides: the first entity is admitted, while the invitation holds. Whether that
+    /// is new.
     pub fn admit(&mut self, invite: &Invite, entity: Name, now: u64) -> Result<bool, NotInvited> {
         let serial = invite.serial;
         match self.0.get(&serial) {

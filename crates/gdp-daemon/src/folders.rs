@@ -22,7 +22,8 @@ pub fn state() -> Result<PathBuf, NoFolder> {
     Ok(base.ok_or(NoFolder)?.join("gdp"))
 }
 
-/// The admin socket that daemon and commands meet at. Beside the keys for a user without a folder for sockets.
+/// The admin socket that daemon and commands meet at. Beside the keys for a user without a folder
+/// for sockets.
 pub fn admin_socket() -> Result<PathBuf, NoFolder> {
     if is_root() {
         return Ok("/run/gdp/ctl.sock".into());
@@ -40,7 +41,8 @@ pub fn keyring() -> Option<PathBuf> {
     Some(absolute("XDG_CONFIG_HOME").or_else(home)?.join("gdp"))
 }
 
-/// A relative path in these variables is invalid and to be ignored (XDG base directory specification).
+/// A relative path in these variables is invalid and to be ignored (XDG base directory
+/// specification).
 fn absolute(variable: &str) -> Option<PathBuf> {
     std::env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute())
 }

@@ -22,7 +22,8 @@ pub enum PrivilegesError {
     #[error("cannot give up the capabilities that a switch does not need: {0}")]
     Kernel(#[from] io::Error),
     #[error(
-        "{} belongs to user {owner}, and the daemon gives up root's right to other users' files: `chown root {}`, or run it \
+        "{} belongs to user {owner}, and the daemon gives up root's right to other users' files: `chown root {}`, or \
+         run it \
          as that user with the capabilities", path.display(), path.display()
     )]
     OfAnother { path: PathBuf, owner: u32 },

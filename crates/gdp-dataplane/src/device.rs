@@ -1,5 +1,6 @@
-//! One interface as the kernel describes it: state, driver, offloads, and the XDP program on it, whoever's. Only asks. For
-//! [`super::Planes`], which says whose program is in its way, and for `gdp-ctl doctor`.
+//! One interface as the kernel describes it: state, driver, offloads, and the XDP program on it,
+//! whoever's. Only asks. For [`super::Planes`], which says whose program is in its way, and for
+//! `gdp-ctl doctor`.
 
 use std::collections::{HashMap, HashSet};
 use std::fmt;
@@ -59,7 +60,8 @@ pub struct AttachedProgram {
     pub by_link: Option<bool>,
 }
 
-/// What the hardware, or who plays it, does to packets before XDP or after; `None` where the driver does not say.
+/// What the hardware, or who plays it, does to packets before XDP or after; `None` where the driver
+/// does not say.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Offloads {
     pub lro: Option<bool>,
@@ -123,7 +125,8 @@ impl AttachedProgram {
         match (self.is_switch(), self.by_link) {
             (true, _) => "stop the daemon that it belongs to; if none runs, `gdp-ctl xdp detach` removes it".into(),
             (_, Some(true)) => format!(
-                "it goes with the program that attached it, or with that one's pin: `bpftool link` shows the link of program {id}, \
+                "it goes with the program that attached it, or with that one's pin: `bpftool link` shows the link of \
+                 program {id}, \
                  `bpftool link detach id LINK` removes it"
             ),
             (_, Some(false)) => format!("`ip link set dev {interface} {attribute} off` removes it"),
@@ -155,7 +158,8 @@ impl Offloads {
     }
 }
 
-/// Turns generic receive offload on. A veth takes redirected frames for its other end only if that has it (or a program).
+/// Turns generic receive offload on. A veth takes redirected frames for its other end only if that
+/// has it (or a program).
 pub fn set_gro(interface: &str) -> io::Result<()> {
     const ETHTOOL_SGRO: u32 = 0x2c;
     let socket = socket()?;
@@ -193,7 +197,8 @@ fn socket() -> io::Result<OwnedFd> {
     }
 }
 
-/// The value that the driver has after a command with one; `None` if it does not know the command, or refuses.
+/// The value that the driver has after a command with one; `None` if it does not know the command,
+/// or refuses.
 fn ethtool(socket: &OwnedFd, interface: &str, mut value: [u32; 2]) -> Option<u32> {
     // These commands read and write eight bytes.
     ioctl(socket, interface, value.as_mut_ptr().cast()).then_some(value[1])

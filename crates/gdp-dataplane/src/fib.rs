@@ -1,12 +1,15 @@
-//! The FIB in the kernel: the flat table that programs read (`gdp_wire::flat`), written through a mapping, without a system call.
+//! The FIB in the kernel: the flat table that programs read (`gdp_wire::flat`), written through a
+//! mapping, without a system call.
 //!
-//! It begins small and doubles when it is full, up to the configured number of names. Programs read the old table until the new one
-//! has every name, and then the new one: no frame waits or is lost. 128 B a name when a table is full, so 256 B at most, and
-//! while it grows half as much again: 64 MiB of kernel memory hold 524288 names, 128 MiB 1048576.
+//! It begins small and doubles when it is full, up to the configured number of names. Programs read
+//! the old table until the new one has every name, and then the new one: no frame waits or is lost.
+//! 128 B a name when a table is full, so 256 B at most, and while it grows half as much again: 64
+//! MiB of kernel memory hold 524288 names, 128 MiB 1048576.
 //!
-//! Where the kernel outlives the daemon, the table is pinned beside the other maps, as `FIB_TABLE`; a larger one that is ready to
-//! replace it is for a moment `FIB_TABLE_NEW`. Whichever there is, the next daemon takes the newest, which is complete. Called by
-//! [`super::kernel`], by its tests and by `bench forward`.
+//! Where the kernel outlives the daemon, the table is pinned beside the other maps, as `FIB_TABLE`;
+//! a larger one that is ready to replace it is for a moment `FIB_TABLE_NEW`. Whichever there is,
+//! the next daemon takes the newest, which is complete. Called by [`super::kernel`], by its tests
+//! and by `bench forward`.
 
 use std::fs;
 use std::io;
@@ -44,7 +47,8 @@ pub struct Fib {
 }
 
 impl Fib {
-    /// The table that an earlier daemon left, or a new one. `limit`: names it may hold; what is there beyond stays.
+    /// The table that an earlier daemon left, or a new one. `limit`: names it may hold; what is
+    /// there beyond stays.
     pub fn open(current: Current, limit: u32, pins: Option<&Pins>) -> Result<Self, LoadError> {
         let pinned = pins.map(|pins| pins.folder().to_owned());
         let left = pinned.as_deref().map_or(Ok(None), adopt)?;

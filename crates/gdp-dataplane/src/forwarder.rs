@@ -1,5 +1,5 @@
-//! Moves frames between data sockets according to [`super::userspace::handle`]: one thread for each socket that receives.
-//! Nothing is allocated for a batch, and the tables are entered once.
+//! Moves frames between data sockets according to [`super::userspace::handle`]: one thread for each
+//! socket that receives. Nothing is allocated for a batch, and the tables are entered once.
 
 use std::collections::HashMap;
 use std::io;
@@ -20,7 +20,8 @@ use super::tables::Reader;
 use super::tally::Tally;
 use super::userspace::{CopyOut, Outcome, copies, handle};
 
-/// Frames that a thread hands to an interface before it looks again whether they wait there, if they did not.
+/// Frames that a thread hands to an interface before it looks again whether they wait there, if
+/// they did not.
 const LOOK: usize = 16;
 
 /// How long a thread takes to notice that it should end.
@@ -83,7 +84,8 @@ impl Shared {
     }
 }
 
-/// One socket's thread. Dropping it ends the thread; frames to that medium are then lost and counted.
+/// One socket's thread. Dropping it ends the thread; frames to that medium are then lost and
+/// counted.
 pub struct Forwarder {
     medium: Medium,
     shared: Arc<Shared>,
@@ -270,8 +272,8 @@ impl Worker {
         }
     }
 
-    /// Counts what was to be sent as it was decided, but for what was lost. Which ones those were is not known, so they are
-    /// taken off in the order of the counters.
+    /// Counts what was to be sent as it was decided, but for what was lost. Which ones those were
+    /// is not known, so they are taken off in the order of the counters.
     fn account(&self, intended: [u64; Counter::COUNT], lost: u64) {
         let mut open = lost;
         for (counter, frames) in Counter::ALL.iter().zip(intended) {

@@ -1,6 +1,6 @@
-//! Which place in a group of the kernel each link has, and what to change, in which order, so that nobody else in the group
-//! misses a frame or gets one twice meanwhile. The rules are those of `gdp-ebpf/src/groups.rs`. Sans-IO; called by
-//! [`super::kernel_groups`].
+//! Assigns the links of a multicast group to slots of the kernel's map. Changes are ordered so that
+//! no other link of the group misses a frame or gets one twice. The rules are those of
+//! `gdp-ebpf/src/groups.rs`. Sans-IO; called by [`super::kernel_groups`].
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,7 +19,8 @@ pub struct GroupSlots {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Place {
-    /// In the device map; which of an interface's keys belongs to which of its places does not matter.
+    /// In the device map; which of an interface's keys belongs to which of its places does not
+    /// matter.
     key: u32,
     /// 0: empty.
     link: u32,
@@ -35,8 +36,8 @@ pub enum Step {
 }
 
 impl GroupSlots {
-    /// What is found in the maps: (key, interface) and (interface, index, link). `None` if a place has no key, as when a
-    /// daemon ended between two steps.
+    /// What is found in the maps: (key, interface) and (interface, index, link). `None` if a place
+    /// has no key, as when a daemon ended between two steps.
     pub fn found(keys: &[(u32, u32)], occupied: &[(u32, u32, u32)]) -> Option<Self> {
         let mut places = Self::default();
         for (key, interface) in keys {
@@ -53,7 +54,8 @@ impl GroupSlots {
         places.filter(|(_, place)| place.link != 0).map(|(interface, place)| Member { link: place.link, interface })
     }
 
-    /// Makes `wanted` the members. `None`, and no change, if that takes more than `capacity` keys, those of empty places included.
+    /// Makes `wanted` the members. `None`, and no change, if that takes more than `capacity` keys,
+    /// those of empty places included.
     pub fn become_these(&mut self, wanted: &[Member], capacity: usize) -> Option<Vec<Step>> {
         let (wanted, held): (BTreeSet<_>, BTreeSet<_>) = (wanted.iter().copied().collect(), self.members().collect());
         let mut after = self.clone();

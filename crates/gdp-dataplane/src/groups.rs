@@ -1,5 +1,5 @@
-//! Which group of links takes the copies of a name: names with the same local readers share one. Sans-IO; the numbers are
-//! [`gdp_wire::FibEntry::group`]. Called by [`super::Planes`].
+//! Which group of links takes the copies of a name: names with the same local readers share one.
+//! Sans-IO; the numbers are [`gdp_wire::FibEntry::group`]. Called by [`super::Planes`].
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -25,13 +25,15 @@ struct Group {
 }
 
 impl Groups {
-    /// The group of these readers, for one more name; and whether it is new. `readers`: link ids, sorted, without duplicates.
-    /// The lowest free number is taken first: the kernel holds only so many groups.
+    /// The group of these readers, for one more name; and whether it is new. `readers`: link ids,
+    /// sorted, without duplicates. The lowest free number is taken first: the kernel holds only so
+    /// many groups.
     pub fn take(&mut self, readers: &[u32]) -> (u32, bool) {
         self.take_as(readers, None)
     }
 
-    /// As [`Self::take`]; if the group is new, with a number that it had before, unless another has that now.
+    /// As [`Self::take`]; if the group is new, with a number that it had before, unless another has
+    /// that now.
     pub fn take_as(&mut self, readers: &[u32], number: Option<u32>) -> (u32, bool) {
         if readers.is_empty() {
             return (NEIGHBOURS, false);
@@ -66,7 +68,8 @@ impl Groups {
         true
     }
 
-    /// From now on, until its last name goes, the group has a name that leads to several links from here; `true` if it had none.
+    /// From now on, until its last name goes, the group has a name that leads to several links from
+    /// here; `true` if it had none.
     pub fn fork(&mut self, number: u32) -> bool {
         let forks = match self.used.get_mut(&number) {
             Some(group) => &mut group.forks,
@@ -76,8 +79,9 @@ impl Groups {
         !std::mem::replace(forks, true)
     }
 
-    /// Whether frames for the group can need copies, where so many links lead to switches. A frame from a neighbour can be for all the
-    /// other links, whatever the routes here say; one from an endpoint is for those that its name's route says.
+    /// Whether frames for the group can need copies, where so many links lead to switches. A frame
+    /// from a neighbour can be for all the other links, whatever the routes here say; one from an
+    /// endpoint is for those that its name's route says.
     pub fn makes_copies(&self, number: u32, neighbours: usize) -> bool {
         let (readers, forks) = match self.used.get(&number) {
             Some(group) => (group.readers.len(), group.forks),

@@ -1,4 +1,5 @@
-//! The pair of interfaces by which endpoints on the switch's own host reach its program, and it them:
+//! The pair of interfaces by which endpoints on the switch's own host reach its program, and it
+//! them:
 //!
 //! ```text
 //!   endpoint's socket ── IP ── gdp75e1a2b3h ═══ gdp75e1a2b3s ── XDP ──▶ other interfaces
@@ -6,8 +7,9 @@
 //!                              of the host      of nobody: the host sends what is for it out of the pair
 //! ```
 //!
-//! Made, found again and removed here, over netlink; that needs CAP_NET_ADMIN. What goes over it is not known here. It outlives a
-//! daemon that is killed, as the program does. Called by the daemon (`serve`) and by `gdp-ctl xdp detach`.
+//! Made, found again and removed here, over netlink; that needs CAP_NET_ADMIN. What goes over it is
+//! not known here. It outlives a daemon that is killed, as the program does. Called by the daemon
+//! (`serve`) and by `gdp-ctl xdp detach`.
 
 use std::io;
 use std::net::Ipv4Addr;
@@ -51,7 +53,8 @@ pub fn is_end(interface: &str) -> bool {
     digits.is_some_and(|digits| digits.len() == 8 && digits.bytes().all(|c| c.is_ascii_hexdigit()))
 }
 
-/// The pair of a switch in the calling thread's network namespace: the one that an earlier daemon left, or a new one.
+/// The pair of a switch in the calling thread's network namespace: the one that an earlier daemon
+/// left, or a new one.
 pub async fn open(switch: &Name) -> Result<Ends, HostPairError> {
     let [host, inner] = names(&switch.to_string());
     let io_at = |interface: &str| {
@@ -67,7 +70,8 @@ pub async fn open(switch: &Name) -> Result<Ends, HostPairError> {
     let (outer, switch_end) =
         (Interface::find(&host).map_err(io_at(&host))?, Interface::find(&inner).map_err(io_at(&inner))?);
     for end in [&outer, &switch_end] {
-        // Nothing but frames is to go by it: no neighbour discovery, no DDS that looks for interfaces.
+        // Nothing but frames is to go by it: no neighbour discovery, no DDS that looks for
+        // interfaces.
         let _ = std::fs::write(Path::new("/proc/sys/net/ipv6/conf").join(&end.name).join("disable_ipv6"), "1");
         let up = LinkUnspec::new_with_index(end.index).multicast(false).up().build();
         handle.link().set(up).execute().await.map_err(at)?;
@@ -95,8 +99,8 @@ pub async fn open(switch: &Name) -> Result<Ends, HostPairError> {
     Ok(Ends { switch: switch_end, addresses: pair })
 }
 
-/// Removes the pair of a switch, whose name begins with these digits, from the calling thread's network namespace. Returns
-/// whether there was one.
+/// Removes the pair of a switch, whose name begins with these digits, from the calling thread's
+/// network namespace. Returns whether there was one.
 pub async fn remove(switch: &str) -> Result<bool, HostPairError> {
     let [host, _] = names(switch);
     let Ok(interface) = Interface::find(&host) else { return Ok(false) };
@@ -110,8 +114,8 @@ fn names(switch: &str) -> [String; 2] {
     ['h', 's'].map(|end| format!("gdp{}{end}", switch.get(..8).unwrap_or(switch)))
 }
 
-/// The address that the host's end has, or one that it can have, if there is one: first where the switch's name puts it, so that
-/// switches of one host seldom look twice.
+/// The address that the host's end has, or one that it can have, if there is one: first where the
+/// switch's name puts it, so that switches of one host seldom look twice.
 fn addresses(host: &str, switch: &Name) -> io::Result<Option<Ipv4Addr>> {
     let taken = udp::addresses()?;
     let taken = taken.iter().filter_map(|address| match address.ip {

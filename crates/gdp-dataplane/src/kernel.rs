@@ -1,5 +1,6 @@
-//! The kernel plane: loads the XDP object, attaches it, and writes its maps. Knows BPF, nothing of sockets or links'
-//! meaning. Called by [`super::Planes`], by the kernel tests and by `bench forward`.
+//! The kernel plane: loads the XDP object, attaches it, and writes its maps. Knows BPF, nothing of
+//! sockets or links' meaning. Called by [`super::Planes`], by the kernel tests and by `bench
+//! forward`.
 
 use std::collections::{HashMap as Table, HashSet};
 use std::hash::Hash;
@@ -42,7 +43,8 @@ const ROUTE: &str = "gdp_route";
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
     #[error(
-        "this process lacks {}; run it as root, or grant it these with `setcap` or AmbientCapabilities= of systemd", .0.join(", ")
+        "this process lacks {}; run it as root, or grant it these with `setcap` or AmbientCapabilities= of \
+         systemd", .0.join(", ")
     )]
     NotPermitted(Vec<&'static str>),
     #[error("the kernel is {0}, and the XDP programs need {FLOOR} or later")]
@@ -123,11 +125,12 @@ impl Mode {
     }
 }
 
-/// How the packets of an interface may lie in memory. There is a switch for each, and they do the same.
+/// How the packets of an interface may lie in memory. There is a switch for each, and they do the
+/// same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Buffers {
-    /// In one buffer, as a driver promises that takes this switch: it refuses an MTU for which that does not hold. How long a
-    /// packet is, is then known without a call into the kernel.
+    /// In one buffer, as a driver promises that takes this switch: it refuses an MTU for which that
+    /// does not hold. How long a packet is, is then known without a call into the kernel.
     One,
     /// Perhaps in several.
     Several,
@@ -178,8 +181,8 @@ struct Attached {
     buffers: Buffers,
 }
 
-/// The loaded programs and their maps. Dropping it detaches them, unless they are pinned: then the kernel forwards on until
-/// [`Self::unpin`], or a successor.
+/// The loaded programs and their maps. Dropping it detaches them, unless they are pinned: then the
+/// kernel forwards on until [`Self::unpin`], or a successor.
 pub struct KernelPlane {
     ebpf: Ebpf,
     pins: Option<Pins>,
@@ -211,13 +214,14 @@ pub struct KernelPlane {
 }
 
 impl KernelPlane {
-    /// Loads the object and has the kernel verify the switch; attaches nothing. `capacity`: names the FIB can hold.
+    /// Loads the object and has the kernel verify the switch; attaches nothing. `capacity`: names
+    /// the FIB can hold.
     pub fn load(object: impl Into<Object>, capacity: u32) -> Result<Self, LoadError> {
         Self::load_pinned(object, capacity, None)
     }
 
-    /// As [`Self::load`], with the maps that an earlier daemon has pinned, as they are, if their layout is the one that the
-    /// object wants; those that are missing are made and pinned.
+    /// As [`Self::load`], with the maps that an earlier daemon has pinned, as they are, if their
+    /// layout is the one that the object wants; those that are missing are made and pinned.
     pub fn load_pinned(object: impl Into<Object>, capacity: u32, pins: Option<Pins>) -> Result<Self, LoadError> {
         let object = &object.into();
         let version = KernelVersion::running();
@@ -369,8 +373,8 @@ impl KernelPlane {
         Ok(())
     }
 
-    /// Has the program that an earlier daemon left on an interface replaced by this one's, between two packets. `None` if there
-    /// is none there.
+    /// Has the program that an earlier daemon left on an interface replaced by this one's, between
+    /// two packets. `None` if there is none there.
     pub fn take_over(&mut self, ifindex: u32) -> Result<Option<Mode>, AttachError> {
         let left = self.pins.iter().flat_map(Pins::links).find(|(at, _)| *at == ifindex);
         let Some((pin, mode)) = self.pins.as_ref().zip(left).map(|(pins, (_, mode))| (pins.link(ifindex, mode), mode))
@@ -452,7 +456,8 @@ impl KernelPlane {
         self.uncounted = Some(LossesError::Unwanted);
     }
 
-    /// Counts what is lost between the interfaces that ports lead to. Forwarding does not depend on it.
+    /// Counts what is lost between the interfaces that ports lead to. Forwarding does not depend on
+    /// it.
     fn watch_losses(&mut self) {
         if self.uncounted.is_some() {
             return;
@@ -479,13 +484,14 @@ impl KernelPlane {
         removed(self.copy_counts.remove(&port)).map_err(update("COUNTED"))
     }
 
-    /// Makes `members` the links of a group; the kernel copies frames to them that have no other egress bits than those `served`,
-    /// unless the links are too many. After an error it does not.
+    /// Makes `members` the links of a group; the kernel copies frames to them that have no other
+    /// egress bits than those `served`, unless the links are too many. After an error it does not.
     ///
-    /// Copies become what they are by the program where they leave, and the kernel runs the program that came with the first frame of
-    /// a batch over all of it. So every port to an interface that copies leave by has the program as well, before there is a copy,
-    /// and from then on. Others do without, since it costs every frame a part of what
-    /// the switch does (`bench forward --only hops`).
+    /// Copies become what they are by the program where they leave, and the kernel runs the program
+    /// that came with the first frame of a batch over all of it. So every port to an interface that
+    /// copies leave by has the program as well, before there is a copy, and from then on. Others do
+    /// without, since it costs every frame a part of what the switch does (`bench forward --only
+    /// hops`).
     pub fn set_group(&mut self, group: u32, members: &[Member], served: u64) -> Result<(), UpdateError> {
         let interfaces = members.iter().map(|member| member.interface);
         let new: HashSet<u32> = interfaces.filter(|interface| !self.copied_to.contains(interface)).collect();
@@ -510,9 +516,10 @@ impl KernelPlane {
         self.groups.release(group);
     }
 
-    /// The interface by which frames for a link over UDP leave now, if the kernel can send frames of all lengths that the link
-    /// takes: a port, behind which the next station is resolved. `None` as well where copies could not find it. Asked by the program's own lookup, for the calling thread's
-    /// network namespace.
+    /// The interface by which frames for a link over UDP leave now, if the kernel can send frames
+    /// of all lengths that the link takes: a port, behind which the next station is resolved.
+    /// `None` as well where copies could not find it. Asked by the program's own lookup, for the
+    /// calling thread's network namespace.
     pub fn route_of(&self, link: u32) -> Result<Option<u32>, ProgramError> {
         /// The shortest packet there is.
         const ETHERNET: usize = 14;
@@ -526,8 +533,8 @@ impl KernelPlane {
         Ok((interface != 0).then_some(interface))
     }
 
-    /// Whether frames arrive somewhere by generic XDP. What that copies shares memory, so one copy's header would be that of
-    /// all.
+    /// Whether frames arrive somewhere by generic XDP. What that copies shares memory, so one
+    /// copy's header would be that of all.
     pub fn has_generic(&self) -> bool {
         let pinned = self.pins.iter().flat_map(Pins::links).map(|(_, mode)| mode);
         self.attached.values().map(|attached| attached.mode).chain(pinned).any(|mode| mode == Mode::Generic)
@@ -625,7 +632,8 @@ impl KernelPlane {
         &self.link_memory
     }
 
-    /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as it left it.
+    /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as
+    /// it left it.
     pub fn test_run(&mut self, buffers: Buffers, frame: &[u8]) -> Result<(Action, Vec<u8>), ProgramError> {
         // What carries it may grow.
         let mut out = vec![0; frame.len() + 64];
@@ -643,8 +651,8 @@ impl KernelPlane {
         Ok((action, out))
     }
 
-    /// Nanoseconds a packet costs, over `repeat` runs on the same frame. The frame changes as it is forwarded, so only the
-    /// first run sees it as given.
+    /// Nanoseconds a packet costs, over `repeat` runs on the same frame. The frame changes as it is
+    /// forwarded, so only the first run sees it as given.
     pub fn time(&mut self, buffers: Buffers, frame: &[u8], repeat: u32) -> Result<u32, ProgramError> {
         let mut options = TestRunOptions::new();
         options.data_in = Some(frame);
@@ -669,7 +677,8 @@ impl KernelPlane {
     fn switches_for(&self, mode: Mode) -> &'static [Buffers] {
         match mode {
             Mode::Native => self.switches,
-            // Here every driver takes either, but for the first the kernel would copy each large packet into one buffer.
+            // Here every driver takes either, but for the first the kernel would copy each large
+            // packet into one buffer.
             Mode::Generic => &self.switches[self.switches.len() - 1..],
         }
     }
@@ -736,7 +745,8 @@ fn unpin(pin: &Path) -> Result<(), AttachError> {
     std::fs::remove_file(pin).map_err(|source| AttachError::Unpin { path: pin.into(), source })
 }
 
-/// The first switch with which something succeeds, and what came of it; or why it did not with the last.
+/// The first switch with which something succeeds, and what came of it; or why it did not with the
+/// last.
 fn first_that<T, E>(switches: &[Buffers], mut attempt: impl FnMut(Buffers) -> Result<T, E>) -> Result<(Buffers, T), E> {
     let (last, others) = switches.split_last().expect("one is loaded at least");
     let early = others.iter().find_map(|buffers| attempt(*buffers).ok().map(|done| (*buffers, done)));

@@ -1,4 +1,5 @@
-//! What the kernel's refusals mean, in words, with the remedy. Its numbers alone send people to the source.
+//! What the kernel's refusals mean, in words, with the remedy. Its numbers alone send people to the
+//! source.
 
 use aya::EbpfError;
 use aya::maps::MapError;
@@ -34,21 +35,24 @@ pub fn program(error: &ProgramError) -> String {
 /// Why the program could not be attached to an interface.
 pub fn attach(error: &AttachError) -> String {
     match errno_of(error) {
-        Some(libc::EBUSY | libc::EEXIST) => {
-            "another XDP program is attached (`ip link show` names it)".into()
-        }
+        Some(libc::EBUSY | libc::EEXIST) => "another XDP program is attached (`ip link show` names it)".into(),
         Some(libc::EOPNOTSUPP) => "the driver has none".into(),
         Some(libc::ERANGE | libc::EINVAL) => {
-            "the driver refuses XDP with the interface's present MTU or offloads (on a veth: `ethtool -K DEV gro off lro off`, or an MTU up to 3506)".into()
+            "the driver refuses XDP with the interface's present MTU or offloads (on a veth: `ethtool -K DEV gro off \
+             lro off`, or an MTU up to 3506)"
+                .into()
         }
-        Some(libc::ENOSPC | libc::ENOMEM) => "the driver has no queues left for XDP (`ethtool -L DEV combined N` with a smaller N)".into(),
+        Some(libc::ENOSPC | libc::ENOMEM) => "the driver has no queues left for XDP (`ethtool -L DEV combined N` \
+                                              with a smaller N)"
+            .into(),
         Some(libc::EPERM | libc::EACCES) => privileges(),
         Some(libc::ENODEV) => "the interface is gone".into(),
         _ => chain(error),
     }
 }
 
-/// Whether attaching failed because somebody else's program is there: then generic mode is no way out.
+/// Whether attaching failed because somebody else's program is there: then generic mode is no way
+/// out.
 pub fn is_occupied(error: &AttachError) -> bool {
     matches!(errno_of(error), Some(libc::EBUSY | libc::EEXIST))
 }

@@ -1,9 +1,11 @@
-//! The groups of links that the kernel copies frames to: writes the maps of `gdp-ebpf/src/groups.rs` by its rules. Knows
-//! nothing of names, nor whether a link belongs in a group. Called by [`super::kernel`].
+//! The groups of links that the kernel copies frames to: writes the maps of
+//! `gdp-ebpf/src/groups.rs` by its rules. Knows nothing of names, nor whether a link belongs in a
+//! group. Called by [`super::kernel`].
 //!
-//! The device map of a group is made when the group is first needed and then kept, because to put one into the outer map takes an RCU
-//! grace period (8 ms); several are made at a time, for the price of one. Where maps are pinned, each of them is, too: to open it
-//! from the outer map would take CAP_SYS_ADMIN.
+//! The device map of a group is made when the group is first needed and then kept, because to put
+//! one into the outer map takes an RCU grace period (8 ms); several are made at a time, for the
+//! price of one. Where maps are pinned, each of them is, too: to open it from the outer map would
+//! take CAP_SYS_ADMIN.
 
 use std::collections::{BTreeMap, HashSet};
 use std::io;
@@ -82,8 +84,9 @@ impl KernelGroups {
         keys.flatten().map(|(_, interface)| interface).collect()
     }
 
-    /// Makes `members` the links of a group, which are all that the egress bits `served` lead to: for others the kernel does not
-    /// copy, nor if the numbers are beyond what it holds, nor after an error. `wait`: until every frame is gone that is under way.
+    /// Makes `members` the links of a group, which are all that the egress bits `served` lead to:
+    /// for others the kernel does not copy, nor if the numbers are beyond what it holds, nor after
+    /// an error. `wait`: until every frame is gone that is under way.
     pub fn set(&mut self, number: u32, members: &[Member], served: u64, wait: bool) -> Result<(), UpdateError> {
         let fits = members.len() <= MAX_COPIES as usize;
         let (members, served) = if fits { (members, served) } else { (&[][..], 0) };
@@ -100,7 +103,8 @@ impl KernelGroups {
         written
     }
 
-    /// Nothing leads to the group any more, but for frames that are under way. Its number may be used again.
+    /// Nothing leads to the group any more, but for frames that are under way. Its number may be
+    /// used again.
     pub fn release(&mut self, number: u32) {
         if let Some(group) = self.groups.get_mut(&number) {
             group.places = None;
@@ -193,8 +197,8 @@ impl KernelGroups {
         DevMapHash::try_from(Map::DevMapHash(map))
     }
 
-    /// Puts the device maps of these groups into the outer map, and waits until every frame is gone that was under way to a group
-    /// before.
+    /// Puts the device maps of these groups into the outer map, and waits until every frame is gone
+    /// that was under way to a group before.
     fn put(&mut self, numbers: &[u32]) -> Result<(), UpdateError> {
         let groups = &self.groups;
         let held = || numbers.iter().filter_map(|number| Some((*number, &groups.get(number)?.keys)));
@@ -210,7 +214,8 @@ impl KernelGroups {
         held().try_for_each(|(number, keys)| outer.set(number, keys, 0)).map_err(update("GROUPS"))
     }
 
-    /// Gives an earlier daemon's keys the program of this one, without a moment in which an interface has a key too few.
+    /// Gives an earlier daemon's keys the program of this one, without a moment in which an
+    /// interface has a key too few.
     fn renew(&self, keys: &mut DevMapHash<MapData>) -> Result<(), OpenError> {
         let held = keys_of(keys)?;
         let mut spare = (0..MAX_COPIES).find(|key| held.iter().all(|(held, _)| held != key));
@@ -262,7 +267,8 @@ fn keys_of(map: &DevMapHash<MapData>) -> Result<Vec<(u32, u32)>, MapError> {
     Ok(held)
 }
 
-/// Several elements of the outer map in one call, which waits for one grace period only. aya has no such call.
+/// Several elements of the outer map in one call, which waits for one grace period only. aya has no
+/// such call.
 fn put_together<'a>(outer: &MapData, elements: impl Iterator<Item = (u32, &'a DevMapHash<MapData>)>) -> io::Result<()> {
     const BPF_MAP_UPDATE_BATCH: libc::c_long = 26;
     /// The part of `union bpf_attr` (linux/bpf.h) that the call takes.
@@ -289,8 +295,8 @@ fn put_together<'a>(outer: &MapData, elements: impl Iterator<Item = (u32, &'a De
         elem_flags: 0,
         flags: 0,
     };
-    // SAFETY: the structure, and the keys and values it points to, live as long as the call and are as long as it says; the
-    // descriptors are open.
+    // SAFETY: the structure, and the keys and values it points to, live as long as the call and are
+    // as long as it says; the descriptors are open.
     let result = unsafe { libc::syscall(libc::SYS_bpf, BPF_MAP_UPDATE_BATCH, &raw const batch, size_of::<Batch>()) };
     if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
 }

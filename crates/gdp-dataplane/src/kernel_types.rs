@@ -1,5 +1,6 @@
-//! Where the fields of the running kernel's structures are, as its BTF says (Documentation/bpf/btf.rst). Only what
-//! [`super::losses`] needs: structures, their members, and the types that lie between.
+//! Where the fields of the running kernel's structures are, as its BTF says
+//! (Documentation/bpf/btf.rst). Only what [`super::losses`] needs: structures, their members, and
+//! the types that lie between.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -71,7 +72,8 @@ impl KernelTypes {
         Some(btf)
     }
 
-    /// Bytes from the beginning of `structure` to the last field of `path`, each in the structure that the one before is.
+    /// Bytes from the beginning of `structure` to the last field of `path`, each in the structure
+    /// that the one before is.
     pub fn offset(&self, structure: &str, path: &[&str]) -> Result<u32, TypesError> {
         let missing = || TypesError::NoField(format!("struct {structure}.{}", path.join(".")));
         let mut number = *self.structures.get(structure.as_bytes()).ok_or_else(missing)?;

@@ -1,19 +1,25 @@
-//! The data planes of a daemon behind one owner. The userspace plane always runs and holds the full tables; where XDP
-//! attaches, the kernel holds the same entries and forwards before the daemon sees a frame. Instead of XDP, DPDK may be before it.
+//! The data planes of a daemon behind one owner. The userspace plane always runs and holds the full
+//! tables; where XDP attaches, the kernel holds the same entries and forwards before the daemon
+//! sees a frame. Instead of XDP, DPDK may be before it.
 //!
-//! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the RIB. Called by the daemon
-//! (`serve`); [`kernel`] and [`fib`] also by the kernel tests and `bench forward`.
+//! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the
+//! RIB. Called by the daemon (`serve`); [`kernel`] and [`fib`] also by the kernel tests and `bench
+//! forward`.
 //!
-//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`kernel_errors`] serve it
+//! - [`kernel`]: the BPF maps and programs; [`object`], [`kernel_version`] and [`kernel_errors`]
+//!   serve it
 //! - [`dpdk`]: devices that this process drives by itself, and the loops between them
 //! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
 //! - [`capabilities`]: which this needs of Linux's
 //! - [`disturbance`]: on which interfaces XDP is in somebody's way
 //! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
 //! - [`tables`]: the full tables, which threads read while they change
-//! - [`userspace`]: what happens to one frame, pure; [`forwarder`]: the threads and sockets around it
-//! - [`fib`]: the names in the kernel; [`resizable_table`]: room for more of them, there and in the full tables
-//! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_slots`]: what the kernel holds of them
+//! - [`userspace`]: what happens to one frame, pure; [`forwarder`]: the threads and sockets around
+//!   it
+//! - [`fib`]: the names in the kernel; [`resizable_table`]: room for more of them, there and in the
+//!   full tables
+//! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_slots`]: what
+//!   the kernel holds of them
 //! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
 //! - [`queues`]: where frames wait to be sent
 //! - [`notices`]: what neighbours say to this node itself
@@ -83,8 +89,8 @@ use tables::UserTables;
 use udp::Routing;
 use xdp_features::XdpFeatures;
 
-/// Names the FIB can hold unless configured otherwise. The kernel's table begins with room for 1024 names and doubles as names
-/// come: 128 to 256 B of kernel memory each.
+/// Names the FIB can hold unless configured otherwise. The kernel's table begins with room for 1024
+/// names and doubles as names come: 128 to 256 B of kernel memory each.
 pub const FIB_CAPACITY: u32 = 65536;
 
 /// Largest frame read from UDP.
@@ -112,7 +118,8 @@ pub struct PlaneConfig {
     pub ebpf_object: Option<PathBuf>,
     /// For the DPDK plane.
     pub dpdk: DpdkConfig,
-    /// The file in which DPDK's settings of interfaces outlive a daemon that is killed, if they are to.
+    /// The file in which DPDK's settings of interfaces outlive a daemon that is killed, if they are
+    /// to.
     pub dpdk_settings: Option<PathBuf>,
     /// Names the FIB can hold.
     pub fib_capacity: u32,
@@ -120,8 +127,8 @@ pub struct PlaneConfig {
     pub ethertype: u16,
     /// Where the kernel keeps what is to outlive the daemon, if anything is.
     pub pins: Option<PinLocation>,
-    /// Whether to count the frames that are lost after a redirect. What counts them sees each batch of redirected frames of the whole
-    /// machine, so one switch of a machine should.
+    /// Whether to count the frames that are lost after a redirect. What counts them sees each batch
+    /// of redirected frames of the whole machine, so one switch of a machine should.
     pub count_losses: bool,
 }
 
@@ -173,24 +180,27 @@ pub struct PlaneRoute {
     pub egress_bits: u64,
     /// Links of the local readers, sorted, without duplicates.
     pub readers: Vec<u32>,
-    /// Links of the local endpoints, and into other domains, on which frames to the name may come, sorted, without duplicates; or
-    /// [`ANY_WRITER`] alone.
+    /// Links of the local endpoints, and into other domains, on which frames to the name may come,
+    /// sorted, without duplicates; or [`ANY_WRITER`] alone.
     pub writers: Vec<u32>,
     /// Links into other domains on which frames from the name may come, sorted, without duplicates.
     pub sources: Vec<u32>,
 }
 
 impl PlaneRoute {
-    /// Whether frames to the name go nowhere, and none from it come from abroad: then the data plane need not hold it.
+    /// Whether frames to the name go nowhere, and none from it come from abroad: then the data
+    /// plane need not hold it.
     pub fn is_idle(&self) -> bool {
         self.egress_bits == 0 && self.readers.is_empty() && self.sources.is_empty()
     }
 }
 
-/// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads; but what was taken over from an earlier
-/// daemon stays in the kernel as long as that has not been brought to an end.
+/// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads; but what was
+/// taken over from an earlier daemon stays in the kernel as long as that has not been brought to an
+/// end.
 ///
-/// Whatever changes it is to be called in the network namespace of its interfaces: the kernel knows them by number.
+/// Whatever changes it is to be called in the network namespace of its interfaces: the kernel knows
+/// them by number.
 pub struct Planes {
     config: PlaneConfig,
     kernel: Result<KernelPlane, String>,
@@ -204,7 +214,8 @@ pub struct Planes {
     groups: Groups,
     /// Ethernet ports by interface.
     ports: HashMap<u32, Port>,
-    /// Interfaces that have a program, or should: those of Ethernet ports, or below them, and those that carry UDP.
+    /// Interfaces that have a program, or should: those of Ethernet ports, or below them, and those
+    /// that carry UDP.
     devices: HashMap<u32, Served>,
     udp: Option<UdpPort>,
     /// The switch's end of the pair, of this daemon or the one before; 0 if there is none.
@@ -300,7 +311,8 @@ impl Planes {
             config,
             kernel,
             dpdk,
-            // Kernels before 6.3 cannot be asked; there it is assumed that native XDP comes with redirection.
+            // Kernels before 6.3 cannot be asked; there it is assumed that native XDP comes with
+            // redirection.
             features: XdpFeatures::open().ok(),
             shared,
             tables,
@@ -323,13 +335,14 @@ impl Planes {
         Ok(planes)
     }
 
-    /// What an earlier daemon left and this one has taken over: it is in the tables, and stays until it is replaced, removed,
-    /// or [`Self::end_adoption`].
+    /// What an earlier daemon left and this one has taken over: it is in the tables, and stays
+    /// until it is replaced, removed, or [`Self::end_adoption`].
     pub fn left(&self) -> Option<&Left> {
         self.left.as_ref()
     }
 
-    /// From now on nothing is here because an earlier daemon left it, but for links and routes: those are the caller's.
+    /// From now on nothing is here because an earlier daemon left it, but for links and routes:
+    /// those are the caller's.
     pub fn end_adoption(&mut self) -> Result<(), PlaneError> {
         let Some(left) = self.left.take() else { return Ok(()) };
         if let Ok(kernel) = &mut self.kernel {
@@ -345,8 +358,9 @@ impl Planes {
         Ok(())
     }
 
-    /// Takes over what arrives on an interface (of the calling thread's network namespace) by the best plane there is. What is a
-    /// VLAN is served on the interface below it: native XDP runs only there.
+    /// Takes over what arrives on an interface (of the calling thread's network namespace) by the
+    /// best plane there is. What is a VLAN is served on the interface below it: native XDP runs
+    /// only there.
     pub fn attach(&mut self, interface: &Interface, socket: Arc<DataSocket>) -> Result<InterfacePlane, PlaneError> {
         self.detach(interface.index);
         let (device, name) = match &interface.vlan {
@@ -370,7 +384,8 @@ impl Planes {
         Ok(self.report_of(&interface.name, device))
     }
 
-    /// Lets go of an interface; what arrives there is no longer forwarded. An unknown one is no error.
+    /// Lets go of an interface; what arrives there is no longer forwarded. An unknown one is no
+    /// error.
     pub fn detach(&mut self, ifindex: u32) {
         let Some(port) = self.ports.remove(&ifindex) else { return };
         self.leave_device(port.device);
@@ -431,7 +446,8 @@ impl Planes {
         self.kernel.as_ref().map(drop).map_err(String::clone)
     }
 
-    /// Whether endpoints on this host can get past the daemon, if there is a kernel plane and `bound` is where they dial in.
+    /// Whether endpoints on this host can get past the daemon, if there is a kernel plane and
+    /// `bound` is where they dial in.
     pub fn takes_pair(&self, bound: SocketAddr) -> Result<(), String> {
         self.xdp()?;
         // What the kernel plane leaves to the daemon comes to the host's address on the pair.
@@ -439,7 +455,8 @@ impl Planes {
         any.then_some(()).ok_or_else(|| format!("the UDP address is {bound}, and not 0.0.0.0 or [::]"))
     }
 
-    /// The pair by which endpoints on this host reach the kernel plane, and it them; if that works now.
+    /// The pair by which endpoints on this host reach the kernel plane, and it them; if that works
+    /// now.
     pub fn host_pair(&self) -> Option<HostPair> {
         let pair = self.udp.as_ref()?.pair.as_ref()?;
         let works =
@@ -544,7 +561,8 @@ impl Planes {
         self.tables.links().map(|(entry, _)| entry.clone()).collect()
     }
 
-    /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold the same number.
+    /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold
+    /// the same number.
     pub fn set_route(&mut self, name: Name, route: &PlaneRoute) -> Result<(), PlaneError> {
         self.set_route_by_group(name, route, None)
     }
@@ -635,7 +653,8 @@ impl Planes {
         if self.dpdk.is_some() { "dpdk" } else { "kernel" }
     }
 
-    /// Whether frames that leave by a link do so without the userspace plane, if they come in by the plane before it.
+    /// Whether frames that leave by a link do so without the userspace plane, if they come in by
+    /// the plane before it.
     pub fn first_plane_sends_on(&self, id: u32) -> bool {
         (self.kernel.is_ok() || self.dpdk.is_some())
             && self.tables.link(id).is_some_and(|link| link.port != PORT_USERSPACE)
@@ -662,7 +681,8 @@ impl Planes {
         Ok(())
     }
 
-    /// What the devices of the DPDK plane have counted, by the name of the interface on the host's side.
+    /// What the devices of the DPDK plane have counted, by the name of the interface on the host's
+    /// side.
     pub fn dpdk_devices(&self) -> HashMap<String, DeviceCounters> {
         self.dpdk.as_ref().map_or_else(HashMap::new, DpdkPlane::devices)
     }
@@ -682,7 +702,8 @@ impl Planes {
         Ok(Counter::ALL.iter().zip(kernel.into_iter().zip(userspace)).map(|(c, (k, u))| (*c, k, u)).collect())
     }
 
-    /// What became of the frames that came in on a link, whichever plane took them. In the order of [`Counter::ALL`].
+    /// What became of the frames that came in on a link, whichever plane took them. In the order of
+    /// [`Counter::ALL`].
     pub fn arrivals(&self, link: u32) -> Result<tally::Row, PlaneError> {
         let userspace = self.shared.tally.of(link);
         let Ok(kernel) = &self.kernel else { return Ok(userspace) };
@@ -703,7 +724,8 @@ impl Planes {
         Ok(names)
     }
 
-    /// Frames that were lost after a redirect, by the name of the interface they were to leave by; or why that is not known.
+    /// Frames that were lost after a redirect, by the name of the interface they were to leave by;
+    /// or why that is not known.
     pub fn losses(&self) -> Result<HashMap<String, u64>, String> {
         if let Some(dpdk) = &self.dpdk {
             return Ok(dpdk.losses());
@@ -723,7 +745,8 @@ impl Planes {
         Ok(self.routes_behind(None, usize::MAX)?.0)
     }
 
-    /// Of [`Self::routes`] at most `limit` behind `after`, in the order of their digits; and whether there are more.
+    /// Of [`Self::routes`] at most `limit` behind `after`, in the order of their digits; and
+    /// whether there are more.
     pub fn routes_behind(
         &self,
         after: Option<Name>,
@@ -750,9 +773,10 @@ impl Planes {
         }
     }
 
-    /// Looks again at which addresses UDP arrives, which interfaces take redirected frames (a veth does depending on its peer), and
-    /// by which interfaces links over UDP leave; and moves links, and groups of them, to the plane that can send. Cheap; for the daemon to call now and then, and after changes to interfaces, in
-    /// the network namespace of these.
+    /// Looks again at which addresses UDP arrives, which interfaces take redirected frames (a veth
+    /// does depending on its peer), and by which interfaces links over UDP leave; and moves links,
+    /// and groups of them, to the plane that can send. Cheap; for the daemon to call now and then,
+    /// and after changes to interfaces, in the network namespace of these.
     pub fn refresh(&mut self) -> Result<(), PlaneError> {
         self.follow_dpdk();
         self.follow_udp()?;
@@ -793,7 +817,8 @@ impl Planes {
         dpdk.follow(self.udp.as_ref().map(|udp| udp.bound), &vlans, self.tables.links().map(|(entry, _)| entry));
     }
 
-    /// Has the kernel take what arrives at the addresses that the UDP socket has now, on the interfaces that have them.
+    /// Has the kernel take what arrives at the addresses that the UDP socket has now, on the
+    /// interfaces that have them.
     fn follow_udp(&mut self) -> Result<(), PlaneError> {
         let Ok(kernel) = &mut self.kernel else { return Ok(()) };
         let Some(udp) = &self.udp else {
@@ -910,7 +935,8 @@ impl Planes {
             Ok(Some(mode)) => return (Some(mode), "taken over from the daemon before this one".into()),
             Ok(None) => {}
             Err(error) => {
-                tracing::warn!(interface = name, %error, "the program of an earlier daemon cannot be replaced in place");
+                tracing::warn!(interface = name, %error, "the program of an earlier daemon cannot be replaced in \
+                                                          place");
             }
         }
         let features = || self.features.as_ref().and_then(|features| features.of(ifindex).ok());
@@ -940,7 +966,8 @@ impl Planes {
     fn make_port(&mut self, ifindex: u32) -> Result<(), PlaneError> {
         let Ok(kernel) = &mut self.kernel else { return Ok(()) };
         let sends = match kernel.set_port(ifindex, ifindex) {
-            // What leaves here goes through the userspace plane; and so while the interface is going away.
+            // What leaves here goes through the userspace plane; and so while the interface is
+            // going away.
             Err(UpdateError::PortsFull | UpdateError::Port { .. }) => false,
             result => result.map(|()| true)?,
         };
@@ -1034,8 +1061,8 @@ impl Planes {
         groups.collect::<Vec<_>>().into_iter().for_each(|group| self.set_kernel_group(group));
     }
 
-    /// Tells the kernel which links are in a group, if it has copies to make for it. What it cannot copy to is left to the userspace
-    /// plane.
+    /// Tells the kernel which links are in a group, if it has copies to make for it. What it cannot
+    /// copy to is left to the userspace plane.
     fn set_kernel_group(&mut self, group: u32) {
         let Ok(kernel) = &self.kernel else { return };
         let mut members = Vec::new();
@@ -1070,8 +1097,8 @@ impl Planes {
         self.sends_to(interface).then_some(interface)
     }
 
-    /// Asks again by which interfaces links over UDP leave; and has the kernel copy again what it left to the userspace plane since a
-    /// copy found that this was not so any more.
+    /// Asks again by which interfaces links over UDP leave; and has the kernel copy again what it
+    /// left to the userspace plane since a copy found that this was not so any more.
     fn follow_routes(&mut self) {
         let links = self.tables.links().map(|(entry, _)| entry).filter(|entry| entry.port == PORT_ROUTED);
         let routed: Vec<KeyedEntry> = links.cloned().collect();
@@ -1233,8 +1260,9 @@ fn adopted_address(entry: &LinkEntry) -> Option<LinkAddr> {
     }
 }
 
-/// A route that an earlier daemon left. If there are several writers here, their permits cannot be read back: until the RIB has
-/// said them again, every endpoint may send to the name, as itself, and other domains as those they may; readers know who may write. `readers`: of its group, as far
+/// A route that an earlier daemon left. If there are several writers here, their permits cannot be
+/// read back: until the RIB has said them again, every endpoint may send to the name, as itself,
+/// and other domains as those they may; readers know who may write. `readers`: of its group, as far
 /// as that was in the kernel.
 fn adopted_route(entry: &FibEntry, readers: Option<&[u32]>, sources: Vec<u32>) -> PlaneRoute {
     let only = Some(entry.local_link).filter(|link| *link != 0);
@@ -1265,7 +1293,8 @@ fn occupied(ifindex: u32) -> String {
     }
 }
 
-const NO_REDIRECT: &str = "; frames leave here through the userspace plane, because the interface takes no redirected frames (a \
+const NO_REDIRECT: &str = "; frames leave here through the userspace plane, because the interface takes no \
+                           redirected frames (a \
                            veth takes them while its peer has an XDP program, or GRO on: `ethtool -K PEER gro on`)";
 
 fn load(config: &PlaneConfig) -> Result<KernelPlane, LoadError> {

@@ -1,6 +1,7 @@
-//! What changes with the frames of a link, shared by the planes: the count of frames sent, the replay window, when an error
-//! was sent, and when the daemon was given a probe. A link has one of each, whichever plane sends and receives. Where XDP runs, this is the memory of its BPF maps; otherwise it is
-//! ordinary memory. Only ever accessed atomically.
+//! What changes with the frames of a link, shared by the planes: the count of frames sent, the
+//! replay window, when an error was sent, and when the daemon was given a probe. A link has one of
+//! each, whichever plane sends and receives. Where XDP runs, this is the memory of its BPF maps;
+//! otherwise it is ordinary memory. Only ever accessed atomically.
 
 use std::io;
 use std::sync::Arc;

@@ -1,9 +1,11 @@
-//! Counts the frames that a redirect loses after the switch has decided: loads the programs of the eBPF object that listen to the
-//! kernel's tracepoints, says which interfaces they watch, reads what they count. What the counts mean is at
-//! [`gdp_wire::Counter::RedirectLost`]. Part of [`super::kernel`].
+//! Counts the frames that a redirect loses after the switch has decided: loads the programs of the
+//! eBPF object that listen to the kernel's tracepoints, says which interfaces they watch, reads
+//! what they count. What the counts mean is at [`gdp_wire::Counter::RedirectLost`]. Part of
+//! [`super::kernel`].
 //!
-//! What they cannot see: frames that an interface took and lost later (the ring of a veth whose other end goes down), and
-//! packets that generic XDP sends, which are like any other packet of the host (`ip -s link`, `dropped`).
+//! What they cannot see: frames that an interface took and lost later (the ring of a veth whose
+//! other end goes down), and packets that generic XDP sends, which are like any other packet of the
+//! host (`ip -s link`, `dropped`).
 
 use std::collections::HashMap;
 use std::os::unix::fs::MetadataExt;
@@ -71,8 +73,8 @@ impl Losses {
         Self { counts, programs: Vec::new() }
     }
 
-    /// Has the programs listen; those that an earlier daemon has left are replaced. For one that was loaded with
-    /// [`net_devices`].
+    /// Has the programs listen; those that an earlier daemon has left are replaced. For one that
+    /// was loaded with [`net_devices`].
     pub fn start(&mut self, ebpf: &mut Ebpf, pins: Option<&Pins>) -> Result<(), LossesError> {
         if !self.programs.is_empty() {
             return Ok(());
@@ -82,7 +84,8 @@ impl Losses {
         Ok(())
     }
 
-    /// Counts for these interfaces, and no others, from now on; what was counted for one that stays, stays.
+    /// Counts for these interfaces, and no others, from now on; what was counted for one that
+    /// stays, stays.
     pub fn watch(&mut self, interfaces: &[u32]) -> Result<(), LossesError> {
         let known: Vec<u32> = self.counts.keys().collect::<Result<_, _>>()?;
         known.iter().filter(|known| !interfaces.contains(known)).try_for_each(|gone| self.counts.remove(gone))?;
@@ -99,7 +102,8 @@ impl Losses {
     }
 }
 
-/// Frames lost so far by interface, from a folder of pins. None if a daemon has left it that did not count them.
+/// Frames lost so far by interface, from a folder of pins. None if a daemon has left it that did
+/// not count them.
 pub fn pinned_counts(folder: &Path) -> Result<HashMap<u32, u64>, MapError> {
     let path = folder.join(MAP);
     if !path.exists() {
@@ -108,7 +112,8 @@ pub fn pinned_counts(folder: &Path) -> Result<HashMap<u32, u64>, MapError> {
     sums(&PerCpuHashMap::try_from(aya::maps::Map::PerCpuHashMap(MapData::from_pin(path)?))?)
 }
 
-/// Where the programs find interface and namespace in this kernel, for the namespace of the calling thread.
+/// Where the programs find interface and namespace in this kernel, for the namespace of the calling
+/// thread.
 pub fn net_devices() -> Result<NetDevices, LossesError> {
     let types = KernelTypes::load(Path::new(VMLINUX))?;
     let namespace = std::fs::metadata("/proc/thread-self/ns/net").map_err(LossesError::Namespace)?;

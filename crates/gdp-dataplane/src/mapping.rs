@@ -1,5 +1,6 @@
-//! Words that are only ever accessed atomically: the memory of a BPF array in this process, which programs and other processes may
-//! change at any moment, or memory of this process alone. For [`super::link_memory`], [`super::fib`] and [`super::tables`].
+//! Words that are only ever accessed atomically: the memory of a BPF array in this process, which
+//! programs and other processes may change at any moment, or memory of this process alone. For
+//! [`super::link_memory`], [`super::fib`] and [`super::tables`].
 
 use std::io;
 use std::os::fd::{AsFd, AsRawFd, RawFd};
@@ -20,19 +21,21 @@ impl Mapping {
         Self::map(map.fd().as_fd().as_raw_fd(), libc::MAP_SHARED | libc::MAP_POPULATE, words)
     }
 
-    /// Words that are zero; pages of them use no memory before they are written to. Huge pages where the kernel has some: in a table of a
-    /// million names each look-up would have to find its page otherwise.
+    /// Words that are zero; pages of them use no memory before they are written to. Huge pages
+    /// where the kernel has some: in a table of a million names each look-up would have to find its
+    /// page otherwise.
     pub fn own(words: usize) -> io::Result<Self> {
         let mapping = Self::map(-1, libc::MAP_PRIVATE | libc::MAP_ANONYMOUS, words)?;
-        // SAFETY: advice about this mapping, which changes nothing that is in it. A kernel without huge pages refuses it.
+        // SAFETY: advice about this mapping, which changes nothing that is in it. A kernel without
+        // huge pages refuses it.
         unsafe { libc::madvise(mapping.start.as_ptr().cast(), words * size_of::<AtomicU64>(), libc::MADV_HUGEPAGE) };
         Ok(mapping)
     }
 
     fn map(fd: RawFd, flags: i32, words: usize) -> io::Result<Self> {
         let (bytes, access) = (words * size_of::<AtomicU64>(), libc::PROT_READ | libc::PROT_WRITE);
-        // SAFETY: a fresh mapping, of a descriptor that is open or of none; nothing existing is replaced. The kernel refuses what is
-        // larger than the array.
+        // SAFETY: a fresh mapping, of a descriptor that is open or of none; nothing existing is
+        // replaced. The kernel refuses what is larger than the array.
         let address = unsafe { libc::mmap(std::ptr::null_mut(), bytes, access, flags, fd, 0) };
         match NonNull::new(address) {
             Some(start) if address != libc::MAP_FAILED => Ok(Self { start: start.cast(), words }),

@@ -1,5 +1,6 @@
-//! One question to the kernel over netlink and its one answer, or one change, for those that cannot wait asynchronously. Whoever wants
-//! lists uses `rtnetlink`. Serves [`super::xdp_features`], [`super::device`] and [`super::dpdk`].
+//! One question to the kernel over netlink and its one answer, or one change, for those that cannot
+//! wait asynchronously. Whoever wants lists uses `rtnetlink`. Serves [`super::xdp_features`],
+//! [`super::device`] and [`super::dpdk`].
 
 use std::io;
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
@@ -27,7 +28,8 @@ impl Netlink {
         Ok(Self(unsafe { OwnedFd::from_raw_fd(fd) }))
     }
 
-    /// Sends a message of this kind: the family's own header, then attributes. The answer without the netlink header.
+    /// Sends a message of this kind: the family's own header, then attributes. The answer without
+    /// the netlink header.
     pub fn ask(&self, kind: u16, family_header: &[u8], attributes: &[(u16, &[u8])]) -> io::Result<Vec<u8>> {
         self.exchange(kind, 0, family_header, attributes)
     }

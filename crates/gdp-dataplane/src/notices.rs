@@ -1,6 +1,7 @@
-//! What neighbours said to this node itself: errors about frames it forwarded to them, answers to its echoes, and probes that ended
-//! here. Written by the userspace plane's threads, read by the daemon; an array of atomics and a short queue, so that no
-//! neighbour's flood costs memory or hides what another said.
+//! What neighbours said to this node itself: errors about frames it forwarded to them, answers to
+//! its echoes, and probes that ended here. Written by the userspace plane's threads, read by the
+//! daemon; an array of atomics and a short queue, so that no neighbour's flood costs memory or
+//! hides what another said.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -61,7 +62,8 @@ impl Notices {
         heard.errors.iter().chain([&heard.answer]).for_each(|word| word.store(0, Ordering::Relaxed));
     }
 
-    /// Takes a frame that is for this node, from the neighbour on link `id`. Returns how it is counted.
+    /// Takes a frame that is for this node, from the neighbour on link `id`. Returns how it is
+    /// counted.
     pub fn take(&self, id: u32, header: &Header, payload: &[u8]) -> Counter {
         let heard = self.of(id);
         if header.version_type == FrameType::Probe.first_byte() {

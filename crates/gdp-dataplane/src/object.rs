@@ -25,7 +25,8 @@ pub enum Object {
 }
 
 impl Object {
-    /// The file that the configuration names, else the one that the environment names, else the embedded object.
+    /// The file that the configuration names, else the one that the environment names, else the
+    /// embedded object.
     pub fn find(wanted: Option<&Path>) -> Result<Self, BuiltWithoutXdp> {
         let named = wanted.map(PathBuf::from).or_else(|| std::env::var_os(ENVIRONMENT).map(PathBuf::from));
         match named {

@@ -9,9 +9,10 @@
 //!             └ version of the maps (gdp_wire::table::ABI)
 //! ```
 //!
-//! Who has locked the folder owns the switch: a daemon for its life, `gdp-ctl xdp detach` for a moment. The kernel lets go of
-//! the lock with the process, however that ends. Only files and their layout are known here; [`super::kernel`] writes the
-//! maps. Called by it, by [`super::Planes`] and by the command line.
+//! Who has locked the folder owns the switch: a daemon for its life, `gdp-ctl xdp detach` for a
+//! moment. The kernel lets go of the lock with the process, however that ends. Only files and their
+//! layout are known here; [`super::kernel`] writes the maps. Called by it, by [`super::Planes`] and
+//! by the command line.
 
 use std::ffi::CString;
 use std::fs::{self, File, TryLockError};
@@ -41,29 +42,34 @@ pub enum PinsError {
     NoBpffs { path: PathBuf, reason: String },
     #[error("{}: {source}", path.display())]
     Io { path: PathBuf, source: io::Error },
-    #[error("another daemon runs this switch in this network namespace (it has locked {}); stop it first", .0.display())]
+    #[error("another daemon runs this switch in this network namespace (it has locked {}); stop it \
+             first", .0.display())]
     InUse(PathBuf),
     #[error(
-        "the kernel still forwards by what a daemon of another version left at {}; `gdp-ctl xdp detach` removes it, and frames stop until a daemon runs again",
+        "the kernel still forwards by what a daemon of another version left at {}; `gdp-ctl xdp detach` removes it, \
+         and frames stop until a daemon runs again",
         .0.display()
     )]
     OtherAbi(PathBuf),
     #[error(
-        "{}: its {what} is {found}, and this daemon needs {wanted}; `gdp-ctl xdp detach` removes what the last daemon left, and frames stop until one runs again",
+        "{}: its {what} is {found}, and this daemon needs {wanted}; `gdp-ctl xdp detach` removes what the last \
+         daemon left, and frames stop until one runs again",
         path.display()
     )]
     Layout { path: PathBuf, what: &'static str, found: u32, wanted: u32 },
     #[error("{}: {source}", path.display())]
     Map { path: PathBuf, source: MapError },
     #[error(
-        "{}: it does not hold a FIB; `gdp-ctl xdp detach` removes what the last daemon left, and frames stop until one runs again",
+        "{}: it does not hold a FIB; `gdp-ctl xdp detach` removes what the last daemon left, and frames stop until \
+         one runs again",
         .0.display()
     )]
     NotAFib(PathBuf),
 }
 
 impl PinsError {
-    /// Whether a daemon can do without, but for not surviving a restart. Otherwise something else forwards already.
+    /// Whether a daemon can do without, but for not surviving a restart. Otherwise something else
+    /// forwards already.
     pub fn is_bearable(&self) -> bool {
         matches!(self, Self::NoBpffs { .. } | Self::Io { .. })
     }
@@ -77,8 +83,8 @@ pub struct Pins {
 }
 
 impl Drop for Pins {
-    /// A child that this process is just starting has the descriptor too, until it runs its program: closing it here would leave
-    /// the lock to that one.
+    /// A child that this process is just starting has the descriptor too, until it runs its
+    /// program: closing it here would leave the lock to that one.
     fn drop(&mut self) {
         let _ = self.lock.unlock();
     }
@@ -97,8 +103,8 @@ pub struct Found {
 }
 
 impl Pins {
-    /// The pins of `switch` in the calling thread's network namespace, whether or not there are any yet. Mounts the file
-    /// system if it is missing.
+    /// The pins of `switch` in the calling thread's network namespace, whether or not there are any
+    /// yet. Mounts the file system if it is missing.
     pub fn open(bpffs: &Path, switch: &Name) -> Result<Self, PinsError> {
         mount(bpffs)?;
         let namespace = this_namespace().map_err(|source| PinsError::Io { path: THIS_NAMESPACE.into(), source })?;
@@ -235,13 +241,15 @@ pub fn mount(at: &Path) -> Result<(), PinsError> {
         return Err(missing("there is something else; name another folder as `bpffs`".into()));
     }
     fs::DirBuilder::new().recursive(true).mode(0o700).create(at).map_err(|error| missing(error.to_string()))?;
-    // Of several daemons that start at once, one mounts it: a second one would hide what the first has pinned.
+    // Of several daemons that start at once, one mounts it: a second one would hide what the first
+    // has pinned.
     let folder = File::open(at).map_err(|error| missing(error.to_string()))?;
     folder.lock().map_err(|error| missing(format!("it cannot be locked: {error}")))?;
     if is_bpffs(&path) {
         return Ok(());
     }
-    // SAFETY: four C strings that live as long as the call; the file system takes its options as one.
+    // SAFETY: four C strings that live as long as the call; the file system takes its options as
+    // one.
     let result = unsafe {
         libc::mount(c"bpf".as_ptr(), path.as_ptr(), c"bpf".as_ptr(), libc::MS_NOSUID, c"mode=0700".as_ptr().cast())
     };

@@ -1,9 +1,10 @@
-//! Which Ethernet interfaces have a queue: frames of the userspace plane that the kernel holds because the interface sends slower
-//! than they come. The forwarder's threads ask their sockets and write it here; the tables tell the forwarding decision, which marks
-//! frames that take marks.
+//! Which Ethernet interfaces have a queue: frames of the userspace plane that the kernel holds
+//! because the interface sends slower than they come. The forwarder's threads ask their sockets and
+//! write it here; the tables tell the forwarding decision, which marks frames that take marks.
 //!
-//! Over UDP that is for queueing disciplines and routers to do: they know the queue of each path, of which the one socket has many, and
-//! mark what carries the frame. They mark no frame that is directly on Ethernet.
+//! Over UDP that is for queueing disciplines and routers to do: they know the queue of each path,
+//! of which the one socket has many, and mark what carries the frame. They mark no frame that is
+//! directly on Ethernet.
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,8 +12,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use gdp_link::port::LinkAddr;
 use parking_lot::RwLock;
 
-/// Bytes of the kernel's memory that are a queue: about 57 full frames, which take 7 ms at 100 Mb/s. A batch that was just handed
-/// over may be more, so queues are to be asked for before that.
+/// Bytes of the kernel's memory that are a queue: about 57 full frames, which take 7 ms at 100
+/// Mb/s. A batch that was just handed over may be more, so queues are to be asked for before that.
 const LONG: usize = 128 << 10;
 
 /// Interfaces whose queue was long when it was last asked for.
@@ -24,8 +25,9 @@ pub struct Queues {
 }
 
 impl Queues {
-    /// Takes note of the queues of these interfaces, and of those that were long when they were last asked for: perhaps nothing was
-    /// sent there since. `bytes`: [`gdp_link::port::DataSocket::send_queue`].
+    /// Takes note of the queues of these interfaces, and of those that were long when they were
+    /// last asked for: perhaps nothing was sent there since. `bytes`:
+    /// [`gdp_link::port::DataSocket::send_queue`].
     pub fn look(&self, interfaces: impl Iterator<Item = u32>, bytes: impl Fn(u32) -> usize) {
         interfaces.for_each(|ifindex| self.note(ifindex, bytes(ifindex)));
         if self.any.load(Ordering::Relaxed) {

@@ -1,5 +1,6 @@
-//! Flat tables (`gdp_wire::flat`) that begin small and double when they are full, up to the configured number of names. Readers read
-//! the old one until the new one has every name. [`super::fib`] has one for the kernel, [`super::tables`] one for this process.
+//! Flat tables (`gdp_wire::flat`) that begin small and double when they are full, up to the
+//! configured number of names. Readers read the old one until the new one has every name.
+//! [`super::fib`] has one for the kernel, [`super::tables`] one for this process.
 
 use std::io;
 use std::sync::atomic::AtomicU64;
@@ -26,7 +27,8 @@ pub trait ResizableTable {
     /// Names it may hold; what is there beyond stays.
     fn limit(&self) -> u32;
 
-    /// Has readers read a table for so many names, with all that are in this one. If that fails, nothing is changed.
+    /// Has readers read a table for so many names, with all that are in this one. If that fails,
+    /// nothing is changed.
     fn grow(&mut self, names: u32) -> Result<(), UpdateError>;
 
     /// Whether the name can be inserted without there being more than may be.
@@ -45,8 +47,8 @@ pub trait ResizableTable {
         if self.table_mut().insert(name, entry).is_ok() {
             return Ok(());
         }
-        // Too many names where this one belongs. That is next to impossible, and elsewhere in another table; but who can bring it
-        // about must not make the table grow without end.
+        // Too many names where this one belongs. That is next to impossible, and elsewhere in
+        // another table; but who can bring it about must not make the table grow without end.
         if self.table().capacity() / 2 >= self.limit() {
             return Err(self.full());
         }

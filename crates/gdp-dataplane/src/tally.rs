@@ -1,5 +1,6 @@
-//! What became of the frames of each link, and which names are the busiest, in both planes. [`Tally`] is the userspace
-//! plane's own; [`KernelTally`] reads the maps of `gdp-ebpf/src/tally.rs`, which say how names are sampled.
+//! What became of the frames of each link, and which names are the busiest, in both planes.
+//! [`Tally`] is the userspace plane's own; [`KernelTally`] reads the maps of
+//! `gdp-ebpf/src/tally.rs`, which say how names are sampled.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -45,8 +46,9 @@ impl Tally {
         }
     }
 
-    /// Counts the name of a frame that leaves, of those that are sampled. When there are too many names, the least busy one makes room,
-    /// and leaves its count: a name that is busy cannot be pushed out by many that are not.
+    /// Counts the name of a frame that leaves, of those that are sampled. When there are too many
+    /// names, the least busy one makes room, and leaves its count: a name that is busy cannot be
+    /// pushed out by many that are not.
     pub fn sample(&self, name: &Name) {
         self.busiest.lock().add(name);
     }

@@ -1,5 +1,6 @@
-//! What the kernel plane needs to know of UDP: the addresses that the daemon's socket takes datagrams at, the interfaces that have
-//! them, and whether routes can be looked up. Asks and sets the system; [`super::Planes`] writes the maps.
+//! What the kernel plane needs to know of UDP: the addresses that the daemon's socket takes
+//! datagrams at, the interfaces that have them, and whether routes can be looked up. Asks and sets
+//! the system; [`super::Planes`] writes the maps.
 
 use std::ffi::CStr;
 use std::fs;
@@ -17,8 +18,9 @@ pub struct InterfaceAddress {
     pub ip: IpAddr,
 }
 
-/// Of these addresses those at which a socket bound to `bound` takes datagrams: none but its own, unless that is the unspecified one
-/// (which for IPv6 stands for IPv4 as well, and here for all that are more than link-local).
+/// Of these addresses those at which a socket bound to `bound` takes datagrams: none but its own,
+/// unless that is the unspecified one (which for IPv6 stands for IPv4 as well, and here for all
+/// that are more than link-local).
 pub fn taken_at(bound: SocketAddr, addresses: Vec<InterfaceAddress>) -> Vec<(LocalAddress, InterfaceAddress)> {
     let own = bound.ip().to_canonical();
     // Every interface has a link-local address, and `bpf_fib_lookup` knows none.
@@ -80,8 +82,9 @@ pub struct Routing {
 }
 
 impl Routing {
-    /// `bpf_fib_lookup` answers only where forwarding is enabled on the interface that it is asked for. It is asked for `lo`, from
-    /// which nothing is ever forwarded, so that this makes no router of the host.
+    /// `bpf_fib_lookup` answers only where forwarding is enabled on the interface that it is asked
+    /// for. It is asked for `lo`, from which nothing is ever forwarded, so that this makes no
+    /// router of the host.
     pub fn enable() -> Self {
         Self {
             v4: forward("ipv4"),
@@ -90,7 +93,8 @@ impl Routing {
     }
 }
 
-const ADVERTISED: &str = "`net.ipv6.conf.lo.forwarding` is 0, and to set it would remove the default route that a router advertised; set \
+const ADVERTISED: &str = "`net.ipv6.conf.lo.forwarding` is 0, and to set it would remove the default route that a \
+                          router advertised; set \
                           it when the system starts";
 
 fn forward(family: &str) -> Result<(), String> {
@@ -101,7 +105,8 @@ fn forward(family: &str) -> Result<(), String> {
     fs::write(&path, "1").map_err(|error| format!("{path} cannot be set to 1: {error}"))
 }
 
-/// Enabling IPv6 forwarding anywhere makes the kernel forget default routes that it learnt from routers.
+/// Enabling IPv6 forwarding anywhere makes the kernel forget default routes that it learnt from
+/// routers.
 fn gets_routes_by_advertisement() -> bool {
     const DEFAULT: u32 = 0x0001_0000;
     let enabled = fs::read_to_string("/proc/sys/net/ipv6/conf/lo/forwarding").is_ok_and(|text| text.trim() == "1");

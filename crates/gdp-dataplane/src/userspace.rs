@@ -1,5 +1,5 @@
-//! What the userspace plane does with one frame. Pure: no sockets, no threads; [`super::forwarder`] has those. Complete: it is the
-//! slow path of XDP and the whole path where XDP does not run.
+//! What the userspace plane does with one frame. Pure: no sockets, no threads; [`super::forwarder`]
+//! has those. Complete: it is the slow path of XDP and the whole path where XDP does not run.
 
 use gdp_link::port::LinkAddr;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
@@ -26,7 +26,8 @@ pub enum Outcome {
     },
     /// It is for the control plane.
     Control,
-    /// It tells this node something: an error, the answer to an echo, or a probe that ends here, from the neighbour on this link.
+    /// It tells this node something: an error, the answer to an echo, or a probe that ends here,
+    /// from the neighbour on this link.
     Notice {
         link: u32,
         header: Header,
@@ -43,7 +44,8 @@ pub struct CopyOut {
     pub counter: Counter,
 }
 
-/// Decides about a GDP frame (without what carried it) and rewrites it for its next link. `congested`: what carried it was marked.
+/// Decides about a GDP frame (without what carried it) and rewrites it for its next link.
+/// `congested`: what carried it was marked.
 pub fn handle(frame: &mut [u8], congested: bool, tables: &View<'_>) -> Outcome {
     match frame.first().copied().map(forward::classify) {
         Some(Kind::Headed) => {}
@@ -72,8 +74,8 @@ pub fn handle(frame: &mut [u8], congested: bool, tables: &View<'_>) -> Outcome {
     Outcome::Send { link, to, length, counter }
 }
 
-/// Makes the copies of a frame that [`handle`] wants copied. Calls `send` with each, and `count` with why there is none where
-/// there should be.
+/// Makes the copies of a frame that [`handle`] wants copied. Calls `send` with each, and `count`
+/// with why there is none where there should be.
 pub fn copies(
     frame: &[u8],
     (ingress, group): (u32, u32),

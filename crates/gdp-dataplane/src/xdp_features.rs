@@ -1,5 +1,6 @@
-//! Asks the kernel what XDP features an interface has (generic netlink family `netdev`, Linux 6.3 and later). Frames
-//! redirected to an interface that does not take them are lost, so it is asked before any is sent there.
+//! Asks the kernel what XDP features an interface has (generic netlink family `netdev`, Linux 6.3
+//! and later). Frames redirected to an interface that does not take them are lost, so it is asked
+//! before any is sent there.
 
 use std::io;
 
@@ -26,7 +27,8 @@ impl Features {
         self.0 & 1 != 0
     }
 
-    /// Takes frames that other interfaces redirect to it. A veth does only while its peer has GRO on or runs an XDP program.
+    /// Takes frames that other interfaces redirect to it. A veth does only while its peer has GRO
+    /// on or runs an XDP program.
     pub fn takes_redirects(self) -> bool {
         self.0 & 1 << 2 != 0
     }

@@ -1,5 +1,6 @@
-//! Tables for the frames of one batch: their hop tags were computed for all of them together, what leaves is stamped later, together as
-//! well, and what this plane cannot do itself is left to the one behind it.
+//! Tables for the frames of one batch: their hop tags were computed for all of them together, what
+//! leaves is stamped later, together as well, and what this plane cannot do itself is left to the
+//! one behind it.
 
 use std::cell::Cell;
 
@@ -37,7 +38,8 @@ impl<'b, V: View> BatchTables<'b, V> {
         self.frame.set(frame);
     }
 
-    /// The port that the link's frames leave by, and the stations they go between; `None` if they do not leave by this plane.
+    /// The port that the link's frames leave by, and the stations they go between; `None` if they
+    /// do not leave by this plane.
     #[inline(always)]
     pub fn next_hop_of<'t>(&'t self, link: &'t LinkEntry) -> Option<(u32, Stations<'t>)> {
         let (port, stations) = match link.port {

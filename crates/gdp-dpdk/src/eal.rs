@@ -1,4 +1,5 @@
-//! DPDK's environment: its memory, its drivers, and the threads that it knows. A process has one, for as long as it lives.
+//! DPDK's environment: its memory, its drivers, and the threads that it knows. A process has one,
+//! for as long as it lives.
 
 use std::ffi::{CString, c_char};
 use std::marker::PhantomData;
@@ -13,7 +14,8 @@ use parking_lot::Mutex;
 pub struct EalConfig {
     /// Where its memory comes from.
     pub memory: Memory,
-    /// Addresses of the network cards that it drives by itself, as `lspci -D` has them; the others it leaves alone.
+    /// Addresses of the network cards that it drives by itself, as `lspci -D` has them; the others
+    /// it leaves alone.
     pub pci: Vec<String>,
 }
 
@@ -66,7 +68,8 @@ impl Eal {
         }
         let arguments = arguments(config)?;
         let (sender, receiver) = mpsc::channel();
-        // The thread that begins is bound to one core from then on, and DPDK keeps it among its own: so it is none of ours.
+        // The thread that begins is bound to one core from then on, and DPDK keeps it among its
+        // own: so it is none of ours.
         let thread = move || {
             let _ = sender.send(init(arguments));
             loop {

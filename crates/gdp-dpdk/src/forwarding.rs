@@ -1,11 +1,14 @@
-//! What becomes of the packets that arrive together: in phases over all of them, so that what one waits for is fetched while others
-//! are worked on. No device is touched here, so tests see the very code that loops run.
+//! What becomes of the packets that arrive together: in phases over all of them, so that what one
+//! waits for is fetched while others are worked on. No device is touched here, so tests see the
+//! very code that loops run.
 //!
 //! 1. Each packet's frame is found and its header copied out; its route is prefetched.
 //! 2. What the hop tags must be is computed for all of them at once.
-//! 3. Each frame is decided about. What leaves is noted with the header it leaves with, or the headers if there are copies; if there are
-//!    many, these leave before the next frame is decided about.
-//! 4. What leaves is stamped for its link: those that leave by one are counted at once, and the tags are made together.
+//! 3. Each frame is decided about. What leaves is noted with the header it leaves with, or the
+//!    headers if there are copies; if there are many, these leave before the next frame is decided
+//!    about.
+//! 4. What leaves is stamped for its link: those that leave by one are counted at once, and the
+//!    tags are made together.
 //! 5. Each frame is dressed for its link and handed over.
 
 use gdp_wire::counter::is_sampled;
@@ -38,7 +41,8 @@ pub trait Sink {
 /// How often each of the counters was counted.
 pub type Counts = [u64; Counter::COUNT];
 
-/// Payloads of copies from this size on are not copied but referred to, where the port takes that. Two mbufs more cost about as much.
+/// Payloads of copies from this size on are not copied but referred to, where the port takes that.
+/// Two mbufs more cost about as much.
 const REFERRED: usize = 512;
 
 /// Frames and copies that are enough to leave together: a burst, if there are no copies.
@@ -59,8 +63,8 @@ pub struct Forwarding {
 /// What is there of the packets that arrived together.
 struct Batch {
     frames: Vec<Frame>,
-    /// Those of the frames, and behind them those of copies. They stay where they are until they leave: what has just been written byte by
-    /// byte is slow to read as a whole.
+    /// Those of the frames, and behind them those of copies. They stay where they are until they
+    /// leave: what has just been written byte by byte is slow to read as a whole.
     headers: Vec<Header>,
     leaving: Vec<Way>,
 }
@@ -166,7 +170,8 @@ impl Batch {
         }
     }
 
-    /// Phase 3, from a frame on, until so much leaves that it should before there is more. Says where it stopped.
+    /// Phase 3, from a frame on, until so much leaves that it should before there is more. Says
+    /// where it stopped.
     #[inline(always)]
     fn decide<V: View>(
         &mut self,
@@ -324,8 +329,8 @@ impl<'a> By<'a> {
         Some(mbuf)
     }
 
-    /// Writes what is in front of the payload: headers, and the frame's own with its tag. That is not in it yet: a header that was
-    /// just written to is slow to copy.
+    /// Writes what is in front of the payload: headers, and the frame's own with its tag. That is
+    /// not in it yet: a header that was just written to is slow to copy.
     #[inline]
     fn encapsulate(&self, packet: &mut [u8], (header, tag): (&Header, u64)) {
         let Some((before, frame)) = packet.split_at_mut_checked(self.front) else { return };

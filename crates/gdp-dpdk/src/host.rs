@@ -1,5 +1,6 @@
-//! Between ports and the host's sides of them: one thread gives the kernel what arrived and is not for this plane, and for each port one
-//! takes from the kernel what is to leave. So no loop ever waits for the kernel.
+//! Between ports and the host's sides of them: one thread gives the kernel what arrived and is not
+//! for this plane, and for each port one takes from the kernel what is to leave. So no loop ever
+//! waits for the kernel.
 
 use std::collections::HashMap;
 use std::io;
@@ -19,7 +20,8 @@ pub const WAITING: usize = 1024;
 #[derive(Clone)]
 pub struct ToHost(SyncSender<Told>);
 
-/// The thread of [`ToHost`]. Dropping it waits until the last clone of that is gone, and all that waited with it.
+/// The thread of [`ToHost`]. Dropping it waits until the last clone of that is gone, and all that
+/// waited with it.
 pub struct Giver(Option<JoinHandle<()>>);
 
 impl Drop for Giver {
@@ -45,7 +47,8 @@ impl ToHost {
         Ok((Self(sender), Giver(Some(thread))))
     }
 
-    /// Gives the kernel a packet that arrived at a port; `false` if too many wait already, and this one is gone.
+    /// Gives the kernel a packet that arrived at a port; `false` if too many wait already, and this
+    /// one is gone.
     pub fn give(&self, port: u32, mbuf: Mbuf) -> bool {
         self.0.try_send(Told::Packet(port, mbuf)).is_ok()
     }
@@ -63,7 +66,8 @@ fn give_all(told: Receiver<Told>) {
             Told::Packet(port, mbuf) => {
                 // Our devices give packets in one piece.
                 let Some(tap) = taps.get(&port).filter(|_| mbuf.is_linear()) else { continue };
-                // As with any interface: the kernel counts what it does not take, of one that is down for instance.
+                // As with any interface: the kernel counts what it does not take, of one that is
+                // down for instance.
                 if let Err(error) = tap.write(mbuf.bytes()) {
                     tracing::debug!(interface = tap.name(), %error, "the kernel did not take a packet");
                 }

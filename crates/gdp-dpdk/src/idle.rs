@@ -1,9 +1,11 @@
-//! What a loop does while nothing arrives. A loop that asks its devices without end takes a whole core, which on a robot is somebody
-//! else's; one that sleeps between questions takes next to nothing, and lets the first packet after a pause wait for as long as it sleeps.
+//! What a loop does while nothing arrives. A loop that asks its devices without end takes a whole
+//! core, which on a robot is somebody else's; one that sleeps between questions takes next to
+//! nothing, and lets the first packet after a pause wait for as long as it sleeps.
 
 use std::time::Duration;
 
-/// Questions in vain before a loop sleeps: some tens of microseconds, in which the next packet of a stream comes.
+/// Questions in vain before a loop sleeps: some tens of microseconds, in which the next packet of a
+/// stream comes.
 const TIMEOUT: u32 = 512;
 
 /// The first sleep; each is twice as long as the one before.

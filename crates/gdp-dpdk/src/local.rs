@@ -1,5 +1,5 @@
-//! What of a packet says that it is for this switch, and where frames leave over UDP: written by whoever knows the host's addresses
-//! and routes, read by every loop.
+//! What of a packet says that it is for this switch, and where frames leave over UDP: written by
+//! whoever knows the host's addresses and routes, read by every loop.
 
 use gdp_wire::LocalAddress;
 use gdp_wire::table::{MAX_LINKS, link_index};
@@ -19,7 +19,8 @@ pub struct Local {
     pub next_hops: NextHops,
 }
 
-/// By link id. At the link's index, as in the tables: a link takes the place of the one that had its index before.
+/// By link id. At the link's index, as in the tables: a link takes the place of the one that had
+/// its index before.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct NextHops(Vec<Option<(u32, NextHop)>>);
 

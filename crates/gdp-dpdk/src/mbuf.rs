@@ -1,5 +1,5 @@
-//! Packets in DPDK's memory, and the pools that they come from. An [`Mbuf`] owns its packet: dropping it gives that back, so nothing is
-//! lost on any path.
+//! Packets in DPDK's memory, and the pools that they come from. An [`Mbuf`] owns its packet:
+//! dropping it gives that back, so nothing is lost on any path.
 
 use std::ffi::CString;
 use std::mem::ManuallyDrop;
@@ -19,7 +19,8 @@ pub const LARGEST: usize = 9216;
 /// Bytes in front of a packet that arrives: what frames are dressed in on their way out takes less.
 const HEADROOM: u16 = sys::RTE_PKTMBUF_HEADROOM as u16;
 
-/// Mbufs that each thread keeps at hand, unless the pool is small; and half as many more for a moment.
+/// Mbufs that each thread keeps at hand, unless the pool is small; and half as many more for a
+/// moment.
 const CACHE: u32 = 256;
 pub(crate) const CACHED: usize = CACHE as usize * 3 / 2;
 
@@ -43,7 +44,8 @@ pub(crate) struct Raw {
 
 const _: () = assert!(size_of::<Raw>() == 64 && std::mem::offset_of!(Raw, buffer_length) == 54);
 
-/// Where mbufs come from. Clones are the same pool, which lives as long as anything that came from it.
+/// Where mbufs come from. Clones are the same pool, which lives as long as anything that came from
+/// it.
 #[derive(Clone)]
 pub struct Pool(Arc<PoolInner>);
 
@@ -85,7 +87,8 @@ impl Pool {
         NonNull::new(raw).filter(|_| result == 0).map(Mbuf)
     }
 
-    /// A packet that is what `of` is, without a copy of its bytes. `of` must be of one segment; neither may be written to from now on.
+    /// A packet that is what `of` is, without a copy of its bytes. `of` must be of one segment;
+    /// neither may be written to from now on.
     pub(crate) fn refer(&self, of: &Mbuf) -> Option<Mbuf> {
         // SAFETY: a live mbuf and a live pool.
         let raw = unsafe { sys::gdp_refer(self.raw(), of.0.as_ptr().cast()) };
@@ -167,7 +170,8 @@ impl Mbuf {
         let mut bytes = Vec::with_capacity(self.len());
         let mut next = Some(self.0);
         while let Some(raw) = next {
-            // SAFETY: a live segment of this packet, and so many bytes of its buffer are the packet's.
+            // SAFETY: a live segment of this packet, and so many bytes of its buffer are the
+            // packet's.
             unsafe {
                 let raw = raw.as_ref();
                 let start = raw.buffer.add(raw.data_offset.into());
@@ -192,8 +196,9 @@ impl Mbuf {
         self.len() == 0
     }
 
-    /// Has the first segment begin `front` bytes earlier, or later if that is negative, and be `length` bytes long. For mbufs in one
-    /// piece; `false`, and nothing is changed, if there is no room.
+    /// Has the first segment begin `front` bytes earlier, or later if that is negative, and be
+    /// `length` bytes long. For mbufs in one piece; `false`, and nothing is changed, if there is no
+    /// room.
     #[inline]
     pub fn reshape(&mut self, front: isize, length: usize) -> bool {
         let raw = self.raw_mut();
@@ -209,7 +214,8 @@ impl Mbuf {
         true
     }
 
-    /// Puts another behind it. If that would be too many segments, the other is given back and it says `false`.
+    /// Puts another behind it. If that would be too many segments, the other is given back and it
+    /// says `false`.
     pub(crate) fn chain(&mut self, tail: Mbuf) -> bool {
         // SAFETY: two live mbufs, of which this one owns the other from now on.
         let result = unsafe { sys::gdp_chain(self.0.as_ptr().cast(), tail.0.as_ptr().cast()) };
@@ -294,7 +300,8 @@ impl Burst {
         received
     }
 
-    /// Hands all to `send`, which tells how many of the first it has taken; the others are given back, and it tells how many these are.
+    /// Hands all to `send`, which tells how many of the first it has taken; the others are given
+    /// back, and it tells how many these are.
     pub(crate) fn empty(&mut self, send: impl FnOnce(*mut *mut Raw, u16) -> u16) -> usize {
         let sent = usize::from(send(self.mbufs.as_mut_ptr(), self.length as u16)).min(self.length);
         let lost = self.length - sent;

@@ -21,15 +21,15 @@ const DEFAULT_MTU: u16 = 1500;
 /// Bytes of an Ethernet header and of the checksum at the end.
 const ETHERNET: u32 = 14 + 4;
 
-/// Seen by the hash that spreads packets over queues: what UDP frames differ in. Frames on Ethernet have no such thing, and all come by
-/// the first queue.
+/// Seen by the hash that spreads packets over queues: what UDP frames differ in. Frames on Ethernet
+/// have no such thing, and all come by the first queue.
 const SPREAD_BY: u64 = sys::GDP_SPREAD_BY;
 
 /// A device, and how it is used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortConfig {
-    /// As DPDK writes devices: a PCI address, or a driver's name with a number or text behind it, and arguments of it:
-    /// `net_af_packet_e0,iface=e0`.
+    /// As DPDK writes devices: a PCI address, or a driver's name with a number or text behind it,
+    /// and arguments of it: `net_af_packet_e0,iface=e0`.
     pub device: String,
     /// By which packets arrive, at most: one for each loop.
     pub receive_queues: u16,
@@ -87,7 +87,8 @@ impl Drop for Claim {
     }
 }
 
-// SAFETY: what is behind the pointer belongs to DPDK, which is asked for the device once more: when the last one lets go of it.
+// SAFETY: what is behind the pointer belongs to DPDK, which is asked for the device once more: when
+// the last one lets go of it.
 unsafe impl std::marker::Send for Device {}
 // SAFETY: as above.
 unsafe impl Sync for Device {}
@@ -97,15 +98,16 @@ unsafe impl Sync for Device {}
 pub struct PortCounters {
     pub received: u64,
     pub sent: u64,
-    /// Arrived, and were lost because nobody took them in time, there was no mbuf for them, or they were broken.
+    /// Arrived, and were lost because nobody took them in time, there was no mbuf for them, or they
+    /// were broken.
     pub missed: u64,
     /// Handed over, and did not leave.
     pub failed: u64,
 }
 
 impl Port {
-    /// Begins to use a device, in the network namespace of the calling thread. With it come its queues: perhaps fewer than were
-    /// wanted, but one of each.
+    /// Begins to use a device, in the network namespace of the calling thread. With it come its
+    /// queues: perhaps fewer than were wanted, but one of each.
     pub fn open(eal: Eal, config: &PortConfig, pool: &Pool) -> Result<(Self, Vec<Receive>, Vec<Send>), DpdkError> {
         let what = |doing: &str| format!("device {}: {doing}", config.device);
         let fail = |doing: &'static str| move |code: i32| DpdkError::check(code, || what(doing));
@@ -159,7 +161,8 @@ impl Port {
         }
         // SAFETY: a port whose queues are set up.
         fail("it does not start")(unsafe { sys::rte_eth_dev_start(id) })?;
-        // SAFETY: a port that is there. What cannot do it receives what is sent to its own address, which will do.
+        // SAFETY: a port that is there. What cannot do it receives what is sent to its own address,
+        // which will do.
         unsafe { sys::rte_eth_promiscuous_enable(id) };
         device.mac = mac(id).map_err(|code| DpdkError::new(what("it has no address"), code))?;
         let device = Arc::new(device);
@@ -214,7 +217,8 @@ impl Receive {
 impl Send {
     /// Sends all that is in the burst; how many there was no room for, which are gone.
     pub fn send(&mut self, burst: &mut Burst) -> usize {
-        // SAFETY: a queue of a port that runs, which nobody else uses, and so many packets, which are the device's then.
+        // SAFETY: a queue of a port that runs, which nobody else uses, and so many packets, which
+        // are the device's then.
         burst.empty(|mbufs, count| unsafe { sys::gdp_tx_burst(self.device.id, self.queue, mbufs.cast(), count) })
     }
 
@@ -226,7 +230,8 @@ impl Send {
 
 impl Drop for Device {
     fn drop(&mut self) {
-        // SAFETY: nobody uses the port any more, and it is there; to stop one that does not run does nothing.
+        // SAFETY: nobody uses the port any more, and it is there; to stop one that does not run
+        // does nothing.
         let result = unsafe {
             sys::rte_eth_dev_stop(self.id);
             sys::rte_eth_dev_close(self.id);
@@ -261,11 +266,13 @@ fn mac(port: u16) -> Result<[u8; 6], i32> {
 fn told(info: &sys::rte_eth_dev_info, mtu: u16) -> Result<u16, u16> {
     // SAFETY: the name of a driver that is loaded.
     let driver = unsafe { CStr::from_ptr(info.driver_name) };
-    // It says that it takes 1518 bytes, whatever fits into its frames, and does not look at its MTU.
+    // It says that it takes 1518 bytes, whatever fits into its frames, and does not look at its
+    // MTU.
     if driver == c"net_af_packet" {
         return Ok(mtu.min(DEFAULT_MTU));
     }
-    // As DPDK computes it: with the checksum, unless the device tells how much there is beside its MTU.
+    // As DPDK computes it: with the checksum, unless the device tells how much there is beside its
+    // MTU.
     let beside = match info.max_rx_pktlen.checked_sub(info.max_mtu.into()) {
         Some(beside) if info.max_mtu != u16::MAX && beside > 0 => beside,
         _ => ETHERNET,
@@ -284,6 +291,7 @@ fn configure(port: u16, info: &sys::rte_eth_dev_info, (receives, sends): (u16, u
     }
     // What a chain needs, if the device can.
     conf.txmode.offloads = info.tx_offload_capa & sys::GDP_GATHERS;
-    // SAFETY: a port that is there and does not run, and a configuration that lives during the call.
+    // SAFETY: a port that is there and does not run, and a configuration that lives during the
+    // call.
     unsafe { sys::rte_eth_dev_configure(port, receives, sends, &raw const conf) }
 }

@@ -1,7 +1,8 @@
-//! The loops, one for each core, and the ports that they share. Each receives by its own queues, forwards, and sends: a packet stays with
-//! the loop that received it.
+//! The loops, one for each core, and the ports that they share. Each receives by its own queues,
+//! forwards, and sends: a packet stays with the loop that received it.
 //!
-//! A loop is told of ports between two batches, and answers; so a port that was removed is used by none any more.
+//! A loop is told of ports between two batches, and answers; so a port that was removed is used by
+//! none any more.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -127,9 +128,10 @@ impl Switch {
         Ok(Self { ports: HashMap::new(), loops, local, host, _giver: giver, pool, eal })
     }
 
-    /// Takes a device (see [`PortConfig::device`]) over, with `interface` as the host's side of it, made in the network namespace of the
-    /// calling thread; both with this MTU. `number`: tells the number of the port, by which links and tables know it, once the interface
-    /// is there. That, and the address of the device.
+    /// Takes a device (see [`PortConfig::device`]) over, with `interface` as the host's side of it,
+    /// made in the network namespace of the calling thread; both with this MTU. `number`: tells the
+    /// number of the port, by which links and tables know it, once the interface is there. That,
+    /// and the address of the device.
     pub fn add_port(
         &mut self,
         device: &str,
@@ -210,8 +212,8 @@ impl Switch {
         self.ports.iter().map(|(number, served)| (*number, served.port.counters()))
     }
 
-    /// Has the hosts' interfaces have a carrier where their devices have one. `beside`: whether a port has one as far as others know; not
-    /// all drivers can tell.
+    /// Has the hosts' interfaces have a carrier where their devices have one. `beside`: whether a
+    /// port has one as far as others know; not all drivers can tell.
     pub fn follow_carriers(&mut self, beside: impl Fn(u32) -> bool) {
         for (number, served) in &mut self.ports {
             let has = served.port.has_carrier() && beside(*number);
@@ -261,8 +263,8 @@ fn wait(answers: Vec<Receiver<()>>) -> Result<(), SwitchError> {
     answers.into_iter().try_for_each(|answered| answered.recv().map_err(|_| SwitchError::Ended))
 }
 
-/// Packets that may be in the queues of all ports, on their way through the loops, and waiting for the host: with fewer, queues of sent
-/// ones could leave none to receive by.
+/// Packets that may be in the queues of all ports, on their way through the loops, and waiting for
+/// the host: with fewer, queues of sent ones could leave none to receive by.
 fn packets(ports: usize, loops: usize) -> u32 {
     let queues = ports * (loops + loops + 1) * HELD;
     let under_way = loops * (CACHED + Burst::SIZE * (ports + 2));

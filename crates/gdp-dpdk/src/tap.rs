@@ -1,5 +1,6 @@
-//! The host's side of a port: a TAP interface. What the kernel sends there leaves by the port, and what arrives at the port and is not
-//! for this plane comes to the kernel from there, so that addresses, ARP, routes and sockets are as with any interface.
+//! The host's side of a port: a TAP interface. What the kernel sends there leaves by the port, and
+//! what arrives at the port and is not for this plane comes to the kernel from there, so that
+//! addresses, ARP, routes and sockets are as with any interface.
 
 use std::ffi::{c_char, c_int, c_short};
 use std::fs::{File, OpenOptions};
@@ -48,7 +49,8 @@ impl Tap {
         request.ifr_ifru.ifru_mtu = mtu.into();
         control(socket.as_fd(), libc::SIOCSIFMTU, &mut request)?;
         control(socket.as_fd(), libc::SIOCGIFFLAGS, &mut request)?;
-        // SAFETY: what the kernel has just written. The others stay: without multicast DDS would not use it.
+        // SAFETY: what the kernel has just written. The others stay: without multicast DDS would
+        // not use it.
         request.ifr_ifru.ifru_flags = unsafe { request.ifr_ifru.ifru_flags } | libc::IFF_UP as c_short;
         control(socket.as_fd(), libc::SIOCSIFFLAGS, &mut request)
     }
@@ -66,7 +68,8 @@ impl Tap {
         (&self.file).write(packet).map(drop)
     }
 
-    /// A packet that the kernel sends; `None` if there is none now. What does not fit into `room` is cut off.
+    /// A packet that the kernel sends; `None` if there is none now. What does not fit into `room`
+    /// is cut off.
     pub fn read(&self, room: &mut [u8]) -> io::Result<Option<usize>> {
         match (&self.file).read(room) {
             Ok(length) => Ok(Some(length)),

@@ -68,7 +68,8 @@ impl<R: Reader> Worker<R> {
         }
     }
 
-    /// Until nobody can tell it anything any more, on this thread, and on this core if one is given.
+    /// Until nobody can tell it anything any more, on this thread, and on this core if one is
+    /// given.
     pub fn run(mut self, eal: Eal, core: Option<usize>) {
         core.into_iter().for_each(bind_to);
         sleep_exactly();

@@ -1,4 +1,5 @@
-//! DPDK in huge pages; needs root, to reserve some for as long as it runs. A process of its own, because DPDK begins once in each.
+//! DPDK in huge pages; needs root, to reserve some for as long as it runs. A process of its own,
+//! because DPDK begins once in each.
 
 use std::fs;
 use std::time::Duration;

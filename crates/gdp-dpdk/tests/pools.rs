@@ -1,4 +1,5 @@
-//! Packets through devices that need no network: none is lost on any path, as the pools' counts say.
+//! Packets through devices that need no network: none is lost on any path, as the pools' counts
+//! say.
 
 use gdp_dpdk::{Burst, Eal, EalConfig, Pool, Port, PortConfig};
 use parking_lot::{Mutex, MutexGuard};

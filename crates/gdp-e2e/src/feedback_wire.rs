@@ -1,10 +1,12 @@
-//! What the reader and the writer of a name tell each other: the bytes of one [`Feedback`] message, specified in
-//! `docs/wire-format.md`, "Feedback". It travels sealed between the two ([`crate::keys`]), in a frame to the other's own name.
-//! When each is sent, and what follows from it, is the transport's; nothing is decided here.
+//! What the reader and the writer of a name tell each other: the bytes of one [`Feedback`] message,
+//! specified in `docs/wire-format.md`, "Feedback". It travels sealed between the two
+//! ([`crate::keys`]), in a frame to the other's own name. When each is sent, and what follows from
+//! it, is the transport's; nothing is decided here.
 
 use gdp_wire::Name;
 
-/// Ranges that one [`Feedback::Nack`] may ask for: as many as fit, sealed, a frame of 1200 bytes, which every link takes.
+/// Ranges that one [`Feedback::Nack`] may ask for: as many as fit, sealed, a frame of 1200 bytes,
+/// which every link takes.
 pub const MAX_MISSING: usize = 63;
 
 /// The largest encoding, in bytes: a Nack with all its ranges.
@@ -36,8 +38,8 @@ pub enum Wants {
 pub enum Feedback {
     /// Reader → writer: which session is yours now?
     Hello { name: Name, challenge: [u8; 16], wants: Wants },
-    /// Writer → reader, with the challenge of its Hello: this session, and in it what comes from this sequence on. `reliable`: every
-    /// message is kept to be asked for again.
+    /// Writer → reader, with the challenge of its Hello: this session, and in it what comes from
+    /// this sequence on. `reliable`: every message is kept to be asked for again.
     Welcome { name: Name, challenge: [u8; 16], session: [u8; 16], sequence: u64, reliable: bool },
     /// Reader → writer: what has come of the writer's session so far.
     Report {
@@ -53,7 +55,8 @@ pub enum Feedback {
         received_bytes: u64,
         /// Frames that came with a congestion mark.
         ce: u32,
-        /// The sequence of the segment that came last, for the round-trip time; 0: none since the last report.
+        /// The sequence of the segment that came last, for the round-trip time; 0: none since the
+        /// last report.
         echo: u64,
         /// Its index.
         echo_index: u32,
@@ -64,10 +67,12 @@ pub enum Feedback {
     Nack {
         name: Name,
         session: [u8; 16],
-        /// 1 to [`MAX_MISSING`], in ascending order of sequence and first index, none of a message overlapping another.
+        /// 1 to [`MAX_MISSING`], in ascending order of sequence and first index, none of a message
+        /// overlapping another.
         missing: Vec<Missing>,
     },
-    /// Writer → reader, in answer to a Nack: what came before this sequence cannot be repaired any more.
+    /// Writer → reader, in answer to a Nack: what came before this sequence cannot be repaired any
+    /// more.
     Gone { name: Name, session: [u8; 16], oldest: u64 },
 }
 

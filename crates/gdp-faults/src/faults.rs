@@ -1,17 +1,21 @@
 //! What is wrong with one direction of a link.
 
-/// The default is a perfect link: no delay, no limit, no fault. Probabilities are of each frame, 0 to 1.
+/// The default is a perfect link: no delay, no limit, no fault. Probabilities are of each frame, 0
+/// to 1.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Faults {
     /// Bits per second; frames beyond wait in the queue. `None`: as many as come.
     pub rate: Option<u64>,
-    /// Bytes that may wait or be under way onto a link with a rate; a frame that finds no room is lost. `None`: any number.
+    /// Bytes that may wait or be under way onto a link with a rate; a frame that finds no room is
+    /// lost. `None`: any number.
     pub queue: Option<u64>,
-    /// A frame that finds more bytes than this before it is marked (congestion experienced, RFC 3168), instead of nothing.
+    /// A frame that finds more bytes than this before it is marked (congestion experienced, RFC
+    /// 3168), instead of nothing.
     pub mark_above: Option<u64>,
     /// Nanoseconds from one end to the other.
     pub delay: u64,
-    /// Up to as many nanoseconds more, evenly. As in a queue it keeps the order; what changes that is [`Self::reorder`].
+    /// Up to as many nanoseconds more, evenly. As in a queue it keeps the order; what changes that
+    /// is [`Self::reorder`].
     pub jitter: u64,
     /// Loss of single frames.
     pub loss: f64,

@@ -1,11 +1,13 @@
-//! Bad links, as a model: what happens to frames, decided by a seed and a given time alone. For tests; no part of the product.
+//! Bad links, as a model: what happens to frames, decided by a seed and a given time alone. For
+//! tests; no part of the product.
 //!
 //! - [`Faults`]: what is wrong with one direction of a link; [`Link`]: frames through it
 //! - [`Network`]: nodes joined by links, in simulated time
 //! - [`Random`]: the numbers that decide
 //!
-//! No I/O and no clock. Time is nanoseconds since any beginning, in `u64`. Property tests drive it in simulated time; the harness
-//! in `tests` drives the same model by the real clock, between network namespaces.
+//! No I/O and no clock. Time is nanoseconds since any beginning, in `u64`. Property tests drive it
+//! in simulated time; the harness in `tests` drives the same model by the real clock, between
+//! network namespaces.
 #![deny(unsafe_code)]
 
 mod faults;

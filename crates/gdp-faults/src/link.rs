@@ -4,8 +4,9 @@
 //!  push ─► queue, mark ─► rate ─► partition, loss, burst ─► corrupt, duplicate ─► delay, jitter, reorder ─► pop
 //! ```
 //!
-//! A lost frame has used the link all the same, as on the air; a duplicate has not. Each kind of fault has numbers of its own, so
-//! that the same frames are lost whether or not some are duplicated as well.
+//! A lost frame has used the link all the same, as on the air; a duplicate has not. Each kind of
+//! fault has numbers of its own, so that the same frames are lost whether or not some are
+//! duplicated as well.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -24,7 +25,8 @@ pub struct Link<T> {
     bad: bool,
     /// When the last frame arrives that came in order.
     in_order: u64,
-    /// The number of the next one: of frames that arrive at the same time the first sent comes first.
+    /// The number of the next one: of frames that arrive at the same time the first sent comes
+    /// first.
     next: u64,
     under_way: BinaryHeap<Reverse<UnderWay<T>>>,
 }
@@ -37,11 +39,13 @@ pub struct Delivery<T> {
     pub at: u64,
     /// It met congestion: a carrier of real frames sets their CE bits.
     pub marked: bool,
-    /// It is not as it was: a number to choose by what has changed ([`Delivery::damage`] for bytes).
+    /// It is not as it was: a number to choose by what has changed ([`Delivery::damage`] for
+    /// bytes).
     pub corrupted: Option<u64>,
 }
 
-/// What became of frames. Those under way are counted as what they will be; `sent` = the five after it together − `duplicated`.
+/// What became of frames. Those under way are counted as what they will be; `sent` = the five after
+/// it together − `duplicated`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     pub sent: u64,
@@ -80,7 +84,8 @@ struct UnderWay<T> {
 impl<T: Clone> Link<T> {
     /// # Panics
     ///
-    /// If the faults make no sense: probabilities beyond 0..=1, a rate of 0, a queue without a rate.
+    /// If the faults make no sense: probabilities beyond 0..=1, a rate of 0, a queue without a
+    /// rate.
     pub fn new(faults: Faults, seed: u64) -> Self {
         faults.check();
         Self {
@@ -137,7 +142,8 @@ impl<T: Clone> Link<T> {
         self.counts
     }
 
-    /// When the frame has left the queue and whether it was marked there; `None` if it found no room.
+    /// When the frame has left the queue and whether it was marked there; `None` if it found no
+    /// room.
     fn serialize(&mut self, now: u64, bytes: usize) -> Option<(u64, bool)> {
         let Some(rate) = self.faults.rate else { return Some((now, false)) };
         let begin = self.busy_until.max(now);
@@ -194,7 +200,8 @@ impl<T: Clone> Link<T> {
 }
 
 impl<T: AsMut<[u8]>> Delivery<T> {
-    /// Turns one bit of a corrupted frame, from byte `from` on: what stands before it is not the model's to change.
+    /// Turns one bit of a corrupted frame, from byte `from` on: what stands before it is not the
+    /// model's to change.
     pub fn damage(&mut self, from: usize) {
         let Some(choice) = self.corrupted else { return };
         let Some(body) = self.frame.as_mut().get_mut(from..).filter(|body| !body.is_empty()) else { return };

@@ -1,8 +1,9 @@
 //! Nodes joined by links, in simulated time.
 //!
-//! A node is what the test makes of it, known here by a number of the test's own. The test's loop: [`Network::arrival`] until the
-//! earliest of its nodes' own times; give the node what came or wake it; [`Network::send`] what it answers. One that only
-//! forwards makes several flows share the link behind it.
+//! A node is what the test makes of it, known here by a number of the test's own. The test's loop:
+//! [`Network::arrival`] until the earliest of its nodes' own times; give the node what came or wake
+//! it; [`Network::send`] what it answers. One that only forwards makes several flows share the link
+//! behind it.
 
 use crate::{Counts, Delivery, Faults, Link, Random};
 

@@ -1,5 +1,5 @@
-//! The numbers that decide: SplitMix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number generators", 2014), the same on
-//! every machine and in every version.
+//! The numbers that decide: SplitMix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number
+//! generators", 2014), the same on every machine and in every version.
 
 /// A stream of numbers.
 #[derive(Clone, Debug)]
@@ -23,7 +23,8 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// True with this probability. Always takes one number, so that streams with other probabilities stay in step.
+    /// True with this probability. Always takes one number, so that streams with other
+    /// probabilities stay in step.
     pub fn chance(&mut self, probability: f64) -> bool {
         const UNIT: f64 = 1.0 / (1_u64 << 53) as f64;
         ((self.number() >> 11) as f64 * UNIT) < probability

@@ -1,8 +1,10 @@
-//! An authenticated adjacency of two entities: a QUIC connection for requests both ways, and from it the ids, the keys and
-//! the MTU of the data frames on the link. Made by [`crate::port`]; data frames themselves never pass through here.
+//! An authenticated adjacency of two entities: a QUIC connection for requests both ways, and from
+//! it the ids, the keys and the MTU of the data frames on the link. Made by [`crate::port`]; data
+//! frames themselves never pass through here.
 //!
-//! After the TLS handshake the side that dialled opens a stream and says [`Hello`](hello), the other answers with its own.
-//! A peer's name is derived from the key it proved in TLS and the digest in its hello, so it cannot claim another's.
+//! After the TLS handshake the side that dialled opens a stream and says [`Hello`](hello), the
+//! other answers with its own. A peer's name is derived from the key it proved in TLS and the
+//! digest in its hello, so it cannot claim another's.
 
 mod error;
 mod hello;
@@ -76,7 +78,8 @@ struct Inner {
 }
 
 impl Link {
-    /// Derives what data frames need from a connection on which both sides have said hello, and begins to take requests.
+    /// Derives what data frames need from a connection on which both sides have said hello, and
+    /// begins to take requests.
     pub(crate) fn new(
         connection: quinn::Connection,
         place: LinkLocation,
@@ -130,7 +133,8 @@ impl Link {
         self.0.local_id.get()
     }
 
-    /// Largest data frame, header and payload, in bytes. Over UDP it follows what QUIC finds out about the path.
+    /// Largest data frame, header and payload, in bytes. Over UDP it follows what QUIC finds out
+    /// about the path.
     pub fn mtu(&self) -> u32 {
         match self.0.place {
             LinkLocation::Ethernet { .. } => self.0.mtu,
@@ -138,7 +142,8 @@ impl Link {
         }
     }
 
-    /// Where data frames go. A UDP address moves when the peer did and QUIC has validated its new path.
+    /// Where data frames go. A UDP address moves when the peer did and QUIC has validated its new
+    /// path.
     pub fn addr(&self) -> LinkAddr {
         match self.0.place {
             LinkLocation::Ethernet { ifindex, peer_mac, .. } => LinkAddr::Ethernet { ifindex, mac: peer_mac },
@@ -193,8 +198,8 @@ impl Link {
         }
     }
 
-    /// The link as a data plane holds it, with `port` as its key in a device map, and with the keys of this moment
-    /// ([`Self::keep_keys`] replaces them). A switch fills in what it reaches.
+    /// The link as a data plane holds it, with `port` as its key in a device map, and with the keys
+    /// of this moment ([`Self::keep_keys`] replaces them). A switch fills in what it reaches.
     pub fn entry(&self, port: u32) -> LinkEntry {
         let inner = &*self.0;
         let mut entry = LinkEntry {
@@ -247,7 +252,8 @@ impl Link {
         }
     }
 
-    /// Whether the link was lost without a word from the peer. Then what forwards its frames may go on; see [`gdp_core::peer::GRACEFUL_RESTART_TIME`].
+    /// Whether the link was lost without a word from the peer. Then what forwards its frames may go
+    /// on; see [`gdp_core::peer::GRACEFUL_RESTART_TIME`].
     pub fn fell_silent(&self) -> bool {
         use quinn::ConnectionError::{Reset, TimedOut};
         matches!(self.0.connection.close_reason(), Some(TimedOut | Reset))
@@ -278,7 +284,8 @@ impl fmt::Debug for Link {
     }
 }
 
-/// What the keys of a direction come from. RFC 5705: the same on both sides, unknown to anybody else.
+/// What the keys of a direction come from. RFC 5705: the same on both sides, unknown to anybody
+/// else.
 fn export_secret(connection: &quinn::Connection, context: &[u8]) -> Result<Zeroizing<[u8; 32]>, LinkError> {
     let mut secret = Zeroizing::new([0; 32]);
     connection

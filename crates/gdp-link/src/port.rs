@@ -1,8 +1,9 @@
-//! A place links are made on: an Ethernet interface or a UDP address. A port owns the sockets, the QUIC endpoint on one of
-//! them and the [`DataSocket`] beside it. Switches open one per interface, endpoints open one.
+//! A place links are made on: an Ethernet interface or a UDP address. A port owns the sockets, the
+//! QUIC endpoint on one of them and the [`DataSocket`] beside it. Switches open one per interface,
+//! endpoints open one.
 //!
-//! What is answered here needs no trust: QUIC handshakes and discovery. Who may stay is decided by the caller, which gets
-//! a [`Link`] once the peer's name is proven.
+//! What is answered here needs no trust: QUIC handshakes and discovery. Who may stay is decided by
+//! the caller, which gets a [`Link`] once the peer's name is proven.
 
 mod addr;
 mod batch;
@@ -50,7 +51,8 @@ use handshakes::{Handshakes, MAX_HANDSHAKES, Verdict};
 pub(crate) use host::CurrentPair;
 pub use host::HostPair;
 
-/// Largest QUIC packet on Ethernet. More gains control traffic nothing, and jumbo frames may not pass everywhere.
+/// Largest QUIC packet on Ethernet. More gains control traffic nothing, and jumbo frames may not
+/// pass everywhere.
 const MAX_ETHERNET_QUIC: u32 = 1472;
 
 /// What QUIC needs.
@@ -83,7 +85,8 @@ pub struct PortConfig {
     pub ethertype: u16,
     /// When the keys of data frames are replaced.
     pub rekey: RekeySchedule,
-    /// What is shown of a domain, to peers of links that are made from now on. Shared by all ports of an entity.
+    /// What is shown of a domain, to peers of links that are made from now on. Shared by all ports
+    /// of an entity.
     pub papers: CurrentCredentials,
     /// Of peers that dial in. Shared by all ports of an entity.
     pub handshakes: HandshakeCounters,
@@ -127,8 +130,8 @@ enum Medium {
 }
 
 impl Port {
-    /// Opens a port on an Ethernet interface of the calling thread's network namespace. Needs CAP_NET_RAW. Call within a
-    /// tokio runtime.
+    /// Opens a port on an Ethernet interface of the calling thread's network namespace. Needs
+    /// CAP_NET_RAW. Call within a tokio runtime.
     pub fn ethernet(interface: &str, config: &PortConfig) -> Result<Self, LinkError> {
         let fail = |what: &str| {
             let what = format!("interface {interface}: {what}");
@@ -218,7 +221,8 @@ impl Port {
         self.dial_as(to, expected, &self.hello).await
     }
 
-    /// As [`Self::dial`], but if the peer is a switch on this host, frames go through its daemon all the same.
+    /// As [`Self::dial`], but if the peer is a switch on this host, frames go through its daemon
+    /// all the same.
     pub async fn dial_apart(&self, to: LinkAddr, expected: Option<Name>) -> Result<Link, LinkError> {
         self.dial_as(to, expected, &HelloConfig { host: None, ..self.hello.clone() }).await
     }
@@ -247,14 +251,16 @@ impl Port {
             .unwrap_or(Err(LinkError::Timeout { what: "the handshake", after: HANDSHAKE_TIMEOUT }))
     }
 
-    /// The next link a peer made, or why one could not be made; `None` once the port is closed. Handshakes run beside
-    /// each other, a bounded number for a bounded time, whether or not this is being called.
+    /// The next link a peer made, or why one could not be made; `None` once the port is closed.
+    /// Handshakes run beside each other, a bounded number for a bounded time, whether or not this
+    /// is being called.
     pub async fn accept(&self) -> Option<Result<Link, LinkError>> {
         self.accepted.lock().await.recv().await
     }
 
-    /// Asks which switches are on the segment, or only where `wanted` is, until `within` is over or answers stop coming.
-    /// Whether an answer is true shows when it is dialled; several may claim one name. Nothing to ask on UDP.
+    /// Asks which switches are on the segment, or only where `wanted` is, until `within` is over or
+    /// answers stop coming. Whether an answer is true shows when it is dialled; several may claim
+    /// one name. Nothing to ask on UDP.
     pub async fn discover(&self, wanted: Option<Name>, within: Duration) -> Vec<(LinkAddr, Name)> {
         let Medium::Ethernet(interface, control) = &self.medium else { return Vec::new() };
         let end = Instant::now() + within;
@@ -284,8 +290,9 @@ impl Port {
         }
     }
 
-    /// The addresses of this machine have changed: all links show their peers at once where they come from now, without which those would
-    /// go on sending to where it was until something else is said.
+    /// The addresses of this machine have changed: all links show their peers at once where they
+    /// come from now, without which those would go on sending to where it was until something else
+    /// is said.
     pub fn show_address(&self) -> Result<(), LinkError> {
         let rebound = self.endpoint.rebind_abstract(self.socket.clone());
         rebound.map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })
@@ -312,7 +319,8 @@ impl Port {
         }
     }
 
-    /// From now on endpoints on this host that dial in send their frames by this pair; or through the daemon.
+    /// From now on endpoints on this host that dial in send their frames by this pair; or through
+    /// the daemon.
     pub fn set_host_pair(&self, pair: Option<HostPair>) {
         self.hello.pair.set(pair);
     }

@@ -1,4 +1,5 @@
-//! Definitions of the common interfaces, so that the usual types need no files. `definitions/README.md` says where they come from.
+//! Definitions of the common interfaces, so that the usual types need no files.
+//! `definitions/README.md` says where they come from.
 
 use std::sync::LazyLock;
 

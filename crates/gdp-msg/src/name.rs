@@ -30,8 +30,8 @@ impl Kind {
     }
 }
 
-/// The name of a message, or of what is made of a service or an action: `std_msgs/msg/String`, `std_srvs/srv/SetBool_Request`.
-/// The same name for both dialects, which write it differently.
+/// The name of a message, or of what is made of a service or an action: `std_msgs/msg/String`,
+/// `std_srvs/srv/SetBool_Request`. The same name for both dialects, which write it differently.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct TypeName {
     package: Box<str>,
@@ -46,7 +46,8 @@ pub struct NameError(pub String);
 
 impl TypeName {
     /// # Errors
-    /// For a package or a name that is not letters, digits and underscores behind a letter, or is longer than [`MAX_NAME`].
+    /// For a package or a name that is not letters, digits and underscores behind a letter, or is
+    /// longer than [`MAX_NAME`].
     pub fn new(package: &str, kind: Kind, name: &str) -> Result<Self, NameError> {
         if is_identifier(package) && is_identifier(name) {
             return Ok(Self { package: package.into(), kind, name: name.into() });
@@ -59,7 +60,8 @@ impl TypeName {
         Self { package: package.into(), kind: Kind::Message, name: name.into() }
     }
 
-    /// The name as ROS 1 (`std_msgs/String`), ROS 2 (`std_msgs/msg/String`) or DDS (`std_msgs::msg::dds_::String_`) writes it.
+    /// The name as ROS 1 (`std_msgs/String`), ROS 2 (`std_msgs/msg/String`) or DDS
+    /// (`std_msgs::msg::dds_::String_`) writes it.
     ///
     /// # Errors
     /// For anything else.
@@ -90,7 +92,8 @@ impl TypeName {
         name.map_err(|_| refused())
     }
 
-    /// Of request and response of the service with this package and name, whatever kind this name says.
+    /// Of request and response of the service with this package and name, whatever kind this name
+    /// says.
     pub fn service_halves(&self) -> [Self; 2] {
         ["_Request", "_Response"].map(|half| self.with(Kind::Service, half))
     }
@@ -108,8 +111,8 @@ impl TypeName {
         &self.name
     }
 
-    /// As this dialect's tools write it. ROS 1 leaves the kind out, and calls the halves of a service `std_srvs/SetBoolRequest` and
-    /// `…Response`.
+    /// As this dialect's tools write it. ROS 1 leaves the kind out, and calls the halves of a
+    /// service `std_srvs/SetBoolRequest` and `…Response`.
     pub fn display(&self, dialect: Dialect) -> String {
         match dialect {
             Dialect::Ros2 => self.to_string(),
@@ -143,8 +146,8 @@ impl fmt::Display for TypeName {
     }
 }
 
-/// Letters, digits and underscores behind a letter: names of packages, types and fields in both dialects. Each dialect's compilers are
-/// stricter about case, but not always have been.
+/// Letters, digits and underscores behind a letter: names of packages, types and fields in both
+/// dialects. Each dialect's compilers are stricter about case, but not always have been.
 pub(crate) fn is_identifier(text: &str) -> bool {
     text.len() <= MAX_NAME
         && text.starts_with(|first: char| first.is_ascii_alphabetic())

@@ -10,8 +10,8 @@ use crate::name::TypeName;
 /// Most definitions of one registry: several times those of a whole distribution.
 pub const MAX_DEFINITIONS: usize = 1 << 15;
 
-/// Definitions by dialect and name. A later one of the same name takes the place of an earlier one, so that what a user gives wins over
-/// what is embedded. To clone one is cheap.
+/// Definitions by dialect and name. A later one of the same name takes the place of an earlier one,
+/// so that what a user gives wins over what is embedded. To clone one is cheap.
 #[derive(Clone, Default, Debug)]
 pub struct Registry {
     definitions: HashMap<(Dialect, TypeName), Arc<Definition>>,
@@ -27,7 +27,8 @@ pub enum AddError {
 }
 
 impl Registry {
-    /// What a `.msg`, `.srv` or `.action` file says. `name` has the package, the file's name without its ending, and its kind.
+    /// What a `.msg`, `.srv` or `.action` file says. `name` has the package, the file's name
+    /// without its ending, and its kind.
     ///
     /// # Errors
     /// For a text that is no such definition; then nothing is added.
@@ -35,7 +36,8 @@ impl Registry {
         self.insert(dialect, definition::definitions(dialect, name, text)?)
     }
 
-    /// What a connection header or a bag says of a message: its own definition, and those of what it consists of.
+    /// What a connection header or a bag says of a message: its own definition, and those of what
+    /// it consists of.
     ///
     /// # Errors
     /// For a text that is no such definition; then nothing is added.

@@ -29,7 +29,8 @@ pub enum SchemaError {
     #[error("{field} of {name} is of type {missing}, which nobody has defined: give the share folder of its package")]
     Missing { name: TypeName, field: Box<str>, missing: TypeName },
     #[error(
-        "{0} contains itself, so no message of it can be finite: make one of the fields that lead back to it something else"
+        "{0} contains itself, so no message of it can be finite: make one of the fields that lead back to it \
+         something else"
     )]
     Cycle(TypeName),
     #[error("types nest deeper than {MAX_DEPTH} in {0}: flatten them")]
@@ -83,7 +84,8 @@ impl Schema {
         definition::print_all(self.definitions.iter().map(|definition| &**definition))
     }
 
-    /// The whole schema as text: what travels to whoever has no definitions. [`Schema::from_bundle`] reads it.
+    /// The whole schema as text: what travels to whoever has no definitions.
+    /// [`Schema::from_bundle`] reads it.
     pub fn bundle(&self) -> String {
         let dialect = match self.dialect {
             Dialect::Ros1 => "ros1",

@@ -1,4 +1,5 @@
-//! Definitions from where ROS installs them: `share/PACKAGE/msg/*.msg`, and likewise `srv` and `action`, in both distributions' trees.
+//! Definitions from where ROS installs them: `share/PACKAGE/msg/*.msg`, and likewise `srv` and
+//! `action`, in both distributions' trees.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -9,7 +10,8 @@ use crate::dialect::Dialect;
 use crate::name::{Kind, TypeName};
 use crate::registry::{AddError, Registry};
 
-/// Most entries of one folder that are looked at: a share folder of a full desktop installation has a few hundred.
+/// Most entries of one folder that are looked at: a share folder of a full desktop installation has
+/// a few hundred.
 const MAX_ENTRIES: usize = 10_000;
 
 /// Why definitions were not loaded.
@@ -37,7 +39,8 @@ pub struct Loaded {
 }
 
 impl Registry {
-    /// All packages of a share folder, as `/opt/ros/jazzy/share`. Files that are no definitions, also of IDL alone, are left alone.
+    /// All packages of a share folder, as `/opt/ros/jazzy/share`. Files that are no definitions,
+    /// also of IDL alone, are left alone.
     ///
     /// # Errors
     /// If the folder cannot be read.

@@ -9,9 +9,10 @@ use crate::registry::Registry;
 use crate::schema::{Schema, SchemaError};
 
 impl Schema {
-    /// The same type in another dialect: as `known` has it, and where that does not, made from this one. `time`, `duration`, `byte` and bounds
-    /// become what the other dialect has for them; names stay. What is made has the hash that ROS would compute of it, so subscribers that
-    /// have defined the type take it if they have defined it alike.
+    /// The same type in another dialect: as `known` has it, and where that does not, made from this
+    /// one. `time`, `duration`, `byte` and bounds become what the other dialect has for them; names
+    /// stay. What is made has the hash that ROS would compute of it, so subscribers that have
+    /// defined the type take it if they have defined it alike.
     ///
     /// # Errors
     /// As [`Schema::resolve`].

@@ -81,7 +81,8 @@ fn frames_of_ros_1_lose_their_slash_and_the_empty_one_stays_empty() {
 
 #[test]
 fn only_headers_have_a_frame_id_and_a_child_may_be_anywhere() {
-    let text = "string frame_id\nstring<=20 child_frame_id\nInner[] in\n===\nMSG: test_msgs/Inner\nstring parent\nwstring child_frame_id\n";
+    let text = "string frame_id\nstring<=20 child_frame_id\nInner[] in\n===\nMSG: test_msgs/Inner\nstring \
+                parent\nwstring child_frame_id\n";
     let schema = schema(Ros2, text);
     let json = |prefix: &str, long: &str| {
         format!(

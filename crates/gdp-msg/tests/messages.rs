@@ -1,4 +1,5 @@
-//! How messages of one type and encoding become those of another, and what becomes of messages that are none.
+//! How messages of one type and encoding become those of another, and what becomes of messages that
+//! are none.
 
 mod common;
 
@@ -122,7 +123,8 @@ fn wide_text_is_what_vendors_write() {
 
 #[test]
 fn json_keeps_what_rosbridge_loses() {
-    let text = "int64 i\nuint64 u\nfloat32 f\nfloat64 d\nfloat64 e\nfloat64[] s\nuint8[] o\nbyte b\nint8[] c\nstring t\nbool[2] l";
+    let text = "int64 i\nuint64 u\nfloat32 f\nfloat64 d\nfloat64 e\nfloat64[] s\nuint8[] o\nbyte b\nint8[] c\nstring \
+                t\nbool[2] l";
     let schema = schema(Ros1, text);
     let json = r#"{"i":"-9223372036854775808","u":9007199254740992,"f":0.1,"d":-0.0,"e":5e-324,"s":["NaN","Infinity","-Infinity",1e+21],"o":"//79","b":-1,"c":[-1,2],"t":"\"\\\n\u0001/é😀","l":[true,false]}"#;
     let bytes = transcode(&mapping(&schema, Encoding::Json, &schema, Encoding::Cdr), json).unwrap();
@@ -270,5 +272,6 @@ fn neither_time_nor_memory_beyond_the_input_and_the_limit() {
     assert!(to_json.transcode(&message, &mut output, &Options { max_output: 10_000, ..Options::default() }).is_ok());
 }
 
-const TIMES: &str = "builtin_interfaces/Time t\nbuiltin_interfaces/Duration d\n===\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n\
+const TIMES: &str = "builtin_interfaces/Time t\nbuiltin_interfaces/Duration d\n===\nMSG: \
+                     builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n\
                      ===\nMSG: builtin_interfaces/Duration\nint32 sec\nuint32 nanosec\n";

@@ -1,5 +1,5 @@
-//! Every message type of Noetic, Humble and Jazzy, with random contents, against the Python package `rosbags`: definitions, hashes, and
-//! the bytes of every encoding.
+//! Every message type of Noetic, Humble and Jazzy, with random contents, against the Python package
+//! `rosbags`: definitions, hashes, and the bytes of every encoding.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -133,7 +133,8 @@ fn for_each_case(mut each: impl FnMut(Value)) {
     assert!(oracle.wait().expect("its end").success() && done, "the oracle failed: what it printed says why");
 }
 
-/// The Python that has rosbags, under the target folder that this test was built in (`target/PROFILE/deps/TEST`).
+/// The Python that has rosbags, under the target folder that this test was built in
+/// (`target/PROFILE/deps/TEST`).
 fn python() -> PathBuf {
     let test = std::env::current_exe().expect("a test");
     let venv = test.ancestors().nth(3).expect("a target folder").join("venv");

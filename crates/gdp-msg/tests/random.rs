@@ -1,4 +1,5 @@
-//! Random types with random messages: every way round through the encodings leads back to the same bytes, and damaged messages do no harm.
+//! Random types with random messages: every way round through the encodings leads back to the same
+//! bytes, and damaged messages do no harm.
 
 mod common;
 

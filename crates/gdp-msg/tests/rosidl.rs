@@ -1,7 +1,8 @@
-//! What ROS 2 itself says: its generator of type hashes, also of services and actions, and its Python client of messages, also with wide
-//! strings. `rosidl_hashes.txt` is from the `.json` files in the wheels that `definitions/README.md` names; `share/test_msgs`, which has every
-//! kind of field, from `ros-test-msgs` 2.3.0; `rclpy_messages.jsonl` is what `rclpy.serialization` of `ros-rclpy` 9.1.2, over
-//! `rmw_fastrtps_cpp` 9.3.3, made of random messages of it.
+//! What ROS 2 itself says: its generator of type hashes, also of services and actions, and its
+//! Python client of messages, also with wide strings. `rosidl_hashes.txt` is from the `.json` files
+//! in the wheels that `definitions/README.md` names; `share/test_msgs`, which has every kind of
+//! field, from `ros-test-msgs` 2.3.0; `rclpy_messages.jsonl` is what `rclpy.serialization` of
+//! `ros-rclpy` 9.1.2, over `rmw_fastrtps_cpp` 9.3.3, made of random messages of it.
 
 use std::collections::HashSet;
 use std::path::Path;

@@ -1,5 +1,6 @@
-//! What commands and the daemon say to each other over the admin socket: `{"v":1,"op":…}` and `{"v":1,"ok"|"control"|"error":…}`,
-//! a JSON object to a line. Types only: the daemon serves, the command line asks.
+//! What commands and the daemon say to each other over the admin socket: `{"v":1,"op":…}` and
+//! `{"v":1,"ok"|"control"|"error":…}`, a JSON object to a line. Types only: the daemon serves, the
+//! command line asks.
 
 use crate::control::{EntityRequest, RecordKey, Response};
 use gdp_core::name::{NamePrefix, NameProof};
@@ -41,7 +42,8 @@ pub enum Request {
         switch: Name,
         hops: u8,
     },
-    /// The way of a name on, from the border switch of this domain that has a link to this one of another domain.
+    /// The way of a name on, from the border switch of this domain that has a link to this one of
+    /// another domain.
     Beyond {
         name: Name,
         border: Name,

@@ -1,10 +1,12 @@
-//! Whom an entity exchanges messages with under one name, as far as it believes its RIB: what the RIB tells goes in, who joins
-//! and leaves comes out. Sans-IO; [`gdp::node`] feeds one [`Counterparts`] for each name and role it has stated.
+//! Whom an entity exchanges messages with under one name, as far as it believes its RIB: what the
+//! RIB tells goes in, who joins and leaves comes out. Sans-IO; `gdp` feeds one
+//! [`Counterparts`] for each name and role it has stated.
 //!
-//! The RIB is not believed. Every record is verified again from the owner's key on, under the newest revocation that came by,
-//! whoever brought it; one that is older, as a RIB may keep giving out, takes nothing back. Key boxes are handed on
-//! unverified: who opens one knows the key that its writer must have signed with, from here. So a RIB that lies can keep a
-//! counterpart, a box or a revocation from the entity, and can make nobody a counterpart.
+//! The RIB is not believed. Every record is verified again from the owner's key on, under the
+//! newest revocation that came by, whoever brought it; one that is older, as a RIB may keep giving
+//! out, takes nothing back. Key boxes are handed on unverified: who opens one knows the key that
+//! its writer must have signed with, from here. So a RIB that lies can keep a counterpart, a box or
+//! a revocation from the entity, and can make nobody a counterpart.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -36,7 +38,8 @@ pub struct Counterpart {
 }
 
 impl Counterpart {
-    /// As if a certificate with this serial had been verified: for tests of what builds on counterparts.
+    /// As if a certificate with this serial had been verified: for tests of what builds on
+    /// counterparts.
     #[doc(hidden)]
     pub fn for_test(entity: Name, switch: Name, key: VerifyKey, not_after: u64, serial: u64) -> Self {
         Self {
@@ -67,7 +70,8 @@ pub enum PeerEvent {
     Expelled(Name),
     /// The owner has revoked something. It may be the entity's own right.
     Revoked(Revocation),
-    /// The RIB does not know this revocation, as after it has lost its memory: give it to it, so that it enforces it again.
+    /// The RIB does not know this revocation, as after it has lost its memory: give it to it, so
+    /// that it enforces it again.
     RibIsBehind(Signed<Revocation>),
     /// From a counterpart to the entity; to be verified by who opens it.
     KeyBox(Signed<KeyBox>),
@@ -114,7 +118,8 @@ impl Counterparts {
         self.known.get(entity)
     }
 
-    /// Holds to a revocation from now on that was verified before, as one that an earlier process heard of.
+    /// Holds to a revocation from now on that was verified before, as one that an earlier process
+    /// heard of.
     pub fn recall(&mut self, revocation: (Signed<Revocation>, Revocation)) {
         self.revocation = Some(revocation);
     }
@@ -177,7 +182,8 @@ impl Counterparts {
         Ok(events)
     }
 
-    /// A domain has taken something back, which was verified: lets go of counterparts whose right rests on it, now and from now on.
+    /// A domain has taken something back, which was verified: lets go of counterparts whose right
+    /// rests on it, now and from now on.
     pub fn domain_revoked(&mut self, claims: &Revocation) -> Vec<PeerEvent> {
         self.domains.insert(claims.name, claims.clone());
         let is_over = |counterpart: &Counterpart| {

@@ -1,5 +1,6 @@
-//! How a trace goes on in other domains, without I/O: which domain may be asked next, what of its answer is taken, and how often a
-//! neighbour may ask. [`gdp_daemon::serve::crossing`] asks and answers.
+//! How a trace goes on in other domains, without I/O: which domain may be asked next, what of its
+//! answer is taken, and how often a neighbour may ask. [`gdp_daemon::serve::crossing`] asks and
+//! answers.
 
 use std::time::Duration;
 
@@ -79,7 +80,8 @@ pub fn refused(reason: impl Into<String>) -> Crossing {
     Crossing::Refused { reason }
 }
 
-/// What `domain` has answered, which is entered at switch `entry`: cut to the bounds, and said to be of nobody else. None: it is no answer.
+/// What `domain` has answered, which is entered at switch `entry`: cut to the bounds, and said to
+/// be of nobody else. None: it is no answer.
 pub fn taken(domain: Name, entry: Name, answer: Vec<TracedDomain>) -> Option<Vec<TracedDomain>> {
     let (mut depth, mut room) = (0, MAX_TRACED_SWITCHES);
     let mut domains: Vec<TracedDomain> = answer.into_iter().take(MAX_TRACED_DOMAINS).collect();

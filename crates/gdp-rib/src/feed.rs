@@ -1,6 +1,7 @@
-//! What another side should hold, and the pushes that bring it there: deltas while it follows, the whole in parts after every
-//! (re)connect. Pure state, whatever the entries are: the RIB fills one for the FIB of each switch, tiers one for each neighbouring
-//! domain, and whoever fills it sends what [`Feed::next`] returns.
+//! What another side should hold, and the pushes that bring it there: deltas while it follows, the
+//! whole in parts after every (re)connect. Pure state, whatever the entries are: the RIB fills one
+//! for the FIB of each switch, tiers one for each neighbouring domain, and whoever fills it sends
+//! what [`Feed::next`] returns.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound::{Excluded, Included, Unbounded};
@@ -11,7 +12,8 @@ use gdp_proto::control::Extent;
 /// How long after a push that failed the other side is sent the whole.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// After so long the other side is told again what it took only a part of; each time in a row twice as long, and at most this long.
+/// After so long the other side is told again what it took only a part of; each time in a row twice
+/// as long, and at most this long.
 const TELL_AGAIN: Duration = Duration::from_secs(60);
 const TELL_AGAIN_AT_MOST: Duration = Duration::from_secs(16 * 60);
 
@@ -30,7 +32,8 @@ pub struct Feed<K, V> {
     partly: Partly<K>,
 }
 
-/// What the other side took only a part of, and may take later, though nothing changes here: when it has room.
+/// What the other side took only a part of, and may take later, though nothing changes here: when
+/// it has room.
 #[derive(Debug)]
 struct Partly<K> {
     /// Of all such pushes; which of them were refused is not said.
@@ -107,8 +110,8 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         (self.partly.keys, self.partly.at) = (BTreeSet::new(), None);
     }
 
-    /// The next push, unless one is out or there is nothing to say. `size`: bytes of an entry, or of a key that is removed. An empty
-    /// push takes any one entry.
+    /// The next push, unless one is out or there is nothing to say. `size`: bytes of an entry, or
+    /// of a key that is removed. An empty push takes any one entry.
     pub fn next(&mut self, now: Duration, room: Room, size: impl Fn(Option<&V>) -> usize) -> Option<Parcel<K, V>> {
         if self.in_flight.is_some() {
             return None;
@@ -166,8 +169,8 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         Some(Parcel { generation: self.generation, extent, set, remove })
     }
 
-    /// What became of the push of this generation; whether it is the one that was out. If it failed, the whole is sent, a
-    /// little later.
+    /// What became of the push of this generation; whether it is the one that was out. If it
+    /// failed, the whole is sent, a little later.
     pub fn answered(&mut self, now: Duration, generation: u64, done: bool) -> bool {
         if self.in_flight.take_if(|push| push.generation == generation).is_none() {
             return false;
@@ -181,7 +184,8 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         true
     }
 
-    /// As [`Self::answered`], of a push that was taken but for some of its entries: they are told again later.
+    /// As [`Self::answered`], of a push that was taken but for some of its entries: they are told
+    /// again later.
     pub fn answered_partly(&mut self, now: Duration, generation: u64) {
         let Some(push) = self.in_flight.take_if(|push| push.generation == generation) else { return };
         self.failures = 0;
@@ -195,8 +199,8 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         self.partly.at.is_some()
     }
 
-    /// Whether the other side has answered what there is to say of this key; or has failed to more than once, so that waiting is of no
-    /// use.
+    /// Whether the other side has answered what there is to say of this key; or has failed to more
+    /// than once, so that waiting is of no use.
     pub fn is_settled(&self, key: &K) -> bool {
         let sent = match &self.phase {
             Phase::Failed { .. } => return self.failures > 1,

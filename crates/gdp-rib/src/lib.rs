@@ -1,6 +1,8 @@
-//! The routing information base of a domain, its tiers and its topology: state machines without I/O and without a clock.
+//! The routing information base of a domain, its tiers and its topology: state machines without I/O
+//! and without a clock.
 //!
-//! [`rib`] answers entities' requests, [`tiers`] exchanges records between domains, [`topology`] computes paths.
+//! [`rib`] answers entities' requests, [`tiers`] exchanges records between domains, [`topology`]
+//! computes paths.
 // They panic where stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 

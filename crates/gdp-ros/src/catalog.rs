@@ -1,8 +1,10 @@
-//! The list of names that a proxy exposes by itself: what each stands for, and who may read it. It goes sealed, under a name of its own, to those
-//! who may read that name; so nobody else learns what a robot has.
+//! The list of names that a proxy exposes by itself: what each stands for, and who may read it. It
+//! goes sealed, under a name of its own, to those who may read that name; so nobody else learns
+//! what a robot has.
 //!
-//! A catalog lists names of the owner of its own name and no others: an entry has no owner key, so what it names follows from that of the catalog.
-//! It is pinned at its publisher, and sent again every [`REFRESH`]; a publisher whose catalog is not heard of for [`LEASE`] is gone.
+//! A catalog lists names of the owner of its own name and no others: an entry has no owner key, so
+//! what it names follows from that of the catalog. It is pinned at its publisher, and sent again
+//! every [`REFRESH`]; a publisher whose catalog is not heard of for [`LEASE`] is gone.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -35,7 +37,8 @@ pub const MAX_GRANTS: usize = 64;
 /// In bytes.
 const MAX_CATALOG: usize = 4 << 20;
 
-/// Bytes of all entries of one catalog, as [`Entry::size`] counts them: what is around them takes fewer than the rest.
+/// Bytes of all entries of one catalog, as [`Entry::size`] counts them: what is around them takes
+/// fewer than the rest.
 pub const MAX_ENTRY_BYTES: usize = MAX_CATALOG - 64;
 
 const VERSION: u8 = 1;
@@ -52,7 +55,8 @@ pub struct Catalog {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Entry {
-    /// That of its card. `kind` is `topic`, `service` or `action`; whoever does not know another one leaves such entries out.
+    /// That of its card. `kind` is `topic`, `service` or `action`; whoever does not know another
+    /// one leaves such entries out.
     pub metadata: Metadata,
     /// Everybody's who may read or call it.
     pub grants: Vec<Issued<ReadGrant>>,
@@ -100,7 +104,8 @@ impl Catalog {
         }
     }
 
-    /// Reads what another proxy sent: the names, of which `owner` is the owner, with the grants to read them. These are not verified yet.
+    /// Reads what another proxy sent: the names, of which `owner` is the owner, with the grants to
+    /// read them. These are not verified yet.
     pub fn read(bytes: &[u8], owner: VerifyKey) -> Result<Vec<Listing>, CatalogError> {
         let catalog: Self = cbor::decode(bytes, MAX_CATALOG)?;
         if catalog.version != VERSION {

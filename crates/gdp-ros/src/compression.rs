@@ -1,5 +1,6 @@
-//! Bodies that travel compressed. That they are is said by the number of the encoding, so every reader undoes it, whatever it is configured to do, and one
-//! that does not know it refuses them by that number.
+//! Bodies that travel compressed. That they are is said by the number of the encoding, so every
+//! reader undoes it, whatever it is configured to do, and one that does not know it refuses them by
+//! that number.
 
 use std::io;
 
@@ -7,13 +8,16 @@ use bytes::Bytes;
 use gdp_e2e::seal::{Encoding, Limits};
 use zstd::bulk::{Compressor, Decompressor};
 
-/// In the number of an encoding: the body is one zstd frame, which states its length, of a body in the encoding of the other bits.
+/// In the number of an encoding: the body is one zstd frame, which states its length, of a body in
+/// the encoding of the other bits.
 const ZSTD: u16 = 0x8000;
 
-/// zstd's level. Of 1, 3 takes three times as long or more, for a few hundredths less of camera images and point clouds.
+/// zstd's level. Of 1, 3 takes three times as long or more, for a few hundredths less of camera
+/// images and point clouds.
 const LEVEL: i32 = 1;
 
-/// Shorter bodies go as they are: with the header of a frame and its tags they would hardly become shorter.
+/// Shorter bodies go as they are: with the header of a frame and its tags they would hardly become
+/// shorter.
 const WORTHWHILE: usize = 256;
 
 /// Why a body is not compressed.
@@ -47,7 +51,8 @@ impl Packer {
         Ok(Self { compressor: Compressor::new(LEVEL)?, packed: Vec::new() })
     }
 
-    /// The body as it is to travel, with what it is in then: as it was, where compressing does not make it shorter.
+    /// The body as it is to travel, with what it is in then: as it was, where compressing does not
+    /// make it shorter.
     pub fn pack<'a>(&'a mut self, encoding: Encoding, body: &'a [u8]) -> (Encoding, &'a [u8]) {
         if body.len() < WORTHWHILE || !is_packable(encoding) {
             return (encoding, body);
@@ -61,7 +66,8 @@ impl Packer {
     }
 }
 
-/// A body that came, and what it is in once it is not compressed any more. Takes no more memory than the largest message.
+/// A body that came, and what it is in once it is not compressed any more. Takes no more memory
+/// than the largest message.
 pub fn unpacked(encoding: Encoding, body: Bytes) -> Result<(Encoding, Bytes), UnpackError> {
     let inner = Encoding::from(u16::from(encoding) & !ZSTD);
     if inner == encoding || !is_packable(inner) {

@@ -1,4 +1,5 @@
-//! Which texts name topics, services, actions and types in ROS 2 (design.ros2.org, "Topic and Service name mapping to DDS").
+//! Which texts name topics, services, actions and types in ROS 2 (design.ros2.org, "Topic and
+//! Service name mapping to DDS").
 //!
 //! They come from users, cards and the network. Nothing that is not a ROS name may get further.
 
@@ -34,7 +35,8 @@ pub fn check_topic(text: &str) -> Result<(), NameError> {
     if tokens_are_good && text.len() <= MAX_TOPIC { Ok(()) } else { Err(NameError::Topic(excerpt(text))) }
 }
 
-/// Accepts the type of a message, service or action, such as `std_srvs/srv/SetBool`. Returns its middle, here `srv`.
+/// Accepts the type of a message, service or action, such as `std_srvs/srv/SetBool`. Returns its
+/// middle, here `srv`.
 pub fn check_type(text: &str) -> Result<&str, NameError> {
     match text.split('/').collect::<Vec<_>>()[..] {
         [package, folder @ ("msg" | "srv" | "action"), name]

@@ -1,4 +1,5 @@
-//! Types of services, as [`types`](crate::types) has those of messages: what is known of them, and converters for both of their messages.
+//! Types of services, as [`types`](crate::types) has those of messages: what is known of them, and
+//! converters for both of their messages.
 
 use std::sync::Arc;
 
@@ -29,7 +30,8 @@ pub fn service_name(name: &str, dialect: Dialect) -> Result<String, TypeError> {
 }
 
 impl Types {
-    /// What is known here of a service, as its graph names it. With the hash that its servers say, if they do.
+    /// What is known here of a service, as its graph names it. With the hash that its servers say,
+    /// if they do.
     pub fn describe_service(&self, kind: Kind) -> Description {
         let halves = self.known_halves(kind.dialect, &kind.name).ok();
         let texts = halves.as_ref().map(|[request, response]| (request.text(), response.text()));
@@ -45,7 +47,8 @@ impl Types {
         Description { kind: Kind { dialect: Dialect::Ros2, name, hash }, definitions: None }
     }
 
-    /// A service elsewhere as a graph of this dialect has it: as it is known here, or else made from what it is described by.
+    /// A service elsewhere as a graph of this dialect has it: as it is known here, or else made
+    /// from what it is described by.
     pub fn service_counterpart(&self, there: &Description, dialect: Dialect) -> Result<Description, TypeError> {
         if there.kind.dialect == dialect {
             return Ok(there.clone());
@@ -85,7 +88,8 @@ impl Types {
         Ok(Converters { request: convert(0, &client, &server)?, response: convert(1, &server, &client)? })
     }
 
-    /// Request and response of a service, by what its server tells; without that, as they are known here.
+    /// Request and response of a service, by what its server tells; without that, as they are known
+    /// here.
     pub fn service_schemas(&self, of: &Description) -> Result<Halves, TypeError> {
         let Kind { dialect, name, .. } = &of.kind;
         let Some(Definitions { request, response }) = &of.definitions else { return self.known_halves(*dialect, name) };

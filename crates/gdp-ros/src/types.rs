@@ -91,8 +91,8 @@ pub fn unsealed(encoding: seal::Encoding, body: Bytes) -> Result<(Encoding, Byte
 }
 
 impl Types {
-    /// The common interfaces, and what is in these share folders of installations of ROS; of these, files that define nothing are named in
-    /// the log.
+    /// The common interfaces, and what is in these share folders of installations of ROS; of these,
+    /// files that define nothing are named in the log.
     pub fn load<'a>(folders: impl IntoIterator<Item = (Dialect, &'a Path)>) -> Result<Self, LoadError> {
         let mut registry = Registry::embedded();
         for (dialect, folder) in folders {
@@ -122,13 +122,14 @@ impl Types {
         self.schema(form.kind, form.definition)
     }
 
-    /// The text that a type is defined by with all that it contains, if it is known here and not too long to be told.
+    /// The text that a type is defined by with all that it contains, if it is known here and not
+    /// too long to be told.
     pub fn definition(&self, kind: &Kind) -> Option<String> {
         self.known(kind).ok().map(|schema| schema.text()).filter(|text| text.len() <= MAX_DEFINITION)
     }
 
-    /// The same type in another graph's terms, with the definition that its subscribers need: as it is known here, or else made from that of
-    /// the sender.
+    /// The same type in another graph's terms, with the definition that its subscribers need: as it
+    /// is known here, or else made from that of the sender.
     pub fn counterpart(&self, form: &Form<'_>, dialect: Dialect) -> Result<(Kind, Option<String>), TypeError> {
         if form.kind.dialect == dialect {
             return Ok((form.kind.clone(), form.definition.map(str::to_owned)));
@@ -157,7 +158,8 @@ impl Types {
         self.mapped(from, to, "")
     }
 
-    /// The same, and `prefix` goes in front of all coordinate frames; see [`Mapping::with_frame_prefix`].
+    /// The same, and `prefix` goes in front of all coordinate frames; see
+    /// [`Mapping::with_frame_prefix`].
     pub fn prefixing_converter(&self, from: &Form<'_>, to: &Form<'_>, prefix: &str) -> Result<Converter, TypeError> {
         let converter = self.mapped(from, to, prefix).map_err(|error| TypeError::Frames(error.into()))?;
         match &converter {

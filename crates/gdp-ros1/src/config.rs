@@ -6,15 +6,18 @@ use std::time::Duration;
 /// How a node is set up.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeConfig {
-    /// In full, such as `/gdp_proxy`. Of two nodes with the same name at a master, the one that came first is told to end.
+    /// In full, such as `/gdp_proxy`. Of two nodes with the same name at a master, the one that
+    /// came first is told to end.
     pub name: String,
     /// Such as `http://localhost:11311/`.
     pub master_uri: String,
     /// What others are told to connect to: a host name that they can resolve, or an address.
     pub host: String,
-    /// Where this node takes connections, both those of the slave API and of TCPROS, at ports that the system chooses.
+    /// Where this node takes connections, both those of the slave API and of TCPROS, at ports that
+    /// the system chooses.
     pub bind: IpAddr,
-    /// How often the master is asked for its state: to find out that it has forgotten this node, and what there is. Taken as 50 ms to 60 s.
+    /// How often the master is asked for its state: to find out that it has forgotten this node,
+    /// and what there is. Taken as 50 ms to 60 s.
     pub poll: Duration,
     /// For each call of the master or another node's slave API, and for each handshake.
     pub timeout: Duration,
@@ -26,8 +29,9 @@ pub struct NodeConfig {
 const MASTER_PORT: u16 = 11311;
 
 impl NodeConfig {
-    /// As the environment says, like every ROS 1 node: `ROS_MASTER_URI`, then `ROS_HOSTNAME` before `ROS_IP` before the name of this machine, and
-    /// `ROS_IPV6`. A host that means this machine alone is also all that is listened at.
+    /// As the environment says, like every ROS 1 node: `ROS_MASTER_URI`, then `ROS_HOSTNAME` before
+    /// `ROS_IP` before the name of this machine, and `ROS_IPV6`. A host that means this machine
+    /// alone is also all that is listened at.
     pub fn from_env(name: &str) -> Self {
         Self::on_this_machine(name, |variable| std::env::var(variable).ok())
     }

@@ -1,7 +1,9 @@
-//! What is there at a master: topics with their types, who publishes and subscribes, and services; and what changes about it.
+//! What is there at a master: topics with their types, who publishes and subscribes, and services;
+//! and what changes about it.
 //!
-//! A master tells nobody of changes but those who publish or subscribe themselves, so its state is asked for from time to time, as ROS tools do.
-//! It does not know the types of services: [`ServiceClient::probe`](crate::ServiceClient::probe) asks the server.
+//! A master tells nobody of changes but those who publish or subscribe themselves, so its state is
+//! asked for from time to time, as ROS tools do. It does not know the types of services:
+//! [`ServiceClient::probe`](crate::ServiceClient::probe) asks the server.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -95,8 +97,9 @@ impl Snapshot {
 
 /// Watches a master's graph. While the master does not answer, nothing changes.
 ///
-/// A master that was started anew knows only who registers with it again, and most ROS 1 nodes do not, though their connections go on. So whoever
-/// this node is connected to as a subscriber is there, whether or not the master lists it. What it is not connected to looks gone then: what was
+/// A master that was started anew knows only who registers with it again, and most ROS 1 nodes do
+/// not, though their connections go on. So whoever this node is connected to as a subscriber is
+/// there, whether or not the master lists it. What it is not connected to looks gone then: what was
 /// bridged should be kept while its [`Publisher`](crate::Publisher) has a subscriber.
 pub struct Graph {
     snapshots: watch::Receiver<Arc<Snapshot>>,
@@ -108,8 +111,8 @@ impl Graph {
         Self { snapshots, seen: Arc::default() }
     }
 
-    /// Waits until the graph differs from what was returned last; at first, all of it is new. Many changes in a short time may be seen as one. `None`
-    /// when the node has left.
+    /// Waits until the graph differs from what was returned last; at first, all of it is new. Many
+    /// changes in a short time may be seen as one. `None` when the node has left.
     pub async fn changes(&mut self) -> Option<Vec<Change>> {
         let now = self.snapshots.wait_for(|now| **now != *self.seen).await.ok()?.clone();
         let changes = now.changes_since(&self.seen);

@@ -11,7 +11,8 @@ pub enum NameError {
     #[error("an empty name")]
     Empty,
     #[error(
-        "the name {name:?}: {bad:?} at byte {at} cannot stand there; letters, digits, '_' and '/' can, after a letter, '/' or '~'"
+        "the name {name:?}: {bad:?} at byte {at} cannot stand there; letters, digits, '_' and '/' can, after a \
+         letter, '/' or '~'"
     )]
     Character { name: String, bad: char, at: usize },
     #[error("the name {name:?} has an empty part: leave out the second '/' or the one at the end")]
@@ -22,8 +23,8 @@ pub enum NameError {
     NotFull(String),
 }
 
-/// The full name, from `/`. `name` is global (`/a`), relative to the node's namespace (`a`), or private to the node (`~a`); `node` is
-/// the node's full name.
+/// The full name, from `/`. `name` is global (`/a`), relative to the node's namespace (`a`), or
+/// private to the node (`~a`); `node` is the node's full name.
 pub fn resolve(name: &str, node: &str) -> Result<String, NameError> {
     validate(name)?;
     let namespace = &node[..=node.rfind('/').unwrap_or(0)];

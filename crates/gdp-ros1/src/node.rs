@@ -60,8 +60,8 @@ pub struct TooLong {
     pub max: usize,
 }
 
-/// A ROS 1 node. Ends with everything that it publishes, subscribes to and serves when it is dropped; the master is told in the background then.
-/// [`Node::leave`] waits for that.
+/// A ROS 1 node. Ends with everything that it publishes, subscribes to and serves when it is
+/// dropped; the master is told in the background then. [`Node::leave`] waits for that.
 pub struct Node {
     shared: Arc<Shared>,
     /// The servers end when this is dropped.
@@ -70,7 +70,8 @@ pub struct Node {
 }
 
 impl Node {
-    /// Begins to listen, and looks for the master in the background: whether it is there shows in [`Node::status`]. To be called within a tokio runtime.
+    /// Begins to listen, and looks for the master in the background: whether it is there shows in
+    /// [`Node::status`]. To be called within a tokio runtime.
     pub async fn start(config: NodeConfig) -> Result<Self, NodeError> {
         validate_node(&config.name)?;
         let poll = config.poll.clamp(POLL.0, POLL.1);
@@ -128,8 +129,8 @@ impl Node {
         Ok(Publisher { publication, registered })
     }
 
-    /// Subscribes to a topic, of whatever type unless `options` say which. Only one `Subscription` of a node may have it. What this
-    /// node publishes itself does not come.
+    /// Subscribes to a topic, of whatever type unless `options` say which. Only one `Subscription`
+    /// of a node may have it. What this node publishes itself does not come.
     pub fn subscribe(&self, topic: &str, options: SubscribeOptions) -> Result<Subscription, NodeError> {
         let topic = resolve(topic, self.name())?;
         let (kind, md5sum) = options.kind.unwrap_or_else(|| ("*".to_owned(), "*".to_owned()));
@@ -159,7 +160,8 @@ impl Node {
         Ok(Subscription { common, ended: states.clone(), states, registered })
     }
 
-    /// Serves a service: `handler` is called with each request, at most `concurrency` (at least 1) at once; others wait. An error is told to the caller.
+    /// Serves a service: `handler` is called with each request, at most `concurrency` (at least 1)
+    /// at once; others wait. An error is told to the caller.
     pub fn serve<F>(
         &self,
         service: &str,
@@ -207,8 +209,9 @@ impl Node {
         self.shared.status.subscribe()
     }
 
-    /// Takes everything back at the master, as far as it can be reached within a few seconds, and ends all connections; those
-    /// who are being answered get that before, if it takes no more than a second.
+    /// Takes everything back at the master, as far as it can be reached within a few seconds, and
+    /// ends all connections; those who are being answered get that before, if it takes no more than
+    /// a second.
     pub async fn leave(mut self) {
         self.shared.leaving.send_replace(true);
         if let Some(registrar) = self.registrar.take() {
@@ -245,7 +248,8 @@ impl Registered {
 
 impl Drop for Registered {
     fn drop(&mut self) {
-        // Under the lock, so that another of the same name is registered after this one is taken back.
+        // Under the lock, so that another of the same name is registered after this one is taken
+        // back.
         fn remove<T>(of: &Mutex<HashMap<String, T>>, name: &str, leave: impl FnOnce()) {
             let mut handles = of.lock();
             handles.remove(name);
@@ -273,8 +277,9 @@ impl Publisher {
         &self.publication.topic
     }
 
-    /// Hands a message, as serialized by ROS 1 without the length in front, to all who are connected. Does not wait: for those who are too slow, the oldest
-    /// that wait are dropped and counted.
+    /// Hands a message, as serialized by ROS 1 without the length in front, to all who are
+    /// connected. Does not wait: for those who are too slow, the oldest that wait are dropped and
+    /// counted.
     pub fn publish(&self, message: Bytes) -> Result<(), TooLong> {
         let max = self.registered.shared.config.max_message;
         if message.len() > max {
@@ -315,7 +320,8 @@ impl Subscription {
         &self.registered.key.1
     }
 
-    /// Waits for the next message; `None` when the node has left. It may be dropped while it waits, without a loss.
+    /// Waits for the next message; `None` when the node has left. It may be dropped while it waits,
+    /// without a loss.
     pub async fn next(&mut self) -> Option<Message> {
         tokio::select! {
             biased;

@@ -1,4 +1,5 @@
-//! A queue between a writer that must not wait and one reader that may be slow: full, it loses its oldest, and counts them.
+//! A queue between a writer that must not wait and one reader that may be slow: full, it loses its
+//! oldest, and counts them.
 
 use std::collections::VecDeque;
 

@@ -1,5 +1,5 @@
-//! What keeps the master informed: registers and unregisters what is asked for, looks regularly whether the master still knows it, and
-//! takes what it says of the graph along.
+//! What keeps the master informed: registers and unregisters what is asked for, looks regularly
+//! whether the master still knows it, and takes what it says of the graph along.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -34,7 +34,8 @@ impl Registrar {
         let mut leaving = self.shared.leaving.subscribe();
         tokio::select! {
             () = self.keep() => {}
-            // A call that is cut off here may have been carried out: it is taken back with the others.
+            // A call that is cut off here may have been carried out: it is taken back with the
+            // others.
             _ = leaving.wait_for(|leaving| *leaving) => {}
         }
         self.shared.registrations().leave_all();
@@ -62,7 +63,8 @@ impl Registrar {
         }
     }
 
-    /// Whether the master still knows this node as it should; what it has forgotten is wanted again.
+    /// Whether the master still knows this node as it should; what it has forgotten is wanted
+    /// again.
     async fn look(&mut self) -> MasterState {
         self.try_to_look().await.unwrap_or_else(|error| MasterState::Unreachable(error.to_string()))
     }
@@ -70,8 +72,9 @@ impl Registrar {
     async fn try_to_look(&mut self) -> Result<MasterState, MasterError> {
         let Shared { master, config, uri, .. } = &*self.shared;
         let state = master.system_state().await?;
-        // After the state: if the name is this node's now, the state does not lack it because another has taken it. Who has nothing
-        // registered yet takes the name itself, perhaps from its own run before.
+        // After the state: if the name is this node's now, the state does not lack it because
+        // another has taken it. Who has nothing registered yet takes the name itself, perhaps from
+        // its own run before.
         if self.is_known {
             match master.lookup_node(&config.name).await {
                 Ok(other) if other != *uri => return Ok(MasterState::NameTaken(other)),

@@ -1,4 +1,5 @@
-//! What the master is to know of this node, without I/O: what was asked for, what it has taken, what it has forgotten.
+//! What the master is to know of this node, without I/O: what was asked for, what it has taken,
+//! what it has forgotten.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -60,7 +61,8 @@ impl Registrations {
         self.entries.insert(key, Entry { kind, state: State::Wanted, run, publishers: BTreeSet::new() });
     }
 
-    /// Takes one back. Also of one that is not known to be registered: the answer may have been lost.
+    /// Takes one back. Also of one that is not known to be registered: the answer may have been
+    /// lost.
     pub fn leave(&mut self, key: &Key) {
         if let Some(entry) = self.entries.get_mut(key) {
             entry.state = State::Leaving;
@@ -81,7 +83,8 @@ impl Registrations {
         })
     }
 
-    /// The master did it. What was asked for meanwhile counts: a step whose opposite is wanted now does not end anything.
+    /// The master did it. What was asked for meanwhile counts: a step whose opposite is wanted now
+    /// does not end anything.
     pub fn done(&mut self, step: &Step) {
         match step {
             Step::Register { key, .. } => {
@@ -110,9 +113,10 @@ impl Registrations {
         }
     }
 
-    /// Compares with what the master says of `node`: what it has forgotten is wanted again, and so is what it refused. A subscriber asks
-    /// again too when others publish its topic than before, because the master's word that they do may have been lost. Returns how
-    /// many registrations were forgotten.
+    /// Compares with what the master says of `node`: what it has forgotten is wanted again, and so
+    /// is what it refused. A subscriber asks again too when others publish its topic than before,
+    /// because the master's word that they do may have been lost. Returns how many registrations
+    /// were forgotten.
     pub fn observe(&mut self, node: &str, master: &SystemState) -> usize {
         let by_name = |listed: &'_ [(String, Vec<String>)]| -> BTreeMap<String, BTreeSet<String>> {
             listed.iter().map(|(name, nodes)| (name.clone(), nodes.iter().cloned().collect())).collect()

@@ -54,7 +54,8 @@ pub struct Status {
     pub pending: usize,
     /// What it refuses (the name of a topic or service), and why; it is asked again at each look.
     pub refused: Vec<(String, String)>,
-    /// Somebody wants this node to end (`rosnode kill`, or a master where another took its name), and why. It is up to whoever uses the node.
+    /// Somebody wants this node to end (`rosnode kill`, or a master where another took its name),
+    /// and why. It is up to whoever uses the node.
     pub shutdown: Option<String>,
 }
 
@@ -66,7 +67,8 @@ pub enum MasterState {
     Reached,
     /// And why. What is connected stays so; everything is registered when the master is back.
     Unreachable(String),
-    /// Another node has registered with this one's name: that is its slave API. This node leaves the name to it until it is gone.
+    /// Another node has registered with this one's name: that is its slave API. This node leaves
+    /// the name to it until it is gone.
     NameTaken(String),
 }
 
@@ -110,7 +112,8 @@ impl Shared {
         });
     }
 
-    /// Who publishes a topic now. `asked`: the version of the list when the master was asked; if one has come by itself since, that is newer.
+    /// Who publishes a topic now. `asked`: the version of the list when the master was asked; if
+    /// one has come by itself since, that is newer.
     pub fn listed(&self, topic: &str, publishers: Vec<String>, asked: Option<u64>) {
         let run = self.registrations().run_of(&(Kind::Subscriber, topic.to_owned()));
         let subscriptions = self.subscriptions.lock();
@@ -190,7 +193,8 @@ impl Shared {
                 success("", topics(subscriptions.iter().map(|(topic, s)| (topic.as_str(), s.kind.as_str()))))
             }
             SlaveCall::BusInfo => success("", self.bus_info()),
-            // Publications, subscriptions, services: no counters are kept in the form that this asks for.
+            // Publications, subscriptions, services: no counters are kept in the form that this
+            // asks for.
             SlaveCall::BusStats => success("", vec![Value::Array(vec![]), Value::Array(vec![]), Value::Array(vec![])]),
             SlaveCall::Shutdown { caller, reason } => {
                 let text = if reason.is_empty() { format!("by {caller}") } else { format!("by {caller}: {reason}") };
@@ -201,7 +205,8 @@ impl Shared {
         }
     }
 
-    /// Connections, as `rosnode info` shows them: number, peer, direction, transport, topic, connected.
+    /// Connections, as `rosnode info` shows them: number, peer, direction, transport, topic,
+    /// connected.
     fn bus_info(&self) -> Vec<Value> {
         let mut connections = Vec::new();
         let mut add = |peer: &str, direction: &str, topic: &str, is_connected: bool| {

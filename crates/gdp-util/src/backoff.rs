@@ -34,7 +34,8 @@ impl Backoff {
     }
 }
 
-/// A delay between half of `delay` and the whole, so that many do not try at the same time. `random`: any byte.
+/// A delay between half of `delay` and the whole, so that many do not try at the same time.
+/// `random`: any byte.
 pub fn jittered(delay: Duration, random: u8) -> Duration {
     delay / 2 + delay / 512 * u32::from(random)
 }

@@ -1,12 +1,14 @@
 //! Shows text of strangers without the characters that a terminal or an editor obeys.
 //!
-//! Names, labels and reasons come from cards, certificates and peers. A raw ESC in one of them moves the cursor or sets
-//! the title, a line feed forges a line, and a bidirectional control makes `a` look like `b` (Unicode TR 36, TR 55).
+//! Names, labels and reasons come from cards, certificates and peers. A raw ESC in one of them
+//! moves the cursor or sets the title, a line feed forges a line, and a bidirectional control makes
+//! `a` look like `b` (Unicode TR 36, TR 55).
 
 use std::borrow::Cow;
 use std::fmt::{self, Write};
 
-/// Displays `T` on one line; each character that [`is_control`] appears as `\u{1b}`, `\n`, `\r` or `\t`.
+/// Displays `T` on one line; each character that [`is_control`] appears as `\u{1b}`, `\n`, `\r` or
+/// `\t`.
 #[derive(Clone, Copy, Debug)]
 pub struct Escaped<T>(pub T);
 
@@ -36,8 +38,8 @@ impl<W: fmt::Write> fmt::Write for EscapingWriter<W> {
 
 /// JSON text of the same value, in which each character that [`is_control`] is written as `\u001b`.
 ///
-/// Serialisers write DEL, C1 and bidirectional controls as they are. Outside of strings JSON has none of them; line feeds,
-/// which separate its tokens, stay.
+/// Serialisers write DEL, C1 and bidirectional controls as they are. Outside of strings JSON has
+/// none of them; line feeds, which separate its tokens, stay.
 pub fn escape_json(json: &str) -> Cow<'_, str> {
     if !json.contains(|c| is_control(c) && c != '\n') {
         return json.into();

@@ -1,8 +1,8 @@
 //! Files of a long-running program that others replace: certificates, configurations, memberships.
 //!
-//! One task watches the files' folders by inotify, so that a file that is replaced by `rename` is seen, too. It also
-//! looks at every file from time to time: a bind mount, a network file system or a link into another folder brings no
-//! event.
+//! One task watches the files' folders by inotify, so that a file that is replaced by `rename` is
+//! seen, too. It also looks at every file from time to time: a bind mount, a network file system or
+//! a link into another folder brings no event.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::fs;
@@ -25,7 +25,8 @@ const SLOW_LOOK: Duration = Duration::from_secs(5);
 /// A file is often replaced in several steps: what follows an event within this time is one change.
 const SETTLE: Duration = Duration::from_millis(20);
 
-/// A set of files has changed when no more of it changed for this long: one is perhaps still being written.
+/// A set of files has changed when no more of it changed for this long: one is perhaps still being
+/// written.
 const QUIET: Duration = Duration::from_millis(200);
 
 /// Another file, or other content, has another stamp.
@@ -93,7 +94,8 @@ impl FileWatcher {
     }
 }
 
-/// Files that belong together, such as a configuration and what it names. They are watched until this is dropped.
+/// Files that belong together, such as a configuration and what it names. They are watched until
+/// this is dropped.
 pub struct FileSet {
     watcher: FileWatcher,
     /// Each with its stamp when it counted as unchanged last.
@@ -101,7 +103,8 @@ pub struct FileSet {
 }
 
 impl FileSet {
-    /// Watches these files. What is in them now counts as unchanged, so create it before reading them.
+    /// Watches these files. What is in them now counts as unchanged, so create it before reading
+    /// them.
     pub fn new<'a>(watcher: &FileWatcher, paths: impl IntoIterator<Item = &'a Path>) -> Self {
         let mut set = Self { watcher: watcher.clone(), files: Vec::new() };
         set.replace(paths);
@@ -120,13 +123,14 @@ impl FileSet {
         }
     }
 
-    /// Whether one of the files that are there has changed. A file that is missing is perhaps about to be replaced.
+    /// Whether one of the files that are there has changed. A file that is missing is perhaps about
+    /// to be replaced.
     pub fn has_changed(&self) -> bool {
         self.files.iter().any(|(file, seen)| FileStamp::of(file.path()).is_some_and(|now| Some(now) != *seen))
     }
 
-    /// Waits until [`Self::has_changed`] and none of the files was written just now. Each change is reported once.
-    /// Cancel-safe.
+    /// Waits until [`Self::has_changed`] and none of the files was written just now. Each change is
+    /// reported once. Cancel-safe.
     pub async fn changed(&mut self) {
         loop {
             while !self.has_changed() {
@@ -212,7 +216,8 @@ impl Shared {
     }
 }
 
-/// The folders that inotify watches. Where the kernel gives no instance, the slow look is all there is.
+/// The folders that inotify watches. Where the kernel gives no instance, the slow look is all there
+/// is.
 struct Folders {
     events: Option<(EventStream<[u8; 4096]>, Watches)>,
     watched: HashMap<PathBuf, WatchDescriptor>,

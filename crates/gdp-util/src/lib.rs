@@ -3,7 +3,8 @@
 //! - [`backoff`]: delays between attempts
 //! - [`escape`]: text of strangers, without the characters that a terminal obeys
 //! - [`file_watch`]: files that others replace (feature `watch`)
-//! - [`log`]: the log of a long-running program, which neither blocks nor panics (feature `program`)
+//! - [`log`]: the log of a long-running program, which neither blocks nor panics (feature
+//!   `program`)
 //! - [`panics`]: a task or thread that panics ends the process (feature `program`)
 //! - [`terminal`]: lines for people (feature `program`)
 //! - [`unix_time`]: this machine's clock

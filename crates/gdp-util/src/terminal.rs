@@ -1,4 +1,5 @@
-//! Lines for people, on stdout and stderr. Whatever a stranger wrote stays on the line and is shown as text.
+//! Lines for people, on stdout and stderr. Whatever a stranger wrote stays on the line and is shown
+//! as text.
 
 use std::fmt::Display;
 use std::io::{ErrorKind, Result, Write};
@@ -6,7 +7,8 @@ use std::io::{ErrorKind, Result, Write};
 use crate::escape::{Escaped, escape_json};
 use crate::log;
 
-/// Prints lines, each escaped as a whole but for tabs that indent it. A reader that stopped reading is no error.
+/// Prints lines, each escaped as a whole but for tabs that indent it. A reader that stopped reading
+/// is no error.
 pub fn print(lines: impl IntoIterator<Item = impl Display>) -> Result<()> {
     write(&lines.into_iter().map(|line| escape_line(&line.to_string())).collect::<String>())
 }
@@ -30,7 +32,8 @@ fn write(text: &str) -> Result<()> {
     }
 }
 
-/// Tells the user something on stderr, on one line. Never panics: where stderr cannot be written it is lost.
+/// Tells the user something on stderr, on one line. Never panics: where stderr cannot be written it
+/// is lost.
 pub fn note(text: impl Display) {
     if log::is_started() {
         log::write_plain(text);

@@ -1,5 +1,6 @@
-//! Every frame a data plane sees ends in exactly one of these counters, and every copy; what is lost after that is counted once more,
-//! see [`Counter::RedirectLost`]. One enum, one per-CPU array, one metric family, the same for all planes.
+//! The counters of a data plane: every frame and every copy ends in exactly one of them. A frame
+//! that is lost after that is counted once more, see [`Counter::RedirectLost`]. One enum, one
+//! per-CPU array, one metric family, the same for all planes.
 
 /// Of how many frames that leave one is counted for its name.
 pub const SAMPLING: u64 = 64;
@@ -7,8 +8,8 @@ pub const SAMPLING: u64 = 64;
 /// Names that each plane counts frames for; a switch forgets those it saw least.
 pub const BUSIEST_NAMES: u32 = 1024;
 
-/// Whether a frame that arrived with this hop tag is counted for its name. A tag is as good as random; 0, which is what every tag is in
-/// the bench's switch without tags, does not count.
+/// Whether a frame that arrived with this hop tag is counted for its name. A tag is as good as
+/// random; 0, which is what every tag is in the bench's switch without tags, does not count.
 #[inline(always)]
 pub const fn is_sampled(tag: u64) -> bool {
     tag % SAMPLING == 1
@@ -38,13 +39,15 @@ counters! {
     Forwarded = "forwarded",
     /// Sent to the link of a local endpoint.
     Delivered = "delivered",
-    /// Copied to the links of a group. Each copy is counted as well, as forwarded, delivered or dropped.
+    /// Copied to the links of a group. Each copy is counted as well, as forwarded, delivered or
+    /// dropped.
     Replicated = "replicated",
     /// An echo, answered.
     Echoed = "echoed",
     /// An error, the answer to an echo or a probe, for this node itself.
     Notice = "notice",
-    /// Left to the userspace plane, because the kernel cannot send by the next link, or the frame is for the daemon.
+    /// Left to the userspace plane, because the kernel cannot send by the next link, or the frame
+    /// is for the daemon.
     Slow = "slow",
     /// A control frame, for the daemon.
     Control = "control",
@@ -52,7 +55,8 @@ counters! {
     Foreign = "foreign",
     /// Dropped: shorter than its header, or than the header says it is.
     Truncated = "drop_truncated",
-    /// Dropped: a version other than 1, a type this switch does not know, or a header of another length.
+    /// Dropped: a version other than 1, a type this switch does not know, or a header of another
+    /// length.
     Unknown = "drop_unknown",
     /// Dropped: no link has the id in the header.
     NoLink = "drop_no_link",
@@ -68,7 +72,8 @@ counters! {
     NoRoute = "drop_no_route",
     /// Dropped: the link may not send to this name.
     NotPermitted = "drop_not_permitted",
-    /// Dropped: no live neighbour leads to the egress switch, or the frame names none; or it is a probe and names several.
+    /// Dropped: no live neighbour leads to the egress switch, or the frame names none; or it is a
+    /// probe and names several.
     NoEgress = "drop_no_egress",
     /// Dropped: would leave by the link it came in on.
     Hairpin = "drop_hairpin",
@@ -76,14 +81,16 @@ counters! {
     SplitHorizon = "drop_split_horizon",
     /// Dropped: larger than the next link's MTU.
     TooBig = "drop_too_big",
-    /// Dropped: a router marked what carried the frame (congestion experienced), and its writer does not take marks.
+    /// Dropped: a router marked what carried the frame (congestion experienced), and its writer
+    /// does not take marks.
     Congested = "drop_congested",
     /// Dropped: a probe that ends here, too soon after the one before on its link.
     PuntLimit = "drop_punt_limit",
     /// Dropped: the decision was to redirect, and the kernel refused.
     RedirectFailed = "drop_redirect_failed",
-    /// Dropped after the decision: the interface it was redirected to did not take it. It is counted already, as
-    /// [`Counter::Forwarded`], [`Counter::Delivered`] or [`Counter::Echoed`], or, if it is an error, as the drop that it answers.
+    /// Dropped after the decision: the interface it was redirected to did not take it. It is
+    /// counted already, as [`Counter::Forwarded`], [`Counter::Delivered`] or [`Counter::Echoed`],
+    /// or, if it is an error, as the drop that it answers.
     RedirectLost = "drop_redirect_lost",
 }
 

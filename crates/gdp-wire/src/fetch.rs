@@ -1,7 +1,7 @@
 //! Asking the CPU for memory before it is needed.
 
-/// Brings the cache line at an address into the caches, without waiting for it; whether there is anything does not matter. On x86-64 and
-/// AArch64; elsewhere it does nothing.
+/// Brings the cache line at an address into the caches, without waiting for it; whether there is
+/// anything does not matter. On x86-64 and AArch64; elsewhere it does nothing.
 #[inline(always)]
 pub fn fetch<T>(line: *const T) {
     #[cfg(target_arch = "x86_64")]

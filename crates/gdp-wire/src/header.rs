@@ -90,19 +90,21 @@ impl FrameType {
 
 /// The fixed header of a frame that is forwarded: 96 bytes, all integers big-endian on the wire.
 ///
-/// The fields are words of the alignment that the frame has behind an Ethernet header in the kernel, so that the eBPF
-/// program may use the header in place. On the host, copy it out with [`FromBytes::read_from_bytes`].
+/// The fields are words of the alignment that the frame has behind an Ethernet header in the
+/// kernel, so that the eBPF program may use the header in place. On the host, copy it out with
+/// [`FromBytes::read_from_bytes`].
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Header {
     /// Version (high 4 bits) and [`FrameType`] (low 4 bits).
     pub version_type: u8,
-    /// [`Header::KEY_PHASE`], [`Header::FOREIGN`], a reserved flag, traffic class (3 bits), ECN (2 bits).
+    /// [`Header::KEY_PHASE`], [`Header::FOREIGN`], a reserved flag, traffic class (3 bits), ECN (2
+    /// bits).
     pub flags: u8,
     /// Switches the frame may still cross; a switch drops a frame that arrives with 0 or 1.
     pub hop_limit: u8,
-    /// Which set of 64 egress switches `egress_bits` speaks of. Of an error its [`ErrorCode`]; of an echo [`Header::ASKS`] or
-    /// [`Header::ANSWERS`].
+    /// Which set of 64 egress switches `egress_bits` speaks of. Of an error its [`ErrorCode`]; of
+    /// an echo [`Header::ASKS`] or [`Header::ANSWERS`].
     pub egress_set: u8,
     payload_len: u16,
     /// Header length in units of 8 bytes: 12.
@@ -155,8 +157,9 @@ impl Header {
         }
     }
 
-    /// A probe of `source`, a switch, on the path to egress switch `bit` (0 … 63) of a name, before a link's fields are filled in. It ends
-    /// there, or at the switch where it arrives with `hop_limit` 1.
+    /// A probe of `source`, a switch, on the path to egress switch `bit` (0 … 63) of a name, before
+    /// a link's fields are filled in. It ends there, or at the switch where it arrives with
+    /// `hop_limit` 1.
     pub fn probe(destination: Name, source: Name, bit: u8, hop_limit: u8) -> Self {
         Self {
             version_type: FrameType::Probe.first_byte(),
@@ -169,7 +172,8 @@ impl Header {
     /// Bytes of the payload of a probe: what its answer repeats.
     pub const COOKIE_LEN: usize = 8;
 
-    /// Turns an echo that wants an answer into that answer. Its payload is left out, so it is never larger than what drew it.
+    /// Turns an echo that wants an answer into that answer. Its payload is left out, so it is never
+    /// larger than what drew it.
     #[inline(always)]
     pub fn become_answer(&mut self) {
         self.flags &= !Self::ECN;
@@ -177,7 +181,8 @@ impl Header {
         self.payload_len = 0;
     }
 
-    /// Turns a frame that was dropped into the error that says why. `mtu`: of the link it did not fit, otherwise 0.
+    /// Turns a frame that was dropped into the error that says why. `mtu`: of the link it did not
+    /// fit, otherwise 0.
     #[inline(always)]
     pub fn become_error(&mut self, code: ErrorCode, mtu: u32) {
         self.version_type = FrameType::Error.first_byte();
@@ -195,7 +200,8 @@ impl Header {
         ((both >> 32) as u32, both as u32)
     }
 
-    /// A data frame from `source` to `destination` as its writer makes it, before a link's fields are filled in.
+    /// A data frame from `source` to `destination` as its writer makes it, before a link's fields
+    /// are filled in.
     #[inline(always)]
     pub fn data(destination: Name, source: Name, payload_len: u16) -> Self {
         Self {
@@ -209,8 +215,8 @@ impl Header {
         }
     }
 
-    /// The byte that IP has for this (DSCP and ECN) in what carries a frame with these flags: the class selector of its traffic class
-    /// (RFC 2474), and its code point (RFC 6040, normal mode).
+    /// The byte that IP has for this (DSCP and ECN) in what carries a frame with these flags: the
+    /// class selector of its traffic class (RFC 2474), and its code point (RFC 6040, normal mode).
     #[inline(always)]
     pub const fn ip_traffic(flags: u8) -> u8 {
         (flags & 0x1c) << 3 | flags & Self::ECN
@@ -239,7 +245,8 @@ impl Header {
         self.link_id = id.to_be();
     }
 
-    /// The low 32 bits of the sender's count of frames on this link; see [`crate::replay`] for the others.
+    /// The low 32 bits of the sender's count of frames on this link; see [`crate::replay`] for the
+    /// others.
     #[inline(always)]
     pub fn link_counter(&self) -> u32 {
         u32::from_be(self.link_counter)
@@ -250,7 +257,8 @@ impl Header {
         self.link_counter = counter.to_be();
     }
 
-    /// Egress switches of the domain that still need a copy; bit `i` is switch `i` of the egress set.
+    /// Egress switches of the domain that still need a copy; bit `i` is switch `i` of the egress
+    /// set.
     #[inline(always)]
     pub fn egress_bits(&self) -> u64 {
         u64::from_be(self.egress_bits)
@@ -278,19 +286,22 @@ impl Header {
         siphash24(key, &self.tagged_words(count))
     }
 
-    /// The eleven little-endian words the hop tag covers: the whole header but the tag itself, and the high 32 bits of the
-    /// link's count. These are not in the header; they go on top of the link id, which is the same in all frames under a key.
+    /// The eleven little-endian words the hop tag covers: the whole header but the tag itself, and
+    /// the high 32 bits of the link's count. These are not in the header; they go on top of the
+    /// link id, which is the same in all frames under a key.
     #[inline(always)]
     pub fn tagged_words(&self, count: u64) -> [u64; 11] {
         let this = (&raw const *self).cast::<u64>();
-        // SAFETY: `Header` is 96 bytes of plain data with the alignment of u64, so it holds twelve words.
+        // SAFETY: `Header` is 96 bytes of plain data with the alignment of u64, so it holds twelve
+        // words.
         let word = |i: usize| u64::from_le(unsafe { this.add(i).read() });
         let link = word(1) ^ u64::from(((count >> 32) as u32).swap_bytes());
         [word(0), link, word(3), word(4), word(5), word(6), word(7), word(8), word(9), word(10), word(11)]
     }
 }
 
-/// The header of a control frame: QUIC directly on Ethernet, which pads short frames and so hides their length.
+/// The header of a control frame: QUIC directly on Ethernet, which pads short frames and so hides
+/// their length.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct ControlHeader {
@@ -311,7 +322,8 @@ impl ControlHeader {
     pub const QUIC: u8 = 0;
     /// "Which switch is on this segment?"; no payload; sent to the broadcast address.
     pub const SOLICIT: u8 = 0x80;
-    /// The answer to a solicitation; the payload is the 32-byte name of the switch, which TLS then proves.
+    /// The answer to a solicitation; the payload is the 32-byte name of the switch, which TLS then
+    /// proves.
     pub const ANSWER: u8 = 0x40;
 
     pub fn new(kind: u8, payload_len: u16) -> Self {
@@ -325,7 +337,8 @@ impl ControlHeader {
         }
     }
 
-    /// The kind and payload of a control frame, without the padding behind it; `None` if it is not one.
+    /// The kind and payload of a control frame, without the padding behind it; `None` if it is not
+    /// one.
     pub fn parse(frame: &[u8]) -> Option<(u8, &[u8])> {
         let (header, rest) = Self::read_from_prefix(frame).ok()?;
         if header.version_type != FrameType::Control.first_byte() || usize::from(header.header_words) * 8 != Self::LEN {

@@ -3,8 +3,8 @@
 use crate::Header;
 use crate::LinkEntry;
 
-/// Writes the fields that belong to `link` into a frame that leaves by it, and the hop tag over the whole. `count`: frames
-/// sent on the link, with this one.
+/// Writes the fields that belong to `link` into a frame that leaves by it, and the hop tag over the
+/// whole. `count`: frames sent on the link, with this one.
 #[inline(always)]
 pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
     let key = direct(header, link, count);

@@ -1,8 +1,10 @@
-//! What every part of the Global Data Plane must agree on to the byte: names, frame headers, the layouts of the
-//! tables a data plane holds, and the one function that decides what happens to a frame.
+//! What every part of the Global Data Plane must agree on to the byte: names, frame headers, the
+//! layouts of the tables a data plane holds, and the one function that decides what happens to a
+//! frame.
 //!
-//! `no_std`, no allocation, no I/O, no clock. The eBPF program, the userspace plane and endpoints all call
-//! [`forward::decide`] or [`forward::accept`]; none of them has forwarding rules of its own.
+//! `no_std`, no allocation, no I/O, no clock. The eBPF program, the userspace plane and endpoints
+//! all call [`forward::decide`] or [`forward::accept`]; none of them has forwarding rules of its
+//! own.
 #![cfg_attr(not(test), no_std)]
 
 pub mod counter;

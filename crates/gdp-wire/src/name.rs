@@ -1,12 +1,13 @@
-//! The 256-bit name of a topic, service, action, log or entity. How a name is derived is `gdp::name`'s business:
-//! a data plane only compares names.
+//! The 256-bit name of a topic, service, action, log or entity. How a name is derived is
+//! `gdp::name`'s business: a data plane only compares names.
 
 use core::fmt;
 use core::str::FromStr;
 
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
-/// A 256-bit name. Displayed in full as 64 lower-case hex digits; `{:#}` is the short form for people (`75e…0fc`).
+/// A 256-bit name. Displayed in full as 64 lower-case hex digits; `{:#}` is the short form for
+/// people (`75e…0fc`).
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Default, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Name([u64; 4]);
@@ -46,7 +47,8 @@ impl Name {
         (a ^ e) | (b ^ f) | (c ^ g) | (d ^ h) == 0
     }
 
-    /// Four machine words of the name, as they lie in memory: for hashing and comparing, never for arithmetic.
+    /// Four machine words of the name, as they lie in memory: for hashing and comparing, never for
+    /// arithmetic.
     #[inline(always)]
     pub const fn words(&self) -> &[u64; 4] {
         &self.0

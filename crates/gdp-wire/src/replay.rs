@@ -1,22 +1,25 @@
-//! The replay window of a link: which counts its receiver has taken, so that it takes each once at most.
+//! The replay window of a link: which counts its receiver has taken, so that it takes each once at
+//! most.
 //!
-//! The window is a ring of [`WORDS`] words. A word speaks of one *block* of 16 consecutive counts: the number of the
-//! block in the high 48 bits, and below it a bit for each count that was taken. The next block of a word is the one
-//! 16 · [`WORDS`] counts on, and replaces it. After RFC 6479, without its separate highest count: nothing is ever
-//! cleared, and a frame touches one word.
+//! The window is a ring of [`WORDS`] words. A word speaks of one *block* of 16 consecutive counts:
+//! the number of the block in the high 48 bits, and below it a bit for each count that was taken.
+//! The next block of a word is the one 16 · [`WORDS`] counts on, and replaces it. After RFC 6479,
+//! without its separate highest count: nothing is ever cleared, and a frame touches one word.
 //!
-//! **Concurrency.** A frame is taken if and only if its own compare-exchange set its bit. The number of a word's block
-//! never falls, and within a block bits are only set: so no count is taken twice, however many CPUs and planes share
-//! the window. The worst case is a frame that loses [`TRIES`] races in a row: it is refused, though nobody took it. Each of these
-//! races was won by another frame of the same word, and there are 16 to a block: others must get through eight of them
-//! while this one does as many compare-exchanges.
+//! **Concurrency.** A frame is taken if and only if its own compare-exchange set its bit. The
+//! number of a word's block never falls, and within a block bits are only set: so no count is taken
+//! twice, however many CPUs and planes share the window. The worst case is a frame that loses
+//! [`TRIES`] races in a row: it is refused, though nobody took it. Each of these races was won by
+//! another frame of the same word, and there are 16 to a block: others must get through eight of
+//! them while this one does as many compare-exchanges.
 //!
-//! **Reordering.** A frame is never refused while it is behind the highest taken count by less than [`TOLERANCE`], and
-//! always from 16 · [`WORDS`] on if the frames between arrived.
+//! **Reordering.** A frame is never refused while it is behind the highest taken count by less than
+//! [`TOLERANCE`], and always from 16 · [`WORDS`] on if the frames between arrived.
 //!
-//! **Wrapping.** Frames carry the low 32 bits of their count; the rest follows from the window ([`whole`]) and goes into
-//! the hop tag, as the extended sequence numbers of RFC 4303 do. So a link outlives 2³² frames, and what was recorded before
-//! is not fresh after. The count has 52 bits, which is 71 years at 2 million frames a second.
+//! **Wrapping.** Frames carry the low 32 bits of their count; the rest follows from the window
+//! ([`whole`]) and goes into the hop tag, as the extended sequence numbers of RFC 4303 do. So a
+//! link outlives 2³² frames, and what was recorded before is not fresh after. The count has 52
+//! bits, which is 71 years at 2 million frames a second.
 
 #[cfg(target_has_atomic = "64")]
 use core::sync::atomic::{AtomicU64, Ordering};
@@ -33,7 +36,8 @@ pub const TRIES: u32 = 8;
 /// Counts in a block.
 const BLOCK: u64 = 16;
 
-/// The memory of a window, which others may change at any moment. Zeros are a window that has taken nothing.
+/// The memory of a window, which others may change at any moment. Zeros are a window that has taken
+/// nothing.
 ///
 /// An index is always below [`WORDS`]. Neither function orders any other memory access.
 pub trait Words {
@@ -43,8 +47,8 @@ pub trait Words {
     fn compare_exchange(&self, index: usize, current: u64, new: u64) -> u64;
 }
 
-/// The whole count that a frame with these low bits must have: the nearest to what the window has seen, so it is right
-/// as long as fewer than 2³¹ frames in a row are lost.
+/// The whole count that a frame with these low bits must have: the nearest to what the window has
+/// seen, so it is right as long as fewer than 2³¹ frames in a row are lost.
 #[inline(always)]
 pub fn whole(words: &impl Words, low: u32) -> u64 {
     let known = block(words.load(index(low.into()))) * BLOCK;
@@ -114,8 +118,8 @@ impl<W: Words + ?Sized> Words for &W {
     }
 }
 
-/// A window in ordinary memory. (The compiler's description of the BPF target has no compare-exchange; `gdp-ebpf` brings
-/// its own.)
+/// A window in ordinary memory. (The compiler's description of the BPF target has no
+/// compare-exchange; `gdp-ebpf` brings its own.)
 #[cfg(target_has_atomic = "64")]
 pub type Window = [AtomicU64; WORDS];
 

@@ -1,5 +1,6 @@
-//! SipHash-2-4 over whole words: the hop tag. Aumasson and Bernstein, "SipHash: a fast short-input PRF".
-//! Written out here because the eBPF program needs it without loops over memory the verifier cannot follow.
+//! SipHash-2-4 over whole words: the hop tag. Aumasson and Bernstein, "SipHash: a fast short-input
+//! PRF". Written out here because the eBPF program needs it without loops over memory the verifier
+//! cannot follow.
 
 /// SipHash-2-4 of `words` (little-endian, 8 bytes each) under a 128-bit key.
 #[inline(always)]

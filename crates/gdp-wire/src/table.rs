@@ -1,13 +1,15 @@
-//! What a data plane holds: the entries of its tables, laid out for BPF maps. Derived state; the control plane owns
-//! the truth and rewrites these at will. No implicit padding, no enums over bytes that anybody else writes.
+//! What a data plane holds: the entries of its tables, laid out for BPF maps. Derived state; the
+//! control plane owns the truth and rewrites these at will. No implicit padding, no enums over
+//! bytes that anybody else writes.
 
 use core::fmt;
 use core::net::IpAddr;
 
 use crate::Name;
 
-/// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and what their entries mean. To
-/// be raised with every change of meaning; of sizes as well, though a daemon compares those itself.
+/// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and
+/// what their entries mean. To be raised with every change of meaning; of sizes as well, though a
+/// daemon compares those itself.
 pub const ABI: u32 = 6;
 
 /// Links a switch can have at once; the low bits of a link id are the index of its entry.
@@ -22,7 +24,8 @@ pub const MAX_PORTS: u32 = 128;
 /// `LinkEntry::port` of a link that the kernel cannot send on: the userspace plane does.
 pub const PORT_USERSPACE: u32 = u32::MAX;
 
-/// `LinkEntry::port` of a link over UDP: the kernel's routing table says which interface leads to the neighbour.
+/// `LinkEntry::port` of a link over UDP: the kernel's routing table says which interface leads to
+/// the neighbour.
 pub const PORT_ROUTED: u32 = u32::MAX - 1;
 
 /// Addresses that a switch takes frames over UDP at.
@@ -37,21 +40,24 @@ pub const PUNT_INTERVAL_NS: u64 = 10_000_000;
 /// The group of all neighbouring switches, and no endpoint.
 pub const NEIGHBOURS: u32 = 0;
 
-/// Groups of links that the kernel can copy frames to; a name with another one is the userspace plane's.
+/// Groups of links that the kernel can copy frames to; a name with another one is the userspace
+/// plane's.
 pub const MAX_GROUPS: u32 = 256;
 
 /// Links in a group that the kernel copies frames to.
 pub const MAX_COPIES: u32 = 128;
 
-/// Bytes of a GDP frame that the kernel copies. Its copies, with what lies before them in memory, must fit a page of 4096 bytes;
-/// those that do not vanish without a trace.
+/// Bytes of a GDP frame that the kernel copies. Its copies, with what lies before them in memory,
+/// must fit a page of 4096 bytes; those that do not vanish without a trace.
 pub const MAX_COPIED_FRAME: usize = 3400;
 
-/// `FibEntry::writer_link` where any endpoint may send to the name, as its own source, and other domains as those they may: while what a daemon left that is no more
-/// is held, which knew its writers by links that are being made anew.
+/// `FibEntry::writer_link` where any endpoint may send to the name, as its own source, and other
+/// domains as those they may: while what a daemon left that is no more is held, which knew its
+/// writers by links that are being made anew.
 pub const ANY_WRITER: u32 = u32::MAX;
 
-/// Who is at the other end of a link. Stored as its number in [`LinkEntry::role`]; 0 is a free entry.
+/// Who is at the other end of a link. Stored as its number in [`LinkEntry::role`]; 0 is a free
+/// entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum LinkRole {
@@ -59,8 +65,8 @@ pub enum LinkRole {
     Endpoint = 1,
     /// A switch of the same domain: it stamped the egress bits.
     Switch = 2,
-    /// A switch of another domain: names are looked up on what it sends, and none of that goes on to a third domain, unless the
-    /// link's entry says [`LinkEntry::TRANSIT`].
+    /// A switch of another domain: names are looked up on what it sends, and none of that goes on
+    /// to a third domain, unless the link's entry says [`LinkEntry::TRANSIT`].
     Border = 3,
 }
 
@@ -74,11 +80,12 @@ pub struct LinkEntry {
     pub peer_id: u32,
     /// [`LinkRole`] of the neighbour; 0 for a free entry.
     pub role: u32,
-    /// Key in the device map of the interface the neighbour is behind, [`PORT_ROUTED`] or [`PORT_USERSPACE`]. Over UDP an
-    /// interface is given only for an endpoint on the switch's own host.
+    /// Key in the device map of the interface the neighbour is behind, [`PORT_ROUTED`] or
+    /// [`PORT_USERSPACE`]. Over UDP an interface is given only for an endpoint on the switch's own
+    /// host.
     pub port: u32,
-    /// SipHash keys of frames that arrive, by the key phase in their flags. Both are always keys of the link: the one in use and
-    /// the one that follows it.
+    /// SipHash keys of frames that arrive, by the key phase in their flags. Both are always keys of
+    /// the link: the one in use and the one that follows it.
     pub rx_keys: [[u64; 2]; 2],
     /// SipHash keys of frames that leave, by key phase.
     pub tx_keys: [[u64; 2]; 2],
@@ -92,7 +99,8 @@ pub struct LinkEntry {
     pub tx_phase: u32,
     /// What carries frames to the neighbour.
     pub carrier: Carrier,
-    /// Which of the links of an endpoint it is. For the daemon after the present one; data planes do not look at it.
+    /// Which of the links of an endpoint it is. For the daemon after the present one; data planes
+    /// do not look at it.
     pub lane: u16,
     /// [`LinkEntry::TRANSIT`].
     pub flags: u16,
@@ -114,7 +122,8 @@ impl fmt::Debug for LinkEntry {
             self;
         write!(
             f,
-            "LinkEntry({id:#x} to {peer_id:#x} of {peer:#}, role {role}, port {port}, reach {reach:#x}, mtu {mtu}, key phase \
+            "LinkEntry({id:#x} to {peer_id:#x} of {peer:#}, role {role}, port {port}, reach {reach:#x}, mtu {mtu}, \
+             key phase \
              {tx_phase}, {carrier:?}, lane {lane}, flags {flags:#x})"
         )
     }
@@ -130,7 +139,8 @@ pub struct Carrier {
     pub flags: u8,
     /// IEEE 802.1Q tag control information, in host order; 0: no tag. On Ethernet only.
     pub vlan: u16,
-    /// The neighbour's MAC address. On Ethernet, and over UDP where [`LinkEntry::port`] is an interface.
+    /// The neighbour's MAC address. On Ethernet, and over UDP where [`LinkEntry::port`] is an
+    /// interface.
     pub peer_mac: [u16; 3],
     /// Ours, likewise.
     pub local_mac: [u16; 3],
@@ -154,7 +164,8 @@ impl Carrier {
 
     /// Flag: over IPv6, the neighbour takes datagrams whose UDP checksum is 0 (RFC 6936).
     pub const ZERO_CHECKSUM: u8 = 1;
-    /// Flag: the neighbour's kernel joins datagrams that have a UDP checksum (UDP GRO), which saves it more than the sum costs.
+    /// Flag: the neighbour's kernel joins datagrams that have a UDP checksum (UDP GRO), which saves
+    /// it more than the sum costs.
     pub const CHECKSUM: u8 = 2;
 
     /// Untagged Ethernet between two stations.
@@ -234,7 +245,8 @@ pub struct FibEntry {
     pub egress_bits: u64,
     /// Link id of the local reader, if there is exactly one; otherwise 0.
     pub local_link: u32,
-    /// The group of the local readers and all neighbouring switches; [`NEIGHBOURS`] if there are no local readers.
+    /// The group of the local readers and all neighbouring switches; [`NEIGHBOURS`] if there are no
+    /// local readers.
     pub group: u32,
     /// Link id of a local endpoint that may send to the name, or 0, or [`ANY_WRITER`].
     pub writer_link: u32,
@@ -246,7 +258,8 @@ pub struct FibEntry {
     pub reserved: u16,
 }
 
-/// That frames of a link may have a name in their header, where neither the link nor the name's [`FibEntry`] says so.
+/// That frames of a link may have a name in their header, where neither the link nor the name's
+/// [`FibEntry`] says so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub struct Permit {
@@ -264,7 +277,8 @@ impl Permit {
     pub const SOURCE: u32 = 1;
 }
 
-/// A place in a group: which link gets the copy with this index, of those that leave by one interface.
+/// A place in a group: which link gets the copy with this index, of those that leave by one
+/// interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub struct GroupSlot {
@@ -282,7 +296,8 @@ pub struct CopyCount {
     /// Number of the frame, the low 48 bits.
     pub sequence: u64,
     pub copies: u32,
-    /// Copies that nobody needed, of all frames, since the kernel last told how many frames of a batch left.
+    /// Copies that nobody needed, of all frames, since the kernel last told how many frames of a
+    /// batch left.
     pub superfluous: u32,
 }
 
@@ -322,7 +337,8 @@ const _: () = {
 
 #[cfg(feature = "aya")]
 mod pod {
-    // SAFETY: plain integers in `repr(C)` without padding (the sizes above are the sums of the fields').
+    // SAFETY: plain integers in `repr(C)` without padding (the sizes above are the sums of the
+    // fields').
     unsafe impl aya::Pod for super::LinkEntry {}
     // SAFETY: as above.
     unsafe impl aya::Pod for super::FibEntry {}

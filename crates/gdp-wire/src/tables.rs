@@ -6,7 +6,8 @@ use crate::hop;
 use crate::replay;
 use crate::table::{FibEntry, LinkEntry, Permit};
 
-/// What [`crate::forward::decide`] asks of a data plane. Lookups must be bounded and must not block.
+/// What [`crate::forward::decide`] asks of a data plane. Lookups must be bounded and must not
+/// block.
 pub trait Tables {
     /// Whether there is no other plane to leave a frame to.
     const LAST: bool;
@@ -32,15 +33,16 @@ pub trait Tables {
     /// The count for a frame that leaves by this link: 1 for the first.
     fn next_count(&self, link: &LinkEntry) -> u64;
 
-    /// Whether a frame has the hop tag that its header and its whole `count` on the link make under `key`. For planes that check the
-    /// tags of many frames at once.
+    /// Whether a frame has the hop tag that its header and its whole `count` on the link make under
+    /// `key`. For planes that check the tags of many frames at once.
     #[inline(always)]
     fn has_tag(&self, header: &Header, key: [u64; 2], count: u64) -> bool {
         header.tag_for(key, count) == header.tag()
     }
 
-    /// Writes what belongs to `link` into the header of the next frame that leaves by it, or sees to it that this is done before the
-    /// frame leaves. For planes that make the tags of many frames at once.
+    /// Writes what belongs to `link` into the header of the next frame that leaves by it, or sees
+    /// to it that this is done before the frame leaves. For planes that make the tags of many
+    /// frames at once.
     #[inline(always)]
     fn stamp(&self, header: &mut Header, link: &LinkEntry) {
         hop::stamp(header, link, self.next_count(link));
@@ -49,20 +51,23 @@ pub trait Tables {
     /// Whether this plane can send by the link now. Asked only of a plane that is not the last.
     fn can_send(&self, link: &LinkEntry) -> bool;
 
-    /// Whether this plane can copy a frame of `length` bytes to those links of a group that `bits` lead to. Asked only of a plane
-    /// that is not the last.
+    /// Whether this plane can copy a frame of `length` bytes to those links of a group that `bits`
+    /// lead to. Asked only of a plane that is not the last.
     fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool;
 
-    /// Whether frames wait long in this plane before they leave by the link: then those that take marks are marked.
+    /// Whether frames wait long in this plane before they leave by the link: then those that take
+    /// marks are marked.
     fn has_queue(&self, link: &LinkEntry) -> bool;
 
-    /// Whether an error may go to the neighbour on this link now: [`COMPLAINT_INTERVAL_NS`] after the last.
+    /// Whether an error may go to the neighbour on this link now: [`COMPLAINT_INTERVAL_NS`] after
+    /// the last.
     fn may_send_error(&self, link: &LinkEntry) -> bool;
 
     /// Says that an error goes to the neighbour on this link now.
     fn send_error(&self, link: &LinkEntry);
 
-    /// Whether the daemon may be given a probe from the neighbour on this link now: [`PUNT_INTERVAL_NS`] after the last.
+    /// Whether the daemon may be given a probe from the neighbour on this link now:
+    /// [`PUNT_INTERVAL_NS`] after the last.
     fn may_punt(&self, link: &LinkEntry) -> bool;
 
     /// Says that the daemon is given one now.

@@ -1,8 +1,9 @@
 //! The forwarding cases of `tests/fixtures/frames.json`, through the decision in plain Rust.
 //!
-//! [`cases`] is where they are written, with the frame builder of the other tests; the JSON file is made from it with
-//! `GDP_BLESS=1 cargo test -p gdp-wire`, and is what the other data planes and implementations read. What is expected
-//! is written here by hand, never taken from the code under test.
+//! [`cases`] is where they are written, with the frame builder of the other tests; the JSON file is
+//! made from it with `GDP_BLESS=1 cargo test -p gdp-wire`, and is what the other data planes and
+//! implementations read. What is expected is written here by hand, never taken from the code under
+//! test.
 
 #[path = "../../../tests/src/frames/mod.rs"]
 mod frames;
@@ -100,7 +101,8 @@ fn the_file_holds_the_cases_written_here() {
 fn about() -> Vec<String> {
     [
         "What one switch does with each of these Ethernet frames. Each case starts from the tables below.",
-        "`send`: by the link whose addresses the expected frame has. `copy`: several such. `pass`: to the host, unchanged.",
+        "`send`: by the link whose addresses the expected frame has. `copy`: several such. `pass`: to the host, \
+         unchanged.",
         "Exactly one counter goes up, by one, and one for each copy. No link was sent an error before.",
         "`userspace` is there where the userspace plane differs from the kernel.",
     ]
@@ -150,11 +152,12 @@ const OWN: u64 = 1 << OWN_BIT;
 ///               JUMBO — bit 5   NARROW — bit 6   UNPLUGGED — bit 7
 /// ```
 ///
-/// `old` is a switch whose link has seen more than 2³² frames; `rekeyed` one to which frames leave under the second key.
-/// `blank` is one that is being written or removed, and has no keys. `abroad`, `overseas` and `child` are switches of other domains,
-/// and what comes from the last may cross this one. `tagged` is on VLAN 5; `inet` and `inet6` are over UDP, each behind a
-/// gateway; so is `behind nat`, an endpoint. Of `unresolved` the kernel does not know the MAC address, to `unrouted` it has no route,
-/// and `with checksum` wants one.
+/// `old` is a switch whose link has seen more than 2³² frames; `rekeyed` one to which frames leave
+/// under the second key. `blank` is one that is being written or removed, and has no keys.
+/// `abroad`, `overseas` and `child` are switches of other domains, and what comes from the last may
+/// cross this one. `tagged` is on VLAN 5; `inet` and `inet6` are over UDP, each behind a gateway;
+/// so is `behind nat`, an endpoint. Of `unresolved` the kernel does not know the MAC address, to
+/// `unrouted` it has no route, and `with checksum` wants one.
 fn switch() -> Switch {
     Switch {
         ethertype: 0x88b5,
@@ -541,7 +544,8 @@ fn sizes() -> Vec<Case> {
 /// One bit of each field is flipped under way; the tag of the original stays.
 fn tags() -> Vec<Case> {
     let original = from(ROBOT).to("far").with(|f| f.payload = vec![0x5a; 600]);
-    // The bits are chosen so that the length stays within the frame, and the low half of the id meets a free entry.
+    // The bits are chosen so that the length stays within the frame, and the low half of the id
+    // meets a free entry.
     let flips: [(&str, usize, u8, &str); 15] = [
         ("type", 0, 0x08, "drop_unknown"),
         ("flags", 1, 0x01, "drop_bad_tag"),
@@ -615,7 +619,8 @@ fn echoes_and_errors() -> Vec<Case> {
     ]
 }
 
-/// Probes go as data for one egress switch does, and end where their hop limit does; nobody is told of one that is dropped.
+/// Probes go as data for one egress switch does, and end where their hop limit does; nobody is told
+/// of one that is dropped.
 fn probes() -> Vec<Case> {
     let hops = |sent: Sent, hop_limit| sent.with(|f| f.hop_limit = hop_limit);
     let ends = |sent: Sent, name: &str| Case { userspace: Some(pass("notice")), ..sent.case(name, pass("slow")) };
@@ -733,7 +738,8 @@ fn crossings() -> Vec<Case> {
     cases
 }
 
-/// Marks of routers in what carries frames (RFC 3168): they go on in the frame's header, and from there into what carries it next.
+/// Marks of routers in what carries frames (RFC 3168): they go on in the frame's header, and from
+/// there into what carries it next.
 fn congestion() -> Vec<Case> {
     let bit = |id: u32| 1u64 << link(id).reach[0];
     let mut cases = Vec::new();

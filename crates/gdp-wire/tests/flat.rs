@@ -1,4 +1,5 @@
-//! The flat table beside a map of the standard library, under threads that race, and after a writer that died.
+//! The flat table beside a map of the standard library, under threads that race, and after a writer
+//! that died.
 
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -94,8 +95,9 @@ fn a_name_that_is_not_there_costs_little() {
     assert_eq!(touched.words.get(), 2000, "one word each, read twice: removals leave no marks behind");
 }
 
-/// A route that is found is this name's, and held at some time during the lookup; a name that is never removed is found. The table is
-/// half as large as it should be, so that names move and lie in their second bucket.
+/// A route that is found is this name's, and held at some time during the lookup; a name that is
+/// never removed is found. The table is half as large as it should be, so that names move and lie
+/// in their second bucket.
 #[test]
 fn readers_that_race_with_the_writer_find_what_was_or_what_is() {
     const NAMES: usize = 96;
@@ -154,8 +156,8 @@ fn readers_that_race_with_the_writer_find_what_was_or_what_is() {
     });
 }
 
-/// A writer that dies between any two of its accesses leaves a table that the next one takes over, in which at most the name
-/// it was at is old or new. Here, too, the table is small.
+/// A writer that dies between any two of its accesses leaves a table that the next one takes over,
+/// in which at most the name it was at is old or new. Here, too, the table is small.
 #[test]
 fn a_table_is_adopted_wherever_its_writer_died() {
     const NAMES: usize = 48;

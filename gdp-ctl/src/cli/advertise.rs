@@ -1,4 +1,5 @@
-//! `gdp-ctl advertise` and `withdraw`: an entity's statements, signed here with its key and sent through the daemon.
+//! `gdp-ctl advertise` and `withdraw`: an entity's statements, signed here with its key and sent
+//! through the daemon.
 
 use std::path::PathBuf;
 
@@ -118,7 +119,8 @@ fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow:
     let key = entity.key();
     if key.verify_key() != *card.owner_key() {
         bail!(
-            "{} is not the owner's key of {}, so it needs the owner's certificate: have the owner run `gdp-ctl grant add {} \
+            "{} is not the owner's key of {}, so it needs the owner's certificate: have the owner run `gdp-ctl grant \
+             add {} \
              --key OWNER.pem --publish --entity {} -o FILE`, then add --cert FILE",
             options.entity.key.display(),
             card.name(),

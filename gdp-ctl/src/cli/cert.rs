@@ -1,4 +1,5 @@
-//! `gdp-ctl cert`: what is in a certificate file. They are made by `gdp-ctl grant` and `gdp-ctl domain`.
+//! `gdp-ctl cert`: what is in a certificate file. They are made by `gdp-ctl grant` and `gdp-ctl
+//! domain`.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +14,8 @@ use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Show what a certificate says; with a card, whether the owner of that name stands behind it now.
+    /// Show what a certificate says; with a card, whether the owner of that name stands behind it
+    /// now.
     Show {
         file: PathBuf,
         /// The card of the name, or of the domain. If there is a revocation beside it, that counts.

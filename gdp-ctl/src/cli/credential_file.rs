@@ -66,7 +66,8 @@ impl CredentialFile {
         }
     }
 
-    /// That the owner of the card's name, or the domain whose card it is, stands behind it; `false` for what neither signs.
+    /// That the owner of the card's name, or the domain whose card it is, stands behind it; `false`
+    /// for what neither signs.
     pub fn verify(&self, card: &NameCard, revocation: Option<&Revocation>, now: u64) -> Result<bool, CertError> {
         let about_card = |name| match card.name() {
             expected if expected == name => Ok(()),

@@ -1,4 +1,5 @@
-//! `gdp-ctl doctor`: what a daemon would find here, judged by [`gdp_daemon::doctor`]. Works without a daemon, and changes nothing.
+//! `gdp-ctl doctor`: what a daemon would find here, judged by [`gdp_daemon::doctor`]. Works without
+//! a daemon, and changes nothing.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,5 @@
-//! `gdp-ctl fib dump` and `rib dump`: all that the data plane forwards by, all that the RIB knows. Fetched page by page.
+//! `gdp-ctl fib dump` and `rib dump`: all that the data plane forwards by, all that the RIB knows.
+//! Fetched page by page.
 
 use clap::Subcommand;
 use gdp_core::name::NamePrefix;

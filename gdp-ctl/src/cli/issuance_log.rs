@@ -1,9 +1,9 @@
-//! What is kept beside the card of a name or a domain: the ledger of what was issued from here (`CARD.grants`, `CARD.members`), and
-//! `CARD.revocation`, the newest revocation. Both are written whole or not at all, mode 0600; nobody else changes them while
-//! [`IssuanceLog`] are open.
+//! What is kept beside the card of a name or a domain: the ledger of what was issued from here
+//! (`CARD.grants`, `CARD.members`), and `CARD.revocation`, the newest revocation. Both are written
+//! whole or not at all, mode 0600; nobody else changes them while [`IssuanceLog`] are open.
 //!
-//! The revocation is the owner's word and is checked like one. The ledger is a memory: without it nothing that was granted
-//! stops to hold, but only its serial or its file can name it.
+//! The revocation is the owner's word and is checked like one. The ledger is a memory: without it
+//! nothing that was granted stops to hold, but only its serial or its file can name it.
 
 use std::fs::File;
 use std::ops::Deref;

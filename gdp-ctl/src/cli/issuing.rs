@@ -7,7 +7,8 @@ pub fn serial_now() -> u64 {
     unix_nanos()
 }
 
-/// Beginning and end of what is issued now for so many seconds. A clock that is a little behind must not refuse it.
+/// Beginning and end of what is issued now for so many seconds. A clock that is a little behind
+/// must not refuse it.
 pub fn validity(seconds: u64) -> (u64, u64) {
     const BACKDATED: u64 = 300;
     let now = unix_seconds();

@@ -9,7 +9,8 @@ use gdp_proto::admin::Request;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Print every live link: who is at its other end, how it is reached, and whether the kernel sends on it.
+    /// Print every live link: who is at its other end, how it is reached, and whether the kernel
+    /// sends on it.
     List,
 }
 

@@ -1,5 +1,6 @@
-//! The command line: one file to an object. Commands that make files work without a daemon; the others talk to it over the
-//! admin socket. Data goes to stdout (JSON with `-j`, each object with `"v": 1`), everything else to stderr.
+//! The command line: one file to an object. Commands that make files work without a daemon; the
+//! others talk to it over the admin socket. Data goes to stdout (JSON with `-j`, each object with
+//! `"v": 1`), everything else to stderr.
 
 mod action;
 mod advertise;
@@ -107,7 +108,8 @@ enum Command {
     Peer(peer::Command),
     Trace(trace::Options),
     Ping(ping::Options),
-    /// Print what happens at the daemon's switch, until ^C: links, attachments, refusals, routes, the topology, the RIB.
+    /// Print what happens at the daemon's switch, until ^C: links, attachments, refusals, routes,
+    /// the topology, the RIB.
     Monitor,
     /// Show the domain's switches and the links between them, as this switch knows them.
     Topology(topology::Options),

@@ -22,17 +22,20 @@ pub enum Command {
         /// The owner's private key file, or its public key (66 hex digits).
         #[arg(long)]
         owner: String,
-        /// The ROS name, with a leading slash, such as /chatter. Of a catalog: a label of your choice, such as the robot's
-        /// name, which logs show.
+        /// The ROS name, with a leading slash, such as /chatter. Of a catalog: a label of your
+        /// choice, such as the robot's name, which logs show.
         #[arg(long, value_name = "NAME")]
         topic: String,
-        /// The ROS type, such as std_msgs/msg/String, std_srvs/srv/SetBool or nav2_msgs/action/Spin. A catalog has none.
+        /// The ROS type, such as std_msgs/msg/String, std_srvs/srv/SetBool or
+        /// nav2_msgs/action/Spin. A catalog has none.
         #[arg(long = "type", value_name = "TYPE")]
         type_name: Option<String>,
-        /// What the name is for. A catalog lists what a gdp-proxy exposes by itself (`expose` in its configuration).
+        /// What the name is for. A catalog lists what a gdp-proxy exposes by itself (`expose` in
+        /// its configuration).
         #[arg(long, value_enum, default_value = "topic")]
         kind: CardKind,
-        /// A nonce to remember, instead of 128 random bits. Others may then guess what the name stands for.
+        /// A nonce to remember, instead of 128 random bits. Others may then guess what the name
+        /// stands for.
         #[arg(long)]
         nonce: Option<String>,
         /// What else the card says; repeat for more. Other metadata makes another name.
@@ -105,7 +108,8 @@ impl CardKind {
         match check_type(type_name) {
             Ok(of) if of == folder => Ok(type_name),
             _ => bail!(
-                "--type: `{type_name}` is not the type of a {kind}: write it as package/{folder}/Name, such as {example}"
+                "--type: `{type_name}` is not the type of a {kind}: write it as package/{folder}/Name, such as \
+                 {example}"
             ),
         }
     }

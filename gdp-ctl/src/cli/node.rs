@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use clap::Args;
-use gdp::node::{SubscribeOptions, Subscription};
+use gdp::{SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
@@ -26,7 +26,8 @@ const TIMEOUT: Duration = Duration::from_secs(3);
 
 #[derive(Debug, Args)]
 pub struct NodeOptions {
-    /// The folder with name cards (*.card), grants (*.grant, *.ad) and the key (id.pem); ~/.config/gdp if nothing is said.
+    /// The folder with name cards (*.card), grants (*.grant, *.ad) and the key (id.pem);
+    /// ~/.config/gdp if nothing is said.
     #[arg(long, env = "GDP_KEYRING", value_name = "FOLDER")]
     keyring: Option<PathBuf>,
     /// The private key, if it is not id.pem of the keyring.
@@ -35,7 +36,8 @@ pub struct NodeOptions {
     /// What the key's entity is, as it was when its key was made.
     #[arg(long, value_enum, default_value = "proxy")]
     kind: Kind,
-    /// A switch, as udp://HOST[:PORT] or eth://INTERFACE; the one of this machine's daemon if nothing is said.
+    /// A switch, as udp://HOST[:PORT] or eth://INTERFACE; the one of this machine's daemon if
+    /// nothing is said.
     #[arg(long, env = "GDP_SWITCH", value_name = "LINK")]
     switch: Option<LinkTarget>,
 }
@@ -93,7 +95,8 @@ pub async fn unless_interrupted<T>(what: impl Future<Output = anyhow::Result<T>>
 /// Share folders of ROS 2, for types beyond the common ones.
 #[derive(Debug, Args)]
 pub struct Definitions {
-    /// A share folder of ROS 2, such as /opt/ros/jazzy/share, for types that are not among the common interfaces; repeat for several.
+    /// A share folder of ROS 2, such as /opt/ros/jazzy/share, for types that are not among the
+    /// common interfaces; repeat for several.
     #[arg(long, value_name = "FOLDER")]
     definitions: Vec<PathBuf>,
 }

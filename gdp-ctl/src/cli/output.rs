@@ -1,4 +1,5 @@
-//! What commands print: JSON for programs, lines for people. Either way no text of a stranger reaches a terminal unescaped.
+//! What commands print: JSON for programs, lines for people. Either way no text of a stranger
+//! reaches a terminal unescaped.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -15,8 +16,8 @@ pub struct Output {
 }
 
 impl Output {
-    /// Prints `value`, an object, with `"v": 1`; or, without `-j`, the `lines`. Each is escaped as a whole, so that a line
-    /// feed in a text does not make another line.
+    /// Prints `value`, an object, with `"v": 1`; or, without `-j`, the `lines`. Each is escaped as
+    /// a whole, so that a line feed in a text does not make another line.
     pub fn print<L>(&self, mut value: Value, lines: impl FnOnce() -> L) -> anyhow::Result<()>
     where
         L: IntoIterator<Item = String>,
@@ -42,7 +43,8 @@ pub fn write_new(path: &Path, text: &str) -> anyhow::Result<()> {
     file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Lines of columns of equal width, left-aligned, under a heading. Cells are escaped before they are measured.
+/// Lines of columns of equal width, left-aligned, under a heading. Cells are escaped before they
+/// are measured.
 pub fn table<const N: usize>(heading: [&str; N], rows: &[[String; N]]) -> Vec<String> {
     let escaped = |row: &[String; N]| row.each_ref().map(|cell| Escaped(cell).to_string());
     let rows: Vec<[String; N]> = std::iter::once(heading.map(str::to_owned)).chain(rows.iter().map(escaped)).collect();
@@ -55,7 +57,8 @@ pub fn table<const N: usize>(heading: [&str; N], rows: &[[String; N]]) -> Vec<St
     rows.iter().map(line).collect()
 }
 
-/// Lines of a text that was made here, such as YAML, and in which nobody else's line feeds are left.
+/// Lines of a text that was made here, such as YAML, and in which nobody else's line feeds are
+/// left.
 pub fn lines_of(text: &str) -> Vec<String> {
     text.trim_end().lines().map(str::to_owned).collect()
 }

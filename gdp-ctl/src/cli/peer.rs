@@ -10,7 +10,8 @@ use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Print neighbouring switches and domains: what each is, what it may do and until when, whether its link is up, and why not.
+    /// Print neighbouring switches and domains: what each is, what it may do and until when,
+    /// whether its link is up, and why not.
     List,
 }
 

@@ -16,10 +16,12 @@ use gdp_proto::admin::Request;
 
 /// Ask whether a name answers, once a second.
 ///
-/// What has a link with the daemon's switch, a neighbouring switch or an endpoint, is sent echoes: the data plane at the other end answers
-/// them, in the kernel where it runs there, and no daemon is asked. Anything else is sent probes, which go in the data plane to each switch
-/// where the name is delivered; that switch's daemon answers, through the daemons on the way. A topic answers so for each of its
-/// switches, and its readers are not asked. Ends after COUNT, or at ^C; the exit status is 1 if nothing has answered.
+/// What has a link with the daemon's switch, a neighbouring switch or an endpoint, is sent echoes:
+/// the data plane at the other end answers them, in the kernel where it runs there, and no daemon
+/// is asked. Anything else is sent probes, which go in the data plane to each switch where the name
+/// is delivered; that switch's daemon answers, through the daemons on the way. A topic answers so
+/// for each of its switches, and its readers are not asked. Ends after COUNT, or at ^C; the exit
+/// status is 1 if nothing has answered.
 #[derive(Debug, Args)]
 pub struct Options {
     /// A name, the first digits of one, or a name card.

@@ -1,4 +1,5 @@
-//! `gdp-ctl query`: who publishes, reads, serves or calls a name. Believes neither the daemon nor the RIB: every record is verified here.
+//! `gdp-ctl query`: who publishes, reads, serves or calls a name. Believes neither the daemon nor
+//! the RIB: every record is verified here.
 
 use std::path::Path;
 

@@ -1,4 +1,5 @@
-//! What `gdp-ctl grant revoke` and `gdp-ctl domain revoke` share: the next revocation of a name, and telling the fabric.
+//! What `gdp-ctl grant revoke` and `gdp-ctl domain revoke` share: the next revocation of a name,
+//! and telling the fabric.
 
 use anyhow::{Context as _, bail};
 use gdp_core::card::NameCard;
@@ -20,8 +21,9 @@ const CLOCKS_DIFFER: u64 = 86400;
 /// The code of a refusal to go back to an earlier revocation.
 const OLD_NUMBER: &str = "ReplayedSerial";
 
-/// Sends the newest revocation of the books' name to the daemon, and prints what became of it. `anew`: it was made now, so it is
-/// worth something though no daemon answers; `again` is the command that publishes it then.
+/// Sends the newest revocation of the books' name to the daemon, and prints what became of it.
+/// `anew`: it was made now, so it is worth something though no daemon answers; `again` is the
+/// command that publishes it then.
 pub fn publish(
     books: &IssuanceLog,
     signed: Signed<Revocation>,
@@ -36,7 +38,8 @@ pub fn publish(
         // It holds as soon as the fabric knows it; this machine need not be one that is connected.
         Err(error) if anew && matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. })) => {
             note(format_args!(
-                "gdp-ctl: not published, so it has no effect yet: {error}. Then, or on another machine with a copy of {} beside \
+                "gdp-ctl: not published, so it has no effect yet: {error}. Then, or on another machine with a copy \
+                 of {} beside \
                  one of the card, run `{again}`",
                 file.display()
             ));
@@ -64,8 +67,8 @@ pub fn describe_revocation(revocation: &Revocation) -> Value {
     json!({"number": revocation.number, "floor": revocation.floor.to_string(), "revoked": revoked})
 }
 
-/// The revocation that follows `known`. With a new `floor` nothing that was said before matters, so it is no harm if that was
-/// lost: the number is then the time, which is above any earlier one.
+/// The revocation that follows `known`. With a new `floor` nothing that was said before matters, so
+/// it is no harm if that was lost: the number is then the time, which is above any earlier one.
 pub fn next<E: Entry>(
     name: Name,
     known: Option<&Revocation>,

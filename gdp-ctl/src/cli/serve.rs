@@ -39,7 +39,8 @@ pub struct Options {
     /// The eBPF object, instead of the configured or installed one.
     #[arg(long, value_name = "FILE")]
     ebpf_object: Option<PathBuf>,
-    /// When told to stop, end without a word and leave the kernel forwarding, for a successor to take over: for upgrades.
+    /// When told to stop, end without a word and leave the kernel forwarding, for a successor to
+    /// take over: for upgrades.
     #[arg(long)]
     keep: bool,
 }

@@ -19,11 +19,14 @@ const SILENT: usize = 4;
 
 /// Show every switch that frames for a name cross from here, and the time to each.
 ///
-/// A probe goes the way of the name's frames in the data plane, first one switch far, then two, and so on; the switch where it ends answers
-/// through the switches' daemons. So a time is that of the way there in the data plane, and of the way back between daemons. The daemon's
-/// switch must know a way to the name: somebody who sends to it is attached there, or NAME is a switch. Where the name leaves for another
-/// domain, the borders on both sides measure how far it is from one to the other, and that domain says how the name goes on there, in what time, and
-/// into which domains; its switches only if it wants to (`trace: open` at its border). A domain answers for names that it takes from this one.
+/// A probe goes the way of the name's frames in the data plane, first one switch far, then two, and
+/// so on; the switch where it ends answers through the switches' daemons. So a time is that of the
+/// way there in the data plane, and of the way back between daemons. The daemon's switch must know
+/// a way to the name: somebody who sends to it is attached there, or NAME is a switch. Where the
+/// name leaves for another domain, the borders on both sides measure how far it is from one to the
+/// other, and that domain says how the name goes on there, in what time, and into which domains;
+/// its switches only if it wants to (`trace: open` at its border). A domain answers for names that
+/// it takes from this one.
 #[derive(Debug, Args)]
 pub struct Options {
     /// A name, the first digits of one, or a name card.

@@ -1,5 +1,5 @@
-//! `gdp-ctl xdp stats` and `xdp detach`: what daemons have left in the kernel, running ones or not. Works without a daemon, as
-//! root; reads and removes the pinned files itself.
+//! `gdp-ctl xdp stats` and `xdp detach`: what daemons have left in the kernel, running ones or not.
+//! Works without a daemon, as root; reads and removes the pinned files itself.
 
 use std::path::PathBuf;
 
@@ -17,8 +17,9 @@ use gdp_dataplane::{host_pair, kernel};
 pub enum Command {
     /// Print what the XDP programs count and hold.
     Stats(Options),
-    /// Take the XDP programs off and free their maps, where no daemon runs; and in the present network namespace remove the
-    /// interfaces that a daemon made for endpoints on its host. A daemon that is stopped does so itself.
+    /// Take the XDP programs off and free their maps, where no daemon runs; and in the present
+    /// network namespace remove the interfaces that a daemon made for endpoints on its host. A
+    /// daemon that is stopped does so itself.
     Detach(Options),
 }
 

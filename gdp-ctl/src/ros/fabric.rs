@@ -4,7 +4,7 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use gdp::node::{Node, NodeConfig};
+use gdp::{Node, NodeConfig};
 use gdp_core::card::NameCard;
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::link_target::LinkTarget;
@@ -92,7 +92,8 @@ pub fn local_switch(client: &mut Client) -> anyhow::Result<LinkTarget> {
     let addr = status["udp"].as_str().and_then(|text| text.parse::<SocketAddr>().ok());
     let Some(mut addr) = addr else {
         bail!(
-            "the daemon of this machine takes no links over UDP; say where a switch is with --switch, as eth://INTERFACE"
+            "the daemon of this machine takes no links over UDP; say where a switch is with --switch, as \
+             eth://INTERFACE"
         );
     };
     match addr.ip() {

@@ -1,10 +1,11 @@
-//! Messages of a topic with what their publishers are: rosters tell it, and for writers that send none the name's card does.
+//! Messages of a topic with what their publishers are: rosters tell it, and for writers that send
+//! none the name's card does.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gdp::node::Subscription;
+use gdp::Subscription;
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::Message;
 use gdp_msg::{Base, Encoding, Mapping, Options, Schema};

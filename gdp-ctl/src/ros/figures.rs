@@ -1,8 +1,10 @@
-//! How often messages come, how large and how old they are, over a window of the last ones: the figures of `ros2 topic hz`, `bw` and `delay`.
+//! How often messages come, how large and how old they are, over a window of the last ones: the
+//! figures of `ros2 topic hz`, `bw` and `delay`.
 
 use std::collections::VecDeque;
 
-/// Times in nanoseconds: the mean, the least, the greatest, the standard deviation, and of how many.
+/// Times in nanoseconds: the mean, the least, the greatest, the standard deviation, and of how
+/// many.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
     pub mean: f64,

@@ -1,5 +1,6 @@
-//! From what a user gives to a whole message: what is not given is what the definition says, and else zero and empty, as in ROS 2. Made as JSON,
-//! which `gdp-msg` then checks against the definition and encodes.
+//! From what a user gives to a whole message: what is not given is what the definition says, and
+//! else zero and empty, as in ROS 2. Made as JSON, which `gdp-msg` then checks against the
+//! definition and encodes.
 
 use gdp_msg::{Base, Count, Dialect, Field, Scalar, Schema, TypeName};
 use serde_json::{Map, Value};
@@ -23,7 +24,8 @@ pub enum FillError {
     TooLarge { path: String },
 }
 
-/// The message that is meant by `given`. `now`: seconds and nanoseconds for times that are given as `now`, and for headers given as `auto`.
+/// The message that is meant by `given`. `now`: seconds and nanoseconds for times that are given as
+/// `now`, and for headers given as `auto`.
 pub fn fill(schema: &Schema, given: &UserInput, now: (u64, u32)) -> Result<Value, FillError> {
     Fill { schema, now, room: MAX_FILLED }.message("", schema.name(), given)
 }

@@ -1,7 +1,9 @@
-//! A user's folder of name cards, certificates and one entity key: who may read or publish a topic, told by its ROS name.
+//! A user's folder of name cards, certificates and one entity key: who may read or publish a topic,
+//! told by its ROS name.
 //!
-//! `*.card`, `*.grant` and `*.ad` are what `gdp-ctl name create` and `gdp-ctl grant add` make. With `*.member` (or `membership`) and the card of the domain, the entity
-//! shows itself as a member of it; `*.peer` are what that domain lets others do. What is no such file is named, and left out.
+//! `*.card`, `*.grant` and `*.ad` are what `gdp-ctl name create` and `gdp-ctl grant add` make. With
+//! `*.member` (or `membership`) and the card of the domain, the entity shows itself as a member of
+//! it; `*.peer` are what that domain lets others do. What is no such file is named, and left out.
 
 use std::path::{Path, PathBuf};
 
@@ -19,10 +21,12 @@ const MAX_ENTRIES: usize = 10_000;
 #[derive(Debug, thiserror::Error)]
 pub enum KeyringError {
     #[error(
-        "no keyring at {}: {source}; make the folder and put name cards, grants and your key id.pem there, or say where they are with --keyring", path.display()
+        "no keyring at {}: {source}; make the folder and put name cards, grants and your key id.pem there, or say \
+         where they are with --keyring", path.display()
     )]
     Folder { path: PathBuf, source: std::io::Error },
-    #[error("{} has more than {MAX_ENTRIES} entries; keep name cards and grants in a folder of their own", .0.display())]
+    #[error("{} has more than {MAX_ENTRIES} entries; keep name cards and grants in a folder of their \
+             own", .0.display())]
     TooMany(PathBuf),
 }
 
@@ -48,7 +52,8 @@ pub enum RightError {
 
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "no {what} for {of} ({name:#}) in {}; have its owner run `gdp-ctl grant add CARD --key OWNER.pem {option} --entity {entity} -o FILE.{ending}`, \
+    "no {what} for {of} ({name:#}) in {}; have its owner run `gdp-ctl grant add CARD --key OWNER.pem {option} \
+     --entity {entity} -o FILE.{ending}`, \
      and put the file there",
     folder.display()
 )]

@@ -1,4 +1,5 @@
-//! Values as Python prints them: what `ros2 topic pub`, `ros2 service call` and `ros2 topic echo --raw` show.
+//! Values as Python prints them: what `ros2 topic pub`, `ros2 service call` and `ros2 topic echo
+//! --raw` show.
 
 use gdp_msg::{Base, Count, Scalar};
 

@@ -1,4 +1,5 @@
-//! What a user gives of a message, in YAML, of which JSON is a part: values, before it is known of which type they are to be.
+//! What a user gives of a message, in YAML, of which JSON is a part: values, before it is known of
+//! which type they are to be.
 
 use std::fmt;
 

@@ -1,4 +1,5 @@
-//! A message with its definition: JSON has the values, and the definition says in which order they stand and what they are.
+//! A message with its definition: JSON has the values, and the definition says in which order they
+//! stand and what they are.
 
 use gdp_msg::{Base, Count, Definition, Dialect, Scalar, Schema, TypeName};
 use serde_json::Value;

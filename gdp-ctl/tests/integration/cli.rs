@@ -1,4 +1,5 @@
-//! The command line as a user or a script meets it: output, files, exit statuses, and messages that name the remedy.
+//! The command line as a user or a script meets it: output, files, exit statuses, and messages that
+//! name the remedy.
 
 use std::path::Path;
 use std::process::{Child, Stdio};

@@ -1,13 +1,13 @@
-//! Whole daemons on loopback UDP, without root: what two applications publish and read through them, and what is left when
-//! one of them, or a link, or a daemon is gone.
+//! Whole daemons on loopback UDP, without root: what two applications publish and read through
+//! them, and what is left when one of them, or a link, or a daemon is gone.
 
 use gdp_wire::hop;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::switch::{Chain, TIMEOUT, config, wait};
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::{Node, NodeConfig};
+use gdp::{NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, LinkState, Mode, ReadGrant, Reading, RtCert, issue};
 use gdp_core::identity::{Identity, SigningKey};

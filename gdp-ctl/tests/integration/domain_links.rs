@@ -1,5 +1,5 @@
-//! Daemons and nodes as members of domains, on loopback UDP, without root: who gets a link with whom, what both sides say when
-//! not, and what ends a link or renews it.
+//! Daemons and nodes as members of domains, on loopback UDP, without root: who gets a link with
+//! whom, what both sides say when not, and what ends a link or renews it.
 
 use std::io;
 use std::net::SocketAddr;
@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use crate::member::{Domain, LONG, Place, Settings, now};
 use crate::switch::wait;
-use gdp::node::{Node, NodeConfig, NodeError};
+use gdp::{Node, NodeConfig, NodeError};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{Invite, Membership, PeerCert, Revocation, Signed, issue};
 use gdp_core::domain::{Credentials, Token};
@@ -82,7 +82,8 @@ async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
     let why = format!("which domain {:#} does not know", away.identity.name());
     let here =
         format!("domain {:#} has not issued a PeerCert to domain {:#}", away.identity.name(), home.identity.name());
-    // Each judges the other by itself: the one that dials may hear the hub's reason before it has come to its own.
+    // Each judges the other by itself: the one that dials may hear the hub's reason before it has
+    // come to its own.
     wait("both to say why they do not peer", async || {
         let lines = log.lines();
         lines.iter().any(|line| line.contains("refused a link") && line.contains(&here))
@@ -253,7 +254,8 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
     let error = attach(&thief, papers(&thief), mid.addr).await.err().unwrap().to_string();
     assert!(error.contains("closed by the peer") && error.contains("has admitted"), "{error}");
 
-    // The RIB remembers, and so does the switch: without the RIB, who was admitted gets its link again.
+    // The RIB remembers, and so does the switch: without the RIB, who was admitted gets its link
+    // again.
     hub_running.stop().await;
     wait("the address to be free", async || UdpSocket::bind(hub.addr).is_ok()).await;
     mid_running.stop().await;
@@ -295,7 +297,8 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     let error = attach(&robot, Some(papers(&home, -5, &[])), hub.addr).await.err().unwrap().to_string();
     assert!(error.contains("expired at Unix time"), "{error}");
 
-    // A visit to the hub; a robot goes nowhere that its own domain does not know, and is let in nowhere that does not know its domain.
+    // A visit to the hub; a robot goes nowhere that its own domain does not know, and is let in
+    // nowhere that does not know its domain.
     let knows_home = away.peer(&home, "peering", LONG);
     let visitor = papers(&away, LONG, &[&knows_home]);
     let node = attach(&robot, Some(visitor), hub.addr).await.unwrap();

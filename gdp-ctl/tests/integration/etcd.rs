@@ -1,5 +1,5 @@
-//! The store on a real etcd: who leads, what a leader writes and others read, what a leader of yesterday cannot, and how a copy is
-//! kept over compaction and restarts.
+//! The store on a real etcd: who leads, what a leader writes and others read, what a leader of
+//! yesterday cannot, and how a copy is kept over compaction and restarts.
 
 use std::time::Duration;
 
@@ -12,7 +12,8 @@ use tokio::time::timeout;
 
 use crate::cluster::Cluster;
 
-/// Seconds of a lease that nobody renews: as long as any test takes; and of one that a test waits for the end of.
+/// Seconds of a lease that nobody renews: as long as any test takes; and of one that a test waits
+/// for the end of.
 const LONG: u64 = 300;
 const SHORT: u64 = 5;
 
@@ -183,7 +184,8 @@ async fn next(watch: &mut Watch) -> Result<Vec<Event>, StoreError> {
     timeout(Duration::from_secs(30), watch.next()).await.expect("something changes")
 }
 
-/// Once a cluster that has lost a member has found another leader, and a slow disk has what was written.
+/// Once a cluster that has lost a member has found another leader, and a slow disk has what was
+/// written.
 async fn written(writer: &mut Writer, changes: &[(Item, Option<Vec<u8>>)]) {
     let attempts = async {
         while let Err(error) = writer.write(changes).await {

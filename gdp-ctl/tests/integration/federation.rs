@@ -1,4 +1,5 @@
-//! Three domains on loopback UDP, without root: a robot's and a cloud's, each below a third one that lets them cross it.
+//! Three domains on loopback UDP, without root: a robot's and a cloud's, each below a third one
+//! that lets them cross it.
 //!
 //! ```text
 //!                 T: top (RIB, border)
@@ -12,8 +13,8 @@ use std::time::{Duration, Instant};
 
 use crate::member::{Domain, LONG, Place, Settings, now};
 use crate::switch::{TIMEOUT, wait};
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::{Node, NodeConfig};
+use gdp::{PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, PeerCert, ReadGrant, Revocation, Signed, issue};
 use gdp_core::identity::{Identity, SigningKey};
@@ -145,7 +146,8 @@ struct Federation {
 }
 
 impl Federation {
-    /// `may_peer`: the robot's domain and the cloud's know each other, and the cloud's can be reached and shows its inside.
+    /// `may_peer`: the robot's domain and the cloud's know each other, and the cloud's can be
+    /// reached and shows its inside.
     async fn start(may_peer: bool) -> Self {
         let (top_domain, home, away) = (Domain::new(1), Domain::new(2), Domain::new(3));
         let [top, edge, hub, far] = ["top", "edge", "hub", "far"].map(Place::new);
@@ -255,7 +257,8 @@ async fn attach(identity: &Identity, to: &Place) -> Node {
     Node::connect(NodeConfig::new(identity.clone(), target)).await.unwrap()
 }
 
-/// What `gdp-ctl trace` says at a daemon, for programs and for people; none: it does not get to the end.
+/// What `gdp-ctl trace` says at a daemon, for programs and for people; none: it does not get to the
+/// end.
 async fn trace(place: &Place, name: Name) -> Option<(Value, String)> {
     let socket = place.file("switch.sock");
     let run = move |for_programs: &[&str]| {
@@ -268,7 +271,8 @@ async fn trace(place: &Place, name: Name) -> Option<(Value, String)> {
     tokio::task::spawn_blocking(run).await.unwrap()
 }
 
-/// The domains in a trace: how deep, which, where they are entered, and how many links take the name there.
+/// The domains in a trace: how deep, which, where they are entered, and how many links take the
+/// name there.
 fn crossed(trace: &Value) -> Vec<Value> {
     let domains = trace["paths"][0]["domains"].as_array().unwrap();
     let in_time = |domain: &Value| domain["rtt_us"].as_u64() > Some(0) && domain["inside"]["rtt_us"].is_u64();

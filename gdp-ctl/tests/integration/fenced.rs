@@ -1,5 +1,5 @@
-//! A switch whose RIB is played by the test, beside the switch's only neighbour: whose word counts when several say that they are
-//! the RIB, and what the switch does of what that wants.
+//! A switch whose RIB is played by the test, beside the switch's only neighbour: whose word counts
+//! when several say that they are the RIB, and what the switch does of what that wants.
 
 use std::net::UdpSocket;
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! Cards, certificates and invitations whose texts would drive a terminal: no command prints or writes them as they are.
+//! Cards, certificates and invitations whose texts would drive a terminal: no command prints or
+//! writes them as they are.
 
 use gdp_core::card::NameCard;
 use gdp_core::identity::SigningKey;

@@ -1,5 +1,6 @@
-//! Two entities at a whole daemon, without the SDK's node: they reach each other under their own names for as long as they are
-//! counterparts, are told of each other and of keys, and a revocation parts them at once.
+//! Two entities at a whole daemon, without the SDK's node: they reach each other under their own
+//! names for as long as they are counterparts, are told of each other and of keys, and a revocation
+//! parts them at once.
 
 use gdp_wire::hop;
 use std::time::{Duration, Instant, SystemTime};

@@ -1,4 +1,5 @@
-//! The library and the program as others use them. One program of all these tests: each would contain the whole daemon.
+//! The library and the program as others use them. One program of all these tests: each would
+//! contain the whole daemon.
 
 mod cli;
 mod cluster;

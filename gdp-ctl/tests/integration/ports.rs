@@ -3,7 +3,8 @@
 use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::sync::atomic::{AtomicU16, Ordering};
 
-/// Below those that the kernel gives to sockets that want any: an address stays free between two that use it.
+/// Below those that the kernel gives to sockets that want any: an address stays free between two
+/// that use it.
 const FIRST: u16 = 16_000;
 const COUNT: u16 = 16_000;
 

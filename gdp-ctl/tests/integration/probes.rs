@@ -1,4 +1,5 @@
-//! Whether names answer, and by whom: `ping`, `trace`, `peer list`, `monitor` and `topology` at three daemons on loopback UDP.
+//! Whether names answer, and by whom: `ping`, `trace`, `peer list`, `monitor` and `topology` at
+//! three daemons on loopback UDP.
 
 use std::net::UdpSocket;
 use std::process::{Command, Output, Stdio};
@@ -58,7 +59,8 @@ async fn switches_answer_near_and_far() {
     .await;
 }
 
-/// Whoever can attach can answer probes it was not asked by, or say that others did: nobody listens.
+/// Whoever can attach can answer probes it was not asked by, or say that others did: nobody
+/// listens.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_endpoint_answers_no_probes() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! Three replicas of a RIB, each a daemon beside its switch, on three members of etcd; without root, over UDP on the loopback
-//! interface:
+//! Three replicas of a RIB, each a daemon beside its switch, on three members of etcd; without
+//! root, over UDP on the loopback interface:
 //!
 //! ```text
 //!  writer ── s ───── s ── reader        the third switch leads, until its daemon is killed,
@@ -16,8 +16,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant, SystemTime};
 
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::{Node, NodeConfig};
+use gdp::{PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, issue};
 use gdp_core::identity::{Identity, SigningKey};
@@ -34,7 +34,8 @@ use tokio::time::{sleep, timeout};
 use crate::cluster::Cluster;
 use crate::ports::free_addr;
 
-/// A lease has to end, and both clusters have to find another leader, on a machine that does other things as well.
+/// A lease has to end, and both clusters have to find another leader, on a machine that does other
+/// things as well.
 const RECOVERY: Duration = Duration::from_secs(60);
 
 #[tokio::test(flavor = "multi_thread")]
@@ -302,12 +303,7 @@ impl Owner {
         issue(&self.0, &cert).unwrap().into()
     }
 
-    async fn publish(
-        &self,
-        node: &Node,
-        card: &NameCard,
-        entity: &Identity,
-    ) -> Result<Publisher, gdp::node::NodeError> {
+    async fn publish(&self, node: &Node, card: &NameCard, entity: &Identity) -> Result<Publisher, gdp::NodeError> {
         node.publish(card.proof(), self.ad_cert(card, entity), PublishOptions::reliable()).await
     }
 

@@ -1,4 +1,5 @@
-//! A replica of the RIB that is told to stop at the moment at which etcd elects it: without the answer, it does not know.
+//! A replica of the RIB that is told to stop at the moment at which etcd elects it: without the
+//! answer, it does not know.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -31,7 +32,8 @@ async fn a_replica_that_resigns_while_it_is_elected_leaves_no_leader() {
     switch.stop().await;
 }
 
-/// Passes on to a member of etcd what is asked of it, and its answers, but for those on a connection by which something was to be put.
+/// Passes on to a member of etcd what is asked of it, and its answers, but for those on a
+/// connection by which something was to be put.
 async fn relay(to: Endpoint, puts: Arc<Notify>) -> Endpoint {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let port = listener.local_addr().unwrap().port();

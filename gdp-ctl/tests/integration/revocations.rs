@@ -1,4 +1,5 @@
-//! What an owner has taken back stays so when the daemon with the RIB starts anew, though nobody tells it again.
+//! What an owner has taken back stays so when the daemon with the RIB starts anew, though nobody
+//! tells it again.
 
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
@@ -7,8 +8,8 @@ use std::time::SystemTime;
 
 use crate::owner::Owner;
 use crate::switch::{TIMEOUT, config, wait};
-use gdp::node::{Ended, NodeError, PublishOptions};
-use gdp::node::{Node, NodeConfig};
+use gdp::{Ended, NodeError, PublishOptions};
+use gdp::{Node, NodeConfig};
 use gdp_core::cert::{AdCert, CertError, Issued, Mode, Revocation, issue};
 use gdp_core::identity::Identity;
 use gdp_core::name::NamePrefix;

@@ -1,5 +1,5 @@
-//! Nodes of the SDK at whole daemons: what two callers of one service get, what is left when the server goes, and which of several servers
-//! is called.
+//! Nodes of the SDK at whole daemons: what two callers of one service get, what is left when the
+//! server goes, and which of several servers is called.
 
 use std::sync::Arc;
 use std::time::SystemTime;
@@ -7,8 +7,8 @@ use std::time::SystemTime;
 use crate::owner::Owner;
 use crate::ports::free_addr;
 use crate::switch::{TIMEOUT, config, wait};
-use gdp::node::{Client, NodeError, Server};
-use gdp::node::{Node, NodeConfig};
+use gdp::{Client, NodeError, Server};
+use gdp::{Node, NodeConfig};
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::Identity;
 use gdp_daemon::config::{Config, Neighbour, NeighbourAddress, Via};

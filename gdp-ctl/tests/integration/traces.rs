@@ -1,4 +1,5 @@
-//! What a border tells another domain that traces names through it, and what it makes of one that says nothing, or nonsense.
+//! What a border tells another domain that traces names through it, and what it makes of one that
+//! says nothing, or nonsense.
 
 use std::sync::Arc;
 

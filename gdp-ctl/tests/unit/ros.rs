@@ -60,7 +60,8 @@ fn fields_are_found_by_their_path() {
 #[test]
 fn what_is_not_given_is_as_the_definition_says() {
     let name = TypeName::parse("my_robot/Task").unwrap();
-    let text = "string label \"it's\"\nint32[] steps [1, 2]\nfloat64[3] at\nbool is_on true\nuint8 LEVEL=3\nbyte[] raw\nPart part\n\
+    let text = "string label \"it's\"\nint32[] steps [1, 2]\nfloat64[3] at\nbool is_on true\nuint8 LEVEL=3\nbyte[] \
+                raw\nPart part\n\
         ================================================================================\nMSG: my_robot/Part\nint64 count -5\n";
     let schema = Schema::from_text(Dialect::Ros2, &name, text).unwrap();
     let message = |given: &str| fill(&schema, &UserInput::parse(given).unwrap(), (0, 0));

@@ -1,4 +1,5 @@
-//! The UDP checksum of a frame, for neighbours whose kernel joins datagrams only if they have one ([`Carrier::CHECKSUM`]).
+//! The UDP checksum of a frame, for neighbours whose kernel joins datagrams only if they have one
+//! ([`Carrier::CHECKSUM`]).
 
 use aya_ebpf::helpers::generated::bpf_csum_diff;
 use aya_ebpf::programs::XdpContext;
@@ -16,8 +17,8 @@ const MOST_BLOCKS: usize = 18;
 /// All that a verifier needs to know of a length for its bounds checks: what 14 bits express.
 const LENGTHS: usize = 0x3fff;
 
-/// Puts the checksum into the UDP header that is `at` bytes behind the start, of a datagram of so many bytes; none if not all of it is
-/// in the packet's first buffer, or it is too long.
+/// Writes the checksum of a datagram of `bytes` bytes into its UDP header, `at` bytes behind the
+/// start. Writes none if the datagram is too long or not all in the packet's first buffer.
 #[inline(always)]
 pub fn write(context: &XdpContext, carrier: &Carrier, at: usize, bytes: usize) {
     if bytes >= (MOST_BLOCKS + 1) * BLOCK {
@@ -32,7 +33,8 @@ pub fn write(context: &XdpContext, carrier: &Carrier, at: usize, bytes: usize) {
     }
 }
 
-/// Of RFC 768 and RFC 8200: their sums are alike, as the words of addresses that IPv4 does not have are zero.
+/// Of RFC 768 and RFC 8200: their sums are alike, as the words of addresses that IPv4 does not have
+/// are zero.
 #[inline(always)]
 fn pseudo_header(carrier: &Carrier, bytes: usize) -> u32 {
     let mut sum = u32::from(u16::from(UDP).to_be()) + u32::from((bytes as u16).to_be());
@@ -45,7 +47,8 @@ fn pseudo_header(carrier: &Carrier, bytes: usize) -> u32 {
     sum
 }
 
-/// The ones' complement sum of `bytes` bytes from `start` on and `seed`, folded; `None` if not all are before `end`.
+/// The ones' complement sum of `bytes` bytes from `start` on and `seed`, folded; `None` if not all
+/// are before `end`.
 #[inline(always)]
 fn sum(start: usize, end: usize, bytes: usize, seed: u32) -> Option<u16> {
     let mut sum = seed;
@@ -54,7 +57,8 @@ fn sum(start: usize, end: usize, bytes: usize, seed: u32) -> Option<u16> {
         sum = add(start + block * BLOCK, end, BLOCK, sum)?;
         block += 1;
     }
-    // Where what is left begins follows from the length alone, by a mask: so bounds are known, whichever parts there were before.
+    // Where what is left begins follows from the length alone, by a mask: so bounds are known,
+    // whichever parts there were before.
     let mut part = BLOCK / 2;
     while part >= 4 {
         if bytes & part != 0 {

@@ -90,7 +90,8 @@ pub fn encapsulate_tagged(context: &XdpContext, carrier: &Carrier, traffic: u8) 
 pub unsafe fn address(ethernet: *mut Ethernet, destination: [u16; 3], source: [u16; 3], ethertype: u16) {
     let mut i = 0;
     while i < 3 {
-        // SAFETY: the caller's promise. Word by word, because a copy of six bytes becomes a function call.
+        // SAFETY: the caller's promise. Word by word, because a copy of six bytes becomes a
+        // function call.
         unsafe {
             (*ethernet).destination[i] = destination[i];
             (*ethernet).source[i] = source[i];

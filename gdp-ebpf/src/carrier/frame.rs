@@ -1,6 +1,5 @@
 //! Where the frame lies in a packet.
 
-
 /// Where the frame lies in a packet.
 #[derive(Clone, Copy)]
 pub struct FrameLocation {

@@ -1,7 +1,9 @@
-//! What carries a GDP frame in a packet, and its exchange for what carries it on the next link. The frame itself stays where it
-//! is in memory: the start of the packet moves, and headers are written in front of it.
+//! What carries a GDP frame in a packet, and its exchange for what carries it on the next link. The
+//! frame itself stays where it is in memory: the start of the packet moves, and headers are written
+//! in front of it.
 //!
-//! One file for each carrier, with how it is taken off (`find`) and put on (`encapsulate`). Called by `main.rs`.
+//! One file for each carrier, with how it is taken off (`find`) and put on (`encapsulate`). Called
+//! by `main.rs`.
 
 mod checksum;
 pub mod ethernet;
@@ -20,7 +22,8 @@ use crate::carrier::udp::Udp;
 use crate::next_hop::NextHop;
 use crate::packet::{self, Packet};
 
-/// The frame in a packet of `length` bytes; `None` if it is none of ours. `ethertype`: of GDP frames, in host order.
+/// The frame in a packet of `length` bytes; `None` if it is none of ours. `ethertype`: of GDP
+/// frames, in host order.
 #[inline(always)]
 pub fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<FrameLocation> {
     let found = ethernet::ethertype(packet)?;
@@ -41,8 +44,9 @@ pub fn is_quic(carried: &FrameLocation, first_byte: u8) -> bool {
     carried.over_udp && first_byte >= FIRST_QUIC_BYTE
 }
 
-/// The byte that IP has for DSCP and ECN in what carries a frame; 0 on Ethernet. Read anew: what [`find`] might hand over, the
-/// compiler spills also where there is nothing of it, which the verifier refuses.
+/// The byte that IP has for DSCP and ECN in what carries a frame; 0 on Ethernet. Read anew: what
+/// [`find`] might hand over, the compiler spills also where there is nothing of it, which the
+/// verifier refuses.
 #[inline(always)]
 pub fn traffic(packet: &Packet, carried: &FrameLocation) -> u8 {
     match carried.at {
@@ -52,9 +56,9 @@ pub fn traffic(packet: &Packet, carried: &FrameLocation) -> u8 {
     }
 }
 
-/// Makes a packet whose frame lies `at` one that carries the frame's first `length` bytes on `link`; `false` if there is no room.
-/// References into the packet are void after. `behind`: bytes of the packet behind those; `traffic`: as
-/// `gdp_wire::Header::ip_traffic` says.
+/// Makes a packet whose frame lies `at` one that carries the frame's first `length` bytes on
+/// `link`; `false` if there is no room. References into the packet are void after. `behind`: bytes
+/// of the packet behind those; `traffic`: as `gdp_wire::Header::ip_traffic` says.
 #[inline(always)]
 pub fn exchange(
     context: &XdpContext,

@@ -1,6 +1,6 @@
-//! Frames as payload of UDP over IPv4. What does not look as our peers send it (options, fragments, lengths that disagree) is the
-//! host's to judge. Checksums of what arrives are not looked at: the hop tag covers the frame's header, and the reader's
-//! decryption its payload.
+//! Frames as payload of UDP over IPv4. What does not look as our peers send it (options, fragments,
+//! lengths that disagree) is the host's to judge. Checksums of what arrives are not looked at: the
+//! hop tag covers the frame's header, and the reader's decryption its payload.
 
 use crate::carrier::udp::{HOP_LIMIT, UDP, Udp};
 use aya_ebpf::programs::XdpContext;
@@ -75,8 +75,8 @@ fn headers(packet: &Packet) -> Option<(*mut Ethernet, *mut Ipv4, *mut Udp)> {
     Some((packet.get(0)?, packet.get(ethernet::LEN)?, packet.get(behind)?))
 }
 
-/// Sends a datagram back to where it came from: only that its sender's address is on this host makes sense of it there. `false` if
-/// it is none.
+/// Sends a datagram back to where it came from: only that its sender's address is on this host
+/// makes sense of it there. `false` if it is none.
 #[inline(always)]
 pub fn turn_back(packet: &Packet) -> bool {
     let Some((ethernet, ip, udp)) = headers(packet) else { return false };
@@ -97,9 +97,17 @@ pub fn turn_back(packet: &Packet) -> bool {
     true
 }
 
-/// `length`: of the frame. `routed`: whether `hop` says which stations it goes between, and not the carrier.
+/// `length`: of the frame. `routed`: whether `hop` says which stations it goes between, and not the
+/// carrier.
 #[inline(always)]
-pub fn encapsulate(context: &XdpContext, carrier: &Carrier, routed: bool, hop: &NextHop, traffic: u8, length: u16) -> bool {
+pub fn encapsulate(
+    context: &XdpContext,
+    carrier: &Carrier,
+    routed: bool,
+    hop: &NextHop,
+    traffic: u8,
+    length: u16,
+) -> bool {
     let packet = Packet::of(context);
     let Some((ethernet, ip, udp)) = headers(&packet) else { return false };
     let (ip_length, fragment) = ((length + HEADERS as u16).to_be(), DO_NOT_FRAGMENT.to_be());

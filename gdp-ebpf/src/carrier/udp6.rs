@@ -1,7 +1,9 @@
-//! Frames as payload of UDP over IPv6, to peers that take datagrams without a checksum (RFC 6936). Those that do not are sent to
-//! by the userspace plane: not every frame can be summed up here, see [`super::checksum`].
+//! Frames as payload of UDP over IPv6, to peers that take datagrams without a checksum (RFC 6936).
+//! Those that do not are sent to by the userspace plane: not every frame can be summed up here, see
+//! [`super::checksum`].
 //!
-//! What arrives is looked at as in [`super::udp4`]; extension headers, fragments among them, are the host's.
+//! What arrives is looked at as in [`super::udp4`]; extension headers, fragments among them, are
+//! the host's.
 
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Carrier, LocalAddress};

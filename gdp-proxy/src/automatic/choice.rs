@@ -1,4 +1,5 @@
-//! What of a graph is exposed, and for how long: as the configuration says, while somebody publishes or serves it and a little longer.
+//! What of a graph is exposed, and for how long: as the configuration says, while somebody
+//! publishes or serves it and a little longer.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,7 +9,8 @@ use crate::config::{ExposeConfig, RuleOptions, Thing, is_hidden, remapped};
 use crate::graph::{Found, Offered};
 use crate::ros2::{TopicName, TypeName};
 
-/// For how long what nobody publishes or serves any more stays: a node that is started anew is back by then.
+/// For how long what nobody publishes or serves any more stays: a node that is started anew is back
+/// by then.
 pub const GRACE: Duration = Duration::from_secs(5);
 
 /// How something is exposed.

@@ -1,4 +1,5 @@
-//! The plans of routes as they come together: each place and each name once, as many as a proxy has, with rights that stay up to date.
+//! The plans of routes as they come together: each place and each name once, as many as a proxy
+//! has, with rights that stay up to date.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

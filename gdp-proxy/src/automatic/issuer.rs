@@ -1,8 +1,10 @@
-//! The names of what is exposed, and the certificates for them: made here, with the key of their owner.
+//! The names of what is exposed, and the certificates for them: made here, with the key of their
+//! owner.
 //!
-//! A name follows from what it is of, its type and what else the configuration says of it, so it is the same whenever the proxy runs; and from a secret
-//! that follows from the owner's key, so nobody guesses it. Certificates hold for [`LIFETIME`] and are issued anew when half of it is over: who is taken
-//! off the readers loses the right by then.
+//! A name follows from what it is of, its type and what else the configuration says of it, so it is
+//! the same whenever the proxy runs; and from a secret that follows from the owner's key, so nobody
+//! guesses it. Certificates hold for [`LIFETIME`] and are issued anew when half of it is over: who
+//! is taken off the readers loses the right by then.
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, CertError, Grantee, Issued, Mode, ReadGrant, issue};
@@ -60,7 +62,8 @@ impl Issuer {
         card_of(&self.owner, thing, kind, exposed)
     }
 
-    /// For this proxy to publish or serve the name, and for the readers to read or call it. `now`: nanoseconds since 1970.
+    /// For this proxy to publish or serve the name, and for the readers to read or call it. `now`:
+    /// nanoseconds since 1970.
     pub fn issue(&self, name: Name, config: &ExposeConfig, now: u64) -> Result<IssuedCredentials, IssueError> {
         let (serial, issued) = (now, now / 1_000_000_000);
         let (not_before, not_after) = (issued.saturating_sub(BACKDATED), issued.saturating_add(LIFETIME));

@@ -16,7 +16,8 @@ use crate::ros2::{TopicName, TypeName};
 /// Writers of one catalog. More are not heard.
 const MAX_WRITERS: usize = 16;
 
-/// Seconds after which a catalog is looked at again though it is the same: certificates end, and memberships are renewed.
+/// Seconds after which a catalog is looked at again though it is the same: certificates end, and
+/// memberships are renewed.
 const AGAIN: u64 = 600;
 
 /// What this proxy may read or call.
@@ -54,8 +55,8 @@ impl Catalogs {
         Self { owner, entity, writers: BTreeMap::new() }
     }
 
-    /// Takes a message that says to be a catalog. `member`: what shows this proxy's role. `now_unix`: seconds. Whether something is listed otherwise
-    /// now.
+    /// Takes a message that says to be a catalog. `member`: what shows this proxy's role.
+    /// `now_unix`: seconds. Whether something is listed otherwise now.
     pub fn take(
         &mut self,
         message: &Message,
@@ -105,7 +106,8 @@ impl Catalogs {
         listed.filter(|listed| names.insert(listed.card.name())).cloned().collect()
     }
 
-    /// What it is, with the first grant that reaches this proxy. Other kinds of names are for other releases.
+    /// What it is, with the first grant that reaches this proxy. Other kinds of names are for other
+    /// releases.
     fn listed(
         &self,
         card: NameCard,
@@ -134,7 +136,8 @@ impl Catalogs {
     }
 }
 
-/// What of it comes into the graph here, with what it is called there. Of several with one name, the first.
+/// What of it comes into the graph here, with what it is called there. Of several with one name,
+/// the first.
 pub fn chosen<'a>(config: &ImportConfig, listed: &'a [Listed]) -> BTreeMap<(Thing, TopicName), &'a Listed> {
     let mut chosen = BTreeMap::new();
     for listed in listed.iter().filter(|listed| config.wants(listed.thing, &listed.name)) {

@@ -1,8 +1,10 @@
-//! Topics, services and actions that cross without being listed: what of a graph matches the patterns of `expose` goes out, and what of a catalog matches those
-//! of `import` comes in, each for as long as it is there.
+//! Topics, services and actions that cross without being listed: what of a graph matches the
+//! patterns of `expose` goes out, and what of a catalog matches those of `import` comes in, each
+//! for as long as it is there.
 //!
-//! [`choice`] says which, [`issuer`] makes their names and certificates, [`listed`] reads catalogs: none of these waits or sends. [`link`] carries a catalog. Here they
-//! are put together, into plans for the managers of routes and of catalogs.
+//! [`choice`] says which, [`issuer`] makes their names and certificates, [`listed`] reads catalogs:
+//! none of these waits or sends. [`link`] carries a catalog. Here they are put together, into plans
+//! for the managers of routes and of catalogs.
 
 pub mod choice;
 mod gather;
@@ -158,7 +160,8 @@ impl Automatic {
         self.look = Instant::now() + LOOK;
     }
 
-    /// What is to run, what the configuration lists first: it is not exposed or imported a second time.
+    /// What is to run, what the configuration lists first: it is not exposed or imported a second
+    /// time.
     pub fn plan(&mut self, topics: &[Arc<RoutePlan>], calls: &[Arc<CallPlan>]) -> Plans {
         let Self { expose, imports, kept, .. } = self;
         let mut gathering = Gathering::new(kept, topics, calls);

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use futures::StreamExt;
 use futures::future::join_all;
 use futures::stream::FuturesUnordered;
-use gdp::node::{Client, NodeError};
+use gdp::{Client, NodeError};
 use gdp_ros::action::cdr;
 use gdp_ros::call::{CALL, Description, Epoch, Events, Failure, FailureCode, Part, Reply, Request};
 use gdp_ros::services::Converters;
@@ -17,10 +17,12 @@ use parking_lot::Mutex;
 use super::counters::Reason;
 use crate::large::beside;
 
-/// For a server's proxy to answer a question about events, which it does once a minute though there are none.
+/// For a server's proxy to answer a question about events, which it does once a minute though there
+/// are none.
 const TIMEOUT: Duration = Duration::from_secs(90);
 
-/// To have a server described: how often it is asked, how long each answer is waited for, and how soon it is asked again if that cannot be.
+/// To have a server described: how often it is asked, how long each answer is waited for, and how
+/// soon it is asked again if that cannot be.
 const ATTEMPTS: usize = 20;
 const ATTEMPT: Duration = Duration::from_secs(2);
 const SOON: Duration = Duration::from_millis(200);
@@ -64,8 +66,8 @@ async fn ask(client: &Client, instance: Name, request: &Request) -> Result<Reply
     reply.ok_or(NodeError::Protocol("a reply that no proxy of this release sends"))
 }
 
-/// Asks again and again, which does no harm: the way to a server that has only just come may not be open yet, and the first to go by it may be
-/// lost. So no call is.
+/// Asks again and again, which does no harm: the way to a server that has only just come may not be
+/// open yet, and the first to go by it may be lost. So no call is.
 pub async fn describe(client: &Client, instance: Name) -> Described {
     let mut last = "it does not say what it serves".to_owned();
     for _ in 0..ATTEMPTS {
@@ -91,7 +93,8 @@ pub enum News {
     Changed(Changed),
 }
 
-/// Asks a server what happened to the goals of this proxy's clients after an event. First waits for a while if the last question failed.
+/// Asks a server what happened to the goals of this proxy's clients after an event. First waits for
+/// a while if the last question failed.
 pub async fn events(client: &Client, known: &Arc<Known>, after: u64, has_failed: bool) -> News {
     if has_failed {
         tokio::time::sleep(SOON).await;
@@ -139,7 +142,8 @@ impl<'a> Asking<'a> {
         self.changed.into_inner()
     }
 
-    /// Asks one server. If that is another than the one that was described, it has not seen the request, and is asked once more.
+    /// Asks one server. If that is another than the one that was described, it has not seen the
+    /// request, and is asked once more.
     async fn call(&self, known: &Arc<Known>) -> Result<Bytes, Failed> {
         let convert = || known.converters.lock().request.convert(self.request.clone());
         let body = beside(self.request.len(), convert).map_err(unconvertible)?;

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp::node::Call;
+use gdp::Call;
 use gdp_ros::action::{Goals, Log, cdr};
 use gdp_ros::call::{Description, Events, Failure, FailureCode, Part};
 use gdp_ros::types::Types;
@@ -14,7 +14,8 @@ use parking_lot::Mutex;
 use crate::graph::{Caller, CallerError, Graph, GraphError, Peer};
 use crate::ros2::{self, RawReader, RosError};
 
-/// How long a question about events waits for some. A link may have lost the answer, or the asker may be gone.
+/// How long a question about events waits for some. A link may have lost the answer, or the asker
+/// may be gone.
 const HOLD: Duration = Duration::from_secs(60);
 
 pub enum Backend {
@@ -87,12 +88,19 @@ impl Backend {
         }
     }
 
-    /// What happens at its topics: whom that is told. Also counts what is dropped for it. Safe to cancel.
+    /// What happens at its topics: whom that is told. Also counts what is dropped for it. Safe to
+    /// cancel.
     pub async fn heard(&self) -> Result<(Vec<Told>, u64), String> {
         let Self::Action(action) = self else { return std::future::pending().await };
         tokio::select! {
-            message = action.feedback.recv() => Ok(action.take_feedback(message.map_err(|error| error.to_string())?.sample.bytes)),
-            message = action.status.recv() => Ok((action.take_status(&message.map_err(|error| error.to_string())?.sample.bytes)?, 0)),
+            message = action.feedback.recv() => {
+                let message = message.map_err(|error| error.to_string())?;
+                Ok(action.take_feedback(message.sample.bytes))
+            }
+            message = action.status.recv() => {
+                let message = message.map_err(|error| error.to_string())?;
+                Ok((action.take_status(&message.sample.bytes)?, 0))
+            }
         }
     }
 
@@ -115,7 +123,8 @@ impl Backend {
         }
     }
 
-    /// Forgets what is over. Whose questions have waited for long enough, with the answer that there is nothing.
+    /// Forgets what is over. Whose questions have waited for long enough, with the answer that
+    /// there is nothing.
     pub fn sweep(&self) -> Vec<Told> {
         let (Self::Action(action), now) = (self, Instant::now()) else { return vec![] };
         let mut goals = action.goals.lock();

@@ -119,7 +119,8 @@ pub struct CallsCounted {
     pub failures: BTreeMap<&'static str, u64>,
     /// Calls that wait at this moment.
     pub pending: u64,
-    /// Those that can be called at this moment: `out`, 1 if there is a local one; `in`, the proxies that have one.
+    /// Those that can be called at this moment: `out`, 1 if there is a local one; `in`, the proxies
+    /// that have one.
     pub servers: u64,
     /// Of actions: messages of feedback and status that crossed.
     pub events: u64,

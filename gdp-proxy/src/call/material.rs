@@ -1,4 +1,5 @@
-//! The files that the configuration names for a service or an action, as [`crate::material`] has those of topics.
+//! The files that the configuration names for a service or an action, as [`crate::material`] has
+//! those of topics.
 
 use gdp_core::card::NameCard;
 use gdp_util::file_watch::FileWatcher;

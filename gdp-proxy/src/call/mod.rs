@@ -1,8 +1,10 @@
-//! One service or action in one direction, as `route` has topics: servers here that are called from elsewhere ([`outward`]), or servers elsewhere
-//! that are called from here ([`inward`]). Each is a task of its own; a call waits for its answer in it and holds up nobody.
+//! One service or action in one direction, as `route` has topics: servers here that are called from
+//! elsewhere ([`outward`]), or servers elsewhere that are called from here ([`inward`]). Each is a
+//! task of its own; a call waits for its answer in it and holds up nobody.
 //!
-//! Neither side ends a call by itself, however long it takes: it ends with its answer, with its server, or when the client gives it up or is there no
-//! more. Of several proxies in one graph one takes calls; when it stops, those who wait are told, as far as their ROS version has a way to.
+//! Neither side ends a call by itself, however long it takes: it ends with its answer, with its
+//! server, or when the client gives it up or is there no more. Of several proxies in one graph one
+//! takes calls; when it stops, those who wait are told, as far as their ROS version has a way to.
 
 mod asking;
 mod backend;
@@ -18,7 +20,7 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gdp::node::Node;
+use gdp::Node;
 use gdp_ros::types::Types;
 use parking_lot::Mutex;
 
@@ -127,7 +129,8 @@ impl Carries for Route {
 }
 
 impl Route {
-    /// Counts every failure; the first one for a reason is worth a line in the log, the counters have the rest.
+    /// Counts every failure; the first one for a reason is worth a line in the log, the counters
+    /// have the rest.
     fn failed(&self, reason: Reason, why: impl Display) {
         if self.counters.failed(reason) {
             tracing::warn!(service = %self.config.name, reason = reason.as_str(), "a call has failed: {why}");

@@ -1,4 +1,5 @@
-//! What servers elsewhere say of goals, until it is published here: in order, and no more than may wait.
+//! What servers elsewhere say of goals, until it is published here: in order, and no more than may
+//! wait.
 
 use std::collections::VecDeque;
 

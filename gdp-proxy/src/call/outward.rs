@@ -5,7 +5,7 @@ use std::pin::{Pin, pin};
 use bytes::Bytes;
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
-use gdp::node::{Call, NodeError, Server};
+use gdp::{Call, NodeError, Server};
 use gdp_core::cert::{AdCert, Issued};
 use gdp_ros::call::{CALL, Description, Epoch, Failure, FailureCode, Part, Reply, Request};
 use gdp_ros::services::service_name;
@@ -27,7 +27,8 @@ struct Offer {
     backend: Backend,
     epoch: Epoch,
     description: Description,
-    /// Told when the server is not there, whatever the graph says: a master of ROS 1 does not notice.
+    /// Told when the server is not there, whatever the graph says: a master of ROS 1 does not
+    /// notice.
     lost: Notify,
 }
 

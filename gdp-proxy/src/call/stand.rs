@@ -1,4 +1,5 @@
-//! What stands in the local graph for servers elsewhere: the server of a service, or what an action's server has.
+//! What stands in the local graph for servers elsewhere: the server of a service, or what an
+//! action's server has.
 
 use gdp_util::unix_time::unix_nanos;
 
@@ -69,7 +70,8 @@ impl Stands {
         stand.answer(asker, response).await
     }
 
-    /// There is no answer. Those who ask an action learn it by what its own messages say; of services, those of ROS 1 alone.
+    /// There is no answer. Those who ask an action learn it by what its own messages say; of
+    /// services, those of ROS 1 alone.
     pub async fn refuse(&self, part: Part, asker: Asker, why: String) -> Result<(), String> {
         let response = match part {
             Part::Service => {

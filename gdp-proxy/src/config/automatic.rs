@@ -1,4 +1,5 @@
-//! What crosses by itself: topics, services and actions here that match a pattern (`expose`), and those elsewhere that a catalog lists (`import`).
+//! What crosses by itself: topics, services and actions here that match a pattern (`expose`), and
+//! those elsewhere that a catalog lists (`import`).
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,16 +18,19 @@ use super::topics::Priority;
 use super::{Compression, Conversion, Direction, FramePrefix, Graphs, Pattern, Thing, TopicConfig, What, schema};
 use crate::ros2::{Qos, TopicName, TypeName};
 
-/// What is here and crosses as long as somebody publishes or serves it, under names that the proxy makes with the owner's key and lists in a catalog.
+/// What the proxy exposes of its ROS graph while somebody publishes or serves it. The proxy makes
+/// the names with the owner's key and lists them in a catalog.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ExposeConfig {
     /// Which of the graphs, if there are several.
     #[serde(default)]
     pub graph: Option<String>,
-    /// The private key of the owner of these names, and of no others (`gdp-ctl key generate FILE --kind owner`).
+    /// The private key of the owner of these names, and of no others (`gdp-ctl key generate FILE
+    /// --kind owner`).
     pub owner: PathBuf,
-    /// The name card of the catalog (`gdp-ctl name create --kind catalog`), a name of the same owner.
+    /// The name card of the catalog (`gdp-ctl name create --kind catalog`), a name of the same
+    /// owner.
     pub catalog: PathBuf,
     /// Which topics.
     #[serde(default)]
@@ -38,7 +42,8 @@ pub struct ExposeConfig {
     /// Which actions of ROS 2.
     #[serde(default)]
     pub actions: Vec<Pattern>,
-    /// If there are any: only what is of one of these types, as ROS 2 writes them. ROS 1 does not tell those of services.
+    /// If there are any: only what is of one of these types, as ROS 2 writes them. ROS 1 does not
+    /// tell those of services.
     #[serde(default)]
     pub types: Vec<TypeName>,
     /// Which topics, services and actions not, whatever else is said.
@@ -203,7 +208,8 @@ impl RuleOptions {
     }
 }
 
-/// What something is called by the first of these that knows it. None, if the name would be too long.
+/// What something is called by the first of these that knows it. None, if the name would be too
+/// long.
 pub fn remapped(topic: &TopicName, remap: &[Remap]) -> Option<TopicName> {
     let rest = |from: &TopicName| {
         let rest = topic.as_str().strip_prefix(from.as_str())?;

@@ -16,13 +16,15 @@ pub struct CallConfig {
     pub name: TopicName,
     /// Which of the graphs, if there are several.
     pub graph: Option<String>,
-    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing, what the servers use.
+    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing,
+    /// what the servers use.
     pub kind: Option<TypeName>,
     /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called from here.
     pub side: Side,
     /// Its name card (`gdp-ctl name create`).
     pub card: PathBuf,
-    /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add --publish`), `in`: to call (`--read`).
+    /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add --publish`), `in`:
+    /// to call (`--read`).
     pub cert: Option<PathBuf>,
     pub grant: Option<PathBuf>,
 }
@@ -66,10 +68,11 @@ impl What {
     /// Whether a graph can have it.
     pub(super) fn check_graph(self, graph: &GraphConfig) -> Result<(), String> {
         match (self, graph) {
-            (Self::Action, GraphConfig::Ros1(_)) => Err(
-                "actions of ROS 1 are topics: list NAME/goal, NAME/cancel, NAME/status, NAME/feedback and NAME/result under topics"
-                    .into(),
-            ),
+            (Self::Action, GraphConfig::Ros1(_)) => {
+                Err("actions of ROS 1 are topics: list NAME/goal, NAME/cancel, NAME/status, NAME/feedback and \
+                 NAME/result under topics"
+                    .into())
+            }
             _ => Ok(()),
         }
     }
@@ -85,14 +88,17 @@ macro_rules! entry {
             $name: TopicName,
             /// Which of the graphs, if there are several.
             graph: Option<String>,
-            /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing, what the servers use.
+            /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says
+            /// nothing, what the servers use.
             #[serde(rename = "type")]
             kind: Option<TypeName>,
-            /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called from here.
+            /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called
+            /// from here.
             direction: Side,
             /// Its name card (`gdp-ctl name create`).
             card: PathBuf,
-            /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add --publish`).
+            /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add
+            /// --publish`).
             cert: Option<PathBuf>,
             /// `in`: the owner's permission to call (`gdp-ctl grant add --read`).
             grant: Option<PathBuf>,

@@ -10,7 +10,8 @@ use crate::ros2;
 /// Graphs of one proxy.
 const MAX_GRAPHS: usize = 16;
 
-/// The graphs by the names that topics refer to them by. Without any, there is one of ROS 2 with ROS_DOMAIN_ID.
+/// The graphs by the names that topics refer to them by. Without any, there is one of ROS 2 with
+/// ROS_DOMAIN_ID.
 #[derive(Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "BTreeMap<String, GraphConfig>")]
 pub struct Graphs(BTreeMap<String, GraphConfig>);

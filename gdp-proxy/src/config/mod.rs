@@ -1,5 +1,6 @@
-//! The configuration file: which topics cross, in which direction, under whose keys. Strict, because a misspelt key in a
-//! file about permissions must not pass for a default. The default exposes nothing.
+//! The configuration file: which topics cross, in which direction, under whose keys. Strict,
+//! because a misspelt key in a file about permissions must not pass for a default. The default
+//! exposes nothing.
 //!
 //! This is the file alone; [`crate::material`] reads the files it names.
 
@@ -19,7 +20,7 @@ use std::io::{self, Read};
 use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 
-use gdp::node::LinkConfig;
+use gdp::LinkConfig;
 use gdp_core::domain::CredentialFiles;
 use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::MAX_LANES;
@@ -61,9 +62,11 @@ pub struct Config {
     _version: Version,
     /// The proxy's private key (`gdp-ctl key generate FILE --kind proxy`).
     pub identity: PathBuf,
-    /// The ways to the fabric, in the order in which they are wanted: everything goes by the first that is up.
+    /// The ways to the fabric, in the order in which they are wanted: everything goes by the first
+    /// that is up.
     pub links: Vec<LinkPlace>,
-    /// A folder for what the proxy must not forget, which is what owners have revoked; made if there is none.
+    /// A folder for what the proxy must not forget, which is what owners have revoked; made if
+    /// there is none.
     #[serde(default)]
     pub state: Option<PathBuf>,
     /// The trust domain that the proxy is a member of, if it is of one.
@@ -158,7 +161,8 @@ impl Definitions {
 #[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LinkPlace {
-    /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT` or `udp://HOST:PORT%INTERFACE`.
+    /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT` or
+    /// `udp://HOST:PORT%INTERFACE`.
     #[serde(deserialize_with = "from_text")]
     #[schemars(with = "String")]
     pub to: LinkTarget,
@@ -192,7 +196,8 @@ pub enum ConfigError {
 }
 
 impl Config {
-    /// Reads and checks a file. Relative paths in it are made relative to the folder the file is in.
+    /// Reads and checks a file. Relative paths in it are made relative to the folder the file is
+    /// in.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let io = |source| ConfigError::Io { path: path.into(), source };
         let mut text = String::new();
@@ -214,7 +219,8 @@ impl Config {
         Ok(config)
     }
 
-    /// The first key with another value in `new` among those that cannot change while the proxy runs. Graphs may be added.
+    /// The first key with another value in `new` among those that cannot change while the proxy
+    /// runs. Graphs may be added.
     pub fn fixed_that_differs(&self, new: &Self) -> Option<String> {
         let differs = [
             ("identity", self.identity != new.identity),

@@ -10,8 +10,9 @@ use crate::ros2::TopicName;
 
 const MAX_PATTERN: usize = 253;
 
-/// A name with a leading slash, in which `*` stands for any characters of one segment, and a segment `**` for any number of segments, also none:
-/// `/camera/**` is `/camera` and all beneath it, `/*/image_*` is `/left/image_raw`.
+/// A name with a leading slash, in which `*` stands for any characters of one segment, and a
+/// segment `**` for any number of segments, also none: `/camera/**` is `/camera` and all beneath
+/// it, `/*/image_*` is `/left/image_raw`.
 #[derive(Clone, Debug, PartialEq, Eq, JsonSchema)]
 pub struct Pattern(String);
 
@@ -26,12 +27,14 @@ impl Pattern {
         }
         let text: String = text.chars().take(64).collect();
         Err(format!(
-            "{text:?} is no pattern of names: write a name with a leading slash, in which * stands for any characters between two slashes and /** for \
+            "{text:?} is no pattern of names: write a name with a leading slash, in which * stands for any \
+             characters between two slashes and /** for \
              any number of segments, such as /camera/** or /*/odom"
         ))
     }
 
-    /// Whether the name is one of those meant. [Hidden](is_hidden) ones are meant only by a pattern that is their name.
+    /// Whether the name is one of those meant. [Hidden](is_hidden) ones are meant only by a pattern
+    /// that is their name.
     pub fn matches(&self, thing: Thing, name: &TopicName) -> bool {
         if is_hidden(thing, name) { self.0 == name.as_str() } else { self.covers(name) }
     }
@@ -48,8 +51,9 @@ impl Pattern {
     }
 }
 
-/// What ROS and proxies have for themselves: `/rosout`, `/rosout_agg`, `/parameter_events`, `/gdp_proxy…`, names with a segment that begins with an underscore,
-/// and the services that nodes have without being asked to, which read and set their parameters and log levels.
+/// What ROS and proxies have for themselves: `/rosout`, `/rosout_agg`, `/parameter_events`,
+/// `/gdp_proxy…`, names with a segment that begins with an underscore, and the services that nodes
+/// have without being asked to, which read and set their parameters and log levels.
 pub fn is_hidden(thing: Thing, name: &TopicName) -> bool {
     let name = name.as_str();
     matches!(name, "/rosout" | "/rosout_agg" | "/parameter_events")
@@ -83,8 +87,9 @@ fn is_part(c: char) -> bool {
     c.is_ascii_alphanumeric() || matches!(c, '_' | '*')
 }
 
-/// Whether the text is one of the pattern's, where what `is_any` holds of stands for any number of parts. In time of the product of their lengths:
-/// only the last such part is ever tried again, with one more.
+/// Whether the text is one of the pattern's, where what `is_any` holds of stands for any number of
+/// parts. In time of the product of their lengths: only the last such part is ever tried again,
+/// with one more.
 fn glob<P, T>(pattern: &[P], text: &[T], is_any: impl Fn(&P) -> bool, is_one: impl Fn(&P, &T) -> bool) -> bool {
     let (mut p, mut t, mut last) = (0, 0, None);
     while t < text.len() {

@@ -13,7 +13,8 @@ use serde::{Deserialize, Deserializer};
 #[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RelayConfig {
-    /// The relay's private key (`gdp-ctl key generate FILE --kind switch`). Its admin socket and what it remembers are in files beside it.
+    /// The relay's private key (`gdp-ctl key generate FILE --kind switch`). Its admin socket and
+    /// what it remembers are in files beside it.
     pub identity: PathBuf,
     /// What makes the relay a switch of the proxy's domain; `relay.member` if that has one.
     pub membership: Option<PathBuf>,

@@ -39,7 +39,8 @@ impl Thing {
         format!("{} {name}", self.as_str())
     }
 
-    /// Whether it can be of this type. Topics have one; of what is called it may be learnt from the servers.
+    /// Whether it can be of this type. Topics have one; of what is called it may be learnt from the
+    /// servers.
     pub fn fits(self, kind: Option<&TypeName>) -> bool {
         match (self, kind) {
             (Self::Topic, kind) => kind.is_some(),

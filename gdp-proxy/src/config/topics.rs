@@ -20,14 +20,15 @@ pub struct TopicConfig {
     /// Which of the graphs, if there are several.
     #[serde(default)]
     pub graph: Option<String>,
-    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing, what the publishers use.
+    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing,
+    /// what the publishers use.
     #[serde(default, rename = "type")]
     pub kind: Option<TypeName>,
     pub direction: Direction,
     /// The topic's name card (`gdp-ctl name create`).
     pub card: PathBuf,
-    /// The owner's permission for this proxy to publish (`gdp-ctl grant add --publish`), with what it rests on, such as a delegation,
-    /// after it. For `out` and `both`.
+    /// The owner's permission for this proxy to publish (`gdp-ctl grant add --publish`), with what
+    /// it rests on, such as a delegation, after it. For `out` and `both`.
     #[serde(default)]
     pub cert: Option<PathBuf>,
     /// The owner's permission to read (`gdp-ctl grant add --read`), likewise. For `in` and `both`.
@@ -39,10 +40,12 @@ pub struct TopicConfig {
     /// What goes out is converted into this first.
     #[serde(default)]
     pub encoding: Conversion,
-    /// What goes out is compressed after that, where it becomes shorter; readers undo it, whatever they say here.
+    /// What goes out is compressed after that, where it becomes shorter; readers undo it, whatever
+    /// they say here.
     #[serde(default)]
     pub compression: Compression,
-    /// Put in front of each `frame_id` of a header and each `child_frame_id`, on its way `out` or `in`, so that frames of several robots are told apart.
+    /// Put in front of each `frame_id` of a header and each `child_frame_id`, on its way `out` or
+    /// `in`, so that frames of several robots are told apart.
     #[serde(default)]
     pub frame_prefix: Option<FramePrefix>,
     /// Of each publisher, no more messages a second go out; those between are dropped.
@@ -51,8 +54,8 @@ pub struct TopicConfig {
     /// Traffic class of what goes out.
     #[serde(default)]
     pub priority: Priority,
-    /// It crosses by two links at once, so that nothing is missed when one fails: `out`, a copy of each frame goes by the second; `in`,
-    /// it comes by each.
+    /// It crosses by two links at once, so that nothing is missed when one fails: `out`, a copy of
+    /// each frame goes by the second; `in`, it comes by each.
     #[serde(default)]
     pub duplicate: bool,
     /// Refused with the remedy: earlier versions shared a secret file here.
@@ -221,7 +224,8 @@ impl TopicConfig {
             return Err((key, "is for the other direction; remove it, or write direction: both".into()));
         }
         if self.frame_prefix.is_some() && self.direction == Direction::Both {
-            let reason = "with direction: both, frames that come would get it as well as those that go; list the topic twice, once \
+            let reason = "with direction: both, frames that come would get it as well as those that go; list the \
+                          topic twice, once \
                           out and once in, and say it in one of them";
             return Err(("frame_prefix", reason.into()));
         }
@@ -245,14 +249,16 @@ fn no_key<'de, D: Deserializer<'de>>(_: D) -> Result<(), D::Error> {
 
 fn no_readers<'de, D: Deserializer<'de>>(_: D) -> Result<(), D::Error> {
     Err(de::Error::custom(
-        "`readers` is a key of `expose` alone, for which the proxy has an owner's key. Who may read a topic that is listed, its owner's \
+        "`readers` is a key of `expose` alone, for which the proxy has an owner's key. Who may read a topic that is \
+         listed, its owner's \
          grants say: remove it here, and give each reader one (gdp-ctl grant add --read)",
     ))
 }
 
 fn no_meta<'de, D: Deserializer<'de>>(_: D) -> Result<(), D::Error> {
     Err(de::Error::custom(
-        "`meta` is a key of `expose` alone, for which the proxy makes the name cards. The metadata of a topic that is listed is in the card \
+        "`meta` is a key of `expose` alone, for which the proxy makes the name cards. The metadata of a topic that \
+         is listed is in the card \
          that `card` names: remove it here, and say it when the name is made, for other metadata makes another name (gdp-ctl name create --meta)",
     ))
 }

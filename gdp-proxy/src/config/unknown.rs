@@ -1,4 +1,5 @@
-//! What is said of a file that is not understood: for a key or a word that is not known, the one that was probably meant.
+//! What is said of a file that is not understood: for a key or a word that is not known, the one
+//! that was probably meant.
 
 use serde_saphyr::Error;
 

@@ -1,4 +1,5 @@
-//! What others publish and serve in a ROS graph, for whoever chooses among it. What proxies have there is not in it.
+//! What others publish and serve in a ROS graph, for whoever chooses among it. What proxies have
+//! there is not in it.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

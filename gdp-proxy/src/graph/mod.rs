@@ -1,5 +1,6 @@
-//! What the routes see of a ROS graph, of either version: publishers of a topic that come and go, their messages, and writers that stand for
-//! publishers elsewhere. A message is in the graph's own encoding, and nothing here looks into it.
+//! What the routes see of a ROS graph, of either version: publishers of a topic that come and go,
+//! their messages, and writers that stand for publishers elsewhere. A message is in the graph's own
+//! encoding, and nothing here looks into it.
 
 mod graph_observer;
 mod ros1;
@@ -42,7 +43,8 @@ pub enum GraphError {
     Left,
 }
 
-/// What the names of all proxies' ROS nodes begin with: they do not take from one another what came from the fabric.
+/// What the names of all proxies' ROS nodes begin with: they do not take from one another what came
+/// from the fabric.
 pub const NODE: &str = "gdp_proxy_";
 
 /// What tells the publishers of a topic apart, as long as they live.
@@ -56,7 +58,8 @@ pub enum Event {
         kind: Kind,
         offers: Offer,
     },
-    /// A publisher is there that is not heard, because it offers less than the configuration asks for: in which policy.
+    /// A publisher is there that is not heard, because it offers less than the configuration asks
+    /// for: in which policy.
     Incompatible {
         key: Key,
         policy: &'static str,
@@ -103,7 +106,8 @@ pub enum Writer {
 /// All that a proxy is in, by their names in the configuration.
 pub type All = BTreeMap<String, Arc<Graph>>;
 
-/// Joins those that are not in `joined` yet, as the ROS node `node`. If one cannot be joined, none is.
+/// Joins those that are not in `joined` yet, as the ROS node `node`. If one cannot be joined, none
+/// is.
 pub async fn join(joined: &mut All, graphs: &Graphs, node: &str) -> Result<(), GraphError> {
     let mut new = All::new();
     for (name, graph) in graphs.iter().filter(|(name, _)| !joined.contains_key(*name)) {
@@ -151,7 +155,8 @@ impl Graph {
         }
     }
 
-    /// The policy in which a subscriber of the topic here asks for more than this, if one does: it does not hear who offers this.
+    /// The policy in which a subscriber of the topic here asks for more than this, if one does: it
+    /// does not hear who offers this.
     pub fn misfit(&self, topic: &TopicName, offers: &Offer) -> Option<&'static str> {
         match self {
             Self::Ros1(_) => None,
@@ -168,8 +173,8 @@ impl Graph {
         Kind { dialect: self.dialect(), name, hash: vec![] }
     }
 
-    /// Reads a topic: of this type, or of that of the first publisher; with this quality of service, or with that which lets it hear all
-    /// publishers.
+    /// Reads a topic: of this type, or of that of the first publisher; with this quality of
+    /// service, or with that which lets it hear all publishers.
     pub fn reader(
         &self,
         topic: &TopicName,

@@ -190,7 +190,8 @@ impl Reader {
     }
 }
 
-/// Whether a node is this proxy, or another: what that publishes comes from the fabric, and whoever wants it there has it.
+/// Whether a node is this proxy, or another: what that publishes comes from the fabric, and whoever
+/// wants it there has it.
 pub fn is_proxy(caller_id: &str) -> bool {
     caller_id.strip_prefix('/').is_some_and(|name| name.starts_with(NODE))
 }

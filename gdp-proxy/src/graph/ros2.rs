@@ -15,8 +15,8 @@ use crate::ros2::{
 };
 use gdp_ros::roster::{Dialect, Kind, Offer};
 
-/// Reads a topic, of which it makes its readers as publishers appear. Those that latch have one of their own: it asks for what they keep,
-/// and others would not match that.
+/// Reads a topic, of which it makes its readers as publishers appear. Those that latch have one of
+/// their own: it asks for what they keep, and others would not match that.
 pub struct Reader<'a> {
     domain: &'a Domain,
     topic: TopicName,
@@ -28,14 +28,16 @@ pub struct Reader<'a> {
     live: Option<Half>,
     latched: Option<Half>,
     events: VecDeque<Event>,
-    /// Messages of publishers that are not known yet: until when they wait, and whether the reader of what is latched has them.
+    /// Messages of publishers that are not known yet: until when they wait, and whether the reader
+    /// of what is latched has them.
     early: VecDeque<(Instant, bool, ros2::Arrived)>,
 }
 
 struct Known {
     kind: Kind,
     offers: Offer,
-    /// It is not there any more; when that is told. What it has written may come after what discovery says.
+    /// It is not there any more; when that is told. What it has written may come after what
+    /// discovery says.
     gone: Option<Instant>,
 }
 
@@ -136,7 +138,8 @@ impl<'a> Reader<'a> {
         self.early.iter().map(|(_, _, arrived)| arrived.sample.bytes.len()).sum()
     }
 
-    /// The first message that waits is of nobody who publishes the topic in the graph: of another proxy, which has it from the fabric.
+    /// The first message that waits is of nobody who publishes the topic in the graph: of another
+    /// proxy, which has it from the fabric.
     fn drop_early(&mut self) {
         self.early.pop_front();
     }
@@ -195,8 +198,8 @@ impl<'a> Reader<'a> {
             let depth = offers.iter().map(|offers| offers.depth).max()?;
             let half = if latches { &self.latched } else { &self.live };
             let before = half.as_ref().map(|half| half.asks);
-            // A reader that asks for more than somebody offers does not hear it. One that has asked for less goes on so: to make another
-            // loses what it has not been asked for yet.
+            // A reader that asks for more than somebody offers does not hear it. One that has asked
+            // for less goes on so: to make another loses what it has not been asked for yet.
             let reliable = offers.iter().all(|offers| offers.reliable) && before.is_none_or(|before| before.reliable);
             let depth = before.map_or(depth, |before| before.depth);
             Some(Offer { reliable, transient_local: latches, depth, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 })
@@ -236,8 +239,8 @@ pub fn misfit(domain: &Domain, topic: &TopicName, offers: &Offer) -> Option<&'st
     })
 }
 
-/// What discovery says of a publisher or a subscriber. It does not say how many messages it keeps: 10 as ROS 2 has it by default, or of what is latched the
-/// last one.
+/// What discovery says of a publisher or a subscriber. It does not say how many messages it keeps:
+/// 10 as ROS 2 has it by default, or of what is latched the last one.
 fn described(publisher: &Endpoint) -> (Kind, Offer) {
     let Endpoint { kind, hash, qos, .. } = publisher;
     let DisplayedQos { reliability, durability, deadline, lifespan, liveliness_lease, .. } = *qos;

@@ -1,5 +1,5 @@
-//! Services of a ROS graph, of either version: local servers that come and go, calls of them, and servers that stand for ones elsewhere. Requests
-//! and responses are in the graph's own encoding.
+//! Services of a ROS graph, of either version: local servers that come and go, calls of them, and
+//! servers that stand for ones elsewhere. Requests and responses are in the graph's own encoding.
 
 use std::time::Duration;
 
@@ -24,7 +24,8 @@ const MATCHED: Duration = Duration::from_secs(5);
 /// Requests of ROS 1 that are answered at once; others wait at their connections.
 const CONCURRENT: usize = 256;
 
-/// Sees the local servers of one service or action. Those of proxies are none: they stand for servers elsewhere.
+/// Sees the local servers of one service or action. Those of proxies are none: they stand for
+/// servers elsewhere.
 pub enum Servers {
     Ros1 { graph: gdp_ros1::Graph, service: String },
     Ros2 { graph: watch::Receiver<std::sync::Arc<ros2::Graph>>, name: TopicName, what: What },
@@ -127,8 +128,8 @@ impl Caller {
         callers.try_into().map_err(|_| GraphError::Left.into())
     }
 
-    /// After a call without an answer: whether nobody serves any more, as far as can be told. The master of ROS 1 does not notice that a server dies;
-    /// in ROS 2 the graph says so.
+    /// After a call without an answer: whether nobody serves any more, as far as can be told. The
+    /// master of ROS 1 does not notice that a server dies; in ROS 2 the graph says so.
     pub async fn has_lost_server(&self) -> bool {
         match self {
             Self::Ros1 { client, .. } => match client.probe(PROBE).await {
@@ -252,7 +253,8 @@ impl Stand {
         }
     }
 
-    /// Waits until clients have their answers, for as long as that takes. Connections of ROS 1 stay until they have them.
+    /// Waits until clients have their answers, for as long as that takes. Connections of ROS 1 stay
+    /// until they have them.
     pub async fn settle(&self) {
         if let Self::Ros2(server) = self {
             server.settle().await;

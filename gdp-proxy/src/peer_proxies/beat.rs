@@ -8,8 +8,8 @@ use super::{LISTEN, PeerProxies};
 /// How often it is told, if nothing changes, once it has been told for as long as newcomers listen.
 const BEAT: Duration = Duration::from_secs(1);
 
-/// How soon after it was told news are told: what changes all the time would keep the whole graph busy. Newcomers tell as often, so that those
-/// who discover them late answer in time.
+/// How soon after it was told news are told: what changes all the time would keep the whole graph
+/// busy. Newcomers tell as often, so that those who discover them late answer in time.
 const PACE: Duration = Duration::from_millis(250);
 
 /// What one proxy tells, in bytes.

@@ -1,8 +1,11 @@
-//! Proxies in one ROS graph that could carry the same: each tells the others what it is able to carry, and of those that are able the one with the
-//! lowest name does. The others stand by, and take over once it has gone, has lost the fabric or its right, or is not heard of for [`HOLD`].
-//! Services and actions stay with the one that carries them, though a lower name comes: with it, calls and goals that are under way would end.
+//! Proxies in one ROS graph that could carry the same: each tells the others what it is able to
+//! carry, and of those that are able the one with the lowest name does. The others stand by, and
+//! take over once it has gone, has lost the fabric or its right, or is not heard of for [`HOLD`].
+//! Services and actions stay with the one that carries them, though a lower name comes: with it,
+//! calls and goals that are under way would end.
 //!
-//! Nobody in a ROS graph is authenticated: who is in it can have a proxy stand by, as it can publish whatever it likes there.
+//! Nobody in a ROS graph is authenticated: who is in it can have a proxy stand by, as it can
+//! publish whatever it likes there.
 
 mod beat;
 
@@ -19,10 +22,12 @@ pub use beat::{Voice, beat};
 
 use crate::config::{MAX_CALLS, MAX_ROUTES, Side};
 
-/// For how long another proxy is taken for there that is not heard of: three times as long as it is silent at most.
+/// For how long another proxy is taken for there that is not heard of: three times as long as it is
+/// silent at most.
 pub const HOLD: Duration = Duration::from_secs(3);
 
-/// For how long it is listened, before calls are taken, whether another proxy takes them: longer than one is silent.
+/// For how long it is listened, before calls are taken, whether another proxy takes them: longer
+/// than one is silent.
 pub const LISTEN: Duration = Duration::from_millis(1500);
 
 /// Other proxies in a graph; what more there are is not heeded.
@@ -33,7 +38,8 @@ const MAX_PARTS: usize = MAX_ROUTES + MAX_CALLS;
 
 const VERSION: u8 = 2;
 
-/// What only one proxy of a graph carries: a topic, a service or an action of the graph, under one name, one way.
+/// What only one proxy of a graph carries: a topic, a service or an action of the graph, under one
+/// name, one way.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Part {
@@ -109,7 +115,8 @@ pub enum ClaimsError {
 }
 
 impl PeerProxies {
-    /// For the proxy `own`. `is_able`: whether it is taken to be able to carry it, until it says otherwise.
+    /// For the proxy `own`. `is_able`: whether it is taken to be able to carry it, until it says
+    /// otherwise.
     pub fn enter(self: &Arc<Self>, own: Name, part: Part, is_able: bool) -> Place {
         let mut state = self.lock();
         state.own = Some(own);
@@ -184,7 +191,8 @@ impl Place {
         self.set(|able| able.is_permitted = is_permitted);
     }
 
-    /// Whether this proxy carries it, and goes on with that whoever comes: said of services and actions alone.
+    /// Whether this proxy carries it, and goes on with that whoever comes: said of services and
+    /// actions alone.
     pub fn set_keeps(&self, keeps: bool) {
         self.set(|able| able.keeps = keeps);
     }

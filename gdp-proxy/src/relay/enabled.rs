@@ -1,6 +1,7 @@
 //! The relay itself: `gdp-daemon` runs it, from a configuration that is made of the proxy's.
 //!
-//! It dials the proxy's own switches and accepts the links of whoever attaches to it. It hosts no RIB.
+//! It dials the proxy's own switches and accepts the links of whoever attaches to it. It hosts no
+//! RIB.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -26,7 +27,8 @@ pub struct Relay {
 
 /// A relay that runs until [`Self::stop`].
 pub struct RunningRelay {
-    /// Of its own, so that what it carries for others does not wait for the proxy's topics, nor they for it.
+    /// Of its own, so that what it carries for others does not wait for the proxy's topics, nor
+    /// they for it.
     runtime: Runtime,
     running: Running,
 }
@@ -51,7 +53,8 @@ impl Relay {
             .map_err(|reason| wrong("relay.identity", with_path(reason, &relay.identity)))?;
         let neighbours = neighbours(&config.links);
         if neighbours.is_empty() {
-            let reason = "the relay needs a switch to pass on to: one of these as udp://ADDRESS:PORT, without %INTERFACE, \
+            let reason = "the relay needs a switch to pass on to: one of these as udp://ADDRESS:PORT, without \
+                          %INTERFACE, \
                           with switch: NAME";
             return Err(wrong("links", reason.into()));
         }
@@ -94,7 +97,8 @@ impl RunningRelay {
     }
 }
 
-/// Those of the proxy's switches that a switch can have as neighbours: at an address, and known by name.
+/// Those of the proxy's switches that a switch can have as neighbours: at an address, and known by
+/// name.
 fn neighbours(links: &[LinkPlace]) -> Vec<Neighbour> {
     let mut neighbours: Vec<Neighbour> = Vec::new();
     for link in links {
@@ -114,7 +118,8 @@ fn check_membership(files: &CredentialFiles, identity: &Identity) -> Result<(), 
         let (relay, file) = (identity.name(), files.membership.display());
         let error = with_path(error, &files.membership);
         format!(
-            "{error}; the relay has to be a switch of the domain: `gdp-ctl domain admit --key DOMAIN.pem {relay} --role {} \
+            "{error}; the relay has to be a switch of the domain: `gdp-ctl domain admit --key DOMAIN.pem {relay} \
+             --role {} \
              -o {file}`",
             roles::SWITCH
         )

@@ -1,4 +1,5 @@
-//! What stands in for the relay in a proxy that is built without it: a configuration with a relay is refused.
+//! What stands in for the relay in a proxy that is built without it: a configuration with a relay
+//! is refused.
 
 use std::convert::Infallible;
 

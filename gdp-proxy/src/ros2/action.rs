@@ -1,5 +1,5 @@
-//! Actions are no more than three services and two topics beneath `NAME/_action` (design.ros2.org, "Actions"): their names
-//! and types, and the QoS that rclcpp and rclpy give them.
+//! Actions are no more than three services and two topics beneath `NAME/_action` (design.ros2.org,
+//! "Actions"): their names and types, and the QoS that rclcpp and rclpy give them.
 
 use super::{Depth, Durability, NameError, Qos, Reliability, TopicName, TypeName};
 

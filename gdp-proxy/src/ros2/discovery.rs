@@ -1,4 +1,5 @@
-//! What other participants of the domain announce: the types of topics, and why an endpoint does not match ours.
+//! What other participants of the domain announce: the types of topics, and why an endpoint does
+//! not match ours.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Weak};
@@ -15,10 +16,12 @@ use tokio::sync::watch;
 use super::TypeName;
 use super::graph::{Graph, Seen};
 
-/// How long news are gathered before the graph is made anew: a node that comes brings a dozen endpoints.
+/// How long news are gathered before the graph is made anew: a node that comes brings a dozen
+/// endpoints.
 const GATHER: Duration = Duration::from_millis(20);
 
-/// How often the graph is made without news: the queue of events is short, and one may have found it full.
+/// How often the graph is made without news: the queue of events is short, and one may have found
+/// it full.
 const LOOK: Duration = Duration::from_secs(1);
 
 #[derive(Default)]
@@ -33,7 +36,8 @@ pub(super) struct Discovery {
 pub(super) type Writers = HashSet<GUID>;
 
 impl Discovery {
-    /// Remembers which type a topic ought to have, so that it can be said when somebody's differs: as long as what is returned is held.
+    /// Remembers which type a topic ought to have, so that it can be said when somebody's differs:
+    /// as long as what is returned is held.
     pub fn expect(&self, dds_topic: &str, kind: &TypeName) -> Arc<str> {
         let mut expected = self.expected.lock();
         expected.retain(|_, kind| kind.strong_count() > 0);
@@ -52,8 +56,8 @@ impl Discovery {
         self.writers.subscribe()
     }
 
-    /// Follows what is discovered, for as long as the participant lives. A participant has one queue of events: whoever
-    /// else read it would take some of them away.
+    /// Follows what is discovered, for as long as the participant lives. A participant has one
+    /// queue of events: whoever else read it would take some of them away.
     pub async fn watch(self: Arc<Self>, participant: DomainParticipant) {
         let listener = participant.status_listener();
         let mut events = listener.as_async_status_stream();

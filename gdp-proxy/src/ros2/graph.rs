@@ -1,7 +1,8 @@
-//! Who publishes, subscribes to, serves and calls what in a DDS domain: what its discovery shows, in the words of ROS.
+//! Who publishes, subscribes to, serves and calls what in a DDS domain: what its discovery shows,
+//! in the words of ROS.
 //!
-//! A [`Graph`] is made anew from the participant's tables whenever something changes, so nothing can be missed or kept too
-//! long. The proxy's own endpoints are not in it.
+//! A [`Graph`] is made anew from the participant's tables whenever something changes, so nothing
+//! can be missed or kept too long. The proxy's own endpoints are not in it.
 
 use std::collections::{BTreeMap, HashSet};
 use std::time::Duration;
@@ -11,8 +12,8 @@ use rustdds::{GUID, QosPolicies, policy};
 use super::names::Part;
 use super::{Action, Durability, Mapping, Reliability, TopicName, TypeName};
 
-/// The DDS topic that proxies announce a writer of. What they publish comes from the fabric, and whoever wants it there has it: they are in no
-/// graph.
+/// The DDS topic that proxies announce a writer of. What they publish comes from the fabric, and
+/// whoever wants it there has it: they are in no graph.
 pub(super) const PROXY_TOPIC: &str = "gdp_proxy";
 
 /// All that is announced, by name.
@@ -90,7 +91,8 @@ impl TypeHash {
         &self.0
     }
 
-    /// From an endpoint's user data, `key=value;` again and again; RustDDS leaves the length of four bytes before it.
+    /// From an endpoint's user data, `key=value;` again and again; RustDDS leaves the length of
+    /// four bytes before it.
     fn from_user_data(user_data: &[u8]) -> Option<Self> {
         let text = String::from_utf8_lossy(user_data.get(4..)?);
         let hash = text.split(';').find_map(|entry| entry.strip_prefix("typehash="))?;
@@ -215,7 +217,8 @@ impl DisplayedQos {
 /// Anything from the network may be negative.
 fn finite(duration: rustdds::Duration) -> Option<Duration> {
     let ns = duration.to_nanoseconds();
-    // Vendors differ in what they call infinite by a fraction of a second; 68 years is the last second that fits.
+    // Vendors differ in what they call infinite by a fraction of a second; 68 years is the last
+    // second that fits.
     let infinite = duration >= rustdds::Duration::from_secs(i32::MAX);
     u64::try_from(ns).ok().filter(|_| !infinite).map(Duration::from_nanos)
 }

@@ -1,7 +1,9 @@
-//! The ROS 2 half of the proxy: a participant in a DDS domain, and readers and writers of topics of any type in it.
+//! The ROS 2 half of the proxy: a participant in a DDS domain, and readers and writers of topics of
+//! any type in it.
 //!
-//! The node, which is how ROS tools see the proxy, is ros2-client's; readers and writers of types unknown at compile time
-//! are made on the RustDDS participant beneath it. Nothing here knows of the fabric; `route` joins the two.
+//! The node, which is how ROS tools see the proxy, is ros2-client's; readers and writers of types
+//! unknown at compile time are made on the RustDDS participant beneath it. Nothing here knows of
+//! the fabric; `route` joins the two.
 
 mod action;
 mod discovery;
@@ -60,7 +62,8 @@ pub struct Domain {
 #[derive(Debug, thiserror::Error)]
 pub enum RosError {
     #[error(
-        "cannot join DDS domain {domain}: {source}; is a network interface up (in a namespace: `ip link set lo up`), and is \
+        "cannot join DDS domain {domain}: {source}; is a network interface up (in a namespace: `ip link set lo up`), \
+         and is \
          the domain the one in ROS_DOMAIN_ID?"
     )]
     Join { domain: u16, source: CreateError },
@@ -75,8 +78,8 @@ pub enum RosError {
 }
 
 impl Domain {
-    /// Joins a domain, at most [`MAX_DOMAIN_ID`], as the ROS node `node` in the root namespace, as far as the environment says. Needs a tokio
-    /// runtime.
+    /// Joins a domain, at most [`MAX_DOMAIN_ID`], as the ROS node `node` in the root namespace, as
+    /// far as the environment says. Needs a tokio runtime.
     pub fn join(domain: u16, node: &str) -> Result<Self, RosError> {
         Self::join_within(Range::from_variables(|variable| std::env::var(variable).ok())?, domain, node)
     }
@@ -150,10 +153,11 @@ impl Domain {
         Ok((topic, self.discovery.expect(dds, kind)))
     }
 
-    /// Says goodbye to the other participants, so that they do not wait for a lease to end. Readers and writers of the
-    /// domain are of no use afterwards.
+    /// Says goodbye to the other participants, so that they do not wait for a lease to end. Readers
+    /// and writers of the domain are of no use afterwards.
     pub async fn leave(self) {
-        // The task holds the participant as well; RustDDS leaves when the last owner does, and joins its threads then.
+        // The task holds the participant as well; RustDDS leaves when the last owner does, and
+        // joins its threads then.
         for task in self.presence.into_iter().chain([self.watch]) {
             task.abort();
             let _ = task.await;
@@ -163,8 +167,9 @@ impl Domain {
     }
 }
 
-/// Tells ROS tools of the proxy. A node of ros2-client also has a spinner, which must not run here: it would take the
-/// participant's events away from [`Discovery`], and offer the node's parameters to everybody in the domain.
+/// Tells ROS tools of the proxy. A node of ros2-client also has a spinner, which must not run here:
+/// it would take the participant's events away from [`Discovery`], and offer the node's parameters
+/// to everybody in the domain.
 fn announce(participant: &DomainParticipant, node: &str) -> Result<Node, RosError> {
     let refused = |reason: String| RosError::Node { node: node.to_owned(), reason };
     let name = NodeName::new("/", node).map_err(|error| refused(error.to_string()))?;

@@ -1,6 +1,8 @@
-//! How ROS 2 names topics and types, and what DDS sees of them (design.ros2.org, "Topic and Service name mapping to DDS").
+//! How ROS 2 names topics and types, and what DDS sees of them (design.ros2.org, "Topic and Service
+//! name mapping to DDS").
 //!
-//! Both kinds of text come from a user's file or from the network. What [`gdp_ros::names`] refuses does not get past here.
+//! Both kinds of text come from a user's file or from the network. What [`gdp_ros::names`] refuses
+//! does not get past here.
 
 use std::fmt;
 
@@ -79,7 +81,8 @@ impl TypeName {
         }
     }
 
-    /// The types of a service's requests and replies: of `example_interfaces/srv/AddTwoInts`, `…_Request` and `…_Response`.
+    /// The types of a service's requests and replies: of `example_interfaces/srv/AddTwoInts`,
+    /// `…_Request` and `…_Response`.
     pub fn of_service(&self) -> [Self; 2] {
         [Self(format!("{}_Request", self.0)), Self(format!("{}_Response", self.0))]
     }

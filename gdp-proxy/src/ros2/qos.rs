@@ -6,23 +6,27 @@ use serde::Deserialize;
 
 use gdp_ros::roster::Offer;
 
-/// Messages that RustDDS keeps of a topic it reads, whatever their size. They are taken out at once, so few will do.
+/// Messages that RustDDS keeps of a topic it reads, whatever their size. They are taken out at
+/// once, so few will do.
 const READER_SAMPLES: u16 = 32;
 
-/// Messages a writer keeps for reliable readers that have not acknowledged them, if its depth is not greater. The next
-/// one replaces the oldest, so a reader that died takes nothing from the others.
+/// Messages a writer keeps for reliable readers that have not acknowledged them, if its depth is
+/// not greater. The next one replaces the oldest, so a reader that died takes nothing from the
+/// others.
 const WRITER_SAMPLES: u16 = 256;
 
 /// How long a write may wait for the sockets of this host.
 const MAX_BLOCKING: rustdds::Duration = rustdds::Duration::from_millis(20);
 
-/// What a ROS 2 node states for a publisher or subscription. The default is ROS 2's own: reliable, volatile, depth 10.
+/// What a ROS 2 node states for a publisher or subscription. The default is ROS 2's own: reliable,
+/// volatile, depth 10.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Qos {
     pub reliability: Reliability,
     pub durability: Durability,
-    /// Keep-last history depth, in messages; also what may wait for the fabric before messages are dropped. At least 1.
+    /// Keep-last history depth, in messages; also what may wait for the fabric before messages are
+    /// dropped. At least 1.
     pub depth: Depth,
 }
 
@@ -109,8 +113,8 @@ pub(super) fn writer(offers: &Offer) -> QosPolicies {
     builder.build()
 }
 
-/// Resource limits are stated although ROS 2 states none: RustDDS would otherwise keep up to 8192 messages that a
-/// reliable reader has not acknowledged.
+/// Resource limits are stated although ROS 2 states none: RustDDS would otherwise keep up to 8192
+/// messages that a reliable reader has not acknowledged.
 fn builder(offers: &Offer, samples: u16) -> QosPolicyBuilder {
     let reliability = match offers.reliable {
         true => policy::Reliability::Reliable { max_blocking_time: MAX_BLOCKING },

@@ -15,14 +15,16 @@ pub enum RangeError {
     #[error("ROS_AUTOMATIC_DISCOVERY_RANGE is {0:?}: write LOCALHOST, SUBNET or SYSTEM_DEFAULT")]
     Unknown(String),
     #[error(
-        "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: a proxy finds its topics by discovery, and has no static peers; write LOCALHOST, or take the \
+        "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: a proxy finds its topics by discovery, and has no static peers; write \
+         LOCALHOST, or take the \
          graph out of the configuration"
     )]
     Off,
 }
 
 impl Range {
-    /// As `rcl` reads it: ROS_LOCALHOST_ONLY, where it is 1, goes before ROS_AUTOMATIC_DISCOVERY_RANGE.
+    /// As `rcl` reads it: ROS_LOCALHOST_ONLY, where it is 1, goes before
+    /// ROS_AUTOMATIC_DISCOVERY_RANGE.
     pub fn from_variables(variable: impl Fn(&str) -> Option<String>) -> Result<Self, RangeError> {
         if variable("ROS_LOCALHOST_ONLY").as_deref() == Some("1") {
             return Ok(Self::Localhost);

@@ -1,5 +1,6 @@
-//! Readers and writers of topics whose type is known by name only: a message is the bytes of its CDR encapsulation, the
-//! four-byte header that says how it is encoded (RTPS 2.5 §10.2) and the encoded body, carried as they are.
+//! Readers and writers of topics whose type is known by name only: a message is the bytes of its
+//! CDR encapsulation, the four-byte header that says how it is encoded (RTPS 2.5 §10.2) and the
+//! encoded body, carried as they are.
 
 use std::collections::HashMap;
 use std::convert::Infallible;
@@ -25,8 +26,8 @@ use tokio::task::coop::cooperative;
 /// Bytes of the encapsulation header: representation (2), options (2).
 pub const ENCAPSULATION: usize = 4;
 
-/// How long a write may take, whatever RustDDS makes of the maximum blocking time: its own deadline is only looked at when
-/// something else wakes the write.
+/// How long a write may take, whatever RustDDS makes of the maximum blocking time: its own deadline
+/// is only looked at when something else wakes the write.
 const WRITE_DEADLINE: Duration = Duration::from_millis(100);
 
 /// One message as it was on the wire.
@@ -43,8 +44,8 @@ pub struct Arrived {
     pub sample: RawSample,
     /// When its writer wrote it, on the writer's clock, in nanoseconds since 1970.
     pub written_ns: Option<u64>,
-    /// How many messages of the same writer were lost just before this one: on the way here, or because they came
-    /// faster than they were taken.
+    /// How many messages of the same writer were lost just before this one: on the way here, or
+    /// because they came faster than they were taken.
     pub lost: u64,
 }
 
@@ -75,7 +76,8 @@ impl Representation {
 }
 
 impl RawSample {
-    /// Reads what another proxy sent; `None` if the bytes are not a CDR encapsulation that DDS could write.
+    /// Reads what another proxy sent; `None` if the bytes are not a CDR encapsulation that DDS
+    /// could write.
     pub fn parse(bytes: Bytes) -> Option<Self> {
         let representation = match bytes.get(..ENCAPSULATION)? {
             [0, 0, ..] => Representation::CdrBe,
@@ -86,7 +88,8 @@ impl RawSample {
     }
 }
 
-/// A message arrived that this reader does not understand: not XCDR version 1. The text is for the log.
+/// A message arrived that this reader does not understand: not XCDR version 1. The text is for the
+/// log.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct Unreadable(String);
@@ -103,7 +106,8 @@ pub struct RawReader {
 #[derive(Default)]
 struct Gaps(HashMap<GUID, SequenceNumber>);
 
-/// Writers whose gaps are counted. Beyond that all are forgotten, and the next gap of each is not seen.
+/// Writers whose gaps are counted. Beyond that all are forgotten, and the next gap of each is not
+/// seen.
 const MAX_WRITERS: usize = 4096;
 
 impl Gaps {
@@ -148,7 +152,8 @@ impl RawReader {
         std::future::pending().await
     }
 
-    /// The next message. Wakes when it arrives, without polling; may be cancelled without losing one.
+    /// The next message. Wakes when it arrives, without polling; may be cancelled without losing
+    /// one.
     pub async fn recv(&self) -> Result<Arrived, Unreadable> {
         let Change { sample, writer, sequence, written_ns, .. } = self.change().await?;
         let lost = self.gaps.lock().before(writer, sequence);
@@ -189,7 +194,8 @@ impl RawReader {
         }
     }
 
-    /// What this participant wrote came from the fabric: taking it back would send it around for ever.
+    /// What this participant wrote came from the fabric: taking it back would send it around for
+    /// ever.
     fn is_own(&self, writer: GUID) -> bool {
         writer.prefix == self.reader.guid().prefix
     }
@@ -198,7 +204,8 @@ impl RawReader {
 /// Writes a topic of any type.
 pub struct RawWriter {
     little_endian: DataWriter<RawSample, Encoder<true>>,
-    /// A DDS writer has one encoding; this one is made when the first message from a big-endian machine comes.
+    /// A DDS writer has one encoding; this one is made when the first message from a big-endian
+    /// machine comes.
     big_endian: Option<DataWriter<RawSample, Encoder<false>>>,
     publisher: Publisher,
     topic: Topic,
@@ -234,10 +241,11 @@ impl RawWriter {
         })
     }
 
-    /// Writes one message as of `timestamp_ns` (nanoseconds since 1970), which readers see as its source timestamp.
-    /// Waits a bounded time for the sockets of this host.
+    /// Writes one message as of `timestamp_ns` (nanoseconds since 1970), which readers see as its
+    /// source timestamp. Waits a bounded time for the sockets of this host.
     pub async fn write(&mut self, sample: RawSample, timestamp_ns: u64) -> Result<(), WriteError> {
-        // A best-effort writer waits as well, rather than to throw away unseen what it has not sent yet.
+        // A best-effort writer waits as well, rather than to throw away unseen what it has not sent
+        // yet.
         let options = WriteOptionsBuilder::new().source_timestamp(timestamp(timestamp_ns)).best_effort_may_block(true);
         self.write_with(sample, options.build()).await.map(drop)
     }
@@ -259,7 +267,8 @@ impl RawWriter {
             })
         };
         let mut write = pin!(write);
-        // Nearly always done at once; to set a timer would wake the runtime's thread for every message.
+        // Nearly always done at once; to set a timer would wake the runtime's thread for every
+        // message.
         if let Poll::Ready(written) = poll_fn(|context| Poll::Ready(write.as_mut().poll(context))).await {
             return written;
         }
@@ -273,7 +282,8 @@ impl RawWriter {
         std::iter::from_fn(|| self.little_endian.try_recv_status()).any(is_match)
     }
 
-    /// Waits until a reader is served that was not, or not any more: whose, and whether it is now. Each is told once.
+    /// Waits until a reader is served that was not, or not any more: whose, and whether it is now.
+    /// Each is told once.
     pub(super) async fn matching(&self) -> (GUID, bool) {
         let mut events = self.little_endian.as_async_status_stream();
         while let Some(event) = events.next().await {
@@ -381,7 +391,8 @@ impl Decode<'_, RawSample> for Decoder {
     }
 }
 
-/// Gives bytes to RustDDS, which writes the encapsulation header itself, from the type of the writer.
+/// Gives bytes to RustDDS, which writes the encapsulation header itself, from the type of the
+/// writer.
 struct Encoder<const LITTLE_ENDIAN: bool>;
 
 impl<const LITTLE_ENDIAN: bool> SerializerAdapter<RawSample> for Encoder<LITTLE_ENDIAN> {

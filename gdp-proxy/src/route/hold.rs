@@ -1,11 +1,12 @@
-//! What a new writer is given first waits until subscribers have found it: they do so within milliseconds of its making, or seconds where
-//! the machine is busy, and a publisher of a single message has gone by then.
+//! What a new writer is given first waits until subscribers have found it: they do so within
+//! milliseconds of its making, or seconds where the machine is busy, and a publisher of a single
+//! message has gone by then.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// How long a writer waits for a first subscriber; without one, nobody may want the topic. What is reliable is worth more patience than what
-/// another message replaces.
+/// How long a writer waits for a first subscriber; without one, nobody may want the topic. What is
+/// reliable is worth more patience than what another message replaces.
 const TIMEOUT: Duration = Duration::from_millis(750);
 const RELIABLE_PATIENCE: Duration = Duration::from_secs(3);
 

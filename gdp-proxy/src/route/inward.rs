@@ -1,10 +1,11 @@
-//! From the fabric into a ROS graph: each publisher elsewhere has a writer here, for as long as it is there.
+//! From the fabric into a ROS graph: each publisher elsewhere has a writer here, for as long as it
+//! is there.
 
 use std::convert::Infallible;
 use std::time::{Duration, Instant};
 
 use futures::FutureExt;
-use gdp::node::{NodeError, Subscription};
+use gdp::{NodeError, Subscription};
 use gdp_core::cert::Reading;
 use gdp_e2e::seal::Message;
 use gdp_wire::Name;
@@ -88,7 +89,8 @@ impl Route {
                 }
                 _ = ticks.tick() => {
                     self.standing.renew(right, async |new| subscription.renew(new).await).await;
-                    // Whose rosters wait here has not fallen silent: it is this proxy that was late.
+                    // Whose rosters wait here has not fallen silent: it is this proxy that was
+                    // late.
                     for _ in 0..WAITING {
                         let next = tokio::task::unconstrained(subscription.recv());
                         let Some(Some(message)) = next.now_or_never() else { break };
@@ -161,7 +163,8 @@ impl Route {
         self.show(to);
     }
 
-    /// What time brings: writers that are tried again, messages that need not wait any more, counterparts that may go.
+    /// What time brings: writers that are tried again, messages that need not wait any more,
+    /// counterparts that may go.
     async fn look(&self, to: &mut In<'_>) {
         self.make(to).await;
         let now = Instant::now();
@@ -255,8 +258,8 @@ impl Route {
         })
     }
 
-    /// Says in the status which publishers have no counterpart, or one that is not heard; and to other proxies of the graph whether this one can do
-    /// anything for the topic.
+    /// Says in the status which publishers have no counterpart, or one that is not heard; and to
+    /// other proxies of the graph whether this one can do anything for the topic.
     fn show(&self, to: &mut In<'_>) {
         to.place.set_permitted(!to.locals.are_hopeless());
         let mut faults: Vec<_> = to.locals.faults().map(|(whose, why)| no_counterpart(whose, why)).collect();

@@ -15,7 +15,8 @@ use crate::stats::{Drop, RouteCounters};
 use gdp_ros::roster::{Kind, Offer};
 use gdp_ros::types::Types;
 
-/// For how long it stays after its publisher has gone and something was written: so that reliable subscribers can have it repaired.
+/// For how long it stays after its publisher has gone and something was written: so that reliable
+/// subscribers can have it repaired.
 const LINGER: Duration = Duration::from_secs(1);
 
 /// Bytes that are kept of what one publisher latches.

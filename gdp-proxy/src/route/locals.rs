@@ -17,8 +17,8 @@ const MAX_BYTES: usize = 256 << 20;
 /// Counterparts that stay for a moment after their publisher. Of more, the oldest go at once.
 const MAX_LEAVING: usize = 64;
 
-/// Writers that are made: so many at once, and one more in each period. Who says something else of its publishers with every message would keep the whole ROS
-/// graph busy.
+/// Writers that are made: so many at once, and one more in each period. Who says something else of
+/// its publishers with every message would keep the whole ROS graph busy.
 const BURST: u32 = MAX_LOCALS as u32;
 const PERIOD: Duration = Duration::from_millis(50);
 
@@ -28,7 +28,8 @@ pub type Whose = Option<(Name, u32)>;
 pub struct Locals {
     by: HashMap<Whose, Local>,
     leaving: VecDeque<Made>,
-    /// Messages that waited with those that had to go before it was their time, since that was last asked.
+    /// Messages that waited with those that had to go before it was their time, since that was last
+    /// asked.
     abandoned: u64,
     budget: Budget,
 }
@@ -97,8 +98,8 @@ impl Locals {
         self.made().any(|made| made.is_holding())
     }
 
-    /// Lets the oldest messages go of whoever has most, until all are no more than [`MAX_BYTES`] together: how many, and those that have gone
-    /// with their counterparts.
+    /// Lets the oldest messages go of whoever has most, until all are no more than [`MAX_BYTES`]
+    /// together: how many, and those that have gone with their counterparts.
     pub fn trim(&mut self) -> u64 {
         let bytes = self.by.values().map(Local::bytes).chain(self.leaving.iter().map(Made::bytes));
         let (mut bytes, mut gone): (usize, _) = (bytes.sum(), std::mem::take(&mut self.abandoned));

@@ -1,6 +1,7 @@
-//! One topic in one direction. Each route is a task of its own, and what is [`large`](crate::large) keeps no thread from the others; within it a
-//! message goes straight from one side to the other, without a queue or a wake-up in between. A topic whose right has ended is
-//! asked for again and again, and the others go on.
+//! One topic in one direction. Each route is a task of its own, and what is [`large`](crate::large)
+//! keeps no thread from the others; within it a message goes straight from one side to the other,
+//! without a queue or a wake-up in between. A topic whose right has ended is asked for again and
+//! again, and the others go on.
 
 mod format;
 mod hold;
@@ -16,8 +17,8 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::node::Node;
-use gdp::node::{NodeError, Publisher};
+use gdp::Node;
+use gdp::{NodeError, Publisher};
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::config::{Side, Thing, TopicConfig};
@@ -140,7 +141,8 @@ impl Route {
         }
     }
 
-    /// Those who read the name hear that its publishers are not carried any more, and need not miss them.
+    /// Those who read the name hear that its publishers are not carried any more, and need not miss
+    /// them.
     async fn close(&self, Published { publisher, farewell }: Published) {
         publisher.pin(ROSTER, &farewell);
         if let Err(error) = publisher.close(FLUSH).await {
@@ -154,7 +156,8 @@ impl Route {
         self.standing.pause(error, pause, right).await;
     }
 
-    /// Counts every drop; the first one for a reason is worth a line in the log, the counters have the rest.
+    /// Counts every drop; the first one for a reason is worth a line in the log, the counters have
+    /// the rest.
     fn drop(&self, reason: Drop, why: impl Display) {
         self.drop_all(reason, 1, why);
     }

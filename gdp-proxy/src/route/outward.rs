@@ -5,7 +5,7 @@ use std::convert::Infallible;
 use std::pin::pin;
 use std::time::{Duration, Instant};
 
-use gdp::node::{ErrorCode, FrameError, NodeError, Publisher};
+use gdp::{ErrorCode, FrameError, NodeError, Publisher};
 use gdp_core::cert::{AdCert, Issued};
 use gdp_e2e::seal::Draft;
 use tokio::runtime::Handle;
@@ -28,8 +28,8 @@ enum Turn {
     More,
 }
 
-/// A name that was just published has no readers yet, and what is sent to nobody is lost: how long the first is waited for, and how many events of the
-/// topic wait meanwhile.
+/// A name that was just published has no readers yet, and what is sent to nobody is lost: how long
+/// the first is waited for, and how many events of the topic wait meanwhile.
 const FIRST_READER: Duration = Duration::from_secs(1);
 const MAX_WAITING: usize = 256;
 
@@ -96,8 +96,8 @@ impl Route {
         }
     }
 
-    /// Reads the topic; returns when it is known how to publish it. Never, if its type cannot be converted as the configuration wants: the
-    /// status says so.
+    /// Reads the topic; returns when it is known how to publish it. Never, if its type cannot be
+    /// converted as the configuration wants: the status says so.
     async fn learn<'a>(&self, way: &Way<'a>, offers: Option<Offer>) -> Result<Out<'a>, RouteError> {
         let Way { graph, kind, place, .. } = *way;
         let mut incompatible_publishers = BTreeMap::new();
@@ -358,7 +358,8 @@ impl Out<'_> {
         Ok(())
     }
 
-    /// The name is published anew: nobody knows what was told, and what is latched is to be read again.
+    /// The name is published anew: nobody knows what was told, and what is latched is to be read
+    /// again.
     fn again(&mut self) -> Result<(), GraphError> {
         self.roster.again();
         self.reader.again()

@@ -1,5 +1,5 @@
-//! No more messages a second of each publisher than are wanted; the newest of those between waits for its turn, so that the last one is not
-//! lost.
+//! Limits the rate of each publisher's messages. The newest message above the rate waits for its
+//! turn, so that the last one is not lost.
 
 use std::collections::HashMap;
 use std::num::NonZeroU32;
@@ -25,7 +25,8 @@ impl<T> Pace<T> {
         Self { period: max_hz.map(|hz| Duration::from_secs(1) / hz.get()), publishers: HashMap::new() }
     }
 
-    /// A message comes: what goes now, if anything does, and how many messages it takes the place of.
+    /// A message comes: what goes now, if anything does, and how many messages it takes the place
+    /// of.
     pub fn take(&mut self, now: Instant, from: Option<Key>, message: T) -> (Option<T>, u64) {
         let Some(period) = self.period else { return (Some(message), 0) };
         let turn = self.publishers.entry(from).or_insert(Turn { due: now, held: None });
@@ -39,7 +40,8 @@ impl<T> Pace<T> {
         (Some(message), replaced)
     }
 
-    /// When something that is held is to go: half a period after its turn, for one that comes by itself soon after is newer.
+    /// When something that is held is to go: half a period after its turn, for one that comes by
+    /// itself soon after is newer.
     pub fn next(&self) -> Option<Instant> {
         let grace = self.period? / 2;
         self.publishers.values().filter(|turn| turn.held.is_some()).map(|turn| turn.due + grace).min()

@@ -165,7 +165,8 @@ async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
     participant.leave().await;
 }
 
-/// What the configurations of `robot` and `cloud` say: of what is in `/camera` there, all but a secret comes here, in `/far/r1`.
+/// What the configurations of `robot` and `cloud` say: of what is in `/camera` there, all but a
+/// secret comes here, in `/far/r1`.
 fn by_pattern(site: &Site) -> (String, String) {
     let expose = "topics: [/camera/**], deny: [/camera/secret], remap: [{from: /camera, to: /r1/camera}]";
     site.by_pattern("robot", "cloud", expose, "topics: [/**], prefix: /far")

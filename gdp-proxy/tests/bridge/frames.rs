@@ -1,4 +1,5 @@
-//! Several robots with the same frames, whose topics merge elsewhere; and what is compressed on its way there.
+//! Several robots with the same frames, whose topics merge elsewhere; and what is compressed on its
+//! way there.
 //!
 //! ```text
 //!    robot1 ── proxy ─┐

@@ -1,9 +1,10 @@
-//! Publishers that come and go: whoever is there hears what they say, and nobody takes one for there that has gone.
+//! Publishers that come and go: whoever is there hears what they say, and nobody takes one for
+//! there that has gone.
 
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp::node::Subscription;
+use gdp::Subscription;
 use gdp_e2e::seal::Message;
 use gdp_proxy::ros2::{Domain, RawReader, RawWriter, TopicName, TypeName};
 use gdp_ros::roster::{Announcement, Dialect, Kind, Offer, Outgoing, ROSTER};
@@ -37,7 +38,8 @@ async fn a_publisher_of_a_single_message_is_heard() {
         matched(&writer).await;
         writer.write(cdr(said), 0).await.unwrap();
         within("the proxy has it", writer.settle()).await;
-        // ROS stays for 100 ms; on a machine that is busy that may be too short for anybody to see it.
+        // ROS stays for 100 ms; on a machine that is busy that may be too short for anybody to see
+        // it.
         tokio::time::sleep(Duration::from_millis(500)).await;
         drop(writer);
         assert_eq!(text(&received(&reader).await), said);

@@ -1,4 +1,5 @@
-//! Proxies in ROS graphs of both versions, with real rospy nodes at real masters, joined by a switch: on loopback and without root.
+//! Proxies in ROS graphs of both versions, with real rospy nodes at real masters, joined by a
+//! switch: on loopback and without root.
 //!
 //! ```text
 //!    rospy ── proxy ── switch, RIB ── proxy ── rospy, or DDS

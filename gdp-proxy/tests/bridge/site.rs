@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::process::{Child, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{PublishOptions, Publisher, Server, SubscribeOptions, Subscription};
+use gdp::{Node, NodeConfig};
+use gdp::{PublishOptions, Publisher, Server, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
@@ -82,8 +82,8 @@ impl Site {
         Self { folder, hub }
     }
 
-    /// The first of 33, none of whose ports the system gives to sockets that want any. Processes that test at the same time may get
-    /// others.
+    /// The first of 33, none of whose ports the system gives to sockets that want any. Processes
+    /// that test at the same time may get others.
     pub fn domain_id(&self) -> u16 {
         1 + (std::process::id() % 3) as u16 * 33
     }
@@ -132,7 +132,8 @@ impl Site {
         format!("  - {{{}: {}, card: {i}.card, {rights}{says}}}\n", topic.what, topic.topic)
     }
 
-    /// Lets one proxy read all that another exposes: what their configurations say, with these patterns.
+    /// Lets one proxy read all that another exposes: what their configurations say, with these
+    /// patterns.
     pub fn by_pattern(&self, from: &str, to: &str, expose: &str, import: &str) -> (String, String) {
         let (owner, reader) = (SigningKey::generate().unwrap(), self.identity(to).name());
         owner.save_new(&self.folder(from).join("owner.pem")).unwrap();

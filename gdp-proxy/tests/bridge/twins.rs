@@ -145,7 +145,8 @@ async fn warm_up(ends: &mut [End]) {
     }
 }
 
-/// What this process itself writes is not heard by its own readers, so a node hears all others and would hear an echo of itself.
+/// What this process itself writes is not heard by its own readers, so a node hears all others and
+/// would hear an echo of itself.
 async fn each_is_heard_once(ends: &mut [End]) {
     const EACH: usize = 10;
     for round in 0..EACH {

@@ -1,4 +1,5 @@
-//! Services and actions of real rclpy and rospy nodes, through proxies and a switch: on loopback and without root.
+//! Services and actions of real rclpy and rospy nodes, through proxies and a switch: on loopback
+//! and without root.
 //!
 //! ```text
 //!    rclpy, rospy ── proxy ── switch, RIB ── proxy ── rclpy, rospy
@@ -94,7 +95,8 @@ async fn an_action_gives_feedback_is_cancelled_and_takes_its_time() {
     // Longer than anything on the way waits for anything.
     let mut patient = cloud.begin("patient", &["send", "/fibonacci", "50"]);
     patient.event("accepted").await;
-    // What comes first may come before ROS has discovered who hears it, as of a server beside the client.
+    // What comes first may come before ROS has discovered who hears it, as of a server beside the
+    // client.
     let first = patient.event("feedback").await["length"].as_u64().unwrap();
     assert!((3..20).contains(&first), "{first}");
     for length in first + 1..first + 5 {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use gdp::node::Server;
+use gdp::Server;
 use gdp_ros::call::{CALL, Description, Epoch, FailureCode, Reply, Request};
 use gdp_ros::roster::{Dialect, Kind};
 
@@ -141,7 +141,8 @@ async fn a_server_that_was_started_anew_is_asked_once_more() {
     assert_eq!(serving.await.unwrap(), [Epoch(1), Epoch(2)]);
 }
 
-/// As a proxy whose server is another one when the first call comes. By which description it was called, when it has answered one.
+/// As a proxy whose server is another one when the first call comes. By which description it was
+/// called, when it has answered one.
 async fn serve_anew(mut server: Server) -> Vec<Epoch> {
     let (mut now, mut called) = (Epoch(1), Vec::new());
     loop {

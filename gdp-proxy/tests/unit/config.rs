@@ -3,12 +3,14 @@
 use super::*;
 use crate::ros2::{Durability, Qos, Reliability};
 
-const MINIMAL: &str = "{version: 1, identity: robot.pem, links: [{to: 'eth://r0'}], topics: [{topic: /chatter, direction: out, \
+const MINIMAL: &str = "{version: 1, identity: robot.pem, links: [{to: 'eth://r0'}], topics: [{topic: /chatter, \
+                       direction: out, \
                        card: chatter.card, cert: /etc/gdp/chatter.ad}]}";
 
 #[test]
 fn a_membership_is_in_files_beside_the_configuration() {
-    let text = "{version: 1, identity: robot.pem, links: [{to: 'eth://r0'}], domain: {card: domain.card, membership: /m, peers: [p]}}";
+    let text = "{version: 1, identity: robot.pem, links: [{to: 'eth://r0'}], domain: {card: domain.card, membership: \
+                /m, peers: [p]}}";
     let config = Config::parse(text, Path::new("/etc/gdp/proxy.yaml")).unwrap();
     let files = CredentialFiles::from(config.domain.as_ref().unwrap());
     assert_eq!(
@@ -59,9 +61,11 @@ fn paths_are_relative_to_the_file() {
 fn everything_can_be_said() {
     let name = "1234e5".repeat(11)[..64].to_owned();
     let text = format!(
-        "version: 1\nidentity: a.pem\nlinks:\n  - to: udp://127.0.0.1:31415%wlan0\n    switch: {name}\n  - {{to: eth://r0, budget: 250000}}\n\
-         graphs: {{car: {{domain_id: 42}}}}\ntopics:\n  - topic: /a/b\n    type: sensor_msgs/msg/Image\n    direction: in\n    card: c\n    \
-         grant: d\n    duplicate: true\n    compression: zstd\n    frame_prefix: robot1/\n    qos: {{reliability: best_effort, \
+        "version: 1\nidentity: a.pem\nlinks:\n  - to: udp://127.0.0.1:31415%wlan0\n    switch: {name}\n  - {{to: \
+         eth://r0, budget: 250000}}\n\
+         graphs: {{car: {{domain_id: 42}}}}\ntopics:\n  - topic: /a/b\n    type: sensor_msgs/msg/Image\n\
+         \x20   direction: in\n    card: c\n    grant: d\n    duplicate: true\n    compression: zstd\n\
+         \x20   frame_prefix: robot1/\n    qos: {{reliability: best_effort, \
          durability: transient_local, depth: 3}}\n"
     );
     let config = parse(&text).unwrap();

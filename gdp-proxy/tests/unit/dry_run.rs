@@ -14,7 +14,8 @@ fn of_publishers_of_several_types_it_is_shown_who_crosses_and_why_others_do_not(
     let files = Files::new();
     files.owner.save_new(&files.path("owner.pem")).unwrap();
     let mut config = files.config("");
-    let expose = "{owner: owner.pem, catalog: t.card, topics: [/**], services: [/**], deny: [/d], types: [a/msg/B, a/msg/C, a/srv/S]}";
+    let expose = "{owner: owner.pem, catalog: t.card, topics: [/**], services: [/**], deny: [/d], types: [a/msg/B, \
+                  a/msg/C, a/srv/S]}";
     let mut expose: ExposeConfig = serde_saphyr::from_str(expose).unwrap();
     (expose.owner, expose.catalog) = (files.path("owner.pem"), files.path("other.card"));
     let catalog = gdp_core::card::NameCard::create(files.owner.verify_key(), "catalog", "/robot", "", None).unwrap();

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use gdp::node::LinkState;
+use gdp::LinkState;
 
 use super::*;
 use crate::config::What;
@@ -11,7 +11,8 @@ use crate::config::What;
 const KEYS: [&str; 10] = [
     "calls catalogs entity links node switch topics version",
     "bytes bytes_carried direction drops fabric graph latency_us messages name status topic type",
-    "crowded lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable write_failed",
+    "crowded lost malformed max_hz no_counterpart own send_failed stalled unannounced unconvertible unreadable \
+     write_failed",
     "arrival handling",
     "p50 p99",
     "copies_dropped copies_sent frames_sent frames_unsent main reason state switch target",

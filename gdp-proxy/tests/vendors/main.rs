@@ -1,5 +1,6 @@
-//! A participant of the proxy among real Cyclone DDS and Fast DDS programs (`tests/peers`), over loopback and with the
-//! system's default socket buffers. No root, no fabric. `cargo xtask test` builds the programs.
+//! A participant of the proxy among real Cyclone DDS and Fast DDS programs (`tests/peers`), over
+//! loopback and with the system's default socket buffers. No root, no fabric. `cargo xtask test`
+//! builds the programs.
 //!
 //! Every test has a DDS domain of its own.
 
@@ -135,7 +136,8 @@ async fn large_messages_come_from_both_vendors() {
     }
 }
 
-/// As the history policy KEEP_LAST says (DDS 1.4, 2.2.3.18), which is that of ROS 2: it replaces, and does not wait.
+/// As the history policy KEEP_LAST says (DDS 1.4, 2.2.3.18), which is that of ROS 2: it replaces,
+/// and does not wait.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_reliable_listener_that_was_killed_or_stopped_takes_nothing_from_the_others() {
     const MESSAGES: i64 = 4000;
@@ -175,7 +177,8 @@ async fn service_both_ways(vendor: Vendor, id: u16) {
     let client = domain.client(&service(), &add_two_ints(), mapping).unwrap();
     let sum = within("an answer", async {
         loop {
-            // What is asked before both ends have matched is answered by nobody; to give a call up harms no other.
+            // What is asked before both ends have matched is answered by nobody; to give a call up
+            // harms no other.
             let call = client.call(request(40, 2));
             if let Ok(reply) = tokio::time::timeout(Duration::from_millis(500), call).await {
                 return number(&reply.unwrap(), 0);
@@ -269,8 +272,8 @@ fn number(sample: &RawSample, index: usize) -> i64 {
     i64::from_le_bytes(sample.bytes[at..at + 8].try_into().unwrap())
 }
 
-/// Processes that test at the same time most likely get others: 16 domains for each, none of whose ports the system gives to sockets that want
-/// any.
+/// Processes that test at the same time most likely get others: 16 domains for each, none of whose
+/// ports the system gives to sockets that want any.
 fn domain(test: u16) -> u16 {
     1 + (std::process::id() % 6) as u16 * 16 + test
 }

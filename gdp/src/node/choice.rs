@@ -1,11 +1,11 @@
-//! Which of a node's links is the main one, that everything goes by, and which is the second, that copies go by; and whether one that
-//! is up is any good. No I/O.
+//! Chooses a node's main link, which takes everything, and its second link, which takes copies.
+//! Judges also whether a link that is up is any good. No I/O.
 
 use gdp_core::peer::MAX_LANES;
 use gdp_link::link::liveness::Unanswered;
 
-/// So long a link that is better than the main one has to be up before it becomes that: one that comes and goes would otherwise take
-/// the traffic along each time.
+/// So long a link that is better than the main one has to be up before it becomes that: one that
+/// comes and goes would otherwise take the traffic along each time.
 pub const STABLE: u64 = 5_000_000_000;
 
 /// What a link is good for.
@@ -70,8 +70,8 @@ pub struct Pulse {
 }
 
 impl Pulse {
-    /// To be called with each echo that is sent: its cookie, and the one of the latest answer, if there was any. Whether the link is
-    /// silent.
+    /// To be called with each echo that is sent: its cookie, and the one of the latest answer, if
+    /// there was any. Whether the link is silent.
     pub fn beat(&mut self, answer: u64, cookie: u64) -> bool {
         let silent = self.open.settle(answer) >= MISSES;
         self.open.add(cookie, MISSES);

@@ -1,4 +1,5 @@
-//! What a node did with frames and messages. Written by the sending tasks and the receiving thread without locks.
+//! What a node did with frames and messages. Written by the sending tasks and the receiving thread
+//! without locks.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,7 +16,8 @@ use super::subscription_receiver::Shared;
 use gdp_e2e::seal::DropReason;
 use gdp_e2e::transport::{InboundCounters, TopicCounters};
 
-/// Counters that can be read at any time from any task, also once what they count is gone. Clones are the same.
+/// Counters that can be read at any time from any task, also once what they count is gone. Clones
+/// are the same.
 pub struct Meter<T>(Arc<dyn Fn() -> T + Send + Sync>);
 
 impl<T> Meter<T> {
@@ -48,7 +50,8 @@ pub struct PublisherCounters {
     pub topic: TopicCounters,
     /// Attached at this moment, as far as is known here.
     pub readers: usize,
-    /// Those of them that ask for every message, where this publisher offers the newest: ROS calls that incompatible QoS. They get the newest.
+    /// Those of them that ask for every message, where this publisher offers the newest: ROS calls
+    /// that incompatible QoS. They get the newest.
     pub incompatible_readers: usize,
     /// What the switch said of frames that it refused ([`Feedback::errors`]).
     pub refused: BTreeMap<&'static str, u64>,
@@ -74,10 +77,11 @@ pub struct SubscriptionCounters {
     pub queue_full: u64,
     /// Of those delivered, latched messages that were sent again for others, and are known here.
     pub repeats: u64,
-    /// Writers that offer the newest message, where this subscription asks for every: ROS calls that incompatible QoS. Their newest are
-    /// delivered.
+    /// Writers that offer the newest message, where this subscription asks for every: ROS calls
+    /// that incompatible QoS. Their newest are delivered.
     pub incompatible_writers: usize,
-    /// Segments and messages that were dropped on arrival, by reason ([`DropReason::label`]). Reasons without a drop are left out.
+    /// Segments and messages that were dropped on arrival, by reason ([`DropReason::label`]).
+    /// Reasons without a drop are left out.
     pub drops: BTreeMap<&'static str, u64>,
 }
 
@@ -133,8 +137,8 @@ pub struct Counters {
     /// Told to counterparts, and what they told.
     pub feedback_sent: Count,
     pub feedback_received: Count,
-    /// Frames to this node's own name: from none of its counterparts; not sealed by it; received before, as by another of two links; of no
-    /// sense.
+    /// Frames to this node's own name: from none of its counterparts; not sealed by it; received
+    /// before, as by another of two links; of no sense.
     pub feedback_unknown: Count,
     pub feedback_forged: Count,
     pub feedback_replayed: Count,
@@ -147,7 +151,8 @@ pub struct Counters {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct NodeCounters {
     pub messages_sent: u64,
-    /// Refused at once: no link, or no right. What became of the others [`Publisher::counters`](super::Publisher::counters) say.
+    /// Refused at once: no link, or no right. What became of the others
+    /// [`Publisher::counters`](super::Publisher::counters) say.
     pub messages_unsent: u64,
     pub messages_received: u64,
     pub frames_sent: u64,
@@ -156,14 +161,16 @@ pub struct NodeCounters {
     pub frames_received: u64,
     /// Links made so far; all but the first are reconnections.
     pub links: u64,
-    /// Errors from the switch about frames of this node, by what they say. Those that did not come are left out.
+    /// Errors from the switch about frames of this node, by what they say. Those that did not come
+    /// are left out.
     pub errors_received: BTreeMap<&'static str, u64>,
     /// Echoes of the switch that were answered.
     pub echoes_answered: u64,
     /// What was told to readers and writers, and what they told: frames besides those of messages.
     pub feedback_sent: u64,
     pub feedback_received: u64,
-    /// Frames, segments and messages that were dropped on arrival, by reason. Reasons without a drop are left out.
+    /// Frames, segments and messages that were dropped on arrival, by reason. Reasons without a
+    /// drop are left out.
     pub drops: BTreeMap<&'static str, u64>,
 }
 

@@ -9,7 +9,8 @@ use parking_lot::Mutex;
 
 use super::counters::{Count, by_code};
 
-/// The feedback of all names that a node publishes. Bounded by them: errors about others are not kept.
+/// The feedback of all names that a node publishes. Bounded by them: errors about others are not
+/// kept.
 pub struct Feedbacks {
     node: Name,
     names: Mutex<HashMap<Name, Arc<Feedback>>>,
@@ -39,8 +40,8 @@ impl Feedbacks {
     }
 }
 
-/// The errors that frames to one name drew. Hints, never more: only the switch can have sent them, but it sends few of
-/// those that are due, and none for what is lost further on.
+/// The errors that frames to one name drew. Hints, never more: only the switch can have sent them,
+/// but it sends few of those that are due, and none for what is lost further on.
 #[derive(Default)]
 pub struct Feedback {
     errors: [Count; ErrorCode::COUNT],

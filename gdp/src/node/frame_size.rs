@@ -1,5 +1,5 @@
-//! How large the frames sent on a link may be, when links further on take less than the first: learnt from the errors that frames
-//! drew. Written by the receiving thread, read by publishers.
+//! How large the frames sent on a link may be, when links further on take less than the first:
+//! learnt from the errors that frames drew. Written by the receiving thread, read by publishers.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -27,7 +27,8 @@ impl FrameSize {
         let (mtu, _) = error.complaint();
         // No link has a smaller one.
         if code == ErrorCode::TooBig && mtu >= MIN_MTU && self.0.fetch_min(mtu, Ordering::Relaxed) > mtu {
-            tracing::info!(mtu, name = %format_args!("{:#}", error.destination), "frames were too big for a link further on; sending smaller ones");
+            tracing::info!(mtu, name = %format_args!("{:#}", error.destination), "frames were too big for a link \
+                                                      further on; sending smaller ones");
         }
     }
 }

@@ -1,13 +1,15 @@
-//! When a reader asks a writer which session is its own now: at first, and when frames come of a session that the writer did not
-//! confirm_session for, which it may have begun, or which may be recorded. No I/O.
+//! When a reader asks a writer which session is its own now: at first, and when frames come of a
+//! session that the writer did not confirm_session for, which it may have begun, or which may be
+//! recorded. No I/O.
 
 use gdp_core::crypto;
 use gdp_core::crypto::CryptoError;
 
 const MS: u64 = 1_000_000;
 
-/// A Hello that is not answered is said so many times, this far apart. From then on each waits twice as long as the one before, up to the
-/// longest pause: the writer may hear of this reader much later than the reverse, as between domains; or so long if there is reason to ask.
+/// A Hello that is not answered is said so many times, this far apart. From then on each waits
+/// twice as long as the one before, up to the longest pause: the writer may hear of this reader
+/// much later than the reverse, as between domains; or so long if there is reason to ask.
 const TRIES: u32 = 5;
 const EAGER: u64 = 100 * MS;
 const LONGEST: u64 = 30_000 * MS;

@@ -1,6 +1,7 @@
-//! Frames that came too early: from a writer that is not known yet, under a key that is not here yet, of a session that the writer
-//! has yet to confirm_session for. A writer begins as soon as its switch lets it, which can be before its readers were told of it: what it
-//! sends until then waits here, for a moment and within a fixed amount of memory.
+//! Frames that came too early: from a writer that is not known yet, under a key that is not here
+//! yet, of a session that the writer has yet to confirm_session for. A writer begins as soon as its
+//! switch lets it, which can be before its readers were told of it: what it sends until then waits
+//! here, for a moment and within a fixed amount of memory.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -53,7 +54,8 @@ impl Held {
         true
     }
 
-    /// One that was released, and is still too early, for another reason perhaps; as long as it has waited in all counts.
+    /// One that was released, and is still too early, for another reason perhaps; as long as it has
+    /// waited in all counts.
     pub fn hold_again(&mut self, frame: PendingFrame, why: (DropReason, u64)) {
         self.bytes += frame.cost();
         let at = self.frames.partition_point(|other| other.since <= frame.since);
@@ -69,7 +71,8 @@ impl Held {
         released
     }
 
-    /// The next frame that waited too long: of which name, why it waited, and for how many drops it counts.
+    /// The next frame that waited too long: of which name, why it waited, and for how many drops it
+    /// counts.
     pub fn next_expired(&mut self) -> Option<(Name, (DropReason, u64))> {
         let frame = self.frames.pop_front_if(|frame| frame.since.elapsed() >= TIMEOUT)?;
         self.bytes -= frame.cost();

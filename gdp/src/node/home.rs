@@ -1,4 +1,5 @@
-//! The node's trust domain, if it is a member of one: what it shows its switches, and which of them it takes.
+//! The node's trust domain, if it is a member of one: what it shows its switches, and which of them
+//! it takes.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -72,7 +73,8 @@ impl Home {
         Ok(())
     }
 
-    /// A domain has taken something back. Returns what, if that is news and of a domain that the node has to do with.
+    /// A domain has taken something back. Returns what, if that is news and of a domain that the
+    /// node has to do with.
     pub fn take_revocation(
         &self,
         proof: &NameProof,

@@ -1,5 +1,6 @@
-//! What comes to this node's own name: requests to what it serves, and replies to what it called. And the ways to those who send them: one
-//! publication to the own name of each party of a service, for requests to it and replies to it alike, whichever service they are about.
+//! What comes to this node's own name: requests to what it serves, and replies to what it called.
+//! And the ways to those who send them: one publication to the own name of each party of a service,
+//! for requests to it and replies to it alike, whichever service they are about.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -60,8 +61,9 @@ impl State {
         });
     }
 
-    /// A request counts if its writer may call the service, as the service's owner has signed. It may come before the RIB has told of
-    /// that: keys that the two have because of another service open it.
+    /// A request counts if its writer may call the service, as the service's owner has signed. It
+    /// may come before the RIB has told of that: keys that the two have because of another service
+    /// open it.
     fn take_request(&self, service: Name, request: Message) {
         let now = self.send_path.clock.now();
         let mut services = self.services.lock();
@@ -88,10 +90,12 @@ impl State {
         }
     }
 
-    /// Those who call or serve a service are now others. To be called with [`State::counterparts`] locked, as all that changes parties.
+    /// Those who call or serve a service are now others. To be called with [`State::counterparts`]
+    /// locked, as all that changes parties.
     pub(super) fn take_instances(&self, name: Name, role: NameRole, events: &[PeerEvent]) {
         {
-            // Until the end: what is sent before the way is open would be for nobody, so none is to be chosen that has none.
+            // Until the end: what is sent before the way is open would be for nobody, so none is to
+            // be chosen that has none.
             let (now, mut services) = (self.send_path.clock.now(), self.services.lock());
             let joined = events.iter().filter_map(|event| match event {
                 PeerEvent::Joined(right) => Some(right.entity),
@@ -128,8 +132,8 @@ impl State {
         }
     }
 
-    /// Brings the way to each of these, and who is believed in the inbox, in line with the services that they are parties of. `returned`:
-    /// those that were attached for none of these before.
+    /// Brings the way to each of these, and who is believed in the inbox, in line with the services
+    /// that they are parties of. `returned`: those that were attached for none of these before.
     fn settle(&self, services: &Services, entities: BTreeSet<Name>, returned: &BTreeSet<Name>) {
         if entities.is_empty() {
             return;
@@ -170,7 +174,8 @@ impl State {
 
     fn close_way(&self, entity: Name) {
         self.change_reading(self.identity.name(), |reading| reading.forget(&entity));
-        // Statements are looked at with services locked only where counterparts are as well: `begin` has the two the other way round.
+        // Statements are looked at with services locked only where counterparts are as well:
+        // `begin` has the two the other way round.
         if !self.is_stated(entity, Stated::Published) {
             self.unregister(entity);
         }
@@ -210,7 +215,8 @@ impl State {
         self.services.lock().get(&(service, NameRole::Caller)).map_or(0, |called| called.parties.attached_count())
     }
 
-    /// Has the keys of what is sent to the first that would be called stored, so that it has them before the first call.
+    /// Has the keys of what is sent to the first that would be called stored, so that it has them
+    /// before the first call.
     pub(super) async fn store_first_boxes(&self, service: Name) -> Result<(), NodeError> {
         let first = self.instances(service).first().map(|instance| instance.name);
         let publication = first.and_then(|first| self.publications.lock().get(&first).cloned());

@@ -1,5 +1,6 @@
-//! One of the node's links, for as long as the node lives: where it leads, how it is, what copies wait for it and what went by it.
-//! [`SendPath`](super::send_path) sends by it, its [supervisor](super::supervisor) makes it again when it is lost.
+//! One of the node's links, for as long as the node lives: where it leads, how it is, what copies
+//! wait for it and what went by it. [`SendPath`](super::send_path) sends by it, its
+//! [supervisor](super::supervisor) makes it again when it is lost.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,8 +21,8 @@ use gdp_wire::SMALLEST_PATH;
 #[derive(Clone)]
 pub enum Status {
     Down(String),
-    /// The switch fell silent, for this reason. Its kernel may forward on, so frames still go out on the link; nothing can
-    /// be asked over it.
+    /// The switch fell silent, for this reason. Its kernel may forward on, so frames still go out
+    /// on the link; nothing can be asked over it.
     Held(Arc<Attachment>, String),
     Up(Arc<Attachment>),
     Closed,
@@ -67,8 +68,8 @@ pub struct LinkStatus {
     pub switch: Option<Name>,
     pub frames_sent: u64,
     pub frames_unsent: u64,
-    /// Of the frames sent, those that went by the main link as well; and those that its budget, or its MTU, had no room
-    /// for, or that still waited when it was lost.
+    /// Of the frames sent, those that went by the main link as well; and those that its budget, or
+    /// its MTU, had no room for, or that still waited when it was lost.
     pub copies_sent: u64,
     pub copies_dropped: u64,
 }
@@ -118,7 +119,8 @@ impl LinkSlot {
         self.silent.store(silent, Ordering::Relaxed);
     }
 
-    /// Whether this machine has changed networks and the switch has not answered since; of a link that is up.
+    /// Whether this machine has changed networks and the switch has not answered since; of a link
+    /// that is up.
     pub fn set_moved(&self, moved: bool) {
         self.moved.store(moved, Ordering::Relaxed);
     }

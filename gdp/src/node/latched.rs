@@ -1,5 +1,6 @@
-//! What is kept of a name for readers that come later: a message about the name itself, if there is one, and the last ones of each origin.
-//! They are sent to such readers as new messages; the latter say what they were.
+//! What is kept of a name for readers that come later: a message about the name itself, if there is
+//! one, and the last ones of each origin. They are sent to such readers as new messages; the latter
+//! say what they were.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -70,7 +71,8 @@ impl LatchedSamples {
         self.next = self.pinned.clone();
     }
 
-    /// A message about the name is to be sent now, unless one is to be already; readers that come later do not get it.
+    /// A message about the name is to be sent now, unless one is to be already; readers that come
+    /// later do not get it.
     pub fn mention(&mut self, encoding: Encoding, body: &[u8]) {
         self.next.get_or_insert_with(|| About { encoding, body: body.into() });
     }

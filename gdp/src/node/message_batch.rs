@@ -1,21 +1,24 @@
-//! Small messages that came one upon another and are not sealed yet: they will share a signature, and frames.
+//! Small messages that came one upon another and are not sealed yet: they will share a signature,
+//! and frames.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use gdp_e2e::seal::{Draft, Encoding, MAX_ORIGIN};
 
-/// Since the last time a topic sealed. A message that comes later than that is sealed by itself, at once, if there is nothing to wait for; one that comes
-/// sooner waits as long, for company.
+/// Since the last time a topic sealed. A message that comes later than that is sealed by itself, at
+/// once, if there is nothing to wait for; one that comes sooner waits as long, for company.
 pub const GATHERING: u64 = 100_000;
 
-/// Small messages of all topics of a node together are signed so much apart, because each costs every reader the time of many messages; so many may
-/// come upon one another; and none waits longer for its turn.
+/// Small messages of all topics of a node together are signed so much apart, because each costs
+/// every reader the time of many messages; so many may come upon one another; and none waits longer
+/// for its turn.
 const APART: u64 = 300_000;
 const TOGETHER: u64 = 16 * APART;
 const LONGEST: u64 = 8_000_000;
 
-/// Whose turn it is to sign. Topics that together have more messages than that share signatures out: each gathers what comes until its turn. What comes
-/// too seldom to meet company by then does not wait.
+/// Whose turn it is to sign. Topics that together have more messages than that share signatures
+/// out: each gathers what comes until its turn. What comes too seldom to meet company by then does
+/// not wait.
 #[derive(Default)]
 pub struct Turns(AtomicU64);
 
@@ -28,7 +31,8 @@ impl Turns {
     }
 }
 
-/// With how many it is not worth while to wait: more share a signature that costs each of them little by then, but their proofs grow.
+/// With how many it is not worth while to wait: more share a signature that costs each of them
+/// little by then, but their proofs grow.
 const MOST: usize = 64;
 const MOST_BYTES: usize = 64 << 10;
 
@@ -49,13 +53,15 @@ struct Part {
 }
 
 impl MessageBatch {
-    /// For a reliable topic that keeps so many messages, or another: a good part of a history is not to go at once.
+    /// For a reliable topic that keeps so many messages, or another: a good part of a history is
+    /// not to go at once.
     pub fn new(history: Option<usize>) -> Self {
         let most = history.map_or(MOST, |history| (history / 4).clamp(1, MOST));
         Self { most, bytes: Vec::new(), parts: Vec::new() }
     }
 
-    /// Whether these can wait here: one, small and with no extension but a good origin, so that sealing it cannot fail for what it is.
+    /// Whether these can wait here: one, small and with no extension but a good origin, so that
+    /// sealing it cannot fail for what it is.
     pub fn takes(drafts: &[Draft<'_>]) -> bool {
         let is_plain = |draft: &Draft<'_>| {
             let Draft { origin, in_reply_to, latched, service, .. } = draft;

@@ -1,5 +1,6 @@
-//! Notices that this machine is in another network, or back in its own, from what the kernel says of interfaces, addresses and routes.
-//! QUIC would find out after seconds of silence. [`super::supervisor`] asks how an address is reached, and waits until that is otherwise.
+//! Notices that this machine is in another network, or back in its own, from what the kernel says
+//! of interfaces, addresses and routes. QUIC would find out after seconds of silence.
+//! [`super::supervisor`] asks how an address is reached, and waits until that is otherwise.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -57,7 +58,8 @@ pub struct Exit {
     router: Option<IpAddr>,
 }
 
-/// The network of this machine, as the namespace sees it in which the runtime was when it was opened.
+/// The network of this machine, as the namespace sees it in which the runtime was when it was
+/// opened.
 pub struct Network {
     handle: Handle,
     carriers: Arc<Mutex<Carriers>>,
@@ -125,8 +127,9 @@ impl Network {
     }
 }
 
-/// Returns what `look` finds once that is something else than `before`. What is not known is nothing else; if it was not known before,
-/// what is found first is what it was. `changes`: when it may be otherwise.
+/// Returns what `look` finds once that is something else than `before`. What is not known is
+/// nothing else; if it was not known before, what is found first is what it was. `changes`: when it
+/// may be otherwise.
 pub async fn until_other<F: Future<Output = NetworkPath>>(
     mut changes: watch::Receiver<()>,
     mut before: NetworkPath,
@@ -152,7 +155,8 @@ pub async fn until_other<F: Future<Output = NetworkPath>>(
     }
 }
 
-/// As [`until_other`]; but once there is a way, and another one than the last that there was or none.
+/// As [`until_other`]; but once there is a way, and another one than the last that there was or
+/// none.
 pub async fn until_led<F: Future<Output = NetworkPath>>(
     changes: watch::Receiver<()>,
     before: NetworkPath,
@@ -226,7 +230,8 @@ fn ip(address: &RouteAddress) -> Option<IpAddr> {
     }
 }
 
-/// Which interfaces have a carrier, and how often that has changed. One that nothing was heard of has it.
+/// Which interfaces have a carrier, and how often that has changed. One that nothing was heard of
+/// has it.
 #[derive(Debug, Default)]
 struct Carriers(HashMap<u32, (bool, u64)>);
 

@@ -11,8 +11,8 @@ use gdp_e2e::transport::{History, InboundOptions, Order, TopicOptions};
 /// What a publisher promises its readers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reliability {
-    /// The newest message: of those that wait for their turn older ones give way, and of one that is older than `lifetime`
-    /// nothing more is sent.
+    /// The newest message: of those that wait for their turn older ones give way, and of one that
+    /// is older than `lifetime` nothing more is sent.
     BestEffort { lifetime: Duration },
     /// Every message, in order, as long as the history has it.
     Reliable { overflow: Overflow },
@@ -21,7 +21,8 @@ pub enum Reliability {
 /// What happens when the history is full of messages that a reader still lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overflow {
-    /// [`Publisher::send`](super::Publisher::send) waits; for a reader that falls behind a while at most.
+    /// [`Publisher::send`](super::Publisher::send) waits; for a reader that falls behind a while at
+    /// most.
     Block,
     /// The oldest message goes, and is counted.
     DropOldest,
@@ -31,17 +32,19 @@ pub enum Overflow {
 #[derive(Clone, Copy, Debug)]
 pub struct PublishOptions {
     pub reliability: Reliability,
-    /// Messages kept. Best effort: those that have not begun to go. Reliable: all that may be asked for again.
+    /// Messages kept. Best effort: those that have not begun to go. Reliable: all that may be asked
+    /// for again.
     pub history: usize,
     /// Bytes of them, sealed.
     pub history_bytes: usize,
     /// Traffic class, 0 to 7: higher ones go first.
     pub class: u8,
-    /// Each frame goes by two of the node's links, if so many are up: nothing is missed when one fails. Readers take the first of the
-    /// two.
+    /// Each frame goes by two of the node's links, if so many are up: nothing is missed when one
+    /// fails. Readers take the first of the two.
     pub duplicate: bool,
-    /// How many of the last messages of each origin a reader that comes later is sent, sealed for it anew. Of origins, the last 1024 that
-    /// sent something. [`Publisher::latch`](super::Publisher::latch) says it for one origin.
+    /// How many of the last messages of each origin a reader that comes later is sent, sealed for
+    /// it anew. Of origins, the last 1024 that sent something.
+    /// [`Publisher::latch`](super::Publisher::latch) says it for one origin.
     pub latched: usize,
     /// When the content key is replaced though nobody was revoked.
     pub rotation: Rotation,
@@ -61,7 +64,8 @@ impl PublishOptions {
         }
     }
 
-    /// Every message; the last 1024 may be asked for again, and the publisher waits when they are not enough.
+    /// Every message; the last 1024 may be asked for again, and the publisher waits when they are
+    /// not enough.
     pub fn reliable() -> Self {
         let reliability = Reliability::Reliable { overflow: Overflow::Block };
         Self { reliability, history: 1024, ..Self::best_effort() }
@@ -87,17 +91,18 @@ impl From<PublishOptions> for TopicOptions {
 /// How a name is read.
 #[derive(Clone, Copy, Debug)]
 pub struct SubscribeOptions {
-    /// Of publishers that are reliable, and if it is not only the newest that is wanted: every message in its order, asked for again if it does not
-    /// come. Otherwise each as soon as it is complete, if it is newer than those before. Where every message is wanted, publishers that are not reliable
-    /// are incompatible, and counted.
+    /// Of publishers that are reliable, and if it is not only the newest that is wanted: every
+    /// message in its order, asked for again if it does not come. Otherwise each as soon as it is
+    /// complete, if it is newer than those before. Where every message is wanted, publishers that
+    /// are not reliable are incompatible, and counted.
     pub wants: Wants,
-    /// It comes by each of the node's links, and what comes twice is dropped: nothing is missed when one fails, as long as its frames fit
-    /// each of them. Otherwise it comes by the main one.
+    /// It comes by each of the node's links, and what comes twice is dropped: nothing is missed
+    /// when one fails, as long as its frames fit each of them. Otherwise it comes by the main one.
     pub duplicate: bool,
     /// For messages that are not complete yet, and for how old they may be.
     pub limits: Limits,
-    /// Complete messages that wait for [`Subscription::recv`](super::Subscription::recv). More are dropped and counted; those of
-    /// reliable names wait at their publisher.
+    /// Complete messages that wait for [`Subscription::recv`](super::Subscription::recv). More are
+    /// dropped and counted; those of reliable names wait at their publisher.
     pub queue: usize,
     /// Bytes of their bodies.
     pub queue_bytes: usize,

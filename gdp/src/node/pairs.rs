@@ -1,5 +1,5 @@
-//! The keys that this node shares with each of its counterparts, for what the two tell each other alone. Made when they are first
-//! needed, kept as long as a name needs the counterpart.
+//! The keys that this node shares with each of its counterparts, for what the two tell each other
+//! alone. Made when they are first needed, kept as long as a name needs the counterpart.
 
 use std::collections::HashMap;
 
@@ -56,7 +56,8 @@ impl Pairs {
         }
     }
 
-    /// Puts the payload of a frame to the entity's own name into `out`; `None` if it is no counterpart.
+    /// Puts the payload of a frame to the entity's own name into `out`; `None` if it is no
+    /// counterpart.
     pub fn seal(&mut self, entity: &Name, feedback: &Feedback, out: &mut Vec<u8>) -> Option<Result<(), PairError>> {
         let keys = self.peers.get_mut(entity)?.keys(&self.identity, entity);
         Some(keys.map_err(PairError::Crypto).and_then(|(sealer, _)| sealer.seal(feedback, out)))

@@ -1,5 +1,6 @@
-//! A name that this node publishes, whoever works for it: the application's handle seals, the sending thread seals again and says
-//! how far it is, the receiving thread answers readers, the supervisor wraps keys.
+//! A name that this node publishes, whoever works for it: the application's handle seals, the
+//! sending thread seals again and says how far it is, the receiving thread answers readers, the
+//! supervisor wraps keys.
 
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
@@ -25,7 +26,8 @@ use gdp_e2e::transport::{Full, Sealed, Topic, TopicCounters};
 use gdp_proto::peers::{Counterpart, PeerEvent};
 use gdp_util::unix_time::unix_nanos;
 
-/// A reader that is not attached any more keeps its place and its keys for so long: links come back.
+/// A reader that is not attached any more keeps its place and its keys for so long: links come
+/// back.
 const ABSENCE: u64 = 60_000_000_000;
 
 /// Key boxes that could not be stored are offered again after so long, then less and less often.
@@ -103,7 +105,8 @@ struct Reader {
 /// What became of a message.
 pub enum Pushed {
     Taken,
-    /// It waits for others. The first that does says until when: then [`Publication::seal_batch`] is to be called.
+    /// It waits for others. The first that does says until when: then [`Publication::seal_batch`]
+    /// is to be called.
     MessageBatch(Option<u64>),
     /// It waits for room.
     Waits,
@@ -209,8 +212,9 @@ impl Publication {
         Unflushed { unsent: unsent + waiting, unacknowledged: lacking.collect() }
     }
 
-    /// Seals messages under one signature, or gathers what is small and comes soon after another; unless one waits for room still.
-    /// Returns the sequence of the first, which `begun` is told before anything can go.
+    /// Seals messages under one signature, or gathers what is small and comes soon after another;
+    /// unless one waits for room still. Returns the sequence of the first, which `begun` is told
+    /// before anything can go.
     pub fn push(
         &self,
         send_path: &SendPath,
@@ -372,7 +376,8 @@ impl Publication {
         Sealed::new(std::mem::take(segments))
     }
 
-    /// The payload of a frame that says that all before `next` has gone, and what comes before `oldest` cannot be had again.
+    /// The payload of a frame that says that all before `next` has gone, and what comes before
+    /// `oldest` cannot be had again.
     pub fn heartbeat(&self, next: u64, oldest: u64, out: &mut Vec<u8>) -> Result<(), SealError> {
         let sealing = &mut *self.sealing.lock();
         sealing.take_key()?;
@@ -390,11 +395,14 @@ impl Publication {
         let entry = readers.known.get_mut(reader)?;
         entry.wants = wants;
         if wants == Wants::Every && !self.is_reliable && !std::mem::replace(&mut readers.told_incompatible, true) {
-            tracing::warn!(name = %self.name, %reader, "incompatible QoS: the reader asks for every message, and this writer offers the newest only (best effort); it takes those");
+            tracing::warn!(name = %self.name, %reader, "incompatible QoS: the reader asks for every message, and \
+                                                        this writer offers the newest only (best effort); it takes \
+                                                        those");
         }
         if entry.greeted != Some(challenge) {
             readers.lacks_latched = true;
-            // One that asks again has lost what it knew, or has reason to doubt it: it begins with what comes now.
+            // One that asks again has lost what it knew, or has reason to doubt it: it begins with
+            // what comes now.
             if entry.greeted.replace(challenge).is_some() {
                 entry.from = send_path.uplink.lock().join(send_path.clock.now(), self.topic, *reader)?;
             }
@@ -403,7 +411,8 @@ impl Publication {
         Some(Feedback::Welcome { name, challenge, session, sequence, reliable })
     }
 
-    /// A reader that was away is back. If it has begun anew, what is sent from now on is for it, also what goes before it asks.
+    /// A reader that was away is back. If it has begun anew, what is sent from now on is for it,
+    /// also what goes before it asks.
     pub fn returned(&self, send_path: &SendPath, reader: &Name) {
         let readers = &mut *self.readers.lock();
         let Some(entry) = readers.known.get_mut(reader) else { return };
@@ -503,7 +512,8 @@ impl Publication {
         sealing.ring.boxes_stored(boxes.epoch);
     }
 
-    /// The RIB has not: they are offered again, and if it has no room for them, less and less often.
+    /// The RIB has not: they are offered again, and if it has no room for them, less and less
+    /// often.
     pub fn boxes_failed(&self, boxes: Boxes, no_room: bool) {
         let sealing = &mut *self.sealing.lock();
         let before = sealing.unstored.take().filter(|_| no_room);

@@ -21,7 +21,8 @@ const LOOK: Duration = Duration::from_millis(2);
 
 /// What was not done in time: see [`Publisher::flush`].
 #[derive(Clone, Debug, Default, PartialEq, Eq, thiserror::Error)]
-#[error("{unsent} messages have not gone in time, and {} readers have not acknowledged all that have", unacknowledged.len())]
+#[error("{unsent} messages have not gone in time, and {} readers have not acknowledged all that \
+         have", unacknowledged.len())]
 pub struct Unflushed {
     /// Messages that have not gone from this host.
     pub unsent: u64,
@@ -29,8 +30,8 @@ pub struct Unflushed {
     pub unacknowledged: BTreeMap<Name, u64>,
 }
 
-/// Sends messages to a name. Dropping it withdraws the name; what has not gone yet is lost, and nothing is repaired any more: see
-/// [`Self::close`].
+/// Sends messages to a name. Dropping it withdraws the name; what has not gone yet is lost, and
+/// nothing is repaired any more: see [`Self::close`].
 pub struct Publisher {
     node: Arc<Handle>,
     publication: Arc<Publication>,
@@ -51,7 +52,8 @@ impl Publisher {
         &self.feedback
     }
 
-    /// Readers that are attached at the moment, as far as is known here. What is sent without any goes nowhere.
+    /// Readers that are attached at the moment, as far as is known here. What is sent without any
+    /// goes nowhere.
     pub fn readers(&self) -> usize {
         self.publication.readers()
     }
@@ -73,15 +75,17 @@ impl Publisher {
         self.publication.ending.wait()
     }
 
-    /// Publishes on by this certificate, in the same session; readers miss nothing. To be done before the present one ends. A refusal
-    /// of the RIB leaves the present one in force; while there is no link, the RIB is given the new one with the next.
+    /// Publishes on by this certificate, in the same session; readers miss nothing. To be done
+    /// before the present one ends. A refusal of the RIB leaves the present one in force; while
+    /// there is no link, the RIB is given the new one with the next.
     pub async fn renew(&mut self, ad_cert: Issued<AdCert>) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Write { proof, ad_cert };
         self.node.state.renew(self.publication.name, Stated::Published, renewed).await
     }
 
-    /// Returns once all that was sent has left this host, and, if the name is reliable, every reader that is live and asks for every message
-    /// has acknowledged it; or after `patience`, with what is left. What is best effort fails at once while there is no link.
+    /// Returns once all that was sent has left this host, and, if the name is reliable, every
+    /// reader that is live and asks for every message has acknowledged it; or after `patience`,
+    /// with what is left. What is best effort fails at once while there is no link.
     pub async fn flush(&mut self, patience: Duration) -> Result<(), NodeError> {
         let (publication, send_path) = (&self.publication, &self.node.state.send_path);
         let deadline = tokio::time::Instant::now() + patience;
@@ -105,19 +109,23 @@ impl Publisher {
         self.flush(patience).await
     }
 
-    /// Seals one message and sends it; those that come within 100 µs of one another share a signature and frames, and of a node that would sign more than 3000 times a second those within 8 ms. It goes as [`PublishOptions`](super::PublishOptions) say: `Ok` says that it is on its way or waits for
-    /// its turn. Returns the sequence number. Waits only if the name is reliable and the history full; a message that it was
-    /// cancelled in waiting for is sent all the same. While the link to the switch is lost, what is best effort fails at once, and
-    /// what is reliable is kept; but to a switch whose daemon fell silent frames are sent on, as long as its data plane answers
-    /// ([`gdp_core::peer::GRACEFUL_RESTART_TIME`]).
+    /// Seals one message and sends it; those that come within 100 µs of one another share a
+    /// signature and frames, and of a node that would sign more than 3000 times a second those
+    /// within 8 ms. It goes as [`PublishOptions`](super::PublishOptions) say: `Ok` says that it is
+    /// on its way or waits for its turn. Returns the sequence number. Waits only if the name is
+    /// reliable and the history full; a message that it was cancelled in waiting for is sent all
+    /// the same. While the link to the switch is lost, what is best effort fails at once, and what
+    /// is reliable is kept; but to a switch whose daemon fell silent frames are sent on, as long as
+    /// its data plane answers ([`gdp_core::peer::GRACEFUL_RESTART_TIME`]).
     pub async fn send(&mut self, encoding: Encoding, body: &[u8]) -> Result<u64, NodeError> {
         self.send_batch(&[Draft::new(encoding, body)]).await
     }
 
-    /// Returns when a message that is sent next goes right behind the one that goes at the moment: it would replace none that still
-    /// waits, and wait for no room itself. For publishers of what is best effort that can make messages faster than they go, and had
-    /// rather not seal what newer ones replace. What goes nowhere has its turn at once; what [`Self::send`] would fail with for want of a
-    /// link, this does as well.
+    /// Returns when a message that is sent next goes right behind the one that goes at the moment:
+    /// it would replace none that still waits, and wait for no room itself. For publishers of what
+    /// is best effort that can make messages faster than they go, and had rather not seal what
+    /// newer ones replace. What goes nowhere has its turn at once; what [`Self::send`] would fail
+    /// with for want of a link, this does as well.
     pub async fn ready(&self) -> Result<(), NodeError> {
         let send_path = &self.node.state.send_path;
         loop {
@@ -132,7 +140,8 @@ impl Publisher {
         }
     }
 
-    /// Several messages under one signature; small ones share frames. Returns the sequence number of the first.
+    /// Several messages under one signature; small ones share frames. Returns the sequence number
+    /// of the first.
     pub async fn send_batch(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
         let counters = self.node.state.counters.clone();
         let result = self.try_send(messages).await;
@@ -141,8 +150,8 @@ impl Publisher {
         result
     }
 
-    /// Sends a message about the name, now and to every reader that comes later, before what is latched; in place of the one that was
-    /// pinned before. Readers may get it several times.
+    /// Sends a message about the name, now and to every reader that comes later, before what is
+    /// latched; in place of the one that was pinned before. Readers may get it several times.
     pub fn pin(&self, encoding: Encoding, body: &[u8]) {
         self.publication.pin(&self.node.state.send_path, encoding, body);
     }
@@ -152,13 +161,15 @@ impl Publisher {
         self.publication.mention(&self.node.state.send_path, encoding, body);
     }
 
-    /// Latches the last `most` messages of this origin, whatever [`PublishOptions::latched`](super::PublishOptions::latched) says of the others; until
-    /// it is [forgotten](Self::forget).
+    /// Latches the last `most` messages of this origin, whatever
+    /// [`PublishOptions::latched`](super::PublishOptions::latched) says of the others; until it is
+    /// [forgotten](Self::forget).
     pub fn latch(&self, origin: &[u8], most: usize) {
         self.publication.limit_latched(origin, most);
     }
 
-    /// Sends readers that come later nothing more of what was [latched](super::PublishOptions::latched) with this origin.
+    /// Sends readers that come later nothing more of what was
+    /// [latched](super::PublishOptions::latched) with this origin.
     pub fn forget(&self, origin: &[u8]) {
         self.publication.forget(&self.node.state.send_path, origin);
     }
@@ -168,7 +179,8 @@ impl Publisher {
     }
 }
 
-/// Seals messages and sends them; waits for room if it must. `begun` is told the sequence of the first before anything goes.
+/// Seals messages and sends them; waits for room if it must. `begun` is told the sequence of the
+/// first before anything goes.
 pub(super) async fn send_through(
     publication: &Publication,
     send_path: &SendPath,

@@ -1,5 +1,5 @@
-//! A name that this node reads, as far as it is about who writes it and with which keys: what the RIB told and was verified goes in,
-//! what the receiving thread is to believe comes out. No I/O.
+//! A name that this node reads, as far as it is about who writes it and with which keys: what the
+//! RIB told and was verified goes in, what the receiving thread is to believe comes out. No I/O.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -13,7 +13,8 @@ use gdp_core::keys::KeyBox;
 use gdp_e2e::keys::{KeyStore, MAX_WRITERS, StoreError};
 use gdp_proto::peers::{Counterpart, PeerEvent};
 
-/// Writers of one name that are believed at once, and boxes of writers that are not known yet, which may be told of in another message.
+/// Writers of one name that are believed at once, and boxes of writers that are not known yet,
+/// which may be told of in another message.
 struct Bounds {
     writers: usize,
     early: usize,
@@ -27,7 +28,8 @@ pub struct Reading {
     name: Name,
     bounds: Bounds,
     keys: KeyStore,
-    /// Those that are believed, attached or not: forgetting one would forget which of its messages were delivered.
+    /// Those that are believed, attached or not: forgetting one would forget which of its messages
+    /// were delivered.
     writers: HashMap<Name, Counterpart>,
     revocation: Option<Revocation>,
     /// With the writer that each names.
@@ -75,8 +77,8 @@ impl Reading {
                 PeerEvent::Refused(error) => {
                     tracing::warn!(name = %self.name, %error, "the RIB told of a writer that does not verify");
                 }
-                // A writer is believed as long as its right holds, for which it need be nobody's member; a RIB that is behind is the
-                // supervisor's business.
+                // A writer is believed as long as its right holds, for which it need be nobody's
+                // member; a RIB that is behind is the supervisor's business.
                 PeerEvent::Left(_) | PeerEvent::Expelled(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }

@@ -1,6 +1,6 @@
-//! The thread that takes data frames from the socket to the subscriptions: hop tag, destination, reader, queue; and what
-//! counterparts tell this node to those it concerns. It alone owns the readers; others reach them by commands, which take effect
-//! before the next frame is looked at.
+//! The thread that takes data frames from the socket to the subscriptions: hop tag, destination,
+//! reader, queue; and what counterparts tell this node to those it concerns. It alone owns the
+//! readers; others reach them by commands, which take effect before the next frame is looked at.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::mpsc;
@@ -29,7 +29,8 @@ use gdp_link::port::{DataSocket, InFrame, RecvBatch};
 /// How long the thread sleeps at most.
 const TICK: Duration = Duration::from_millis(100);
 
-/// The bits of [`Header::flags`] that tell of congestion, and what they are if it was met (RFC 3168).
+/// The bits of [`Header::flags`] that tell of congestion, and what they are if it was met (RFC
+/// 3168).
 const ECN: u8 = 0b11;
 const CONGESTED: u8 = 0b11;
 
@@ -160,7 +161,8 @@ impl Receiver {
     }
 }
 
-/// The rest of a message, of which something has come: often it is but microseconds behind, and to sleep and be woken would take longer.
+/// The rest of a message, of which something has come: often it is but microseconds behind, and to
+/// sleep and be woken would take longer.
 #[derive(Default)]
 struct Rest {
     /// Since when it is waited for.
@@ -208,7 +210,8 @@ struct Socket {
 /// The links that frames may come on.
 struct Links {
     current: Ingress,
-    /// Those that fell silent, and until when each is kept. A few: one is added each time the switch comes back.
+    /// Those that fell silent, and until when each is kept. A few: one is added each time the
+    /// switch comes back.
     held: Vec<(Ingress, Instant)>,
 }
 
@@ -217,8 +220,8 @@ impl Links {
         Self { current, held: Vec::new() }
     }
 
-    /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier` ones. The current one of these
-    /// may be another, that never came into service.
+    /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier`
+    /// ones. The current one of these may be another, that never came into service.
     fn after(earlier: Option<Self>, new: Ingress, held: Option<(Ingress, Instant)>) -> Self {
         let mut links = Self::new(new);
         let Some((silent, until)) = held else { return links };
@@ -242,7 +245,8 @@ impl Links {
         held.chain([&mut self.current]).for_each(|link| link.entry = link.shared.get());
     }
 
-    /// The link a frame says it is on; the current one for a frame that is on none, to be refused by it.
+    /// The link a frame says it is on; the current one for a frame that is on none, to be refused
+    /// by it.
     fn of(&self, header: &Header) -> &Ingress {
         let held = self.held.iter().map(|(link, _)| link).find(|link| link.entry.id == header.link_id());
         held.unwrap_or(&self.current)
@@ -386,7 +390,8 @@ impl Intakes {
             let (name, source) = (header.destination, header.source);
             let payload = &rest[..header.payload_len().into()];
             let marked = congested || header.flags & ECN == CONGESTED;
-            // What comes for this node's own name is what counterparts tell it, or segments: requests and replies.
+            // What comes for this node's own name is what counterparts tell it, or segments:
+            // requests and replies.
             if name == self.send_path.name() && payload.first() != Some(&SEGMENT_VERSION) {
                 self.hear(source, payload, &counters);
                 continue;

@@ -9,12 +9,13 @@ use tokio::sync::mpsc;
 
 use gdp_e2e::seal::Message;
 
-/// Requests that wait for a server, and bytes of their bodies. More are dropped: callers that still wait for so many replies had better
-/// be told by silence than by a server that has no memory left.
+/// Requests that wait for a server, and bytes of their bodies. More are dropped: callers that still
+/// wait for so many replies had better be told by silence than by a server that has no memory left.
 const MAX_WAITING: usize = 4096;
 const MAX_WAITING_BYTES: usize = 64 << 20;
 
-/// Requests that came before the RIB told of their callers: each may be of one of them for so long (steady clock, nanoseconds).
+/// Requests that came before the RIB told of their callers: each may be of one of them for so long
+/// (steady clock, nanoseconds).
 const TIMEOUT: u64 = 5_000_000_000;
 const MAX_EARLY: usize = 64;
 const MAX_EARLY_BYTES: usize = 4 << 20;
@@ -65,7 +66,8 @@ impl Tray {
         put
     }
 
-    /// Keeps a request of one who is not known as a caller yet. Returns how many were dropped for it.
+    /// Keeps a request of one who is not known as a caller yet. Returns how many were dropped for
+    /// it.
     pub fn hold(&mut self, now: u64, request: Message) -> usize {
         self.early_bytes += request.body.len();
         self.early.push_back((now, request));
@@ -77,7 +79,8 @@ impl Tray {
         dropped
     }
 
-    /// Takes out what was held and `may` be put there by now. Returns that, and how many waited for too long.
+    /// Takes out what was held and `may` be put there by now. Returns that, and how many waited for
+    /// too long.
     pub fn release(&mut self, now: u64, may: impl Fn(&Name) -> bool) -> (Vec<Message>, usize) {
         let (mut released, mut dropped) = (Vec::new(), 0);
         for (since, request) in std::mem::take(&mut self.early) {

@@ -64,7 +64,8 @@ impl Revoked {
         self.unsaved.store(true, Ordering::Relaxed);
     }
 
-    /// Writes what is new to the file; if it cannot, that is still to be done. Blocks, also until somebody else has written it.
+    /// Writes what is new to the file; if it cannot, that is still to be done. Blocks, also until
+    /// somebody else has written it.
     pub fn save(&self) {
         let Some(file) = &self.file else { return };
         let file = file.lock();
@@ -79,12 +80,14 @@ impl Revoked {
             Ok(0) => {}
             Ok(omitted) => {
                 let file = file.path().display();
-                tracing::warn!(%file, omitted, "there is no room for the oldest revocations; they are forgotten when this node ends");
+                tracing::warn!(%file, omitted, "there is no room for the oldest revocations; they are forgotten when \
+                                                this node ends");
             }
             Err(error) => {
                 self.unsaved.store(true, Ordering::Relaxed);
                 if !failed_before {
-                    tracing::error!(%error, "revocations are forgotten when this node ends, unless they can be saved before");
+                    tracing::error!(%error, "revocations are forgotten when this node ends, unless they can be saved \
+                                             before");
                 }
             }
         }

@@ -1,15 +1,18 @@
-//! Everything that leaves the node: frames of the topics in their turn, and what it tells its counterparts. Publishers send what
-//! may go at once themselves, so that a message on an idle link is handed to no other thread; the sending thread does what has to
-//! wait. Frames are stamped when they leave, never before.
+//! Everything that leaves the node: frames of the topics in their turn, and what it tells its
+//! counterparts. Publishers send what may go at once themselves, so that a message on an idle link
+//! is handed to no other thread; the sending thread does what has to wait. Frames are stamped when
+//! they leave, never before.
 //!
-//! Of the node's links ([`LinkSlot`]) one is the main one: all topics are scheduled for it, and move with it. What goes by two links is
-//! copied when its turn on the main one has come; copies that wait for another link when that becomes the main one go by it still.
+//! Of the node's links ([`LinkSlot`]) one is the main one: all topics are scheduled for it, and
+//! move with it. What goes by two links is copied when its turn on the main one has come; copies
+//! that wait for another link when that becomes the main one go by it still.
 //!
-//! Locks: each for a moment, none across an await. Who holds one of [`Publication`]'s may take [`SendPath::uplink`] or [`SendPath::pairs`],
-//! never the other way round, and never both of these. Who holds
-//! any lock may take [`SendPath::doubled`]. Who holds [`SendPath::sending`] may take any of them, and those of a [`LinkSlot`];
-//! publishers try, and never wait for it. Who holds [`SendPath::choice`] may take those of a [`LinkSlot`] and [`SendPath::uplink`], and is
-//! called by nobody who holds a lock.
+//! Locks: each for a moment, none across an await. Who holds one of [`Publication`]'s may take
+//! [`SendPath::uplink`] or [`SendPath::pairs`], never the other way round, and never both of these.
+//! Who holds any lock may take [`SendPath::doubled`]. Who holds [`SendPath::sending`] may take any
+//! of them, and those of a [`LinkSlot`]; publishers try, and never wait for it. Who holds
+//! [`SendPath::choice`] may take those of a [`LinkSlot`] and [`SendPath::uplink`], and is called by
+//! nobody who holds a lock.
 
 use gdp_wire::hop;
 use std::collections::{BTreeSet, HashMap, HashSet};
@@ -40,10 +43,12 @@ use gdp_wire::SMALLEST_PATH;
 /// Batches that a publisher sends itself; the rest of a large message is the sending thread's.
 const OWN_BATCHES: usize = 4;
 
-/// How long a request over another link than the main one may keep that waiting, and four round trips.
+/// How long a request over another link than the main one may keep that waiting, and four round
+/// trips.
 const OTHERS_PATIENCE: Duration = Duration::from_secs(1);
 
-/// Bits of [`Header::flags`]: the traffic class begins there, and the two lowest say that a mark is understood (ECT(0), RFC 3168).
+/// Bits of [`Header::flags`]: the traffic class begins there, and the two lowest say that a mark is
+/// understood (ECT(0), RFC 3168).
 const CLASS_SHIFT: u8 = 2;
 const UNDERSTANDS_MARKS: u8 = 0b10;
 
@@ -66,7 +71,8 @@ pub struct SendPath {
     pub turns: Turns,
     pump: Mutex<Pump>,
     turn: Condvar,
-    /// Held by whoever sends, so that frames go in the order in which they were taken from the uplink.
+    /// Held by whoever sends, so that frames go in the order in which they were taken from the
+    /// uplink.
     sending: Mutex<Batch>,
 }
 
@@ -254,7 +260,8 @@ impl SendPath {
         };
     }
 
-    /// Returns when the main link is not to wait for an answer on this one any more: at once if this one is silent.
+    /// Returns when the main link is not to wait for an answer on this one any more: at once if
+    /// this one is silent.
     pub async fn until_unwanted(&self, attachment: &Attachment) {
         let (number, lane, mut ways) = (usize::from(attachment.lane), self.lane(attachment), self.ways());
         // The other end of the channel is this send_path's.
@@ -263,7 +270,8 @@ impl SendPath {
         let _ = tokio::time::timeout(patience, ways.wait_for(|_| lane.is_silent())).await;
     }
 
-    /// Bytes of a payload that these links take: the main one, and if anything goes by two, each of them.
+    /// Bytes of a payload that these links take: the main one, and if anything goes by two, each of
+    /// them.
     fn max_payload(&self, ways: &SwitchLinks) -> Option<usize> {
         let main = ways.status.attachment()?.max_payload();
         let second = ways.second.as_ref().filter(|_| !self.doubled.lock().is_empty());
@@ -405,8 +413,8 @@ impl SendPath {
         }
     }
 
-    /// Sends what may go now, so many batches of it. Returns when there is more; what is not a frame is a chore of the sending
-    /// thread.
+    /// Sends what may go now, so many batches of it. Returns when there is more; what is not a
+    /// frame is a chore of the sending thread.
     fn drain(&self, batch: &mut Batch, batches: usize) -> Option<u64> {
         let ways = self.ways.borrow().clone();
         let (attachment, max_payload) = (ways.status.attachment()?, self.max_payload(&ways)?);

@@ -1,5 +1,5 @@
-//! Those on the other side of a service, servers or callers, as far as their right to it was verified; and which of several servers is
-//! called. What the RIB told goes in, whom that concerns comes out. No I/O.
+//! The verified servers or callers on the other side of a service, and the choice of a server.
+//! Updates of the RIB go in, the entities that they concern come out. No I/O.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeSet, HashMap};
@@ -13,20 +13,23 @@ use gdp_core::cert::Revocation;
 use gdp_core::crypto::Backend;
 use gdp_proto::peers::{Counterpart, PeerEvent};
 
-/// One that is not attached any more keeps its place for so long, and what is under way between the two stands: links come back.
+/// One that is not attached any more keeps its place for so long, and what is under way between the
+/// two stands: links come back.
 const ABSENCE: u64 = 60_000_000_000;
 
 /// Those that are absent and keep their places; of more, the one longest away loses it.
 const MOST_ABSENT: usize = 64;
 
-/// ServiceInstances of one service that are known at once. Of each a key is kept (`keys::MAX_WRITERS`).
+/// ServiceInstances of one service that are known at once. Of each a key is kept
+/// (`keys::MAX_WRITERS`).
 const MAX_PARTIES: usize = 1024;
 
 /// A server of a service, as one that calls it sees it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Instance {
     pub name: Name,
-    /// What the path to its switch costs, if the caller's switch knows of one: not of one in another domain.
+    /// What the path to its switch costs, if the caller's switch knows of one: not of one in
+    /// another domain.
     pub cost: Option<u64>,
     /// Calls of this node to the service that wait for its reply.
     pub waiting: usize,
@@ -34,8 +37,8 @@ pub struct Instance {
 }
 
 impl Instance {
-    /// The nearest first; of those the one with the fewest calls; of those the one that the hash of caller and server chooses, so that
-    /// callers spread.
+    /// The nearest first; of those the one with the fewest calls; of those the one that the hash of
+    /// caller and server chooses, so that callers spread.
     fn order(&self, other: &Self) -> Ordering {
         let rank = |one: &Self| (one.cost.unwrap_or(u64::MAX), one.waiting, one.tie);
         rank(self).cmp(&rank(other))
@@ -109,12 +112,14 @@ impl ServiceInstances {
         Self { own, known: HashMap::new(), revocation: None, changed: watch::Sender::new(()) }
     }
 
-    /// Sees a change whenever one is attached that was not, or is not any more; the end once there are no parties for good.
+    /// Sees a change whenever one is attached that was not, or is not any more; the end once there
+    /// are no parties for good.
     pub fn changes(&self) -> watch::Receiver<()> {
         self.changed.subscribe()
     }
 
-    /// Takes what the RIB told of the `service` at `now` (steady clock, nanoseconds), and was verified. Returns whom that concerns.
+    /// Takes what the RIB told of the `service` at `now` (steady clock, nanoseconds), and was
+    /// verified. Returns whom that concerns.
     pub fn take(&mut self, now: u64, service: &Name, events: &[PeerEvent]) -> BTreeSet<Name> {
         let mut concerned = BTreeSet::new();
         for event in events {
@@ -140,7 +145,8 @@ impl ServiceInstances {
                 PeerEvent::Refused(error) => {
                     tracing::warn!(%service, %error, "the RIB told of one that does not verify");
                 }
-                // Nothing goes to the service's name, so there are no keys for it; a RIB that is behind is the supervisor's business.
+                // Nothing goes to the service's name, so there are no keys for it; a RIB that is
+                // behind is the supervisor's business.
                 PeerEvent::KeyBox(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }
@@ -168,7 +174,8 @@ impl ServiceInstances {
         (party.right, party.told) = (right, told);
     }
 
-    /// Lets go of those whose right has ended by `now_unix` (seconds) or was revoked, or that are absent for long. Returns them.
+    /// Lets go of those whose right has ended by `now_unix` (seconds) or was revoked, or that are
+    /// absent for long. Returns them.
     pub fn sweep(&mut self, now: u64, now_unix: u64) -> BTreeSet<Name> {
         let revocation = self.revocation.as_ref();
         let holds = |right: &Counterpart| {
@@ -237,7 +244,8 @@ impl ServiceInstances {
     }
 }
 
-/// Of the rights that an entity has in several services, one that holds for as long as any of them, with the key that it showed last.
+/// Merges the rights of an entity in several services: the result holds as long as any of them,
+/// with the key that the entity showed last.
 pub fn joint_right<'a>(rights: impl Iterator<Item = (u64, &'a Counterpart)>) -> Option<Counterpart> {
     let mut joint: Option<(u64, Counterpart)> = None;
     for (told, right) in rights {

@@ -1,6 +1,7 @@
-//! Calls and their replies. A call goes to one server of the service, to its own name, under keys of the caller that this server alone has;
-//! the reply goes to the caller's own name, under keys of the server that this caller alone has. So nobody else reads either, and no
-//! frame goes to the name of the service.
+//! Calls and their replies. A call goes to one server of the service, to its own name, under keys
+//! of the caller that this server alone has; the reply goes to the caller's own name, under keys of
+//! the server that this caller alone has. So nobody else reads either, and no frame goes to the
+//! name of the service.
 
 use std::sync::Arc;
 
@@ -48,8 +49,8 @@ impl Server {
         self.name
     }
 
-    /// The next call; `None` once the node is closed, or the certificate holds no more. Safe to cancel. Some thousands wait here; more are
-    /// dropped and counted, and never answered.
+    /// The next call; `None` once the node is closed, or the certificate holds no more. Safe to
+    /// cancel. Some thousands wait here; more are dropped and counted, and never answered.
     pub async fn recv(&mut self) -> Option<Call> {
         let request = self.desk.recv().await?;
         Some(Call { node: self.node.clone(), request })
@@ -122,7 +123,8 @@ impl Client {
         self.ending.wait()
     }
 
-    /// Calls on by this grant, as [`Subscription::renew`](super::Subscription::renew) reads; also while calls wait.
+    /// Calls on by this grant, as [`Subscription::renew`](super::Subscription::renew) reads; also
+    /// while calls wait.
     pub async fn renew(&self, grant: Reading) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Read { proof, grant };
         self.node.state.renew(self.name, Stated::Called, renewed).await
@@ -138,22 +140,24 @@ impl Client {
         self.node.state.instances(self.name)
     }
 
-    /// Sees a change whenever a server is attached that was not, or is not any more: ask [`Self::instances`] then. Ends with the client.
+    /// Sees a change whenever a server is attached that was not, or is not any more: ask
+    /// [`Self::instances`] then. Ends with the client.
     pub fn changes(&self) -> watch::Receiver<()> {
         self.node.state.server_changes(self.name)
     }
 
-    /// Sends a request to one server, and waits for the reply to it for as long as the caller of this function does. The server is the
-    /// nearest; of several that are as near, the one with the fewest calls of this node waiting. [`Message::writer`] of the reply is who
-    /// it was. If that is not attached any more before it replies, this fails at once: a request is never sent again to another
-    /// server, for it may have been carried out.
+    /// Sends a request to one server, and waits for the reply to it for as long as the caller of
+    /// this function does. The server is the nearest; of several that are as near, the one with the
+    /// fewest calls of this node waiting. [`Message::writer`] of the reply is who it was. If that
+    /// is not attached any more before it replies, this fails at once: a request is never sent
+    /// again to another server, for it may have been carried out.
     pub async fn call(&self, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
         let place = self.node.state.choose(self.name, None).ok_or(NodeError::NoServer(self.name))?;
         self.call_there(place, encoding, body).await
     }
 
-    /// As [`Self::call`], of this server whichever is nearest: what was begun at one is continued there. Its name is the
-    /// [writer](Message::writer) of an earlier reply.
+    /// As [`Self::call`], of this server whichever is nearest: what was begun at one is continued
+    /// there. Its name is the [writer](Message::writer) of an earlier reply.
     pub async fn call_at(&self, instance: Name, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
         let absent = NodeError::NoInstance { service: self.name, instance };
         let place = self.node.state.choose(self.name, Some(&instance)).ok_or(absent)?;

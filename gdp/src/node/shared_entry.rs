@@ -1,5 +1,6 @@
-//! The entry of the node's link, which frames are tagged and checked by. Publishers and the receiving thread read it, batch by
-//! batch; the supervisor writes it when keys change. Once a write has returned, every batch that begins meets it.
+//! The entry of the node's link, which frames are tagged and checked by. Publishers and the
+//! receiving thread read it, batch by batch; the supervisor writes it when keys change. Once a
+//! write has returned, every batch that begins meets it.
 
 use std::sync::Arc;
 

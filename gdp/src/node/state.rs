@@ -1,5 +1,6 @@
-//! What a node states to the RIB, and the link it states it on: shared by the application's handles, the supervisor and its
-//! tasks. Requests go out from here; when, is the supervisor's business.
+//! What a node states to the RIB, and the link it states it on: shared by the application's
+//! handles, the supervisor and its tasks. Requests go out from here; when, is the supervisor's
+//! business.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -38,7 +39,8 @@ use gdp_proto::control::{EntityRequest, NameRole, PathCosts, Record, RecordKey, 
 use gdp_proto::peers::Counterparts;
 use gdp_util::unix_time::unix_seconds;
 
-/// Seconds that certificates for the switch and statements to the RIB hold; they are renewed long before.
+/// Seconds that certificates for the switch and statements to the RIB hold; they are renewed long
+/// before.
 pub const LIFETIME: u32 = 24 * 3600;
 
 /// How long a request waits for a link that is lost.
@@ -69,8 +71,8 @@ pub struct State {
     pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
     /// What owners have taken back, as far as it came by.
     pub revoked: Revoked,
-    /// The highest serial used, once attached. Held while a statement is on its way, so that they arrive in their order; by links other
-    /// than the main one for a moment only.
+    /// The highest serial used, once attached. Held while a statement is on its way, so that they
+    /// arrive in their order; by links other than the main one for a moment only.
     serial: tokio::sync::Mutex<Option<u64>>,
     commands: std::sync::mpsc::Sender<Command>,
     pub events: mpsc::UnboundedSender<Event>,
@@ -252,8 +254,8 @@ impl State {
         self.services.lock().values_mut().for_each(|service| service.end(Ended::Closed));
     }
 
-    /// Puts another right in the place of the one that something is stated by. The RIB has it then, or gets it with the next link; if
-    /// it refuses it, the old one stays.
+    /// Puts another right in the place of the one that something is stated by. The RIB has it then,
+    /// or gets it with the next link; if it refuses it, the old one stays.
     pub async fn renew(
         &self,
         name: Name,
@@ -296,8 +298,9 @@ impl State {
         }
     }
 
-    /// Takes in what the application states, unless it is stated already. `register` puts in place what the RIB's answer is for: it
-    /// is called before anybody can state it, as the supervisor's tasks may do at once.
+    /// Takes in what the application states, unless it is stated already. `register` puts in place
+    /// what the RIB's answer is for: it is called before anybody can state it, as the supervisor's
+    /// tasks may do at once.
     pub fn begin(
         &self,
         name: Name,
@@ -326,7 +329,8 @@ impl State {
         self.statements.lock().contains_key(&(name, stated))
     }
 
-    /// Serves or calls what is stated: returns the end of that, and of what is served where requests come.
+    /// Serves or calls what is stated: returns the end of that, and of what is served where
+    /// requests come.
     pub fn open_service(
         self: &Arc<Self>,
         name: Name,
@@ -430,7 +434,8 @@ impl State {
         let _ = self.events.send(Event::Withdraw { name, stated });
     }
 
-    /// Lets the switch carry this entity's traffic, and learns the serial that the next statement must exceed.
+    /// Lets the switch carry this entity's traffic, and learns the serial that the next statement
+    /// must exceed.
     pub async fn attach(&self, attachment: &Attachment) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
         self.attach_locked(attachment, &mut serial).await?;
@@ -443,7 +448,8 @@ impl State {
         let switch = attachment.link.peer().name;
         let not_after = unix_seconds() + u64::from(LIFETIME);
         let rt_cert = issue(self.identity.key(), &RtCert { entity: self.identity.name(), switch, not_after })?;
-        // A node that has spoken before goes on; one that has just started does not know what another process had stated.
+        // A node that has spoken before goes on; one that has just started does not know what
+        // another process had stated.
         let (resumes, lane) = (serial.is_some(), attachment.lane);
         match self.ask_in_turn(attachment, EntityRequest::Attach { rt_cert, resumes, lane }).await? {
             Response::Attached { serial: floor } => *serial = Some(floor.max(serial.unwrap_or(0))),
@@ -452,10 +458,11 @@ impl State {
         Ok(())
     }
 
-    /// States one thing that stands to the RIB, if it belongs on this link and unless that is done since the last [`Self::attach`].
+    /// States one thing that stands to the RIB, if it belongs on this link and unless that is done
+    /// since the last [`Self::attach`].
     ///
-    /// What is sent may be sent by any link, whichever is the main one then. What is taken comes by the main one, and moves with it,
-    /// unless it is to come by each.
+    /// What is sent may be sent by any link, whichever is the main one then. What is taken comes by
+    /// the main one, and moves with it, unless it is to come by each.
     pub async fn state(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
         if stated == Stated::Called {
             attachment.watch_costs(self).await;
@@ -498,7 +505,8 @@ impl State {
         Ok(())
     }
 
-    /// States everything that stands; `false` if something was refused or did not get through, and should be tried again.
+    /// States everything that stands; `false` if something was refused or did not get through, and
+    /// should be tried again.
     pub async fn state_all(&self, attachment: &Attachment) -> bool {
         let standing: Vec<_> = self.statements.lock().keys().copied().collect();
         let mut all = true;
@@ -541,7 +549,8 @@ impl State {
         self.send_path.lanes().iter().for_each(|lane| lane.unstated.notify_one());
     }
 
-    /// The records of the names that begin so, from the one behind `after` on, and whether there are more.
+    /// The records of the names that begin so, from the one behind `after` on, and whether there
+    /// are more.
     pub async fn query(
         &self,
         attachment: &Attachment,
@@ -564,8 +573,8 @@ impl State {
         ask(attachment, EntityRequest::Revoke { proof, revocation }).await.map(drop)
     }
 
-    /// Asks with a statement of this entity, under the next serial; and once more under a higher one if something else spoke
-    /// for the entity since it attached, such as a command-line tool.
+    /// Asks with a statement of this entity, under the next serial; and once more under a higher
+    /// one if something else spoke for the entity since it attached, such as a command-line tool.
     async fn ask_signed(
         &self,
         attachment: &Attachment,
@@ -583,7 +592,8 @@ impl State {
         }
     }
 
-    /// As [`ask`], while all that is to be stated on any link waits for the answer: not for long if another link is the main one.
+    /// As [`ask`], while all that is to be stated on any link waits for the answer: not for long if
+    /// another link is the main one.
     async fn ask_in_turn(&self, attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
         tokio::select! {
             answer = ask(attachment, request) => answer,

@@ -54,7 +54,8 @@ impl Subscription {
         self.queue.name
     }
 
-    /// The next message; `None` once the node is closed, or the grant holds no more ([`Self::ended`]). Safe to cancel.
+    /// The next message; `None` once the node is closed, or the grant holds no more
+    /// ([`Self::ended`]). Safe to cancel.
     pub async fn recv(&mut self) -> Option<Message> {
         self.queue.recv(&self.node.state).await
     }
@@ -64,8 +65,9 @@ impl Subscription {
         self.ending.wait()
     }
 
-    /// Reads on by this grant; nothing is missed, and writers do not notice. To be done before the present one ends. A refusal of the
-    /// RIB leaves the present one in force; while there is no link, the RIB is given the new one with the next.
+    /// Reads on by this grant; nothing is missed, and writers do not notice. To be done before the
+    /// present one ends. A refusal of the RIB leaves the present one in force; while there is no
+    /// link, the RIB is given the new one with the next.
     pub async fn renew(&mut self, grant: Reading) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Read { proof, grant };
         self.node.state.renew(self.queue.name, Stated::Subscribed, renewed).await

@@ -1,5 +1,6 @@
-//! A subscription as the receiving thread has it: the reader, whom it believes, how far each writer's session is, and the queue to
-//! the application. What it has to say to writers comes out; the receiving thread sends it.
+//! A subscription as the receiving thread has it: the reader, whom it believes, how far each
+//! writer's session is, and the queue to the application. What it has to say to writers comes out;
+//! the receiving thread sends it.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
@@ -60,8 +61,8 @@ pub struct Shared {
     pub counters: ReadCounters,
 }
 
-/// What became of a name's messages at this reader. Those that the writers began since each was welcomed are the sum of the first four
-/// and of what is not dealt with yet.
+/// What became of a name's messages at this reader. Those that the writers began since each was
+/// welcomed are the sum of the first four and of what is not dealt with yet.
 #[derive(Default)]
 pub struct ReadCounters {
     delivered: AtomicU64,
@@ -218,7 +219,8 @@ impl SubscriptionReceiver {
         }
     }
 
-    /// What the writer says to this reader alone. Returns whether its early frames may be of use now.
+    /// What the writer says to this reader alone. Returns whether its early frames may be of use
+    /// now.
     pub fn hear(&mut self, now: u64, writer: &Name, feedback: &Feedback) -> bool {
         let Some(known) = self.writers.get_mut(writer) else { return false };
         match feedback {
@@ -228,8 +230,9 @@ impl SubscriptionReceiver {
                     return false;
                 }
                 if let Some(known) = known.session.as_mut().filter(|known| known.id == *session) {
-                    // It was asked again, and says where a reader begins that knows nothing. This one knows where it is: what comes before
-                    // that was sent, and is missed if it is not here.
+                    // It was asked again, and says where a reader begins that knows nothing. This
+                    // one knows where it is: what comes before that was sent, and is missed if it
+                    // is not here.
                     known.inbound.heartbeat(now, *sequence, 0);
                 } else {
                     let reliable = self.options.wants != Wants::Newest && *reliable;
@@ -291,8 +294,8 @@ impl SubscriptionReceiver {
             received.clear();
             return verdict;
         };
-        // Those that are repeated as well: if a report was lost, the writer has to hear that they are here. What did not open is
-        // nobody's word, so it counts for nothing.
+        // Those that are repeated as well: if a report was lost, the writer has to hear that they
+        // are here. What did not open is nobody's word, so it counts for nothing.
         for segment in received.segments.iter().chain(&received.repeated).filter(|segment| segment.session == *id) {
             inbound.segment(steady, &as_segment(segment));
         }
@@ -387,7 +390,8 @@ impl SubscriptionReceiver {
         if self.shared.incompatible.swap(count, Ordering::Relaxed) == 0
             && let Some(writer) = first
         {
-            tracing::warn!(name = %self.name, %writer, "incompatible QoS: every message is asked for, and the writer offers the newest only (best effort); taking those");
+            tracing::warn!(name = %self.name, %writer, "incompatible QoS: every message is asked for, and the writer \
+                                                        offers the newest only (best effort); taking those");
         }
     }
 
@@ -441,7 +445,8 @@ impl Out<'_> {
         }
     }
 
-    /// Returns the message if there is no room for it. One that is larger than all the room is taken if nothing else is there.
+    /// Returns the message if there is no room for it. One that is larger than all the room is
+    /// taken if nothing else is there.
     fn offer(&self, message: Message, counters: &Counters) -> Option<Message> {
         let length = message.body.len();
         let queued = self.shared.queued_bytes.load(Ordering::Relaxed);
@@ -461,7 +466,8 @@ impl Out<'_> {
     }
 }
 
-/// How far beyond the first message that is missing others are taken: as far as the reader's replay window remembers.
+/// How far beyond the first message that is missing others are taken: as far as the reader's replay
+/// window remembers.
 const REACH: u64 = 1024;
 
 fn as_segment(id: &gdp_e2e::seal::SegmentId) -> Segment {

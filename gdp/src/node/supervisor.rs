@@ -1,6 +1,7 @@
-//! Keeps one link of the node: makes it, attaches, states again what the application wants stated, answers the
-//! switch, and begins anew when the link is lost, or at once when this machine is in another network. The application's handles never notice but for what was lost.
-//! [`run`] keeps all links of a node.
+//! Keeps one link of the node: makes it, attaches, states again what the application wants stated,
+//! answers the switch, and begins anew when the link is lost, or at once when this machine is in
+//! another network. The application's handles never notice but for what was lost. [`run`] keeps all
+//! links of a node.
 
 use gdp_wire::hop;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -43,8 +44,8 @@ const DISCOVERY: Duration = Duration::from_secs(2);
 /// Answers to discovery that are tried before it is asked again.
 const MAX_CANDIDATES: usize = 8;
 
-/// How long a switch on the same host may take to answer the first frame; any, over UDP, once this machine is in another network, and
-/// four round trips.
+/// How long a switch on the same host may take to answer the first frame; any, over UDP, once this
+/// machine is in another network, and four round trips.
 const ANSWER: Duration = Duration::from_millis(500);
 
 /// The same of a switch on a cable.
@@ -53,7 +54,8 @@ const ANSWER_ON_CABLE: Duration = Duration::from_millis(100);
 /// Between two echoes that are waited for.
 const ECHOES: Duration = Duration::from_millis(10);
 
-/// How long the node tries to attach again over the link it has; the switch waits a little longer for its answer.
+/// How long the node tries to attach again over the link it has; the switch waits a little longer
+/// for its answer.
 const REATTACH: Duration = Duration::from_secs(4);
 
 /// How often certificates and statements with a lifetime of [`state::LIFETIME`] are renewed.
@@ -63,8 +65,8 @@ const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 const MAIN_ECHOES: Duration = Duration::from_millis(100);
 const OTHER_ECHOES: Duration = Duration::from_millis(500);
 
-/// How long frames on a new link over UDP stay as small as any path takes: meanwhile QUIC learns the paths of links that are made at the
-/// same time, and switches learn them from it.
+/// How long frames on a new link over UDP stay as small as any path takes: meanwhile QUIC learns
+/// the paths of links that are made at the same time, and switches learn them from it.
 pub const SETTLING: Duration = Duration::from_secs(3);
 
 /// What the rest of the node tells the supervisor.
@@ -133,8 +135,8 @@ impl Attachment {
         }
     }
 
-    /// Whether the data plane of the switch answers where frames are sent to. On the host itself that takes microseconds, but the
-    /// daemon may not have taken the link into service yet.
+    /// Whether the data plane of the switch answers where frames are sent to. On the host itself
+    /// that takes microseconds, but the daemon may not have taken the link into service yet.
     async fn is_answered(&self, within: Duration) -> bool {
         let (mut asked, until) = (Vec::new(), Instant::now() + within);
         while Instant::now() < until {
@@ -149,8 +151,8 @@ impl Attachment {
         false
     }
 
-    /// Has the switch tell what paths cost, if it does not already. If it does not answer, servers are chosen without that, and it is
-    /// asked again with what is stated next.
+    /// Has the switch tell what paths cost, if it does not already. If it does not answer, servers
+    /// are chosen without that, and it is asked again with what is stated next.
     pub async fn watch_costs(&self, state: &State) {
         if self.costs_told.load(Ordering::Relaxed) {
             return;
@@ -166,7 +168,8 @@ impl Attachment {
         }
     }
 
-    /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far as is known.
+    /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far
+    /// as is known.
     pub fn max_payload(&self) -> usize {
         let settling = matches!(self.link.addr(), LinkAddr::Udp(_)) && self.since.elapsed() < SETTLING;
         let largest = if settling { SMALLEST_PATH.into() } else { self.link.mtu() };
@@ -199,8 +202,8 @@ impl Held {
     }
 }
 
-/// Keeps the links of a node until `stop` becomes true, or none could be made in the time that each had for its first. Says through
-/// `first` what came of that, by the number of the link.
+/// Keeps the links of a node until `stop` becomes true, or none could be made in the time that each
+/// had for its first. Says through `first` what came of that, by the number of the link.
 pub async fn run(
     state: Arc<State>,
     links: Vec<LinkConfig>,
@@ -212,7 +215,8 @@ pub async fn run(
 ) {
     let (ending, mut supervisors) = (watch::Sender::new(false), JoinSet::new());
     let network = Network::open().inspect_err(|error| {
-        tracing::warn!(%error, "the kernel does not say when the network changes; links that are lost by that are made anew after seconds");
+        tracing::warn!(%error, "the kernel does not say when the network changes; links that are lost by that are \
+                                made anew after seconds");
     });
     let network = network.ok().map(Arc::new);
     for (lane, config) in (0..).zip(links) {
@@ -342,7 +346,8 @@ impl Supervisor {
         }
     }
 
-    /// A new link. What the application sends in the meantime goes out on the one that is held, as long as that is of use.
+    /// A new link. What the application sends in the meantime goes out on the one that is held, as
+    /// long as that is of use.
     async fn reconnect_while_held(&mut self, held: &Held) -> Arc<Attachment> {
         let (state, lane) = (self.state.clone(), usize::from(self.lane));
         let hold = async {
@@ -371,7 +376,8 @@ impl Supervisor {
         }
     }
 
-    /// Waits before the next attempt; not if the switch is reached in another way than at the last one.
+    /// Waits before the next attempt; not if the switch is reached in another way than at the last
+    /// one.
     async fn pause(&mut self, backoff: &mut Backoff) {
         let mut hurry = std::mem::take(&mut self.hurry);
         hurry.pause(backoff, self.news(), self.is_blind()).await;
@@ -438,8 +444,8 @@ impl Supervisor {
         }
     }
 
-    /// Makes a link and attaches: from then on the switch may send on it, so frames are taken on it before. Those on the link
-    /// that is held are taken for as long as the switch may send them.
+    /// Makes a link and attaches: from then on the switch may send on it, so frames are taken on it
+    /// before. Those on the link that is held are taken for as long as the switch may send them.
     async fn attempt(&mut self, held: Option<&Held>) -> Result<Arc<Attachment>, NodeError> {
         self.changes.as_mut().into_iter().for_each(watch::Receiver::mark_unchanged);
         if let Some(network) = self.network.clone() {
@@ -457,7 +463,8 @@ impl Supervisor {
             }
             tracing::warn!(
                 to = %attachment.link.addr(),
-                "the switch on this host does not answer where it takes frames (a packet filter?); they go through its daemon"
+                "the switch on this host does not answer where it takes frames (a packet filter?); they go through \
+                 its daemon"
             );
             attachment.link.close("frames do not reach the switch by its pair of interfaces");
             apart = true;
@@ -468,8 +475,8 @@ impl Supervisor {
         Ok(attachment)
     }
 
-    /// Anybody on the segment can answer discovery in the name of the switch: the first that proves to be it counts.
-    /// `apart`: frames are to go through the daemon even of a switch on this host.
+    /// Anybody on the segment can answer discovery in the name of the switch: the first that proves
+    /// to be it counts. `apart`: frames are to go through the daemon even of a switch on this host.
     async fn dial_first(
         &mut self,
         port: &Port,
@@ -489,9 +496,11 @@ impl Supervisor {
                     self.way = network.way(*to, self.through).await;
                     tokio::select! {
                         dialled = dialling => dialled,
-                        // What went to the old network is not answered: better begun anew than said again later.
+                        // What went to the old network is not answered: better begun anew than said
+                        // again later.
                         _ = network.until_other(*to, self.through, &self.way) => {
-                            // However it is reached by now, that has not been tried: the pause is to take it for news.
+                            // However it is reached by now, that has not been tried: the pause is
+                            // to take it for news.
                             self.way = NetworkPath::Nowhere;
                             return Err(NodeError::Detached("the network of this machine has changed".into()));
                         }
@@ -519,7 +528,8 @@ impl Supervisor {
         })
     }
 
-    /// A port to dial from, and whom to dial. Opens another port if the interface is not the one it was.
+    /// A port to dial from, and whom to dial. Opens another port if the interface is not the one it
+    /// was.
     async fn locate(&mut self) -> Result<(Arc<Port>, Vec<(LinkAddr, Option<Name>)>), NodeError> {
         match &self.target {
             LinkTarget::Ethernet { interface, mac } => {
@@ -544,7 +554,8 @@ impl Supervisor {
                 Ok((port, answers.into_iter().map(|(to, name)| (to, Some(name))).collect()))
             }
             LinkTarget::Udp { host, port: number, interface } => {
-                // Before a port is opened: if it is made anew meanwhile, the next attempt finds out.
+                // Before a port is opened: if it is made anew meanwhile, the next attempt finds
+                // out.
                 let index = match interface {
                     Some(name) => Some(interface_index(name).map_err(|source| no_interface(name, source))?),
                     None => None,
@@ -576,8 +587,8 @@ fn no_interface(name: &str, source: std::io::Error) -> LinkError {
     LinkError::Io { what: format!("interface {name}"), source }
 }
 
-/// States what stands, again when something was refused that time may mend or a withdrawal took it along, and in time
-/// before it runs out.
+/// States what stands, again when something was refused that time may mend or a withdrawal took it
+/// along, and in time before it runs out.
 async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
     let mut backoff = BACKOFF;
     let mut renewal = Instant::now() + RENEWAL;
@@ -611,7 +622,8 @@ async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
     }
 }
 
-/// The switch, if another link leads there as well, is to send on this one what is to come on one. Whether it heard that.
+/// The switch, if another link leads there as well, is to send on this one what is to come on one.
+/// Whether it heard that.
 async fn prefer(state: &State, attachment: &Attachment) -> bool {
     if state.send_path.lanes().len() == 1 {
         return true;
@@ -620,7 +632,8 @@ async fn prefer(state: &State, attachment: &Attachment) -> bool {
     answer.inspect_err(|error| tracing::debug!(%error, "the switch did not hear that this is the main link")).is_ok()
 }
 
-/// Finds out whether the switch answers, so that another link is used at once when it does not, as long as this one is up.
+/// Finds out whether the switch answers, so that another link is used at once when it does not, as
+/// long as this one is up.
 async fn watch_silence(state: Arc<State>, attachment: Arc<Attachment>) {
     let (send_path, number) = (&state.send_path, usize::from(attachment.lane));
     let (lane, mut pulse) = (send_path.lane(&attachment), Pulse::default());
@@ -634,8 +647,8 @@ async fn watch_silence(state: Arc<State>, attachment: Arc<Attachment>) {
     }
 }
 
-/// Has other links used once the switch is reached in another way than when the link was made, until it answers again. If it is reached but
-/// does not answer, the link ends.
+/// Has other links used once the switch is reached in another way than when the link was made,
+/// until it answers again. If it is reached but does not answer, the link ends.
 async fn watch_moves(
     state: Arc<State>,
     network: Arc<Network>,
@@ -720,7 +733,8 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
     let _ = responder.respond(response).await;
 }
 
-/// Attaches over the link there is, and has everything stated again. The switch may only be about to find its way to the RIB.
+/// Attaches over the link there is, and has everything stated again. The switch may only be about
+/// to find its way to the RIB.
 async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), NodeError> {
     let mut backoff = BACKOFF;
     while let Err(error) = state.attach(attachment).await {

@@ -1,5 +1,5 @@
-//! What the RIB tells of those on the other side of this node's names, and the key boxes that follow: to the publications, to the
-//! receiving thread, and back to the RIB.
+//! What the RIB tells of those on the other side of this node's names, and the key boxes that
+//! follow: to the publications, to the receiving thread, and back to the RIB.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,7 +23,8 @@ use gdp_util::unix_time::{unix_nanos, unix_seconds};
 const LOOK: Duration = Duration::from_secs(1);
 
 impl State {
-    /// Takes what the RIB told of the counterparts in a name; `None` if this node has no such part in it.
+    /// Takes what the RIB told of the counterparts in a name; `None` if this node has no such part
+    /// in it.
     pub fn take_peers(&self, name: Name, role: NameRole, peers: &Peers) -> Option<Result<(), OutOfStep>> {
         if name == self.identity.name() && role == NameRole::Subscriber {
             return self.take_boxes(peers);
@@ -90,8 +91,8 @@ impl State {
         self.change_reading(name, |reading| reading.take(unix_nanos(), events));
     }
 
-    /// Carries out what follows before the reading changes again: the receiving thread has no use for keys of a writer that it has not
-    /// heard of yet.
+    /// Carries out what follows before the reading changes again: the receiving thread has no use
+    /// for keys of a writer that it has not heard of yet.
     pub(super) fn change_reading(&self, name: Name, change: impl FnOnce(&mut Reading) -> Vec<Effect>) {
         if let Some(reading) = self.readings.lock().get_mut(&name) {
             self.carry_out(name, change(reading));
@@ -122,8 +123,8 @@ impl State {
         }
     }
 
-    /// Runs as long as the node: ends what has ended, sends latched messages to readers that came, and has the RIB store boxes as
-    /// soon as there are any.
+    /// Runs as long as the node: ends what has ended, sends latched messages to readers that came,
+    /// and has the RIB store boxes as soon as there are any.
     pub async fn keep(self: &Arc<Self>) {
         // The RIB may take its time: nothing else waits for that.
         let boxes = Notify::new();

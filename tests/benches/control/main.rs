@@ -1,14 +1,17 @@
-//! What the control plane does: how fast a RIB takes statements and answers queries, what it keeps a name in, how soon a switch
-//! holds its FIB again, how soon traffic flows after a link was cut. Run by `cargo xtask bench control`; needs root for the rows
-//! in namespaces.
+//! What the control plane does: how fast a RIB takes statements and answers queries, what it keeps
+//! a name in, how soon a switch holds its FIB again, how soon traffic flows after a link was cut.
+//! Run by `cargo xtask bench control`; needs root for the rows in namespaces.
 //!
-//! One file a row of the figures, each a function from [`Bench`] to [`Figure`](gdp_tests::measure::figure::Figure)s:
+//! One file a row of the figures, each a function from [`Bench`] to
+//! [`Figure`](gdp_tests::measure::figure::Figure)s:
 //!
 //! - [`statements`]: advertisements per second at a RIB, beside the ECDSA verifications alone
-//! - [`queries`]: questions per second to a daemon, over its links, beside requests that ask nothing
+//! - [`queries`]: questions per second to a daemon, over its links, beside requests that ask
+//!   nothing
 //! - [`memory`]: bytes of a RIB per name
 //! - [`scale`]: what RIBs of a thousand domains tell each other, in simulated time
-//! - [`ring`]: a link of a ring of five is cut, with few names and with many; a daemon is killed, and comes back
+//! - [`ring`]: a link of a ring of five is cut, with few names and with many; a daemon is killed,
+//!   and comes back
 //!
 //! [`owner`] makes names, and what entities state of them, by the thousand.
 

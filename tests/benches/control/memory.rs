@@ -1,5 +1,6 @@
-//! What a RIB keeps a name in that somebody publishes: bytes of memory with all certificates, and without the bytes of what is
-//! signed. Every allocation of the process is counted, so nothing else runs meanwhile.
+//! What a RIB keeps a name in that somebody publishes: bytes of memory with all certificates, and
+//! without the bytes of what is signed. Every allocation of the process is counted, so nothing else
+//! runs meanwhile.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -1,5 +1,5 @@
-//! How many queries for one name a daemon answers per second over its links, on all CPUs, and its clients on the same; beside as
-//! many requests on the same links that ask for nothing.
+//! How many queries for one name a daemon answers per second over its links, on all CPUs, and its
+//! clients on the same; beside as many requests on the same links that ask for nothing.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

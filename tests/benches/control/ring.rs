@@ -1,5 +1,6 @@
-//! A ring of five XDP switches with their daemons. The link that traffic goes by is cut: how long until it flows again, with one
-//! name and with many. The daemon of a switch is killed: how long after it is started until it holds all its names from the RIB.
+//! A ring of five XDP switches with their daemons. The link that traffic goes by is cut: how long
+//! until it flows again, with one name and with many. The daemon of a switch is killed: how long
+//! after it is started until it holds all its names from the RIB.
 
 use std::ops::Range;
 use std::path::Path;
@@ -25,7 +26,8 @@ use crate::traffic::Traffic;
 /// Names of the switch whose daemon is killed.
 const RECONCILED: usize = 100_000;
 
-/// Commands that ask a daemon at once, which takes 32; and names that one of them states for the same entity.
+/// Commands that ask a daemon at once, which takes 32; and names that one of them states for the
+/// same entity.
 const TOOLS: usize = 30;
 const NAMES_OF_ONE: usize = 1024;
 
@@ -81,8 +83,9 @@ fn cut(ring: &mut Ring, rounds: usize) -> Result<Vec<f64>> {
     Ok(gaps)
 }
 
-/// Has each of these names published at the robot's switch and read at the cloud's. Each statement waits until the switches hold what
-/// follows from it, so many are under way at once, as if of as many robots.
+/// Has each of these names published at the robot's switch and read at the cloud's. Each statement
+/// waits until the switches hold what follows from it, so many are under way at once, as if of as
+/// many robots.
 fn state(ring: &Ring, owner: &Owner, names: Range<usize>) -> Result<()> {
     let of_all = |i: usize| -> Result<Name> { Ok(ring.switches[i].name.parse()?) };
     let (robots, clouds) = (of_all(ROBOT_AT)?, of_all(CLOUD_AT)?);
@@ -96,8 +99,8 @@ fn state(ring: &Ring, owner: &Owner, names: Range<usize>) -> Result<()> {
     })
 }
 
-/// What one tool states, it states for an entity of its own: statements of one have to come in the order of their serials, which are above
-/// those of all that the RIB has forgotten.
+/// What one tool states, it states for an entity of its own: statements of one have to come in the
+/// order of their serials, which are above those of all that the RIB has forgotten.
 fn side(
     names: &Range<usize>,
     socket: &Path,
@@ -132,7 +135,8 @@ fn joined(thread: ScopedJoinHandle<Result<()>>) -> Result<()> {
     thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
-/// Milliseconds from the start of the daemon of the cloud's switch until the RIB has given it all names, each time it was killed.
+/// Milliseconds from the start of the daemon of the cloud's switch until the RIB has given it all
+/// names, each time it was killed.
 fn reconcile(ring: &mut Ring, rounds: usize, names: usize) -> Result<Vec<f64>> {
     let mut times = Vec::new();
     let pushes = names.div_ceil(NAMES_PER_PUSH) as u64;

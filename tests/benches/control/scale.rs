@@ -1,9 +1,11 @@
-//! Three tiers of domains in simulated time, with the RIBs that daemons run: one at the top, some in the middle, many at the edge, each
-//! with ten switches. Every name is published at the edge; of ten one is read at another domain of the edge. Then entities come and
-//! go, and what the RIBs tell each other is counted: messages, their bytes, the memory of each RIB, and how long it takes until a
-//! reader's RIB knows a writer.
+//! Three tiers of domains in simulated time, with the RIBs that daemons run: one at the top, some
+//! in the middle, many at the edge, each with ten switches. Every name is published at the edge; of
+//! ten one is read at another domain of the edge. Then entities come and go, and what the RIBs tell
+//! each other is counted: messages, their bytes, the memory of each RIB, and how long it takes
+//! until a reader's RIB knows a writer.
 //!
-//! All signatures are real, and verified by each RIB. Links take as long as they are said to; RIBs take no simulated time.
+//! All signatures are real, and verified by each RIB. Links take as long as they are said to; RIBs
+//! take no simulated time.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -120,7 +122,8 @@ struct World {
     domains: Vec<Domain>,
     index: BTreeMap<Name, usize>,
     travelling: BTreeMap<(Duration, u64), Travelling>,
-    /// One of each domain that has any: the more messages the more moments there would be, each of which costs a look at all neighbours.
+    /// One of each domain that has any: the more messages the more moments there would be, each of
+    /// which costs a look at all neighbours.
     ticks: BTreeSet<(Duration, usize)>,
     number: u64,
     random: u64,

@@ -1,5 +1,6 @@
-//! How many advertisements a RIB takes per second on one CPU, counted in the signatures it must verify for them, beside the same
-//! signatures verified and nothing else. No network: the RIB is called as its daemon calls it.
+//! How many advertisements a RIB takes per second on one CPU, counted in the signatures it must
+//! verify for them, beside the same signatures verified and nothing else. No network: the RIB is
+//! called as its daemon calls it.
 
 use std::time::{Duration, Instant};
 
@@ -17,7 +18,8 @@ use crate::owner::Owner;
 /// Statements of one measurement, all of other names.
 const STATEMENTS: usize = 4096;
 
-/// Signatures under an advertisement: the owner's under the certificate, the entity's under what it states.
+/// Signatures under an advertisement: the owner's under the certificate, the entity's under what it
+/// states.
 const SIGNATURES: f64 = 2.0;
 
 /// Of the rate of verifications alone.

@@ -1,9 +1,11 @@
-//! Nanoseconds that one frame spends in the switch, by `BPF_PROG_TEST_RUN`: no interface, no driver, hot caches.
+//! Nanoseconds that one frame spends in the switch, by `BPF_PROG_TEST_RUN`: no interface, no
+//! driver, hot caches.
 //!
-//! The kernel runs the program on one packet over and over, and the packet stays as the program left it. So the link that a frame
-//! leaves by here is the one that it came in on: under the same key, with its count one higher. Each run then meets a frame
-//! that is valid, fresh and correctly tagged, and the program is the shipped one. Only the hop limit runs out, after which the
-//! packet begins again.
+//! The kernel runs the program on one packet over and over, and the packet stays as the program
+//! left it. So the link that a frame leaves by here is the one that it came in on: under the same
+//! key, with its count one higher. Each run then meets a frame that is valid, fresh and correctly
+//! tagged, and the program is the shipped one. Only the hop limit runs out, after which the packet
+//! begins again.
 
 use std::cell::RefCell;
 use std::path::Path;

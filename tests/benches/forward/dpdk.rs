@@ -1,8 +1,10 @@
-//! Nanoseconds that a frame takes in a loop of DPDK: what `gdp-dpdk` does with a burst, between a device that makes packets from
-//! nothing and takes them back, so that no driver and no other core is measured. Beside it DPDK's `testpmd`, which swaps two addresses.
+//! Nanoseconds that a frame takes in a loop of DPDK: what `gdp-dpdk` does with a burst, between a
+//! device that makes packets from nothing and takes them back, so that no driver and no other core
+//! is measured. Beside it DPDK's `testpmd`, which swaps two addresses.
 //!
-//! `net_null` gives packets of whatever is in memory. So each gets a frame of its own before the loop sees it: made beforehand, with a
-//! count and a tag as its neighbour would send it. What that takes is measured by itself ([`FED`] beside [`EMPTY`]) and taken off.
+//! `net_null` gives packets of whatever is in memory. So each gets a frame of its own before the
+//! loop sees it: made beforehand, with a count and a tag as its neighbour would send it. What that
+//! takes is measured by itself ([`FED`] beside [`EMPTY`]) and taken off.
 
 use gdp_wire::hop;
 use std::cell::RefCell;
@@ -34,8 +36,8 @@ use crate::testpmd::Testpmd;
 
 const NAMES: u32 = 1 << 20;
 
-/// Frames made beforehand; then they come again. For the random names as many as there are names, so that their places in the table are
-/// in no cache.
+/// Frames made beforehand; then they come again. For the random names as many as there are names,
+/// so that their places in the table are in no cache.
 const FRAMES: [usize; 2] = [1 << 14, 1 << 20];
 
 /// Bytes of a packet: 64 of payload.
@@ -98,7 +100,8 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     Ok(vec![figure])
 }
 
-/// Headers of frames to a name each, as the neighbour on [`IN`] sends them; if they are few, all to the same.
+/// Headers of frames to a name each, as the neighbour on [`IN`] sends them; if they are few, all to
+/// the same.
 fn made(frames: usize) -> Vec<Header> {
     let link = LinkEntry { id: IN, peer_id: IN, tx_keys: [KEY; 2], ..LinkEntry::default() };
     let mut random = 0x9e37_79b9_7f4a_7c15_u64;
@@ -218,7 +221,8 @@ impl Site {
     }
 }
 
-/// What no switch can leave out: the tag that each frame must have, and the one that it leaves with.
+/// What no switch can leave out: the tag that each frame must have, and the one that it leaves
+/// with.
 fn make_tags(tags: &mut Tags, headers: &[Header]) {
     for _ in 0..2 {
         tags.clear();

@@ -1,4 +1,5 @@
-//! Processor time that a loop of DPDK takes while nothing arrives, by how long it may sleep: what a robot pays for a switch that waits.
+//! Processor time that a loop of DPDK takes while nothing arrives, by how long it may sleep: what a
+//! robot pays for a switch that waits.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

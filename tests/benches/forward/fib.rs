@@ -1,5 +1,5 @@
-//! The FIB with a million names, beside the kernel's own hash with the same names: what a lookup costs, how fast routes change,
-//! and what lookups cost meanwhile.
+//! The FIB with a million names, beside the kernel's own hash with the same names: what a lookup
+//! costs, how fast routes change, and what lookups cost meanwhile.
 
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, Ordering};

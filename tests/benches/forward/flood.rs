@@ -1,7 +1,9 @@
-//! Whether frames to a known name get through while an authorised endpoint asks for a million names that nobody has.
+//! Whether frames to a known name get through while an authorised endpoint asks for a million names
+//! that nobody has.
 //!
-//! The worst such endpoint: its frames are counted, tagged and fresh, so each is verified and looked up before it is dropped.
-//! It shares the link, the interface and the core with the frames to the known name, which come at a fixed rate.
+//! The worst such endpoint: its frames are counted, tagged and fresh, so each is verified and
+//! looked up before it is dropped. It shares the link, the interface and the core with the frames
+//! to the known name, which come at a fixed rate.
 
 use std::cell::RefCell;
 

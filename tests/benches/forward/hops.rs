@@ -5,9 +5,9 @@
 //!  generator                                     sink       (both XDP, the same for all)
 //! ```
 //!
-//! The generator does the same for all: its frames are counted and tagged even where nobody looks. What it and the sink cost is
-//! measured by itself, on a chain without a switch, and falls out of the cost of a hop, which is the difference of five hops
-//! and one.
+//! The generator does the same for all: its frames are counted and tagged even where nobody looks.
+//! What it and the sink cost is measured by itself, on a chain without a switch, and falls out of
+//! the cost of a hop, which is the difference of five hops and one.
 
 use anyhow::Result;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};

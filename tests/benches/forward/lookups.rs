@@ -1,5 +1,5 @@
-//! The lookup programs of `gdp-ebpf/src/bench_lookups.rs` and the tables they ask. Also for `tests/kernel_fib.rs`, which
-//! includes this file by its path.
+//! The lookup programs of `gdp-ebpf/src/bench_lookups.rs` and the tables they ask. Also for
+//! `tests/kernel_fib.rs`, which includes this file by its path.
 
 use std::path::Path;
 
@@ -50,8 +50,9 @@ pub fn load(object: &Path, names: u32) -> Result<(Lookups, Fib, Hash)> {
 }
 
 impl Lookups {
-    /// Has a program ask for `times` random names of the first `names`, a power of two, of which the first `kept` must be found.
-    /// Nanoseconds for each, with the making of the name and what a test run takes.
+    /// Has a program ask for `times` random names of the first `names`, a power of two, of which
+    /// the first `kept` must be found. Nanoseconds for each, with the making of the name and what a
+    /// test run takes.
     pub fn run(&mut self, program: &str, names: u64, kept: u64, times: u32) -> Result<(f64, Found)> {
         let before = self.found()?;
         let mut packet = [0; 128];

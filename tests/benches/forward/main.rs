@@ -1,19 +1,24 @@
-//! What forwarding costs, beside what else could forward, in the same run. Run by `cargo xtask bench forward`; needs root.
+//! What forwarding costs, beside what else could forward, in the same run. Run by `cargo xtask
+//! bench forward`; needs root.
 //!
 //! One file a row of the figures, each a function from [`Bench`] to [`Figure`]s:
 //!
 //! - [`cost`]: nanoseconds of one frame in the switch, by test runs
-//! - [`dpdk`]: the same in a loop of DPDK, beside [`testpmd`]; [`dpdk_idle`]: what the loop takes while nothing arrives
-//! - [`fib`]: lookups in a FIB of a million names (programs and tables: [`lookups`]), and changes of it
+//! - [`dpdk`]: the same in a loop of DPDK, beside [`testpmd`]; [`dpdk_idle`]: what the loop takes
+//!   while nothing arrives
+//! - [`fib`]: lookups in a FIB of a million names (programs and tables: [`lookups`]), and changes
+//!   of it
 //! - [`hops`]: frames per second through chains of switches
 //! - [`crossings`]: frames per second between links of several kinds
 //! - [`replication`]: what a copy costs
 //! - [`updates`]: frames per second while routes change
 //! - [`flood`]: frames to known names while others ask for unknown ones
-//! - [`senders`]: what the first switch costs a program that sends by a socket (other ways to send: [`rings`])
+//! - [`senders`]: what the first switch costs a program that sends by a socket (other ways to send:
+//!   [`rings`])
 //!
-//! They are made from [`path`] and [`star`] (what forwards; on [`switch`]), [`traffic`] (generators and sink), and
-//! [`gdp_tests::measure`] (in turn, where, results). [`series`] names who is compared.
+//! They are made from [`path`] and [`star`] (what forwards; on [`switch`]), [`traffic`] (generators
+//! and sink), and [`gdp_tests::measure`] (in turn, where, results). [`series`] names who is
+//! compared.
 //!
 //! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`.
 
@@ -105,8 +110,9 @@ const ROWS: [(&str, Row<Bench>); 12] = [
     ("senders", senders::run),
 ];
 
-/// A host has one switch, which looks at every batch of redirected frames for losses. Here hosts are namespaces of one machine; so
-/// one plane does it for all, and also beside what is compared with the switch.
+/// A host has one switch, which looks at every batch of redirected frames for losses. Here hosts
+/// are namespaces of one machine; so one plane does it for all, and also beside what is compared
+/// with the switch.
 fn count_losses(bench: &Bench) -> Result<KernelPlane> {
     const LOOPBACK: u32 = 1;
     let mut plane = KernelPlane::load(&bench.ebpf_object, 1)?;

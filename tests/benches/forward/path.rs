@@ -98,7 +98,8 @@ impl Path {
         }
         if kind == Kind::Ip {
             chain.become_ip_routers()?;
-            // The sink drops what the cloud would answer ARP with only if it is long: this resolves the last hop.
+            // The sink drops what the cloud would answer ARP with only if it is long: this resolves
+            // the last hop.
             know_neighbour(&chain.switches()[hops - 1], "r0", link_ip(Medium::Udp4, hops, 2), mac(hops, 2))?;
         }
         let udp = |medium, to| Carrier::Udp { from: link_socket(medium, 0, 1), to, class: 0 };
@@ -128,13 +129,15 @@ impl Path {
         &self.chain.nodes()[1]
     }
 
-    /// Lets frames into the first switch by another interface. They come on the link that they name, as on any interface.
+    /// Lets frames into the first switch by another interface. They come on the link that they
+    /// name, as on any interface.
     pub fn attach_to_first_switch(&mut self, interface: &str) -> Result<()> {
         let switch = self.switches.first_mut().context("a path with switches")?;
         switch.attach(&self.chain.nodes()[1].enter()?, interface).map(drop)
     }
 
-    /// What to send from the robot, in packets of this length: GDP frames, each with its count and tag, also where nobody looks.
+    /// What to send from the robot, in packets of this length: GDP frames, each with its count and
+    /// tag, also where nobody looks.
     pub fn frames(&self, length: usize) -> Frames {
         let header_at = self.around();
         let frame = Frame {
@@ -160,7 +163,8 @@ impl Path {
         self.carrier.carry([0; 6], [0; 6], 0, &[]).len()
     }
 
-    /// The frames took the way that was to be measured, and no other. `may`: drops that belong to the measurement.
+    /// The frames took the way that was to be measured, and no other. `may`: drops that belong to
+    /// the measurement.
     pub fn check(&self, may: Option<Counter>) -> Result<()> {
         for (i, switch) in self.switches.iter().enumerate() {
             let expected = if i + 1 == self.switches.len() { Counter::Delivered } else { Counter::Forwarded };
@@ -182,7 +186,8 @@ impl Redirect {
     }
 }
 
-/// A veth takes redirected frames if its peer has GRO on; the kernel notices a change only while that peer is up.
+/// A veth takes redirected frames if its peer has GRO on; the kernel notices a change only while
+/// that peer is up.
 pub fn refresh_gro(node: &Namespace) -> Result<()> {
     let links = node.ip(&["-o", "link"])?;
     for interface in ["l0", "r0"].iter().filter(|name| links.contains(&format!(" {name}@"))) {

@@ -1,4 +1,5 @@
-//! What a copy costs, beside a frame to one reader through the same switch: to readers behind an interface each, and behind one.
+//! What a copy costs, beside a frame to one reader through the same switch: to readers behind an
+//! interface each, and behind one.
 //!
 //! ```text
 //!                            ┌ p1 ──── w1  reader
@@ -22,8 +23,8 @@ use crate::traffic::{Frames, Sink, Spread, Traffic};
 const COPIES: [usize; 3] = [2, 8, 64];
 const MOST: usize = COPIES[COPIES.len() - 1];
 
-/// Frames under way to one interface that has several readers. The switch makes all copies of the frames that it has before any of
-/// them is taken, and they must fit a veth's ring of 256.
+/// Frames under way to one interface that has several readers. The switch makes all copies of the
+/// frames that it has before any of them is taken, and they must fit a veth's ring of 256.
 const ONE_RING: u64 = 128;
 
 const COPY: &str = "a copy";

@@ -1,6 +1,6 @@
-//! Two ways to hand frames to an Ethernet interface by memory that is shared with the kernel, as alternatives to what endpoints do:
-//! the transmit ring of a packet socket, and an AF_XDP socket (by copies, the only way that veths have). Just enough of
-//! each to be measured.
+//! Two ways to hand frames to an Ethernet interface by memory that is shared with the kernel, as
+//! alternatives to what endpoints do: the transmit ring of a packet socket, and an AF_XDP socket
+//! (by copies, the only way that veths have). Just enough of each to be measured.
 
 use std::io;
 use std::mem::{size_of, zeroed};
@@ -180,8 +180,8 @@ impl Mapping {
 
     fn word(&self, at: usize) -> &AtomicU32 {
         assert!(at.is_multiple_of(4) && at + 4 <= self.length);
-        // SAFETY: within the mapping, aligned (mappings begin at pages), and only used by atomic operations where the kernel
-        // writes.
+        // SAFETY: within the mapping, aligned (mappings begin at pages), and only used by atomic
+        // operations where the kernel writes.
         unsafe { &*self.address.add(at).cast() }
     }
 

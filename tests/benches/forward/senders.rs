@@ -1,14 +1,17 @@
-//! What a frame costs a program that sends by a socket, up to the first XDP hop and through it; and what other ways there are to
-//! hand frames to the kernel.
+//! What a frame costs a program that sends by a socket, up to the first XDP hop and through it; and
+//! what other ways there are to hand frames to the kernel.
 //!
-//! A socket's packet is not what XDP works on: a veth copies each into a page of its own before it runs the program, because
-//! sockets allocate packets where XDP may not have them (`skb_head_is_locked` in the kernel's `veth_convert_skb_to_xdp_buff`).
-//! Here each kind of socket sends to an interface without a program, whose stack drops the frame at once; to one with a program
-//! that drops it; and through a switch. What the second takes more than the first is the conversion, less what the stack
-//! would have taken. The way around the conversion is a TAP device whose other end is the switch's: what a program writes to it
-//! goes into such a page at once, and XDP sees it before there is a packet of the kind that sockets make.
+//! A socket's packet is not what XDP works on: a veth copies each into a page of its own before it
+//! runs the program, because sockets allocate packets where XDP may not have them
+//! (`skb_head_is_locked` in the kernel's `veth_convert_skb_to_xdp_buff`). Here each kind of socket
+//! sends to an interface without a program, whose stack drops the frame at once; to one with a
+//! program that drops it; and through a switch. What the second takes more than the first is the
+//! conversion, less what the stack would have taken. The way around the conversion is a TAP device
+//! whose other end is the switch's: what a program writes to it goes into such a page at once, and
+//! XDP sees it before there is a packet of the kind that sockets make.
 //!
-//! Endpoints use `AF_PACKET` (`sendmmsg`) and `UDP` (runs of frames as one piece); the others are what that was chosen from.
+//! Endpoints use `AF_PACKET` (`sendmmsg`) and `UDP` (runs of frames as one piece); the others are
+//! what that was chosen from.
 
 use gdp_wire::hop;
 use std::fs::File;
@@ -166,7 +169,8 @@ impl Sender {
         let (header, _) = header.ok().context("a frame has a header")?;
         if matches!(medium, Medium::Udp | Medium::SingleUdp) {
             robot.ip(&["addr", "add", "10.9.0.1/24", "dev", "r0"])?;
-            // No interface has this address: a stack drops what is sent there at its first look. The switch does not look.
+            // No interface has this address: a stack drops what is sent there at its first look.
+            // The switch does not look.
             know_neighbour(robot, "r0", switch::link_ip(switch::Medium::Udp4, 0, 2), [2, 0, 0, 0, 0xff, 0xff])?;
         }
         let _inside = if medium == Medium::Tap { path.first_hop().enter()? } else { robot.enter()? };
@@ -203,7 +207,8 @@ impl Sender {
         Ok(Self { exit, link: frames.link, count: 0, headers, payload, _runtime: runtime })
     }
 
-    /// Nanoseconds a frame. A veth's other end works on the sender's core, within the system call that sends.
+    /// Nanoseconds a frame. A veth's other end works on the sender's core, within the system call
+    /// that sends.
     fn send_for(&mut self, duration: Duration, sink: Option<&Sink>) -> Result<Sample> {
         let arrived = || sink.map_or(Ok(0), Sink::arrived);
         let before = arrived()?;

@@ -113,7 +113,8 @@ impl Switch {
         Ok(self.planes.set_route(Name::from_bytes([0xd1; 32]), &route)?)
     }
 
-    /// Takes over what arrives on an interface of the network namespace that the calling thread is in; its index.
+    /// Takes over what arrives on an interface of the network namespace that the calling thread is
+    /// in; its index.
     pub fn attach(&mut self, _inside: &Entered, interface: &str) -> Result<u32> {
         let _within = self.runtime.enter();
         let port = Port::ethernet(interface, &PortConfig::switch(Identity::generate("switch")?, LinkIds::new()))?;
@@ -133,7 +134,8 @@ impl Switch {
         Ok(())
     }
 
-    /// Frames were counted under `expected`, by one plane alone, and dropped for no reason but what `may` be.
+    /// Frames were counted under `expected`, by one plane alone, and dropped for no reason but what
+    /// `may` be.
     pub fn check(&self, expected: Counter, in_kernel: bool, may: Option<Counter>) -> Result<()> {
         for (counter, kernel, userspace) in self.planes.counters()? {
             let (ours, other) = if in_kernel { (kernel, userspace) } else { (userspace, kernel) };
@@ -159,8 +161,8 @@ fn ports(driver: &str) -> Vec<DpdkPort> {
     ["l0", "r0"].map(port).into()
 }
 
-/// A link with one key for both directions; the neighbour calls it LEFT, because frames go to the right. `link`: its place in the
-/// chain. `ends`: the neighbour's and ours, 1 or 2.
+/// A link with one key for both directions; the neighbour calls it LEFT, because frames go to the
+/// right. `link`: its place in the chain. `ends`: the neighbour's and ours, 1 or 2.
 pub fn link(endpoint: bool, link: usize, (peer, own): (u8, u8), medium: Medium) -> LinkEntry {
     let (kind, peer_ip) = ip_words(link_ip(medium, link, peer));
     let carrier = match medium {

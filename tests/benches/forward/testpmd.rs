@@ -1,4 +1,5 @@
-//! DPDK's own forwarder, to compare with: it swaps the MAC addresses of what arrives and sends it on, and looks at nothing else.
+//! DPDK's own forwarder, to compare with: it swaps the MAC addresses of what arrives and sends it
+//! on, and looks at nothing else.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -21,7 +22,8 @@ pub struct Testpmd {
 }
 
 impl Testpmd {
-    /// `at`: makes a command where it is to run. Forwards between these devices, or what comes from one to itself.
+    /// `at`: makes a command where it is to run. Forwards between these devices, or what comes from
+    /// one to itself.
     pub fn start(at: impl FnOnce(Program) -> Result<Command>, devices: &[String]) -> Result<Self> {
         // Line by line: otherwise answers would wait for more of them.
         let mut command = at(Program::Stdbuf)?;

@@ -1,7 +1,7 @@
 //! Generators and sink: the programs of `gdp-ebpf/src/bench.rs` at the two ends of a chain.
 //!
-//! XDP programs and the kernel's routers run on the generator's core, which is how veths work, and there it stays; the threads of
-//! the userspace plane take whatever is left.
+//! XDP programs and the kernel's routers run on the generator's core, which is how veths work, and
+//! there it stays; the threads of the userspace plane take whatever is left.
 
 use std::path::Path;
 use std::sync::mpsc;
@@ -26,8 +26,8 @@ use crate::Bench;
 /// Frames the kernel sends at a time: a quarter of a veth's ring.
 const BATCH: u64 = 64;
 
-/// Frames under way at most. Less than a veth's ring of 256 would hold back the planes that work in batches; more than the
-/// receive buffer of a packet socket takes would lose frames.
+/// Frames under way at most. Less than a veth's ring of 256 would hold back the planes that work in
+/// batches; more than the receive buffer of a packet socket takes would lose frames.
 const WINDOW: u64 = 1024;
 
 /// How long the kernel may take to begin with a test run.
@@ -196,13 +196,14 @@ impl Traffic {
         self.frames = Frames { frame, spread, ..self.frames.clone() };
     }
 
-    /// Frames per second that arrive, sent as fast as they do: a number of frames is kept under way, so that a rate is one without
-    /// loss.
+    /// Frames per second that arrive, sent as fast as they do: a number of frames is kept under
+    /// way, so that a rate is one without loss.
     pub fn rate(&mut self, duration: Duration) -> Result<Sample> {
         self.run("generate", Offered { known: 0, unknown: 0 }, duration).map(|run| run.known)
     }
 
-    /// Frames to the known name per second that arrive while others ask for unknown names, both at a fixed rate.
+    /// Frames to the known name per second that arrive while others ask for unknown names, both at
+    /// a fixed rate.
     pub fn flood(&mut self, offered: Offered, duration: Duration) -> Result<Run> {
         self.run("flood", offered, duration)
     }
@@ -291,7 +292,8 @@ impl Frames {
         }
     }
 
-    /// Frames the kernel sends at a time: no more than may be under way, because it asks for the others in vain.
+    /// Frames the kernel sends at a time: no more than may be under way, because it asks for the
+    /// others in vain.
     fn batch(&self) -> u32 {
         (self.spread.window / self.spread.copies).clamp(1, BATCH) as u32
     }

@@ -1,8 +1,10 @@
-//! Whether live frames are forwarded as fast while routes change: through one XDP switch with a million other names, beside a
-//! thread that replaces their routes, and the frames' own, through the mapping as fast as it can.
+//! Whether live frames are forwarded as fast while routes change: through one XDP switch with a
+//! million other names, beside a thread that replaces their routes, and the frames' own, through
+//! the mapping as fast as it can.
 //!
-//! The generator, and with it the switch, has one CPU; that thread another. What a busy neighbour costs by itself (shared caches and
-//! memory, a shared core where the two CPUs are threads of one) is measured as well: the same changes to a FIB that nobody reads.
+//! The generator, and with it the switch, has one CPU; that thread another. What a busy neighbour
+//! costs by itself (shared caches and memory, a shared core where the two CPUs are threads of one)
+//! is measured as well: the same changes to a FIB that nobody reads.
 
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -76,7 +78,8 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     Ok(vec![figure, changes])
 }
 
-/// A switch between the two interfaces of a node. Its FIB is written without what a daemon keeps besides, so as fast as can be.
+/// A switch between the two interfaces of a node. Its FIB is written without what a daemon keeps
+/// besides, so as fast as can be.
 fn start(path: &Path, bench: &Bench) -> Result<KernelPlane> {
     let _inside = path.first_hop().enter()?;
     let mut plane = KernelPlane::load(&bench.ebpf_object, CAPACITY)?;
@@ -92,7 +95,8 @@ fn start(path: &Path, bench: &Bench) -> Result<KernelPlane> {
     Ok(plane)
 }
 
-/// What `measure` finds beside a thread that changes routes, and how many of them changed in a second.
+/// What `measure` finds beside a thread that changes routes, and how many of them changed in a
+/// second.
 fn while_changing(
     plane: &mut KernelPlane,
     versions: &[Routes; 2],

@@ -1,5 +1,6 @@
-//! How frames get from one endpoint to another on the switch's own host: one-way latency and frames per second, three ways. Run by
-//! `cargo xtask bench local`; needs root, though of the endpoints only those on packet sockets do.
+//! How frames get from one endpoint to another on the switch's own host: one-way latency and frames
+//! per second, three ways. Run by `cargo xtask bench local`; needs root, though of the endpoints
+//! only those on packet sockets do.
 //!
 //! ```text
 //!  daemon   writer ── lo ── userspace plane ── lo ── reader                 (UDP)
@@ -7,8 +8,9 @@
 //!  pair     writer ── gdp…h ═ gdp…s ── XDP ── gdp…s ═ gdp…h ── reader       (UDP)
 //! ```
 //!
-//! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`; the sockets are those of the
-//! SDK. All ways exist at once and are measured in turn; a ratio is the median of the rounds' ratios.
+//! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`;
+//! the sockets are those of the SDK. All ways exist at once and are measured in turn; a ratio is
+//! the median of the rounds' ratios.
 
 mod way;
 
@@ -43,7 +45,8 @@ struct Options {
 #[derive(Serialize)]
 struct Row {
     kind: Kind,
-    /// One way, of single frames at 2 kHz, in microseconds: medians of the rounds' median and 99th percentile.
+    /// One way, of single frames at 2 kHz, in microseconds: medians of the rounds' median and 99th
+    /// percentile.
     p50_us: f64,
     p99_us: f64,
     /// Frames of 1300 B of payload per second, so many under way that none is lost.

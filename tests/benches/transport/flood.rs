@@ -1,6 +1,6 @@
-//! Whether messages at a fixed rate get through while an attacker floods the link that they come by: frames that a key made, which
-//! the attacker has not. Both ends share one CPU; the attacker has the other. With what the floods made the receiving end drop, and
-//! what memory they cost.
+//! Whether messages at a fixed rate get through while an attacker floods the link that they come
+//! by: frames that a key made, which the attacker has not. Both ends share one CPU; the attacker
+//! has the other. With what the floods made the receiving end drop, and what memory they cost.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;

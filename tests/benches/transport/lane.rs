@@ -67,7 +67,8 @@ impl Lane {
         self.load.bytes
     }
 
-    /// Sends until the lane is stopped, and then keeps the sender: what it has taken may still be under way.
+    /// Sends until the lane is stopped, and then keeps the sender: what it has taken may still be
+    /// under way.
     pub async fn feed(self: Arc<Self>, mut sender: impl Sender) {
         let fed = self.try_feed(&mut sender).await;
         self.note(fed);

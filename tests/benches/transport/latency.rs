@@ -1,5 +1,5 @@
-//! How long messages take that come at a fixed rate over a bad link: from when each was due to when it was there, in one piece and
-//! verified.
+//! How long messages take that come at a fixed rate over a bad link: from when each was due to when
+//! it was there, in one piece and verified.
 
 use std::cell::RefCell;
 use std::time::Duration;

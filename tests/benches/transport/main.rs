@@ -1,20 +1,22 @@
-//! Messages from one program to another: this SDK beside QUIC and beside TLS over TCP, in the same namespaces in the same run. Run by
-//! `cargo xtask bench transport`; needs root.
+//! Messages from one program to another: this SDK beside QUIC and beside TLS over TCP, in the same
+//! namespaces in the same run. Run by `cargo xtask bench transport`; needs root.
 //!
 //! ```text
 //!  robot r0 ── l0 s1 r0 ── [wire] ── l0 cloud        s1: the XDP switch for frames of GDP, a router for IP
 //!  CPU 0                             CPU 1
 //! ```
 //!
-//! One file a row of the figures, each a function from [`Bench`] to [`Figure`](gdp_tests::measure::figure::Figure)s:
+//! One file a row of the figures, each a function from [`Bench`] to
+//! [`Figure`](gdp_tests::measure::figure::Figure)s:
 //!
 //! - [`throughput`]: bytes per second by size of message, and what a gigabyte costs
 //! - [`latency`]: messages at fixed rates over bad links
 //! - [`signing`]: messages sealed and opened per second, without a network
 //! - [`flood`]: messages at a fixed rate while an attacker floods their link
 //!
-//! They are made from [`site`] (the network and the switch), [`lane`] (what is sent, and what became of it), [`run`] (both together,
-//! for a while) and [`usage`] (CPU time and memory); [`ours`], [`quic`] and [`tls`] are the contenders, and each knows nothing but [`lane`] and
+//! They are made from [`site`] (the network and the switch), [`lane`] (what is sent, and what
+//! became of it), [`run`] (both together, for a while) and [`usage`] (CPU time and memory);
+//! [`ours`], [`quic`] and [`tls`] are the contenders, and each knows nothing but [`lane`] and
 //! [`site`].
 
 mod flood;

@@ -1,11 +1,12 @@
-//! This SDK: a node at each end, a name for each lane. All that the benchmark knows of the SDK's transport is here.
+//! This SDK: a node at each end, a name for each lane. All that the benchmark knows of the SDK's
+//! transport is here.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{PublishOptions, Publisher, SETTLING, SubscribeOptions, Subscription, Wants};
+use gdp::{Node, NodeConfig};
+use gdp::{PublishOptions, Publisher, SETTLING, SubscribeOptions, Subscription, Wants};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
@@ -132,7 +133,8 @@ struct Ours {
 
 impl Sender for Ours {
     async fn send(&mut self, body: &[u8]) -> Result<()> {
-        // What is reliable waits for room by itself; what is not would replace what has not gone yet.
+        // What is reliable waits for room by itself; what is not would replace what has not gone
+        // yet.
         if !self.reliable {
             self.publisher.ready().await?;
         }

@@ -16,7 +16,8 @@ use crate::tls;
 /// As it comes.
 pub const CUBIC: &str = "quinn";
 
-/// With the congestion controller that does not take a loss for congestion; quinn calls its own experimental.
+/// With the congestion controller that does not take a loss for congestion; quinn calls its own
+/// experimental.
 pub const BBR: &str = "quinn (BBR)";
 
 const PORT: u16 = 4433;

@@ -38,20 +38,23 @@ pub struct Seen {
     pub cpus: f64,
     /// What the cloud dropped per second, by reason.
     pub drops: BTreeMap<&'static str, f64>,
-    /// Bytes of memory that this process has resident, with both ends in it: as the while began, and as it ended.
+    /// Bytes of memory that this process has resident, with both ends in it: as the while began,
+    /// and as it ended.
     pub resident: [f64; 2],
     /// One for each lane.
     pub lanes: Vec<SeenLane>,
 }
 
 pub struct SeenLane {
-    /// Messages per second, from one arrival to another, so that it does not matter what was under way as the while began or ended.
+    /// Messages per second, from one arrival to another, so that it does not matter what was under
+    /// way as the while began or ended.
     pub rate: f64,
     /// Bytes of their bodies.
     pub bytes_per_second: f64,
     /// Nanoseconds, sorted.
     pub latencies: Vec<u64>,
-    /// Messages from the beginning to the end, also those before the while. Lost is also what came too late for the end.
+    /// Messages from the beginning to the end, also those before the while. Lost is also what came
+    /// too late for the end.
     pub sent: u64,
     pub lost: u64,
 }

@@ -1,4 +1,5 @@
-//! Signed messages of 64 B per second, straight through `gdp_e2e::seal` on one CPU: sealed and signed in batches, opened and verified.
+//! Signed messages of 64 B per second, straight through `gdp_e2e::seal` on one CPU: sealed and
+//! signed in batches, opened and verified.
 
 use std::time::{Duration, Instant};
 

@@ -34,7 +34,8 @@ pub struct Site {
     _files: tempfile::TempDir,
 }
 
-/// One end with what runs there: a single thread that stays on its CPU, as do the threads that it starts.
+/// One end with what runs there: a single thread that stays on its CPU, as do the threads that it
+/// starts.
 pub struct End {
     pub inside: Inside,
     /// Its interface.
@@ -91,7 +92,8 @@ impl Site {
     /// New ends on these CPUs.
     pub fn ends(&self, [robot, cloud]: [usize; 2]) -> Result<Ends> {
         let (from, to) = self.chain.ip_ends();
-        // Its address on either subnet: the switch is the second host of the robot's, and the first of the cloud's.
+        // Its address on either subnet: the switch is the second host of the robot's, and the first
+        // of the cloud's.
         let [from, to]: [Ipv4Addr; 2] = [from.parse()?, to.parse()?];
         let switch = |end: Ipv4Addr, host| (Ipv4Addr::from_octets([10, 9, end.octets()[2], host]), PORT).into();
         let end = |namespace: &Namespace, cpu, interface, address, switch| {
@@ -107,7 +109,8 @@ impl Site {
         &self.chain
     }
 
-    /// Nothing was lost but by what was measured: a bad cable kept up with its frames, and the switch with those of GDP.
+    /// Nothing was lost but by what was measured: a bad cable kept up with its frames, and the
+    /// switch with those of GDP.
     pub fn check(&self) -> Result<()> {
         if let Some(wire) = &self.wire {
             wire.check()?;

@@ -1,5 +1,5 @@
-//! Bytes per second of messages of one size, each sent as soon as the one before is taken, and the CPU time that a gigabyte costs
-//! both ends. Only complete messages count.
+//! Bytes per second of messages of one size, each sent as soon as the one before is taken, and the
+//! CPU time that a gigabyte costs both ends. Only complete messages count.
 
 use std::cell::RefCell;
 

@@ -1,5 +1,6 @@
-//! Memory of this process, and CPU time: of this process's threads in a site's namespaces, and of the kernel's threads that finish what interrupts began. What an
-//! interrupt does itself is counted to the thread that it interrupts, which is one of those on an otherwise idle machine.
+//! Memory of this process, and CPU time: of this process's threads in a site's namespaces, and of
+//! the kernel's threads that finish what interrupts began. What an interrupt does itself is counted
+//! to the thread that it interrupts, which is one of those on an otherwise idle machine.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -28,7 +29,8 @@ impl Meter {
         Ok(Self { namespaces, kernel: processes.filter(is_softirq).collect() })
     }
 
-    /// Since the threads began. Of a thread that ends nothing is left, so none should between two calls.
+    /// Since the threads began. Of a thread that ends nothing is left, so none should between two
+    /// calls.
     pub fn total(&self) -> Result<Duration> {
         let mut total = Duration::ZERO;
         for entry in fs::read_dir("/proc/self/task")? {

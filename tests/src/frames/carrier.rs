@@ -1,4 +1,5 @@
-//! What carries GDP frames, byte by byte after the RFCs: Ethernet, IEEE 802.1Q, RFC 791 and 768, RFC 8200.
+//! What carries GDP frames, byte by byte after the RFCs: Ethernet, IEEE 802.1Q, RFC 791 and 768,
+//! RFC 8200.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4, SocketAddrV6};
 

@@ -1,7 +1,7 @@
 //! `tests/fixtures/frames.json`: one switch, and what it does with each of many frames.
 //!
-//! Byte strings are hexadecimal; where a long frame ends in zeros they are counted instead of written. Everything else
-//! is as a reader of `docs/wire-format.md` expects.
+//! Byte strings are hexadecimal; where a long frame ends in zeros they are counted instead of
+//! written. Everything else is as a reader of `docs/wire-format.md` expects.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -68,7 +68,8 @@ pub struct Link {
 pub struct Udp {
     pub local: SocketAddr,
     pub peer: SocketAddr,
-    /// Whether the kernel is to ask for the next hop; over IPv6, because the neighbour takes datagrams without a checksum.
+    /// Whether the kernel is to ask for the next hop; over IPv6, because the neighbour takes
+    /// datagrams without a checksum.
     pub routed: bool,
 }
 
@@ -112,7 +113,8 @@ pub struct Case {
     pub userspace: Option<Expected>,
 }
 
-/// What becomes of a frame. Exactly one counter goes up, by one; and those of its copies, each by one.
+/// What becomes of a frame. Exactly one counter goes up, by one; and those of its copies, each by
+/// one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Expected {
     pub verdict: Verdict,
@@ -258,7 +260,8 @@ impl Switch {
             .map(|(group, route)| (group, &route.readers[..]))
     }
 
-    /// The groups as the kernel holds them: the links that it copies to, and the egress bits that lead to no others.
+    /// The groups as the kernel holds them: the links that it copies to, and the egress bits that
+    /// lead to no others.
     pub fn kernel_groups(&self) -> impl Iterator<Item = (u32, Vec<&Link>, u64)> {
         self.groups_with_neighbours().map(|(group, links)| {
             let (members, others): (Vec<_>, Vec<_>) =
@@ -343,7 +346,8 @@ impl Link {
         }
     }
 
-    /// The MAC addresses that packets of the link go between: the neighbour's, or the gateway's, and ours.
+    /// The MAC addresses that packets of the link go between: the neighbour's, or the gateway's,
+    /// and ours.
     pub fn stations(&self) -> [[u8; 6]; 2] {
         [mac(&self.peer_mac), mac(&self.local_mac)]
     }

@@ -1,8 +1,9 @@
-//! Frames by the million for one switch: most of them what its neighbours would send, the others wrong in one or a few ways that
-//! somebody who knows the format might try. A seed says which; the same seed, the same frames.
+//! Frames by the million for one switch: most of them what its neighbours would send, the others
+//! wrong in one or a few ways that somebody who knows the format might try. A seed says which; the
+//! same seed, the same frames.
 //!
-//! What comes out is a sequence: counts go up link by link, and earlier frames come again. Every plane that is to be compared gets
-//! all of it, in order.
+//! What comes out is a sequence: counts go up link by link, and earlier frames come again. Every
+//! plane that is to be compared gets all of it, in order.
 
 use super::carrier::Carrier;
 use super::fixtures::{self, Link, Role, Switch};
@@ -90,7 +91,8 @@ impl Generator {
         frame
     }
 
-    /// A frame in what carries it. Where it comes in says nothing of its link, so any carrier will do for any frame.
+    /// A frame in what carries it. Where it comes in says nothing of its link, so any carrier will
+    /// do for any frame.
     fn carried(&mut self) -> Vec<u8> {
         let mut frame = self.gdp();
         frame.carrier = self.random.one_of(&self.carriers);
@@ -217,7 +219,8 @@ impl Generator {
         }
     }
 
-    /// Tags a frame as the neighbour would that its link id and flags speak of, under the count that is up.
+    /// Tags a frame as the neighbour would that its link id and flags speak of, under the count
+    /// that is up.
     fn tag_again(&mut self, frame: &mut [u8]) {
         let Some(place) = self.switch.find(frame) else { return };
         let Some(header) = frame[place.at..].first_chunk_mut::<HEADER>() else { return };

@@ -1,7 +1,9 @@
-//! Frames for tests, byte by byte after `docs/wire-format.md` and not through `gdp_wire::Header`, so that a mistake in
-//! the one does not hide in the other. [`fixtures`] is the file of forwarding cases that every data plane runs, [`generate`] makes others by the million.
+//! Frames for tests, byte by byte after `docs/wire-format.md` and not through `gdp_wire::Header`,
+//! so that a mistake in the one does not hide in the other. [`fixtures`] is the file of forwarding
+//! cases that every data plane runs, [`generate`] makes others by the million.
 //!
-//! Depends on `gdp-wire`, `serde` and `serde_json` alone: the unit tests of `gdp-wire` include it by path.
+//! Depends on `gdp-wire`, `serde` and `serde_json` alone: the unit tests of `gdp-wire` include it
+//! by path.
 #![allow(dead_code, reason = "each test that includes this uses a part of it")]
 
 pub mod carrier;
@@ -11,7 +13,8 @@ pub mod generate;
 use carrier::Carrier;
 use gdp_wire::siphash::siphash24;
 
-/// An Ethernet frame that carries a GDP data frame, directly or in what else `carrier` says. Start from `Frame::default()` and name what differs.
+/// An Ethernet frame that carries a GDP data frame, directly or in what else `carrier` says. Start
+/// from `Frame::default()` and name what differs.
 #[derive(Clone, Debug)]
 pub struct Frame {
     pub to_mac: [u8; 6],
@@ -28,7 +31,8 @@ pub struct Frame {
     pub header_words: u8,
     pub reserved: u8,
     pub link_id: u32,
-    /// The sender's count of frames on the link; the header has its low half, the tag covers all of it.
+    /// The sender's count of frames on the link; the header has its low half, the tag covers all of
+    /// it.
     pub link_counter: u64,
     /// `None`: made with `key`.
     pub tag: Option<u64>,
@@ -106,8 +110,8 @@ impl Frame {
     }
 }
 
-/// The hop tag: SipHash-2-4 over the header without bytes 16 to 23, where the tag itself goes, and with the high half of
-/// the link's count on top of the link id.
+/// The hop tag: SipHash-2-4 over the header without bytes 16 to 23, where the tag itself goes, and
+/// with the high half of the link's count on top of the link id.
 pub fn hop_tag(key: [u64; 2], count: u64, header: &[u8; 96]) -> u64 {
     let mut header = *header;
     for (byte, high) in header[8..12].iter_mut().zip(((count >> 32) as u32).to_be_bytes()) {

@@ -1,4 +1,5 @@
-//! Which CPUs work. What is measured has one of its own; what is to disturb it, or its other end, gets another.
+//! Which CPUs work. What is measured has one of its own; what is to disturb it, or its other end,
+//! gets another.
 
 use anyhow::{Result, ensure};
 

@@ -1,5 +1,5 @@
-//! Results: what was measured, and how it compares. The JSON of `bench … --json` is these types; a change of their meaning
-//! raises [`VERSION`]. How they look to people is in `table` and `plot`.
+//! Results: what was measured, and how it compares. The JSON of `bench … --json` is these types; a
+//! change of their meaning raises [`VERSION`]. How they look to people is in `table` and `plot`.
 
 use std::path::Path;
 
@@ -68,7 +68,8 @@ pub struct Measure {
     pub rounds: Vec<f64>,
 }
 
-/// How many times as much `series` reached as `over`: of the rounds' ratios, because what else the machine does changes both.
+/// How many times as much `series` reached as `over`: of the rounds' ratios, because what else the
+/// machine does changes both.
 #[derive(Serialize)]
 pub struct Ratio {
     pub series: &'static str,

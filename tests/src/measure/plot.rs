@@ -1,4 +1,5 @@
-//! Results as pictures: what was measured in `NAME.svg`, ratios and their aims in `NAME-ratios.svg`.
+//! Results as pictures: what was measured in `NAME.svg`, ratios and their aims in
+//! `NAME-ratios.svg`.
 
 use std::path::Path;
 

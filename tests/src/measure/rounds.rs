@@ -1,5 +1,5 @@
-//! Contenders are measured in turn, round after round, so that whatever else the machine does meets all of them; every other
-//! round goes backwards, so that none always follows the same one.
+//! Contenders are measured in turn, round after round, so that whatever else the machine does meets
+//! all of them; every other round goes backwards, so that none always follows the same one.
 
 use anyhow::{Context, Result};
 

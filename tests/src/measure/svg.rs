@@ -1,5 +1,5 @@
-//! Horizontal bars as SVG: groups of rows, each row a label, a bar of one or more segments, and a text. The same input gives the
-//! same bytes. Knows nothing of what is measured.
+//! Horizontal bars as SVG: groups of rows, each row a label, a bar of one or more segments, and a
+//! text. The same input gives the same bytes. Knows nothing of what is measured.
 
 use std::fmt::Write;
 
@@ -100,7 +100,8 @@ fn rectangle(out: &mut String, (x, y): (f64, f64), (width, height): (f64, f64), 
 fn line(out: &mut String, (x1, y1): (f64, f64), (x2, y2): (f64, f64), width: f64) {
     let _ = writeln!(
         out,
-        "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" stroke=\"#222222\" stroke-width=\"{width}\"/>"
+        "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" stroke=\"#222222\" \
+         stroke-width=\"{width}\"/>"
     );
 }
 

@@ -1,5 +1,5 @@
-//! Two hundred topics whose nodes come and go at both ends: in the end every route carries, and the proxies are no larger and no busier than
-//! they were.
+//! Two hundred topics whose nodes come and go at both ends: in the end every route carries, and the
+//! proxies are no larger and no busier than they were.
 //!
 //! ```text
 //!   nodes, robot r0 ── l0 s1 r0 ── l0 cloud, nodes

@@ -1,4 +1,5 @@
-//! `gdp-ctl doctor` where something is really amiss, and what `serve` says of the same; and `gdp-ctl link list`.
+//! `gdp-ctl doctor` where something is really amiss, and what `serve` says of the same; and
+//! `gdp-ctl link list`.
 //!
 //! ```text
 //!   switch:l0 ──── e0:end

@@ -1,5 +1,5 @@
-//! A trust domain as its administrator makes it, with the real programs: a first switch, an invitation, and a second switch
-//! or a proxy that joins by it over a cable without IP.
+//! A trust domain as its administrator makes it, with the real programs: a first switch, an
+//! invitation, and a second switch or a proxy that joins by it over a cable without IP.
 //!
 //! ```text
 //!  [ first switch and RIB  h0 ]────────[ e0  newcomer ]
@@ -77,7 +77,8 @@ fn a_proxy_attaches_with_the_configuration_that_join_wrote() -> Result<()> {
     Ok(())
 }
 
-/// As in a container: what is written to the mounted file elsewhere brings no event in the folder of the mount.
+/// As in a container: what is written to the mounted file elsewhere brings no event in the folder
+/// of the mount.
 #[test]
 fn a_bind_mounted_configuration_is_read_again() -> Result<()> {
     let mut home = Home::start()?;
@@ -182,7 +183,8 @@ fn serve(tools: &Tools, at: &Namespace, label: &str, config: &Path, folder: &Pat
     Process::spawn(label, command, folder)
 }
 
-/// As somebody who pastes the line. Returns the new member's name; its files are in the folder `new`.
+/// As somebody who pastes the line. Returns the new member's name; its files are in the folder
+/// `new`.
 fn join(tools: &Tools, folder: &Path, token: &str) -> Result<String> {
     let mut command = own(tools.gdp_ctl()?);
     command.args(["-j", "domain", "join", "-", "-o", "new"]).current_dir(folder);

@@ -1,5 +1,6 @@
-//! DPDK in real networks: messages of ROS across its switches, alone and between others; the host behind its ports; and what it takes
-//! while nothing happens. What becomes of single frames is in `generated` and `kernel`, links over UDP are in `udp_fabric`.
+//! DPDK in real networks: messages of ROS across its switches, alone and between others; the host
+//! behind its ports; and what it takes while nothing happens. What becomes of single frames is in
+//! `generated` and `kernel`, links over UDP are in `udp_fabric`.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
@@ -36,7 +37,8 @@ fn messages_cross_a_switch_of_each_plane() -> Result<()> {
     messages_cross(&["xdp", "net_af_packet", "userspace"], 1500)
 }
 
-/// Messages of many frames as large as the MTU, from one vendor's program to another's. Every switch forwards in the plane it was given.
+/// Messages of many frames as large as the MTU, from one vendor's program to another's. Every
+/// switch forwards in the plane it was given.
 fn messages_cross(data_planes: &'static [&'static str], mtu: u32) -> Result<()> {
     let chain = ChainOptions { mtu, ..Default::default() };
     let options = FabricOptions { chain, data_planes, ..Default::default() };
@@ -82,8 +84,9 @@ fn errors(status: &Value) -> Vec<String> {
     status["errors"].as_array().into_iter().flatten().map(Value::to_string).collect()
 }
 
-/// Its addresses are on the host's side of the port: ARP, datagrams and connections are answered there, once each, and what it sends
-/// arrives; also with a driver by which the kernel sees all packets as well.
+/// Its addresses are on the host's side of the port: ARP, datagrams and connections are answered
+/// there, once each, and what it sends arrives; also with a driver by which the kernel sees all
+/// packets as well.
 #[test]
 fn the_host_is_reached_through_a_port() -> Result<()> {
     for driver in gdp_tests::dpdk::DRIVERS {
@@ -116,7 +119,8 @@ fn the_host_is_reached_through_a_port() -> Result<()> {
     Ok(())
 }
 
-/// Some megabytes over TCP to the host, from the namespace of the calling thread. In next to no time, unless segments are lost.
+/// Some megabytes over TCP to the host, from the namespace of the calling thread. In next to no
+/// time, unless segments are lost.
 fn stream(to: &TcpListener) -> Result<()> {
     let mut near = TcpStream::connect("10.7.0.2:7000").context("no connection")?;
     let (mut far, _) = to.accept()?;
@@ -130,7 +134,8 @@ fn stream(to: &TcpListener) -> Result<()> {
     Ok(())
 }
 
-/// Each has a queue of the device; by which a datagram comes its flow says. Connections lose nothing either.
+/// Each has a queue of the device; by which a datagram comes its flow says. Connections lose
+/// nothing either.
 #[test]
 fn loops_share_a_port() -> Result<()> {
     let site = Site::build()?;
@@ -160,8 +165,8 @@ fn loops_share_a_port() -> Result<()> {
     Ok(())
 }
 
-/// Packets of the host's as large as the MTU, each way; also the largest that the device's frames have room for. The MTU of the device's
-/// interface is what it was afterwards.
+/// Packets of the host's as large as the MTU, each way; also the largest that the device's frames
+/// have room for. The MTU of the device's interface is what it was afterwards.
 #[test]
 fn large_packets_reach_the_host() -> Result<()> {
     let site = Site::build()?;
@@ -198,7 +203,8 @@ fn large_packets_reach_the_host() -> Result<()> {
     Ok(())
 }
 
-/// When the other end of the device's link is gone, the host's interface has no carrier, and one again when it is back.
+/// When the other end of the device's link is gone, the host's interface has no carrier, and one
+/// again when it is back.
 #[test]
 fn the_host_sees_a_cable_that_is_pulled() -> Result<()> {
     for driver in gdp_tests::dpdk::DRIVERS {
@@ -249,7 +255,8 @@ fn a_loop_without_traffic_leaves_its_core_to_others() -> Result<()> {
     Ok(())
 }
 
-/// The host's interface goes with the plane, the settings of the device's are what they were, and it can be taken again.
+/// The host's interface goes with the plane, the settings of the device's are what they were, and
+/// it can be taken again.
 #[test]
 fn a_plane_that_ends_leaves_nothing() -> Result<()> {
     let site = Site::build()?;
@@ -280,7 +287,8 @@ fn gro(site: &Site) -> Result<String> {
     Ok(words.take(2).collect::<Vec<_>>().join(" "))
 }
 
-/// What a daemon that was killed has not put back is in a file; the next one does, but not what somebody else has set since.
+/// What a daemon that was killed has not put back is in a file; the next one does, but not what
+/// somebody else has set since.
 #[test]
 fn settings_outlive_a_daemon_that_is_killed() -> Result<()> {
     let site = Site::build()?;

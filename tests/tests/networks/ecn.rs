@@ -1,19 +1,19 @@
-//! What a router on the way says of congestion reaches the reader, whatever carries frames before and behind it; the reader tells the
-//! writer, and that sends less.
+//! What a router on the way says of congestion reaches the reader, whatever carries frames before
+//! and behind it; the reader tells the writer, and that sends less.
 //!
 //! ```text
 //!   robot:r0 ──── l0:s1:r0 ──── l0:s2:r0 ──── l0:cloud
 //!    writer        switch        switch        reader
 //! ```
 //!
-//! Each of the cables is Ethernet, or has addresses and UDP. One is slow, and marks packets of IP that wait for it; or the first
-//! switch has a slow interface.
+//! Each of the cables is Ethernet, or has addresses and UDP. One is slow, and marks packets of IP
+//! that wait for it; or the first switch has a slow interface.
 
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::{Node, NodeConfig};
+use gdp::{PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::Identity;
@@ -78,7 +78,8 @@ fn nobody_speaks_of_congestion_where_nothing_is_marked() -> Result<()> {
     Ok(())
 }
 
-/// A switch in user space marks frames itself that wait for an interface of Ethernet, where nobody else does.
+/// A switch in user space marks frames itself that wait for an interface of Ethernet, where nobody
+/// else does.
 #[test]
 fn the_userspace_plane_marks_what_waits() -> Result<()> {
     let site = Site::build([ETHERNET; 3], None, DataPlane::Userspace)?;
@@ -218,7 +219,8 @@ impl Site {
         inside.runtime.block_on(running.status())
     }
 
-    /// From the robot to the cloud, as fast as they go: what the writer was told of the way. `silent`: nothing of marks.
+    /// From the robot to the cloud, as fast as they go: what the writer was told of the way.
+    /// `silent`: nothing of marks.
     fn carry_messages(&self, silent: bool) -> Result<TopicCounters> {
         const REPORTED: Duration = Duration::from_secs(2);
         const ROUNDS: usize = 5;
@@ -257,8 +259,8 @@ impl Site {
                 writer.runtime.block_on(publisher.send(Encoding::Bytes, &[i as u8; LENGTH]))?;
             }
             subscription = reader.runtime.block_on(received)??;
-            // The reader's last report comes behind the last message. A loss at the beginning slows the writer down, and for a while there
-            // may be nothing to mark.
+            // The reader's last report comes behind the last message. A loss at the beginning slows
+            // the writer down, and for a while there may be nothing to mark.
             let reported = wait_for("reports of the marks", REPORTED, || {
                 told = publisher.counters().topic;
                 Ok((told.marked > self.marked() / 2 && told.slowed > 0).then_some(()))

@@ -1,4 +1,5 @@
-//! Messages of unmodified DDS programs across three XDP switches, and what happens when parts come and go.
+//! Messages of unmodified DDS programs across three XDP switches, and what happens when parts come
+//! and go.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -127,7 +128,8 @@ fn the_last_messages_of_a_latched_topic_reach_who_comes_later() -> Result<()> {
     Ok(())
 }
 
-/// What each party has: its own key, the name card, its certificate. Nothing that only writer and readers may know.
+/// What each party has: its own key, the name card, its certificate. Nothing that only writer and
+/// readers may know.
 #[test]
 fn parties_share_no_secret_and_the_owners_key_stays_with_the_owner() -> Result<()> {
     let fabric = started(FabricOptions::default())?;
@@ -152,7 +154,8 @@ fn parties_share_no_secret_and_the_owners_key_stays_with_the_owner() -> Result<(
     Ok(())
 }
 
-/// A second reader joins while messages flow, and goes on reading when the first is taken its right.
+/// A second reader joins while messages flow, and goes on reading when the first is taken its
+/// right.
 #[test]
 fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Result<()> {
     let chain = ChainOptions { wire: Some(0), ..Default::default() };
@@ -199,7 +202,8 @@ fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Resul
         .with_context(|| format!("{:?}", status(&fabric)))
 }
 
-/// Its certificate, and then the reader's, are replaced by short ones, and these by others before they end.
+/// Its certificate, and then the reader's, are replaced by short ones, and these by others before
+/// they end.
 #[test]
 fn certificates_are_renewed_and_messages_flow_over_the_end_of_the_old_ones() -> Result<()> {
     const SHORT: u64 = 15;

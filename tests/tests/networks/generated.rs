@@ -1,7 +1,9 @@
-//! A million generated frames through `decide` over plain tables, the XDP switch under `BPF_PROG_TEST_RUN`, the loops of DPDK and the
-//! userspace plane: the same verdict, the same bytes, the same counters, frame by frame.
+//! A million generated frames through `decide` over plain tables, the XDP switch under
+//! `BPF_PROG_TEST_RUN`, the loops of DPDK and the userspace plane: the same verdict, the same
+//! bytes, the same counters, frame by frame.
 //!
-//! All keep what they know of links from frame to frame, so replays, late frames and counts beyond 2³² are among the cases.
+//! All keep what they know of links from frame to frame, so replays, late frames and counts beyond
+//! 2³² are among the cases.
 
 #[path = "../../../crates/gdp-wire/tests/tables/mod.rs"]
 mod tables;
@@ -52,7 +54,8 @@ fn the_kernel_does_what_decide_says_with_a_million_frames() -> Result<()> {
             return Err(find_miscounted(&switch, chunk * CHUNK)?);
         }
     }
-    // The userspace plane's, which the kernel leaves them to; what a redirect loses is known only after it; rates need time.
+    // The userspace plane's, which the kernel leaves them to; what a redirect loses is known only
+    // after it; rates need time.
     reached(seen, &[Counter::Notice, Counter::RedirectLost, Counter::PuntLimit])
 }
 
@@ -127,8 +130,9 @@ impl Dpdk {
         Ok(Self { plane, tables, links: ids(switch), gathers: false })
     }
 
-    /// How many frames came together, and what was counted of them, if that and what left is what decide says of one after the other. At
-    /// most `most`, and none behind one that is answered with an error: of these a neighbour gets one at a time.
+    /// How many frames came together, and what was counted of them, if that and what left is what
+    /// decide says of one after the other. At most `most`, and none behind one that is answered
+    /// with an error: of these a neighbour gets one at a time.
     fn compare(&mut self, mut next: impl FnMut() -> Vec<u8>, most: usize) -> (usize, Result<Counts>) {
         let (mut frames, mut sent, mut passed, mut counts) = (vec![], vec![], vec![], [0; Counter::COUNT]);
         let (mut is_over, mut fates) = (false, vec![]);
@@ -254,7 +258,8 @@ fn reached(seen: [u64; Counter::COUNT], others: &[Counter]) -> Result<()> {
     Ok(())
 }
 
-/// Runs everything again up to the frames from `start` on that were not counted as they should, and looks at each.
+/// Runs everything again up to the frames from `start` on that were not counted as they should, and
+/// looks at each.
 fn find_miscounted(switch: &Switch, start: usize) -> Result<anyhow::Error> {
     let mut site = Kernel::new(switch)?;
     let mut generator = Generator::new(SEED, switch);

@@ -1,5 +1,6 @@
-//! An attacker on a cable replays, cuts, flips and invents frames, or has a key and a link of its own and sends what it may
-//! not. None of it reaches ROS, and every frame is counted under a reason.
+//! An attacker on a cable replays, cuts, flips and invents frames, or has a key and a link of its
+//! own and sends what it may not. None of it reaches ROS, and every frame is counted under a
+//! reason.
 
 mod half_open;
 
@@ -26,7 +27,8 @@ use zerocopy::{FromBytes, IntoBytes};
 /// Bytes of the GDP header.
 const HEADER: usize = 96;
 
-/// Indices of the switches that an attacker's frames reach first: between s1 and s2, and beside the robot.
+/// Indices of the switches that an attacker's frames reach first: between s1 and s2, and beside the
+/// robot.
 const S2: usize = 1;
 const S1: usize = 0;
 
@@ -65,7 +67,8 @@ impl Scene {
         })
     }
 
-    /// Cuts the cable and hands on what comes, until `count` data frames have gone on toward the cloud as `alter` leaves them.
+    /// Cuts the cable and hands on what comes, until `count` data frames have gone on toward the
+    /// cloud as `alter` leaves them.
     fn hand_on(&self, count: usize, mut alter: impl FnMut(usize, &mut Vec<u8>)) -> Result<()> {
         const TURN: Duration = Duration::from_millis(2);
         let (from_robot, from_cloud) = (self.fabric.chain.wire_from_robot()?, &self.attacker);
@@ -101,7 +104,8 @@ impl Scene {
         })
     }
 
-    /// Honest messages still arrive, and nothing else has: every number once, in order, content as written.
+    /// Honest messages still arrive, and nothing else has: every number once, in order, content as
+    /// written.
     fn only_honest_messages_arrived(self) -> Result<()> {
         let messages = self.no_dishonest_message_arrived()?;
         let numbers: Vec<i64> = messages.iter().map(|message| message.sequence).collect();
@@ -154,7 +158,8 @@ fn frames_moved_to_another_link_are_refused_by_the_next_switch() -> Result<()> {
     scene.only_honest_messages_arrived()
 }
 
-/// Somebody with a key, whom the switch gives a link as it would anybody; on the cable between robot and s1.
+/// Somebody with a key, whom the switch gives a link as it would anybody; on the cable between
+/// robot and s1.
 #[test]
 fn an_endpoint_sends_only_in_its_own_name_and_to_what_it_publishes() -> Result<()> {
     let chain = ChainOptions { wire: Some(0), ..Default::default() };
@@ -267,8 +272,8 @@ impl Stranger {
     }
 }
 
-/// Errors and echoes are signs between neighbours: whoever has not the link's key cannot make one, and whoever has recorded one
-/// cannot use it again.
+/// Errors and echoes are signs between neighbours: whoever has not the link's key cannot make one,
+/// and whoever has recorded one cannot use it again.
 #[test]
 fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Result<()> {
     let scene = Scene::set()?;
@@ -386,7 +391,8 @@ fn resident_of(pid: u32) -> Result<u64> {
     Ok(line.trim().trim_end_matches(" kB").parse()?)
 }
 
-/// Every bit that the hop tag covers, the tag's own included; link id and lengths are found wrong before the tag is.
+/// Every bit that the hop tag covers, the tag's own included; link id and lengths are found wrong
+/// before the tag is.
 #[test]
 fn flipped_header_bits_are_refused_by_the_next_switch() -> Result<()> {
     let scene = Scene::set()?;
@@ -403,7 +409,8 @@ fn flipped_header_bits_are_refused_by_the_next_switch() -> Result<()> {
         flips(4..6).into_iter().partition::<Vec<_>, _>(|frame| payload_length(frame) > payload_length(&scene.frame));
     scene.refused_by_s2("drop_truncated", &longer)?;
     scene.refused_by_s2("drop_bad_tag", &shorter)?;
-    // Header length; version and type, but for the bits that make a control frame, an error and an echo.
+    // Header length; version and type, but for the bits that make a control frame, an error and an
+    // echo.
     scene.refused_by_s2("drop_unknown", &flips(6..7))?;
     scene.refused_by_s2("drop_unknown", &(3..8).map(|bit| scene.flipped(bit)).collect::<Vec<_>>())?;
     scene.refused_by_s2("drop_bad_tag", &[scene.flipped(1), scene.flipped(2)])?;

@@ -1,5 +1,6 @@
-//! The XDP switch under `BPF_PROG_TEST_RUN`: the real program in the real kernel, one frame at a time. Nothing is sent; but it asks
-//! the routing table of a network namespace where links over UDP lead.
+//! The XDP switch under `BPF_PROG_TEST_RUN`: the real program in the real kernel, one frame at a
+//! time. Nothing is sent; but it asks the routing table of a network namespace where links over UDP
+//! lead.
 
 use std::sync::Barrier;
 
@@ -81,8 +82,8 @@ fn every_fixture_through_dpdk() -> Result<()> {
     Ok(())
 }
 
-/// Frames of one link may come to the kernel and to the userspace plane at once. Both are given the same frames, in opposite
-/// order; each must be sent on by one of them.
+/// Frames of one link may come to the kernel and to the userspace plane at once. Both are given the
+/// same frames, in opposite order; each must be sent on by one of them.
 #[test]
 fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
     const ROUNDS: usize = 1000;
@@ -250,7 +251,8 @@ fn a_successor_takes_over_a_fib_that_has_grown() -> Result<()> {
     ensure!(plane.adopted()?.context("something was left")?.routes.len() == left.len() && sorted(&plane) == left);
     forwards(&mut plane)?;
     drop(plane);
-    // As if the daemon had died when the larger table was ready, and before it was in the place of the other.
+    // As if the daemon had died when the larger table was ready, and before it was in the place of
+    // the other.
     std::fs::rename(found.folder.join("FIB_TABLE"), found.folder.join("FIB_TABLE_NEW"))?;
 
     let mut plane = open()?;

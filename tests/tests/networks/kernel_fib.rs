@@ -13,7 +13,8 @@ mod lookups;
 const NAMES: u64 = 64;
 const KEPT: u64 = 32;
 
-/// All happens in as few lines as there are: every name changes a hundred thousand times a second, others come and go beside it.
+/// All happens in as few lines as there are: every name changes a hundred thousand times a second,
+/// others come and go beside it.
 #[test]
 fn racing_updates_never_show_a_wrong_route() -> Result<()> {
     const CHANGES: u64 = 5_000_000;

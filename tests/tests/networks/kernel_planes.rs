@@ -1,4 +1,5 @@
-//! The planes on real interfaces: which one an interface gets, and that frames cross a switch whichever it is.
+//! The planes on real interfaces: which one an interface gets, and that frames cross a switch
+//! whichever it is.
 //!
 //! ```text
 //!   left:e0 ──── l0:switch:r0 ──── e0:right
@@ -66,7 +67,8 @@ fn frames_cross_a_switch_in_userspace() -> Result<()> {
     Ok(())
 }
 
-/// A veth drops what is redirected to it while its peer has neither GRO nor a program; the planes must know.
+/// A veth drops what is redirected to it while its peer has neither GRO nor a program; the planes
+/// must know.
 #[test]
 fn an_interface_that_takes_no_redirects_is_served_from_userspace() -> Result<()> {
     let site = Site::build(1500)?;
@@ -207,7 +209,8 @@ fn who_may_come_from_abroad_comes_and_goes_in_the_kernel() -> Result<()> {
     Ok(())
 }
 
-/// The FIB begins small and is replaced by larger ones. One frame is under way at a time, so each that is lost is missed.
+/// The FIB begins small and is replaced by larger ones. One frame is under way at a time, so each
+/// that is lost is missed.
 #[test]
 fn no_frame_is_lost_while_the_fib_grows() -> Result<()> {
     const NAMES: u32 = 40_000;
@@ -265,7 +268,8 @@ fn a_vlan_is_served_on_the_interface_below_it() -> Result<()> {
     to.receive(TIMEOUT, gdp_tests::packet::is_gdp_data)?;
     ensure!(switch.counted(Counter::Delivered)? == (1, 0));
 
-    // An echo comes back tagged: the kernel takes the tag off before a packet socket sees the frame, and counts it there.
+    // An echo comes back tagged: the kernel takes the tag off before a packet socket sees the
+    // frame, and counts it there.
     let from = PacketSocket::open(&site.left, "e0")?;
     let echo = Frame { carrier: TAG, version_type: 0x14, hop_limit: 1, payload: vec![], ..site.next_frame(96) };
     site.send(&echo)?;
@@ -279,7 +283,8 @@ fn a_vlan_is_served_on_the_interface_below_it() -> Result<()> {
     Ok(())
 }
 
-/// A bridge has no native XDP and takes no redirected frames, but those of generic XDP are ordinary packets.
+/// A bridge has no native XDP and takes no redirected frames, but those of generic XDP are ordinary
+/// packets.
 #[test]
 fn without_native_xdp_generic_is_next() -> Result<()> {
     let site = Site::build(1500)?;
@@ -397,7 +402,8 @@ impl Site {
         Ok(switch)
     }
 
-    /// Sends a frame of `length` bytes from left; what arrives on the right must be what the switch should make of it.
+    /// Sends a frame of `length` bytes from left; what arrives on the right must be what the switch
+    /// should make of it.
     fn send_through(&self, length: usize) -> Result<Vec<u8>> {
         let to = PacketSocket::open(&self.right, "e0")?;
         let frame = self.next_frame(length);

@@ -1,4 +1,5 @@
-//! Links directly on Ethernet: discovery, QUIC in control frames, data frames beside them. Two ports on one veth pair:
+//! Links directly on Ethernet: discovery, QUIC in control frames, data frames beside them. Two
+//! ports on one veth pair:
 //!
 //! ```text
 //!  [ endpoint  e0 ]────────[ s0  switch ]

@@ -14,7 +14,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::node::{LinkState, PublishOptions, SubscribeOptions};
+use gdp::{LinkState, PublishOptions, SubscribeOptions};
 use gdp_core::identity::Identity;
 use gdp_faults::Faults;
 use gdp_tests::Tools;
@@ -37,13 +37,14 @@ const LTE: u64 = 15 * MS;
 /// For so long one is cut.
 const CUT: Duration = Duration::from_secs(3);
 
-/// Between two messages of a topic, and their bytes: two frames. What comes by each of two links fits the smaller one: the writer cannot
-/// know of that.
+/// Between two messages of a topic, and their bytes: two frames. What comes by each of two links
+/// fits the smaller one: the writer cannot know of that.
 const PERIOD: Duration = Duration::from_millis(20);
 const SIZE: usize = 2000;
 const SMALL: usize = 1000;
 
-/// It takes half a second to find out that a link is cut: no message that goes by two waits for that.
+/// It takes half a second to find out that a link is cut: no message that goes by two waits for
+/// that.
 const NO_GAP: Duration = Duration::from_millis(400);
 
 #[test]

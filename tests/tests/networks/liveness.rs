@@ -1,5 +1,5 @@
-//! Silence is told from absence: a link whose peer's daemon died is held while the peer's kernel answers echoes, and one whose
-//! cable is cut is not. Under DDS traffic from robot to cloud.
+//! Silence is told from absence: a link whose peer's daemon died is held while the peer's kernel
+//! answers echoes, and one whose cable is cut is not. Under DDS traffic from robot to cloud.
 
 use std::time::Duration;
 
@@ -13,8 +13,8 @@ use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
 use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::Value;
 
-/// Until a link that nothing answers on is given up: QUIC's silence, the echoes', and as long again for a loaded machine. Far
-/// less than the hold.
+/// Until a link that nothing answers on is given up: QUIC's silence, the echoes', and as long again
+/// for a loaded machine. Far less than the hold.
 const GIVEN_UP: Duration = Duration::from_secs(2 * (IDLE_TIMEOUT.as_secs() + 1));
 const _: () = assert!(GIVEN_UP.as_secs() < GRACEFUL_RESTART_TIME.as_secs() / 2);
 

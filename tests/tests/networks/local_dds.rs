@@ -1,5 +1,5 @@
-//! What DDS sends where a proxy is in the graph: user data stays on the host of its nodes, in as many copies as there are
-//! readers. Between proxies it is sealed.
+//! What DDS sends where a proxy is in the graph: user data stays on the host of its nodes, in as
+//! many copies as there are readers. Between proxies it is sealed.
 //!
 //! ```text
 //!   arm ── in0 robot up0 ── e0 cloud: proxy, nodes of another domain
@@ -206,14 +206,16 @@ impl Site {
             Vendor::Rclpy => {
                 command.arg(self.tools.peer("rclpy_topic.py")).args([verb, "--topic", topic]);
                 command.env("ROS_DOMAIN_ID", domain).env("ROS_LOG_DIR", self.folder.path());
-                // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared memory.
+                // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared
+                // memory.
                 command.env("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
             }
         };
         Ok(command)
     }
 
-    /// Looks at the interfaces while the talker sends its messages, until all listeners have the last one.
+    /// Looks at the interfaces while the talker sends its messages, until all listeners have the
+    /// last one.
     fn copies_until_heard(
         &mut self,
         talker: &mut Process,
@@ -274,7 +276,8 @@ fn copies(socket: &PacketSocket) -> Result<Copies> {
     Ok(copies)
 }
 
-/// Sends each datagram to a user data port on a loopback interface a second time, until it is dropped.
+/// Sends each datagram to a user data port on a loopback interface a second time, until it is
+/// dropped.
 struct Doubler {
     thread: Option<JoinHandle<Result<()>>>,
     /// Closing it is what ends the thread.
@@ -330,7 +333,8 @@ fn readable(fd: i32) -> libc::pollfd {
     libc::pollfd { fd, events: libc::POLLIN, revents: 0 }
 }
 
-/// Whether it is a first datagram to the user data port of the first participants of domain 0; then makes it a copy.
+/// Whether it is a first datagram to the user data port of the first participants of domain 0; then
+/// makes it a copy.
 fn mark_copy(frame: &mut [u8]) -> bool {
     /// Of the source address, which is zero on a loopback interface.
     const MARK: usize = 6;

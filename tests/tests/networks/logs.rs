@@ -1,5 +1,5 @@
-//! The logs of daemon and proxy: what they do where nobody can write one, how a panic shows, and that a normal run is
-//! quiet about other people's crates.
+//! The logs of daemon and proxy: what they do where nobody can write one, how a panic shows, and
+//! that a normal run is quiet about other people's crates.
 //!
 //! ```text
 //!  topic pub ─┐

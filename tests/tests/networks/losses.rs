@@ -1,4 +1,5 @@
-//! Frames that are lost after the switch has decided to redirect them: each is counted, and nothing else is.
+//! Frames that are lost after the switch has decided to redirect them: each is counted, and nothing
+//! else is.
 //!
 //! ```text
 //!   left:e0 ──── l0:switch:r0 ──── e0:right        left and other send, right takes
@@ -57,8 +58,8 @@ fn what_an_interface_does_not_take_any_more_is_counted() -> Result<()> {
     Ok(())
 }
 
-/// There the kernel refuses what is redirected to an interface that is down; the rest it sends like any other packet, so what is lost then
-/// is with the interface's own statistics.
+/// There the kernel refuses what is redirected to an interface that is down; the rest it sends like
+/// any other packet, so what is lost then is with the interface's own statistics.
 #[test]
 fn in_generic_mode_only_what_the_kernel_refuses_is_counted() -> Result<()> {
     let mut site = Site::build()?;
@@ -80,7 +81,8 @@ fn in_generic_mode_only_what_the_kernel_refuses_is_counted() -> Result<()> {
     Ok(())
 }
 
-/// Two processors send as fast as they can to one interface, whose ring holds 256 frames, and which one of them has to empty.
+/// Two processors send as fast as they can to one interface, whose ring holds 256 frames, and which
+/// one of them has to empty.
 #[test]
 fn what_does_not_fit_into_a_full_ring_is_counted() -> Result<()> {
     let site = Site::running()?;
@@ -209,7 +211,8 @@ impl Site {
         counts.into_iter().try_for_each(|count| socket.send(&self.frame(from, count).bytes()))
     }
 
-    /// Waits until the switch has decided about so many frames, and so many of them have arrived or been counted as lost.
+    /// Waits until the switch has decided about so many frames, and so many of them have arrived or
+    /// been counted as lost.
     fn settled(&self, delivered: u64, received: u64) -> Result<()> {
         wait_for(&format!("{delivered} delivered, {received} received"), TIMEOUT, || {
             let now = (self.count(Counter::Delivered)?, self.received()?, self.lost()?.0);

@@ -1,4 +1,5 @@
-//! What needs root: real XDP, network namespaces, foreign programs. One program of all these tests: each would contain the whole daemon.
+//! What needs root: real XDP, network namespaces, foreign programs. One program of all these tests:
+//! each would contain the whole daemon.
 
 mod churn;
 mod defaults;

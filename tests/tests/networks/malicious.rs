@@ -1,6 +1,6 @@
-//! What a switch, a RIB, a reader or a stolen robot can do that is against everybody else: each test lets one of them do it,
-//! and says what was delivered and what was counted under which reason. `docs/security.md` refers to the tests by their names.
-//! No root: see [`crate::evil`].
+//! What a switch, a RIB, a reader or a stolen robot can do that is against everybody else: each
+//! test lets one of them do it, and says what was delivered and what was counted under which
+//! reason. `docs/security.md` refers to the tests by their names. No root: see [`crate::evil`].
 
 mod flood;
 mod reader;
@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::Result;
-use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::{PublishOptions, SubscribeOptions};
 use gdp_core::identity::Identity;
 use gdp_e2e::seal::Encoding;
 

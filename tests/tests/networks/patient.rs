@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
-use gdp::node::{PublishOptions, Reliability, SubscribeOptions};
+use gdp::{PublishOptions, Reliability, SubscribeOptions};
 
-/// Of best effort, where each message is to arrive as nothing loses any: for as long as that takes on a machine that is busy.
+/// Of best effort, where each message is to arrive as nothing loses any: for as long as that takes
+/// on a machine that is busy.
 pub fn patient() -> (PublishOptions, SubscribeOptions) {
     const LIFETIME: Duration = Duration::from_secs(20);
     let reliability = Reliability::BestEffort { lifetime: LIFETIME };

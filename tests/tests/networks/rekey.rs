@@ -1,5 +1,5 @@
-//! Link keys that are replaced many times a minute under traffic, in both data planes: not a frame is lost, and what was recorded
-//! under a key that is gone is refused.
+//! Link keys that are replaced many times a minute under traffic, in both data planes: not a frame
+//! is lost, and what was recorded under a key that is gone is refused.
 //!
 //! ```text
 //!  robot r0 ── l0 s1 r0 ══ wire ══ l0 s2 r0 ── l0 cloud        s2 is the RIB
@@ -10,8 +10,8 @@
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result, ensure};
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{Publisher, Subscription};
+use gdp::{Node, NodeConfig};
+use gdp::{Publisher, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};
@@ -117,7 +117,8 @@ impl Scene {
     fn keys_change_without_loss(mut self, plane: &str) -> Result<()> {
         let wire = self.chain.wire_from_robot()?;
         let (mut messages, begin) = (0, Instant::now());
-        // What a node says of itself at first may come before a switch knows the way; it is said again.
+        // What a node says of itself at first may come before a switch knows the way; it is said
+        // again.
         let (mut recorded, mut lost_before) = (None, Vec::new());
         loop {
             for way in [&mut self.there, &mut self.back] {
@@ -183,7 +184,8 @@ impl Scene {
         for (from, to) in [(&robot, &cloud), (&cloud, &robot)] {
             ensure!(from.messages_sent == messages && to.messages_received == messages, "{from:?} {to:?}");
             ensure!(to.frames_received > 2 * messages, "{from:?} {to:?}");
-            // What was late and asked for again comes twice; what the other end says first may come before it is known here.
+            // What was late and asked for again comes twice; what the other end says first may come
+            // before it is known here.
             let harmless = ["seal_duplicate", "drop_feedback_unknown"];
             ensure!(to.drops.keys().all(|reason| harmless.contains(reason)), "{to:?}");
         }

@@ -1,5 +1,5 @@
-//! Replicas of the RIB on three switches that forward in the kernel: the leading daemon and the leading member of etcd are killed at once
-//! under traffic, then others.
+//! Replicas of the RIB on three switches that forward in the kernel: the leading daemon and the
+//! leading member of etcd are killed at once under traffic, then others.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -56,7 +56,8 @@ fn nothing_stops_when_the_leading_daemon_and_a_member_of_etcd_are_killed_at_once
     ensure!(replicas.leader()? == second, "who was killed follows");
     ensure!(serials(&replicas)? == both);
 
-    // A daemon that follows, beside the cloud or the robot, and a member that follows: the others are enough.
+    // A daemon that follows, beside the cloud or the robot, and a member that follows: the others
+    // are enough.
     let follower = if second == CLOUD_AT { ROBOT_AT } else { CLOUD_AT };
     let members = 0..replicas.nodes.len();
     let leading = replicas.etcd.leader(&replicas.nodes[FIRST_LEADER])?;

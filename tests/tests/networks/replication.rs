@@ -1,4 +1,5 @@
-//! Frames copied to several links, over real interfaces: every copy is compared byte for byte, and counted.
+//! Frames copied to several links, over real interfaces: every copy is compared byte for byte, and
+//! counted.
 
 use std::collections::HashSet;
 use std::path::PathBuf;
@@ -44,7 +45,8 @@ fn readers_behind_one_interface() -> Result<()> {
     Ok(())
 }
 
-/// The writer's segment has readers as well; it is none of them, and as one of them it gets nothing either.
+/// The writer's segment has readers as well; it is none of them, and as one of them it gets nothing
+/// either.
 #[test]
 fn readers_behind_the_writers_interface() -> Result<()> {
     copies_to(readers(8, 1), 1)?;
@@ -105,8 +107,8 @@ fn copies_and_single_frames_share_an_interface() -> Result<()> {
     Ok(())
 }
 
-/// Neighbours that want no copies share the interfaces of those that do. The kernel sends in batches, and must not forget one of which
-/// the last copies are dropped.
+/// Neighbours that want no copies share the interfaces of those that do. The kernel sends in
+/// batches, and must not forget one of which the last copies are dropped.
 #[test]
 fn nothing_waits_behind_copies_that_nobody_wants() -> Result<()> {
     let group = readers(3, 4);
@@ -139,8 +141,8 @@ fn nothing_waits_behind_copies_that_nobody_wants() -> Result<()> {
     Ok(())
 }
 
-/// One of the readers is behind an interface that the kernel cannot send to: the userspace plane makes all copies. When it can,
-/// the kernel does.
+/// One of the readers is behind an interface that the kernel cannot send to: the userspace plane
+/// makes all copies. When it can, the kernel does.
 #[test]
 fn a_reader_that_the_kernel_cannot_reach() -> Result<()> {
     let group = readers(3, 3);
@@ -255,7 +257,8 @@ fn readers_come_and_go_under_traffic() -> Result<()> {
     Ok(())
 }
 
-/// A daemon is killed and two more come after it; nobody misses a copy or gets one twice, and the group is still known.
+/// A daemon is killed and two more come after it; nobody misses a copy or gets one twice, and the
+/// group is still known.
 #[test]
 fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
     let group = process_readers();
@@ -447,7 +450,8 @@ impl Site {
         self.exchange_by(Plane::Kernel, from, to, bits, length, expected)
     }
 
-    /// Sends frames; those expected must get each of them, as it should be for them, from that plane, and nobody else.
+    /// Sends frames; those expected must get each of them, as it should be for them, from that
+    /// plane, and nobody else.
     fn exchange_by(
         &mut self,
         plane: Plane,

@@ -1,5 +1,5 @@
-//! Frames copied to links over UDP, together with others: every copy is compared byte for byte as it is on the cable, counted, and
-//! seen again behind a router.
+//! Frames copied to links over UDP, together with others: every copy is compared byte for byte as
+//! it is on the cable, counted, and seen again behind a router.
 //!
 //! ```text
 //!   far:w0 ──── p0 ┐        ┌ r0 ──── s0 ┐
@@ -90,8 +90,8 @@ fn the_link_that_a_frame_came_by_gets_no_copy() -> Result<()> {
     site.exchange(Plane::Kernel, &onto(&readers))
 }
 
-/// One frame, or the few that are under way, does not reach those whose route changed. Then the userspace plane copies, until the
-/// kernel's groups have followed.
+/// One frame, or the few that are under way, does not reach those whose route changed. Then the
+/// userspace plane copies, until the kernel's groups have followed.
 #[test]
 fn a_changed_route_is_followed() -> Result<()> {
     let ethernet = peer(2, Over::Ethernet(1), 0);
@@ -376,7 +376,8 @@ impl Site {
         self.exchange_to(plane, TOPIC, expected)
     }
 
-    /// Sends frames; those expected must get each of them, with these egress bits and from that plane, and nobody else.
+    /// Sends frames; those expected must get each of them, with these egress bits and from that
+    /// plane, and nobody else.
     fn exchange_to(&mut self, plane: Plane, to: Name, expected: &[(Peer, u64)]) -> Result<()> {
         let counters = [Counter::Replicated, Counter::Delivered, Counter::Forwarded];
         let before = counters.map(|counter| self.switch.count(counter));
@@ -531,7 +532,8 @@ fn build_routes(switch: &Namespace, router: &Namespace, cloud: &Namespace) -> Re
     Ok(())
 }
 
-/// Packets by the link id in them; each with the router's interface that it came in by, if it was over UDP.
+/// Packets by the link id in them; each with the router's interface that it came in by, if it was
+/// over UDP.
 type Taken = HashMap<u32, Vec<(usize, Vec<u8>)>>;
 
 /// Keeps all data frames over UDP that the router gets, and counts those that it passes on.

@@ -1,4 +1,5 @@
-//! A daemon is killed under traffic, and another one takes its place. Two nodes of the SDK over one switch, or three:
+//! A daemon is killed under traffic, and another one takes its place. Two nodes of the SDK over one
+//! switch, or three:
 //!
 //! ```text
 //!  robot r0 ──── l0 s1 r0 ──── l0 cloud
@@ -59,7 +60,8 @@ fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result
     ensure!(fabric.switches[0].process.stderr().contains("took over"), "{}", fabric.report());
     traffic.nothing_is_missing()?;
 
-    // Once more while the first is still held, and before anybody notices; the next one is of another build.
+    // Once more while the first is still held, and before anybody notices; the next one is of
+    // another build.
     fabric.tools.rebuild()?;
     fabric.switches[0].process.kill()?;
     fabric.start_again(0)?;
@@ -85,7 +87,8 @@ fn no_message_is_lost_when_any_switch_of_a_chain_is_killed_and_started_again() -
     let mut fabric = pinned_fabric(3)?;
     let traffic = start_traffic(&fabric)?;
     traffic.wait_for_more(500, TIMEOUT).with_context(|| fabric.report())?;
-    // A reader that hears of a writer may greet it before the writer's switch has the route; it does so again.
+    // A reader that hears of a writer may greet it before the writer's switch has the route; it
+    // does so again.
     let before = no_way(&fabric)?;
     // At once, before anybody notices; and so late that the neighbours have.
     for (noticed, i) in [false, true].into_iter().flat_map(|noticed| [0, 1, 2].map(|i| (noticed, i))) {

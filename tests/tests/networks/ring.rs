@@ -1,5 +1,5 @@
-//! The link that traffic goes by is cut: the switches of a ring find another way among themselves, and no name is touched. What is
-//! asked of the RIB, and what it says, finds another way as well.
+//! The link that traffic goes by is cut: the switches of a ring find another way among themselves,
+//! and no name is touched. What is asked of the RIB, and what it says, finds another way as well.
 
 use std::time::Duration;
 

@@ -1,10 +1,10 @@
-//! A robot moves from one network to another, its switch there dies, and it comes home. Its topics, in both directions, and the programs
-//! at both ends notice a gap and nothing else.
+//! A robot moves from one network to another, its switch there dies, and it comes home. Its topics,
+//! in both directions, and the programs at both ends notice a gap and nothing else.
 
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::node::{LinkState, PublishOptions, SubscribeOptions};
+use gdp::{LinkState, PublishOptions, SubscribeOptions};
 use gdp_core::domain::{CredentialFiles, Credentials};
 use gdp_core::identity::Identity;
 use gdp_core::identity::SigningKey;

@@ -11,8 +11,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{Publisher, Subscription};
+use gdp::{Node, NodeConfig};
+use gdp::{Publisher, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::Identity;
@@ -292,7 +292,8 @@ impl Party {
         Ok(Self { node, identity, inside })
     }
 
-    /// Whether this message comes within a time. Others may come before: what was sent in vain, and is only late.
+    /// Whether this message comes within a time. Others may come before: what was sent in vain, and
+    /// is only late.
     fn hears(&self, subscription: &mut Subscription, wanted: &[u8], limit: Duration) -> bool {
         let next = async {
             while let Some(message) = subscription.recv().await {

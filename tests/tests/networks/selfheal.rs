@@ -1,5 +1,6 @@
-//! Daemons of a ring, that of the RIB among them, are killed and started again in a random order under traffic, at times two at once.
-//! What they left in the kernel forwards on, and in the end all is as it was.
+//! Daemons of a ring, that of the RIB among them, are killed and started again in a random order
+//! under traffic, at times two at once. What they left in the kernel forwards on, and in the end
+//! all is as it was.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

@@ -1,10 +1,11 @@
-//! Borders of three domains, each with the RIB of its own beside it and that of tier 1 among them, are killed and started again in a
-//! random order under traffic from one domain to another, at times two at once. Nothing outlives them here: after each, messages flow anew.
+//! Borders of three domains, each with the RIB of its own beside it and that of tier 1 among them,
+//! are killed and started again in a random order under traffic from one domain to another, at
+//! times two at once. Nothing outlives them here: after each, messages flow anew.
 
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::{PublishOptions, SubscribeOptions};
 use gdp_tests::Tools;
 use gdp_tests::federation::{CLOUD_LINK, Federation, ROBOT_LINKS};
 use gdp_tests::wait::wait_for;
@@ -24,7 +25,8 @@ const TURNS: usize = 2;
 const BORDERS: [&str; 3] = ["b1", "b2", "b3"];
 const CROSSINGS: [(&str, &str); 2] = [("b1", "b3"), ("b2", "b3")];
 
-/// How soon messages flow again: neighbours miss a silent border, make their links anew, and three RIBs hear of each other.
+/// How soon messages flow again: neighbours miss a silent border, make their links anew, and three
+/// RIBs hear of each other.
 const RECOVERY: Duration = Duration::from_secs(90);
 
 /// Between two messages of a topic, and their bytes.

@@ -1,4 +1,5 @@
-//! `gdp-ctl trace` shows the switches that frames cross, in real data planes; and others once these have changed.
+//! `gdp-ctl trace` shows the switches that frames cross, in real data planes; and others once these
+//! have changed.
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;

@@ -1,4 +1,5 @@
-//! Links over UDP in the kernel: real QUIC links of three endpoints to a switch, and a router between the switch and two of them.
+//! Links over UDP in the kernel: real QUIC links of three endpoints to a switch, and a router
+//! between the switch and two of them.
 //!
 //! ```text
 //!   robot:e0 ──── l0:switch:r0 ──── s0:router:c0 ──── e0:cloud
@@ -88,7 +89,8 @@ fn what_the_kernel_sends_is_right_to_the_bit() -> Result<()> {
     Ok(())
 }
 
-/// What is long is summed up in many blocks; what lies in several buffers is not summed up at all, which IPv4 allows.
+/// What is long is summed up in many blocks; what lies in several buffers is not summed up at all,
+/// which IPv4 allows.
 #[test]
 fn long_datagrams_are_right_to_the_bit() -> Result<()> {
     for (mtu, frames) in
@@ -135,7 +137,8 @@ fn datagrams_to_a_switch_have_no_checksum() -> Result<()> {
     Ok(())
 }
 
-/// With the pseudo headers of RFC 768 and RFC 8200; `addresses`: where they are in the packet, right before UDP.
+/// With the pseudo headers of RFC 768 and RFC 8200; `addresses`: where they are in the packet,
+/// right before UDP.
 fn udp_checksum_holds(packet: &[u8], addresses: std::ops::Range<usize>) -> bool {
     let udp = addresses.end;
     let length = (packet.len() - udp) as u32;
@@ -323,7 +326,8 @@ fn an_address_that_comes_later_is_served_as_well() -> Result<()> {
     Ok(())
 }
 
-/// What carries a link is in its entry, so a daemon finds in the kernel where the links of the one before it lead.
+/// What carries a link is in its entry, so a daemon finds in the kernel where the links of the one
+/// before it lead.
 #[test]
 fn links_over_udp_are_taken_over_from_an_earlier_daemon() -> Result<()> {
     let folder = tempfile::tempdir()?;

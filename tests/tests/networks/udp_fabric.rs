@@ -9,8 +9,8 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::{Node, NodeConfig};
+use gdp::{PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::Identity;
@@ -32,13 +32,15 @@ fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
     messages_cross_three_carriers(DataPlane::Xdp, "kernel")
 }
 
-/// DPDK has the interfaces of both switches, and the kernel what is its own: addresses, ARP, neighbour discovery and QUIC.
+/// DPDK has the interfaces of both switches, and the kernel what is its own: addresses, ARP,
+/// neighbour discovery and QUIC.
 #[test]
 fn messages_cross_three_carriers_in_dpdk() -> Result<()> {
     messages_cross_three_carriers(DataPlane::Dpdk, "dpdk")
 }
 
-/// Small ones, one that is cut into many frames, and again a small one. `plane`: the one that forwards, as the status has it.
+/// Small ones, one that is cut into many frames, and again a small one. `plane`: the one that
+/// forwards, as the status has it.
 fn messages_cross_three_carriers(data_plane: DataPlane, plane: &str) -> Result<()> {
     let site = Site::build()?;
     let folder = tempfile::tempdir()?;

@@ -21,7 +21,8 @@ const FRAMES: usize = 500;
 #[tokio::test]
 async fn runs_arrive_whether_or_not_devices_cut_and_join_them() -> Result<()> {
     let cable = Cable::new()?;
-    // Devices that cut, that leave that to the kernel, and that have no checksums, without which older kernels refuse runs.
+    // Devices that cut, that leave that to the kernel, and that have no checksums, without which
+    // older kernels refuse runs.
     for (checksums, cut, join) in [("on", "on", "on"), ("on", "off", "off"), ("off", "off", "on"), ("on", "on", "off")]
     {
         cable.set("tx", checksums)?;

@@ -1,4 +1,5 @@
-//! The bad cable of the harness: real frames meet on it what the model says. Counts are exact; times are bounded from below alone.
+//! The bad cable of the harness: real frames meet on it what the model says. Counts are exact;
+//! times are bounded from below alone.
 //!
 //! ```text
 //!  robot r0 ── w0:wire:w1 ── l0 cloud
@@ -169,7 +170,8 @@ impl Site {
         Ok(Self { wire, robot, cloud, chain })
     }
 
-    /// Now and then waits until the wire has taken what was sent, so that no queue of the kernel's overflows.
+    /// Now and then waits until the wire has taken what was sent, so that no queue of the kernel's
+    /// overflows.
     fn keep_up(&self, direction: usize, number: u64) -> Result<()> {
         if number % 64 != 63 {
             return Ok(());

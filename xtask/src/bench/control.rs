@@ -1,5 +1,5 @@
-//! What the control plane does. The measurements themselves are a bench target of `gdp-tests`; here it and the daemons are built,
-//! and it is run.
+//! What the control plane does. The measurements themselves are a bench target of `gdp-tests`; here
+//! it and the daemons are built, and it is run.
 
 use anyhow::Result;
 

@@ -1,5 +1,6 @@
-//! What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on packet sockets. The
-//! measurements themselves are a bench target of `gdp-tests`, which has the eBPF loader; here it is built and run.
+//! What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on
+//! packet sockets. The measurements themselves are a bench target of `gdp-tests`, which has the
+//! eBPF loader; here it is built and run.
 
 use anyhow::Result;
 

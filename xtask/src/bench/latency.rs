@@ -1,4 +1,5 @@
-//! One-way latency from a DDS program's `write` to the other's callback, over three switches and over three routers.
+//! One-way latency from a DDS program's `write` to the other's callback, over three switches and
+//! over three routers.
 //!
 //! ```text
 //!  gdp   talker ─lo─ gdp-proxy ── s1 ── s2 ── s3 ── gdp-proxy ─lo─ listener     (XDP)
@@ -6,9 +7,10 @@
 //!  ip    talker ──────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
 //! ```
 //!
-//! Everything is measured twice: on the machine as it is, and with its processors kept awake by threads that run only when
-//! nothing else wants to. The difference is what it costs to wake a sleeping processor, once at each hand-over from one
-//! thread to the next: much, on virtual machines, and nothing that any of these programs does.
+//! Everything is measured twice: on the machine as it is, and with its processors kept awake by
+//! threads that run only when nothing else wants to. The difference is what it costs to wake a
+//! sleeping processor, once at each hand-over from one thread to the next: much, on virtual
+//! machines, and nothing that any of these programs does.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -140,7 +142,8 @@ fn measure(tools: &Tools, route: Route, bytes: usize, rate: f64, count: u64) -> 
             let chain = Chain::build(ChainOptions::default())?;
             chain.become_ip_routers()?;
             let (robot, cloud) = chain.ip_ends();
-            // DDS finds its peers by multicast, which routers do not forward: each is told of the other.
+            // DDS finds its peers by multicast, which routers do not forward: each is told of the
+            // other.
             let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
             let hears = Traffic { peer: Some(robot), ..traffic };
             let folder = logs()?;
@@ -182,7 +185,8 @@ fn stages(fabric: &Fabric, received: u64) -> Result<BTreeMap<&'static str, f64>>
     Ok(stages.into_iter().filter_map(|(stage, p50)| Some((stage, p50?))).collect())
 }
 
-/// Processes of the lowest priority that keep every processor from going to sleep, as long as they live.
+/// Processes of the lowest priority that keep every processor from going to sleep, as long as they
+/// live.
 fn keep_awake() -> Result<Vec<Process>> {
     let folder = std::env::temp_dir();
     let spin = |i| {

@@ -1,5 +1,6 @@
-//! From one endpoint to another on the switch's own host: through the daemon, on packet sockets, by the pair of interfaces. The
-//! measurement itself is a bench target of `gdp-tests`, which has the eBPF loader; here it is built and run.
+//! From one endpoint to another on the switch's own host: through the daemon, on packet sockets, by
+//! the pair of interfaces. The measurement itself is a bench target of `gdp-tests`, which has the
+//! eBPF loader; here it is built and run.
 
 use anyhow::Result;
 

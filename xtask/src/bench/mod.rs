@@ -1,6 +1,7 @@
 //! `cargo xtask bench NAME [--json]`: the figures in `docs/benchmarks`, one file a figure.
 //!
-//! What is compared is measured in one run under the same conditions, in turn, so that a busy machine slows both.
+//! What is compared is measured in one run under the same conditions, in turn, so that a busy
+//! machine slows both.
 
 mod control;
 mod forward;
@@ -20,15 +21,20 @@ pub struct Options {
 
 #[derive(clap::Subcommand)]
 enum Figure {
-    /// One-way latency, DDS to DDS: over three XDP switches, beside the same programs over three IP routers
+    /// One-way latency, DDS to DDS: over three XDP switches, beside the same programs over three IP
+    /// routers
     Latency(latency::Options),
-    /// What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on packet sockets
+    /// What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder
+    /// on packet sockets
     Forward(forward::Options),
-    /// The control plane: statements and queries per second, memory per name, recovery after a cut, reconciliation
+    /// The control plane: statements and queries per second, memory per name, recovery after a cut,
+    /// reconciliation
     Control(control::Options),
-    /// From one endpoint to another on the switch's host: through the daemon, on packet sockets, past both
+    /// From one endpoint to another on the switch's host: through the daemon, on packet sockets,
+    /// past both
     Local(local::Options),
-    /// ROS 2 messages through two proxies: latency and processor time, beside kernel routers and two zenoh bridges
+    /// ROS 2 messages through two proxies: latency and processor time, beside kernel routers and
+    /// two zenoh bridges
     Ros(ros::Options),
     /// Throughput, CPU time and latency of messages: this SDK beside quinn and TLS over TCP
     Transport(transport::Options),

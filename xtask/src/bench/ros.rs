@@ -1,4 +1,5 @@
-//! ROS 2 messages through two proxies, beside the same DDS programs over kernel routers, and beside two zenoh bridges.
+//! ROS 2 messages through two proxies, beside the same DDS programs over kernel routers, and beside
+//! two zenoh bridges.
 //!
 //! ```text
 //!  gdp    talker ─lo─ gdp-proxy ──── s1 ── s2 ── s3 ──── gdp-proxy ─lo─ listener     (XDP)
@@ -6,9 +7,11 @@
 //!  ip     talker ─────────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
 //! ```
 //!
-//! Both ends are Cyclone DDS. What has to keep up with a rate is measured with Fast DDS, whose program here is compiled: without zenoh, which only carries
-//! what belongs to a ROS node, as Cyclone's program is one. Processor time is that of what stands between the two programs: proxies and daemons of switches,
-//! or bridges; what the kernel does for a frame on its way is nobody's.
+//! Both ends are Cyclone DDS. What has to keep up with a rate is measured with Fast DDS, whose
+//! program here is compiled: without zenoh, which only carries what belongs to a ROS node, as
+//! Cyclone's program is one. Processor time is that of what stands between the two programs:
+//! proxies and daemons of switches, or bridges; what the kernel does for a frame on its way is
+//! nobody's.
 
 mod zenoh;
 
@@ -183,7 +186,8 @@ impl Bench {
             Route::Ip => {
                 let chain = routers()?;
                 let (robot, cloud) = chain.ip_ends();
-                // DDS finds its peers by multicast, which routers do not forward: each is told of the other.
+                // DDS finds its peers by multicast, which routers do not forward: each is told of
+                // the other.
                 let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
                 let hears = Traffic { peer: Some(robot), ..traffic };
                 let folder = logs()?;

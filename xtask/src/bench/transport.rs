@@ -1,5 +1,5 @@
-//! Messages from one program to another: this SDK beside QUIC and beside TLS over TCP. The measurements themselves are a bench target
-//! of `gdp-tests`; here it is built and run.
+//! Messages from one program to another: this SDK beside QUIC and beside TLS over TCP. The
+//! measurements themselves are a bench target of `gdp-tests`; here it is built and run.
 
 use anyhow::Result;
 

@@ -1,4 +1,5 @@
-//! The rule on the crate `gdp`: users see at most 60 items, and nothing but re-exports and what is marked unstable.
+//! The rule on the crate `gdp`: users see at most 60 items, and nothing but re-exports and what is
+//! marked unstable.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! Import circles: files of one crate that use each other's definitions, found as strongly connected components.
+//! Import circles: files of one crate that use each other's definitions, found as strongly
+//! connected components.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};

@@ -56,9 +56,30 @@ pub fn wide_lines() -> Result<Vec<String>> {
     Ok(wide)
 }
 
+/// String literals, drawings and code in comments are as wide as they are.
 fn wide_in_code(path: &Path, text: &str) -> Vec<String> {
-    let limit = |line: &str| if line.trim_start().starts_with("//") { WIDEST_TEXT } else { WIDEST_CODE };
-    numbered(text).filter(|(_, line)| width(line) > limit(line)).map(|found| describe(path, found)).collect()
+    let mut in_code = false;
+    let mut wide = Vec::new();
+    for (number, line) in numbered(text) {
+        let Some(comment) = comment(line) else {
+            if width(line) > WIDEST_CODE && !line.contains('"') {
+                wide.push(describe(path, (number, line)));
+            }
+            continue;
+        };
+        in_code ^= comment.starts_with("```");
+        let may_be_wide = in_code || comment.contains("   ");
+        if !may_be_wide && width(line) > WIDEST_TEXT {
+            wide.push(describe(path, (number, line)));
+        }
+    }
+    wide
+}
+
+/// The text of a line that is nothing but a comment.
+fn comment(line: &str) -> Option<&str> {
+    let text = line.trim_start().strip_prefix("//")?;
+    Some(text.trim_start_matches(['/', '!']).trim())
 }
 
 /// Tables, code and links are as wide as they are.

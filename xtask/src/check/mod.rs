@@ -29,7 +29,8 @@ pub struct Options {
 /// One rule and everything that breaks it.
 struct Rule {
     name: &'static str,
-    /// Findings that the tree had when the rule began to hold. To be lowered with every finding that is removed.
+    /// Findings that the tree had when the rule began to hold. To be lowered with every finding
+    /// that is removed.
     limit: usize,
     findings: Vec<String>,
 }
@@ -38,8 +39,8 @@ pub fn run(options: Options) -> Result<()> {
     let product: HashMap<PathBuf, Source> =
         sources::product()?.into_iter().map(|source| (source.path.clone(), source)).collect();
     let rules = [
-        Rule { name: "files of one crate import each other in a circle", limit: 16, findings: circles(&product) },
-        Rule { name: "a product file has more than 500 lines", limit: 10, findings: lines::long_files(&product) },
+        Rule { name: "files of one crate import each other in a circle", limit: 10, findings: circles(&product) },
+        Rule { name: "a product file has more than 500 lines", limit: 9, findings: lines::long_files(&product) },
         Rule { name: "test code lies in a product's src", limit: 0, findings: lines::tests_in_product(&product) },
         Rule {
             name: "a line is too wide (code 120, comments and documents 100)",
@@ -54,15 +55,15 @@ pub fn run(options: Options) -> Result<()> {
         Rule { name: "a document's sentence has more than 25 words", limit: 0, findings: prose::documents()? },
         Rule {
             name: "a type name is defined more than three times",
-            limit: 44,
+            limit: 40,
             findings: names::repeated_types(&product),
         },
         Rule {
             name: "a word of the list that may not come back",
-            limit: 463,
+            limit: 253,
             findings: names::retired_words(&product),
         },
-        Rule { name: "the facade shows more than 60 items", limit: 1, findings: facade::findings(&product) },
+        Rule { name: "the facade shows more than 60 items", limit: 0, findings: facade::findings(&product) },
         Rule { name: "a crate depends on what it must not", limit: 0, findings: dependencies::findings()? },
     ];
     for rule in &rules {

@@ -10,7 +10,8 @@ use super::sources::{Source, is_for_tests};
 /// A module's path inside its crate; empty for the root.
 pub type ModulePath = Vec<String>;
 
-/// What one module declares. Modules that are written inline share their file with the module around them.
+/// What one module declares. Modules that are written inline share their file with the module
+/// around them.
 pub struct Module<'a> {
     pub file: &'a Path,
     pub items: &'a [Item],
@@ -33,7 +34,8 @@ pub struct Crate<'a> {
 }
 
 impl<'a> Crate<'a> {
-    /// `root`: the path of `lib.rs` or `main.rs`. Modules that are compiled for tests only are left out.
+    /// `root`: the path of `lib.rs` or `main.rs`. Modules that are compiled for tests only are left
+    /// out.
     pub fn read(root: &'a Source, sources: &'a HashMap<PathBuf, Source>) -> Self {
         let mut modules = BTreeMap::new();
         add(&mut modules, sources, Vec::new(), &root.path, &root.syntax.items, &folder_of_root(&root.path));
@@ -45,7 +47,8 @@ impl<'a> Crate<'a> {
         self.follow(path, 0)
     }
 
-    /// Makes a path absolute that is written in `module`. Nothing for paths that lead out of the crate.
+    /// Makes a path absolute that is written in `module`. Nothing for paths that lead out of the
+    /// crate.
     pub fn absolute(&self, module: &[String], path: &[String]) -> Option<Vec<String>> {
         let rest = |from: usize| path[from..].iter().cloned();
         match path.first()?.as_str() {
@@ -170,7 +173,8 @@ impl Module<'_> {
     }
 }
 
-/// Where `mod name;` finds its file: `name.rs` or `name/mod.rs` in the module's folder, or what `#[path]` says.
+/// Where `mod name;` finds its file: `name.rs` or `name/mod.rs` in the module's folder, or what
+/// `#[path]` says.
 fn file_of<'a>(module: &ItemMod, folder: &Path, sources: &'a HashMap<PathBuf, Source>) -> Option<&'a Source> {
     let name = module.ident.to_string();
     match module.attrs.iter().find_map(path_attribute) {

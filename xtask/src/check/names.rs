@@ -1,4 +1,5 @@
-//! Rules on names: types whose name is used too often, and words that engineers of the field do not use.
+//! Rules on names: types whose name is used too often, and words that engineers of the field do not
+//! use.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};

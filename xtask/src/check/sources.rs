@@ -31,7 +31,8 @@ pub fn product() -> Result<Vec<Source>> {
     Ok(sources)
 }
 
-/// The files that Git tracks and that match `pattern`, relative to the workspace's root. Deleted ones are left out.
+/// The files that Git tracks and that match `pattern`, relative to the workspace's root. Deleted
+/// ones are left out.
 pub fn tracked(pattern: &str) -> Result<Vec<PathBuf>> {
     let mut git = Program::Git.command();
     git.args(["ls-files", pattern]).current_dir(workspace::root());

@@ -1,4 +1,5 @@
-//! `cargo xtask demo --chain`: a ROS 2 topic of one DDS vendor crosses three XDP switches to the other vendor's listener.
+//! `cargo xtask demo --chain`: a ROS 2 topic of one DDS vendor crosses three XDP switches to the
+//! other vendor's listener.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

@@ -1,5 +1,6 @@
-//! The paper's Figure 4: a robot at an enterprise and a cloud at a university, two trust domains below a third, NAT before both. In the
-//! middle of its talk the robot moves to the university; there its switch dies, and another takes over.
+//! The paper's Figure 4: a robot at an enterprise and a cloud at a university, two trust domains
+//! below a third, NAT before both. In the middle of its talk the robot moves to the university;
+//! there its switch dies, and another takes over.
 
 use std::time::{Duration, Instant};
 
@@ -39,7 +40,8 @@ struct Chapter {
     seen_as: String,
     /// The switches from the robot to the cloud.
     path: Vec<String>,
-    /// The longest that a message took from the robot to the cloud, in milliseconds: what the event cost.
+    /// The longest that a message took from the robot to the cloud, in milliseconds: what the event
+    /// cost.
     gap_ms: f64,
 }
 
@@ -63,7 +65,10 @@ pub fn play(options: &Options, story: &Story) -> Result<Outcome> {
     federation.start_proxies()?;
     let name = federation.name.clone().context("the name of the topic")?;
     story.name(&name);
-    story.say("\nThe robot is a member of the enterprise, which lets it visit the university; the tier above lets both cross it.");
+    story.say(
+        "\nThe robot is a member of the enterprise, which lets it visit the university; the tier above lets \
+               both cross it.",
+    );
     story.say("Talker and listener know of nothing but DDS; what is behind NAT dials out.");
 
     let traffic = Traffic {
@@ -120,8 +125,8 @@ fn heard(conversation: &Conversation) -> usize {
     peers::received(&conversation.listener).len()
 }
 
-/// Tells of messages for a while, and of what the switches say meanwhile. `before`: messages that had come when it began. `at`: the robot's
-/// switch.
+/// Tells of messages for a while, and of what the switches say meanwhile. `before`: messages that
+/// had come when it began. `at`: the robot's switch.
 fn chapter(
     federation: &Federation,
     story: &Story,
@@ -186,7 +191,8 @@ fn seen_as(federation: &Federation, at: &str) -> Result<String> {
     Ok(text(&of_robot.with_context(|| format!("{at} has no link of the robot"))?["address"]))
 }
 
-/// The switches that `gdp-ctl trace` finds from here on: to the border, and on from the one behind it.
+/// The switches that `gdp-ctl trace` finds from here on: to the border, and on from the one behind
+/// it.
 fn path(federation: &Federation, from: &str) -> Result<Vec<String>> {
     let name = federation.name.as_deref().context("the name of the topic")?;
     let (mut path, mut at) = (Vec::<String>::new(), from.to_owned());

@@ -1,4 +1,5 @@
-//! Follows the topic's name through the fabric: from the writer's switch, as each switch's table and the RIB's map say.
+//! Follows the topic's name through the fabric: from the writer's switch, as each switch's table
+//! and the RIB's map say.
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::fabric::Fabric;
@@ -33,7 +34,8 @@ pub fn follow(fabric: &Fabric) -> Result<Vec<Hop>> {
                 let bits = entry["egress_bits"].as_str().unwrap_or_default();
                 (index(fabric, next)?, format!("looks the name up and stamps egress bits {bits}"))
             }
-            // In transit there is no entry per name; the map of the domain says where the bits lead.
+            // In transit there is no entry per name; the map of the domain says where the bits
+            // lead.
             None => (step(&rib, fabric, here, reader_is_at)?, "sees bits, knows nothing of the name".into()),
         };
         hops.push(Hop { node: label, what: format!("{how}: to s{}", next + 1) });

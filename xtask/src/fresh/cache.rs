@@ -1,4 +1,5 @@
-//! What one run downloads and compiles for the next: bounded, for one run at a time, and emptied when a run ends badly.
+//! What one run downloads and compiles for the next: bounded, for one run at a time, and emptied
+//! when a run ends badly.
 
 use std::fs::{self, File};
 use std::hash::{DefaultHasher, Hasher as _};
@@ -28,8 +29,8 @@ pub const PARTS: [Part; 3] = [
 /// What debootstrap downloads.
 const DEBOOTSTRAP: &str = "debootstrap";
 
-/// What Cargo compiles: folders of the clone's target folder, one for each profile and one for each build of the XDP programs.
-/// The rest of the target folder is setup's, and made anew in each run.
+/// What Cargo compiles: folders of the clone's target folder, one for each profile and one for each
+/// build of the XDP programs. The rest of the target folder is setup's, and made anew in each run.
 pub const COMPILED: [&str; 5] = ["debug", "release", "checked", "bpf", "bpf-rebuilt"];
 
 const COMPILED_LIMIT: u64 = 16 * GIB;
@@ -51,8 +52,8 @@ pub struct Compiled {
 }
 
 impl Compiled {
-    /// The compiler, and the table of what setup installs: an executable that was compiled when setup installed more must not
-    /// hide that it cannot be compiled any more.
+    /// The compiler, and the table of what setup installs: an executable that was compiled when
+    /// setup installed more must not hide that it cannot be compiled any more.
     pub fn key(clone: &Path) -> Result<Self> {
         let steps = clone.join("xtask/src/setup/steps.rs");
         let steps = fs::read(&steps).with_context(|| format!("cannot read {}", steps.display()))?;
@@ -65,7 +66,8 @@ impl Compiled {
 }
 
 impl Cache {
-    /// Waits for another run. Removes what a run left that did not come to its end, and what is too large.
+    /// Waits for another run. Removes what a run left that did not come to its end, and what is too
+    /// large.
     pub fn open(folder: &Path) -> Result<Self> {
         fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         let lock = folder.join("lock");
@@ -96,7 +98,8 @@ impl Cache {
         fs::write(&marker, "").with_context(|| format!("cannot write {}", marker.display()))
     }
 
-    /// From now on compiled files are taken from the cache, unless they were compiled under other conditions.
+    /// From now on compiled files are taken from the cache, unless they were compiled under other
+    /// conditions.
     pub fn use_compiled(&mut self, compiled: &Compiled) -> Result<()> {
         let key = self.compiled().join("key");
         if fs::read_to_string(&key).ok().as_deref() != Some(&compiled.key) {
@@ -125,7 +128,8 @@ impl Cache {
         self.folder.clone()
     }
 
-    /// Folders of the cache, and where they are mounted in the root. `clone`: where the tree is there.
+    /// Folders of the cache, and where they are mounted in the root. `clone`: where the tree is
+    /// there.
     pub fn mounts(&self, clone: &str) -> Vec<(PathBuf, String)> {
         let parts = PARTS.iter().map(|part| (self.folder.join(part.name), part.at.to_owned()));
         let compiled = COMPILED.iter().filter(|_| self.has_compiled);

@@ -1,11 +1,12 @@
-//! `cargo xtask fresh`: does on a clean Debian 12 what somebody does who has just found this project.
+//! `cargo xtask fresh`: does on a clean Debian 12 what somebody does who has just found this
+//! project.
 //!
-//! A root with gcc, git and this machine's Rust toolchain gets a clone of `HEAD`. There the switch is set up, built and
-//! started; then all of setup runs, twice; every external program is looked up; and the unit tests run. What a
-//! developer's machine has and setup forgets is missing there.
+//! A root with gcc, git and this machine's Rust toolchain gets a clone of `HEAD`. There the switch
+//! is set up, built and started; then all of setup runs, twice; every external program is looked
+//! up; and the unit tests run. What a developer's machine has and setup forgets is missing there.
 //!
-//! [`root`] makes the root and runs commands in it, [`source`] clones the tree, [`cache`] holds what one run downloads and
-//! compiles for the next, [`stages`] measures.
+//! [`root`] makes the root and runs commands in it, [`source`] clones the tree, [`cache`] holds
+//! what one run downloads and compiles for the next, [`stages`] measures.
 
 mod cache;
 mod root;
@@ -107,7 +108,8 @@ fn run_switch(root: &Root, cache: &Cache, site: &Site, options: &[&str], says: &
 
 const INTERFACE: &str = "e0";
 
-/// A host with one interface, and what is at the other end of its cable. `cargo xtask run` takes no interface of this machine.
+/// A host with one interface, and what is at the other end of its cable. `cargo xtask run` takes no
+/// interface of this machine.
 struct Site {
     host: Namespace,
     _beyond: Namespace,

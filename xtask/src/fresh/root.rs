@@ -1,4 +1,5 @@
-//! A clean Debian 12 root, and commands that run in it: in namespaces of their own, so that no mount and no process stays.
+//! A clean Debian 12 root, and commands that run in it: in namespaces of their own, so that no
+//! mount and no process stays.
 
 use std::fs;
 use std::os::unix::process::CommandExt as _;
@@ -20,15 +21,17 @@ const CLONE: &str = "root/gdp";
 
 const MIRROR: &str = "http://deb.debian.org";
 
-/// What a clean machine has beside the base system: what it takes to clone the tree and to link Rust programs.
+/// What a clean machine has beside the base system: what it takes to clone the tree and to link
+/// Rust programs.
 const PACKAGES: &str = "ca-certificates,gcc,git,libc6-dev";
 
-/// Certificates that this machine trusts beside Debian's own, without which Cargo refuses a registry behind a proxy.
+/// Certificates that this machine trusts beside Debian's own, without which Cargo refuses a
+/// registry behind a proxy.
 const CERTIFICATES: &str = "usr/local/share/ca-certificates";
 
-/// Makes the mounts that programs expect, in a mount namespace of its own, and runs the rest of its arguments in the root. It
-/// stays the first process of its namespace, and the rest ends with it. `$MOUNTS` has a line for each folder to mount: what, a
-/// tab, where.
+/// Makes the mounts that programs expect, in a mount namespace of its own, and runs the rest of its
+/// arguments in the root. It stays the first process of its namespace, and the rest ends with it.
+/// `$MOUNTS` has a line for each folder to mount: what, a tab, where.
 const ENTER: &str = r#"
 cd "$ROOT"
 mount -t proc proc proc

@@ -31,8 +31,9 @@ fn head(folder: &Path) -> Result<String> {
     execute(Program::Git.command().args(["rev-parse", "HEAD"]).current_dir(folder))
 }
 
-/// Gives each file of the clone the time at which its content was first seen, so that Cargo takes what has not changed since
-/// the last run for what it is. `record` holds the times from run to run.
+/// Gives each file of the clone the time at which its content was first seen. Cargo then sees which
+/// files have changed since the last run. `record` holds the times from run to
+/// run.
 pub fn restore_times(clone: &Path, record: &Path) -> Result<()> {
     // Without the record, all is new.
     let before = fs::read_to_string(record).unwrap_or_default();

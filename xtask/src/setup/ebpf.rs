@@ -7,7 +7,8 @@ use gdp_tests::programs::{Program, own};
 use crate::setup::paths::home;
 use crate::shell;
 
-/// The compiler for the eBPF target. Compiler and `bpf-linker` must share an LLVM major, so each comes as a pair.
+/// The compiler for the eBPF target. Compiler and `bpf-linker` must share an LLVM major, so each
+/// comes as a pair.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum EbpfCompiler {
     /// Debian's `rustc-web` with the prebuilt `core` of `libstd-rust-web-dev-bpf` (LLVM 22).

@@ -1,7 +1,9 @@
-//! `cargo xtask setup [PURPOSE…]`: installs what this machine lacks, saying what and why before it acts.
+//! `cargo xtask setup [PURPOSE…]`: installs what this machine lacks, saying what and why before it
+//! acts.
 //!
-//! The table [`steps::STEPS`] is all there is: to need something new, add a step. Other verbs call [`ensure`] with their
-//! purpose; when nothing is missing that costs a few file look-ups and prints nothing.
+//! The table [`steps::STEPS`] is all there is: to need something new, add a step. Other verbs call
+//! [`ensure`] with their purpose; when nothing is missing that costs a few file look-ups and prints
+//! nothing.
 
 mod ebpf;
 mod paths;
@@ -107,7 +109,8 @@ fn install(missing: &[&Step]) -> Result<()> {
     }
 }
 
-/// Installs the Debian packages of all steps at once: dpkg takes most of its time for beginning and ending.
+/// Installs the Debian packages of all steps at once: dpkg takes most of its time for beginning and
+/// ending.
 fn packages(missing: &[&Step]) -> Vec<String> {
     let names: BTreeSet<&str> = missing.iter().flat_map(|step| step.packages).copied().collect();
     if names.is_empty() {
@@ -120,7 +123,8 @@ fn packages(missing: &[&Step]) -> Vec<String> {
     vec![format!("{apt_get} update -q"), format!("{apt_get} install -y --no-install-recommends {names}")]
 }
 
-/// Makes the Python environment, which Debian wants to be of its own, and installs the wheels of all steps at once.
+/// Makes the Python environment, which Debian wants to be of its own, and installs the wheels of
+/// all steps at once.
 fn wheels(missing: &[&Step]) -> Vec<String> {
     let names: Vec<&str> = missing.iter().flat_map(|step| step.wheels).copied().collect();
     if names.is_empty() {

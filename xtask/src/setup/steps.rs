@@ -1,4 +1,5 @@
-//! The table of what setup installs: Debian packages, then commands, and how to see that a step is done.
+//! The table of what setup installs: Debian packages, then commands, and how to see that a step is
+//! done.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +24,8 @@ pub struct Step {
     pub wheels: &'static [&'static str],
     /// Shell commands that follow, run as printed.
     pub commands: &'static [&'static str],
-    /// What to do on a system this program does not know; only printed. Wheels are the same everywhere.
+    /// What to do on a system this program does not know; only printed. Wheels are the same
+    /// everywhere.
     pub elsewhere: &'static str,
 }
 
@@ -33,8 +35,8 @@ impl Step {
         programs && self.marker().is_none_or(|marker| venv().join(marker).is_file()) && (self.present)()
     }
 
-    /// The file in the environment that shows that the wheels are in. It is made last, so that an installation that was cut
-    /// off does not count.
+    /// The file in the environment that shows that the wheels are in. It is made last, so that an
+    /// installation that was cut off does not count.
     pub fn marker(&self) -> Option<String> {
         self.wheels.first().map(|wheel| format!("gdp-{}", wheel.replace("==", "-")))
     }
@@ -98,14 +100,17 @@ pub const STEPS: &[Step] = &[
     Step {
         part: Part::Ebpf,
         what: "bpf-linker 0.13.0",
-        why: "links the XDP programs, with LLVM 22, the LLVM of the compiler above; built without optimisation, as it calls LLVM for the work",
+        why: "links the XDP programs, with LLVM 22, the LLVM of the compiler above; built without optimisation, as \
+              it calls LLVM for the work",
         present: bpf_linker_present,
         packages: &["libllvm22"],
-        // The library is all of LLVM that the linker needs: its headers and tools would be 600 MB more.
+        // The library is all of LLVM that the linker needs: its headers and tools would be 600 MB
+        // more.
         commands: &[
             "mkdir -p \"$GDP_TARGET/llvm-22/lib\"",
             "ln -sf \"/usr/lib/$(uname -m)-linux-gnu/libLLVM.so.22.1\" \"$GDP_TARGET/llvm-22/lib/libLLVM.so\"",
-            "LLVM_PREFIX=\"$GDP_TARGET/llvm-22\" cargo install bpf-linker --version 0.13.0 --no-default-features --features llvm-22 --locked \
+            "LLVM_PREFIX=\"$GDP_TARGET/llvm-22\" cargo install bpf-linker --version 0.13.0 --no-default-features \
+             --features llvm-22 --locked \
                    --profile dev --config profile.dev.debug=false",
         ],
         elsewhere: "cargo install bpf-linker --version 0.13.0 --locked   # its LLVM must be that of the eBPF compiler",
@@ -123,7 +128,8 @@ pub const STEPS: &[Step] = &[
     Step {
         part: Part::Dpdk,
         what: "DPDK 22.11 with its headers, drivers and testpmd, and libclang",
-        why: "the DPDK data plane is linked with it, bindgen reads its headers with libclang, and `bench forward` compares with testpmd",
+        why: "the DPDK data plane is linked with it, bindgen reads its headers with libclang, and `bench forward` \
+              compares with testpmd",
         programs: &[Program::PkgConfig, Program::DpdkTestpmd],
         present: || {
             has_libclang() && shell::output(Program::PkgConfig.command().args(["--modversion", "libdpdk"])).is_some()
@@ -168,7 +174,8 @@ pub const STEPS: &[Step] = &[
     Step {
         part: Part::Ros1,
         what: "rosmaster, rospy, actionlib and the common message packages",
-        why: "the master and the applications of ROS 1 that tests run; rospy needs netifaces, though its package only recommends it",
+        why: "the master and the applications of ROS 1 that tests run; rospy needs netifaces, though its package \
+              only recommends it",
         programs: &[Program::Python3, Program::Rosmaster],
         present: ros1_present,
         packages: &[
@@ -190,7 +197,8 @@ pub const STEPS: &[Step] = &[
             "python3-rosservice",
             "python3-actionlib",
         ],
-        elsewhere: "install ROS 1 Noetic's rosmaster, rospy, rostopic, rosservice, actionlib, std_msgs, sensor_msgs, std_srvs, geometry_msgs and tf2_msgs for \
+        elsewhere: "install ROS 1 Noetic's rosmaster, rospy, rostopic, rosservice, actionlib, std_msgs, sensor_msgs, \
+                    std_srvs, geometry_msgs and tf2_msgs for \
                     /usr/bin/python3, and netifaces",
         ..NOTHING
     },

@@ -3,8 +3,8 @@
 use crate::cert::error::CertError;
 use serde::{Serialize, de::DeserializeOwned};
 
-/// Seconds by which the clock of who issues something may be ahead of that of who verifies it. Nothing is taken so much longer: a clock that is behind
-/// already errs that way.
+/// Seconds by which the clock of who issues something may be ahead of that of who verifies it.
+/// Nothing is taken so much longer: a clock that is behind already errs that way.
 pub const CLOCKS_DIFFER: u64 = 60;
 
 /// When something holds.

@@ -1,5 +1,6 @@
-//! What a trust domain issues: to its members, to who may admit one more, and to other domains. A domain is an entity of kind
-//! "domain" whose key is kept off the switches. What it takes back is a [`Revocation`] of the domain's own name.
+//! What a trust domain issues: to its members, to who may admit one more, and to other domains. A
+//! domain is an entity of kind "domain" whose key is kept off the switches. What it takes back is a
+//! [`Revocation`] of the domain's own name.
 //!
 //! Serials are those of owners' certificates: the Unix time in nanoseconds of the issue.
 
@@ -59,8 +60,8 @@ impl Claims for MemberCert {
     }
 }
 
-/// Domain → whoever holds `key`: may admit one entity in this role, the first that the domain's RIB sees. It is to be used while
-/// the invitation holds; who was admitted may be a member for longer.
+/// Domain → whoever holds `key`: may admit one entity in this role, the first that the domain's RIB
+/// sees. It is to be used while the invitation holds; who was admitted may be a member for longer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Invite {
@@ -176,8 +177,8 @@ impl Signed<PeerCert> {
     }
 }
 
-/// An entity's role in a domain, and what that rests on: how the domain's name shows the key that says so, and the invitation by
-/// which the entity was admitted, if it was.
+/// An entity's role in a domain, and what that rests on: how the domain's name shows the key that
+/// says so, and the invitation by which the entity was admitted, if it was.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Membership {
@@ -193,8 +194,9 @@ impl Membership {
         Ok(Self { domain: domain.proof(), cert: issue(domain.key(), claims)?, invite: None })
     }
 
-    /// What it states, if this domain stands behind it at `now`. `revocation` is the newest that is known of the domain. Whether an
-    /// invitation has admitted somebody else already is for the domain's RIB to know.
+    /// What it states, if this domain stands behind it at `now`. `revocation` is the newest that is
+    /// known of the domain. Whether an invitation has admitted somebody else already is for the
+    /// domain's RIB to know.
     pub fn verify(&self, domain: Name, revocation: Option<&Revocation>, now: u64) -> Result<MemberCert, CertError> {
         let claims = self.verify_signatures(domain)?;
         self.check_revoked(revocation)?;
@@ -229,7 +231,8 @@ impl Membership {
         if issued > invite.not_after {
             return Err(CertError::Expired { at: invite.not_after, now: issued });
         }
-        // Otherwise what was issued under an invitation that was taken back would hold by the next one.
+        // Otherwise what was issued under an invitation that was taken back would hold by the next
+        // one.
         if claims.serial < invite.serial {
             return Err(CertError::BeforeDelegation {
                 what: MemberCert::KIND,
@@ -245,7 +248,8 @@ impl Membership {
         self.invite.as_ref().map(Signed::claims_unverified).transpose()
     }
 
-    /// The serial that takes it back: whoever holds an invitation's key chooses the serials of what it issues.
+    /// The serial that takes it back: whoever holds an invitation's key chooses the serials of what
+    /// it issues.
     pub fn serial_unverified(&self) -> Result<u64, CertError> {
         match self.invite_unverified()? {
             Some(invite) => Ok(invite.serial),
@@ -253,7 +257,8 @@ impl Membership {
         }
     }
 
-    /// Whether nothing of it was taken back. `revocation` is the newest that is known of the domain.
+    /// Whether nothing of it was taken back. `revocation` is the newest that is known of the
+    /// domain.
     pub fn check_revoked(&self, revocation: Option<&Revocation>) -> Result<(), CertError> {
         if let Some(invite) = self.invite_unverified()? {
             check_held(Invite::KIND, invite.serial, revocation)?;
@@ -266,7 +271,8 @@ impl Membership {
         self.cert.as_bytes().len() + self.invite.as_ref().map_or(0, |invite| invite.as_bytes().len()) + MAX_PROOF
     }
 
-    /// The text form for files: MemberCert, Invite, name proof of the domain, one block after another.
+    /// The text form for files: MemberCert, Invite, name proof of the domain, one block after
+    /// another.
     pub fn to_pem(&self) -> String {
         let proof = cbor::encode(&self.domain).expect("a map of two byte strings has an encoding");
         let proof = pem::encode_string(PROOF_LABEL, LineEnding::LF, &proof);

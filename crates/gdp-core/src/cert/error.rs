@@ -5,7 +5,8 @@ use crate::cert::advert_op::AdvertOp;
 use crate::crypto::CryptoError;
 use crate::name::Name;
 
-/// Why a certificate or statement is refused. The display names what is wrong and what to do about it.
+/// Why a certificate or statement is refused. The display names what is wrong and what to do about
+/// it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CertError {
     #[error("bad signature: the {what} was changed after it was signed")]
@@ -19,7 +20,8 @@ pub enum CertError {
     #[error("malformed certificate: {0}")]
     Malformed(String),
     #[error(
-        "wrong name: {got} where {expected} is expected; the digest, the owner key or the certificate is of another name"
+        "wrong name: {got} where {expected} is expected; the digest, the owner key or the certificate is of another \
+         name"
     )]
     WrongName { expected: Name, got: Name },
     #[error("wrong entity: the certificate or statement is of {got}, not of {expected}; use the one for this entity")]
@@ -35,11 +37,13 @@ pub enum CertError {
     #[error("wrong role: the member certificate gives role {got}, where {expected} is asked for")]
     WrongRole { expected: String, got: String },
     #[error(
-        "not shown to be a member: the grant is for role {role} of domain {domain}; add that domain's member certificate"
+        "not shown to be a member: the grant is for role {role} of domain {domain}; add that domain's member \
+         certificate"
     )]
     NotAMember { role: String, domain: Name },
     #[error(
-        "admitted by invitation: the grant is for role {role} of domain {domain}, whose key itself must say who has it; have \
+        "admitted by invitation: the grant is for role {role} of domain {domain}, whose key itself must say who has \
+         it; have \
          the reader admitted with `gdp-ctl domain admit`"
     )]
     ByInvitation { role: String, domain: Name },

@@ -1,5 +1,5 @@
-//! A certificate with all that shows that it holds, as it travels and as it lies in a file: who issued it for the owner, and
-//! for a grant to a role, that the reader has that role.
+//! A certificate with all that shows that it holds, as it travels and as it lies in a file: who
+//! issued it for the owner, and for a grant to a role, that the reader has that role.
 
 use super::pem::{Blocks, MAX_TEXT};
 use super::{AboutName, Claims, Delegation, Grantee, Membership, ReadGrant, Revocation, Signed};
@@ -23,8 +23,9 @@ impl<T: Claims> From<Signed<T>> for Issued<T> {
 }
 
 impl<T: AboutName> Issued<T> {
-    /// What the certificate states, if the owner that `proof` shows stands behind it at `now` (Unix seconds). `revocation`
-    /// is the newest that is known of the name. The validity of what is returned is that of the whole chain.
+    /// What the certificate states, if the owner that `proof` shows stands behind it at `now` (Unix
+    /// seconds). `revocation` is the newest that is known of the name. The validity of what is
+    /// returned is that of the whole chain.
     pub fn verify(&self, proof: &NameProof, revocation: Option<&Revocation>, now: u64) -> Result<T, CertError> {
         let name = proof.name()?;
         if let Some(revocation) = revocation {
@@ -46,7 +47,8 @@ impl<T: AboutName> Issued<T> {
         let mut claims = self.cert.verify(&delegation.delegate, now)?;
         expect_name(name, claims.name())?;
         holds(T::KIND, claims.serial())?;
-        // Otherwise a new delegation of the same key would bring back what fell with an earlier one.
+        // Otherwise a new delegation of the same key would bring back what fell with an earlier
+        // one.
         if claims.serial() < delegation.serial {
             return Err(CertError::BeforeDelegation {
                 what: T::KIND,
@@ -60,7 +62,8 @@ impl<T: AboutName> Issued<T> {
 }
 
 impl<T: AboutName> Issued<T> {
-    /// Of what a revocation can take back: what it is, and its serial. Believe it once the certificate is verified.
+    /// Of what a revocation can take back: what it is, and its serial. Believe it once the
+    /// certificate is verified.
     pub fn serials(&self) -> Result<Vec<(&'static str, u64)>, CertError> {
         let mut serials = vec![(T::KIND, self.cert.claims_unverified()?.serial())];
         if let Some(delegation) = &self.delegation {
@@ -110,8 +113,9 @@ impl<T: Into<Issued<ReadGrant>>> From<T> for Reading {
 }
 
 impl Reading {
-    /// As [`Issued::verify`], and that the grant reaches `entity`. The validity of what is returned is that of all that was
-    /// shown. Whether the domain still stands behind a membership, [`Self::check_member`] says.
+    /// As [`Issued::verify`], and that the grant reaches `entity`. The validity of what is returned
+    /// is that of all that was shown. Whether the domain still stands behind a membership,
+    /// [`Self::check_member`] says.
     pub fn verify(
         &self,
         proof: &NameProof,
@@ -129,7 +133,8 @@ impl Reading {
                 return Err(CertError::NotAMember { role: role.clone(), domain: *domain });
             }
             (Grantee::Role { domain, role }, Some(member)) => {
-                // That an invitation admits one reader only is known to the RIB alone, and writers need not believe a RIB.
+                // That an invitation admits one reader only is known to the RIB alone, and writers
+                // need not believe a RIB.
                 if member.invite.is_some() {
                     return Err(CertError::ByInvitation { role: role.clone(), domain: *domain });
                 }
@@ -144,8 +149,8 @@ impl Reading {
         Ok(grant)
     }
 
-    /// Whether the domain has not taken back the membership that the grant asks for, if it asks for one. `newest`: the newest revocation
-    /// that is known of a domain.
+    /// Whether the domain has not taken back the membership that the grant asks for, if it asks for
+    /// one. `newest`: the newest revocation that is known of a domain.
     pub fn check_member<'a>(&self, newest: impl FnOnce(&Name) -> Option<&'a Revocation>) -> Result<(), CertError> {
         let Some(member) = &self.member else { return Ok(()) };
         member.check_revoked(newest(&member.domain.name()?))

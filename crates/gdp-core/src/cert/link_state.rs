@@ -1,5 +1,5 @@
-//! What a switch states of itself to all switches of its domain: its egress bit, whether the RIB is there, and which switches it has
-//! links with, in the domain and in others.
+//! What a switch states of itself to all switches of its domain: its egress bit, whether the RIB is
+//! there, and which switches it has links with, in the domain and in others.
 
 use super::{Claims, Validity};
 use crate::cert::error::CertError;
@@ -7,7 +7,8 @@ use crate::name::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
 use serde::{Deserialize, Serialize};
 
-/// Neighbours that one switch states, at most: with them and [`MAX_BORDERS`] the statement is still one certificate's size.
+/// Neighbours that one switch states, at most: with them and [`MAX_BORDERS`] the statement is still
+/// one certificate's size.
 pub const MAX_NEIGHBOURS: usize = 45;
 
 /// Links into other domains that one switch states, at most.
@@ -16,7 +17,8 @@ pub const MAX_BORDERS: usize = 16;
 /// The longest that a statement may hold without being renewed, in seconds.
 pub const MAX_LIFETIME: u32 = 3600;
 
-/// A switch → the switches of its domain: these are my neighbours. Signed by its own key; the newest counts.
+/// A switch → the switches of its domain: these are my neighbours. Signed by its own key; the
+/// newest counts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LinkState {
@@ -29,7 +31,8 @@ pub struct LinkState {
     pub bit: Option<u8>,
     /// In the order of their names, with what a frame to each costs: 1 or more.
     pub neighbours: Vec<(Name, u32)>,
-    /// Bit i: the daemon of neighbour i does not answer, though its data plane does. Frames may go that way, control may not.
+    /// Bit i: the daemon of neighbour i does not answer, though its data plane does. Frames may go
+    /// that way, control may not.
     pub silent: u64,
     /// The domain's RIB is here.
     pub rib: bool,
@@ -52,7 +55,8 @@ pub struct Adjoining {
     pub transit: bool,
     /// This domain lets that one do so.
     pub ours_transit: bool,
-    /// The RIB of that domain is a parent of this one's; those with a lower number are asked before.
+    /// The RIB of that domain is a parent of this one's; those with a lower number are asked
+    /// before.
     pub parent: Option<u8>,
 }
 

@@ -1,8 +1,9 @@
-//! What the owner of a name issues about it: who may write it, who may read it, who else may issue that, and what of it
-//! no longer holds.
+//! What the owner of a name issues about it: who may write it, who may read it, who else may issue
+//! that, and what of it no longer holds.
 //!
-//! Every certificate has a serial: the Unix time in nanoseconds at which it was issued, so that an owner and its delegates
-//! need not agree on one, and so that a revocation's floor means "nothing issued before then".
+//! Every certificate has a serial: the Unix time in nanoseconds at which it was issued, so that an
+//! owner and its delegates need not agree on one, and so that a revocation's floor means "nothing
+//! issued before then".
 
 use super::{Claims, Validity};
 use crate::cert::error::CertError;
@@ -157,7 +158,8 @@ impl AboutName for ReadGrant {
     }
 }
 
-/// Owner → another key: may issue AdCerts (`publish`) or ReadGrants (`read`) for the name. It cannot be passed on.
+/// Owner → another key: may issue AdCerts (`publish`) or ReadGrants (`read`) for the name. It
+/// cannot be passed on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Delegation {
@@ -180,9 +182,10 @@ impl Claims for Delegation {
     }
 }
 
-/// Owner → everybody: certificates of the name with a serial below `floor`, or in `revoked`, do not hold. Of two
-/// revocations the one with the higher number counts. No delegate can issue one. The name of a domain is one like any other:
-/// what the domain issued falls by the revocation of its name.
+/// Owner → everybody: certificates of the name with a serial below `floor`, or in `revoked`, do not
+/// hold. Of two revocations the one with the higher number counts. No delegate can issue one. The
+/// name of a domain is one like any other: what the domain issued falls by the revocation of its
+/// name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Revocation {
@@ -202,7 +205,8 @@ impl Revocation {
         Ok(())
     }
 
-    /// Whether this one may take the place of `held`: the same again is no harm, an older or another one of its number is.
+    /// Whether this one may take the place of `held`: the same again is no harm, an older or
+    /// another one of its number is.
     pub fn check_replaces(&self, held: Option<&Self>) -> Result<(), CertError> {
         match held {
             Some(held) if self.number < held.number || self.number == held.number && self != held => {

@@ -1,10 +1,12 @@
-//! Text with several blocks of RFC 7468 in it, taken apart. What the blocks hold is for who asks for them.
+//! Text with several blocks of RFC 7468 in it, taken apart. What the blocks hold is for who asks
+//! for them.
 
 use super::MAX_SIGNED;
 use crate::cert::error::CertError;
 use std::collections::VecDeque;
 
-/// Blocks that one file may have: a grant, a delegation, a member's certificate, an invitation, a domain's proof.
+/// Blocks that one file may have: a grant, a delegation, a member's certificate, an invitation, a
+/// domain's proof.
 const MAX_BLOCKS: usize = 5;
 
 /// Base64 and its lines need less than twice the bytes.

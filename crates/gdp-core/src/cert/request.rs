@@ -1,6 +1,6 @@
-//! The checks that a request must pass before anything is stored: derivation of the name, the certificate, the entity's own
-//! statement, and that all of them are about the same name, entity and switch. Scope and transit rights between domains are
-//! checked where domains meet, not here.
+//! The checks that a request must pass before anything is stored: derivation of the name, the
+//! certificate, the entity's own statement, and that all of them are about the same name, entity
+//! and switch. Scope and transit rights between domains are checked where domains meet, not here.
 
 use super::issued::{expect_entity, expect_name};
 use super::{AdCert, Advert, AdvertOp, Issued, ReadGrant, Reading, Revocation, Signed};
@@ -21,8 +21,8 @@ pub struct Requester {
     pub now: u64,
 }
 
-/// May `speaker` publish or serve the name that `proof` shows? `revocation` is the newest that is known of it. Returns
-/// the certificate, with the validity of its chain, and the statement.
+/// May `speaker` publish or serve the name that `proof` shows? `revocation` is the newest that is
+/// known of it. Returns the certificate, with the validity of its chain, and the statement.
 pub fn authorise_advertise(
     speaker: &Requester,
     proof: &NameProof,
@@ -94,7 +94,8 @@ impl Side {
     }
 }
 
-/// That `entity` itself states about `name`, at `switch`, something for which it needs the right of this side.
+/// That `entity` itself states about `name`, at `switch`, something for which it needs the right of
+/// this side.
 pub fn verify_statement(
     advert: &Signed<Advert>,
     side: Side,

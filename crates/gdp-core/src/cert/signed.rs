@@ -16,8 +16,8 @@ use std::marker::PhantomData;
 /// The largest certificate, in bytes: an AdCert with a full scope has about 2.5 kB.
 pub const MAX_SIGNED: usize = 4096;
 
-/// A certificate or statement as it was signed: the bytes travel and are stored unchanged, so that everybody checks the
-/// same thing. Nothing in it is believed before [`Signed::verify`].
+/// A certificate or statement as it was signed: the bytes travel and are stored unchanged, so that
+/// everybody checks the same thing. Nothing in it is believed before [`Signed::verify`].
 pub struct Signed<T> {
     bytes: Box<[u8]>,
     claims: PhantomData<fn() -> T>,
@@ -70,7 +70,8 @@ impl<T: Claims> Signed<T> {
         Ok(claims)
     }
 
-    /// What it states, believed by nobody: to show it, or to find out which key it should verify under.
+    /// What it states, believed by nobody: to show it, or to find out which key it should verify
+    /// under.
     pub fn claims_unverified(&self) -> Result<T, CertError> {
         Ok(self.parse()?.1)
     }

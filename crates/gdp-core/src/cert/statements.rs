@@ -1,4 +1,5 @@
-//! What entities state themselves: which switch may carry their traffic, and what they do with a name.
+//! What entities state themselves: which switch may carry their traffic, and what they do with a
+//! name.
 
 use super::advert_op::AdvertOp;
 use super::{Claims, Validity};
@@ -27,7 +28,8 @@ impl Claims for RtCert {
     }
 }
 
-/// An entity's own statement: what it does with the name, at which switch. No switch can make it up.
+/// An entity's own statement: what it does with the name, at which switch. No switch can make it
+/// up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Advert {
@@ -35,7 +37,8 @@ pub struct Advert {
     pub name: Name,
     pub entity: Name,
     pub switch: Name,
-    /// Rises with every statement of the entity; the RIB refuses one that is not above the highest it saw.
+    /// Rises with every statement of the entity; the RIB refuses one that is not above the highest
+    /// it saw.
     pub serial: u64,
     /// Seconds from when the RIB accepts it, on the RIB's clock.
     pub lifetime: u32,

@@ -1,4 +1,5 @@
-//! Of which domain a switch is, which both have to say, and where its domain can be reached: at those that are borders.
+//! Of which domain a switch is, which both have to say, and where its domain can be reached: at
+//! those that are borders.
 
 use std::net::SocketAddr;
 
@@ -19,7 +20,8 @@ pub const MAX_LOCATED: usize = 8;
 /// Bytes of all that is signed in a locator.
 pub const MAX_LOCATOR: usize = 16 << 10;
 
-/// A switch → other domains: I am of this one, and here you reach me. Signed by its own key; of a switch the highest serial counts.
+/// A switch → other domains: I am of this one, and here you reach me. Signed by its own key; of a
+/// switch the highest serial counts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SwitchStatement {
@@ -50,8 +52,8 @@ impl Claims for SwitchStatement {
     }
 }
 
-/// A switch and its domain, as any other domain may judge them. A domain alone could say of any switch that it is its own, and draw what
-/// is for the entities there.
+/// A switch and its domain, as any other domain may judge them. A domain alone could say of any
+/// switch that it is its own, and draw what is for the entities there.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Host {
@@ -62,8 +64,9 @@ pub struct Host {
 }
 
 impl Host {
-    /// What `domain` and the switch say of it, if both say that it is a switch of `domain` at `now` (Unix seconds). `revocation` is the
-    /// newest that is known of the domain. The statement that is returned ends with all that it rests on.
+    /// What `domain` and the switch say of it, if both say that it is a switch of `domain` at `now`
+    /// (Unix seconds). `revocation` is the newest that is known of the domain. The statement that
+    /// is returned ends with all that it rests on.
     pub fn verify(
         &self,
         domain: Name,
@@ -104,8 +107,9 @@ impl Host {
     }
 }
 
-/// Where a domain can be reached: its borders, best first. Each stands for itself: whoever receives it leaves out those that do not verify,
-/// because one border whose membership is over must not hide the others. One that names too many, or of which none is left, says nothing.
+/// Where a domain can be reached: its borders, best first. Each stands for itself: whoever receives
+/// it leaves out those that do not verify, because one border whose membership is over must not
+/// hide the others. One that names too many, or of which none is left, says nothing.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Locator {
@@ -113,7 +117,8 @@ pub struct Locator {
 }
 
 impl Locator {
-    /// As [`Host::verify`], of each by itself, which must be a border. The error: they are more than allowed.
+    /// As [`Host::verify`], of each by itself, which must be a border. The error: they are more
+    /// than allowed.
     pub fn verify(
         &self,
         domain: Name,

@@ -14,7 +14,8 @@ use aws_lc_rs::{
 use zeroize::Zeroizing;
 
 pub fn sha256(parts: &[&[u8]]) -> [u8; 32] {
-    // Hashing at once is several times faster for a few blocks: a context is a structure on the library's heap.
+    // Hashing at once is several times faster for a few blocks: a context is a structure on the
+    // library's heap.
     let mut gathered = [0u8; 512];
     let digest = match parts {
         [all] => digest::digest(&digest::SHA256, all),

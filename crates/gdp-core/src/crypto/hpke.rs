@@ -1,5 +1,6 @@
-//! Hybrid public key encryption (RFC 9180) in base mode, one message at a time: DHKEM(P-256, HKDF-SHA256), HKDF-SHA256,
-//! AES-256-GCM, by rustls over AWS-LC. Only `crypto` calls it. There is no second implementation of it to choose.
+//! Hybrid public key encryption (RFC 9180) in base mode, one message at a time: DHKEM(P-256,
+//! HKDF-SHA256), HKDF-SHA256, AES-256-GCM, by rustls over AWS-LC. Only `crypto` calls it. There is
+//! no second implementation of it to choose.
 
 use p256::PublicKey;
 use p256::elliptic_curve::sec1::ToSec1Point;

@@ -1,8 +1,10 @@
-//! The few primitives everything else is built from, with two interchangeable back ends: aws-lc-rs (default, fast) and
-//! RustCrypto (portable). Both are always compiled, and the tests check each against the other. No protocol lives here.
+//! The few primitives everything else is built from, with two interchangeable back ends: aws-lc-rs
+//! (default, fast) and RustCrypto (portable). Both are always compiled, and the tests check each
+//! against the other. No protocol lives here.
 //!
-//! ECDSA signatures are 64 bytes `r ‖ s`. A high `s` is accepted, as RFC 9053 and both back ends do: nothing in this
-//! project identifies anything by its signature bytes, so that a signature can be restated is of no use to anybody.
+//! ECDSA signatures are 64 bytes `r ‖ s`. A high `s` is accepted, as RFC 9053 and both back ends
+//! do: nothing in this project identifies anything by its signature bytes, so that a signature can
+//! be restated is of no use to anybody.
 
 mod aws_lc;
 mod error;
@@ -81,7 +83,8 @@ impl Backend {
         }
     }
 
-    /// ECDH on P-256: the x coordinate that both sides get. To be put through [`Self::hkdf_sha256`].
+    /// ECDH on P-256: the x coordinate that both sides get. To be put through
+    /// [`Self::hkdf_sha256`].
     pub fn agree(
         self,
         secret: &[u8; 32],
@@ -94,7 +97,8 @@ impl Backend {
     }
 }
 
-/// AES-256-GCM with detached 16-byte tags. A nonce must never seal twice under one key: that is the caller's duty.
+/// AES-256-GCM with detached 16-byte tags. A nonce must never seal twice under one key: that is the
+/// caller's duty.
 pub struct Aead(AeadImpl);
 
 enum AeadImpl {
@@ -111,7 +115,8 @@ impl Aead {
         }
     }
 
-    /// Decrypts `ciphertext` into `out`, which must be as long. After an error the content of `out` is unspecified.
+    /// Decrypts `ciphertext` into `out`, which must be as long. After an error the content of `out`
+    /// is unspecified.
     pub fn open(
         &self,
         nonce: &[u8; NONCE_LEN],
@@ -182,8 +187,9 @@ impl fmt::Debug for Signer {
 /// What [`hpke_seal`] adds to a plaintext, in bytes.
 pub const HPKE_OVERHEAD: usize = hpke::OVERHEAD;
 
-/// Seals `plaintext` for who holds the private half of `public` (RFC 9180, base mode, DHKEM(P-256, HKDF-SHA256), HKDF-SHA256,
-/// AES-256-GCM, no additional data): the encapsulated key, 65 bytes, then ciphertext and tag. It does not say who sealed.
+/// Seals `plaintext` for who holds the private half of `public` (RFC 9180, base mode, DHKEM(P-256,
+/// HKDF-SHA256), HKDF-SHA256, AES-256-GCM, no additional data): the encapsulated key, 65 bytes,
+/// then ciphertext and tag. It does not say who sealed.
 pub fn hpke_seal(public: &[u8; PUBLIC_KEY_LEN], info: &[u8], plaintext: &[u8]) -> Result<Vec<u8>, CryptoError> {
     hpke::seal(public, info, plaintext)
 }

@@ -1,5 +1,6 @@
-//! Public keys that were parsed lately. A point takes as long to decompress as half a verification, and what one owner or entity signs
-//! comes again and again, each time with the key beside it. A few keys for each thread, whatever comes.
+//! Public keys that were parsed lately. A point takes as long to decompress as half a verification,
+//! and what one owner or entity signs comes again and again, each time with the key beside it. A
+//! few keys for each thread, whatever comes.
 
 use std::cell::RefCell;
 use std::rc::Rc;

@@ -1,5 +1,5 @@
-//! The portable back end: RustCrypto's `sha2`, `hkdf`, `aes-gcm` and `p256`. Only `crypto` calls it. Its signatures are
-//! deterministic (RFC 6979), which the test vectors rely on.
+//! The portable back end: RustCrypto's `sha2`, `hkdf`, `aes-gcm` and `p256`. Only `crypto` calls
+//! it. Its signatures are deterministic (RFC 6979), which the test vectors rely on.
 
 use crate::crypto::error::CryptoError;
 use crate::crypto::lengths::{NONCE_LEN, PUBLIC_KEY_LEN, SIGNATURE_LEN, TAG_LEN};

@@ -1,6 +1,7 @@
-//! Trust domains, as their members apply them: what an entity shows on its links ([`Credentials`]), and whom it takes a link with
-//! ([`Trust`]). No I/O and no clock. Switches and nodes call this; the certificates are in [`crate::cert::domain`], the
-//! invitation that a person carries in [`token`].
+//! Trust domains, as their members apply them: what an entity shows on its links ([`Credentials`]),
+//! and whom it takes a link with ([`Trust`]). No I/O and no clock. Switches and nodes call this;
+//! the certificates are in [`crate::cert::domain`], the invitation that a person carries in
+//! [`token`].
 
 mod files;
 pub mod token;
@@ -71,7 +72,8 @@ pub enum Relationship {
     Member {
         role: String,
     },
-    /// The border switch of another domain. `ours` is what this domain lets that one do, `theirs` the reverse.
+    /// The border switch of another domain. `ours` is what this domain lets that one do, `theirs`
+    /// the reverse.
     Border {
         domain: Name,
         ours: PeerRights,
@@ -116,11 +118,13 @@ impl Admission {
     pub const STRANGER: Self = Self { standing: Relationship::Stranger, until: u64::MAX };
 }
 
-/// Why a peer gets no link, or an entity cannot be what its files say. Both sides read it: it names the certificate and the remedy.
+/// Why a peer gets no link, or an entity cannot be what its files say. Both sides read it: it names
+/// the certificate and the remedy.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DomainError {
     #[error(
-        "{peer:#} shows no membership, and this is for members of domain {home:#}: have that domain admit it (`gdp-ctl domain admit` or `invite`)"
+        "{peer:#} shows no membership, and this is for members of domain {home:#}: have that domain admit it \
+         (`gdp-ctl domain admit` or `invite`)"
     )]
     NoMembership { peer: Name, home: Name },
     #[error("the {what} with serial {serial} of {of:#}, issued by domain {domain:#}: {source}")]
@@ -128,19 +132,23 @@ pub enum DomainError {
     #[error("what {of:#} shows of its domain cannot be read: {source}")]
     Unreadable { of: Name, source: Box<CertError> },
     #[error(
-        "{peer:#} is {role} in domain {domain:#}, and a switch there has the role switch, rib or border: have it admitted as one"
+        "{peer:#} is {role} in domain {domain:#}, and a switch there has the role switch, rib or border: have it \
+         admitted as one"
     )]
     NotASwitch { peer: Name, role: String, domain: Name },
     #[error(
-        "{peer:#} is of domain {domain:#}, which domain {home:#} does not know: issue `gdp-ctl domain peer {domain}` with the key of {home:#}, and list it under peers"
+        "{peer:#} is of domain {domain:#}, which domain {home:#} does not know: issue `gdp-ctl domain peer {domain}` \
+         with the key of {home:#}, and list it under peers"
     )]
     Foreign { peer: Name, domain: Name, home: Name },
     #[error(
-        "domain {domain:#} has not issued a PeerCert to domain {home:#}, or {peer:#} does not show it: issue it with the key of {domain:#}, and list it under peers there"
+        "domain {domain:#} has not issued a PeerCert to domain {home:#}, or {peer:#} does not show it: issue it with \
+         the key of {domain:#}, and list it under peers there"
     )]
     OneSided { peer: Name, domain: Name, home: Name },
     #[error(
-        "the PeerCert with serial {serial} of domain {domain:#} gives domain {to:#} {has}, and {right} is needed: have one issued with it"
+        "the PeerCert with serial {serial} of domain {domain:#} gives domain {to:#} {has}, and {right} is needed: \
+         have one issued with it"
     )]
     NoRight { domain: Name, to: Name, serial: u64, has: PeerRights, right: &'static str },
     #[error(
@@ -160,8 +168,9 @@ pub struct Trust {
 }
 
 impl Trust {
-    /// For an entity that is what `papers` says. That these hold now is looked at with each link: a machine may start without a clock.
-    /// `members_only`: no endpoint gets a link without a membership.
+    /// For an entity that is what `papers` says. That these hold now is looked at with each link: a
+    /// machine may start without a clock. `members_only`: no endpoint gets a link without a
+    /// membership.
     pub fn new(entity: Name, papers: Arc<Credentials>, members_only: bool) -> Result<Self, DomainError> {
         let home = check_own(entity, &papers)?;
         Ok(Self { entity, home, papers, members_only, revocations: BTreeMap::new() })
@@ -191,7 +200,8 @@ impl Trust {
         self.member(self.entity, &self.papers.membership, self.home, now)
     }
 
-    /// Whether `peer` may have a link with this entity, whose own part in links is `own`; `shown` is what the peer shows.
+    /// Whether `peer` may have a link with this entity, whose own part in links is `own`; `shown`
+    /// is what the peer shows.
     pub fn admit(
         &self,
         own: Role,
@@ -256,7 +266,8 @@ impl Trust {
         Ok(Admission { standing, until })
     }
 
-    /// Takes in what a domain has revoked. Whether that is news; nothing of domains that this one has nothing to do with is kept.
+    /// Takes in what a domain has revoked. Whether that is news; nothing of domains that this one
+    /// has nothing to do with is kept.
     pub fn take_revocation(&mut self, proof: &NameProof, signed: &Signed<Revocation>) -> Result<bool, CertError> {
         // Anybody may send one: those of no interest cost no more than this.
         if !self.knows(&proof.name()?) {
@@ -301,8 +312,8 @@ impl Trust {
         Ok(cert)
     }
 
-    /// What `domain`, whose member shows `papers`, lets `to` do, if it has stated anything. Of several certificates the newest
-    /// that holds counts.
+    /// What `domain`, whose member shows `papers`, lets `to` do, if it has stated anything. Of
+    /// several certificates the newest that holds counts.
     fn granted(&self, papers: &Credentials, domain: Name, to: Name, now: u64) -> Result<Option<PeerCert>, DomainError> {
         let (mut newest, mut failure) = (None::<PeerCert>, None);
         for signed in &papers.peers {

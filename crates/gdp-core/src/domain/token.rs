@@ -1,5 +1,6 @@
-//! An invitation as one line of text: `gdp1` and base64url (RFC 4648 §5, no padding) of deterministic CBOR. It holds a private key:
-//! whoever has the line can be the one that is admitted.
+//! An invitation as one line of text: `gdp1` and base64url (RFC 4648 §5, no padding) of
+//! deterministic CBOR. It holds a private key: whoever has the line can be the one that is
+//! admitted.
 
 use base64ct::{Base64UrlUnpadded, Encoding};
 use serde::{Deserialize, Serialize};
@@ -106,7 +107,8 @@ impl Token {
         self.switch
     }
 
-    /// Makes `entity` the member. `serial` is the time in nanoseconds; the invitation has to hold then.
+    /// Makes `entity` the member. `serial` is the time in nanoseconds; the invitation has to hold
+    /// then.
     pub fn admit(&self, entity: Name, not_before: u64, serial: u64) -> Result<Membership, CertError> {
         let invite = self.invite()?;
         let now = serial / 1_000_000_000;

@@ -1,6 +1,7 @@
-//! The key of an entity that others wrap keys to and agree on keys with: it follows from the key that the entity signs with, so
-//! that it needs no file and a restarted reader opens what was wrapped before, but is another key, so that no signature helps
-//! with key agreement, or the other way round.
+//! The key of an entity that others wrap keys to and agree on keys with: it follows from the key
+//! that the entity signs with, so that it needs no file and a restarted reader opens what was
+//! wrapped before, but is another key, so that no signature helps with key agreement, or the other
+//! way round.
 
 use std::fmt;
 use std::sync::Arc;
@@ -14,7 +15,8 @@ use crate::crypto::PUBLIC_KEY_LEN;
 
 const CONTEXT: &[u8] = b"gdp/box-key/1";
 
-/// A private P-256 key for key agreement. Clones share one copy, which is cleared with the last of them.
+/// A private P-256 key for key agreement. Clones share one copy, which is cleared with the last of
+/// them.
 #[derive(Clone)]
 pub struct BoxKey(Arc<Inner>);
 
@@ -24,8 +26,8 @@ struct Inner {
 }
 
 impl BoxKey {
-    /// `HKDF-SHA256(signing key, info = "gdp/box-key/1" ‖ i)` with the lowest `i`, of one byte, for which that is a key: 0 but
-    /// for one in 2³².
+    /// `HKDF-SHA256(signing key, info = "gdp/box-key/1" ‖ i)` with the lowest `i`, of one byte, for
+    /// which that is a key: 0 but for one in 2³².
     pub(crate) fn derive(signing_secret: &[u8; 32]) -> Result<Self, CryptoError> {
         for i in 0..=u8::MAX {
             let secret = Backend::default().hkdf_sha256(&[], signing_secret, &[CONTEXT, &[i]])?;

@@ -1,4 +1,5 @@
-//! The secret that the writers and readers of a name share for an epoch. Sessions derive their own keys from it.
+//! The secret that the writers and readers of a name share for an epoch. Sessions derive their own
+//! keys from it.
 
 use crate::crypto;
 use crate::crypto::CryptoError;

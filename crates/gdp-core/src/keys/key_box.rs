@@ -1,5 +1,6 @@
-//! The key of an epoch, wrapped for one reader and signed by the writer: kept beside the writer's advertisement, so that the
-//! reader gets it while the writer is away. Whoever keeps it learns who may read whom, and no key.
+//! The key of an epoch, wrapped for one reader and signed by the writer: kept beside the writer's
+//! advertisement, so that the reader gets it while the writer is away. Whoever keeps it learns who
+//! may read whom, and no key.
 
 use serde::{Deserialize, Serialize};
 
@@ -71,7 +72,8 @@ pub fn wrap(
     issue(writer.key(), &claims)
 }
 
-/// The epoch and key in a box for `reader` that `writer`, whose key is `writer_key`, made for `name`.
+/// The epoch and key in a box for `reader` that `writer`, whose key is `writer_key`, made for
+/// `name`.
 pub fn open(
     signed: &Signed<KeyBox>,
     name: Name,

@@ -16,7 +16,8 @@ const SAMPLE: Sample = Sample { zebra: 500, a: 1, mid: [1, 2, 3] };
 
 #[test]
 fn keys_are_in_bytewise_order_of_their_encoding() {
-    // {"a": 1, "mid": h'010203', "zebra": 500}: shorter keys first, because their heads are smaller.
+    // {"a": 1, "mid": h'010203', "zebra": 500}: shorter keys first, because their heads are
+    // smaller.
     let expected = hex::decode("a3616101636d696443010203657a656272611901f4").unwrap();
     assert_eq!(encode(&SAMPLE).unwrap(), expected);
     assert_eq!(decode::<Sample>(&expected, 64), Ok(SAMPLE));

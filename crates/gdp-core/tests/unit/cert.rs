@@ -95,7 +95,8 @@ fn one_kind_never_verifies_as_another() {
     let error = as_ad_cert.verify(&key, NOW).unwrap_err();
     assert!(error.to_string().contains("expected AdCert"), "{error}");
 
-    // The same claims under another context: the content type can be exchanged by anybody, the signature not.
+    // The same claims under another context: the content type can be exchanged by anybody, the
+    // signature not.
     #[derive(serde::Serialize, serde::Deserialize)]
     #[serde(transparent)]
     struct Other(ReadGrant);
@@ -180,7 +181,8 @@ fn a_clock_that_is_ahead_by_a_minute_issues_what_holds_at_once_and_longer_is_not
     assert_eq!(Validity::ALWAYS.check(u64::MAX), Ok(()));
 }
 
-/// It starts in 1970: what it signs for a day has ended, and what others have signed has not begun. Both errors name the clock.
+/// It starts in 1970: what it signs for a day has ended, and what others have signed has not begun.
+/// Both errors name the clock.
 #[test]
 fn a_machine_that_does_not_know_the_time_is_told_to_look_at_its_clock() {
     let f = Fixture::new();

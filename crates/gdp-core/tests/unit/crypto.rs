@@ -97,8 +97,8 @@ fn ecdh_of_rfc_5903() {
     }
 }
 
-/// Both back ends agree on what a signature is: if one accepted a high `s` and the other did not, two nodes could
-/// disagree about one message.
+/// Both back ends agree on what a signature is: if one accepted a high `s` and the other did not,
+/// two nodes could disagree about one message.
 #[test]
 fn a_high_s_is_accepted_by_both_or_by_none() {
     let key = SigningKey::generate().unwrap();

@@ -201,7 +201,8 @@ fn a_damaged_line_is_refused_without_being_repeated() {
         let mut changed = line.as_bytes().to_vec();
         changed[at] = if changed[at] == b'A' { b'B' } else { b'A' };
         let changed = String::from_utf8(changed).unwrap();
-        // Where to dial and the name of the switch there are not signed: they are whoever's who gives the line.
+        // Where to dial and the name of the switch there are not signed: they are whoever's who
+        // gives the line.
         if let Ok(read) = Token::from_line(&changed) {
             assert!(read.invite().is_ok(), "{at}");
         }
@@ -227,7 +228,8 @@ fn papers_are_bounded_and_an_entitys_own() {
     assert!(error.to_string().contains("wrong entity"), "{error}");
 }
 
-/// What is signed, and where it is in an invitation's line. Signatures are random, so they are not part of it.
+/// What is signed, and where it is in an invitation's line. Signatures are random, so they are not
+/// part of it.
 #[test]
 fn vectors_of_domains() {
     let (home, away) = (Domain::new(1), Domain::new(2));

@@ -7,8 +7,8 @@ fn metadata(entries: &[(&str, &str)]) -> Metadata {
     entries.iter().map(|(k, v)| (k.to_string(), v.to_string())).collect()
 }
 
-/// The order of RFC 8785 §3.2.3: U+1F600 is two code units that begin with D83D, so it sorts before U+FB33,
-/// although its UTF-8 and its code point are larger.
+/// The order of RFC 8785 §3.2.3: U+1F600 is two code units that begin with D83D, so it sorts before
+/// U+FB33, although its UTF-8 and its code point are larger.
 #[test]
 fn keys_are_ordered_by_utf_16_code_units() {
     let map = metadata(&[

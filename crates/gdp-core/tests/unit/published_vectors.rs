@@ -1,5 +1,5 @@
-//! The published test vectors, `docs/vectors`: recomputed by the tests beside what they are about, and compared here.
-//! `GDP_WRITE_VECTORS=1 cargo test -p gdp vectors` writes them anew.
+//! The published test vectors, `docs/vectors`: recomputed by the tests beside what they are about,
+//! and compared here. `GDP_WRITE_VECTORS=1 cargo test -p gdp vectors` writes them anew.
 
 use std::fs;
 use std::path::PathBuf;

@@ -1,4 +1,5 @@
-//! The section `dpdk` of the configuration: the devices that the DPDK plane drives by itself, and what it may take for that.
+//! The section `dpdk` of the configuration: the devices that the DPDK plane drives by itself, and
+//! what it may take for that.
 
 use std::time::Duration;
 
@@ -21,8 +22,8 @@ const MEMORY: std::ops::RangeInclusive<u32> = 64..=65536;
 /// From what IPv6 needs to what fits the largest packet.
 const MTU: std::ops::RangeInclusive<u16> = 1280..=(LARGEST_ROOM - AUXILIARY) as u16;
 
-/// What `net_af_packet` has for a packet and for several, unless it is told otherwise; and what the kernel puts in front of a packet there,
-/// its Ethernet header included.
+/// What `net_af_packet` has for a packet and for several, unless it is told otherwise; and what the
+/// kernel puts in front of a packet there, its Ethernet header included.
 const FRAMESZ: usize = 2048;
 const BLOCKSZ: usize = 4096;
 const BEFORE_PACKET: usize = 80;
@@ -30,7 +31,8 @@ const BEFORE_PACKET: usize = 80;
 /// Pairs of these that go together: what is for several is whole pages.
 const FRAMES: [(usize, usize); 4] = [(FRAMESZ, BLOCKSZ), (4096, 4096), (8192, 8192), (LARGEST_ROOM, 4 * LARGEST_ROOM)];
 
-/// Of the room for packets where `net_af_xdp` is among the devices: with what goes in front, it is to fit a page.
+/// Of the room for packets where `net_af_xdp` is among the devices: with what goes in front, it is
+/// to fit a page.
 const LARGEST_XDP: usize = 3072;
 
 /// The longest sleep of a loop.
@@ -64,12 +66,14 @@ impl DpdkEntry {
                 && !interface.contains(|c: char| c == '/' || !c.is_ascii_graphic());
             if !is_name {
                 return Err(format!(
-                    "dpdk: {interface:?} is no name for an interface: 1 to {MAX_INTERFACE} visible characters without a slash"
+                    "dpdk: {interface:?} is no name for an interface: 1 to {MAX_INTERFACE} visible characters \
+                     without a slash"
                 ));
             }
             if device.is_empty() || !device.chars().all(|c| c.is_ascii_graphic()) {
                 return Err(format!(
-                    "dpdk: {device:?} is no device; one is a PCI address such as 0000:02:00.0, or a driver with its arguments such as \
+                    "dpdk: {device:?} is no device; one is a PCI address such as 0000:02:00.0, or a driver with its \
+                     arguments such as \
                      net_af_xdp0,iface=eth0"
                 ));
             }
@@ -77,7 +81,8 @@ impl DpdkEntry {
             let port = DpdkPort { interface, device, mtu };
             if port.carrier() == Some(&port.interface) {
                 return Err(format!(
-                    "dpdk: {} cannot be both the device and the host's side of it; give that another name, such as gdp0, and the addresses of \
+                    "dpdk: {} cannot be both the device and the host's side of it; give that another name, such as \
+                     gdp0, and the addresses of \
                      {} with it",
                     port.interface, port.interface
                 ));
@@ -128,7 +133,8 @@ impl DpdkEntry {
         let xdp = config.ports.iter().find(|port| port.is_af_xdp()).filter(|_| config.room() > LARGEST_XDP);
         if let Some(xdp) = xdp {
             return Err(format!(
-                "dpdk: {} takes packets that fit a page: with it no port has an mtu above {}, or framesz above {LARGEST_XDP}",
+                "dpdk: {} takes packets that fit a page: with it no port has an mtu above {}, or framesz above \
+                 {LARGEST_XDP}",
                 xdp.name(),
                 LARGEST_XDP - AUXILIARY - BEFORE_XDP
             ));

@@ -15,7 +15,8 @@ const MAX_PREFIX: usize = 128;
 pub struct EtcdConfig {
     /// Of the members of one cluster.
     pub endpoints: Vec<Endpoint>,
-    /// What all keys begin with: the same for the replicas of one domain, another for those of any other.
+    /// What all keys begin with: the same for the replicas of one domain, another for those of any
+    /// other.
     pub prefix: String,
 }
 
@@ -36,7 +37,9 @@ impl EtcdEntry {
     /// `rib`: whether this daemon is a RIB.
     pub fn check(self, rib: bool) -> Result<EtcdConfig, String> {
         if !rib {
-            return Err("etcd: it keeps what replicas of the RIB know, and this daemon is none; remove it, or rib: false and uplink".into());
+            return Err("etcd: it keeps what replicas of the RIB know, and this daemon is none; remove it, or rib: \
+                        false and uplink"
+                .into());
         }
         let mut endpoints = Vec::new();
         for text in &self.endpoints {
@@ -53,7 +56,8 @@ impl EtcdEntry {
         let is_plain = prefix.chars().all(|c| c.is_ascii_graphic());
         if !is_plain || prefix.len() > MAX_PREFIX || prefix.split('/').any(str::is_empty) {
             return Err(format!(
-                "etcd: the prefix {prefix:?} is not one to {MAX_PREFIX} visible characters, without a slash at its ends, such as gdp/rib"
+                "etcd: the prefix {prefix:?} is not one to {MAX_PREFIX} visible characters, without a slash at its \
+                 ends, such as gdp/rib"
             ));
         }
         Ok(EtcdConfig { endpoints, prefix })

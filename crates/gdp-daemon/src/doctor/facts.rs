@@ -91,7 +91,8 @@ pub enum Bpffs {
         path: String,
         /// Whether this process may.
         may_mount: bool,
-        /// Whether it would be seen, and stay, only as long as this process has company in its mount namespace.
+        /// Whether it would be seen, and stay, only as long as this process has company in its
+        /// mount namespace.
         private: bool,
     },
     Occupied {

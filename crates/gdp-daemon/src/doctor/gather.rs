@@ -1,5 +1,5 @@
-//! Asks the system. Attaches nothing and leaves nothing behind: the eBPF object is loaded and let go, the port bound and
-//! let go.
+//! Asks the system. Attaches nothing and leaves nothing behind: the eBPF object is loaded and let
+//! go, the port bound and let go.
 
 use std::ffi::CString;
 use std::io;

@@ -1,8 +1,9 @@
-//! Whether a daemon would find here what it needs, what it would do without, and what the remedy is. Pure: [`facts`] says
-//! what was found, [`examine`] what that means; [`gather`] asks the system. Called by `gdp-ctl doctor`.
+//! Whether a daemon would find here what it needs, what it would do without, and what the remedy
+//! is. Pure: [`facts`] says what was found, [`examine`] what that means; [`gather`] asks the
+//! system. Called by `gdp-ctl doctor`.
 //!
-//! *Failed* is what keeps the daemon from running as configured, on an interface or at all; *a warning* is what makes it slower
-//! or loses frames later.
+//! *Failed* is what keeps the daemon from running as configured, on an interface or at all; *a
+//! warning* is what makes it slower or loses frames later.
 
 pub mod facts;
 pub mod gather;
@@ -198,7 +199,10 @@ fn kernel(facts: &Facts) -> Vec<Finding> {
         ),
         Bpffs::Missing { path, private: true, .. } => warning(
             "bpffs",
-            format!("none at {path}, and what the daemon mounts in a mount namespace of its own ends with it, as does forwarding"),
+            format!(
+                "none at {path}, and what the daemon mounts in a mount namespace of its own ends with it, as \
+                     does forwarding"
+            ),
             "mount one outside (of `ip netns exec`, for example), and name it as `bpffs`",
         ),
         Bpffs::Missing { path, .. } => ok("bpffs", format!("not at {path} yet; the daemon mounts it")),
@@ -276,14 +280,24 @@ fn xdp(interface: &Interface, facts: &Facts, any_native: bool) -> Vec<Finding> {
     }];
     findings.push(if let Some(reason) = &interface.disturbed {
         let command = format!("`gdp-ctl serve --interface {name}` attaches XDP all the same");
-        warning("mode", format!("{reason}, so the daemon leaves it alone; links over UDP are forwarded in userspace"), command)
+        warning(
+            "mode",
+            format!(
+                "{reason}, so the daemon leaves it alone; links over UDP are forwarded in \
+                 userspace"
+            ),
+            command,
+        )
     } else if native {
         let room = if device.kind == "veth" { 256 } else { 192 };
         ok("mode", format!("native XDP; drivers leave {room} bytes before a frame, at most {ENCAPSULATION} are needed"))
     } else {
         warning(
             "mode",
-            format!("the driver has no native XDP: generic is next, several times slower; the kernel makes 256 bytes of room before a frame, {ENCAPSULATION} are needed"),
+            format!(
+                "the driver has no native XDP: generic is next, several times slower; the kernel makes 256 bytes \
+                     of room before a frame, {ENCAPSULATION} are needed"
+            ),
             "use an interface whose driver has XDP, if speed matters",
         )
     });
@@ -305,14 +319,18 @@ fn xdp(interface: &Interface, facts: &Facts, any_native: bool) -> Vec<Finding> {
             )
         });
     }
-    findings.extend(features.filter(|_| any_native).map(|features| match (features.takes_redirects(), &*device.kind) {
+    findings.extend(features.filter(|_| any_native).map(|features| {
+        match (features.takes_redirects(), &*device.kind) {
         (true, _) => ok("redirects", "takes frames that others redirect to it".into()),
         (_, "veth") => warning(
             "redirects",
-            "takes no redirected frames, because its peer neither has GRO on nor runs an XDP program: frames leave through the daemon".into(),
+            "takes no redirected frames, because its peer neither has GRO on nor runs an XDP program: frames leave \
+             through the daemon".into(),
             "`ethtool -K PEER gro on`, for its peer, where that one is",
         ),
-        _ => warning("redirects", "takes no redirected frames: frames leave through the daemon".into(), "use an interface whose driver has ndo_xdp_xmit"),
+        _ => warning("redirects", "takes no redirected frames: frames leave through the daemon".into(), "use an \
+                      interface whose driver has ndo_xdp_xmit"),
+    }
     }));
     findings.extend(offloads(interface));
     findings
@@ -330,7 +348,8 @@ fn offloads(interface: &Interface) -> Vec<Finding> {
         ));
     }
     if device.kind == "veth" && on.tx_checksum == Some(true) {
-        let fact = "tx-checksum is on: what sockets here send leaves with unfinished checksums, and XDP at the other end forwards them so";
+        let fact = "tx-checksum is on: what sockets here send leaves with unfinished checksums, and XDP at the other \
+                    end forwards them so";
         findings.push(warning("offloads", fact.into(), off("tx")));
     }
     if interface.has_vlans && on.rx_vlan == Some(true) {

@@ -1,5 +1,5 @@
-//! The admin socket: a Unix socket for the user who runs the daemon. One JSON object per line each way, see
-//! [`gdp_proto::admin`]; bounded in length and number.
+//! The admin socket: a Unix socket for the user who runs the daemon. One JSON object per line each
+//! way, see [`gdp_proto::admin`]; bounded in length and number.
 
 use std::os::unix::fs::{DirBuilderExt, FileTypeExt, PermissionsExt};
 use std::path::{Path, PathBuf};
@@ -122,8 +122,8 @@ async fn serve(daemon: &Arc<Daemon>, stream: UnixStream) -> std::io::Result<()> 
     }
 }
 
-/// Writes what happens, one event to a line, until the client closes the connection or says more. A client that does not read holds
-/// up nobody but itself.
+/// Writes what happens, one event to a line, until the client closes the connection or says more. A
+/// client that does not read holds up nobody but itself.
 async fn monitor(
     mut events: Listener,
     mut reader: BufReader<OwnedReadHalf>,

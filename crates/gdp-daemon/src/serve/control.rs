@@ -1,6 +1,6 @@
-//! Control beyond the first hop: what goes to the RIB goes to the switch that it is beside, what the RIB says to the switch that it is
-//! for, each hop by hop over the links of the domain's switches as the topology leads. Whoever passes something on need not know
-//! what it is.
+//! Control beyond the first hop: what goes to the RIB goes to the switch that it is beside, what
+//! the RIB says to the switch that it is for, each hop by hop over the links of the domain's
+//! switches as the topology leads. Whoever passes something on need not know what it is.
 
 use gdp_link::link::Link;
 use gdp_proto::control::{EntityRequest, MAX_HOPS, Refusal, RefusalCode, Request, Response};
@@ -9,7 +9,8 @@ use gdp_wire::{LinkRole, Name};
 use super::core::{Core, Next, refuse};
 use super::domain;
 
-/// How far the RIB holds what this switch is to report: that it is there, and who is attached to it.
+/// How far the RIB holds what this switch is to report: that it is there, and who is attached to
+/// it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Report {
     #[default]
@@ -70,7 +71,8 @@ impl Core {
         }
     }
 
-    /// Something that a neighbouring switch passes on: for this switch, for the RIB here, or to be passed on.
+    /// Something that a neighbouring switch passes on: for this switch, for the RIB here, or to be
+    /// passed on.
     pub(super) fn passed_on(&mut self, from: &Link, to: Name, hops: u8, request: Request) -> Next {
         let (own, peer) = (self.name(), from.peer().name);
         if self.links.get(&from.local_id()).is_none_or(|state| state.role() != LinkRole::Switch as u32) {
@@ -174,7 +176,8 @@ impl Core {
         })
     }
 
-    /// The RIB does not hold what this switch thinks it holds: the switch reports again, or the endpoint attaches again.
+    /// The RIB does not hold what this switch thinks it holds: the switch reports again, or the
+    /// endpoint attaches again.
     fn told_to_detach(&mut self, entity: Name) -> Next {
         if entity == self.name() {
             self.report = Report::Due;
@@ -209,7 +212,8 @@ impl Core {
         Some(Reporting { by, run, follows: self.fence.follows(), link, request: onward(by, report) })
     }
 
-    /// This run of the RIB has taken a report that was sent when `follows` was followed. Whether there is nothing new to report since.
+    /// This run of the RIB has taken a report that was sent when `follows` was followed. Whether
+    /// there is nothing new to report since.
     pub(super) fn report_taken(&mut self, taken: Report, run: u64, follows: Option<u64>) -> bool {
         self.fence.reported(run, follows);
         let is_last = self.report == Report::Sent;
@@ -219,7 +223,8 @@ impl Core {
         is_last
     }
 
-    /// Whether a way to the RIB is now known that was not, or another RIB: then there is something to report to it.
+    /// Whether a way to the RIB is now known that was not, or another RIB: then there is something
+    /// to report to it.
     pub(super) fn follow_rib(&mut self) -> bool {
         if self.rib.is_some() {
             return false;

@@ -1,6 +1,6 @@
-//! What the daemon holds and decides: its links, the RIB or the way to it, the topology, the FIB in links, the data planes. Behind one
-//! lock, never held across an await; the tasks around it ([`super::links`], [`super::report`], [`super::ports`],
-//! [`super::admin`]) do the waiting.
+//! What the daemon holds and decides: its links, the RIB or the way to it, the topology, the FIB in
+//! links, the data planes. Behind one lock, never held across an await; the tasks around it
+//! ([`super::links`], [`super::report`], [`super::ports`], [`super::admin`]) do the waiting.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::net::SocketAddr;
@@ -45,7 +45,8 @@ use gdp_util::unix_time::{unix_nanos, unix_seconds};
 /// Routes that are tried in vain whenever there may be room: one may need what another does not.
 const MAX_REFUSALS: usize = 16;
 
-/// Those of a run's number that are random. The others hold the revisions of etcd for a lifetime, and the time in units of 17 ms.
+/// Those of a run's number that are random. The others hold the revisions of etcd for a lifetime,
+/// and the time in units of 17 ms.
 const RUN_BITS: u32 = 24;
 
 /// Links of endpoints. Anybody can make one, so some are left for switches.
@@ -172,11 +173,13 @@ impl Statement {
 /// What a request needs before it can be answered.
 pub enum Next {
     Answer(Response),
-    /// The RIB here has accepted the statement; switches are still to be given the routes that follow.
+    /// The RIB here has accepted the statement; switches are still to be given the routes that
+    /// follow.
     Settle(Response, Statement),
     /// The RIB here has taken a revocation in; it is to be kept before that is said.
     Keep(Response),
-    /// The RIB here admits somebody by an invitation; likewise. `new`: its serial, if it had admitted nobody before.
+    /// The RIB here admits somebody by an invitation; likewise. `new`: its serial, if it had
+    /// admitted nobody before.
     KeepInvitation {
         new: Option<u64>,
     },
@@ -242,8 +245,9 @@ impl Core {
         self.identity.name()
     }
 
-    /// Keeps what an earlier daemon left in the data planes, until peers and RIB have replaced it, for a while. The endpoints
-    /// it had links with count as attached: they attach again when they notice.
+    /// Keeps what an earlier daemon left in the data planes, until peers and RIB have replaced it,
+    /// for a while. The endpoints it had links with count as attached: they attach again when they
+    /// notice.
     pub fn take_over(&mut self, ids: &LinkIds) {
         let Some(left) = self.planes.left().cloned() else { return };
         let until = Instant::now() + GRACEFUL_RESTART_TIME;
@@ -273,8 +277,8 @@ impl Core {
         );
     }
 
-    /// Removes what is held and whose time is over. Returns endpoints that are no longer attached, and whether neighbours are
-    /// gone.
+    /// Removes what is held and whose time is over. Returns endpoints that are no longer attached,
+    /// and whether neighbours are gone.
     pub fn end_hold(&mut self, now: Instant) -> (Vec<Name>, bool) {
         let adjacent = self.adjacencies();
         let lost = self.held.over(now).into_iter().filter_map(|id| self.release(id)).collect();
@@ -290,8 +294,8 @@ impl Core {
         (lost, self.adjacencies() != adjacent)
     }
 
-    /// Removes a link that is held, because its time is over or nothing forwards at its other end. Returns its peer, if that is
-    /// an endpoint that is no longer attached for it.
+    /// Removes a link that is held, because its time is over or nothing forwards at its other end.
+    /// Returns its peer, if that is an endpoint that is no longer attached for it.
     pub fn release(&mut self, id: u32) -> Option<Name> {
         let StaleLink { peer, role, .. } = self.held.take(id)?;
         self.remove_link(role, peer, id);
@@ -303,7 +307,8 @@ impl Core {
         Now { unix: unix_seconds(), clock: self.start.elapsed() }
     }
 
-    /// The moment at which [`Now::clock`] will be `clock`; none for one so far off that no certificate should name it.
+    /// The moment at which [`Now::clock`] will be `clock`; none for one so far off that no
+    /// certificate should name it.
     pub fn instant(&self, clock: std::time::Duration) -> Option<Instant> {
         self.start.checked_add(clock)
     }
@@ -362,8 +367,9 @@ impl Core {
         }
     }
 
-    /// What the RIB is to be asked before a member that was admitted by an invitation is taken for one. A neighbour that the
-    /// configuration names is taken if there is no way to the RIB but by it: there is nobody else to ask.
+    /// What the RIB is to be asked before a member that was admitted by an invitation is taken for
+    /// one. A neighbour that the configuration names is taken if there is no way to the RIB but by
+    /// it: there is nobody else to ask.
     pub fn question(&self, link: &Link, papers: &Credentials) -> Option<Request> {
         let domain = self.domain.as_ref()?;
         let entity = link.peer().name;
@@ -410,8 +416,8 @@ impl Core {
         }
     }
 
-    /// Judges links anew, all or only those whose time has come. Returns those to be closed, with the reason, and endpoints whose last
-    /// link was one that is held.
+    /// Judges links anew, all or only those whose time has come. Returns those to be closed, with
+    /// the reason, and endpoints whose last link was one that is held.
     pub fn recheck(&mut self, now: u64, only_ended: bool) -> (Vec<(Link, String)>, Vec<Name>) {
         let Some(domain) = &self.domain else { return Default::default() };
         let judge = |link: &Link| domain.trust.admit(Role::Switch, link.peer(), link.papers().as_deref(), now);
@@ -483,9 +489,10 @@ impl Core {
         self.events.tell(Event::LinkRefused { peer, via: via.to_string(), reason: reason.to_owned() });
     }
 
-    /// A link is closed. It goes out of service, unless frames may still come on it: because the peer is only about to learn
-    /// that another has replaced it, or because the peer said nothing, and may forward on without its daemon: then it is held,
-    /// and to be [watched](super::liveness). Returns whether it is.
+    /// A link is closed. It goes out of service, unless frames may still come on it: because the
+    /// peer is only about to learn that another has replaced it, or because the peer said nothing,
+    /// and may forward on without its daemon: then it is held, and to be
+    /// [watched](super::liveness). Returns whether it is.
     pub fn link_down(&mut self, link: &Link) -> bool {
         let (id, peer, lane) = (link.local_id(), link.peer().name, link.peer().lane);
         self.topology.link_down(id);
@@ -534,7 +541,8 @@ impl Core {
         }
     }
 
-    /// Writes the keys that a link has from now on to the data planes; `false` if it is gone, or a plane refuses.
+    /// Writes the keys that a link has from now on to the data planes; `false` if it is gone, or a
+    /// plane refuses.
     pub fn put_keys(&mut self, id: u32, keys: &LinkKeys) -> bool {
         let Some(state) = self.links.get_mut(&id) else { return false };
         keys.put(&mut state.entry);
@@ -545,7 +553,8 @@ impl Core {
         result.is_ok()
     }
 
-    /// Looks whether peers have moved to other addresses, as QUIC has validated; and what the paths to them take.
+    /// Looks whether peers have moved to other addresses, as QUIC has validated; and what the paths
+    /// to them take.
     pub fn follow_addresses(&mut self) {
         for state in self.links.values_mut() {
             let (to, mtu, carrier) = (state.link.addr(), state.link.mtu(), state.link.carrier());
@@ -566,7 +575,8 @@ impl Core {
         }
     }
 
-    /// The interfaces to endpoints on this host are gone: they are to make links anew, and send through the daemon.
+    /// The interfaces to endpoints on this host are gone: they are to make links anew, and send
+    /// through the daemon.
     pub fn close_links_by_pair(&self) {
         for state in self.links.values().filter(|state| state.link.is_by_pair()) {
             state.link.close("the interfaces between the switch and its host are gone");
@@ -729,7 +739,8 @@ impl Core {
         }
     }
 
-    /// Carries changes out in the data planes. Routes that find no room are kept, and placed when there is some.
+    /// Carries changes out in the data planes. Routes that find no room are kept, and placed when
+    /// there is some.
     pub(super) fn carry_out(&mut self, changes: Vec<Change>) {
         for change in changes {
             let result = match change {
@@ -822,7 +833,8 @@ pub fn link_role(role: u32) -> &'static str {
     }
 }
 
-/// Of a life of a RIB: higher than that of one with a lower `term`; and another one, should terms be counted anew.
+/// Of a life of a RIB: higher than that of one with a lower `term`; and another one, should terms
+/// be counted anew.
 pub(super) fn run_id(term: u64) -> u64 {
     let random = crypto::random::<8>().map_or_else(|_| unix_nanos(), u64::from_ne_bytes);
     term << RUN_BITS | random & ((1 << RUN_BITS) - 1)

@@ -13,7 +13,8 @@ use super::Daemon;
 /// Between two messages to one endpoint, however often costs change.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// Answers an endpoint that asks, and tells it of changes for as long as the link lives. `watches`: it has asked on this link before.
+/// Answers an endpoint that asks, and tells it of changes for as long as the link lives. `watches`:
+/// it has asked on this link before.
 pub fn watch(daemon: &Arc<Daemon>, link: &Link, watches: &mut bool) -> Response {
     let mut costs = daemon.costs.subscribe();
     let now = costs.borrow_and_update().clone();
@@ -32,7 +33,8 @@ async fn tell(link: Link, mut costs: watch::Receiver<PathCosts>) {
             }
             let now = costs.borrow_and_update().clone();
             if let Err(error) = link.request(&Request::Costs(now)).await {
-                tracing::debug!(endpoint = %format_args!("{:#}", link.peer().name), %error, "what paths cost did not arrive");
+                tracing::debug!(endpoint = %format_args!("{:#}", link.peer().name), %error, "what paths cost did not \
+                                                          arrive");
                 costs.mark_changed();
             }
         }

@@ -1,5 +1,6 @@
-//! Traces that go on in other domains. The border that has the link asks the one at its other end, and measures the way there in the data
-//! plane; that one traces the name inside its domain by probes, and has its borders ask on. The rules are in [`gdp_rib::crossing`].
+//! Traces that go on in other domains. The border that has the link asks the one at its other end,
+//! and measures the way there in the data plane; that one traces the name inside its domain by
+//! probes, and has its borders ask on. The rules are in [`gdp_rib::crossing`].
 
 use std::time::{Duration, Instant};
 

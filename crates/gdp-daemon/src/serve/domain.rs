@@ -1,6 +1,7 @@
-//! The daemon's trust domain: reads its files when they change, keeps what must outlive a restart, tells neighbours of revocations
-//! and of renewed papers, asks the RIB about invitations, and closes links when what they rest on ends. The rules are in
-//! [`gdp_core::domain`] and [`crate::domain`].
+//! The daemon's trust domain: reads its files when they change, keeps what must outlive a restart,
+//! tells neighbours of revocations and of renewed papers, asks the RIB about invitations, and
+//! closes links when what they rest on ends. The rules are in [`gdp_core::domain`] and
+//! [`crate::domain`].
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -93,13 +94,14 @@ fn load_used(path: &Path) -> Result<Vec<Used>, SecretFileError> {
     })
 }
 
-/// Reads the files when they change, and closes links at the moment at which what they rest on ends.
+/// Reads the files when they change, and closes links at the moment at which what they rest on
+/// ends.
 pub async fn watch(daemon: Arc<Daemon>, config: DomainConfig, shown: CurrentCredentials) {
     let mut files = FileSet::new(&FileWatcher::start(), config.files.paths());
     loop {
         tokio::select! {
             () = sleep(LOOK) => daemon.recheck_links(true),
-            () = files.changed() => match config.files.load().map_err(MembershipError::from).and_then(|papers| daemon.renew(papers, &config)) {
+            () = files.changed() => match load_and_renew(&daemon, &config) {
                 Ok(papers) => {
                     shown.set(papers.clone());
                     daemon.show_renewed(&papers);
@@ -110,6 +112,11 @@ pub async fn watch(daemon: Arc<Daemon>, config: DomainConfig, shown: CurrentCred
             },
         }
     }
+}
+
+fn load_and_renew(daemon: &Arc<Daemon>, config: &DomainConfig) -> Result<Arc<Credentials>, MembershipError> {
+    let credentials = config.files.load()?;
+    daemon.renew(credentials, config)
 }
 
 impl Daemon {
@@ -160,7 +167,8 @@ impl Daemon {
         }
     }
 
-    /// Takes in what a domain has revoked, and passes it on if it is news. `from`: the link it came by.
+    /// Takes in what a domain has revoked, and passes it on if it is news. `from`: the link it came
+    /// by.
     pub(super) async fn take_revocation(
         self: &Arc<Self>,
         proof: NameProof,
@@ -199,7 +207,8 @@ impl Daemon {
         self.kept_domain().await
     }
 
-    /// What a domain that is known here has revoked does not go to the RIB like the revocation of a name, but to all switches.
+    /// What a domain that is known here has revoked does not go to the RIB like the revocation of a
+    /// name, but to all switches.
     pub(super) fn is_of_domain(&self, request: &EntityRequest) -> Option<(NameProof, Signed<Revocation>)> {
         let EntityRequest::Revoke { proof, revocation } = request else { return None };
         let known = self.core().domain.as_ref().is_some_and(|d| proof.name().is_ok_and(|name| d.trust.knows(&name)));
@@ -277,7 +286,8 @@ impl Daemon {
         self.keep_domain().await.map_or_else(Response::from, |()| Response::Done)
     }
 
-    /// Returns once what is known of the domain by now is in its files; to be called before it is said to be done.
+    /// Returns once what is known of the domain by now is in its files; to be called before it is
+    /// said to be done.
     pub(super) async fn keep_domain(self: &Arc<Self>) -> Result<(), Refusal> {
         let Some(StoredDomain { revocations, invitations, keeper }) = &self.domain else { return Ok(()) };
         let changes = self.core().domain.as_ref().map_or(0, |domain| domain.changes);
@@ -301,7 +311,8 @@ impl Daemon {
 async fn tell(link: Link, request: Request) {
     match link.request(&request).await {
         Ok(Response::Refused(refusal)) => {
-            tracing::debug!(peer = %format_args!("{:#}", link.peer().name), %refusal, "a peer does not take a revocation");
+            tracing::debug!(peer = %format_args!("{:#}", link.peer().name), %refusal, "a peer does not take a \
+                                                  revocation");
         }
         Ok(_) => {}
         Err(error) => tracing::debug!(%error, "a peer was not told of a revocation; it is when it has a link again"),

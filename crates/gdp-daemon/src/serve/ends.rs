@@ -1,6 +1,7 @@
-//! The links to one peer in the data plane. An endpoint may have several at once, each a lane; of each lane there is the newest link,
-//! and earlier ones that the peer may still send on. Pure bookkeeping of ids; [`super::routes`] asks it which link to send on,
-//! [`super::core`] and [`super::graceful_restart`] say how long links last.
+//! The links to one peer in the data plane. An endpoint may have several at once, each a lane; of
+//! each lane there is the newest link, and earlier ones that the peer may still send on. Pure
+//! bookkeeping of ids; [`super::routes`] asks it which link to send on, [`super::core`] and
+//! [`super::graceful_restart`] say how long links last.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -14,7 +15,8 @@ pub struct Ends {
 }
 
 impl Ends {
-    /// The link to send on: of the lane that the peer prefers, or the first, of those that are in use.
+    /// The link to send on: of the lane that the peer prefers, or the first, of those that are in
+    /// use.
     pub fn out(&self) -> Option<u32> {
         let in_use = self.lanes.iter().filter_map(|(number, lane)| Some((number, lane, lane.out()?)));
         let rank = |(number, lane, _): &(&u8, &Lane, u32)| {
@@ -42,7 +44,8 @@ impl Ends {
         self.lanes.values().any(|lane| lane.is_earlier(link))
     }
 
-    /// A link from before this daemon; of its lane, the last one that is added is the one to send on.
+    /// A link from before this daemon; of its lane, the last one that is added is the one to send
+    /// on.
     pub fn adopt(&mut self, lane: u8, link: u32) {
         self.lanes.entry(lane).or_default().adopt(link);
     }
@@ -63,14 +66,16 @@ impl Ends {
         self.preferred = lane.map(|(number, _)| *number).or(self.preferred);
     }
 
-    /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is the one that is sent on.
+    /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is
+    /// the one that is sent on.
     pub fn silent(&mut self, link: u32) -> bool {
         let silent = self.lanes.values_mut().any(|lane| lane.silent(link));
         self.lanes.retain(|_, lane| !lane.is_empty());
         silent
     }
 
-    /// The link is gone. Returns earlier ones of its lane that go with it: all, if it was ended while it was in use.
+    /// The link is gone. Returns earlier ones of its lane that go with it: all, if it was ended
+    /// while it was in use.
     pub fn gone(&mut self, link: u32) -> Vec<u32> {
         let with_it = self.lanes.values_mut().flat_map(|lane| lane.gone(link)).collect();
         self.lanes.retain(|_, lane| !lane.is_empty());
@@ -94,7 +99,8 @@ struct Newest {
 }
 
 impl Lane {
-    /// The link to send on: the newest once the peer takes frames on it, and until then the one before.
+    /// The link to send on: the newest once the peer takes frames on it, and until then the one
+    /// before.
     fn out(&self) -> Option<u32> {
         let before = self.earlier.last().copied();
         match self.newest {
@@ -144,7 +150,8 @@ impl Lane {
         }
     }
 
-    /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is the one that is sent on.
+    /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is
+    /// the one that is sent on.
     fn silent(&mut self, link: u32) -> bool {
         let sent_on = self.out() == Some(link);
         if self.newest.take_if(|newest| newest.link == link).is_some() && sent_on {
@@ -153,7 +160,8 @@ impl Lane {
         self.is_earlier(link)
     }
 
-    /// The link is gone. Returns earlier ones that go with it: all, if it was ended while it was in use.
+    /// The link is gone. Returns earlier ones that go with it: all, if it was ended while it was in
+    /// use.
     fn gone(&mut self, link: u32) -> Vec<u32> {
         self.earlier.retain(|earlier| *earlier != link);
         let ended = self.newest.take_if(|newest| newest.link == link);

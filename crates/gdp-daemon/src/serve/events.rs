@@ -1,5 +1,5 @@
-//! What happens at a switch, told to whoever listens (`gdp-ctl monitor`). Nobody waits for a listener: one that is too slow misses the
-//! oldest events, and is told how many.
+//! What happens at a switch, told to whoever listens (`gdp-ctl monitor`). Nobody waits for a
+//! listener: one that is too slow misses the oldest events, and is told how many.
 
 use gdp_wire::Name;
 use serde::Serialize;
@@ -88,7 +88,8 @@ impl Events {
 }
 
 impl Listener {
-    /// The next event as JSON, with `at`, the Unix time in nanoseconds; `None` once nobody tells any more.
+    /// The next event as JSON, with `at`, the Unix time in nanoseconds; `None` once nobody tells
+    /// any more.
     pub async fn next(&mut self) -> Option<Value> {
         let (at, event) = match self.0.recv().await {
             Ok(told) => told,

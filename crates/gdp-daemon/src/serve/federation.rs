@@ -1,5 +1,5 @@
-//! What a RIB has to do with other domains: keeps it and [`gdp_rib::tiers`] informed of each other, and finds which peerings its borders are
-//! to make. Sans-IO.
+//! What a RIB has to do with other domains: keeps it and [`gdp_rib::tiers`] informed of each other,
+//! and finds which peerings its borders are to make. Sans-IO.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -98,7 +98,8 @@ impl Federation {
 
     /// A switch shows that it is of the domain: what was stated there may be told with it.
     pub(super) fn show(&mut self, now: Now, trust: &Trust, switch: Name, host: Host) -> Result<(), CertError> {
-        // A switch that has begun anew says the same again: what was told with that need not be told anew.
+        // A switch that has begun anew says the same again: what was told with that need not be
+        // told anew.
         if self.hosts.get(&switch).is_some_and(|held| held.host.host.says_the_same(&host)) {
             return Ok(());
         }
@@ -150,7 +151,8 @@ impl Federation {
         locator
     }
 
-    /// Finds out which peerings are to be made. `is_linked`: there is a link to this domain, other than by this peering.
+    /// Finds out which peerings are to be made. `is_linked`: there is a link to this domain, other
+    /// than by this peering.
     pub(super) fn want_peerings(&mut self, now: Now, trust: &Trust, is_linked: impl Fn(Name, &Peering) -> bool) {
         let claims = |locator: &Locator| -> Vec<SwitchStatement> {
             locator.borders.iter().filter_map(|border| border.statement.claims_unverified().ok()).collect()
@@ -184,8 +186,9 @@ impl Federation {
         }
     }
 
-    /// As long as a border lacks a link that is wanted of it, it is told again what is: what it was told may be lost, by a border that has
-    /// begun anew or that another RIB has told something else. `is_linked`: a border and its peer.
+    /// As long as a border lacks a link that is wanted of it, it is told again what is: what it was
+    /// told may be lost, by a border that has begun anew or that another RIB has told something
+    /// else. `is_linked`: a border and its peer.
     pub(super) fn remind_borders(&mut self, now: Duration, is_linked: impl Fn(Name, Name) -> bool) {
         for (border, (wanted, due)) in &mut self.wanted {
             if due.is_none() && wanted.keys().any(|peer| !is_linked(*border, *peer)) {
@@ -236,7 +239,8 @@ impl Federation {
         self.stated.retain(|_, places| !places.is_empty());
     }
 
-    /// Tells the RIB what it may know of other domains: what has changed, and what it refused before for what is over by now.
+    /// Tells the RIB what it may know of other domains: what has changed, and what it refused
+    /// before for what is over by now.
     pub(super) fn inform(&mut self, now: Now, rib: &mut Rib) {
         let mut places: BTreeSet<RecordKey> = self.retries.take_due(now.clock).into_iter().collect();
         for change in self.tiers.take_changes(now) {
@@ -266,7 +270,8 @@ impl Federation {
         }
     }
 
-    /// Tells the RIB of one place: of all neighbours that have told of it, what this one says counts.
+    /// Tells the RIB of one place: of all neighbours that have told of it, what this one says
+    /// counts.
     fn give(&mut self, now: Now, rib: &mut Rib, place: RecordKey, foreign: Foreign) {
         let (domain, next) = (foreign.domain, foreign.next);
         let taken = rib.set_foreign(now, foreign);

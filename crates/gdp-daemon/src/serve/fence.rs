@@ -1,10 +1,12 @@
-//! Which run of the RIB this switch follows. A later leader of several replicas has a higher one (of its [term](super::term)), as has a
-//! RIB that started later, so what somebody says whose time is over is refused from the moment on that a later one has said
-//! anything. Sans-IO.
+//! Which run of the RIB this switch follows. A later leader of several replicas has a higher one
+//! (of its [term](super::term)), as has a RIB that started later, so what somebody says whose time
+//! is over is refused from the moment on that a later one has said anything. Sans-IO.
 //!
-//! Runs may begin anew below: a clock went back, etcd was set up anew, or a RIB that ran alone became several replicas. So that a
-//! switch is not stuck with a number that nobody reaches, it follows whichever RIB takes its report: that is where the topology says
-//! that the RIB is now, and a replica says so only after etcd has said that it leads. Should both claim to be there, it asks again.
+//! Runs may begin anew below: a clock went back, etcd was set up anew, or a RIB that ran alone
+//! became several replicas. So that a switch is not stuck with a number that nobody reaches, it
+//! follows whichever RIB takes its report: that is where the topology says that the RIB is now, and
+//! a replica says so only after etcd has said that it leads. Should both claim to be there, it asks
+//! again.
 
 use std::time::Duration;
 
@@ -17,7 +19,8 @@ const ASK_AGAIN: Duration = Duration::from_secs(30);
 pub struct Fenced {
     pub follows: u64,
     pub run: u64,
-    /// The switch is to report again, to find out who is the RIB: it was this one when it last did, or it was told something false.
+    /// The switch is to report again, to find out who is the RIB: it was this one when it last did,
+    /// or it was told something false.
     pub is_doubtful: bool,
 }
 
@@ -59,8 +62,8 @@ impl Fence {
         }
     }
 
-    /// The RIB of this run has taken a report that was sent when `then` was followed. If another has said something since, that
-    /// may be the later one.
+    /// The RIB of this run has taken a report that was sent when `then` was followed. If another
+    /// has said something since, that may be the later one.
     pub fn reported(&mut self, run: u64, then: Option<u64>) {
         self.reported = Some(run);
         if self.follows == then || self.follows < Some(run) {

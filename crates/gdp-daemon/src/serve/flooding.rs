@@ -1,5 +1,6 @@
-//! This switch's part in the topology: tells it which neighbours there are and what they cost, carries statements between it and
-//! the neighbours, and gives the paths to the data planes and the RIB here. The rules are in [`gdp_rib::topology`].
+//! This switch's part in the topology: tells it which neighbours there are and what they cost,
+//! carries statements between it and the neighbours, and gives the paths to the data planes and the
+//! RIB here. The rules are in [`gdp_rib::topology`].
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -67,7 +68,8 @@ async fn send(daemon: Arc<Daemon>, link: Link, batch: Batch) {
     let Batch { id, states } = batch;
     let arrived = match link.request(&Request::Flood { states }).await {
         Ok(Response::Refused(refusal)) => {
-            tracing::warn!(neighbour = %format_args!("{:#}", link.peer().name), %refusal, "a neighbour refused the topology");
+            tracing::warn!(neighbour = %format_args!("{:#}", link.peer().name), %refusal, "a neighbour refused the \
+                                                      topology");
             false
         }
         Ok(_) => true,
@@ -104,7 +106,8 @@ pub fn take(daemon: &Daemon, from: &Link, states: Vec<Flooded>) -> Response {
         }
         Err(error) => {
             let neighbour = from.peer().name;
-            tracing::warn!(neighbour = %format_args!("{neighbour:#}"), %error, "refused what a neighbour says of the topology");
+            tracing::warn!(neighbour = %format_args!("{neighbour:#}"), %error, "refused what a neighbour says of the \
+                                                      topology");
             let reason = format!("what switch {neighbour} says of the topology is refused: {error}");
             return Refusal::new(RefusalCode::BadSignature, reason).into();
         }
@@ -181,7 +184,8 @@ impl Core {
         self.links.get(&link.local_id()).map(LinkState::role)
     }
 
-    /// A link is up: if it is to a switch, it is measured; if to one of the domain, the topology goes by it.
+    /// A link is up: if it is to a switch, it is measured; if to one of the domain, the topology
+    /// goes by it.
     pub(super) fn meet(&mut self, link: &Link) {
         if self.role_on(link) == Some(LinkRole::Switch as u32) {
             self.topology.link_up(link.local_id());
@@ -192,13 +196,15 @@ impl Core {
         }
     }
 
-    /// The first request over a link was answered within this time; whether the neighbour costs something else from now on.
+    /// The first request over a link was answered within this time; whether the neighbour costs
+    /// something else from now on.
     pub(super) fn neighbour_answered(&mut self, link: &Link, rtt: Duration) -> bool {
         let now = self.now().clock;
         self.meters.get_mut(&link.peer().name).is_some_and(|meter| meter.answered(now, rtt))
     }
 
-    /// Takes a sample of the round-trip time to each neighbour; whether one of them costs something else from now on.
+    /// Takes a sample of the round-trip time to each neighbour; whether one of them costs something
+    /// else from now on.
     pub fn measure(&mut self) -> bool {
         let now = self.now().clock;
         let mut changed = false;
@@ -211,15 +217,16 @@ impl Core {
         changed
     }
 
-    /// The interfaces without a carrier are now these: no frame goes by them. Whether that are others than before.
+    /// The interfaces without a carrier are now these: no frame goes by them. Whether that are
+    /// others than before.
     fn set_dark(&mut self, dark: BTreeSet<u32>) -> bool {
         let changed = dark != self.dark;
         self.dark = dark;
         changed
     }
 
-    /// Brings the topology up to date, and with it what follows. Returns what is to be sent over which link, and whether there are
-    /// other paths than before, or another RIB.
+    /// Brings the topology up to date, and with it what follows. Returns what is to be sent over
+    /// which link, and whether there are other paths than before, or another RIB.
     fn follow_topology(&mut self) -> (Vec<(Link, Batch)>, bool) {
         let (now, own) = (self.now(), self.name());
         let Adjacencies { neighbours, silent, borders } = self.adjacencies();

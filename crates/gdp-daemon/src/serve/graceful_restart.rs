@@ -1,5 +1,6 @@
-//! Links that stay in the data plane though nobody answers on them, or another has replaced them: their peers may still send
-//! on them, or forward without a daemon. Each has a time at which it goes; [`super::core`] removes it then.
+//! Links that stay in the data plane though nobody answers on them, or another has replaced them:
+//! their peers may still send on them, or forward without a daemon. Each has a time at which it
+//! goes; [`super::core`] removes it then.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -9,7 +10,8 @@ use gdp_link::link::{KeyedEntry, Link, LinkId};
 use gdp_link::port::LinkAddr;
 use gdp_wire::{LinkRole, Name};
 
-/// How long a link is kept that another has replaced: until frames that were sent on it have arrived.
+/// How long a link is kept that another has replaced: until frames that were sent on it have
+/// arrived.
 pub const GRACE: Duration = Duration::from_secs(5);
 
 /// Links to one peer that are kept.
@@ -80,7 +82,8 @@ impl GracefulRestart {
         self.0.values().any(|held| held.peer == *peer)
     }
 
-    /// The peer takes frames on a new link: what it sent on others of that lane arrives soon, or never.
+    /// The peer takes frames on a new link: what it sent on others of that lane arrives soon, or
+    /// never.
     pub fn replaced(&mut self, peer: &Name, lane: u8, now: Instant) {
         let same = |held: &&mut StaleLink| held.peer == *peer && held.lane == lane;
         for held in self.0.values_mut().filter(same) {

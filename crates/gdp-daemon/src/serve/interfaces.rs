@@ -1,5 +1,5 @@
-//! What the kernel says over netlink: interfaces with their addresses, stations it has resolved, and when any of it changes.
-//! Only asks; sets nothing.
+//! What the kernel says over netlink: interfaces with their addresses, stations it has resolved,
+//! and when any of it changes. Only asks; sets nothing.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;

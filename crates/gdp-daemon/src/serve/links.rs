@@ -1,4 +1,5 @@
-//! One task to a link: takes the peer's requests in, and tells the RIB when an endpoint's link is gone.
+//! One task to a link: takes the peer's requests in, and tells the RIB when an endpoint's link is
+//! gone.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -19,8 +20,8 @@ use crate::config::Via;
 /// How long an accepted statement waits for switches to take their routes.
 const SETTLE: Duration = Duration::from_secs(1);
 
-/// Takes a new link into service, or closes it and says why if its peer may not have one here. Waits only for the RIB, and only if
-/// [`must_ask`] says so.
+/// Takes a new link into service, or closes it and says why if its peer may not have one here.
+/// Waits only for the RIB, and only if [`must_ask`] says so.
 pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), String> {
     let refuse = |reason: String| {
         link.close(&reason);
@@ -92,7 +93,8 @@ async fn keep_keys(daemon: Arc<Daemon>, link: Link) {
     link.keep_keys(|| daemon.core().planes.frames_sent(id), put).await;
 }
 
-/// The neighbour goes on sending on an earlier link until it hears this. How soon it answers is the first that is known of the link.
+/// The neighbour goes on sending on an earlier link until it hears this. How soon it answers is the
+/// first that is known of the link.
 async fn say_ready(daemon: Arc<Daemon>, link: Link) {
     let asked = Instant::now();
     match link.request(&Request::Ready).await {
@@ -103,7 +105,8 @@ async fn say_ready(daemon: Arc<Daemon>, link: Link) {
             }
         }
         Err(error) => {
-            tracing::debug!(peer = %format_args!("{:#}", link.peer().name), %error, "the neighbour did not hear that this switch is ready");
+            tracing::debug!(peer = %format_args!("{:#}", link.peer().name), %error, "the neighbour did not hear that \
+                                                  this switch is ready");
         }
     }
 }
@@ -151,7 +154,8 @@ pub async fn detach_lost(daemon: Arc<Daemon>, entity: Name) {
     daemon.leave(SerializedTask::Entity(entity));
 }
 
-/// Tells the RIB of a lost attachment. An entity that is back on another link says itself whether what it stated still stands.
+/// Tells the RIB of a lost attachment. An entity that is back on another link says itself whether
+/// what it stated still stands.
 async fn detach(daemon: &Arc<Daemon>, entity: Name) {
     let lost = {
         let core = daemon.core();
@@ -211,7 +215,8 @@ async fn take_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest)
     response
 }
 
-/// Switches speak for many: their requests are answered side by side, as many as the link has streams.
+/// Switches speak for many: their requests are answered side by side, as many as the link has
+/// streams.
 async fn serve_switch(daemon: Arc<Daemon>, link: Link) {
     while let Some((request, responder)) = link.accept_request().await {
         let (daemon, link) = (daemon.clone(), link.clone());
@@ -269,19 +274,21 @@ async fn answer(responder: Responder, response: Response) {
     }
 }
 
-/// An endpoint was asked to attach again. One that could not is asked again, because the RIB answers the next report so; one
-/// that would not has to begin with a new link.
+/// An endpoint was asked to attach again. One that could not is asked again, because the RIB
+/// answers the next report so; one that would not has to begin with a new link.
 fn reattached(daemon: &Daemon, link: &Link, response: Option<Response>) {
     let entity = link.peer().name;
     match response {
         Some(Response::Done) => {
-            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB did not know the attachment; it was made again");
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB did not know the attachment; it was made \
+                                                   again");
         }
         _ if link.close_reason().is_some() => {}
         None => daemon.report_in_full(),
         Some(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => daemon.report_in_full(),
         Some(_) => {
-            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB does not know the attachment; closing the link");
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB does not know the attachment; closing the \
+                                                   link");
             link.close("the RIB does not know this attachment: attach again");
         }
     }
@@ -344,8 +351,9 @@ impl Daemon {
         }
     }
 
-    /// Waits until the switches hold the routes that follow from a statement, so that what its entity sends next is not
-    /// lost; but not for long on one that does not answer. Refuses the statement if one has no room.
+    /// Waits until the switches hold the routes that follow from a statement, so that what its
+    /// entity sends next is not lost; but not for long on one that does not answer. Refuses the
+    /// statement if one has no room.
     async fn settled(self: &Arc<Self>, statement: &Statement) -> Result<(), Refusal> {
         let settled = async {
             loop {

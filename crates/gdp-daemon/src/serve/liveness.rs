@@ -1,5 +1,6 @@
-//! Asks the data planes of peers that fell silent. QUIC ends in the peer's daemon, or in its process; what forwards may live on.
-//! So [`super::core`] holds such a link, with its routes, and here it is given up as soon as nothing answers on it.
+//! Asks the data planes of peers that fell silent. QUIC ends in the peer's daemon, or in its
+//! process; what forwards may live on. So [`super::core`] holds such a link, with its routes, and
+//! here it is given up as soon as nothing answers on it.
 
 use std::sync::Arc;
 
@@ -11,7 +12,8 @@ use tokio::time::sleep;
 
 use super::{Daemon, links};
 
-/// Runs until the link is given up, the peer is back on a newer one, or the time is over that links are held.
+/// Runs until the link is given up, the peer is back on a newer one, or the time is over that links
+/// are held.
 pub async fn watch(daemon: Arc<Daemon>, link: Link) {
     let (peer, id) = (link.peer().name, link.local_id());
     tracing::info!(peer = %format_args!("{peer:#}"), "its link is held while its data plane answers echoes");
@@ -34,7 +36,8 @@ pub async fn watch(daemon: Arc<Daemon>, link: Link) {
 }
 
 fn give_up(daemon: &Arc<Daemon>, link: &Link) {
-    tracing::info!(peer = %format_args!("{:#}", link.peer().name), "its data plane does not answer either; its link is gone");
+    tracing::info!(peer = %format_args!("{:#}", link.peer().name), "its data plane does not answer either; its link \
+                                         is gone");
     let lost = daemon.core().release(link.local_id());
     if link.peer().role == Role::Switch {
         daemon.topology_changed();

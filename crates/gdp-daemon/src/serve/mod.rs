@@ -1,5 +1,6 @@
-//! The daemon: ports and links, the switch's part of the control plane, the RIB if it is here, the admin socket. Thin
-//! tasks around [`core`]; the rules are in [`gdp_rib::rib`] and [`routes`], the data planes in [`gdp_dataplane`].
+//! The daemon: ports and links, the switch's part of the control plane, the RIB if it is here, the
+//! admin socket. Thin tasks around [`core`]; the rules are in [`gdp_rib::rib`] and [`routes`], the
+//! data planes in [`gdp_dataplane`].
 
 pub mod admin;
 mod control;
@@ -59,7 +60,8 @@ use gdp_dataplane::host_pair;
 use gdp_dataplane::{PinLocation, PlaneConfig, PlaneError, Planes, Wanted};
 use gdp_util::unix_time::unix_nanos;
 
-/// How often the addresses of peers are looked at, because QUIC moves without saying so; how far they are; and links that are held.
+/// How often the addresses of peers are looked at, because QUIC moves without saying so; how far
+/// they are; and links that are held.
 const FOLLOW: Duration = Duration::from_millis(500);
 
 /// Why a daemon does not start.
@@ -78,7 +80,8 @@ pub enum StartError {
     #[error("cannot ask the kernel for its interfaces: {0}")]
     Netlink(#[from] rtnetlink::Error),
     #[error(
-        "this daemon has no interface and no UDP address, so nobody can reach it; name interfaces, or set udp: 0.0.0.0:31415"
+        "this daemon has no interface and no UDP address, so nobody can reach it; name interfaces, or set udp: \
+         0.0.0.0:31415"
     )]
     NoPort,
     #[error(transparent)]
@@ -273,7 +276,8 @@ impl Running {
         self.daemon.core().planes.outlives()
     }
 
-    /// If this is the leader of several replicas of the RIB, it is no more when this returns, so that another one leads at once.
+    /// If this is the leader of several replicas of the RIB, it is no more when this returns, so
+    /// that another one leads at once.
     pub async fn resign(&self) {
         if let Some(replica) = &self.daemon.replica {
             replica.resign().await;
@@ -325,7 +329,8 @@ impl Daemon {
         tasks.spawn(task);
     }
 
-    /// Neighbours came or went, cost something else, or say something new; or this switch has another egress bit.
+    /// Neighbours came or went, cost something else, or say something new; or this switch has
+    /// another egress bit.
     fn topology_changed(&self) {
         self.topology.notify_one();
     }

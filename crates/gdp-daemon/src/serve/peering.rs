@@ -1,5 +1,5 @@
-//! Peerings on demand, on a border switch: makes the links into other domains that the RIB wants, and lets go of those that it wants no
-//! more.
+//! Peerings on demand, on a border switch: makes the links into other domains that the RIB wants,
+//! and lets go of those that it wants no more.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -14,7 +14,8 @@ use super::Daemon;
 use super::ports::keep_link;
 use crate::config::Via;
 
-/// The border switches of other domains that this one is to have links with, and where each may be, best first.
+/// The border switches of other domains that this one is to have links with, and where each may be,
+/// best first.
 pub type Wanted = BTreeMap<Name, Vec<SocketAddr>>;
 
 /// Keeps the wanted links until the daemon ends.

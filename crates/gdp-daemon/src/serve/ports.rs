@@ -1,5 +1,6 @@
-//! The places links are made on: opens a port and a data plane on each, takes in the links that peers make, makes those to
-//! configured neighbours, and starts over when an interface is made anew.
+//! The places links are made on: opens a port and a data plane on each, takes in the links that
+//! peers make, makes those to configured neighbours, and starts over when an interface is made
+//! anew.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -202,8 +203,9 @@ async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     }
 }
 
-/// Makes the link to a neighbour, and again whenever it is lost: by one of the ways to it after the other, from the one that was good
-/// last. One that does not last, as when the neighbour does not want it, is not made again at once. Ends at once if there is no way.
+/// Makes the link to a neighbour, and again whenever it is lost: by one of the ways to it after the
+/// other, from the one that was good last. One that does not last, as when the neighbour does not
+/// want it, is not made again at once. Ends at once if there is no way.
 pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, ways: Vec<Via>) {
     let (mut retry, mut told) = (RETRY, HashMap::new());
     let mut turns = ways.iter().cycle().peekable();

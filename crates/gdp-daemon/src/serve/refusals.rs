@@ -1,4 +1,5 @@
-//! Why there is no link with a peer: the last reason, of the peers that most recently had one. For `gdp-ctl peer list`.
+//! Why there is no link with a peer: the last reason, of the peers that most recently had one. For
+//! `gdp-ctl peer list`.
 
 use std::collections::HashMap;
 use std::time::Instant;

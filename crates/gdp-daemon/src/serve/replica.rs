@@ -1,9 +1,10 @@
-//! The daemon as one of several replicas of its domain's RIB. One of them leads: it alone is the RIB, as long as its lease at etcd
-//! lasts; the others keep a copy of what it stores and stand for election when it is gone. What entities state is said to be
-//! done once it is stored.
+//! The daemon as one of several replicas of its domain's RIB. One of them leads: it alone is the
+//! RIB, as long as its lease at etcd lasts; the others keep a copy of what it stores and stand for
+//! election when it is gone. What entities state is said to be done once it is stored.
 //!
-//! Two do not lead at once as far as anybody can tell: a leader counts its lease from before it asked for it and shorter than etcd does,
-//! looks at that count whenever it touches the RIB, and etcd takes nothing of it once the key of its term is gone.
+//! Two do not lead at once as far as anybody can tell: a leader counts its lease from before it
+//! asked for it and shorter than etcd does, looks at that count whenever it touches the RIB, and
+//! etcd takes nothing of it once the key of its term is gone.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -29,7 +30,8 @@ use gdp_util::unix_time::unix_nanos;
 /// Seconds of a leader's lease.
 const TTL: u64 = 5;
 
-/// So much shorter does the leader itself count it: clocks differ in how fast they run, and what it last sent is on its way.
+/// So much shorter does the leader itself count it: clocks differ in how fast they run, and what it
+/// last sent is on its way.
 const MARGIN: Duration = Duration::from_secs(1);
 
 /// How often the leader renews it, and the others look whether there is one.
@@ -73,7 +75,8 @@ impl Replica {
         Self { place: KeySpace::new(&config.prefix), config, stage: watch::Sender::new(Stage::Standing) }
     }
 
-    /// Returns once it leads no more, and does not stand again; if etcd does not answer, a while later.
+    /// Returns once it leads no more, and does not stand again; if etcd does not answer, a while
+    /// later.
     pub async fn resign(&self) {
         self.stage.send_if_modified(|stage| {
             let stands = *stage == Stage::Standing;
@@ -112,8 +115,8 @@ impl Core {
         self.end_term();
     }
 
-    /// What follows from a request: if the RIB here has changed with it, that is to be stored before anybody is told. To be called under
-    /// the lock under which the request was taken in.
+    /// What follows from a request: if the RIB here has changed with it, that is to be stored
+    /// before anybody is told. To be called under the lock under which the request was taken in.
     pub(super) fn store_first(&mut self, next: Next) -> Next {
         let (Some(term), Some(rib)) = (&self.term, &mut self.rib) else { return next };
         if let Next::KeepInvitation { new: Some(serial) } = &next {
@@ -126,8 +129,8 @@ impl Core {
         if is_positive && (is_report || !is_stored) { Next::Store(term.ticket(), Box::new(next)) } else { next }
     }
 
-    /// Moves what has changed and is not stored to `changed`, and says how it is to be stored, and for which tickets. None without
-    /// a RIB.
+    /// Moves what has changed and is not stored to `changed`, and says how it is to be stored, and
+    /// for which tickets. None without a RIB.
     fn unstored(&mut self, changed: &mut BTreeSet<Item>) -> Option<(u64, Vec<Change>)> {
         let now = self.now();
         let (rib, term) = (self.rib.as_mut()?, self.term.as_ref()?);
@@ -159,7 +162,8 @@ impl Daemon {
     }
 }
 
-/// Follows what is stored and leads when it is this replica's turn, until the daemon ends, or it is to [resign](Replica::resign).
+/// Follows what is stored and leads when it is this replica's turn, until the daemon ends, or it is
+/// to [resign](Replica::resign).
 pub async fn run(daemon: Arc<Daemon>) {
     if let Some(replica) = &daemon.replica {
         follow_and_lead(&daemon, replica).await;
@@ -194,7 +198,8 @@ async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
     }
 }
 
-/// Keeps a copy of what is stored until there is no leader, and this replica is elected. `lease`: with which it stands, from before it does.
+/// Keeps a copy of what is stored until there is no leader, and this replica is elected. `lease`:
+/// with which it stands, from before it does.
 async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -> Result<(Copy, Elected), StoreError> {
     let (mut gateway, place, own) = (replica.gateway(), &replica.place, daemon.name);
     let mut copy = Copy::list(place, &mut gateway).await?;
@@ -304,7 +309,8 @@ async fn serve_term(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected
     write(daemon, &elected.term, writer, changed).await
 }
 
-/// Makes the copy the RIB of this daemon. Returns who writes what changes in it, and what of it is of no use.
+/// Makes the copy the RIB of this daemon. Returns who writes what changes in it, and what of it is
+/// of no use.
 async fn take_over(
     daemon: &Arc<Daemon>,
     replica: &Replica,

@@ -1,5 +1,5 @@
-//! Tells the RIB that this switch is there, and who is attached to it: when it first reaches that RIB, and whenever the RIB may hold
-//! something else. Keeps the RIB's clock, if the RIB is here.
+//! Tells the RIB that this switch is there, and who is attached to it: when it first reaches that
+//! RIB, and whenever the RIB may hold something else. Keeps the RIB's clock, if the RIB is here.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -34,7 +34,8 @@ pub async fn report(daemon: Arc<Daemon>) {
     }
 }
 
-/// Whether there is nothing to report for now, or no way: then news of the topology brings the next attempt.
+/// Whether there is nothing to report for now, or no way: then news of the topology brings the next
+/// attempt.
 async fn report_once(daemon: &Arc<Daemon>) -> bool {
     if let Some(taken) = report_here(daemon).await {
         return taken;

@@ -1,6 +1,7 @@
-//! What the RIB did not take of what other domains told, though it may later: when there is room, or what it contradicts has ended. It is
-//! tried again after a time that grows with each attempt, a few at once, in turn of those that each neighbour told. There are no more of
-//! one neighbour than [`gdp_rib::tiers`] keeps of it. Sans-IO.
+//! What the RIB did not take of what other domains told, though it may later: when there is room,
+//! or what it contradicts has ended. It is tried again after a time that grows with each attempt, a
+//! few at once, in turn of those that each neighbour told. There are no more of one neighbour than
+//! [`gdp_rib::tiers`] keeps of it. Sans-IO.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Bound::{Excluded, Unbounded};
@@ -16,7 +17,8 @@ use gdp_rib::deadlines::Deadlines;
 const LONGEST: Duration = Duration::from_secs(60);
 const RETRY: Backoff = Backoff::new(Duration::from_secs(1), LONGEST);
 
-/// Places that are tried at once: each takes a few signatures. And the time between two such attempts.
+/// Places that are tried at once: each takes a few signatures. And the time between two such
+/// attempts.
 const AT_ONCE: usize = 64;
 const BETWEEN: Duration = Duration::from_secs(1);
 
@@ -52,7 +54,8 @@ impl Retries {
         self.drop_idle(&neighbour);
     }
 
-    /// Those to be tried now, of each neighbour as many as of another: of each it is to be said what became of it.
+    /// Those to be tried now, of each neighbour as many as of another: of each it is to be said
+    /// what became of it.
     pub fn take_due(&mut self, now: Duration) -> Vec<RecordKey> {
         if now < self.not_before {
             return Vec::new();

@@ -1,7 +1,8 @@
-//! What outlives a daemon though the RIB and the links do not: a file is written before it is said that something is done, and not for
-//! each of many changes by itself. The revocations of the RIB here are kept so, in a file beside the switch's key: a daemon that starts
-//! anew refuses at once what an owner has taken back. Nothing else of the RIB is kept; entities state it again. What is kept of the
-//! domain is in [`super::domain`].
+//! What outlives a daemon though the RIB and the links do not: a file is written before it is said
+//! that something is done, and not for each of many changes by itself. The revocations of the RIB
+//! here are kept so, in a file beside the switch's key: a daemon that starts anew refuses at once
+//! what an owner has taken back. Nothing else of the RIB is kept; entities state it again. What is
+//! kept of the domain is in [`super::domain`].
 
 use std::path::Path;
 use std::sync::Arc;
@@ -37,8 +38,8 @@ impl RevocationStore {
         Self { saved: Arc::new(saved.into()), next: Arc::new(Mutex::new(Instant::now())) }
     }
 
-    /// Returns once so many changes are in the file. `collect`: all there is to write, and how many changes that is; `write` blocks.
-    /// What could not be written is tried again by the next call.
+    /// Returns once so many changes are in the file. `collect`: all there is to write, and how many
+    /// changes that is; `write` blocks. What could not be written is tried again by the next call.
     pub async fn keep<T: Send + 'static>(
         &self,
         changes: u64,
@@ -74,7 +75,8 @@ impl RevocationStore {
         };
         tracing::error!("what was taken in is forgotten when this daemon ends: {failed}");
         let reason = format!(
-            "taken in, but not kept: {failed}; until that is mended and it is asked for again, it ends with the daemon that was to keep it"
+            "taken in, but not kept: {failed}; until that is mended and it is asked for again, it ends with the \
+             daemon that was to keep it"
         );
         Err(Refusal::new(RefusalCode::Unreachable, reason))
     }
@@ -112,7 +114,8 @@ impl StoredRevocations {
 }
 
 impl Daemon {
-    /// Returns once what has been revoked by now is in the file; to be called before it is said to be done.
+    /// Returns once what has been revoked by now is in the file; to be called before it is said to
+    /// be done.
     pub(super) async fn keep_revocations(self: &Arc<Self>) -> Result<(), Refusal> {
         let StoredRevocations { file, keeper } = &self.revocations;
         let taken = self.core().rib.as_ref().map_or(0, |rib| rib.revocations_taken());

@@ -1,9 +1,11 @@
-//! What this switch's FIB says, in names, and what that means in links: pushes from the RIB, paths from the topology, and links
-//! coming and going go in, changes of the data plane's tables come out. Sans-IO.
+//! What this switch's FIB says, in names, and what that means in links: pushes from the RIB, paths
+//! from the topology, and links coming and going go in, changes of the data plane's tables come
+//! out. Sans-IO.
 //!
-//! There are two layers. What the RIB has said since it started is known. What an earlier daemon left, or the RIB before this one
-//! said, is held: it counts besides, until the RIB takes it back or says that it knows all there is to know. Of paths, those are
-//! known that the topology has, and those held by which an earlier daemon forwarded.
+//! There are two layers. What the RIB has said since it started is known. What an earlier daemon
+//! left, or the RIB before this one said, is held: it counts besides, until the RIB takes it back
+//! or says that it knows all there is to know. Of paths, those are known that the topology has, and
+//! those held by which an earlier daemon forwarded.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -56,7 +58,8 @@ pub struct Routes {
     endpoints: HashMap<Name, Ends>,
     /// Switches of other domains.
     borders: HashMap<Name, Ends>,
-    /// Names that each local endpoint reads or writes; and that what is behind a border reads, writes, or is called by.
+    /// Names that each local endpoint reads or writes; and that what is behind a border reads,
+    /// writes, or is called by.
     concerned: HashMap<Name, BTreeSet<Name>>,
 }
 
@@ -179,7 +182,8 @@ impl Routes {
         if sent_on(ends) == before { Vec::new() } else { self.changes_of(role, &peer) }
     }
 
-    /// An endpoint wants on this link what it takes on one. What it sends, and takes on each, stays as it is.
+    /// An endpoint wants on this link what it takes on one. What it sends, and takes on each, stays
+    /// as it is.
     pub fn link_preferred(&mut self, peer: Name, link: u32) -> Vec<Change> {
         let Some(ends) = self.endpoints.get_mut(&peer) else { return Vec::new() };
         let before = ends.out();
@@ -343,8 +347,8 @@ impl Routes {
         }
     }
 
-    /// The masks of the links to switches: of those that are sent on, and of all others, by which no copy goes. In this order
-    /// a frame rather goes twice than never.
+    /// The masks of the links to switches: of those that are sent on, and of all others, by which
+    /// no copy goes. In this order a frame rather goes twice than never.
     fn reach_of<'a>(
         &self,
         reach: &BTreeMap<Name, u64>,
@@ -401,7 +405,8 @@ impl Routes {
         Some(after.map_or(Change::Remove(*name), |way| self.resolve(&way)))
     }
 
-    /// A name that leads nowhere from here, and that nobody behind a border is called by, the data plane need not hold.
+    /// A name that leads nowhere from here, and that nobody behind a border is called by, the data
+    /// plane need not hold.
     fn resolve(&self, Way { route, anyone }: &Way) -> Change {
         let borders = |names: &[Name]| names.iter().filter_map(|name| self.borders.get(name)).collect::<Vec<_>>();
         let ends = |names: &[Name]| -> Vec<&Ends> {
@@ -420,7 +425,8 @@ impl Routes {
 }
 
 impl Routes {
-    /// From now on only those may send to a name who are known to write it, also where it was held without knowing them.
+    /// From now on only those may send to a name who are known to write it, also where it was held
+    /// without knowing them.
     pub fn end_any_writer(&mut self) -> Vec<Change> {
         let open = self.held.routes.iter().filter(|(_, way)| way.anyone).map(|(name, _)| *name);
         let close = |routes: &mut Self, name: &Name| {
@@ -451,7 +457,8 @@ fn sorted<T: Ord>(items: impl Iterator<Item = T>) -> Vec<T> {
     BTreeSet::from_iter(items).into_iter().collect()
 }
 
-/// The local endpoints that read or write a name, and the switches of other domains that it concerns.
+/// The local endpoints that read or write a name, and the switches of other domains that it
+/// concerns.
 fn concerned(way: &Way) -> impl Iterator<Item = &Name> {
     way.route.locals.iter().chain(&way.route.writers).chain(&way.route.arrives_by)
 }

@@ -102,8 +102,8 @@ fn handshakes(counts: HandshakeCounts) -> Value {
     json!({"challenged": challenged, "refused": refused, "displaced": displaced, "failed": failed})
 }
 
-/// Where the RIB is, which neighbour leads there, and whether it is to be asked; if not, why. `fenced`: how often something was refused
-/// that a RIB said whose term was over.
+/// Where the RIB is, which neighbour leads there, and whether it is to be asked; if not, why.
+/// `fenced`: how often something was refused that a RIB said whose term was over.
 fn control(core: &Core) -> Value {
     let rib = core.topology.rib().map(|(rib, _)| rib);
     let problem = core.rib_at().err().filter(|_| core.rib.is_none());
@@ -153,8 +153,9 @@ pub fn links(core: &Core) -> Vec<Value> {
         .collect()
 }
 
-/// `gdp-ctl peer list`: the neighbours of the configuration, the other switches and domains that links lead to, and whoever was
-/// refused a link lately; by name. A peer with a link is not refused.
+/// `gdp-ctl peer list`: the neighbours of the configuration, the other switches and domains that
+/// links lead to, and whoever was refused a link lately; by name. A peer with a link is not
+/// refused.
 pub fn peers(core: &Core) -> Vec<Value> {
     let listed = core.neighbours.iter().map(|neighbour| neighbour.place.switch);
     let is_peer =
@@ -297,7 +298,8 @@ fn errors_received(core: &Core, link: u32) -> Map<String, Value> {
     errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count.into())).collect()
 }
 
-/// One word for all interfaces, and why. `udp_links`: those over UDP that the kernel does not send on.
+/// One word for all interfaces, and why. `udp_links`: those over UDP that the kernel does not send
+/// on.
 fn summary(report: &[gdp_dataplane::InterfacePlane], udp_links: usize) -> (&'static str, String) {
     let Some(first) = report.first() else {
         return ("userspace", "no Ethernet interface is in use; links over UDP are forwarded by the daemon".into());
@@ -318,7 +320,8 @@ fn summary(report: &[gdp_dataplane::InterfacePlane], udp_links: usize) -> (&'sta
     (kind, reasons.join("; "))
 }
 
-/// One page of `gdp-ctl fib dump`: at most `limit` names behind `after`, and whether there are more.
+/// One page of `gdp-ctl fib dump`: at most `limit` names behind `after`, and whether there are
+/// more.
 pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
     let (routes, more) = core.planes.routes_behind(after, limit).map_err(|error| error.to_string())?;

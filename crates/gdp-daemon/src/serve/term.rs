@@ -1,5 +1,6 @@
-//! A leader's term of office: when it ends, and which of what has changed in it is stored. Who waits for something to be stored has a
-//! ticket of the term in which it changed: of what a term has left undone, another one stores nothing.
+//! A leader's term of office: when it ends, and which of what has changed in it is stored. Who
+//! waits for something to be stored has a ticket of the term in which it changed: of what a term
+//! has left undone, another one stores nothing.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -67,14 +68,15 @@ impl Term {
         lasts
     }
 
-    /// It is over. To be called when no more tickets are given: whoever has one is told why it is not stored.
+    /// It is over. To be called when no more tickets are given: whoever has one is told why it is
+    /// not stored.
     pub fn end(&self, why: &str) {
         *self.ends.lock() = Instant::now();
         self.failed(u64::MAX, why);
     }
 
-    /// To be taken under the lock under which something has changed: then that is stored with, or before, what has a later ticket, and
-    /// the term is still the one in which it changed.
+    /// To be taken under the lock under which something has changed: then that is stored with, or
+    /// before, what has a later ticket, and the term is still the one in which it changed.
     pub fn ticket(self: &Arc<Self>) -> Ticket {
         let number = self.given.fetch_add(1, Ordering::AcqRel) + 1;
         Ticket { term: self.clone(), number }

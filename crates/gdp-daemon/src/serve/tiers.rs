@@ -1,5 +1,6 @@
-//! This daemon's part in the tiers: beside the RIB, it keeps the RIB and [`gdp_rib::tiers`] informed of each other; on a border switch, it
-//! passes messages between RIBs on, and attests whose they are. The rules are in [`gdp_rib::tiers`].
+//! This daemon's part in the tiers: beside the RIB, it keeps the RIB and [`gdp_rib::tiers`]
+//! informed of each other; on a border switch, it passes messages between RIBs on, and attests
+//! whose they are. The rules are in [`gdp_rib::tiers`].
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -30,7 +31,8 @@ const PEERINGS_AGAIN: Duration = Duration::from_secs(2);
 pub const TIMEOUT: Duration = Duration::from_secs(10);
 
 impl Core {
-    /// The RIB here tells other domains, and hears of them, as a member of its own; it knows what they have taken back.
+    /// The RIB here tells other domains, and hears of them, as a member of its own; it knows what
+    /// they have taken back.
     pub fn federate(&mut self, run: u64) {
         let now = self.now();
         if let (Some(rib), Some(domain)) = (&mut self.rib, &self.domain) {
@@ -41,7 +43,8 @@ impl Core {
         }
     }
 
-    /// Which domains are parents and which have a link with this one, and by which borders they are reached.
+    /// Which domains are parents and which have a link with this one, and by which borders they are
+    /// reached.
     pub(super) fn follow_borders(&mut self) {
         let now = self.now();
         let (Some(rib), Some(federation)) = (&mut self.rib, &mut self.federation) else { return };
@@ -122,8 +125,9 @@ impl Core {
         outgoing
     }
 
-    /// What the RIB may show other domains of this switch; none: it is a member of no domain. It states anew of which domain it is
-    /// whenever its membership is renewed, and so before the statement ends.
+    /// What the RIB may show other domains of this switch; none: it is a member of no domain. It
+    /// states anew of which domain it is whenever its membership is renewed, and so before the
+    /// statement ends.
     pub(super) fn shown(&mut self) -> Option<Host> {
         let domain = self.domain.as_ref()?;
         let membership = &domain.trust.papers().membership;
@@ -202,7 +206,8 @@ impl Core {
         self.for_rib(Request::Tier(Box::new(message)))
     }
 
-    /// A message between RIBs that has come to the switch it was for: a border that is to send it across, or the RIB's.
+    /// A message between RIBs that has come to the switch it was for: a border that is to send it
+    /// across, or the RIB's.
     pub(super) fn tier_arrived(&mut self, message: TierMessage) -> Next {
         match message.leg {
             TierLeg::Out { domain, peer } => match self.border_link(&peer, domain) {
@@ -274,7 +279,8 @@ impl Core {
         federation.tiers.answered(now, to, sent, response, &Known { rib, trust: &domain.trust });
     }
 
-    /// A switch has reported, and shows of which domain it is: if it is of this one, other domains may see it.
+    /// A switch has reported, and shows of which domain it is: if it is of this one, other domains
+    /// may see it.
     pub(super) fn host_shown(&mut self, proof: &NameProof, shown: Host) {
         let now = self.now();
         let (Some(federation), Some(domain), Ok(switch)) = (&mut self.federation, &self.domain, proof.name()) else {
@@ -289,7 +295,8 @@ impl Core {
         }
     }
 
-    /// An owner of a name, or a domain, has taken something back. `said_by`: the domain that told, if another one did.
+    /// An owner of a name, or a domain, has taken something back. `said_by`: the domain that told,
+    /// if another one did.
     pub(super) fn reconsider(&mut self, about: Name, said_by: Option<Name>) {
         let now = self.now();
         if let (Some(rib), Some(domain)) = (&mut self.rib, &self.domain)

@@ -1,5 +1,6 @@
-//! Probes, sent and answered: where a name leads, who is on the way, and how long that takes. A probe goes in the data plane; its answer
-//! comes back over the links of switches, hop by hop. And echoes, which neighbours answer in their data planes.
+//! Probes, sent and answered: where a name leads, who is on the way, and how long that takes. A
+//! probe goes in the data plane; its answer comes back over the links of switches, hop by hop. And
+//! echoes, which neighbours answer in their data planes.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -30,7 +31,8 @@ const MAX_OUTSTANDING: usize = 64;
 /// The same for each neighbouring domain, besides: two of its traces.
 const MAX_FOR_NEIGHBOUR: usize = 2 * MAX_EGRESS;
 
-/// Those who wait for answers to probes. Each domain has its share: what others trace here keeps nobody else from it.
+/// Those who wait for answers to probes. Each domain has its share: what others trace here keeps
+/// nobody else from it.
 #[derive(Default)]
 pub struct Outstanding(HashMap<u64, Waiting>);
 
@@ -41,7 +43,8 @@ struct Waiting {
 }
 
 impl Outstanding {
-    /// How many more there may be for a neighbouring domain, or this one. Of those that nobody waits for any more none counts.
+    /// How many more there may be for a neighbouring domain, or this one. Of those that nobody
+    /// waits for any more none counts.
     pub fn room(&mut self, asked_by: Option<Name>) -> usize {
         self.0.retain(|_, waiting| !waiting.answer.is_closed());
         let held = self.0.values().filter(|waiting| waiting.asked_by == asked_by).count();
@@ -82,7 +85,8 @@ pub enum ProbeError {
     #[error("several names begin with {0}; give more of its digits")]
     Ambiguous(NamePrefix),
     #[error(
-        "this switch knows no way to {0:#}: it is no switch, has no link here, and nobody attached here may send to it; ask at a switch \
+        "this switch knows no way to {0:#}: it is no switch, has no link here, and nobody attached here may send to \
+         it; ask at a switch \
          where somebody is who does"
     )]
     NoWay(Name),
@@ -112,7 +116,8 @@ pub struct Hop {
     pub time: Duration,
 }
 
-/// Answers probes that end at this switch, until the daemon ends. An answer that is lost is as a probe that is lost.
+/// Answers probes that end at this switch, until the daemon ends. An answer that is lost is as a
+/// probe that is lost.
 pub async fn run(daemon: Arc<Daemon>) {
     let notices = daemon.core().planes.notices().clone();
     loop {
@@ -131,8 +136,8 @@ pub async fn run(daemon: Arc<Daemon>) {
 }
 
 impl Daemon {
-    /// Sends a probe for `name` toward an egress switch, `hops` switches far at most, and waits for its answer. `None`: there was none.
-    /// `asked_by`: the neighbouring domain it is for.
+    /// Sends a probe for `name` toward an egress switch, `hops` switches far at most, and waits for
+    /// its answer. `None`: there was none. `asked_by`: the neighbouring domain it is for.
     pub(super) async fn probe(
         &self,
         asked_by: Option<Name>,
@@ -146,7 +151,8 @@ impl Daemon {
         Ok(answer.map(|(Traced { switch, end, .. }, at)| Hop { switch, end, time: at - sent }))
     }
 
-    /// Asks the data plane of a neighbour for an answer; the time that took. `None`: there was none.
+    /// Asks the data plane of a neighbour for an answer; the time that took. `None`: there was
+    /// none.
     pub(super) async fn echo(&self, peer: Name) -> Result<Option<Duration>, ProbeError> {
         let cookie = cookie()?;
         let (id, notices, sent) = {
@@ -218,8 +224,9 @@ impl Core {
         self.outstanding.answer(answer);
     }
 
-    /// The answer to a probe that ended here, and by which link it goes; none if it came from another domain, to which the inside of this
-    /// one is hidden and no answer leads, or there is no way back.
+    /// The answer to a probe that ended here, and by which link it goes; none if it came from
+    /// another domain, to which the inside of this one is hidden and no answer leads, or there is
+    /// no way back.
     fn answer_to(&self, probe: &Punted) -> Option<(Link, Request)> {
         if self.links.get(&probe.link)?.role() != LinkRole::Switch as u32 {
             return None;

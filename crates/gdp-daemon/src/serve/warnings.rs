@@ -1,5 +1,5 @@
-//! What looks wrong though nothing has failed, as `gdp-ctl status` warns of it. It may be meant so: a publisher may have nothing to say,
-//! and a subscriber may be early.
+//! What looks wrong though nothing has failed, as `gdp-ctl status` warns of it. It may be meant so:
+//! a publisher may have nothing to say, and a subscriber may be early.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -10,7 +10,8 @@ use serde_json::{Value, json};
 
 use super::core::Core;
 
-/// An endpoint that has sent nothing for so long is silent. One that reads greets whom it reads in less.
+/// An endpoint that has sent nothing for so long is silent. One that reads greets whom it reads in
+/// less.
 const SILENT: Duration = Duration::from_secs(10);
 
 /// Names that one warning shows.
@@ -20,8 +21,8 @@ pub fn warnings(core: &Core) -> Vec<Value> {
     silent(core).into_iter().chain(unserved(core)).collect()
 }
 
-/// Endpoints that may send to names that somebody takes, and of which no frame was taken on any link they have now. Counted exactly, on
-/// links: frames are not counted by name.
+/// Endpoints that may send to names that somebody takes, and of which no frame was taken on any
+/// link they have now. Counted exactly, on links: frames are not counted by name.
 fn silent(core: &Core) -> Vec<Value> {
     let mut quiet = BTreeMap::<Name, Duration>::new();
     let mut heard = BTreeSet::new();

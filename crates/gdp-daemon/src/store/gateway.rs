@@ -1,5 +1,6 @@
-//! etcd's API version 3, as its gateway takes it: JSON over HTTP (etcd documentation, "gRPC gateway"). Only what the store needs.
-//! Numbers of 64 bits are text there, keys and values Base64, and what is zero or empty is left out.
+//! etcd's API version 3, as its gateway takes it: JSON over HTTP (etcd documentation, "gRPC
+//! gateway"). Only what the store needs. Numbers of 64 bits are text there, keys and values Base64,
+//! and what is zero or empty is left out.
 
 use std::time::Duration;
 
@@ -17,7 +18,8 @@ use tokio::time::timeout;
 
 use super::{Endpoint, StoreError};
 
-/// How long one member has to take a connection, and to answer: so short that a leader can still ask another one before its lease is over.
+/// How long one member has to take a connection, and to answer: so short that a leader can still
+/// ask another one before its lease is over.
 const CONNECT: Duration = Duration::from_secs(1);
 const TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -262,7 +264,8 @@ impl Gateway {
 }
 
 impl Watch {
-    /// The next changes, in their order, at least one. Never ends but with an error; can be dropped while it waits.
+    /// The next changes, in their order, at least one. Never ends but with an error; can be dropped
+    /// while it waits.
     pub async fn next(&mut self) -> Result<Vec<Event>, StoreError> {
         loop {
             if let Some(end) = self.read.iter().position(|byte| *byte == b'\n') {

@@ -1,6 +1,7 @@
-//! The items of a RIB in etcd: under `PREFIX/item/`, each by its [`Item`], beside `PREFIX/leader`, the key of the replica that may
-//! write them. That is bound to a lease; the revision that created it tells one term of office from the next, and every write
-//! compares it, so that a leader that has lost its lease without noticing changes nothing.
+//! The items of a RIB in etcd: under `PREFIX/item/`, each by its [`Item`], beside `PREFIX/leader`,
+//! the key of the replica that may write them. That is bound to a lease; the revision that created
+//! it tells one term of office from the next, and every write compares it, so that a leader that
+//! has lost its lease without noticing changes nothing.
 
 use std::collections::BTreeMap;
 
@@ -10,14 +11,16 @@ use super::StoreError;
 use super::gateway::{Compare, Event, Gateway, KeyValue, Op};
 use gdp_rib::rib::{Item, MAX_ITEM};
 
-/// Bytes of keys and values that a replica takes; as much as etcd itself does, if not told otherwise.
+/// Bytes of keys and values that a replica takes; as much as etcd itself does, if not told
+/// otherwise.
 pub const MAX_STORED: usize = 2 << 30;
 
-/// Operations of one transaction, of as many conditions: etcd's limit is 128, and one condition is that this is the leader.
+/// Operations of one transaction, of as many conditions: etcd's limit is 128, and one condition is
+/// that this is the leader.
 const MAX_OPS: usize = 127;
 
-/// Bytes of the items of one transaction, unless it is one item. etcd takes requests of 1.5 MiB, if not told otherwise; what
-/// is smaller is answered sooner.
+/// Bytes of the items of one transaction, unless it is one item. etcd takes requests of 1.5 MiB, if
+/// not told otherwise; what is smaller is answered sooner.
 const MAX_TRANSACTION: usize = 256 << 10;
 
 /// How often a transaction is tried whose items were found to be others.
@@ -53,7 +56,8 @@ impl KeySpace {
         std::str::from_utf8(rest).ok()?.parse().ok()
     }
 
-    /// Stands for election. The revision that created the leader's key, if that is this replica's now.
+    /// Stands for election. The revision that created the leader's key, if that is this replica's
+    /// now.
     pub async fn stand(&self, gateway: &mut Gateway, who: &Name, lease: i64) -> Result<Option<i64>, StoreError> {
         let (key, value) = (self.leader(), who.to_string());
         let put = Op::Put { key: &key, value: value.as_bytes(), lease };
@@ -73,7 +77,8 @@ impl KeySpace {
     }
 }
 
-/// What a replica that does not lead has of the items, as they lie in etcd: nothing of it is verified.
+/// What a replica that does not lead has of the items, as they lie in etcd: nothing of it is
+/// verified.
 #[derive(Debug)]
 pub struct Copy {
     place: KeySpace,
@@ -164,8 +169,9 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Brings items to these values, or has them gone, in as few transactions as they fit: at least one, so that it is certain that this
-    /// replica leads. After an error nobody knows which of them are.
+    /// Brings items to these values, or has them gone, in as few transactions as they fit: at least
+    /// one, so that it is certain that this replica leads. After an error nobody knows which of
+    /// them are.
     pub async fn write(&mut self, changes: &[Change]) -> Result<(), StoreError> {
         let size = |value: &Option<Vec<u8>>| value.as_ref().map_or(0, Vec::len);
         let mut rest = changes;
@@ -215,7 +221,8 @@ impl Writer {
             if found.next().flatten().is_none_or(|found| found.create_revision != self.term) {
                 return Err(StoreError::Fenced);
             }
-            // The answer to an earlier attempt was lost, or somebody meddles: what the leader says counts.
+            // The answer to an earlier attempt was lost, or somebody meddles: what the leader says
+            // counts.
             for ((item, _), found) in batch.iter().zip(found) {
                 match found {
                     Some(found) => drop(self.revisions.insert(*item, found.mod_revision)),

@@ -1,7 +1,8 @@
-//! Where the RIB of several replicas is kept: etcd. A daemon whose RIB runs alone needs none of this.
+//! Where the RIB of several replicas is kept: etcd. A daemon whose RIB runs alone needs none of
+//! this.
 //!
-//! [`gateway`] speaks to etcd, [`items`] knows how items of the RIB lie in it and how a leader writes them; who leads, and what
-//! follows from that, is in [`crate::serve::replica`].
+//! [`gateway`] speaks to etcd, [`items`] knows how items of the RIB lie in it and how a leader
+//! writes them; who leads, and what follows from that, is in [`crate::serve::replica`].
 
 pub mod gateway;
 pub mod items;
@@ -31,7 +32,8 @@ impl FromStr for Endpoint {
         let wrong = || format!("{text:?} is not an endpoint such as http://127.0.0.1:2379 or http://[::1]:2379");
         if text.starts_with("https://") {
             return Err(format!(
-                "{text:?}: etcd is spoken to without TLS; have it listen on this host or on a network that is yours alone"
+                "{text:?}: etcd is spoken to without TLS; have it listen on this host or on a network that is yours \
+                 alone"
             ));
         }
         let authority = text.strip_prefix("http://").ok_or_else(wrong)?;

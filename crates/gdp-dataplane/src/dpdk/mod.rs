@@ -1,5 +1,6 @@
-//! The DPDK plane: devices that this process drives by itself, with the loops of `gdp-dpdk` between them. It decides by the tables of
-//! the userspace plane, which stays behind it, as behind XDP: what the loops leave to it reaches it by the host's sides of the ports.
+//! The DPDK plane: devices that this process drives by itself, with the loops of `gdp-dpdk` between
+//! them. It decides by the tables of the userspace plane, which stays behind it, as behind XDP:
+//! what the loops leave to it reaches it by the host's sides of the ports.
 //!
 //! Without the feature `dpdk` there is none, and [`DpdkPlane::start`] says so.
 
@@ -22,12 +23,14 @@ pub use present::{DpdkPlane, LoopReader, LoopView};
 /// MTU of a port that is given none.
 pub const DEFAULT_MTU: u16 = 1500;
 
-/// Room for packets comes in KiB, as some network cards count it. From 2 to 9 of them: a jumbo frame.
+/// Room for packets comes in KiB, as some network cards count it. From 2 to 9 of them: a jumbo
+/// frame.
 const ROOM_UNIT: usize = 1024;
 const SMALLEST_ROOM: usize = 2 * ROOM_UNIT;
 pub const LARGEST_ROOM: usize = 9 * ROOM_UNIT;
 
-/// Bytes beside a packet that count where network cards compare with the room for it: its Ethernet header, two VLANs, and the checksum.
+/// Bytes beside a packet that count where network cards compare with the room for it: its Ethernet
+/// header, two VLANs, and the checksum.
 pub const AUXILIARY: usize = 14 + 4 + 4 + 4;
 
 /// What the kernel keeps free in front of a packet for `net_af_xdp`.
@@ -64,9 +67,11 @@ impl Default for DpdkConfig {
 pub struct DpdkPort {
     /// Made when the daemon starts; addresses belong here.
     pub interface: String,
-    /// As DPDK writes devices: a PCI address, or a driver with its arguments, as `net_af_packet0,iface=eth0`.
+    /// As DPDK writes devices: a PCI address, or a driver with its arguments, as
+    /// `net_af_packet0,iface=eth0`.
     pub device: String,
-    /// Bytes of the largest packet behind its Ethernet header; none: [`DEFAULT_MTU`], and an interface that is the device keeps what it has.
+    /// Bytes of the largest packet behind its Ethernet header; none: [`DEFAULT_MTU`], and an
+    /// interface that is the device keeps what it has.
     pub mtu: Option<u16>,
 }
 

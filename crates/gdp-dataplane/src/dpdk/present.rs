@@ -43,8 +43,8 @@ struct Held {
 }
 
 impl DpdkPlane {
-    /// Takes all devices over, in the network namespace of the calling thread. `kept`: the file for what their interfaces' settings were.
-    /// `reader`: makes each loop its way to the tables.
+    /// Takes all devices over, in the network namespace of the calling thread. `kept`: the file for
+    /// what their interfaces' settings were. `reader`: makes each loop its way to the tables.
     pub fn start(
         config: &DpdkConfig,
         kept: Option<PathBuf>,
@@ -87,13 +87,14 @@ impl DpdkPlane {
             ports.insert(number, held);
         }
         let routes = Routes::open().inspect_err(|error| {
-            tracing::warn!(%error, "the kernel's routes cannot be asked for; links over UDP are sent on by the userspace plane");
+            tracing::warn!(%error, "the kernel's routes cannot be asked for; links over UDP are sent on by the \
+                                    userspace plane");
         });
         Ok(Self { switch, ports, routes: routes.ok(), _settings: settings })
     }
 
-    /// Puts back the settings of interfaces that a daemon with this plane has left in the file `kept`, as it was killed. In the network
-    /// namespace of the calling thread.
+    /// Puts back the settings of interfaces that a daemon with this plane has left in the file
+    /// `kept`, as it was killed. In the network namespace of the calling thread.
     pub fn put_back_left(kept: &Path) {
         if kept.exists()
             && let Err(error) = settings::put_back_left(kept.to_owned())
@@ -113,8 +114,9 @@ impl DpdkPlane {
         self.switch.local().next_hops.get(link.id).is_some()
     }
 
-    /// Looks again at what is for this switch, where links over UDP leave, and which devices have a carrier. `bound`: where the UDP
-    /// socket takes frames; `vlans`: those that GDP runs on, each with the port below it.
+    /// Looks again at what is for this switch, where links over UDP leave, and which devices have a
+    /// carrier. `bound`: where the UDP socket takes frames; `vlans`: those that GDP runs on, each
+    /// with the port below it.
     pub fn follow<'l>(
         &mut self,
         bound: Option<SocketAddr>,
@@ -171,7 +173,8 @@ impl DpdkPlane {
         self.switch.counters()
     }
 
-    /// Frames that were lost after the decision, by the name of the interface they were to leave by.
+    /// Frames that were lost after the decision, by the name of the interface they were to leave
+    /// by.
     pub fn losses(&self) -> HashMap<String, u64> {
         let named = |(port, lost)| Some((self.ports.get(&port)?.interface.clone(), lost));
         self.switch.losses().filter_map(named).collect()
@@ -193,7 +196,8 @@ impl DpdkPlane {
 }
 
 impl Held {
-    /// Whether the device's cable is there, as far as the kernel knows: `net_af_packet` and `net_af_xdp` do not ask it.
+    /// Whether the device's cable is there, as far as the kernel knows: `net_af_packet` and
+    /// `net_af_xdp` do not ask it.
     fn is_running(&self) -> bool {
         let Some(carrier) = self.carrier else { return true };
         // It may have been deleted. Otherwise nothing is known.

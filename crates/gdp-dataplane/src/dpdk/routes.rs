@@ -1,4 +1,5 @@
-//! Where datagrams leave that are for an address: by the kernel's routes and the stations it has resolved, as its own would.
+//! Where datagrams leave that are for an address: by the kernel's routes and the stations it has
+//! resolved, as its own would.
 
 use std::io;
 use std::net::IpAddr;

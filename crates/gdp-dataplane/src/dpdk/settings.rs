@@ -1,8 +1,10 @@
-//! Settings of the kernel's that are others while DPDK has an interface as a device, and put back afterwards. With some drivers the kernel
-//! gets all that arrives as well, and would answer twice, on the host's side of the port and here; and it would join packets that DPDK
-//! is to have as they came.
+//! Settings of the kernel's that are others while DPDK has an interface as a device, and put back
+//! afterwards. With some drivers the kernel gets all that arrives as well, and would answer twice,
+//! on the host's side of the port and here; and it would join packets that DPDK is to have as they
+//! came.
 //!
-//! What was there before is kept in a file as well: a daemon that is killed puts nothing back, so the next one does.
+//! What was there before is kept in a file as well: a daemon that is killed puts nothing back, so
+//! the next one does.
 
 use std::fs::{self, DirBuilder, File};
 use std::io::{self, Read, Write};
@@ -14,13 +16,14 @@ use gdp_link::port::interface_index;
 use crate::device;
 use crate::{netlink::Netlink, netlink::number};
 
-/// What is set for every device: a packet whose sender is not reached by the interface is not for this host, no address is answered for,
-/// and IPv6 is off.
+/// What is set for every device: a packet whose sender is not reached by the interface is not for
+/// this host, no address is answered for, and IPv6 is off.
 const QUIET: [(&str, u32); 3] = [("ipv4/rp_filter", 1), ("ipv4/arp_ignore", 8), ("ipv6/disable_ipv6", 1)];
 
-/// What is set where packets are to come one by one: no two are as short as that together. To turn joining (GRO) off as a whole would have
-/// a veth refuse what XDP redirects to it. Older kernels have only the first one (before Linux 6.3), or neither (before 5.19); where there
-/// are both, setting the first sets both.
+/// What is set where packets are to come one by one: no two are as short as that together. To turn
+/// joining (GRO) off as a whole would have a veth refuse what XDP redirects to it. Older kernels
+/// have only the first one (before Linux 6.3), or neither (before 5.19); where there are both,
+/// setting the first sets both.
 const GRO: &str = "gro_max_size";
 const GRO_IPV4: &str = "gro_ipv4_max_size";
 const NONE_JOINED: u32 = 1;
@@ -35,7 +38,8 @@ pub struct Settings {
     kept: Option<Kept>,
 }
 
-/// The file. It is locked for as long as this lives, so that no other daemon takes it for what a dead one has left.
+/// The file. It is locked for as long as this lives, so that no other daemon takes it for what a
+/// dead one has left.
 struct Kept {
     path: PathBuf,
     file: File,
@@ -51,8 +55,8 @@ struct Changed {
 }
 
 impl Settings {
-    /// In the network namespace of the calling thread, in which it is to be dropped as well. `kept`: the file, in which there may be what a
-    /// daemon that was killed has not put back.
+    /// In the network namespace of the calling thread, in which it is to be dropped as well.
+    /// `kept`: the file, in which there may be what a daemon that was killed has not put back.
     pub fn open(kept: Option<PathBuf>) -> Self {
         let begun = |path| {
             let (kept, left) = Kept::open(path)?;
@@ -89,7 +93,8 @@ impl Settings {
         self.set(interface, MTU, before, mtu.into())
     }
 
-    /// `otherwise`: what happens if it cannot be set. What is not there needs no setting: IPv6 may be missing as a whole.
+    /// `otherwise`: what happens if it cannot be set. What is not there needs no setting: IPv6 may
+    /// be missing as a whole.
     fn set_if_there(&mut self, interface: &str, name: &str, value: u32, otherwise: &'static str) {
         let Ok(before) = read(interface, name) else { return };
         if let Err(error) = self.set(interface, name, before, value) {
@@ -113,8 +118,8 @@ impl Drop for Settings {
     }
 }
 
-/// Puts back what a daemon that was killed has left in the file `kept`. The file stays if not all could be: in another namespace, or with
-/// more rights, the next daemon may do better.
+/// Puts back what a daemon that was killed has left in the file `kept`. The file stays if not all
+/// could be: in another namespace, or with more rights, the next daemon may do better.
 pub fn put_back_left(kept: PathBuf) -> io::Result<()> {
     let (kept, left) = Kept::open(kept)?;
     if put_back(&left) {
@@ -158,7 +163,8 @@ impl Changed {
     }
 }
 
-/// What nobody else has set since; the last one first: one may set another as well. Whether that is all.
+/// What nobody else has set since; the last one first: one may set another as well. Whether that is
+/// all.
 fn put_back(all: &[Changed]) -> bool {
     let now: Vec<_> = all.iter().map(|changed| read(&changed.interface, &changed.name)).collect();
     let mut is_all = now.iter().all(Result::is_ok);

@@ -1,17 +1,18 @@
-//! The full tables of a switch, in this process. One owner changes them; every thread that forwards has a [`Reader`] and looks things
-//! up while they change, without locks: the userspace plane ([`super::userspace`]) and any other data plane of this process. No
-//! sockets, no threads.
+//! The full tables of a switch, in this process. One owner changes them; every thread that forwards
+//! has a [`Reader`] and looks things up while they change, without locks: the userspace plane
+//! ([`super::userspace`]) and any other data plane of this process. No sockets, no threads.
 //!
-//! - Links, next hops and the own bit are a [`Snapshot`]: a change makes another one, which readers see when they next enter. A link
-//!   that was removed, and its keys, last until the last reader has entered again or is gone; so who has nothing to do enters now and
-//!   then.
-//! - [`names`]: where names lead, in a flat table that changes under its readers; when it grows, the next snapshot has the larger one.
-//! - Groups and permits change under their readers too, in the order that the kernel's maps keep: they come before the entry of a name
-//!   that says to look for them, and go after it. A reader that is between the two may miss what has just gone; it finds nothing
-//!   else in its place.
+//! - Links, next hops and the own bit are a [`Snapshot`]: a change makes another one, which readers
+//!   see when they next enter. A link that was removed, and its keys, last until the last reader
+//!   has entered again or is gone; so who has nothing to do enters now and then.
+//! - [`names`]: where names lead, in a flat table that changes under its readers; when it grows,
+//!   the next snapshot has the larger one.
+//! - Groups and permits change under their readers too, in the order that the kernel's maps keep:
+//!   they come before the entry of a name that says to look for them, and go after it. A reader
+//!   that is between the two may miss what has just gone; it finds nothing else in its place.
 //!
-//! What is changed in one order is seen in it but for this: until a reader enters again, names that have come to lead to a link that is
-//! newer than its snapshot lead nowhere.
+//! What is changed in one order is seen in it but for this: until a reader enters again, names that
+//! have come to lead to a link that is newer than its snapshot lead nowhere.
 
 mod names;
 #[cfg(test)]
@@ -65,7 +66,8 @@ pub struct Reader {
     common: Arc<Common>,
 }
 
-/// The tables as a thread sees them that has entered. For a batch of frames: what is removed meanwhile stays in memory.
+/// The tables as a thread sees them that has entered. For a batch of frames: what is removed
+/// meanwhile stays in memory.
 pub struct View<'r> {
     now: &'r Snapshot,
     common: &'r Common,
@@ -83,9 +85,11 @@ struct Snapshot {
     names: Memory,
 }
 
-/// What changes under its readers. The two maps have one collector, so that a guard is one for both.
+/// What changes under its readers. The two maps have one collector, so that a guard is one for
+/// both.
 struct Common {
-    /// By keys that do not return: what a name's entry leads to is never another's. In [`Names`], they are [`FibEntry::group`].
+    /// By keys that do not return: what a name's entry leads to is never another's. In [`Names`],
+    /// they are [`FibEntry::group`].
     groups: papaya::HashMap<u32, Group>,
     permits: papaya::HashSet<Permit>,
     link_memory: LinkMemory,
@@ -158,9 +162,10 @@ impl UserTables {
         self.names.has_room_for(name)
     }
 
-    /// Returns the route the name had. `permits`: those of links that may send to it, besides `entry.writer_link`,
-    /// and of links by which frames from it may come. The entry's group is one that was set. If there is no room, nothing is changed;
-    /// for a route that was there before the last change of its name, there is.
+    /// Returns the route the name had. `permits`: those of links that may send to it, besides
+    /// `entry.writer_link`, and of links by which frames from it may come. The entry's group is one
+    /// that was set. If there is no room, nothing is changed; for a route that was there before the
+    /// last change of its name, there is.
     pub fn set_route(&mut self, name: Name, entry: FibEntry, permits: &[Permit]) -> Result<Option<Route>, UpdateError> {
         let (before, held) = (self.route(&name), Box::from(self.permits(&name)));
         let (come, gone) = (without(permits, &held), without(&held, permits));
@@ -207,7 +212,8 @@ impl UserTables {
         self.permits.get(name).map_or(&[], |permits| permits)
     }
 
-    /// The local readers of a group; none: it is free. Before the first route that leads to it, and after the last.
+    /// The local readers of a group; none: it is free. Before the first route that leads to it, and
+    /// after the last.
     pub fn set_group(&mut self, number: u32, readers: &[u32]) {
         let groups = self.common.groups.pin();
         if readers.is_empty() {

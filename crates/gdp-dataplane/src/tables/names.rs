@@ -16,7 +16,8 @@ pub struct Names {
     limit: u32,
 }
 
-/// A flat table, for its readers. It begins with a page, so no line of it is in two cache lines. Clones share it.
+/// A flat table, for its readers. It begins with a page, so no line of it is in two cache lines.
+/// Clones share it.
 #[derive(Clone)]
 pub struct Memory(Arc<Mapping>);
 

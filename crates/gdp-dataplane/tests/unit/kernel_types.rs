@@ -2,7 +2,8 @@
 
 use super::*;
 
-/// `struct outer { u32 first; union { struct { u32 deep; named last; }; }; }`, `typedef struct { u32 inner; } named`.
+/// `struct outer { u32 first; union { struct { u32 deep; named last; }; }; }`, `typedef struct {
+/// u32 inner; } named`.
 fn sample() -> Vec<u8> {
     let strings = b"\0outer\0first\0deep\0last\0inner\0";
     let name = |text: &[u8]| strings.windows(text.len()).position(|w| w == text).unwrap() as u32;

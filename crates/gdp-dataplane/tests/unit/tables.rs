@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::*;
 use crate::groups::Groups;
 
-/// Names and links that hold all the time, though they change: each name leads to one of two links of its own.
+/// Names and links that hold all the time, though they change: each name leads to one of two links
+/// of its own.
 const HELD: u32 = 32;
 
 /// Names that come and go, for which the table grows three times.
@@ -61,7 +62,8 @@ impl Writer {
         writer
     }
 
-    /// Everything that holds, into its next form. The groups are numbered as the planes do: with the lowest that is free.
+    /// Everything that holds, into its next form. The groups are numbered as the planes do: with
+    /// the lowest that is free.
     fn change_held(&mut self, generation: u64) {
         for number in 0..HELD {
             let links = links_of(number);

@@ -1,13 +1,14 @@
-//! The internet checksum (RFC 1071): of the IPv4 header, and of datagrams to peers that want it ([`Carrier::CHECKSUM`], or IPv6
-//! without [`Carrier::ZERO_CHECKSUM`]).
+//! The internet checksum (RFC 1071): of the IPv4 header, and of datagrams to peers that want it
+//! ([`Carrier::CHECKSUM`], or IPv6 without [`Carrier::ZERO_CHECKSUM`]).
 
 use gdp_wire::Carrier;
 use zerocopy::network_endian::U16;
 
 use crate::carrier::udp::UDP;
 
-/// The sum of `bytes` as 16-bit words, not [folded](fold). The words are in the machine's order, as the order of bytes does not
-/// matter as long as it is one (RFC 1071, 2 (B)); an odd last byte is the first of a word whose second is zero.
+/// The sum of `bytes` as 16-bit words, not [folded](fold). The words are in the machine's order, as
+/// the order of bytes does not matter as long as it is one (RFC 1071, 2 (B)); an odd last byte is
+/// the first of a word whose second is zero.
 #[inline]
 pub fn sum(bytes: &[u8]) -> u64 {
     // Of twice as long words, since 2^16 is 1 in this arithmetic: compilers make vectors of it.
@@ -37,8 +38,8 @@ pub fn sum_of_words(address: &[u32]) -> u64 {
     address.iter().copied().map(u64::from).sum()
 }
 
-/// The bytes of the checksum of a datagram (RFC 768, RFC 8200) from us to the peer. `addresses`: [`sum_of_words`] of both IP
-/// addresses; `length`: of UDP header and payload.
+/// The bytes of the checksum of a datagram (RFC 768, RFC 8200) from us to the peer. `addresses`:
+/// [`sum_of_words`] of both IP addresses; `length`: of UDP header and payload.
 #[inline]
 pub fn of_datagram(carrier: &Carrier, addresses: u64, length: U16, payload: &[u8]) -> [u8; 2] {
     let length = u64::from(u16::from_ne_bytes(length.to_bytes()));

@@ -38,7 +38,8 @@ impl Ethernet {
     /// Makes it one from us to the peer. `ethertype`: in host order.
     #[inline]
     pub fn address(&mut self, stations: Stations<'_>, ethertype: u16) {
-        // In place: a header made elsewhere is copied with reads that span the writes before them, which is slow.
+        // In place: a header made elsewhere is copied with reads that span the writes before them,
+        // which is slow.
         self.destination = transmute!(*stations.peer);
         self.source = transmute!(*stations.local);
         self.ethertype = ethertype.into();

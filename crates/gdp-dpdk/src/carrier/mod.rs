@@ -1,7 +1,9 @@
-//! What carries a GDP frame in a packet: how it is taken off ([`find`]) and put on ([`encapsulate`]). One file for each carrier.
+//! What carries a GDP frame in a packet: how it is taken off ([`find`]) and put on
+//! ([`encapsulate`]). One file for each carrier.
 //!
-//! The semantics are those of the XDP programs (`gdp-ebpf/src/carrier`): exactly what they take for frames is taken here, and all
-//! else is the host's. Packets are byte slices; nothing here allocates, and no input makes it panic.
+//! The semantics are those of the XDP programs (`gdp-ebpf/src/carrier`): exactly what they take for
+//! frames is taken here, and all else is the host's. Packets are byte slices; nothing here
+//! allocates, and no input makes it panic.
 
 mod checksum;
 mod ethernet;
@@ -52,10 +54,12 @@ pub fn has_checksum(carrier: &Carrier) -> bool {
     }
 }
 
-/// Writes the headers in front of `frame`, which goes to the peer of `carrier`. `traffic`: as [`gdp_wire::Header::ip_traffic`] says;
-/// `ethertype`: of GDP frames, in host order. A `front` that has not [`len`] bytes stays as it is.
+/// Writes the headers in front of `frame`, which goes to the peer of `carrier`. `traffic`: as
+/// [`gdp_wire::Header::ip_traffic`] says; `ethertype`: of GDP frames, in host order. A `front` that
+/// has not [`len`] bytes stays as it is.
 ///
-/// The frame must be one that the link takes: over UDP no longer than 65 507 bytes, which is what the length fields of IPv4 can tell.
+/// The frame must be one that the link takes: over UDP no longer than 65 507 bytes, which is what
+/// the length fields of IPv4 can tell.
 #[inline]
 pub fn encapsulate(
     front: &mut [u8],

@@ -7,7 +7,8 @@ use gdp_wire::LocalAddress;
 pub struct FrameLocation {
     /// Bytes in front of it.
     pub at: usize,
-    /// Bytes there are of it, and perhaps of padding behind it; perhaps none. They are all in the packet.
+    /// Bytes there are of it, and perhaps of padding behind it; perhaps none. They are all in the
+    /// packet.
     pub available: usize,
     /// Whether it may also be QUIC.
     pub over_udp: bool,

@@ -24,7 +24,8 @@ pub struct Udp {
     pub checksum: [u8; 2],
 }
 
-/// What a UDP header says of the length, its own included. Wraps where the frame is longer than a datagram can be.
+/// What a UDP header says of the length, its own included. Wraps where the frame is longer than a
+/// datagram can be.
 #[inline]
 pub fn udp_length(frame: Payload<'_>) -> U16 {
     ((size_of::<Udp>() + frame.length) as u16).into()

@@ -1,6 +1,6 @@
-//! Frames as payload of UDP over IPv4. What does not look as our peers send it (options, fragments, lengths that disagree) is the
-//! host's to judge. Checksums of what arrives are not looked at: the hop tag covers the frame's header, and the reader's
-//! decryption its payload.
+//! Frames as payload of UDP over IPv4. What does not look as our peers send it (options, fragments,
+//! lengths that disagree) is the host's to judge. Checksums of what arrives are not looked at: the
+//! hop tag covers the frame's header, and the reader's decryption its payload.
 
 use crate::carrier::udp::{HOP_LIMIT, UDP, Udp, udp_length};
 use gdp_wire::{Carrier, LocalAddress};
@@ -73,7 +73,8 @@ pub fn encapsulate(front: &mut [u8], frame: Payload<'_>, carrier: &Carrier, stat
     let (source, destination) = (carrier.local_ip[0], carrier.peer_ip[0]);
     let addresses = checksum::sum_of_words(&[source, destination]);
     let length = ((size_of::<Ipv4>() + size_of::<Udp>() + frame.length) as u16).to_be();
-    // Of values, and not of the header where it is: short writes that long reads follow at once are slow.
+    // Of values, and not of the header where it is: short writes that long reads follow at once are
+    // slow.
     let words = [
         u16::from_ne_bytes([VERSION_LENGTH, traffic]),
         length,

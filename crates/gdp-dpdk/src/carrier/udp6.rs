@@ -1,6 +1,8 @@
-//! Frames as payload of UDP over IPv6, without a checksum to peers that take such datagrams (RFC 6936).
+//! Frames as payload of UDP over IPv6, without a checksum to peers that take such datagrams (RFC
+//! 6936).
 //!
-//! What arrives is looked at as in [`super::udp4`]; extension headers, fragments among them, are the host's.
+//! What arrives is looked at as in [`super::udp4`]; extension headers, fragments among them, are
+//! the host's.
 
 use gdp_wire::{Carrier, LocalAddress};
 use zerocopy::network_endian::{U16, U32};

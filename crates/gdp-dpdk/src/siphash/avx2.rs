@@ -71,7 +71,8 @@ fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; 11] {
     [w0, w1, w3, w4, w5, w6, w7, w8, w9, w10, w11]
 }
 
-/// The words from `FROM` (0 … 8) on of all headers, transposed: row `i` is what were the words at place `i` of the rows.
+/// The words from `FROM` (0 … 8) on of all headers, transposed: row `i` is what were the words at
+/// place `i` of the rows.
 #[target_feature(enable = "avx2")]
 #[inline]
 fn columns<const FROM: usize>(headers: [&[u64; 12]; LANES]) -> [Vector; 4] {

@@ -7,8 +7,9 @@ pub const INITIAL: [u64; 4] =
 /// The last word that is mixed in: how many bytes there are, modulo 256, in its highest byte.
 pub const LENGTH: u64 = (11 * 8) << 56;
 
-/// Defines `make` for vectors of one kind. In scope: `Vector`; `LANES`, how many words it has; and, for CPUs with the
-/// feature, `splat`, `add`, `xor`, `rotate` (to the left, by a constant), `rotate_half` (by 32), `load`, `load_words` and `store`.
+/// Defines `make` for vectors of one kind. In scope: `Vector`; `LANES`, how many words it has; and,
+/// for CPUs with the feature, `splat`, `add`, `xor`, `rotate` (to the left, by a constant),
+/// `rotate_half` (by 32), `load`, `load_words` and `store`.
 macro_rules! in_lanes {
     ($feature:literal) => {
         /// The state of one hash in each lane.
@@ -57,8 +58,9 @@ macro_rules! in_lanes {
             }
         }
 
-        /// As many hashes as `GROUPS` have lanes, of what was added from `first` on, in interleaved groups: where one has to wait for what
-        /// it last computed, another goes on. Lanes behind the last that was added hash something.
+        /// As many hashes as `GROUPS` have lanes, of what was added from `first` on, in interleaved
+        /// groups: where one has to wait for what it last computed, another goes on. Lanes behind
+        /// the last that was added hash something.
         #[target_feature(enable = $feature)]
         #[inline]
         fn hash<const GROUPS: usize>(first: usize, of: &mut Tags, headers: &[Header]) {

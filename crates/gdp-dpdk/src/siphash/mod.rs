@@ -1,5 +1,6 @@
-//! Hop tags of many frames at once: SipHash-2-4 in the lanes of vectors. What a tag is, [`Header::tag_for`] says; here is the same
-//! function for frames that came in one burst, whose tags do not depend on each other.
+//! Hop tags of many frames at once: SipHash-2-4 in the lanes of vectors. What a tag is,
+//! [`Header::tag_for`] says; here is the same function for frames that came in one burst, whose
+//! tags do not depend on each other.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;

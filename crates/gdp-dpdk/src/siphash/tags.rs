@@ -3,8 +3,8 @@
 use crate::Burst;
 use gdp_wire::Header;
 
-/// Frames whose tags are wanted, at most [`Self::SIZE`], and their tags. In columns, which lanes load as they lie; the words of the
-/// headers are not copied.
+/// Frames whose tags are wanted, at most [`Self::SIZE`], and their tags. In columns, which lanes
+/// load as they lie; the words of the headers are not copied.
 pub struct Tags {
     pub length: usize,
     pub keys: [[u64; Self::SIZE]; 2],
@@ -30,7 +30,8 @@ impl Tags {
         self.length = 0;
     }
 
-    /// Wants the tag of the header at `place`, for a frame that is the `count`th of a link with this key. There must be room.
+    /// Wants the tag of the header at `place`, for a frame that is the `count`th of a link with
+    /// this key. There must be room.
     #[inline]
     pub fn add(&mut self, place: u32, key: [u64; 2], count: u64) {
         let i = self.length;

@@ -1,8 +1,9 @@
-//! What two entities tell each other alone: feedback, under a key that follows from their box keys without a message between them.
-//! The bytes are specified in `docs/wire-format.md`, "Feedback".
+//! What two entities tell each other alone: feedback, under a key that follows from their box keys
+//! without a message between them. The bytes are specified in `docs/wire-format.md`, "Feedback".
 //!
-//! Each side seals in sessions of its own, with random identifiers: so neither a restart nor the other direction repeats a nonce.
-//! An opener takes a session that it has not seen if what came opens; of those it remembers each message is taken once.
+//! Each side seals in sessions of its own, with random identifiers: so neither a restart nor the
+//! other direction repeats a nonce. An opener takes a session that it has not seen if what came
+//! opens; of those it remembers each message is taken once.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -27,7 +28,8 @@ const HEADER_LEN: usize = 1 + 8 + 8;
 /// Messages of a session; then the sealer begins another.
 const MESSAGES: u64 = 1 << 32;
 
-/// Sessions of the peer whose messages are taken: its own, and what comes late or is repeated of those before its restarts.
+/// Sessions of the peer whose messages are taken: its own, and what comes late or is repeated of
+/// those before its restarts.
 const SESSIONS: usize = 4;
 
 /// Sessions that were given up and are not taken again.
@@ -103,7 +105,8 @@ pub struct PairSealer {
 }
 
 impl PairSealer {
-    /// Puts the payload of a frame to the peer into `out`, whose former content is dropped. After an error `out` is empty.
+    /// Puts the payload of a frame to the peer into `out`, whose former content is dropped. After
+    /// an error `out` is empty.
     pub fn seal(&mut self, feedback: &Feedback, out: &mut Vec<u8>) -> Result<(), PairError> {
         out.clear();
         if self.next > MESSAGES {

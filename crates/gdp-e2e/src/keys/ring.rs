@@ -1,9 +1,10 @@
-//! A writer's keys for one name: which epoch messages are sealed under, when another begins, and who gets a box of it.
+//! A writer's keys for one name: which epoch messages are sealed under, when another begins, and
+//! who gets a box of it.
 //!
-//! An epoch ends by age, messages or bytes ([`Rotation`]), and when one who holds a box of it may not read any more. Its successor
-//! has a number of its own from the start, but comes into use only when all its boxes are stored where readers find them, or
-//! [`HANDOVER`] later: so a reader has the key before the first message, and nobody who is slow or away keeps a revoked reader
-//! reading.
+//! An epoch ends by age, messages or bytes ([`Rotation`]), and when one who holds a box of it may
+//! not read any more. Its successor has a number of its own from the start, but comes into use only
+//! when all its boxes are stored where readers find them, or [`HANDOVER`] later: so a reader has
+//! the key before the first message, and nobody who is slow or away keeps a revoked reader reading.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -24,8 +25,9 @@ const MAX_BOXES: usize = 64;
 /// How long an epoch may wait for its boxes to be stored before it comes into use.
 const HANDOVER: Duration = Duration::from_secs(2);
 
-/// Between the beginnings of two epochs. As their numbers are Unix seconds and so never outrun the clock, a writer that was
-/// restarted does not repeat one; and whoever revokes readers one by one does not keep the writer busy with wrapping.
+/// Between the beginnings of two epochs. As their numbers are Unix seconds and so never outrun the
+/// clock, a writer that was restarted does not repeat one; and whoever revokes readers one by one
+/// does not keep the writer busy with wrapping.
 const BETWEEN_EPOCHS: Duration = Duration::from_secs(1);
 
 /// When the key of a name is replaced though nobody was revoked.
@@ -37,7 +39,8 @@ pub struct Rotation {
 }
 
 impl Default for Rotation {
-    /// An hour; 2²⁶ messages; 2³⁶ bytes, which are 2³² blocks of AES: what GCM leaks by then has a probability below 2⁻⁶⁴.
+    /// An hour; 2²⁶ messages; 2³⁶ bytes, which are 2³² blocks of AES: what GCM leaks by then has a
+    /// probability below 2⁻⁶⁴.
     fn default() -> Self {
         Self { age: Duration::from_secs(3600), messages: 1 << 26, bytes: 1 << 36 }
     }
@@ -109,8 +112,8 @@ impl KeyRing {
         Ok(Self { name, writer: writer.clone(), rotation, readers: BTreeMap::new(), current, next: None })
     }
 
-    /// Who may read from now on, by name and box key (SEC1 compressed), most important first. Returns those that no key is wrapped
-    /// to, and why. [`Self::poll`] then has what follows.
+    /// Who may read from now on, by name and box key (SEC1 compressed), most important first.
+    /// Returns those that no key is wrapped to, and why. [`Self::poll`] then has what follows.
     pub fn set_readers(&mut self, readers: &[(Name, [u8; PUBLIC_KEY_LEN])]) -> Vec<(Name, Omission)> {
         let mut omitted = Vec::new();
         let mut kept = BTreeMap::new();
@@ -134,20 +137,23 @@ impl KeyRing {
         omitted
     }
 
-    /// What was sealed under the current epoch's key since the last call: messages, and their bytes on the wire.
+    /// What was sealed under the current epoch's key since the last call: messages, and their bytes
+    /// on the wire.
     pub fn used(&mut self, messages: u64, bytes: u64) {
         let current = &mut self.current;
         current.messages = current.messages.saturating_add(messages);
         current.bytes = current.bytes.saturating_add(bytes);
     }
 
-    /// The epoch that messages are sealed under, and its key. Changes in [`Self::poll`] and [`Self::boxes_stored`] only.
+    /// The epoch that messages are sealed under, and its key. Changes in [`Self::poll`] and
+    /// [`Self::boxes_stored`] only.
     pub fn current(&self) -> (u32, &EpochKey) {
         (self.current.number, &self.current.key)
     }
 
-    /// Boxes to store, if there are any. To be asked until there are none, and again when [`Self::wake_at`] says, or when
-    /// readers change. The caller offers boxes again until they are stored.
+    /// Boxes to store, if there are any. To be asked until there are none, and again when
+    /// [`Self::wake_at`] says, or when readers change. The caller offers boxes again until they are
+    /// stored.
     pub fn poll(&mut self, now: u64) -> Result<Option<Boxes>, RingError> {
         self.advance(now)?;
         for epoch in self.next.iter_mut().chain([&mut self.current]) {

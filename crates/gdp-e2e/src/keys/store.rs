@@ -1,5 +1,6 @@
-//! A reader's keys for one name: what the writers' boxes hold. Of each writer the newest epoch and the one before are kept, so that
-//! what was sealed before a change still opens, and the older is wiped [`GRACE`] after the newer came.
+//! A reader's keys for one name: what the writers' boxes hold. Of each writer the newest epoch and
+//! the one before are kept, so that what was sealed before a change still opens, and the older is
+//! wiped [`GRACE`] after the newer came.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -14,14 +15,16 @@ use gdp_core::name::Name;
 /// Writers of a name that a reader keeps keys of.
 pub const MAX_WRITERS: usize = 1024;
 
-/// How long the epoch before the newest is kept: longer than the writer takes to use the newest, and than it repeats anything.
+/// How long the epoch before the newest is kept: longer than the writer takes to use the newest,
+/// and than it repeats anything.
 const GRACE: Duration = Duration::from_secs(60);
 
 /// A key that is new to the reader.
 #[derive(Clone, Debug)]
 pub struct Opened {
     pub epoch: u32,
-    /// If the epoch was known, with another key, this one counts: the writer was restarted within a second.
+    /// If the epoch was known, with another key, this one counts: the writer was restarted within a
+    /// second.
     pub key: EpochKey,
     /// The epoch that gave way to it.
     pub dropped: Option<u32>,
@@ -58,7 +61,8 @@ impl KeyStore {
         Self { name, reader: reader.name(), box_key: reader.box_key().clone(), writers: HashMap::new() }
     }
 
-    /// Opens a box of `writer`, whose key is `writer_key` and who may write the name. `None`: what it holds is known.
+    /// Opens a box of `writer`, whose key is `writer_key` and who may write the name. `None`: what
+    /// it holds is known.
     pub fn take(
         &mut self,
         now: u64,
@@ -91,7 +95,8 @@ impl KeyStore {
             let dropped = kept.before.replace(before);
             return opened(dropped.map(|(epoch, _)| epoch));
         }
-        // Boxes may come in any order, above all the first. Long after, an older one is repeated by somebody.
+        // Boxes may come in any order, above all the first. Long after, an older one is repeated by
+        // somebody.
         let is_before = kept.before.as_ref().is_none_or(|(before, _)| *before < epoch);
         if !is_before || is_over(now, kept.since) {
             return Err(StoreError::Over { epoch, newest });
@@ -100,7 +105,8 @@ impl KeyStore {
         opened(dropped.map(|(epoch, _)| epoch))
     }
 
-    /// Wipes keys of epochs that are over. Returns their writers and numbers. To be asked every few seconds.
+    /// Wipes keys of epochs that are over. Returns their writers and numbers. To be asked every few
+    /// seconds.
     pub fn expire(&mut self, now: u64) -> Vec<(Name, u32)> {
         let over = |(writer, kept): (&Name, &mut CachedKey)| {
             let (epoch, _) = kept.before.take_if(|_| is_over(now, kept.since))?;

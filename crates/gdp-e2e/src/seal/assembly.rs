@@ -1,5 +1,5 @@
-//! One message that is being put together. All segments here are authentic (they opened under the session's key);
-//! whether the writer signed the whole is the reader's last check.
+//! One message that is being put together. All segments here are authentic (they opened under the
+//! session's key); whether the writer signed the whole is the reader's last check.
 
 use super::DropReason;
 use super::message::MAX_PREAMBLE;
@@ -24,7 +24,8 @@ pub struct Assembly {
 }
 
 impl Assembly {
-    /// The memory that a message of this header's shape will be charged, or why it is too large. Nothing is allocated.
+    /// The memory that a message of this header's shape will be charged, or why it is too large.
+    /// Nothing is allocated.
     pub fn cost(header: &SegmentHeader, max_message: usize) -> Result<usize, DropReason> {
         let (count, size) = (header.count as usize, header.size as usize);
         let least = (count - 1).checked_mul(size).and_then(|n| n.checked_add(1)).ok_or(DropReason::TooLarge)?;
@@ -39,7 +40,8 @@ impl Assembly {
         let count = header.count as usize;
         Self {
             header: *header,
-            // Zeroed by the kernel as it is touched: a message that stays incomplete costs what arrived of it.
+            // Zeroed by the kernel as it is touched: a message that stays incomplete costs what
+            // arrived of it.
             buffer: vec![0; count * header.size as usize],
             digests: vec![[0; 32]; count],
             received: vec![0; count.div_ceil(64)],
@@ -59,7 +61,8 @@ impl Assembly {
         if header.kind == Kind::Proof { self.proof.is_some() } else { self.received[word(header)] & bit(header) != 0 }
     }
 
-    /// Where a body segment that has not arrived yet belongs; its content there does not count until [`Self::mark`].
+    /// Where a body segment that has not arrived yet belongs; its content there does not count
+    /// until [`Self::mark`].
     pub fn slot(&mut self, header: &SegmentHeader, len: usize) -> &mut [u8] {
         &mut self.buffer[header.index as usize * self.header.size as usize..][..len]
     }

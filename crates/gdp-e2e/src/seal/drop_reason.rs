@@ -32,11 +32,13 @@ reasons! {
     UnknownWriter = "unknown_writer",
     /// Sealed in an epoch of the writer whose key is not here, not yet or not any more.
     NoKey = "no_key",
-    /// Did not open under the session's key: changed, made up, or sealed for another name, writer, session or epoch.
+    /// Did not open under the session's key: changed, made up, or sealed for another name, writer,
+    /// session or epoch.
     Forged = "forged",
     /// Of a session that the writer has not vouched for to this reader: it may be a recording.
     Unvouched = "unvouched",
-    /// So far behind that nobody remembers whether it was delivered, or signed longer ago than the reader accepts.
+    /// So far behind that nobody remembers whether it was delivered, or signed longer ago than the
+    /// reader accepts.
     TooOld = "too_old",
     /// This segment is here already, or its message was delivered.
     Duplicate = "duplicate",

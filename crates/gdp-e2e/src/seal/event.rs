@@ -33,7 +33,8 @@ pub struct Heartbeat {
 pub struct Lost {
     pub session: [u8; 16],
     pub sequence: u64,
-    /// It may yet be had, if all of it comes once more: these segments gave way to others, or were not all the writer's.
+    /// It may yet be had, if all of it comes once more: these segments gave way to others, or were
+    /// not all the writer's.
     pub again: bool,
 }
 
@@ -56,9 +57,11 @@ pub struct Limits {
     pub max_memory: usize,
     /// How long after its first segment a message must be complete.
     pub deadline: Duration,
-    /// What was signed longer ago is refused. The clocks of writers and readers must not differ by more.
+    /// What was signed longer ago is refused. The clocks of writers and readers must not differ by
+    /// more.
     pub max_age: Duration,
-    /// Sessions per writer whose replay windows are kept, and as many again that the writer has not vouched for.
+    /// Sessions per writer whose replay windows are kept, and as many again that the writer has not
+    /// vouched for.
     pub max_sessions: usize,
 }
 
@@ -82,10 +85,11 @@ pub struct Received {
     pub messages: Vec<Message>,
     /// Verified, and each newer than the one before of its session.
     pub heartbeats: Vec<Heartbeat>,
-    /// Segments of messages that opened and were not here before. Any holder of the key may have made them: whether the
-    /// writer did is known once the message is complete.
+    /// Segments of messages that opened and were not here before. Any holder of the key may have
+    /// made them: whether the writer did is known once the message is complete.
     pub segments: Vec<SegmentId>,
-    /// Segments that opened and that nothing needs: they are here already, or their message was delivered.
+    /// Segments that opened and that nothing needs: they are here already, or their message was
+    /// delivered.
     pub repeated: Vec<SegmentId>,
     /// But for those that were not complete in time: [`Limits::deadline`] is the caller's.
     pub lost: Vec<Lost>,

@@ -1,13 +1,15 @@
-//! The hash tree that lets one signature cover a batch of messages. Leaves are padded with zeros to a power of two, so
-//! a leaf's position says at every level on which side its sibling is. Leaves and inner nodes are hashed with different
-//! first bytes (see [`super::wire::leaf`]), so neither passes for the other, and nobody knows what hashes to zero.
+//! The hash tree that lets one signature cover a batch of messages. Leaves are padded with zeros to
+//! a power of two, so a leaf's position says at every level on which side its sibling is. Leaves
+//! and inner nodes are hashed with different first bytes (see [`super::wire::leaf`]), so neither
+//! passes for the other, and nobody knows what hashes to zero.
 
 use super::wire::MAX_DEPTH;
 use gdp_core::crypto::Backend;
 
 const PADDING: [u8; 32] = [0; 32];
 
-/// A tree over a batch, kept to be reused. One message alone is a tree of depth 0, whose root is the leaf.
+/// A tree over a batch, kept to be reused. One message alone is a tree of depth 0, whose root is
+/// the leaf.
 #[derive(Debug, Default)]
 pub struct Tree {
     /// All levels one after another, leaves first.
@@ -52,8 +54,9 @@ impl Tree {
     }
 }
 
-/// What is known of a tree whose root was found to be signed: the pairs of nodes on the way up of the leaf that was
-/// verified last. The next leaf of the batch most often meets one of them after one hash, instead of one for every level.
+/// What is known of a tree whose root was found to be signed: the pairs of nodes on the way up of
+/// the leaf that was verified last. The next leaf of the batch most often meets one of them after
+/// one hash, instead of one for every level.
 #[derive(Debug)]
 pub struct SignedTree {
     root: Option<[u8; 32]>,
@@ -71,8 +74,8 @@ impl Default for SignedTree {
 }
 
 impl SignedTree {
-    /// Whether `leaf` is in a signed tree, at `position` and with `path` (of at most [`MAX_DEPTH`]) beside its way up.
-    /// `is_signed` is asked about the root if that is not the known one.
+    /// Whether `leaf` is in a signed tree, at `position` and with `path` (of at most [`MAX_DEPTH`])
+    /// beside its way up. `is_signed` is asked about the root if that is not the known one.
     pub fn verify<E>(
         &mut self,
         backend: Backend,

@@ -1,5 +1,5 @@
-//! What a message is before it is sealed and after it was verified, and how its plaintext begins: message header,
-//! extensions, then the body. All integers are big-endian.
+//! What a message is before it is sealed and after it was verified, and how its plaintext begins:
+//! message header, extensions, then the body. All integers are big-endian.
 
 use bytes::Bytes;
 use gdp_core::name::Name;
@@ -37,7 +37,8 @@ pub struct Message {
     pub origin: Bytes,
     /// Sent before, and again for readers that came later.
     pub latched: Option<Latched>,
-    /// The service that this is a request to; such a message is sent to one of its servers by that entity's own name.
+    /// The service that this is a request to; such a message is sent to one of its servers by that
+    /// entity's own name.
     pub service: Option<Name>,
     pub body: Bytes,
 }
@@ -88,7 +89,8 @@ impl<'a> Draft<'a> {
         in_reply_to + origin + latched + service
     }
 
-    /// What is in front of the body; the first [`Self::preamble_len`] bytes count. The origin has been checked.
+    /// What is in front of the body; the first [`Self::preamble_len`] bytes count. The origin has
+    /// been checked.
     pub fn preamble(&self, timestamp_ns: u64) -> [u8; MAX_PREAMBLE] {
         let mut bytes = [0u8; MAX_PREAMBLE];
         let mut at = 0;

@@ -1,11 +1,11 @@
 //! Seals messages end to end (`docs/architecture.md`, "A message").
 //!
-//! A [`Writer`] splits a message into segments, seals each with AES-256-GCM under its session's key,
-//! and signs a Merkle root over all of them. A [`Reader`] opens, reassembles and verifies. The bytes
-//! are specified in `docs/wire-format.md`, "Sealed segments".
+//! A [`Writer`] splits a message into segments, seals each with AES-256-GCM under its session's
+//! key, and signs a Merkle root over all of them. A [`Reader`] opens, reassembles and verifies. The
+//! bytes are specified in `docs/wire-format.md`, "Sealed segments".
 //!
-//! No sockets and no clocks: callers bring the time, carry the frame payloads and decide who may write. What the body
-//! means is theirs, too.
+//! No sockets and no clocks: callers bring the time, carry the frame payloads and decide who may
+//! write. What the body means is theirs, too.
 
 mod assembly;
 mod drop_reason;

@@ -1,9 +1,10 @@
-//! The reading end: frame payloads in, verified messages out. The order of checks is the point: bounds, known writer and
-//! key, GCM, whether the writer vouched for the session, replay window, memory, and when all is there the signature. A
-//! forged segment is refused before it costs memory.
+//! The reading end: frame payloads in, verified messages out. The order of checks is the point:
+//! bounds, known writer and key, GCM, whether the writer vouched for the session, replay window,
+//! memory, and when all is there the signature. A forged segment is refused before it costs memory.
 //!
-//! What readers of a name can do to each other (they share the epoch keys) is limited too: only a verified signature
-//! moves a replay window, and only the writer's word lets a session displace another.
+//! What readers of a name can do to each other (they share the epoch keys) is limited too: only a
+//! verified signature moves a replay window, and only the writer's word lets a session displace
+//! another.
 
 use super::DropReason;
 use super::segment::Segment;
@@ -35,8 +36,9 @@ impl Reader {
         Self { sources: HashMap::new(), shared, scratch: vec![0; SCRATCH_LEN].into() }
     }
 
-    /// From now on messages of `writer`, signed by `key`, are delivered, once there are the keys to open them and the
-    /// writer has vouched for its session. The caller has verified that it may write.
+    /// From now on messages of `writer`, signed by `key`, are delivered, once there are the keys to
+    /// open them and the writer has vouched for its session. The caller has verified that it may
+    /// write.
     pub fn authorise(&mut self, writer: Name, key: VerifyKey) -> Result<(), CryptoError> {
         if !self.sources.contains_key(&writer) {
             self.sources.insert(writer, Source::new(writer, key.verifier(self.shared.backend)?));
@@ -56,15 +58,17 @@ impl Reader {
         self.source(writer).map(|source| source.set_key(epoch, key))
     }
 
-    /// Nothing that the writer sealed in this epoch opens any more. What opened before may still become complete.
+    /// Nothing that the writer sealed in this epoch opens any more. What opened before may still
+    /// become complete.
     pub fn drop_key(&mut self, writer: &Name, epoch: u32) {
         if let Some(source) = self.sources.get_mut(writer) {
             source.drop_key(epoch);
         }
     }
 
-    /// The writer, asked just now, says that it runs this session and that messages from this sequence on are to be
-    /// read: those of other sessions, and those before it, may be recordings. Said again, it can only go back.
+    /// The writer, asked just now, says that it runs this session and that messages from this
+    /// sequence on are to be read: those of other sessions, and those before it, may be recordings.
+    /// Said again, it can only go back.
     pub fn confirm_session(&mut self, writer: &Name, session: [u8; 16], from_sequence: u64) -> Result<(), DropReason> {
         let source = self.sources.get_mut(writer).ok_or(DropReason::UnknownWriter)?;
         source.confirm_session(&mut self.shared, session, from_sequence);
@@ -75,8 +79,9 @@ impl Reader {
         self.sources.keys()
     }
 
-    /// Takes the payload of a frame whose source is `source`, and appends what it brings to `out`. If segments of it are
-    /// dropped, the first reason is returned, and each is counted; other segments of the payload are used all the same.
+    /// Takes the payload of a frame whose source is `source`, and appends what it brings to `out`.
+    /// If segments of it are dropped, the first reason is returned, and each is counted; other
+    /// segments of the payload are used all the same.
     pub fn push(
         &mut self,
         now: Timestamps,
@@ -114,8 +119,8 @@ impl Reader {
         }
     }
 
-    /// Gives up the messages whose deadline is before `steady_ns`; returns how many. [`Self::push`] does so by itself;
-    /// without traffic somebody has to.
+    /// Gives up the messages whose deadline is before `steady_ns`; returns how many. [`Self::push`]
+    /// does so by itself; without traffic somebody has to.
     pub fn expire(&mut self, steady_ns: u64) -> usize {
         self.shared.next_deadline = u64::MAX;
         let expired = self.sources.values_mut().map(|source| source.expire(&mut self.shared, steady_ns)).sum();
@@ -128,7 +133,8 @@ impl Reader {
         (self.shared.memory > 0).then_some(self.shared.next_deadline)
     }
 
-    /// Segments and messages dropped so far, indexed by [`DropReason`] (`as usize`), in the order of [`DropReason::ALL`].
+    /// Segments and messages dropped so far, indexed by [`DropReason`] (`as usize`), in the order
+    /// of [`DropReason::ALL`].
     pub fn drops(&self) -> &[u64; DropReason::COUNT] {
         &self.shared.drops
     }

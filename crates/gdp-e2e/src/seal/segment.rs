@@ -18,7 +18,8 @@ pub struct SegmentId {
     pub len: usize,
 }
 
-/// What the segments of a payload say they are, up to the first that makes no sense. Nothing in it is authentic.
+/// What the segments of a payload say they are, up to the first that makes no sense. Nothing in it
+/// is authentic.
 pub fn segment_ids(payload: &[u8]) -> impl Iterator<Item = SegmentId> {
     let mut rest = payload;
     std::iter::from_fn(move || {

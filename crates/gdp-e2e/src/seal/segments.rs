@@ -2,7 +2,8 @@
 
 use super::segment::{Segment, SegmentId};
 
-/// Sealed segments, packed into frame payloads of a given size. Reused, it stops allocating after the largest message.
+/// Sealed segments, packed into frame payloads of a given size. Reused, it stops allocating after
+/// the largest message.
 #[derive(Clone, Debug, Default)]
 pub struct Segments {
     buffer: Vec<u8>,
@@ -25,8 +26,8 @@ impl Segments {
         })
     }
 
-    /// The sealed segments, each with its bytes, in the order in which they are in the payloads: for a history from which
-    /// single ones are sent again.
+    /// The sealed segments, each with its bytes, in the order in which they are in the payloads:
+    /// for a history from which single ones are sent again.
     pub fn segments(&self) -> impl Iterator<Item = (SegmentId, &[u8])> {
         let mut rest = &self.buffer[..];
         std::iter::from_fn(move || {
@@ -61,8 +62,8 @@ impl Segments {
         self.ends.clear();
     }
 
-    /// Makes room for a segment of `len` bytes and returns where it begins; opens a new payload if the last has no
-    /// room. The caller appends exactly `len` bytes to [`Self::buffer`].
+    /// Makes room for a segment of `len` bytes and returns where it begins; opens a new payload if
+    /// the last has no room. The caller appends exactly `len` bytes to [`Self::buffer`].
     pub(super) fn begin(&mut self, len: usize, max_payload: usize) -> usize {
         let at = self.buffer.len();
         let payload_start = self.ends.len().checked_sub(2).map_or(0, |i| self.ends[i]);

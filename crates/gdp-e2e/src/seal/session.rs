@@ -15,7 +15,8 @@ pub struct Session {
     /// Which messages were delivered, of whatever cut.
     pub window: Window,
     pub assemblies: BTreeMap<SegmentPosition, Assembly>,
-    /// The first sequence that the writer has vouched for; `None` if it has not vouched for the session.
+    /// The first sequence that the writer has vouched for; `None` if it has not vouched for the
+    /// session.
     pub from: Option<u64>,
     /// The number of the newest heartbeat that was verified.
     pub heartbeat: u32,
@@ -36,7 +37,8 @@ impl Session {
         }
     }
 
-    /// Takes out the assemblies of a message, whatever their cut; returns the memory they were charged.
+    /// Takes out the assemblies of a message, whatever their cut; returns the memory they were
+    /// charged.
     pub fn give_up(&mut self, sequence: u64) -> usize {
         let mut freed = 0;
         while let Some((&place, _)) = self.assemblies.range((sequence, 0)..=(sequence, u16::MAX)).next() {

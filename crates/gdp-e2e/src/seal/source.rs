@@ -1,5 +1,6 @@
-//! One writer of a name, as a reader knows it: its keys, its sessions, and what is incomplete of its messages. All
-//! decisions about a segment are taken here; [`super::Reader`] finds the writer and counts.
+//! One writer of a name, as a reader knows it: its keys, its sessions, and what is incomplete of
+//! its messages. All decisions about a segment are taken here; [`super::Reader`] finds the writer
+//! and counts.
 
 use super::DropReason;
 use super::assembly::Assembly;
@@ -19,7 +20,8 @@ use std::borrow::Cow;
 /// Incomplete messages of one session; when there are more, the oldest is given up.
 const MAX_IN_FLIGHT: usize = 256;
 
-/// Epochs of one writer whose keys are kept: the present one, the one before, and room for a writer in a hurry.
+/// Epochs of one writer whose keys are kept: the present one, the one before, and room for a writer
+/// in a hurry.
 pub const MAX_EPOCHS: usize = 4;
 
 pub struct Source {
@@ -60,7 +62,8 @@ impl Source {
         self.sessions.iter_mut().for_each(|session| session.aeads.forget(epoch));
     }
 
-    /// The session counts from now on; if there are too many of those, the one unused longest is forgotten.
+    /// The session counts from now on; if there are too many of those, the one unused longest is
+    /// forgotten.
     pub fn confirm_session(&mut self, shared: &mut Shared, id: [u8; 16], from: u64) {
         self.clock += 1;
         let at = self.position(&id).unwrap_or_else(|| {
@@ -97,8 +100,9 @@ impl Source {
         expired
     }
 
-    /// A message that is one segment, with its proof beside it: the common case of small ones, which takes no memory
-    /// before it is verified. `None` if it has to be taken segment by segment.
+    /// A message that is one segment, with its proof beside it: the common case of small ones,
+    /// which takes no memory before it is verified. `None` if it has to be taken segment by
+    /// segment.
     pub fn take_whole(
         &mut self,
         push: &mut Push<'_>,
@@ -197,7 +201,8 @@ impl Source {
             return self.heartbeat(push, at, header, scratch);
         }
         if let Err(reason) = self.sessions[at].window.check(header.sequence) {
-            // The window has moved past a message that was still incomplete: it cannot be delivered any more.
+            // The window has moved past a message that was still incomplete: it cannot be delivered
+            // any more.
             let freed = self.sessions[at].give_up(header.sequence);
             self.free(push.shared, freed);
             return Err(reason);
@@ -226,8 +231,8 @@ impl Source {
         self.sessions.iter().position(|session| session.id == *id)
     }
 
-    /// A place for a session that has shown one authentic segment, so that its key is not derived again. If too many of
-    /// them wait for the writer's word, the one that waits longest goes.
+    /// A place for a session that has shown one authentic segment, so that its key is not derived
+    /// again. If too many of them wait for the writer's word, the one that waits longest goes.
     fn admit(&mut self, shared: &mut Shared, session: Session) -> usize {
         let waiting = self.sessions.iter().filter(|session| session.from.is_none()).count();
         if waiting >= shared.limits.max_sessions.max(1)
@@ -275,8 +280,8 @@ impl Source {
         shared.next_deadline = shared.next_deadline.min(deadline);
     }
 
-    /// Gives up this writer's own oldest incomplete messages until `cost` more bytes are within the limits. Never one of
-    /// another writer, and never a newer one of the same session.
+    /// Gives up this writer's own oldest incomplete messages until `cost` more bytes are within the
+    /// limits. Never one of another writer, and never a newer one of the same session.
     fn make_room(
         &mut self,
         push: &mut Push<'_>,
@@ -332,7 +337,8 @@ impl Source {
         self.deliver(push, at, header, Cow::Owned(plaintext), &digests, &proof)
     }
 
-    /// All of a message is there and opened; what is left is whether the writer signed it, and whether it is wanted.
+    /// All of a message is there and opened; what is left is whether the writer signed it, and
+    /// whether it is wanted.
     fn deliver(
         &mut self,
         push: &mut Push<'_>,

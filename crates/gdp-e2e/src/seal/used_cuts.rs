@@ -1,4 +1,5 @@
-//! Which cuts of its messages a writer has used. A cut that came twice would seal twice under one nonce.
+//! Which cuts of its messages a writer has used. A cut that came twice would seal twice under one
+//! nonce.
 
 use std::collections::BTreeMap;
 

@@ -4,8 +4,8 @@ use super::DropReason;
 
 const SPAN: u64 = 1024;
 
-/// A sliding bitmap (as in RFC 4303 §3.4.3). Sequences begin at 1. Only what was verified moves it, so that nobody but
-/// the writer can push honest messages out of it.
+/// A sliding bitmap (as in RFC 4303 §3.4.3). Sequences begin at 1. Only what was verified moves it,
+/// so that nobody but the writer can push honest messages out of it.
 #[derive(Debug, Default)]
 pub struct Window {
     highest: u64,
@@ -29,7 +29,8 @@ impl Window {
     pub fn record(&mut self, sequence: u64) {
         if sequence > self.highest {
             for passed in (self.highest + 1..=sequence).take(SPAN as usize) {
-                // When more than the whole window is passed, all of it is cleared, in whatever order.
+                // When more than the whole window is passed, all of it is cleared, in whatever
+                // order.
                 let (word, bit) = place(passed);
                 self.bits[word] &= !bit;
             }

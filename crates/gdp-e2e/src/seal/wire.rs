@@ -1,5 +1,6 @@
-//! The layouts of `docs/wire-format.md`, "Sealed segments": segment header, proof, heartbeat, and the hashes that bind
-//! them. Encoding and bounds only; nothing here keeps state. All integers are big-endian.
+//! The layouts of `docs/wire-format.md`, "Sealed segments": segment header, proof, heartbeat, and
+//! the hashes that bind them. Encoding and bounds only; nothing here keeps state. All integers are
+//! big-endian.
 
 use gdp_core::crypto::{Backend, NONCE_LEN, SIGNATURE_LEN, TAG_LEN};
 use gdp_core::name::Name;
@@ -28,7 +29,8 @@ pub const MAX_DEPTH: usize = 16;
 /// The most messages that one signature may cover.
 pub const MAX_BATCH: usize = 1 << MAX_DEPTH;
 
-/// The smallest frame payload a message can be cut for: one that holds the proof of a message signed alone.
+/// The smallest frame payload a message can be cut for: one that holds the proof of a message
+/// signed alone.
 pub const MIN_PAYLOAD: usize = OVERHEAD + proof_len(0);
 
 /// What a segment carries.
@@ -137,7 +139,8 @@ impl SegmentHeader {
         (fits && self.sequence > 0).then_some(len)
     }
 
-    /// Whether `other` is a segment of the same message, cut the same way and sealed under the same key.
+    /// Whether `other` is a segment of the same message, cut the same way and sealed under the same
+    /// key.
     pub fn is_beside(&self, other: &Self) -> bool {
         let message =
             |header: &Self| (header.session, header.sequence, header.cut, header.count, header.size, header.epoch);
@@ -167,7 +170,8 @@ fn is_proof_len(len: usize) -> bool {
     len >= proof_len(0) && len <= proof_len(MAX_DEPTH) && (len - proof_len(0)).is_multiple_of(32)
 }
 
-/// Where the message's leaf is in the signed tree, the way to the root, and the signature of the root.
+/// Where the message's leaf is in the signed tree, the way to the root, and the signature of the
+/// root.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Proof<'a> {
     pub position: u16,
@@ -202,7 +206,8 @@ impl<'a> Proof<'a> {
     }
 }
 
-/// What a message is in the signed tree. `digests` are the SHA-256 of each body segment's ciphertext with its tag, in order.
+/// What a message is in the signed tree. `digests` are the SHA-256 of each body segment's
+/// ciphertext with its tag, in order.
 pub fn leaf(backend: Backend, name: &Name, writer: &Name, header: &SegmentHeader, digests: &[[u8; 32]]) -> [u8; 32] {
     // Sequence, cut, session, count, size and epoch.
     let message = &header.to_bytes()[8..];

@@ -1,5 +1,5 @@
-//! The writing end of a session: message in, frame payloads out. Nothing is allocated per frame, and once the buffers
-//! have grown, nothing per message.
+//! The writing end of a session: message in, frame payloads out. Nothing is allocated per frame,
+//! and once the buffers have grown, nothing per message.
 
 use super::MAX_BATCH;
 use super::merkle::{self, Tree};
@@ -46,8 +46,9 @@ pub enum SealError {
     Crypto(#[from] CryptoError),
 }
 
-/// One session of one writer of a name. Every `Writer` is a new session under a random identifier of 128 bits, so a
-/// restarted or a second writer never seals twice under one key and nonce. The session goes on from epoch to epoch.
+/// One session of one writer of a name. Every `Writer` is a new session under a random identifier
+/// of 128 bits, so a restarted or a second writer never seals twice under one key and nonce. The
+/// session goes on from epoch to epoch.
 pub struct Writer {
     name: Name,
     writer: Name,
@@ -98,8 +99,8 @@ struct PendingProof {
 }
 
 impl Writer {
-    /// A new session of `writer` (the entity that `key` belongs to) for messages to `name`. It needs the key of an epoch
-    /// before it can seal: [`Self::set_epoch`].
+    /// A new session of `writer` (the entity that `key` belongs to) for messages to `name`. It
+    /// needs the key of an epoch before it can seal: [`Self::set_epoch`].
     pub fn new(name: Name, writer: Name, key: SigningKey, backend: Backend) -> Result<Self, SealError> {
         Self::with_session(name, writer, &key, backend, crypto::random()?)
     }
@@ -129,7 +130,8 @@ impl Writer {
         })
     }
 
-    /// From now on everything is sealed under this key. Numbers only rise, so that no key comes back.
+    /// From now on everything is sealed under this key. Numbers only rise, so that no key comes
+    /// back.
     pub fn set_epoch(&mut self, epoch: u32, key: &EpochKey) -> Result<(), SealError> {
         if let Some(Epoch { number: current, .. }) = self.epoch
             && epoch <= current
@@ -162,8 +164,8 @@ impl Writer {
         self.next
     }
 
-    /// Seals one message into `out`, whose former content is dropped: frame payloads of at most `max_payload` bytes.
-    /// After an error `out` is empty.
+    /// Seals one message into `out`, whose former content is dropped: frame payloads of at most
+    /// `max_payload` bytes. After an error `out` is empty.
     pub fn seal(
         &mut self,
         now_unix_ns: u64,
@@ -202,9 +204,9 @@ impl Writer {
         self.seal_run(run, messages, max_payload, out).inspect_err(|_| out.clear())
     }
 
-    /// Seals a message of this session again, for smaller or larger frames or under a newer key: the same `message` and
-    /// `timestamp_ns` as the first time, under a `cut` that is higher than those before (the first is 0). Readers take
-    /// whichever cut they have whole first.
+    /// Seals a message of this session again, for smaller or larger frames or under a newer key:
+    /// the same `message` and `timestamp_ns` as the first time, under a `cut` that is higher than
+    /// those before (the first is 0). Readers take whichever cut they have whole first.
     pub fn reseal(
         &mut self,
         sequence: u64,
@@ -226,8 +228,9 @@ impl Writer {
         self.seal_run(run, &messages, max_payload, out).inspect_err(|_| out.clear())
     }
 
-    /// Seals again what this session sealed in the last 16 epochs, for frame payloads of another size:
-    /// `sealed` are the segments of whole messages, one after another. As [`Self::reseal`] for each of them.
+    /// Seals again what this session sealed in the last 16 epochs, for frame payloads of another
+    /// size: `sealed` are the segments of whole messages, one after another. As [`Self::reseal`]
+    /// for each of them.
     pub fn recut(&mut self, sealed: &[u8], cut: u16, max_payload: usize, out: &mut Segments) -> Result<(), SealError> {
         out.clear();
         self.recut_into(sealed, cut, max_payload, out).inspect_err(|_| out.clear())
@@ -260,8 +263,9 @@ impl Writer {
         Ok(())
     }
 
-    /// Says that all messages before `next` have gone, for readers that may have missed the last of them, and that those
-    /// before `oldest` cannot be had again. One segment, small enough for any link; each costs a signature.
+    /// Says that all messages before `next` have gone, for readers that may have missed the last of
+    /// them, and that those before `oldest` cannot be had again. One segment, small enough for any
+    /// link; each costs a signature.
     pub fn heartbeat(&mut self, now_unix_ns: u64, next: u64, oldest: u64, out: &mut Segments) -> Result<(), SealError> {
         out.clear();
         let next = next.clamp(1, self.next);

@@ -1,6 +1,6 @@
-//! A way that swallows large frames without a word, as when a tunnel on it takes less than its ends know: what a reader asks for
-//! comes never, while what is small does. Such a topic sends small frames for a while, and then tries large ones again
-//! (after RFC 8899, §4.3).
+//! A way that swallows large frames without a word, as when a tunnel on it takes less than its ends
+//! know: what a reader asks for comes never, while what is small does. Such a topic sends small
+//! frames for a while, and then tries large ones again (after RFC 8899, §4.3).
 
 use gdp_wire::Header;
 
@@ -11,7 +11,8 @@ use gdp_wire::SMALLEST_PATH;
 /// What every way takes, in bytes of a frame's payload.
 pub const LEAST_PAYLOAD: usize = SMALLEST_PATH as usize - Header::LEN;
 
-/// A reader that asks so often for the same is thought to be behind such a way, if nothing large has come meanwhile.
+/// A reader that asks so often for the same is thought to be behind such a way, if nothing large
+/// has come meanwhile.
 const ASKED: u32 = 5;
 
 /// How long only small frames go, at first; twice as long each time.
@@ -30,8 +31,8 @@ pub struct Suspicion {
 }
 
 impl Suspicion {
-    /// The reader asks for these; what was repaired later than `too_early` may still be on its way. True if something is asked for
-    /// once too often.
+    /// The reader asks for these; what was repaired later than `too_early` may still be on its way.
+    /// True if something is asked for once too often.
     pub fn asked(&mut self, now: u64, missing: &[Missing], too_early: u64) -> bool {
         let covers = |range: &Missing, at: Position| {
             range.sequence == at.sequence && range.first <= at.index && range.last().is_none_or(|last| at.index <= last)

@@ -1,19 +1,22 @@
-//! How fast a path to one reader may be used: a model of it after BBR (Cardwell et al., "BBR: Congestion-Based Congestion Control",
-//! 2016; draft-ietf-ccwg-bbr), fed by reports. Delivery rate and round-trip time make the model, so that single losses, which radio
-//! links have at all times, do not slow it down; many losses, or marks, in a round do. Why no existing controller: `docs/decisions.md`.
+//! How fast a path to one reader may be used: a model of it after BBR (Cardwell et al., "BBR:
+//! Congestion-Based Congestion Control", 2016; draft-ietf-ccwg-bbr), fed by reports. Delivery rate
+//! and round-trip time make the model, so that single losses, which radio links have at all times,
+//! do not slow it down; many losses, or marks, in a round do. Why no existing controller:
+//! `docs/decisions.md`.
 
 use super::{FRAME_HEADER, MS};
 
 /// A full frame, for what is counted in frames.
 const FRAME: u64 = 1400 + FRAME_HEADER;
 
-/// Bytes that may go before anything is known. RFC 6928 says 10 frames; large senders use as many as this today.
+/// Bytes that may go before anything is known. RFC 6928 says 10 frames; large senders use as many
+/// as this today.
 pub const INITIAL_WINDOW: u64 = 32 * FRAME;
 /// A path is never held below this.
 pub const MIN_WINDOW: u64 = 4 * FRAME;
 
-/// What may go at once after a pause, in time at the rate that the path is known to take. A topic whose messages are few and short shows little of its path, and
-/// would be held to that little.
+/// What may go at once after a pause, in time at the rate that the path is known to take. A topic
+/// whose messages are few and short shows little of its path, and would be held to that little.
 const BURST_TIME: u64 = 20 * MS;
 
 /// Taken for the round trip until one is measured.
@@ -35,7 +38,8 @@ const FULL_ROUNDS: u32 = 3;
 /// No path is faster, in bytes per second: products with it fit 64 bits.
 const MAX_RATE: u128 = 1 << 40;
 
-/// Losses of a round beyond this share are congestion, in percent. Radio links lose up to a tenth without any.
+/// Losses of a round beyond this share are congestion, in percent. Radio links lose up to a tenth
+/// without any.
 const LOSS_LIMIT: u64 = 15;
 /// Of the rate, in percent, after a round with congestion.
 const BACK_OFF: u64 = 80;
@@ -176,7 +180,8 @@ impl Path {
     /// Bytes per second at which frames may go.
     pub fn rate(&self, now: u64) -> u64 {
         let gain = match self.phase {
-            // An attempt at more makes a queue, so it ends on time, even if the next report is late.
+            // An attempt at more makes a queue, so it ends on time, even if the next report is
+            // late.
             Phase::Steady { step: 0, since } if now - since > self.min_rtt.unwrap_or(0).max(SHORTEST_ATTEMPT) => 100,
             Phase::Startup => STARTUP_GAIN,
             Phase::Drain => 50,

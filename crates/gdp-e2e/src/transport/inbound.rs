@@ -1,5 +1,5 @@
-//! What one session of a writer sends, at a reader: which segments are missing, what is asked for again, what is delivered in which
-//! order, what is given up, and what the writer is told of it.
+//! What one session of a writer sends, at a reader: which segments are missing, what is asked for
+//! again, what is delivered in which order, what is given up, and what the writer is told of it.
 
 use std::collections::VecDeque;
 
@@ -11,15 +11,17 @@ use super::{MS, Position};
 use crate::feedback_wire::{Feedback, MAX_MISSING, MAX_SEQUENCE};
 use crate::seal::SegmentId;
 
-/// Segments that overtake others by less than this are waited for, at least. With more than a few milliseconds to the writer and
-/// back, an eighth of that; so gaps are asked for when they are between one and two of these times old.
+/// Segments that overtake others by less than this are waited for, at least. With more than a few
+/// milliseconds to the writer and back, an eighth of that; so gaps are asked for when they are
+/// between one and two of these times old.
 const LEAST_PATIENCE: u64 = 2 * MS;
 
 /// Between reports while something comes: half a round trip, within these.
 const FASTEST_REPORT: u64 = 10 * MS;
 const SLOWEST_REPORT: u64 = 100 * MS;
 
-/// So many bytes are worth a report sooner, on short ways: half a round trip after the last, and this at least.
+/// So many bytes are worth a report sooner, on short ways: half a round trip after the last, and
+/// this at least.
 const MANY_BYTES: u64 = 64 << 10;
 const FASTEST_OF_MANY: u64 = 2 * MS;
 
@@ -31,7 +33,8 @@ const LONGEST_RTT: u64 = 1_000 * MS;
 /// In which order a reader wants messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// Each as soon as it is complete, if it is newer than those before: for topics that are best effort.
+    /// Each as soon as it is complete, if it is newer than those before: for topics that are best
+    /// effort.
     Newest,
     /// All, one after another: for topics that are reliable.
     Every,
@@ -85,7 +88,8 @@ pub enum Arrival<M> {
     Feedback(Feedback),
 }
 
-/// What became of a session's messages here. `delivered` and the three after it are all that there are up to the last one dealt with.
+/// What became of a session's messages here. `delivered` and the three after it are all that there
+/// are up to the last one dealt with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct InboundCounters {
     pub delivered: u64,
@@ -174,8 +178,8 @@ impl<M> Inbound<M> {
         self.ce = self.ce.wrapping_add(1);
     }
 
-    /// A segment came. False if it is of no use: its message is dealt with, it is there already, or there is no room for it now. Then
-    /// no memory is to be spent on it.
+    /// A segment came. False if it is of no use: its message is dealt with, it is there already, or
+    /// there is no room for it now. Then no memory is to be spent on it.
     pub fn segment(&mut self, now: u64, segment: &Segment) -> bool {
         let Segment { position, cut, total, bytes } = *segment;
         if position.sequence > MAX_SEQUENCE || total < 2 || position.index >= total {
@@ -219,8 +223,8 @@ impl<M> Inbound<M> {
         true
     }
 
-    /// A message is complete and verified: it alone moves on what is dealt with, as holders of the session's key can make up
-    /// segments. `bytes`: of its body.
+    /// A message is complete and verified: it alone moves on what is dealt with, as holders of the
+    /// session's key can make up segments. `bytes`: of its body.
     pub fn complete(&mut self, now: u64, sequence: u64, bytes: usize, message: M) {
         if sequence < self.next || sequence > MAX_SEQUENCE {
             return;
@@ -256,7 +260,8 @@ impl<M> Inbound<M> {
         self.plan_report(now);
     }
 
-    /// What came of this message is lost here, without its being dealt with: all of it is needed again.
+    /// What came of this message is lost here, without its being dealt with: all of it is needed
+    /// again.
     pub fn forget(&mut self, now: u64, sequence: u64) {
         let index = sequence.wrapping_sub(self.next);
         let Some(slot) = usize::try_from(index).ok().and_then(|index| self.slots.get_mut(index)) else { return };
@@ -267,7 +272,8 @@ impl<M> Inbound<M> {
         }
     }
 
-    /// The writer says, signed, that the next message will be `next`, and what comes before `oldest` cannot be repaired.
+    /// The writer says, signed, that the next message will be `next`, and what comes before
+    /// `oldest` cannot be repaired.
     pub fn heartbeat(&mut self, now: u64, next: u64, oldest: u64) {
         let next = next.min(MAX_SEQUENCE);
         if self.options.order == Order::Every {
@@ -293,8 +299,8 @@ impl<M> Inbound<M> {
         }
     }
 
-    /// The next thing that comes of it. To be called until there is none, after anything else was called and at
-    /// [`Self::next_wake`].
+    /// The next thing that comes of it. To be called until there is none, after anything else was
+    /// called and at [`Self::next_wake`].
     pub fn poll(&mut self, now: u64) -> Option<Arrival<M>> {
         self.expire(now);
         if let Some(message) = self.ready.pop_front() {
@@ -370,7 +376,8 @@ impl<M> Inbound<M> {
         (self.rtt / 8).max(LEAST_PATIENCE)
     }
 
-    /// When nothing is on its way any more, even if the writer waited for a report before it went on.
+    /// When nothing is on its way any more, even if the writer waited for a report before it went
+    /// on.
     fn idle_at(&self) -> u64 {
         self.came_at + self.rtt + self.rtt / 2 + self.report_interval()
     }

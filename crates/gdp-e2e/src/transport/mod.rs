@@ -1,7 +1,8 @@
 //! Schedules and repairs sealed messages (`docs/architecture.md`, "A message").
 //!
-//! It decides the order and rate of sending, what is sent again and what is given up. State machines
-//! only: no sockets, no clocks, no keys. Time is nanoseconds of any clock that never goes back.
+//! It decides the order and rate of sending, what is sent again and what is given up. State
+//! machines only: no sockets, no clocks, no keys. Time is nanoseconds of any clock that never goes
+//! back.
 //!
 //! ```text
 //!  Publisher ── seal ── push(Sealed) ─►┌ Uplink ──────────────────────────────┐
@@ -21,12 +22,15 @@
 //!                                                  └───────────────────────────────────────┘
 //! ```
 //!
-//! - [`Uplink`]: one for each link to a switch, behind one lock: publishers push, one task polls, the receiving thread brings feedback.
-//! - [`Inbound`]: one for each session of a writer, owned by the receiving thread. It is told of a segment once that was opened under
-//!   the session's key, and of a message once its signature was verified.
+//! - [`Uplink`]: one for each link to a switch, behind one lock: publishers push, one task polls,
+//!   the receiving thread brings feedback.
+//! - [`Inbound`]: one for each session of a writer, owned by the receiving thread. It is told of a
+//!   segment once that was opened under the session's key, and of a message once its signature was
+//!   verified.
 //!
-//! Readers are never trusted with more than their own share: the speed of a topic follows the best of its readers that report; what one
-//! of them asks for again has a budget; and none can make the writer hold more than its history.
+//! Readers are never trusted with more than their own share: the speed of a topic follows the best
+//! of its readers that report; what one of them asks for again has a budget; and none can make the
+//! writer hold more than its history.
 
 mod black_hole;
 mod congestion;

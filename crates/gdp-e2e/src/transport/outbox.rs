@@ -1,4 +1,5 @@
-//! The messages of one topic at the writer: those that wait, the one that goes, and those that went and may be asked for again.
+//! The messages of one topic at the writer: those that wait, the one that goes, and those that went
+//! and may be asked for again.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -11,7 +12,8 @@ use crate::feedback_wire::Missing;
 /// What a topic promises.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reliability {
-    /// Of messages that wait, the newest; and of a message, nothing more once it is `lifetime` nanoseconds old.
+    /// Of messages that wait, the newest; and of a message, nothing more once it is `lifetime`
+    /// nanoseconds old.
     BestEffort { lifetime: u64 },
     /// Every message, as long as the history has it.
     Reliable { overflow: Overflow },
@@ -20,16 +22,19 @@ pub enum Reliability {
 /// What a reliable topic does when its history is full of messages that a reader still lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overflow {
-    /// The publisher waits. A reader that falls behind is waited for once, for a while, and no longer.
+    /// The publisher waits. A reader that falls behind is waited for once, for a while, and no
+    /// longer.
     Block,
     /// The oldest message goes, and is counted.
     DropOldest,
 }
 
-/// How much a topic keeps. A message that is larger than all of it is taken if nothing else is there.
+/// How much a topic keeps. A message that is larger than all of it is taken if nothing else is
+/// there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct History {
-    /// Best effort: of messages that have not begun to go; those under one signature count as one. Reliable: of all.
+    /// Best effort: of messages that have not begun to go; those under one signature count as one.
+    /// Reliable: of all.
     pub messages: usize,
     pub bytes: usize,
 }
@@ -63,7 +68,8 @@ pub struct Chosen {
     pub repair: bool,
 }
 
-/// Ranges that are remembered of what never went; readers that lack older ones give them up with what can be repaired no more.
+/// Ranges that are remembered of what never went; readers that lack older ones give them up with
+/// what can be repaired no more.
 const MOST_SKIPPED: usize = 256;
 
 /// Frames that wait to go again, of all readers together.
@@ -213,7 +219,8 @@ impl Outbox {
         self.entries.front().filter(|oldest| oldest.is_sent()).map(|oldest| oldest.message.last())
     }
 
-    /// `acknowledged`: what every reader that is waited for has; `by_all`: what every live one has. Gives the message back if the caller has to wait.
+    /// `acknowledged`: what every reader that is waited for has; `by_all`: what every live one has.
+    /// Gives the message back if the caller has to wait.
     pub fn push(&mut self, now: u64, message: Sealed, acknowledged: u64, by_all: u64) -> Result<(), Sealed> {
         debug_assert!(message.first() > self.last);
         let count = message.last() - message.first() + 1;
@@ -239,7 +246,8 @@ impl Outbox {
                     if !may_go && overflow == Overflow::Block {
                         return Err(message);
                     }
-                    // What goes at the moment is of use only whole: what waits behind it gives way first.
+                    // What goes at the moment is of use only whole: what waits behind it gives way
+                    // first.
                     let goes = oldest.sent > 0 && !oldest.is_sent();
                     let index = usize::from(goes && self.entries.len() > 1);
                     let gives_way = &self.entries[index];
@@ -306,7 +314,8 @@ impl Outbox {
         self.to_reseal.pop_front()
     }
 
-    /// The same messages in smaller frames; they are sent from their beginning. Nothing happens if they are gone by now.
+    /// The same messages in smaller frames; they are sent from their beginning. Nothing happens if
+    /// they are gone by now.
     pub fn resealed(&mut self, message: Sealed) {
         let Some(index) = self.find(message.first()) else { return };
         let entry = &mut self.entries[index];
@@ -329,8 +338,9 @@ impl Outbox {
         }
     }
 
-    /// Queues what a reader lacks. `too_early`: what went again later than this is on its way to the reader already. `pay` is
-    /// asked with the bytes of each frame whether the reader may have it. Returns the bytes queued for this reader.
+    /// Queues what a reader lacks. `too_early`: what went again later than this is on its way to
+    /// the reader already. `pay` is asked with the bytes of each frame whether the reader may have
+    /// it. Returns the bytes queued for this reader.
     pub fn ask(&mut self, range: &Missing, too_early: u64, mut pay: impl FnMut(u64) -> bool) -> u64 {
         let Some(index) = self.find(range.sequence) else { return 0 };
         let entry = &mut self.entries[index];

@@ -1,4 +1,5 @@
-//! The readers of a topic as its writer knows them: what each has, and how fast the path to it may be used.
+//! The readers of a topic as its writer knows them: what each has, and how fast the path to it may
+//! be used.
 
 use std::collections::BTreeMap;
 
@@ -11,18 +12,22 @@ use super::outbox::Outbox;
 use super::sent_log::{Sent, SentLog};
 use super::{MS, Position};
 
-/// Readers of one topic that are kept account of; the others get what the rest gets, without repair.
+/// Readers of one topic that are kept account of; the others get what the rest gets, without
+/// repair.
 pub const MOST_PEERS: usize = 1024;
 
-/// How often it is looked for readers that fell silent, and after how many such looks one is left out.
+/// How often it is looked for readers that fell silent, and after how many such looks one is left
+/// out.
 pub const SILENCE_STEP: u64 = 500 * MS;
 const SILENT: u32 = 6;
 
-/// A reader that fell behind a full history is not waited for this long; twice as long the next time.
+/// A reader that fell behind a full history is not waited for this long; twice as long the next
+/// time.
 const LAG: u64 = 4_000 * MS;
 
-/// A reader may have its repairs at a quarter of the speed at which the topic sends what is new, one that lags at a sixteenth, but at this many bytes a second at
-/// least, and so many nanoseconds' worth of them at once.
+/// A reader may have its repairs at a quarter of the speed at which the topic sends what is new,
+/// one that lags at a sixteenth, but at this many bytes a second at least, and so many nanoseconds'
+/// worth of them at once.
 const LEAST_REPAIR_RATE: u64 = 256 << 10;
 const REPAIR_BURST: u64 = 500 * MS;
 
@@ -130,7 +135,8 @@ impl Peer {
         self.path.on_silence();
     }
 
-    /// Returns how many frames came with a mark since the report before, and whether the path is now taken to be congested.
+    /// Returns how many frames came with a mark since the report before, and whether the path is
+    /// now taken to be congested.
     pub fn on_report(&mut self, now: u64, report: &Report, log: &SentLog, outbox: &Outbox, sent: u64) -> (u64, bool) {
         if self.path.is_silent() {
             self.heard_since = now;
@@ -176,7 +182,8 @@ impl Peer {
         (sample.marks, congested)
     }
 
-    /// Whether so many bytes of repairs are within its budget; `rate`: of what the topic sends for the first time.
+    /// Whether so many bytes of repairs are within its budget; `rate`: of what the topic sends for
+    /// the first time.
     pub fn pay(&mut self, now: u64, bytes: u64, rate: u64) -> bool {
         let allowed = self.repairs.ready_at(REPAIR_BURST) <= now;
         let cost = if allowed { bytes + LOOK } else { LOOK };
@@ -237,7 +244,8 @@ impl Peers {
         self.0.values_mut().filter(|peer| peer.is_live())
     }
 
-    /// The last sequence that all who are waited for have; of readers that all lag, the first of them is waited for.
+    /// The last sequence that all who are waited for have; of readers that all lag, the first of
+    /// them is waited for.
     pub fn acknowledged(&self) -> u64 {
         let waited_for = self.0.values().filter(|peer| peer.is_waited_for()).map(Peer::acknowledged).min();
         waited_for.unwrap_or_else(|| self.first_acknowledged())
@@ -260,8 +268,9 @@ impl Peers {
         self.0.values().any(|peer| peer.acknowledged < sequence)
     }
 
-    /// A publisher waits because some of those that are waited for lack this sequence. Those for which one has waited too long are
-    /// not waited for any more, for longer each time. Returns when that will be so of the next.
+    /// A publisher waits because some of those that are waited for lack this sequence. Those for
+    /// which one has waited too long are not waited for any more, for longer each time. Returns
+    /// when that will be so of the next.
     pub fn wait(&mut self, now: u64, sequence: u64) -> u64 {
         // If nobody has it, it is no single reader that is slow.
         if self.first_acknowledged() < sequence {

@@ -1,8 +1,10 @@
-//! A sealed message as the transport sees it: frame payloads, and which segments each of them carries.
+//! A sealed message as the transport sees it: frame payloads, and which segments each of them
+//! carries.
 
 use crate::seal::Segments;
 
-/// The place of a segment in its session. A message's proof is behind its last body segment, so places are in the order of sending.
+/// The place of a segment in its session. A message's proof is behind its last body segment, so
+/// places are in the order of sending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Position {
     pub sequence: u64,

@@ -1,4 +1,5 @@
-//! When frames went: a bounded sample, to tell from a report's echo how long the way there and back was and what is still under way.
+//! When frames went: a bounded sample, to tell from a report's echo how long the way there and back
+//! was and what is still under way.
 
 use std::collections::VecDeque;
 

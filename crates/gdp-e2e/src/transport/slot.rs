@@ -99,7 +99,8 @@ impl<M> Slot<M> {
         self.missing > 0 && self.wanted(0, end).is_some()
     }
 
-    /// Appends ranges of missing segments before `end` that were not asked for, as long as there are fewer than `most`.
+    /// Appends ranges of missing segments before `end` that were not asked for, as long as there
+    /// are fewer than `most`.
     pub fn ask(&mut self, now: u64, sequence: u64, end: u32, most: usize, out: &mut Vec<Missing>) {
         let before = out.len();
         if self.total == 0 {

@@ -50,7 +50,8 @@ impl TopicOptions {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Turn {
     pub may_send: bool,
-    /// When it is to be asked again, or its timers are due; `u64::MAX`: only when it is told something.
+    /// When it is to be asked again, or its timers are due; `u64::MAX`: only when it is told
+    /// something.
     pub at: u64,
 }
 
@@ -152,7 +153,8 @@ impl TopicState {
         result
     }
 
-    /// Whether a message would go right behind the one that goes now. If not, [`Self::take_turn`] says when one would.
+    /// Whether a message would go right behind the one that goes now. If not, [`Self::take_turn`]
+    /// says when one would.
     pub fn has_turn(&mut self) -> bool {
         self.wants_turn = self.outbox.has_waiting();
         !self.wants_turn
@@ -201,7 +203,8 @@ impl TopicState {
         Turn { may_send, at: if may_send { timers } else { timers.min(paced) } }
     }
 
-    /// The frame payload that goes next, if it has at most `room` bytes. `waited`: since it could go.
+    /// The frame payload that goes next, if it has at most `room` bytes. `waited`: since it could
+    /// go.
     pub fn take(&mut self, now: u64, max_payload: usize, room: usize, waited: u64) -> Option<Chosen> {
         let rate = self.find_rate(now)?;
         let chosen = self.outbox.choose(now, max_payload)?;
@@ -277,8 +280,8 @@ impl TopicState {
         due
     }
 
-    /// What a reader says. Returns the oldest sequence that can be repaired, if the reader asked for what is gone; and whether
-    /// there is room now for a publisher that waits.
+    /// What a reader says. Returns the oldest sequence that can be repaired, if the reader asked
+    /// for what is gone; and whether there is room now for a publisher that waits.
     pub fn on_feedback(&mut self, now: u64, reader: &Name, feedback: &Feedback) -> (Option<u64>, bool) {
         match feedback {
             Feedback::Report { session, acknowledged, received_bytes, ce, echo, echo_index, delay_us, .. }

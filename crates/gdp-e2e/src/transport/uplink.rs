@@ -52,13 +52,14 @@ pub enum Full {
 #[derive(Clone, Debug)]
 pub enum Output {
     Send(Transmit),
-    /// Seal these messages again, for [`Uplink::max_payload_of`] the topic, and bring them by [`Uplink::resealed`].
+    /// Seal these messages again, for [`Uplink::max_payload_of`] the topic, and bring them by
+    /// [`Uplink::resealed`].
     Reseal {
         topic: Topic,
         message: Arc<Sealed>,
     },
-    /// Tell all readers, signed, that `next` is the sequence of the next message, and what comes before `oldest` cannot be
-    /// repaired.
+    /// Tell all readers, signed, that `next` is the sequence of the next message, and what comes
+    /// before `oldest` cannot be repaired.
     Heartbeat {
         topic: Topic,
         next: u64,
@@ -151,7 +152,8 @@ impl Uplink {
         }
     }
 
-    /// A topic for what one writer's session sends to `name`. It has no readers yet: nothing goes until one joins.
+    /// A topic for what one writer's session sends to `name`. It has no readers yet: nothing goes
+    /// until one joins.
     pub fn open(&mut self, now: u64, name: Name, session: [u8; 16], options: TopicOptions) -> Topic {
         let index = self.free.pop().unwrap_or_else(|| {
             self.slots.push(Slot::default());
@@ -193,14 +195,15 @@ impl Uplink {
         result
     }
 
-    /// Whether a message would go right behind the one that goes now, replacing none and waiting for none. If not,
-    /// [`Output::Room`] comes when one would.
+    /// Whether a message would go right behind the one that goes now, replacing none and waiting
+    /// for none. If not, [`Output::Room`] comes when one would.
     pub fn has_turn(&mut self, topic: Topic) -> bool {
         self.topic(topic).is_none_or(TopicState::has_turn)
     }
 
-    /// A reader that the certificates allow is there: what is pushed from now on is for it, too. Returns the sequence it is to be
-    /// told to begin with; `None` if the topic has too many readers to keep account of this one, or is closed.
+    /// A reader that the certificates allow is there: what is pushed from now on is for it, too.
+    /// Returns the sequence it is to be told to begin with; `None` if the topic has too many
+    /// readers to keep account of this one, or is closed.
     pub fn join(&mut self, now: u64, topic: Topic, reader: Name) -> Option<u64> {
         let state = self.topic(topic)?;
         let next = state.outbox.last() + 1;
@@ -218,13 +221,17 @@ impl Uplink {
         self.settle(now, topic);
     }
 
-    /// What a reader of the topic says, opened with the key that it and this writer share. Kinds and sessions that do not concern
-    /// the topic are ignored, and so are readers that did not join.
+    /// What a reader of the topic says, opened with the key that it and this writer share. Kinds
+    /// and sessions that do not concern the topic are ignored, and so are readers that did not
+    /// join.
     pub fn feedback(&mut self, now: u64, topic: Topic, reader: Name, feedback: &Feedback) {
         let Some(state) = self.topic(topic) else { return };
         let (gone, room) = state.on_feedback(now, &reader, feedback);
         if let Some(oldest) = gone {
-            let of_reader = |output: &Output| matches!(output, Output::Gone { topic: of, reader: to, .. } if (*of, *to) == (topic, reader));
+            let of_reader = |output: &Output| match output {
+                Output::Gone { topic: of, reader: to, .. } => (*of, *to) == (topic, reader),
+                _ => false,
+            };
             self.outputs.retain(|output| !of_reader(output));
             self.outputs.push_back(Output::Gone { topic, reader, oldest });
         }
@@ -234,7 +241,8 @@ impl Uplink {
         self.settle(now, topic);
     }
 
-    /// From now on frames carry at most so many bytes. Messages that were cut for more are asked for again in their turn.
+    /// From now on frames carry at most so many bytes. Messages that were cut for more are asked
+    /// for again in their turn.
     pub fn set_max_payload(&mut self, now: u64, max_payload: usize) {
         self.options.max_payload = max_payload;
         for index in 0..self.slots.len() {
@@ -269,14 +277,15 @@ impl Uplink {
         self.options.max_payload
     }
 
-    /// Bytes of a frame's payload that messages of a topic are to be sealed for: fewer than the link takes if large frames vanish
-    /// on the way to a reader.
+    /// Bytes of a frame's payload that messages of a topic are to be sealed for: fewer than the
+    /// link takes if large frames vanish on the way to a reader.
     pub fn max_payload_of(&mut self, now: u64, topic: Topic) -> usize {
         let of_link = self.options.max_payload;
         self.topic(topic).map_or(of_link, |state| state.max_payload(now, of_link))
     }
 
-    /// A frame that another uplink sends goes by this one as well, if its budget lets it: copies wait a little at most.
+    /// A frame that another uplink sends goes by this one as well, if its budget lets it: copies
+    /// wait a little at most.
     pub fn copy(&mut self, transmit: Transmit) {
         let (queue, bytes) = &mut self.copies[usize::from(transmit.class)];
         if *bytes + transmit.wire_bytes() > MOST_COPIES || transmit.bytes > self.options.max_payload {
@@ -305,13 +314,15 @@ impl Uplink {
         slot.topic.as_ref().map(|state| *state.outbox.counters())
     }
 
-    /// Messages that have not gone, and the live readers that have not acknowledged so many of all; `None` if the topic is closed.
+    /// Messages that have not gone, and the live readers that have not acknowledged so many of all;
+    /// `None` if the topic is closed.
     pub fn unfinished(&self, topic: Topic) -> Option<(u64, Vec<(Name, u64)>)> {
         let slot = self.slots.get(topic.index as usize).filter(|slot| slot.generation == topic.generation)?;
         slot.topic.as_ref().map(|state| state.unfinished())
     }
 
-    /// The next thing to do now. To be called until there is none, after anything else was called and at [`Self::next_wake`].
+    /// The next thing to do now. To be called until there is none, after anything else was called
+    /// and at [`Self::next_wake`].
     pub fn poll(&mut self, now: u64) -> Option<Output> {
         loop {
             if let Some(output) = self.outputs.pop_front() {

@@ -22,7 +22,8 @@ fn fields_are_where_the_specification_says() {
     assert_eq!(hex::encode(&bytes[..2]), "0407");
     assert_eq!(hex::encode(&bytes[48..]), "0901010203040506000700000008 00000009".replace(' ', ""));
     let (report, _) = &all()[2];
-    let expected = "0000000000000005 0000000000000004 0000000000000006 0000000000000007 00000008 0000000000000009 0000000a 0000000b";
+    let expected = "0000000000000005 0000000000000004 0000000000000006 0000000000000007 00000008 0000000000000009 \
+                    0000000a 0000000b";
     assert_eq!(hex::encode(&encoded(report)[49..]), expected.replace(' ', ""));
 }
 

@@ -175,9 +175,9 @@ fn a_restarted_writer_repeats_no_number_however_often_it_changed_keys() {
     }
 }
 
-/// Readers come, go, are revoked and come back; storing takes its time or fails; the writer restarts; the keeper of boxes
-/// loses them. At every moment a message opens for exactly the readers that hold a box of the current epoch, and soon for exactly
-/// those that may read.
+/// Readers come, go, are revoked and come back; storing takes its time or fails; the writer
+/// restarts; the keeper of boxes loses them. At every moment a message opens for exactly the
+/// readers that hold a box of the current epoch, and soon for exactly those that may read.
 #[test]
 fn messages_open_for_those_who_hold_boxes() {
     for seed in 0..20 {

@@ -1,5 +1,5 @@
-//! What must work: any message, any order, both back ends, batches, sessions that come and go. What must not is in
-//! `hostile_tests`.
+//! What must work: any message, any order, both back ends, batches, sessions that come and go. What
+//! must not is in `hostile_tests`.
 
 use super::*;
 use gdp_core::crypto::Backend;
@@ -272,7 +272,8 @@ impl Fixture {
         [n; 16]
     }
 
-    /// A writer in the name of the entity, in a session of the caller's choice, that signs with any key.
+    /// A writer in the name of the entity, in a session of the caller's choice, that signs with any
+    /// key.
     pub fn writer_in(&self, session: [u8; 16], key: &SigningKey) -> Writer {
         self.with_epoch(Writer::with_session(self.name, self.writer_name(), key, self.writing, session).unwrap())
     }

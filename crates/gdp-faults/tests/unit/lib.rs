@@ -1,4 +1,5 @@
-//! Each fault by itself and all together: seeds are fixed, so what the bounds allow for is the seed's luck alone.
+//! Each fault by itself and all together: seeds are fixed, so what the bounds allow for is the
+//! seed's luck alone.
 
 use crate::{Burst, Counts, Delivery, Faults, Link, MILLISECOND, Network, Reorder, SECOND};
 
@@ -49,7 +50,8 @@ fn bursts_are_as_long_and_as_frequent_as_said() {
     let (bursts, longest) = (gaps.clone().count() as f64, gaps.max().unwrap_or(0));
     let mean = counts.lost_in_bursts as f64 / bursts;
     assert!((4.5..5.5).contains(&mean) && longest > 15, "mean {mean}, longest {longest}");
-    // Of the time in the bad state, which is enter / (enter + leave); it comes in runs, so the bound is wider than a coin's.
+    // Of the time in the bad state, which is enter / (enter + leave); it comes in runs, so the
+    // bound is wider than a coin's.
     let share = counts.lost_in_bursts as f64 / FRAMES as f64;
     assert!((0.043..0.053).contains(&share), "{share}");
 }

@@ -1,5 +1,5 @@
-//! The first exchange on a link: what TLS did not say. The side that dialled speaks first; each hello is bounded in size,
-//! the whole exchange in time (by the caller).
+//! The first exchange on a link: what TLS did not say. The side that dialled speaks first; each
+//! hello is bounded in size, the whole exchange in time (by the caller).
 
 use super::peer_end::PeerEnd;
 use std::net::Ipv4Addr;
@@ -45,12 +45,15 @@ struct Hello {
     mtu: u32,
     /// Whether the sender takes datagrams over IPv6 without a UDP checksum (RFC 6936).
     zero_checksum: bool,
-    /// Of an endpoint: the host it is on, if its socket takes datagrams at any IPv4 address of that.
+    /// Of an endpoint: the host it is on, if its socket takes datagrams at any IPv4 address of
+    /// that.
     host: Option<u64>,
-    /// Of a switch, to an endpoint on its host: the link-local IPv4 address where frames are to be sent to, as they will come from
-    /// there, and not from where QUIC is. The ports are those of QUIC.
+    /// Of a switch, to an endpoint on its host: the link-local IPv4 address where frames are to be
+    /// sent to, as they will come from there, and not from where QUIC is. The ports are those of
+    /// QUIC.
     frames_at: Option<[u8; 4]>,
-    /// What the sender shows of its domain, if it is a member of one. For who takes the link to judge.
+    /// What the sender shows of its domain, if it is a member of one. For who takes the link to
+    /// judge.
     papers: Option<Credentials>,
 }
 
@@ -74,8 +77,9 @@ pub struct HelloConfig {
     pub rekey: RekeySchedule,
 }
 
-/// Says hello on a connection this side dialled; `expected` is who should be there, if that is known. A peer that does not want the
-/// link may close it before its hello is read: then the error says why.
+/// Says hello on a connection this side dialled; `expected` is who should be there, if that is
+/// known. A peer that does not want the link may close it before its hello is read: then the error
+/// says why.
 pub async fn greet_as_client(
     connection: Connection,
     place: LinkLocation,
@@ -117,7 +121,8 @@ async fn say_and_hear(
     Link::new(connection, place, (id, config.mtu), peer, peer_end, true, config.rekey)
 }
 
-/// Answers the hello of a connection the peer dialled. Nothing is allocated before the peer has proven and said who it is.
+/// Answers the hello of a connection the peer dialled. Nothing is allocated before the peer has
+/// proven and said who it is.
 pub async fn greet_as_server(
     connection: Connection,
     place: LinkLocation,
@@ -132,8 +137,8 @@ pub async fn greet_as_server(
     Link::new(connection, place, (id, config.mtu), peer, peer_end, false, config.rekey)
 }
 
-/// Whether the peer is an endpoint on this host. It says so; that its packets come from the address they go to shows it, because
-/// the kernel takes such packets from nobody else.
+/// Whether the peer is an endpoint on this host. It says so; that its packets come from the address
+/// they go to shows it, because the kernel takes such packets from nobody else.
 fn is_beside(config: &HelloConfig, connection: &Connection, peer: &Peer, peer_end: &PeerEnd) -> bool {
     let from = connection.remote_address().ip().to_canonical();
     peer.role == Role::Endpoint

@@ -1,5 +1,6 @@
-//! The ids an entity gives its links: a table index in the low bits, random bits above it, never 0. The random part makes
-//! frames of a link that is gone miss its successor in the table, before the tag is even looked at.
+//! The ids an entity gives its links: a table index in the low bits, random bits above it, never 0.
+//! The random part makes frames of a link that is gone miss its successor in the table, before the
+//! tag is even looked at.
 
 use std::sync::Arc;
 
@@ -24,8 +25,8 @@ impl LinkIds {
         Self::default()
     }
 
-    /// A free id, or `None` if there are [`MAX_LINKS`] links. Free again when what is returned is dropped: keep it until
-    /// no data plane holds the link any more.
+    /// A free id, or `None` if there are [`MAX_LINKS`] links. Free again when what is returned is
+    /// dropped: keep it until no data plane holds the link any more.
     pub fn allocate(&self) -> Option<LinkId> {
         let random = u32::from_ne_bytes(crypto::random::<4>().ok()?);
         let mut table = self.lock();
@@ -37,7 +38,8 @@ impl LinkIds {
         Some(LinkId { id: high | index as u32, ids: self.clone() })
     }
 
-    /// Takes an id that is in use already, such as one a data plane holds from before a restart; `None` if its index is taken.
+    /// Takes an id that is in use already, such as one a data plane holds from before a restart;
+    /// `None` if its index is taken.
     pub fn reserve(&self, id: u32) -> Option<LinkId> {
         let mut table = self.lock();
         table.used.resize(MAX_LINKS as usize, false);

@@ -1,5 +1,5 @@
-//! A link's entry for as long as user space holds it: the entry itself is plain memory, as the kernel's maps want it, and does not
-//! clear its keys. Nodes and data planes keep it in this.
+//! A link's entry for as long as user space holds it: the entry itself is plain memory, as the
+//! kernel's maps want it, and does not clear its keys. Nodes and data planes keep it in this.
 
 use std::fmt;
 use std::ops::{Deref, DerefMut};
@@ -7,8 +7,8 @@ use std::ops::{Deref, DerefMut};
 use gdp_wire::LinkEntry;
 use zeroize::Zeroize;
 
-/// A [`LinkEntry`] whose keys are cleared when it is dropped, as are those of a clone with the clone. Its `Debug` form leaves
-/// them out.
+/// A [`LinkEntry`] whose keys are cleared when it is dropped, as are those of a clone with the
+/// clone. Its `Debug` form leaves them out.
 #[derive(Clone, Default, PartialEq, Eq)]
 pub struct KeyedEntry(LinkEntry);
 

@@ -1,9 +1,10 @@
-//! Tells a neighbour whose control plane died from one that is gone. QUIC ends in the daemon, echoes are answered by what
-//! forwards: after a link was lost by silence, the neighbour's data plane is asked until it does not answer any more.
+//! Tells a neighbour whose control plane died from one that is gone. QUIC ends in the daemon,
+//! echoes are answered by what forwards: after a link was lost by silence, the neighbour's data
+//! plane is asked until it does not answer any more.
 //!
-//! Sans-IO: the caller has a clock, makes cookies, sends echoes and remembers the cookie of the latest answer. Answers are
-//! believed as frames are, by their tag; here it is only asked what they answer. Used by nodes (`node::supervisor`) and by
-//! switches (`gdp-ctl`, `serve::liveness`).
+//! Sans-IO: the caller has a clock, makes cookies, sends echoes and remembers the cookie of the
+//! latest answer. Answers are believed as frames are, by their tag; here it is only asked what they
+//! answer. Used by nodes (`node::supervisor`) and by switches (`gdp-ctl`, `serve::liveness`).
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -20,8 +21,8 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// 1 s. A cable answers in microseconds. The interface may be a Wi-Fi adapter, which is away for some hundred milliseconds
-    /// when it roams or saves power.
+    /// 1 s. A cable answers in microseconds. The interface may be a Wi-Fi adapter, which is away
+    /// for some hundred milliseconds when it roams or saves power.
     pub const ETHERNET: Self = Self { interval: Duration::from_millis(200), misses: 5 };
 
     /// 3 s: a handover between mobile cells takes one or two.
@@ -47,8 +48,9 @@ pub enum Step {
 
 /// The echoes on a link that are not answered.
 ///
-/// An answer proves that the neighbour lived when the echo was sent, so it settles that echo and those before it and no later
-/// one; an answer to none of those that are remembered settles nothing.
+/// An answer proves that the neighbour lived when the echo was sent, so it settles that echo and
+/// those before it and no later one; an answer to none of those that are remembered settles
+/// nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Unanswered {
     /// Their cookies, the oldest first.
@@ -56,7 +58,8 @@ pub struct Unanswered {
 }
 
 impl Unanswered {
-    /// Takes in the cookie of the latest answer, or anything if there was none; how many echoes are without one.
+    /// Takes in the cookie of the latest answer, or anything if there was none; how many echoes are
+    /// without one.
     pub fn settle(&mut self, answer: u64) -> usize {
         if let Some(settled) = self.open.iter().position(|open| *open == answer) {
             self.open.drain(..=settled);
@@ -73,8 +76,8 @@ impl Unanswered {
     }
 }
 
-/// The probing of one link. Echoes are counted, not seconds: a caller that did not run for a while has asked nothing, and concludes
-/// nothing.
+/// The probing of one link. Echoes are counted, not seconds: a caller that did not run for a while
+/// has asked nothing, and concludes nothing.
 #[derive(Clone, Debug)]
 pub struct Liveness {
     pace: Pace,
@@ -90,8 +93,8 @@ impl Liveness {
         self.pace
     }
 
-    /// One step, to be taken each [`Pace::interval`]. `answer`: the cookie of the latest answer, or anything if there was none.
-    /// `cookie`: random, for the echo that may be sent now.
+    /// One step, to be taken each [`Pace::interval`]. `answer`: the cookie of the latest answer, or
+    /// anything if there was none. `cookie`: random, for the echo that may be sent now.
     pub fn step(&mut self, answer: u64, cookie: u64) -> Step {
         if self.open.settle(answer) >= self.pace.misses {
             return Step::Silent;

@@ -59,7 +59,8 @@ impl PairEnd {
     }
 }
 
-/// The address that a socket bound to `bound` sends from to `peer`; the unspecified one if there is no route.
+/// The address that a socket bound to `bound` sends from to `peer`; the unspecified one if there is
+/// no route.
 pub fn udp_source(bound: IpAddr, peer: SocketAddr) -> IpAddr {
     if !bound.is_unspecified() {
         return bound.to_canonical();

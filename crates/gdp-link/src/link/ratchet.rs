@@ -1,18 +1,22 @@
-//! The keys of a link's data frames, and how each follows from the one before while frames go on. Pure: time, counts and
-//! answers come in, keys and what to tell the peer come out; [`super::rekey`] is the shell around it.
+//! The keys of a link's data frames, and how each follows from the one before while frames go on.
+//! Pure: time, counts and answers come in, keys and what to tell the peer come out;
+//! [`super::rekey`] is the shell around it.
 //!
-//! Each direction has a chain of its own: `secret 0` is from the TLS exporter, and generation *n* has
+//! Each direction has a chain of its own: `secret 0` is from the TLS exporter, and generation *n*
+//! has
 //!
 //! ```text
 //! key n        = HKDF-SHA256(secret n, "gdp/link-key/1")         16 bytes of 32
 //! secret n + 1 = HKDF-SHA256(secret n, "gdp/link-secret/1")
 //! ```
 //!
-//! A frame says the lowest bit of its key's generation, and both ends hold two keys: that of the generation in use and its
-//! successor (or, for a moment, its predecessor). So the sender moves on by itself and nothing has to be agreed upon first. It
-//! then tells the receiver, which waits until no frame under the old key can be on its way, puts the key after next in the
-//! place of the old one, and only then answers; before it has, the sender does not move again. Whatever is lost on the way
-//! (an announcement, an answer, a daemon whose kernel forwards on), the key that frames leave under is held by the receiver.
+//! A frame says the lowest bit of its key's generation, and both ends hold two keys: that of the
+//! generation in use and its successor (or, for a moment, its predecessor). So the sender moves on
+//! by itself and nothing has to be agreed upon first. It then tells the receiver, which waits until
+//! no frame under the old key can be on its way, puts the key after next in the place of the old
+//! one, and only then answers; before it has, the sender does not move again. Whatever is lost on
+//! the way (an announcement, an answer, a daemon whose kernel forwards on), the key that frames
+//! leave under is held by the receiver.
 
 use std::time::{Duration, Instant};
 
@@ -33,14 +37,17 @@ const LOOK_AT_COUNT: Duration = Duration::from_secs(10);
 /// When a link's keys are replaced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RekeySchedule {
-    /// After this time a sender moves on. An hour: keys are in kernel maps that tools can print, whereas the secrets they come
-    /// from are in the daemon alone; who has seen a key can use it until the second change after.
+    /// After this time a sender moves on. An hour: keys are in kernel maps that tools can print,
+    /// whereas the secrets they come from are in the daemon alone; who has seen a key can use it
+    /// until the second change after.
     pub interval: Duration,
-    /// Or after this many frames. 2³²: so the count that frames carry, of 32 bits, comes once under a key. SipHash would bear
-    /// far more, as what a tag shows of its state does not collide before 2⁶⁴.
+    /// Or after this many frames. 2³²: so the count that frames carry, of 32 bits, comes once under
+    /// a key. SipHash would bear far more, as what a tag shows of its state does not collide before
+    /// 2⁶⁴.
     pub frames: u64,
-    /// How long a receiver still takes frames under the old key once it was told of the new one: longer than any network
-    /// holds a frame back that it delivers at all, and than a sender is interrupted between tagging a frame and sending it.
+    /// How long a receiver still takes frames under the old key once it was told of the new one:
+    /// longer than any network holds a frame back that it delivers at all, and than a sender is
+    /// interrupted between tagging a frame and sending it.
     pub overlap: Duration,
 }
 
@@ -50,7 +57,8 @@ impl Default for RekeySchedule {
     }
 }
 
-/// What data planes need of a link's keys at a moment. Cleared when dropped; the `Debug` form leaves them out.
+/// What data planes need of a link's keys at a moment. Cleared when dropped; the `Debug` form
+/// leaves them out.
 #[derive(Clone, Zeroize, ZeroizeOnDrop)]
 #[cfg_attr(test, derive(PartialEq, Eq))]
 pub struct LinkKeys {
@@ -62,7 +70,8 @@ pub struct LinkKeys {
 type Key = [u64; 2];
 
 impl LinkKeys {
-    /// Writes them into a link's entry. Of the words that frames are tagged with meanwhile none changes but the phase.
+    /// Writes them into a link's entry. Of the words that frames are tagged with meanwhile none
+    /// changes but the phase.
     pub fn put(&self, entry: &mut LinkEntry) {
         entry.rx_keys = self.rx_keys;
         entry.tx_keys = self.tx_keys;
@@ -79,7 +88,8 @@ impl std::fmt::Debug for LinkKeys {
 /// To be done after [`Ratchet::keys`] are in the tables of all data planes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Tell the peer that frames now leave under the key of this generation; [`Ratchet::answered`] takes its answer.
+    /// Tell the peer that frames now leave under the key of this generation; [`Ratchet::answered`]
+    /// takes its answer.
     Announce(u64),
     /// Answer the peer's announcement: the successor of the generation it told of is held.
     Confirm,
@@ -152,8 +162,8 @@ impl Ratchet {
         (self.rx.generation, self.tx.generation)
     }
 
-    /// What time, and the count of frames `sent`, bring about. To be asked until there is nothing, and again at
-    /// [`Self::wake_at`].
+    /// What time, and the count of frames `sent`, bring about. To be asked until there is nothing,
+    /// and again at [`Self::wake_at`].
     pub fn poll(&mut self, now: Instant, sent: u64) -> Result<Option<Step>, CryptoError> {
         if self.rx.retires.take_if(|retires| *retires <= now).is_some() {
             self.rx.held.replace(self.rx.generation + 1)?;
@@ -188,7 +198,8 @@ impl Ratchet {
         self.rx.retires.map_or(tx, |retires| retires.min(tx))
     }
 
-    /// The peer has answered the announcement (`confirmed`), or refused it, or has not answered. True if keys changed.
+    /// The peer has answered the announcement (`confirmed`), or refused it, or has not answered.
+    /// True if keys changed.
     pub fn answered(&mut self, confirmed: bool, now: Instant) -> Result<bool, CryptoError> {
         if self.tx.announced != Announced::Asked {
             return Ok(false);
@@ -217,7 +228,8 @@ impl Ratchet {
     }
 }
 
-/// Two keys in a row, by phase, and what those after them come from. Secrets that were used are gone.
+/// Two keys in a row, by phase, and what those after them come from. Secrets that were used are
+/// gone.
 struct Held {
     keys: Zeroizing<[Key; 2]>,
     next: Zeroizing<[u8; 32]>,

@@ -1,5 +1,6 @@
-//! Keeps a link's keys fresh: the task that lets [`super::ratchet`] run on the clock and on the control connection. Who holds
-//! the link's entry in tables writes the keys there; when, and in which order with what the peer is told, is decided here.
+//! Keeps a link's keys fresh: the task that lets [`super::ratchet`] run on the clock and on the
+//! control connection. Who holds the link's entry in tables writes the keys there; when, and in
+//! which order with what the peer is told, is decided here.
 
 use super::streams::Announcement;
 use std::future::poll_fn;
@@ -17,18 +18,21 @@ use gdp_core::crypto::CryptoError;
 use gdp_proto::control::{Refusal, RefusalCode, Request, Response};
 
 impl Link {
-    /// Replaces the keys of the link's data frames by the schedule of its port, and follows those of the peer. Runs until the
-    /// link is closed, or `put` or cryptography fails: then the keys stay what they are, which the peer bears.
+    /// Replaces the keys of the link's data frames by the schedule of its port, and follows those
+    /// of the peer. Runs until the link is closed, or `put` or cryptography fails: then the keys
+    /// stay what they are, which the peer bears.
     ///
-    /// `sent`: how many data frames have left by the link. `put` writes keys to all data planes that hold the link, and returns
-    /// once every frame that arrives, or is tagged, from then on meets them; `false` if it could not.
+    /// `sent`: how many data frames have left by the link. `put` writes keys to all data planes
+    /// that hold the link, and returns once every frame that arrives, or is tagged, from then on
+    /// meets them; `false` if it could not.
     pub async fn keep_keys(&self, sent: impl Fn() -> u64, put: impl FnMut(&LinkKeys) -> bool) {
         let mut announcements = self.0.announcements.lock().await;
         tokio::select! {
             _ = self.0.connection.closed() => {}
             result = self.rekey(&mut announcements, sent, put) => {
                 if let Err(error) = result {
-                    tracing::error!(link = ?self, %error, "the keys of a link stay what they are until it is made anew");
+                    tracing::error!(link = ?self, %error, "the keys of a link stay what they are until it is made \
+                                                           anew");
                 }
             }
         }

@@ -1,5 +1,5 @@
-//! Requests and responses on the streams of a connection: bounded in size, number and time, and independent of each
-//! other, so that a peer that leaves one half-written only holds up itself.
+//! Requests and responses on the streams of a connection: bounded in size, number and time, and
+//! independent of each other, so that a peer that leaves one half-written only holds up itself.
 
 use std::time::Duration;
 
@@ -61,7 +61,8 @@ pub struct Takers {
     pub heard: mpsc::Sender<Announcement>,
 }
 
-/// Reads the peer's requests until the connection is closed. The number of streams is bounded by QUIC.
+/// Reads the peer's requests until the connection is closed. The number of streams is bounded by
+/// QUIC.
 pub async fn serve(connection: Connection, takers: Takers) {
     while let Ok((send, recv)) = connection.accept_bi().await {
         tokio::spawn(read_request(send, recv, takers.clone()));
@@ -73,7 +74,8 @@ async fn read_request(send: SendStream, mut recv: RecvStream, takers: Takers) {
     match timeout(READ_TIMEOUT, read_message(&mut recv, MAX_MESSAGE)).await {
         Ok(Ok(bytes)) => match control::decode(&bytes) {
             Ok(Request::Ratcheted { generation }) => {
-                // Without room, or anybody who keeps the keys, it is left unanswered, and the peer asks again.
+                // Without room, or anybody who keeps the keys, it is left unanswered, and the peer
+                // asks again.
                 let _ = takers.heard.try_send((generation, responder));
             }
             Ok(request) => {
@@ -123,7 +125,8 @@ async fn read_exact(stream: &mut RecvStream, buffer: &mut [u8]) -> Result<(), Li
     })
 }
 
-/// Announcements that may wait to be looked at. A peer has one under way; an older one may still be on its way.
+/// Announcements that may wait to be looked at. A peer has one under way; an older one may still be
+/// on its way.
 pub const MAX_ANNOUNCEMENTS: usize = 4;
 
 /// That the peer's frames are under the key of this generation.

@@ -1,6 +1,7 @@
-//! TLS 1.3 between entities: both sides show a raw P-256 public key (RFC 7250), the one their name is derived from, and
-//! prove that they hold the private half. There is no certificate to parse, no authority and no resumption; whom a name
-//! may talk to is decided above, by certificates of the control plane.
+//! TLS 1.3 between entities: both sides show a raw P-256 public key (RFC 7250), the one their name
+//! is derived from, and prove that they hold the private half. There is no certificate to parse, no
+//! authority and no resumption; whom a name may talk to is decided above, by certificates of the
+//! control plane.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -32,7 +33,8 @@ const ALPN: &[u8] = b"gdp/1";
 /// What a client calls the server; it is not sent.
 pub const SERVER_NAME: &str = "gdp";
 
-/// DER of a SubjectPublicKeyInfo for an uncompressed P-256 point, up to the 0x04 that begins the point (RFC 5480).
+/// DER of a SubjectPublicKeyInfo for an uncompressed P-256 point, up to the 0x04 that begins the
+/// point (RFC 5480).
 const SPKI_PREFIX: [u8; 27] = [
     0x30, 0x59, 0x30, 0x13, 0x06, 0x07, 0x2a, 0x86, 0x48, 0xce, 0x3d, 0x02, 0x01, 0x06, 0x08, 0x2a, 0x86, 0x48, 0xce,
     0x3d, 0x03, 0x01, 0x07, 0x03, 0x42, 0x00, 0x04,

@@ -5,7 +5,8 @@ use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 
 use gdp_core::mac::DisplayMac;
 
-/// The address frames of a link are sent to. Only ever a hint on what arrives: a link is found by its id and tag.
+/// The address frames of a link are sent to. Only ever a hint on what arrives: a link is found by
+/// its id and tag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum LinkAddr {
     /// A station on the segment of a local interface.

@@ -2,12 +2,14 @@
 
 use super::LinkAddr;
 
-/// Most frames one call receives on Ethernet, or sends. Also what a veth ring of 256 takes without loss.
+/// Most frames one call receives on Ethernet, or sends. Also what a veth ring of 256 takes without
+/// loss.
 pub const BATCH: usize = 64;
 
 /// Room for the frames one receive call takes, and what that call found.
 pub struct RecvBatch {
-    /// Slots of equal size, each for what the kernel hands over in one piece: a frame, or over UDP a run of them.
+    /// Slots of equal size, each for what the kernel hands over in one piece: a frame, or over UDP
+    /// a run of them.
     storage: Vec<u8>,
     largest: usize,
     /// In the order in which they lie, without overlap.
@@ -31,7 +33,8 @@ pub struct InFrame<'a> {
 }
 
 impl RecvBatch {
-    /// For frames of up to `largest` bytes; on Ethernet a larger one arrives cut, and shows as truncated.
+    /// For frames of up to `largest` bytes; on Ethernet a larger one arrives cut, and shows as
+    /// truncated.
     pub fn new(largest: usize) -> Self {
         Self { storage: Vec::new(), largest: largest.next_multiple_of(64), places: Vec::with_capacity(BATCH) }
     }
@@ -88,7 +91,8 @@ impl RecvBatch {
     pub(super) fn slots(&mut self, count: usize, size: usize) -> impl Iterator<Item = &mut [u8]> {
         self.clear();
         if self.storage.len() < count * size {
-            // Not resized: that would copy what nobody needs. Zeros are not written before a page is used.
+            // Not resized: that would copy what nobody needs. Zeros are not written before a page
+            // is used.
             self.storage = vec![0; count * size];
         }
         self.storage.chunks_exact_mut(size).take(count)

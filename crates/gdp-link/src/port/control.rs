@@ -44,8 +44,8 @@ impl Control {
         header.msg_controllen = ROOM as _;
     }
 
-    /// Calls `found` with level, kind and value of each message that was received with `header`. A value is an integer, or one
-    /// byte.
+    /// Calls `found` with level, kind and value of each message that was received with `header`. A
+    /// value is an integer, or one byte.
     pub fn each(&self, header: &libc::msghdr, mut found: impl FnMut(libc::c_int, libc::c_int, libc::c_int)) {
         // Another integer where libc is musl.
         #[allow(clippy::unnecessary_cast)]

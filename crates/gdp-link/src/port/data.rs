@@ -1,5 +1,6 @@
-//! Data frames in and out of a port, in batches, without an allocation per frame. Called from the userspace plane of a switch
-//! and from an endpoint's receiving thread; what a frame means is not known here.
+//! Data frames in and out of a port, in batches, without an allocation per frame. Called from the
+//! userspace plane of a switch and from an endpoint's receiving thread; what a frame means is not
+//! known here.
 
 use std::io;
 use std::mem::size_of;
@@ -15,7 +16,8 @@ use super::send::{Chunk, Offload};
 use super::sys::{self, Event, RawAddr};
 use super::udp::SharedUdp;
 
-/// Where data frames of a port arrive and leave. Shared by threads; receiving is meant for one of them.
+/// Where data frames of a port arrive and leave. Shared by threads; receiving is meant for one of
+/// them.
 pub struct DataSocket {
     kind: Kind,
     wake: Arc<Event>,
@@ -37,7 +39,8 @@ impl DataSocket {
         Ok(Self { kind, wake, offload, lost: AtomicU64::new(0) })
     }
 
-    /// Receives what is there, up to a bounded number of frames, replacing what the batch held; 0 if there is nothing.
+    /// Receives what is there, up to a bounded number of frames, replacing what the batch held; 0
+    /// if there is nothing.
     pub fn try_recv_batch(&self, batch: &mut RecvBatch) -> io::Result<usize> {
         batch.clear();
         match &self.kind {
@@ -47,7 +50,8 @@ impl DataSocket {
         Ok(batch.len())
     }
 
-    /// Blocks until there is something to receive (`true`), [`Self::wake`] is called, or `timeout` is over.
+    /// Blocks until there is something to receive (`true`), [`Self::wake`] is called, or `timeout`
+    /// is over.
     pub fn wait_readable(&self, timeout: Duration) -> io::Result<bool> {
         Ok(self.has_strays() || sys::wait(self.as_fd(), libc::POLLIN, Some(&self.wake), timeout)? || self.has_strays())
     }
@@ -61,14 +65,16 @@ impl DataSocket {
         sys::wait_any(&all, timeout)
     }
 
-    /// Ends the present or the next [`Self::wait_readable`], so that its thread looks at something else.
+    /// Ends the present or the next [`Self::wait_readable`], so that its thread looks at something
+    /// else.
     pub fn wake(&self) {
         self.wake.set();
     }
 
-    /// Sends frames in their order, [`super::BATCH`] to a system call; over UDP, frames in a row that have one destination,
-    /// traffic class and length as one piece. Blocks for a few milliseconds at most when the kernel has no room, then gives up
-    /// the rest of that call's frames.
+    /// Sends frames in their order, [`super::BATCH`] to a system call; over UDP, frames in a row
+    /// that have one destination, traffic class and length as one piece. Blocks for a few
+    /// milliseconds at most when the kernel has no room, then gives up the rest of that call's
+    /// frames.
     pub fn send_batch<'a>(&self, frames: impl IntoIterator<Item = OutFrame<'a>>) -> Sent {
         let mut total = Sent::default();
         let mut frames = frames.into_iter();

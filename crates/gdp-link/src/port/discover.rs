@@ -1,5 +1,6 @@
-//! "Which switch is on this segment?" Solicitations and answers are hints in clear: what an answer claims, TLS proves
-//! when the link is made. Answers are rate-limited, so that a switch is no amplifier and no target of spoofed questions.
+//! "Which switch is on this segment?" Solicitations and answers are hints in clear: what an answer
+//! claims, TLS proves when the link is made. Answers are rate-limited, so that a switch is no
+//! amplifier and no target of spoofed questions.
 
 use std::time::{Duration, Instant};
 

@@ -1,7 +1,8 @@
-//! GDP directly on Ethernet. Two packet sockets to an interface, told apart by a classic BPF filter on the first byte of
-//! the frame: one for control frames, which carries QUIC and discovery, one for all the others. Neither sees frames for
-//! other stations, nor those with a VLAN tag. What is sent passes the interface's queueing discipline: without it, frames
-//! would be lost whenever the ring of a NIC is full.
+//! GDP directly on Ethernet. Two packet sockets to an interface, told apart by a classic BPF filter
+//! on the first byte of the frame: one for control frames, which carries QUIC and discovery, one
+//! for all the others. Neither sees frames for other stations, nor those with a VLAN tag. What is
+//! sent passes the interface's queueing discipline: without it, frames would be lost whenever the
+//! ring of a NIC is full.
 
 use std::ffi::{CStr, CString};
 use std::fmt;
@@ -26,7 +27,8 @@ use super::batch::{BATCH, RecvBatch};
 use super::discover::Discovery;
 use super::sys::{self, RawAddr, check, step};
 
-/// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the kernel's memory.
+/// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the
+/// kernel's memory.
 const DATA_BUFFER: usize = 16 << 20;
 const CONTROL_BUFFER: usize = 1 << 20;
 
@@ -56,8 +58,8 @@ pub struct Vlan {
     pub id: u16,
 }
 
-/// Index of the interface of that name, Ethernet or not, in the network namespace of the calling thread. One that is made anew
-/// has another.
+/// Index of the interface of that name, Ethernet or not, in the network namespace of the calling
+/// thread. One that is made anew has another.
 pub fn index_of(interface: &str) -> io::Result<u32> {
     let c_name = CString::new(interface).map_err(|_| io::ErrorKind::InvalidInput)?;
     // SAFETY: a string that ends with 0.
@@ -154,7 +156,8 @@ pub fn receive(fd: BorrowedFd, ifindex: u32, batch: &mut RecvBatch) -> io::Resul
         header.msg_iov = &raw mut iovecs[i];
         header.msg_iovlen = 1;
     }
-    // SAFETY: every header points to a buffer and an address that outlive the call, with their true lengths.
+    // SAFETY: every header points to a buffer and an address that outlive the call, with their true
+    // lengths.
     let count = unsafe { sys::receive(fd, &mut messages) }?;
     for (i, message) in messages[..count].iter().enumerate() {
         let from = LinkAddr::Ethernet { ifindex, mac: addrs[i].mac() };
@@ -176,7 +179,8 @@ impl ControlSocket {
     pub fn open(interface: &Interface, ethertype: u16, answer_as: Option<Name>) -> io::Result<Self> {
         let fd = open(interface, ethertype, Take::Control)?;
         Ok(Self {
-            // SAFETY: an `OwnedFd` is open and names the same file until it is dropped, with the `AsyncFd` around it.
+            // SAFETY: an `OwnedFd` is open and names the same file until it is dropped, with the
+            // `AsyncFd` around it.
             fd: unsafe { AsyncFd::register(fd) }?,
             interface: interface.clone(),
             ethertype,
@@ -184,7 +188,8 @@ impl ControlSocket {
         })
     }
 
-    /// Sends one control frame. Lost when the kernel has no room: QUIC and discovery both try again.
+    /// Sends one control frame. Lost when the kernel has no room: QUIC and discovery both try
+    /// again.
     pub fn send(&self, to: [u8; 6], kind: u8, payload: &[u8]) -> io::Result<()> {
         let Ok(length) = u16::try_from(payload.len()) else { return Ok(()) };
         let header = ControlHeader::new(kind, length);
@@ -197,14 +202,16 @@ impl ControlSocket {
         message.msg_namelen = size_of::<libc::sockaddr_ll>() as u32;
         message.msg_iov = iovecs.as_mut_ptr();
         message.msg_iovlen = 2;
-        // SAFETY: the message points to an address and pieces that outlive the call; the kernel only reads them.
+        // SAFETY: the message points to an address and pieces that outlive the call; the kernel
+        // only reads them.
         if unsafe { libc::sendmsg(self.fd.as_raw_fd(), &message, libc::MSG_DONTWAIT) } < 0 {
             return Err(io::Error::last_os_error());
         }
         Ok(())
     }
 
-    /// Receives one frame; the kind and length of its payload, which is moved to the front of `buffer`.
+    /// Receives one frame; the kind and length of its payload, which is moved to the front of
+    /// `buffer`.
     fn receive(&self, buffer: &mut [u8; MAX_CONTROL]) -> io::Result<Option<([u8; 6], u8, usize)>> {
         let mut addr = RawAddr::zeroed();
         let mut addr_len = size_of::<RawAddr>() as u32;
@@ -238,7 +245,8 @@ impl AsyncUdpSocket for ControlSocket {
         let to = socket_to_mac(&transmit.destination);
         match self.fd.try_io(Interest::WRITABLE, |_| self.send(to, ControlHeader::QUIC, transmit.contents)) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => Err(error),
-            // Any other error is a lost packet to QUIC; an error returned here would end the whole endpoint.
+            // Any other error is a lost packet to QUIC; an error returned here would end the whole
+            // endpoint.
             _ => Ok(()),
         }
     }
@@ -269,7 +277,8 @@ impl AsyncUdpSocket for ControlSocket {
                     }
                     Ok(Ok(Some((from, kind, length)))) => self.discover(from, kind, &scratch[..length]),
                     Ok(Ok(None)) => {}
-                    // The interface went down or away. The links on it time out; it may come up again.
+                    // The interface went down or away. The links on it time out; it may come up
+                    // again.
                     Ok(Err(_)) => {}
                     Err(_would_block) => {
                         drained = true;
@@ -335,7 +344,8 @@ enum Take {
     AllButControl,
 }
 
-/// A packet socket that never held a frame its filter would refuse: it is bound only after the filter is in place.
+/// A packet socket that never held a frame its filter would refuse: it is bound only after the
+/// filter is in place.
 fn open(interface: &Interface, ethertype: u16, take: Take) -> io::Result<OwnedFd> {
     // SAFETY: no pointers; the descriptor is owned from here on. Protocol 0 receives nothing.
     let fd = unsafe {

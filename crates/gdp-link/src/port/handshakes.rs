@@ -1,5 +1,6 @@
-//! Handshakes of peers that dialled: a bounded number at once, of all and of one address, and what is counted of those that are
-//! turned away. Pure but for the tasks that it ends; the port calls it.
+//! Handshakes of peers that dialled: a bounded number at once, of all and of one address, and what
+//! is counted of those that are turned away. Pure but for the tasks that it ends; the port calls
+//! it.
 
 use std::collections::VecDeque;
 use std::net::IpAddr;
@@ -11,15 +12,15 @@ use parking_lot::{Mutex, MutexGuard};
 use tokio::task::AbortHandle;
 use tokio::time::Instant;
 
-/// Handshakes at once. Beyond half of them, or half of the share of its address, a peer has to prove that first, where it can: who sends
-/// as somebody else takes nothing of that one's share.
+/// Handshakes at once. Beyond half of them, or half of the share of its address, a peer has to
+/// prove that first, where it can: who sends as somebody else takes nothing of that one's share.
 pub const MAX_HANDSHAKES: usize = 64;
 
 /// Of these, from one address: a peer that never finishes its handshakes leaves room for others.
 const MAX_HANDSHAKES_OF_ONE: usize = 16;
 
-/// Younger ones do not give way: who means it needs a few round trips. It also bounds how fast they are begun, and with that what QUIC
-/// keeps of those that were ended.
+/// Younger ones do not give way: who means it needs a few round trips. It also bounds how fast they
+/// are begun, and with that what QUIC keeps of those that were ended.
 const MIN_AGE: Duration = Duration::from_millis(100);
 
 /// What became of handshakes that got no link. Clones count together.
@@ -37,7 +38,8 @@ struct Counters {
 /// Handshakes of peers that dialled, since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HandshakeCounts {
-    /// Their peers were asked to prove their addresses first, and nothing was kept of them. Who does so is taken then.
+    /// Their peers were asked to prove their addresses first, and nothing was kept of them. Who
+    /// does so is taken then.
     pub challenged: u64,
     /// Ignored: too many were under way from one address, or too many had just begun.
     pub refused: u64,
@@ -98,8 +100,9 @@ impl Handshakes {
         Self { running: Arc::default(), counters }
     }
 
-    /// `may_challenge`: whether the peer can be made to prove its address, and has not. Where all places are taken, the oldest gives
-    /// way: who means it is done after a few round trips, who fills the places is not.
+    /// `may_challenge`: whether the peer can be made to prove its address, and has not. Where all
+    /// places are taken, the oldest gives way: who means it is done after a few round trips, who
+    /// fills the places is not.
     pub fn judge(&self, now: Instant, from: IpAddr, may_challenge: bool) -> Verdict {
         let (mut running, counters) = (self.lock(), &self.counters.0);
         let of_one = running.entries.iter().filter(|entry| entry.from == from).count();

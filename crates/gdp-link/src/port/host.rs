@@ -1,6 +1,7 @@
-//! Endpoints beside their switch: on the same host and in the same network namespace. The daemon of a switch gives such endpoints
-//! a pair of interfaces, one end of which has the switch's XDP program; their data frames go there, and not through the daemon.
-//! What an endpoint needs for that is said in the hellos of its link (`crate::link::hello`); QUIC stays where it was dialled.
+//! Endpoints beside their switch: on the same host and in the same network namespace. The daemon of
+//! a switch gives such endpoints a pair of interfaces, one end of which has the switch's XDP
+//! program; their data frames go there, and not through the daemon. What an endpoint needs for that
+//! is said in the hellos of its link (`crate::link::hello`); QUIC stays where it was dialled.
 
 use std::fs;
 use std::net::Ipv4Addr;
@@ -14,7 +15,8 @@ use parking_lot::Mutex;
 /// The addresses of a switch and of its host on the pair of interfaces between them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HostPair {
-    /// Where endpoints send frames to. Link-local, and no address of the host: routed to the host's end of the pair.
+    /// Where endpoints send frames to. Link-local, and no address of the host: routed to the host's
+    /// end of the pair.
     pub switch_ip: Ipv4Addr,
     /// Of the end that has the program.
     pub switch_mac: [u8; 6],
@@ -37,8 +39,9 @@ impl CurrentPair {
     }
 }
 
-/// A number for the network namespace of a socket on this boot of this host, and no other; `None` if the kernel (before 5.14) does
-/// not say. Only its equality means anything: containers, and virtual machines behind the host's own address, have another.
+/// A number for the network namespace of a socket, unique to this boot of this host. `None` if the
+/// kernel (before 5.14) does not say. Only its equality means anything: containers, and
+/// virtual machines behind the host's own address, have another.
 pub fn id(socket: BorrowedFd) -> Option<u64> {
     const SO_NETNS_COOKIE: libc::c_int = 71;
     let cookie: u64 = sys::get_option(socket, libc::SOL_SOCKET, SO_NETNS_COOKIE).ok()?;

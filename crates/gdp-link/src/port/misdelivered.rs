@@ -1,5 +1,5 @@
-//! Datagrams that came to the socket of the other kind, because the kernel had joined them with one that belongs there: a few
-//! of many. Bounded; more are dropped.
+//! Datagrams that came to the socket of the other kind, because the kernel had joined them with one
+//! that belongs there: a few of many. Bounded; more are dropped.
 
 use std::collections::VecDeque;
 use std::io::{self, IoSliceMut};
@@ -79,7 +79,8 @@ impl Frames {
     }
 }
 
-/// QUIC packets that the thread for data frames found. What is dropped is lost on the way to QUIC, which mends that.
+/// QUIC packets that the thread for data frames found. What is dropped is lost on the way to QUIC,
+/// which mends that.
 #[derive(Default)]
 pub struct Packets(Mutex<Waiting>);
 
@@ -99,8 +100,8 @@ impl Packets {
         }
     }
 
-    /// Moves what waits into `bufs`, as far as there is room; how many there were. If there are none, the task is woken once there
-    /// are.
+    /// Moves what waits into `bufs`, as far as there is room; how many there were. If there are
+    /// none, the task is woken once there are.
     pub fn take(&self, cx: &Context, bufs: &mut [IoSliceMut<'_>], meta: &mut [RecvMeta]) -> usize {
         let mut waiting = self.0.lock();
         let mut count = 0;

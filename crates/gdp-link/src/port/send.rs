@@ -1,5 +1,5 @@
-//! One `sendmmsg` call's worth of frames. Over UDP, frames in a row that the kernel can cut apart itself go to it as one
-//! datagram (UDP GSO): one way through its stack for all of them.
+//! One `sendmmsg` call's worth of frames. Over UDP, frames in a row that the kernel can cut apart
+//! itself go to it as one datagram (UDP GSO): one way through its stack for all of them.
 
 use std::marker::PhantomData;
 use std::mem::zeroed;
@@ -23,11 +23,12 @@ const LONGEST_RUN: usize = 65_535 - 8 - 40;
 /// Frames of a run: what kernels take since 4.18; later ones take more.
 const MOST_SEGMENTS: usize = 64;
 
-/// Calls that do without runs after the kernel refused one: paths change, and the next may take them.
+/// Calls that do without runs after the kernel refused one: paths change, and the next may take
+/// them.
 const PAUSE: u32 = 1000;
 
-/// Whether runs of frames go to the kernel in one piece. It refuses them where it cannot cut them: IPsec, sockets or devices
-/// without checksums.
+/// Whether runs of frames go to the kernel in one piece. It refuses them where it cannot cut them:
+/// IPsec, sockets or devices without checksums.
 #[derive(Default)]
 pub struct Offload {
     /// Calls until it is tried again.
@@ -119,8 +120,8 @@ impl<'a> Chunk<'a> {
                 ends[count] = end;
                 (start, count) = (end, count + 1);
             }
-            // SAFETY: the headers point to addresses, control messages and pieces of frames that live as long as `self`,
-            // `controls` and `'a`; the kernel only reads through them.
+            // SAFETY: the headers point to addresses, control messages and pieces of frames that
+            // live as long as `self`, `controls` and `'a`; the kernel only reads through them.
             let result = sys::check(unsafe {
                 libc::sendmmsg(fd.as_raw_fd(), messages.as_mut_ptr(), count as u32, libc::MSG_DONTWAIT as _)
             });
@@ -140,8 +141,8 @@ impl<'a> Chunk<'a> {
                     // May be about the past: a socket tells once that its interface was down.
                     Some(libc::ENETDOWN) if !told => told = true,
                     Some(libc::EAGAIN | libc::ENOBUFS | libc::ENETDOWN | libc::ENXIO) => break,
-                    // Something about runs, on this path or at all; or the path takes only smaller frames, and the last of
-                    // the run may be one.
+                    // Something about runs, on this path or at all; or the path takes only smaller
+                    // frames, and the last of the run may be one.
                     Some(refusal @ (libc::EIO | libc::EINVAL | libc::EOPNOTSUPP | libc::EMSGSIZE))
                         if ends[0] - next > 1 =>
                     {
@@ -150,7 +151,8 @@ impl<'a> Chunk<'a> {
                         }
                         single = ends[0];
                     }
-                    // Something about this one frame, or about where the run goes: its size, its destination.
+                    // Something about this one frame, or about where the run goes: its size, its
+                    // destination.
                     _ => next = ends[0],
                 },
             }
@@ -158,8 +160,9 @@ impl<'a> Chunk<'a> {
         sent
     }
 
-    /// Where the run ends that begins with this frame: all of it is for one destination, in one traffic class, and of one length
-    /// but for the last, which may be shorter. Frames before `single` are no runs.
+    /// Where the run ends that begins with this frame: all of it is for one destination, in one
+    /// traffic class, and of one length but for the last, which may be shorter. Frames before
+    /// `single` are no runs.
     fn end_of_run(&self, start: usize, single: usize) -> usize {
         let first = &self.frames[start];
         let (mut end, mut bytes) = (start + 1, first.length);

@@ -15,7 +15,8 @@ pub fn bind_to_interface(fd: BorrowedFd, interface: &str) -> io::Result<()> {
     set_option(fd, libc::SOL_SOCKET, libc::SO_BINDTODEVICE, &name)
 }
 
-/// A UDP socket, non-blocking, at an address that another has and shares, bound to the same interface.
+/// A UDP socket, non-blocking, at an address that another has and shares, bound to the same
+/// interface.
 pub fn bind_shared_udp(addr: SocketAddr, interface: Option<&str>) -> io::Result<UdpSocket> {
     let family = if addr.is_ipv6() { libc::AF_INET6 } else { libc::AF_INET };
     // SAFETY: no pointers; the descriptor is owned from here on.
@@ -50,12 +51,14 @@ pub fn set_option<T>(fd: BorrowedFd, level: libc::c_int, option: libc::c_int, va
 pub fn get_option<T: Copy + Default>(fd: BorrowedFd, level: libc::c_int, option: libc::c_int) -> io::Result<T> {
     let mut value = T::default();
     let mut length = size_of::<T>() as u32;
-    // SAFETY: the kernel writes at most `length` bytes into `value`; the callers' types are integers, which any bytes are.
+    // SAFETY: the kernel writes at most `length` bytes into `value`; the callers' types are
+    // integers, which any bytes are.
     check(unsafe { libc::getsockopt(fd.as_raw_fd(), level, option, (&raw mut value).cast(), &raw mut length) })?;
     Ok(value)
 }
 
-/// Asks for socket buffers of `bytes`: beyond the system's limit with CAP_NET_ADMIN, else up to the limit.
+/// Asks for socket buffers of `bytes`: beyond the system's limit with CAP_NET_ADMIN, else up to the
+/// limit.
 pub fn set_buffers(fd: BorrowedFd, receive: usize, send: usize) {
     for (bytes, force, polite) in
         [(receive, libc::SO_RCVBUFFORCE, libc::SO_RCVBUF), (send, libc::SO_SNDBUFFORCE, libc::SO_SNDBUF)]
@@ -68,7 +71,8 @@ pub fn set_buffers(fd: BorrowedFd, receive: usize, send: usize) {
     }
 }
 
-/// Frames the kernel dropped because the receive buffer of the socket was full, since it was opened.
+/// Frames the kernel dropped because the receive buffer of the socket was full, since it was
+/// opened.
 pub fn receive_drops(fd: BorrowedFd) -> u64 {
     const SK_MEMINFO_DROPS: usize = 8;
     memory(fd)[SK_MEMINFO_DROPS].into()
@@ -112,8 +116,8 @@ pub unsafe fn receive(fd: BorrowedFd, messages: &mut [libc::mmsghdr]) -> io::Res
     }
 }
 
-/// Attaches a classic BPF program: a filter (`SO_ATTACH_FILTER`), or what chooses among sockets of one port
-/// (`SO_ATTACH_REUSEPORT_CBPF`).
+/// Attaches a classic BPF program: a filter (`SO_ATTACH_FILTER`), or what chooses among sockets of
+/// one port (`SO_ATTACH_REUSEPORT_CBPF`).
 pub fn attach_program(fd: BorrowedFd, option: libc::c_int, program: &mut [libc::sock_filter]) -> io::Result<()> {
     let program = libc::sock_fprog { len: program.len() as u16, filter: program.as_mut_ptr() };
     set_option(fd, libc::SOL_SOCKET, option, &program)
@@ -124,8 +128,8 @@ pub const fn step(code: u32, jump_true: u8, jump_false: u8, k: u32) -> libc::soc
     libc::sock_filter { code: code as u16, jt: jump_true, jf: jump_false, k }
 }
 
-/// Waits until the descriptor is ready for `events` (POLLIN, POLLOUT), `wake` is set, or the time is over; tells whether
-/// the descriptor is ready. Clears `wake`.
+/// Waits until the descriptor is ready for `events` (POLLIN, POLLOUT), `wake` is set, or the time
+/// is over; tells whether the descriptor is ready. Clears `wake`.
 pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&Event>, timeout: Duration) -> io::Result<bool> {
     let poll = |fd: BorrowedFd, events| libc::pollfd { fd: fd.as_raw_fd(), events, revents: 0 };
     let mut polls = [poll(fd, events), poll(wake.map_or(fd, Event::fd), libc::POLLIN)];
@@ -147,7 +151,8 @@ pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&Event>, timeout: Duration
     }
 }
 
-/// Waits until one of the descriptors can be read, one of the events is set, or the time is over. Clears the events.
+/// Waits until one of the descriptors can be read, one of the events is set, or the time is over.
+/// Clears the events.
 pub fn wait_any(all: &[(BorrowedFd, &Event)], timeout: Duration) -> io::Result<()> {
     let poll = |fd: BorrowedFd| libc::pollfd { fd: fd.as_raw_fd(), events: libc::POLLIN, revents: 0 };
     let mut polls: Vec<_> = all.iter().flat_map(|(fd, wake)| [poll(*fd), poll(wake.fd())]).collect();
@@ -179,7 +184,8 @@ impl Event {
 
     pub fn set(&self) {
         let one = 1u64;
-        // SAFETY: eight bytes are read from `one`. It can only fail when the event is set already 2^64 − 2 times.
+        // SAFETY: eight bytes are read from `one`. It can only fail when the event is set already
+        // 2^64 − 2 times.
         unsafe { libc::write(self.0.as_raw_fd(), (&raw const one).cast(), size_of::<u64>()) };
     }
 
@@ -233,7 +239,8 @@ impl RawAddr {
         [address[0], address[1], address[2], address[3], address[4], address[5]]
     }
 
-    /// An IP address, in the form for a socket of the given family (an IPv6 socket takes IPv4 mapped); and its length.
+    /// An IP address, in the form for a socket of the given family (an IPv6 socket takes IPv4
+    /// mapped); and its length.
     pub fn socket(addr: SocketAddr, v6_socket: bool) -> (Self, u32) {
         let mut raw = Self::zeroed();
         match addr {
@@ -264,7 +271,8 @@ impl RawAddr {
     }
     /// The sender, from an address an IP socket wrote.
     pub fn socket_addr(&self) -> Option<SocketAddr> {
-        // SAFETY: all three variants begin with the family, and are plain integers, whatever was written.
+        // SAFETY: all three variants begin with the family, and are plain integers, whatever was
+        // written.
         unsafe {
             match libc::c_int::from(self.link.sll_family) {
                 libc::AF_INET => {

@@ -1,6 +1,7 @@
-//! UDP for QUIC and data frames: two sockets at one address, so that each kind has the reader it needs. The kernel gives each
-//! datagram to one of them by its first byte; quinn polls the one, the thread that takes data frames reads the other. Where
-//! the kernel has joined datagrams of both kinds into one run (UDP GRO), who reads it hands the strays over.
+//! UDP for QUIC and data frames: two sockets at one address, so that each kind has the reader it
+//! needs. The kernel gives each datagram to one of them by its first byte; quinn polls the one, the
+//! thread that takes data frames reads the other. Where the kernel has joined datagrams of both
+//! kinds into one run (UDP GRO), who reads it hands the strays over.
 
 use std::fmt;
 use std::io::{self, IoSliceMut};
@@ -24,7 +25,8 @@ use super::host;
 use super::misdelivered::{Frames, Packets};
 use super::sys::{self, Event, RawAddr, step};
 
-/// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the kernel's memory.
+/// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the
+/// kernel's memory.
 const DATA_BUFFER: usize = 16 << 20;
 const QUIC_BUFFER: usize = 4 << 20;
 
@@ -49,7 +51,8 @@ impl SharedUdp {
     /// Binds within a tokio runtime; to an interface, if one is given.
     pub fn bind(addr: SocketAddr, interface: Option<&str>) -> io::Result<Self> {
         let (quic, data) = bind_both(addr, interface)?;
-        // Turns GRO on, as is done for data: when the kernel joins datagrams it looks at one of the two, whichever that is.
+        // Turns GRO on, as is done for data: when the kernel joins datagrams it looks at one of the
+        // two, whichever that is.
         let state = UdpSocketState::new((&quic).into())?;
         sys::set_buffers(quic.as_fd(), QUIC_BUFFER, QUIC_BUFFER);
         sys::set_buffers(data.as_fd(), DATA_BUFFER, QUIC_BUFFER);
@@ -57,7 +60,8 @@ impl SharedUdp {
         let v6 = bound.is_ipv6();
         prepare_data(data.as_fd(), v6)?;
         let takes_all = interface.is_none() && bound.ip().is_unspecified() && (!v6 || host::takes_ipv4(quic.as_fd()));
-        // Data frames are checked without it: the hop tag covers the header, decryption the payload. QUIC checks its packets.
+        // Data frames are checked without it: the hop tag covers the header, decryption the
+        // payload. QUIC checks its packets.
         let no_check = |fd| sys::set_option(fd, libc::SOL_UDP, libc::UDP_NO_CHECK6_RX, &1i32).is_ok();
         Ok(Self {
             v6,
@@ -111,7 +115,8 @@ impl SharedUdp {
         }
         let mut addrs = [RawAddr::zeroed(); RUNS];
         let mut controls = [Control::new(); RUNS];
-        // SAFETY: both are plain structures of integers and pointers, for which zero is a valid value.
+        // SAFETY: both are plain structures of integers and pointers, for which zero is a valid
+        // value.
         let (mut iovecs, mut messages): ([libc::iovec; RUNS], [libc::mmsghdr; RUNS]) = unsafe { (zeroed(), zeroed()) };
         for (i, slot) in batch.slots(RUNS, LONGEST_RUN).enumerate() {
             iovecs[i] = libc::iovec { iov_base: slot.as_mut_ptr().cast(), iov_len: slot.len() };
@@ -122,8 +127,8 @@ impl SharedUdp {
             header.msg_iovlen = 1;
             controls[i].make_room(header);
         }
-        // SAFETY: every header points to a buffer, an address and room for control messages that outlive the call, with their
-        // true lengths.
+        // SAFETY: every header points to a buffer, an address and room for control messages that
+        // outlive the call, with their true lengths.
         let count = unsafe { sys::receive(self.data_fd(), &mut messages) }?;
         for (i, message) in messages[..count].iter().enumerate() {
             let Some(from) = addrs[i].socket_addr() else { continue };
@@ -152,7 +157,8 @@ impl SharedUdp {
     }
 }
 
-/// The ECN bits of the byte that IP has for them, and the mark of a router with a long queue (RFC 3168).
+/// The ECN bits of the byte that IP has for them, and the mark of a router with a long queue (RFC
+/// 3168).
 const ECN: libc::c_int = 3;
 const CE: libc::c_int = 3;
 
@@ -172,7 +178,8 @@ impl Run {
     }
 }
 
-/// Two sockets at one address. Nobody else gets it: the first is bound without sharing, and so would another's first be.
+/// Two sockets at one address. Nobody else gets it: the first is bound without sharing, and so
+/// would another's first be.
 fn bind_both(addr: SocketAddr, interface: Option<&str>) -> io::Result<(StdUdpSocket, StdUdpSocket)> {
     const LOAD_BYTE: u32 = libc::BPF_LD | libc::BPF_B | libc::BPF_ABS;
     const JUMP_AT_LEAST: u32 = libc::BPF_JMP | libc::BPF_JGE | libc::BPF_K;
@@ -195,8 +202,8 @@ fn bind_both(addr: SocketAddr, interface: Option<&str>) -> io::Result<(StdUdpSoc
     Ok((quic, data))
 }
 
-/// Nothing that is sent is fragmented, whatever the kernel believes to know of the path; what is received may be joined, and comes
-/// with its ECN bits.
+/// Nothing that is sent is fragmented, whatever the kernel believes to know of the path; what is
+/// received may be joined, and comes with its ECN bits.
 fn prepare_data(data: BorrowedFd, v6: bool) -> io::Result<()> {
     let set = |level, option, value: libc::c_int| sys::set_option(data, level, option, &value);
     // Over IPv4 on a socket for IPv6 as well.

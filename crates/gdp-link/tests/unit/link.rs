@@ -1,4 +1,5 @@
-//! Links over UDP on loopback, with honest peers and others. No root. Ethernet: `tests/tests/networks/link.rs`.
+//! Links over UDP on loopback, with honest peers and others. No root. Ethernet:
+//! `tests/tests/networks/link.rs`.
 
 use gdp_wire::hop;
 use std::collections::HashSet;
@@ -396,7 +397,8 @@ fn random(state: &mut u64) -> u8 {
     (*state >> 56) as u8
 }
 
-/// A client that is not of this project: with no key, or a raw key or a certificate of the given kind.
+/// A client that is not of this project: with no key, or a raw key or a certificate of the given
+/// kind.
 fn foreign_client(key: Option<&'static rcgen::SignatureAlgorithm>, raw: bool) -> quinn::ClientConfig {
     use rustls::client::{AlwaysResolvesClientRawPublicKeys, danger::*};
     use rustls::pki_types::*;

@@ -1,4 +1,5 @@
-//! What files are made into: a `.msg` is one message, a `.srv` and an `.action` are several, which nodes exchange.
+//! What files are made into: a `.msg` is one message, a `.srv` and an `.action` are several, which
+//! nodes exchange.
 
 use super::{Base, Count, Definition, DefinitionError, Field, Problem, Scalar, parse};
 use crate::dialect::Dialect;
@@ -6,11 +7,13 @@ use crate::name::{Kind, TypeName};
 
 /// All messages that a file defines. `name` has the file's name and kind.
 ///
-/// - ROS 2 service `S`: `S_Request`, `S_Response`, `S_Event`, and `S` itself, which holds one of each. Nobody sends that;
-///   its hash is the service's.
-/// - ROS 2 action `A`: `A_Goal`, `A_Result`, `A_Feedback`, the services `A_SendGoal` and `A_GetResult`, `A_FeedbackMessage`, and `A` itself.
+/// - ROS 2 service `S`: `S_Request`, `S_Response`, `S_Event`, and `S` itself, which holds one of
+///   each. Nobody sends that; its hash is the service's.
+/// - ROS 2 action `A`: `A_Goal`, `A_Result`, `A_Feedback`, the services `A_SendGoal` and
+///   `A_GetResult`, `A_FeedbackMessage`, and `A` itself.
 /// - ROS 1 service `S`: `S_Request` and `S_Response`, which ROS 1 writes without `_`.
-/// - ROS 1 action `A`, as `genaction` makes it: `AGoal`, `AResult`, `AFeedback`, each with `Action` between, and `AAction`: plain messages.
+/// - ROS 1 action `A`, as `genaction` makes it: `AGoal`, `AResult`, `AFeedback`, each with `Action`
+///   between, and `AAction`: plain messages.
 ///
 /// # Errors
 /// Names type, line and what would be right.

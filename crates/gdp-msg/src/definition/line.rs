@@ -1,7 +1,7 @@
 //! One `.msg` text, line by line: a field, a constant, or nothing.
 //!
-//! The rules are those of the compilers that the text was written for: `genmsg` (ROS 1) and `rosidl_adapter` (ROS 2). They differ in
-//! where a comment begins and in what a bare `Header` is.
+//! The rules are those of the compilers that the text was written for: `genmsg` (ROS 1) and
+//! `rosidl_adapter` (ROS 2). They differ in where a comment begins and in what a bare `Header` is.
 
 use std::collections::HashSet;
 

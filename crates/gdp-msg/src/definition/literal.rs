@@ -1,4 +1,5 @@
-//! Values of constants and defaults: whether a text is one. They are kept as text, which is what hashes and tools need.
+//! Values of constants and defaults: whether a text is one. They are kept as text, which is what
+//! hashes and tools need.
 
 use super::{Base, Count, Scalar};
 use crate::dialect::Dialect;

@@ -15,7 +15,8 @@ pub use text::split;
 
 use crate::name::{Kind, TypeName};
 
-/// Longest text of definitions that is read, in bytes: `sensor_msgs` whole, with all its comments, is a tenth of it.
+/// Longest text of definitions that is read, in bytes: `sensor_msgs` whole, with all its comments,
+/// is a tenth of it.
 pub const MAX_TEXT: usize = 1 << 20;
 /// Most fields, and most constants, of one type.
 pub const MAX_FIELDS: usize = 1024;
@@ -27,8 +28,8 @@ pub const MAX_ARRAY: u32 = 1 << 26;
 pub struct Definition {
     pub name: TypeName,
     pub constants: Vec<Constant>,
-    /// In the order in which they are serialized. Empty for an empty message, also of ROS 2, whose compilers insert a
-    /// `structure_needs_at_least_one_member` that has no meaning.
+    /// In the order in which they are serialized. Empty for an empty message, also of ROS 2, whose
+    /// compilers insert a `structure_needs_at_least_one_member` that has no meaning.
     pub fields: Vec<Field>,
 }
 
@@ -37,7 +38,8 @@ pub struct Constant {
     /// Never [`Base::Named`].
     pub base: Base,
     pub name: Box<str>,
-    /// As it was written, without white space around it: part of a ROS 1 md5sum. Checked to be a value of the type.
+    /// As it was written, without white space around it: part of a ROS 1 md5sum. Checked to be a
+    /// value of the type.
     pub text: Box<str>,
 }
 
@@ -46,7 +48,8 @@ pub struct Field {
     pub base: Base,
     pub count: Count,
     pub name: Box<str>,
-    /// As it was written, and checked to be a value of the type. ROS 2 nodes begin new messages with it; nothing else does.
+    /// As it was written, and checked to be a value of the type. ROS 2 nodes begin new messages
+    /// with it; nothing else does.
     pub default: Option<Box<str>>,
 }
 
@@ -150,7 +153,8 @@ impl Scalar {
         }
     }
 
-    /// The same with a name that means one thing in both dialects: what [`Scalar::Byte`] and [`Scalar::Char`] are.
+    /// The same with a name that means one thing in both dialects: what [`Scalar::Byte`] and
+    /// [`Scalar::Char`] are.
     pub(crate) fn plain(self, dialect: Dialect) -> Self {
         match (self, dialect) {
             (Self::Byte, Dialect::Ros1) => Self::Int8,

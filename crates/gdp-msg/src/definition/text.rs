@@ -1,5 +1,5 @@
-//! Texts of several definitions: what a ROS 1 connection header, a bag and MCAP's `ros2msg` carry. The type itself first, then each
-//! type that it uses behind a line of `=` and `MSG: package/Type`.
+//! Texts of several definitions: what a ROS 1 connection header, a bag and MCAP's `ros2msg` carry.
+//! The type itself first, then each type that it uses behind a line of `=` and `MSG: package/Type`.
 
 use super::{Definition, DefinitionError, MAX_TEXT, Problem, parse};
 use crate::dialect::Dialect;

@@ -1,6 +1,7 @@
-//! Classic CDR (XCDR1) as ROS 2's vendors write it: scalars aligned to their size, counted from behind the encapsulation; texts with a
-//! terminating zero that their length counts; of wide texts UTF-16 code units in four bytes each, without a terminator
-//! (Fast CDR and `rmw_cyclonedds` agree); one byte for a message without fields.
+//! Classic CDR (XCDR1) as ROS 2's vendors write it: scalars aligned to their size, counted from
+//! behind the encapsulation; texts with a terminating zero that their length counts; of wide texts
+//! UTF-16 code units in four bytes each, without a terminator (Fast CDR and `rmw_cyclonedds`
+//! agree); one byte for a message without fields.
 
 use super::input::Input;
 use super::output::Output;
@@ -9,8 +10,9 @@ use crate::definition::{Count, Scalar};
 
 /// Bytes in front of every payload: representation and options.
 const ENCAPSULATION: usize = 4;
-/// A writer may fill its payload up to a multiple of four. What is serialized apart from being sent, as by `rclpy.serialization` for a bag
-/// that is played later, may have more behind it: `rmw_fastrtps` makes it as long as its estimate of the size, which counts the alignment of
+/// A writer may fill its payload up to a multiple of four. What is serialized apart from being
+/// sent, as by `rclpy.serialization` for a bag that is played later, may have more behind it:
+/// `rmw_fastrtps` makes it as long as its estimate of the size, which counts the alignment of
 /// sequences that are empty, and a terminator of wide texts that is never written.
 const MAX_PADDING: usize = 3;
 
@@ -94,7 +96,8 @@ impl Source for CdrSource<'_> {
         }
         let length = self.word()?;
         if length == 0 {
-            // Not what the standard says, but how some writers put an empty text, and all readers of ROS 2 take it.
+            // Not what the standard says, but how some writers put an empty text, and all readers
+            // of ROS 2 take it.
             return Ok(&[]);
         }
         match self.input.take(self.input.length(length.into(), 1)?)?.split_last() {

@@ -1,5 +1,6 @@
-//! The encodings: each reads and writes one value after the other, as a program of [`crate::mapping`] asks for them. None of them knows
-//! types, and none builds values: what is read goes straight to whoever writes.
+//! The encodings: each reads and writes one value after the other, as a program of
+//! [`crate::mapping`] asks for them. None of them knows types, and none builds values: what is read
+//! goes straight to whoever writes.
 
 pub(crate) mod cdr;
 pub(crate) mod input;
@@ -15,8 +16,8 @@ use crate::definition::{Count, Scalar};
 /// How the bytes of a message are laid out.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub enum Encoding {
-    /// What ROS 2 sends over DDS: classic CDR (XCDR1) behind its four bytes of encapsulation. Read in either byte order, written in
-    /// little endian.
+    /// What ROS 2 sends over DDS: classic CDR (XCDR1) behind its four bytes of encapsulation. Read
+    /// in either byte order, written in little endian.
     Cdr,
     /// The same, written in big endian.
     CdrBigEndian,
@@ -96,17 +97,17 @@ impl Block<'_> {
     }
 }
 
-/// Where messages come from. Scalars are their bits, zero-extended. What has a body here, only JSON has: the others do not see where
-/// messages and their fields begin and end.
+/// Where messages come from. Scalars are their bits, zero-extended. What has a body here, only JSON
+/// has: the others do not see where messages and their fields begin and end.
 pub(crate) trait Source {
     fn scalar(&mut self, kind: Scalar) -> Result<u64>;
-    /// `per` scalars for each element of a fixed array or a sequence, in one piece; `None`, with nothing consumed, where they have to be
-    /// read one by one.
+    /// `per` scalars for each element of a fixed array or a sequence, in one piece; `None`, with
+    /// nothing consumed, where they have to be read one by one.
     fn array(&mut self, kind: Scalar, count: Count, per: u32) -> Result<Option<Block<'_>>>;
     /// UTF-8 if it was `wide`, and else whatever the sender took for text.
     fn text(&mut self, wide: bool) -> Result<&[u8]>;
-    /// Begins a fixed array or a sequence; how many elements follow, where that is known before. `least`: bytes that an element takes at
-    /// least.
+    /// Begins a fixed array or a sequence; how many elements follow, where that is known before.
+    /// `least`: bytes that an element takes at least.
     fn begin(&mut self, count: Count, least: u64) -> Result<Option<u32>>;
     /// Whether there is one more, where the number was not known. `_done`: how many there were.
     fn more(&mut self, _done: u32) -> Result<bool> {
@@ -141,7 +142,8 @@ pub(crate) trait Sink {
     /// What [`Source::array`] gave.
     fn array(&mut self, kind: Scalar, count: Count, per: u32, block: Block<'_>) -> Result<()>;
     fn text(&mut self, wide: bool, text: &[u8]) -> Result<()>;
-    /// Begins a fixed array or a sequence of so many elements, if that is known. What is returned goes to [`Sink::end`].
+    /// Begins a fixed array or a sequence of so many elements, if that is known. What is returned
+    /// goes to [`Sink::end`].
     fn begin(&mut self, count: Count, known: Option<u32>) -> Result<usize>;
     fn element(&mut self, _index: u32) -> Result<()> {
         Ok(())

@@ -7,7 +7,8 @@ use crate::definition::{Base, Constant, Definition, Field, type_text};
 use crate::name::TypeName;
 use crate::schema::Schema;
 
-/// Of a ROS 1 message: of its definition without comments, constants first, each message inside replaced by its md5sum. As 32 hex digits.
+/// Of a ROS 1 message: of its definition without comments, constants first, each message inside
+/// replaced by its md5sum. As 32 hex digits.
 pub fn md5sum(schema: &Schema) -> String {
     hex::encode(md5::compute(text(schema, schema.root(), &mut HashMap::new())).0)
 }

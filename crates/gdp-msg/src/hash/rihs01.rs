@@ -1,5 +1,6 @@
-//! The type hash of ROS 2: version 1 of the ROS Interface Hashing Standard (REP-2011, REP-2016), SHA-256 over the JSON that
-//! `rosidl_generator_type_description` makes of a type and all that it refers to.
+//! The type hash of ROS 2: version 1 of the ROS Interface Hashing Standard (REP-2011, REP-2016),
+//! SHA-256 over the JSON that `rosidl_generator_type_description` makes of a type and all that it
+//! refers to.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -10,7 +11,8 @@ use crate::definition::{Base, Count, Definition, Scalar};
 use crate::dialect::Dialect;
 use crate::schema::Schema;
 
-/// `RIHS01_` and 64 hex digits. That of a service or an action is that of the type with its name, which contains all its parts.
+/// `RIHS01_` and 64 hex digits. That of a service or an action is that of the type with its name,
+/// which contains all its parts.
 pub fn type_hash(schema: &Schema) -> String {
     let mut json = String::from(r#"{"type_description": "#);
     describe(&mut json, schema, schema.root());

@@ -9,8 +9,8 @@ use crate::mapping::options::Note;
 use crate::name::TypeName;
 use crate::schema::Schema;
 
-/// Most steps of a program: hundreds of times those of the largest message of a distribution. Types within types, several of each,
-/// multiply.
+/// Most steps of a program: hundreds of times those of the largest message of a distribution. Types
+/// within types, several of each, multiply.
 const MAX_OPS: usize = 1 << 16;
 
 /// Why messages of one type cannot become messages of another.
@@ -53,7 +53,8 @@ pub(super) fn compile(
 /// What a type is to a program.
 #[derive(Clone, Copy)]
 enum Shape<'a> {
-    /// `signless`: a `byte`, which is signed in one dialect and not in the other, and the same eight bits in both.
+    /// `signless`: a `byte`, which is signed in one dialect and not in the other, and the same
+    /// eight bits in both.
     Scalar {
         kind: Scalar,
         signless: bool,

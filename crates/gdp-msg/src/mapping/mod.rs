@@ -1,5 +1,5 @@
-//! From one type and encoding to another: what is worked out once ([`Mapping::new`]), and what is then done with every message
-//! ([`Mapping::transcode`]).
+//! From one type and encoding to another: what is worked out once ([`Mapping::new`]), and what is
+//! then done with every message ([`Mapping::transcode`]).
 
 mod compile;
 mod options;
@@ -21,7 +21,8 @@ use program::{Op, Program};
 
 pub use compile::MapError;
 
-/// How messages of one type and encoding become messages of another. `Send` and `Sync`; nothing in it changes.
+/// How messages of one type and encoding become messages of another. `Send` and `Sync`; nothing in
+/// it changes.
 #[derive(Debug)]
 pub struct Mapping {
     from: Encoding,
@@ -34,7 +35,8 @@ pub struct Mapping {
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 #[error("{}at byte {offset}: {fault}", if path.is_empty() { String::new() } else { format!("`{path}`, ") })]
 pub struct TranscodeError {
-    /// Of the field, with the indices of its elements: `poses[3].position.x`. Empty where the message as a whole is meant.
+    /// Of the field, with the indices of its elements: `poses[3].position.x`. Empty where the
+    /// message as a whole is meant.
     pub path: String,
     /// How far the message was read, in bytes.
     pub offset: usize,
@@ -42,8 +44,9 @@ pub struct TranscodeError {
 }
 
 impl Mapping {
-    /// Types map if they have the same fields, by name (whatever its case) or, where as many are left on both sides, by position. Of two
-    /// versions of one type, also if one of them has more fields; see [`Mapping::notes`].
+    /// Types map if they have the same fields, by name (whatever its case) or, where as many are
+    /// left on both sides, by position. Of two versions of one type, also if one of them has more
+    /// fields; see [`Mapping::notes`].
     ///
     /// # Errors
     /// Says where the types differ.
@@ -51,8 +54,9 @@ impl Mapping {
         Self::with_frame_prefix(from, from_encoding, to, to_encoding, "")
     }
 
-    /// The same, and `prefix` goes in front of each coordinate frame: `frame_id` of every `std_msgs/Header`, and every text called `child_frame_id`.
-    /// A `/` that a frame begins with, as in old ROS 1, is dropped; a frame that is empty stays so.
+    /// The same, and `prefix` goes in front of each coordinate frame: `frame_id` of every
+    /// `std_msgs/Header`, and every text called `child_frame_id`. A `/` that a frame begins with,
+    /// as in old ROS 1, is dropped; a frame that is empty stays so.
     ///
     /// # Errors
     /// As [`Mapping::new`].
@@ -85,8 +89,8 @@ impl Mapping {
         self.program.ops.iter().any(|op| matches!(op, Op::Frame { .. }))
     }
 
-    /// Writes `input` into `output`, instead of what is in there. Its memory is used again; more is taken as input is read, a few times its
-    /// length at most, and never beyond the limit.
+    /// Writes `input` into `output`, instead of what is in there. Its memory is used again; more is
+    /// taken as input is read, a few times its length at most, and never beyond the limit.
     ///
     /// # Errors
     /// For input that is no message of the type; then `output` is empty.

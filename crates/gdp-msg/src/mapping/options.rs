@@ -7,7 +7,8 @@ use std::fmt;
 pub struct Options {
     /// Most bytes that a message may take when it is written.
     pub max_output: usize,
-    /// `seq` of a header that is a field of the message itself, where ROS 2 has none and ROS 1 has one. Headers further inside get 0.
+    /// `seq` of a header that is a field of the message itself, where ROS 2 has none and ROS 1 has
+    /// one. Headers further inside get 0.
     pub header_seq: u32,
 }
 

@@ -21,8 +21,8 @@ pub(super) enum Unpaired {
     Order(usize),
 }
 
-/// Steps in the order of both sides. Fields pair by name; those that are left, if there are as many on both sides, one after the other if
-/// their types agree.
+/// Steps in the order of both sides. Fields pair by name; those that are left, if there are as many
+/// on both sides, one after the other if their types agree.
 pub(super) fn pair(from: (Dialect, &Definition), to: (Dialect, &Definition)) -> Result<Vec<Step>, Unpaired> {
     let (f, t) = (&from.1.fields, &to.1.fields);
     let mut of: Vec<Option<usize>> = vec![None; t.len()];
@@ -75,7 +75,8 @@ fn steps(from: usize, of: &[Option<usize>]) -> Result<Vec<Step>, Unpaired> {
     Ok(steps)
 }
 
-/// Whether two fields of different names may be one: as far as can be said without looking into messages.
+/// Whether two fields of different names may be one: as far as can be said without looking into
+/// messages.
 fn agree(from: Dialect, a: &Field, to: Dialect, b: &Field) -> bool {
     let counts = match (a.count, b.count) {
         (Count::Sequence(_), Count::Sequence(_)) => true,

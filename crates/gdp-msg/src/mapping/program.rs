@@ -7,7 +7,8 @@ use crate::definition::{Count, Scalar};
 /// One step. Bodies are the steps behind, so many of them.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Op {
-    /// So many in a row; between binary encodings, also those of several fields that are equally large.
+    /// So many in a row; between binary encodings, also those of several fields that are equally
+    /// large.
     Scalars {
         from: Scalar,
         to: Scalar,
@@ -103,7 +104,8 @@ pub(super) struct FieldPlace {
 }
 
 impl Program {
-    /// Of the field that a step is for. `indices`: of the elements on the way to it, the innermost first.
+    /// Of the field that a step is for. `indices`: of the elements on the way to it, the innermost
+    /// first.
     pub fn path(&self, op: usize, indices: &[u32]) -> String {
         self.path_of(self.of.get(op).copied().unwrap_or(0), indices)
     }

@@ -6,8 +6,8 @@ use crate::encode::nothing::{Nowhere, Zeros};
 use crate::encode::{Fault, Result, Sink, Source};
 use crate::mapping::options::Options;
 
-/// Most elements, and most messages without fields, that one message contains: in ROS 1 they take no bytes, so the message's length does
-/// not bound their number.
+/// Most elements, and most messages without fields, that one message contains: in ROS 1 they take
+/// no bytes, so the message's length does not bound their number.
 const MAX_NOTHING: u32 = 1 << 16;
 
 /// Where a program stopped.

@@ -49,7 +49,8 @@ impl Credential {
         }
     }
 
-    /// Domains that a writer may be known in besides its own; a reader's credential names none. Believe it once the credential is verified.
+    /// Domains that a writer may be known in besides its own; a reader's credential names none.
+    /// Believe it once the credential is verified.
     pub fn scope(&self) -> Result<Vec<Name>, CertError> {
         match self {
             Self::Writer(cert) => Ok(cert.cert.claims_unverified()?.scope),
@@ -73,7 +74,8 @@ impl Credential {
         }
     }
 
-    /// Of what a revocation can take back: what it is, and its serial. Believe it once the credential is verified.
+    /// Of what a revocation can take back: what it is, and its serial. Believe it once the
+    /// credential is verified.
     pub fn serials(&self) -> Result<Vec<(&'static str, u64)>, CertError> {
         match self {
             Self::Writer(cert) => cert.serials(),
@@ -91,8 +93,8 @@ pub struct Verified {
     pub not_after: u64,
 }
 
-/// A record's place in the order in which a RIB lists them: by name, of each its writers before its readers; of those
-/// one at each of its switches.
+/// A record's place in the order in which a RIB lists them: by name, of each its writers before its
+/// readers; of those one at each of its switches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct RecordKey {
     pub name: Name,
@@ -102,21 +104,23 @@ pub struct RecordKey {
 }
 
 impl Record {
-    /// Where the record is listed; an error if the entity's key is not one, or the statement none that is listed.
+    /// Where the record is listed; an error if the entity's key is not one, or the statement none
+    /// that is listed.
     pub fn place(&self) -> Result<RecordKey, CertError> {
         let (role, entity) = (self.role()?, self.entity.name()?);
         Ok(RecordKey { name: self.name, role, entity, switch: self.switch })
     }
 
-    /// What the entity says it is to the name. Believe it once the record is [verified](Self::verify).
+    /// What the entity says it is to the name. Believe it once the record is
+    /// [verified](Self::verify).
     pub fn role(&self) -> Result<NameRole, CertError> {
         let op = self.advert.claims_unverified()?.op;
         NameRole::of(op).ok_or_else(|| CertError::Malformed("a record of a withdrawal".into()))
     }
 
-    /// Verifies the record as if nobody had before: derivation of both names, the credential at `now` (Unix seconds) under
-    /// the newest revocation that is known of the name, and the entity's own statement. What domains have taken back,
-    /// [`Credential::check_member`] says.
+    /// Verifies the record as if nobody had before: derivation of both names, the credential at
+    /// `now` (Unix seconds) under the newest revocation that is known of the name, and the entity's
+    /// own statement. What domains have taken back, [`Credential::check_member`] says.
     pub fn verify(&self, revocation: Option<&Revocation>, now: u64) -> Result<Verified, CertError> {
         let name = self.proof.name()?;
         if name != self.name {

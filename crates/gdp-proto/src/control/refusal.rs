@@ -3,7 +3,8 @@
 use serde::Deserialize;
 use serde::Serialize;
 
-/// Why a request was refused: a code for programs and a sentence that names the thing and the remedy for people.
+/// Why a request was refused: a code for programs and a sentence that names the thing and the
+/// remedy for people.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[error("{reason}")]
 pub struct Refusal {
@@ -12,7 +13,8 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// A refusal with this code and sentence; an overlong sentence is cut, so that it always fits a response.
+    /// A refusal with this code and sentence; an overlong sentence is cut, so that it always fits a
+    /// response.
     pub fn new(code: RefusalCode, reason: impl Into<String>) -> Self {
         const LONGEST: usize = 1024;
         let mut reason = reason.into();
@@ -44,7 +46,8 @@ pub enum RefusalCode {
     Revoked,
     /// The delegation, membership or role that the certificate needs is not there.
     NotEntitled,
-    /// The serial of the statement is not above the floor of its entity, or a revocation older than the one known.
+    /// The serial of the statement is not above the floor of its entity, or a revocation older than
+    /// the one known.
     ReplayedSerial,
     /// Nothing is known of the name.
     NotFound,

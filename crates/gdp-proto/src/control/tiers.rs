@@ -1,7 +1,9 @@
-//! What the RIBs of neighbouring domains tell each other: types only. The daemon's `tiers` send and judge them.
+//! What the RIBs of neighbouring domains tell each other: types only. The daemon's `tiers` send and
+//! judge them.
 //!
-//! A message goes from a RIB to the border switch that has the link, across it, and on to the other domain's RIB. The border attests
-//! the domain of the link's peer, so a domain speaks only for itself; for what others are said to have stated, they have signed.
+//! A message goes from a RIB to the border switch that has the link, across it, and on to the other
+//! domain's RIB. The border attests the domain of the link's peer, so a domain speaks only for
+//! itself; for what others are said to have stated, they have signed.
 
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
@@ -40,18 +42,21 @@ pub enum TierLeg {
 /// RIB → the RIB of a neighbouring domain.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum TierRequest {
-    /// To a parent, first and every few seconds: I am your child. Answered with [`TierResponse::Hello`]. `run`: of the pushes to that one.
+    /// To a parent, first and every few seconds: I am your child. Answered with
+    /// [`TierResponse::Hello`]. `run`: of the pushes to that one.
     Hello { run: u64, holds: Option<TierHolds> },
     /// What I have for you.
     Push(Box<TierPush>),
-    /// To a parent: who publishes and reads this name? `path`: the domains that have asked already, the first of them for itself.
+    /// To a parent: who publishes and reads this name? `path`: the domains that have asked already,
+    /// the first of them for itself.
     Query { name: Name, path: Vec<Name> },
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum TierResponse {
     Done,
-    /// Taken in but for so many entries, or borders in locators, of which this is the reason of the first.
+    /// Taken in but for so many entries, or borders in locators, of which this is the reason of the
+    /// first.
     Partly {
         refused: u32,
         reason: String,
@@ -70,17 +75,20 @@ pub enum TierResponse {
     Refused(Refusal),
 }
 
-/// Which push of the other side was the last that was taken in: so it sees whether this side holds what it should.
+/// Which push of the other side was the last that was taken in: so it sees whether this side holds
+/// what it should.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TierHolds {
     pub run: u64,
     pub generation: u64,
 }
 
-/// A change of what a neighbour is told, or a part of its whole, as a [`FibPush`](super::FibPush) is for a switch.
+/// A change of what a neighbour is told, or a part of its whole, as a [`FibPush`](super::FibPush)
+/// is for a switch.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct TierPush {
-    /// Another number whenever what this neighbour is told begins anew: after a restart, or when it was no neighbour for a while.
+    /// Another number whenever what this neighbour is told begins anew: after a restart, or when it
+    /// was no neighbour for a while.
     pub run: u64,
     /// Counts up by one with each push of the run.
     pub generation: u64,

@@ -1,4 +1,5 @@
-//! What a switch answers to a probe that ended at it, and what borders ask each other to trace a name into other domains: types only.
+//! What a switch answers to a probe that ended at it, and what borders ask each other to trace a
+//! name into other domains: types only.
 
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
@@ -6,7 +7,8 @@ use serde::{Deserialize, Serialize};
 /// Switches of other domains that an answer lists, at most.
 pub const MAX_BEYOND: usize = 16;
 
-/// A probe ended at a switch. Believed only by who knows its cookie, and as a hint: switches of the domain pass it on.
+/// A probe ended at a switch. Believed only by who knows its cookie, and as a hint: switches of the
+/// domain pass it on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Traced {
     /// Random, of the probe.
@@ -22,8 +24,8 @@ pub struct Traced {
 pub struct TracedEnd {
     /// Links to local endpoints.
     pub links: u32,
-    /// By links into other domains: the domain, and its switch at the other end; [`MAX_BEYOND`] of them at most. What lies behind these, they are asked by
-    /// [`TraceOn`].
+    /// By links into other domains: the domain, and its switch at the other end; [`MAX_BEYOND`] of
+    /// them at most. What lies behind these, they are asked by [`TraceOn`].
     pub beyond: Vec<(Name, Name)>,
 }
 
@@ -39,8 +41,8 @@ pub const MAX_TRACED_SWITCHES: usize = 256;
 pub struct TraceOn {
     pub leg: TraceLeg,
     pub name: Name,
-    /// The domains that frames for the name have crossed before, the first that of who traces and the last that of who asks: 1 to
-    /// [`MAX_PATH`](super::MAX_PATH). No domain is entered twice.
+    /// The domains that frames for the name have crossed before, the first that of who traces and
+    /// the last that of who asks: 1 to [`MAX_PATH`](super::MAX_PATH). No domain is entered twice.
     pub path: Vec<Name>,
     /// Milliseconds for which the answer is waited for.
     pub within_ms: u32,
@@ -55,16 +57,18 @@ pub enum TraceLeg {
     Across,
 }
 
-/// A domain on the way to a name. What a domain says of itself and of those behind it is its word, and no more.
+/// A domain on the way to a name. What a domain says of itself and of those behind it is its word,
+/// and no more.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TracedDomain {
-    /// Links between domains from the border that was asked: 1 for the domain at the other end of that border's link. A domain that is
-    /// behind another follows it, one deeper.
+    /// Links between domains from the border that was asked: 1 for the domain at the other end of
+    /// that border's link. A domain that is behind another follows it, one deeper.
     pub depth: u8,
     pub domain: Name,
     /// Its switch at the link by which it is entered.
     pub entry: Name,
-    /// µs from the border before it to that switch and back, in their data planes; none: there was no answer.
+    /// µs from the border before it to that switch and back, in their data planes; none: there was
+    /// no answer.
     pub rtt_us: Option<u64>,
     pub crossing: Crossing,
 }
@@ -76,7 +80,8 @@ pub enum Crossing {
     Traced {
         /// Links to its endpoints that the name is delivered to.
         links: u32,
-        /// µs from the entry to the slowest of the egress switches and back; none: not all have answered.
+        /// µs from the entry to the slowest of the egress switches and back; none: not all have
+        /// answered.
         time_us: Option<u64>,
         /// The switches behind the entry, unless the domain hides them.
         switches: Option<Vec<TracedSwitch>>,

@@ -28,8 +28,9 @@ impl Default for Bits {
 }
 
 impl Bits {
-    /// Gives a switch that is new a bit, which it keeps until it is forgotten: the one it `had`, if that is free, or else one
-    /// that is not `taken` by somebody who is not known here, if there is such a one.
+    /// Gives a switch that is new a bit, which it keeps until it is forgotten: the one it `had`, if
+    /// that is free, or else one that is not `taken` by somebody who is not known here, if there is
+    /// such a one.
     pub fn give(&mut self, switch: Name, had: Option<u8>, taken: impl Fn(u8) -> bool) -> Result<(), Full> {
         if !self.given.contains_key(&switch) {
             let same = self.free.iter().position(|bit| Some(*bit) == had);

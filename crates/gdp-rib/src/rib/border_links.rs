@@ -1,9 +1,10 @@
-//! By which borders other domains are reached. Pure; the RIB fills it from what it is told, and asks where a name leaves and where
-//! it may come in.
+//! By which borders other domains are reached. Pure; the RIB fills it from what it is told, and
+//! asks where a name leaves and where it may come in.
 //!
-//! What is sent to a domain leaves by one way, so that nothing arrives twice: the cheapest, and of several such one that differs from
-//! name to name. The other side chooses for itself, by its own costs and when it notices changes; so what comes from there may come
-//! by any of the ways between the two, and for a while by those that have just gone.
+//! What is sent to a domain leaves by one way, so that nothing arrives twice: the cheapest, and of
+//! several such one that differs from name to name. The other side chooses for itself, by its own
+//! costs and when it notices changes; so what comes from there may come by any of the ways between
+//! the two, and for a while by those that have just gone.
 
 use crate::rib::model::{At, Realm};
 use std::cmp::Reverse;
@@ -16,8 +17,8 @@ use gdp_wire::siphash::siphash24;
 use super::bits::Bits;
 use crate::rib::model::Key;
 
-/// How long frames may come by a way that is no more, and before what can leave by another leaves by a new one: until the other side has
-/// noticed, too.
+/// How long frames may come by a way that is no more, and before what can leave by another leaves
+/// by a new one: until the other side has noticed, too.
 pub(super) const GRACE: Duration = Duration::from_secs(2);
 
 #[derive(Clone, Debug, Default)]
@@ -100,7 +101,8 @@ impl BorderLinks {
         })
     }
 
-    /// The way by which what is sent to the name leaves for the realm: a direct one, if there is any.
+    /// The way by which what is sent to the name leaves for the realm: a direct one, if there is
+    /// any.
     fn elect(&self, name: &Key, realm: &Realm, bits: &Bits) -> Option<&BorderLink> {
         let best = |(is_fresh, domain): (bool, &Name)| {
             let ways = self.present.get(domain)?.iter().filter(|way| bits.of(&way.border).is_some());

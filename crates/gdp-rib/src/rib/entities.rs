@@ -1,5 +1,6 @@
-//! The entities a RIB knows: where they are attached, by which of their links, how far their serials are spent, which names they
-//! have. One that has neither an attachment nor a name is forgotten at once; what remains of all of those is one number.
+//! The entities a RIB knows: where they are attached, by which of their links, how far their
+//! serials are spent, which names they have. One that has neither an attachment nor a name is
+//! forgotten at once; what remains of all of those is one number.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -15,7 +16,8 @@ use crate::rib::model::Now;
 use crate::rib::model::{count_out, limit_reached};
 use crate::rib::registration::EntityIdentity;
 
-/// How far ahead of the RIB's clock a serial may be, read as Unix time in nanoseconds, if it does not just count up: 2 days.
+/// How far ahead of the RIB's clock a serial may be, read as Unix time in nanoseconds, if it does
+/// not just count up: 2 days.
 const SERIAL_AHEAD: u64 = 2 * 24 * 3600;
 
 #[derive(Debug)]
@@ -41,8 +43,9 @@ pub(super) struct Entities {
     known: HashMap<Name, Entity>,
     /// Those without an attachment, that tools speak for: how many through each switch.
     unattached: HashMap<Name, usize>,
-    /// The highest serial spent by any entity that is forgotten. It is the floor of all that are not known, so that what one
-    /// of them stated cannot be presented again: memory is bounded, however many come and go.
+    /// The highest serial spent by any entity that is forgotten. It is the floor of all that are
+    /// not known, so that what one of them stated cannot be presented again: memory is bounded,
+    /// however many come and go.
     forgotten: u64,
     journal: Journal,
 }
@@ -61,11 +64,12 @@ impl Entities {
         self.known.get(name).map_or(self.forgotten, |entity| entity.floor)
     }
 
-    /// A verified statement is spent, whatever becomes of it: nobody may present it again. `limit`: of entities without an
-    /// attachment through one switch.
+    /// A verified statement is spent, whatever becomes of it: nobody may present it again. `limit`:
+    /// of entities without an attachment through one switch.
     ///
-    /// One stranger could otherwise end the serials of all by stating the highest there is, and being forgotten; so they may
-    /// jump no further than the clock does, which leaves some to everybody.
+    /// One stranger could otherwise end the serials of all by stating the highest there is, and
+    /// being forgotten; so they may jump no further than the clock does, which leaves some to
+    /// everybody.
     pub fn spend(&mut self, now: Now, name: Name, through: Name, serial: u64, limit: usize) -> Result<(), Refusal> {
         let (floor, furthest) = (self.floor(&name), furthest(now));
         if serial > floor.saturating_add(1) && serial > furthest {
@@ -186,7 +190,8 @@ impl Entities {
         self.forgotten = self.forgotten.max(floor.min(furthest(now)));
     }
 
-    /// Has the serials of an entity spent so far at least; no further than a statement could spend them.
+    /// Has the serials of an entity spent so far at least; no further than a statement could spend
+    /// them.
     pub fn restore(&mut self, now: Now, name: Name, floor: u64, through: Name) {
         let floor = floor.min(furthest(now));
         let entity = self.known.entry(name).or_insert_with(|| {

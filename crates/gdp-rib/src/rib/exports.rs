@@ -1,5 +1,6 @@
-//! What other RIBs may be told of registrations, those here and those that yet others told of: which have changed, and each with
-//! all that goes with it. Whom it concerns is for the caller to decide.
+//! What other RIBs may be told of registrations, those here and those that yet others told of:
+//! which have changed, and each with all that goes with it. Whom it concerns is for the caller to
+//! decide.
 
 use std::collections::BTreeSet;
 
@@ -16,14 +17,16 @@ use crate::rib::registration::Registration;
 #[derive(Clone, Debug)]
 pub struct Export {
     pub record: Record,
-    /// The keys of what the entity sends to the name, and to its counterparts there, for those of them that are abroad.
+    /// The keys of what the entity sends to the name, and to its counterparts there, for those of
+    /// them that are abroad.
     pub boxes: Vec<Signed<KeyBox>>,
     /// Its domain, and the neighbour that told of it; none: the registration was made here.
     pub origin: Option<(Name, Name)>,
 }
 
 impl Rib {
-    /// The places, here and abroad, of which something else is to be told than at the last call. The first call gives all there are.
+    /// The places, here and abroad, of which something else is to be told than at the last call.
+    /// The first call gives all there are.
     pub fn take_changed_places(&mut self) -> BTreeSet<RecordKey> {
         self.abroad.changed.replace(BTreeSet::new()).unwrap_or_else(|| self.names.all_places().collect())
     }

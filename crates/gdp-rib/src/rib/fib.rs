@@ -1,5 +1,5 @@
-//! What one switch's FIB should hold, as a [`Feed`] of routes, and what the switch last said of it. Pure state; the RIB fills it
-//! and sends what [`Fib::next`] returns.
+//! What one switch's FIB should hold, as a [`Feed`] of routes, and what the switch last said of it.
+//! Pure state; the RIB fills it and sends what [`Fib::next`] returns.
 
 use std::time::Duration;
 
@@ -8,8 +8,9 @@ use gdp_wire::Name;
 
 use crate::feed::{Feed, Room};
 
-/// What one push takes: a message has at most 64 KiB, and the rest is for what encloses the routes. A single route always fits: a
-/// name has at most as many readers at a switch as that has links, and 256 writers.
+/// What one push takes: a message has at most 64 KiB, and the rest is for what encloses the routes.
+/// A single route always fits: a name has at most as many readers at a switch as that has links,
+/// and 256 writers.
 const ROOM: Room = Room { entries: NAMES_PER_PUSH, bytes: 56 * 1024 };
 const NAMES_PER_PUSH: usize = 400;
 
@@ -50,7 +51,8 @@ impl Fib {
         self.routes.set(name.to_bytes(), route);
     }
 
-    /// Sends the whole again: the switch is new or was away, or gets another bit. An answer that is still out no longer counts.
+    /// Sends the whole again: the switch is new or was away, or gets another bit. An answer that is
+    /// still out no longer counts.
     pub fn restart(&mut self) {
         self.routes.restart();
     }
@@ -76,7 +78,8 @@ impl Fib {
         }
     }
 
-    /// Whether the switch has answered what there is to say of this name; or has failed to, so that waiting is of no use.
+    /// Whether the switch has answered what there is to say of this name; or has failed to, so that
+    /// waiting is of no use.
     pub fn is_settled(&self, name: &[u8; 32]) -> bool {
         self.routes.is_settled(name)
     }

@@ -1,9 +1,9 @@
-//! Under its own name every attached entity can be reached, by those it exchanges messages with and nobody else: who that is,
-//! and which switches therefore need a route for it. One that is attached to several switches is reached at each of them. Pairs of
-//! counterparts go in, routes come out.
+//! Under its own name every attached entity can be reached, by those it exchanges messages with and
+//! nobody else: who that is, and which switches therefore need a route for it. One that is attached
+//! to several switches is reached at each of them. Pairs of counterparts go in, routes come out.
 //!
-//! An entity of another domain that has a counterpart is reached by the border toward it, and its frames, to whomever, may come by
-//! the links that lead there.
+//! An entity of another domain that has a counterpart is reached by the border toward it, and its
+//! frames, to whomever, may come by the links that lead there.
 
 use crate::rib::model::InboxOwner;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -42,7 +42,8 @@ pub(super) struct Inboxes {
 }
 
 impl Inboxes {
-    /// Whether `new` may have these counterparts besides those it has: whether there is room for what [`Self::allow`] adds.
+    /// Whether `new` may have these counterparts besides those it has: whether there is room for
+    /// what [`Self::allow`] adds.
     pub fn check_room(&self, new: InboxOwner, others: &[InboxOwner], limits: &Limits) -> Result<(), Refusal> {
         let limit = limits.counterparts;
         let is_full = |entity: &Name, more: usize| self.reaches.get(entity).copied().unwrap_or_default() + more > limit;
@@ -77,7 +78,8 @@ impl Inboxes {
         }
     }
 
-    /// Lets `sender` send to `inbox`, for one more reason. Returns where the route for it may change.
+    /// Lets `sender` send to `inbox`, for one more reason. Returns where the route for it may
+    /// change.
     pub fn allow(&mut self, inbox: InboxOwner, sender: InboxOwner) -> Vec<At> {
         let new = || Inbox { homes: BTreeMap::new(), senders: BTreeMap::new() };
         let held = self.inboxes.entry(inbox.entity.to_bytes()).or_insert_with(new);
@@ -93,7 +95,8 @@ impl Inboxes {
         self.affected(inbox, sender)
     }
 
-    /// One reason less. Returns where the route may change, and whether `sender` may no longer send from anywhere.
+    /// One reason less. Returns where the route may change, and whether `sender` may no longer send
+    /// from anywhere.
     pub fn deny(&mut self, inbox: InboxOwner, sender: InboxOwner) -> (Vec<At>, bool) {
         let before = self.affected(inbox, sender);
         if !self.remove(inbox, sender) {
@@ -108,7 +111,8 @@ impl Inboxes {
         (before, ended)
     }
 
-    /// Where the inbox comes or goes: with another switch of its own, the routes of all that send there change.
+    /// Where the inbox comes or goes: with another switch of its own, the routes of all that send
+    /// there change.
     fn affected(&self, inbox: InboxOwner, sender: InboxOwner) -> Vec<At> {
         let held = self.inboxes.get(inbox.entity.as_bytes());
         let only_one = held.is_some_and(|held| held.homes.len() > 1 && held.homes.get(&inbox.at) == Some(&1));

@@ -1,5 +1,6 @@
-//! Parts that entities of other domains have in names, as the RIBs of those domains tell. They are taken in like what is stated here,
-//! and routed over borders: by which, [`super::border_links`] says. What is told on to other RIBs is in [`super::exports`].
+//! Parts that entities of other domains have in names, as the RIBs of those domains tell. They are
+//! taken in like what is stated here, and routed over borders: by which, [`super::border_links`]
+//! says. What is told on to other RIBs is in [`super::exports`].
 
 use crate::rib::border_links::BorderLink;
 use crate::rib::remote_registrations::Foreign;
@@ -25,10 +26,11 @@ use crate::rib::model::{limit_reached, refusal};
 use crate::rib::registration::{EntityIdentity, Registration, Remote, shared};
 
 impl Rib {
-    /// Takes in, or replaces, what the neighbour `foreign.next` told of one place. Verified here but for the domain of its switch.
-    /// Of several neighbours that tell of one place, the one with the newest statement counts, and of those the nearest; the word of
-    /// the others is kept for when that one takes back its own. Key boxes are taken one after the other, up to one that is refused: for
-    /// what reason, is returned.
+    /// Takes in, or replaces, what the neighbour `foreign.next` told of one place. Verified here
+    /// but for the domain of its switch. Of several neighbours that tell of one place, the one with
+    /// the newest statement counts, and of those the nearest; the word of the others is kept for
+    /// when that one takes back its own. Key boxes are taken one after the other, up to one that is
+    /// refused: for what reason, is returned.
     pub fn set_foreign(&mut self, now: Now, foreign: Foreign) -> Result<Option<Refusal>, Refusal> {
         self.tick(now);
         let Foreign { record, domain, next, hops, boxes, local } = foreign;
@@ -98,8 +100,8 @@ impl Rib {
         places.iter().for_each(|place| self.remove_foreign(now, place, next));
     }
 
-    /// The links into each neighbouring domain are now these, all of them. A domain that is not named here is reached by those to the
-    /// neighbour that told of its entities.
+    /// The links into each neighbouring domain are now these, all of them. A domain that is not
+    /// named here is reached by those to the neighbour that told of its entities.
     pub fn set_ways(&mut self, now: Now, ways: BTreeMap<Name, Vec<BorderLink>>) {
         self.tick(now);
         let changed = self.ways.set(now.clock, ways, self.limits.ways_per_domain);
@@ -130,8 +132,8 @@ impl Rib {
         }
     }
 
-    /// What an entity has stated abroad counts, and not what it had stated here before: it has moved, though the link that it had here may
-    /// not be missed yet.
+    /// What an entity has stated abroad counts, and not what it had stated here before: it has
+    /// moved, though the link that it had here may not be missed yet.
     fn forget_here(&mut self, registration_key: RegistrationKey, serial: u64) {
         let earlier = self.names.all_of(&registration_key.name, &registration_key.entity, registration_key.role);
         let earlier = earlier.filter(|it| it.is_here() && !it.everywhere && it.serial < serial);
@@ -139,7 +141,8 @@ impl Rib {
         switches.into_iter().for_each(|switch| self.unregister(registration_key, switch));
     }
 
-    /// A registration is over. What another neighbour says of it counts then, if it came from abroad.
+    /// A registration is over. What another neighbour says of it counts then, if it came from
+    /// abroad.
     pub(super) fn end(&mut self, now: Now, registration_key: RegistrationKey, switch: Name) {
         let place = place_of(registration_key, switch);
         self.unregister(registration_key, switch);
@@ -251,7 +254,8 @@ impl Rib {
         Ok(())
     }
 
-    /// Brings the desired FIBs in line with other ways. Only names with a part in the domains concerned are looked at.
+    /// Brings the desired FIBs in line with other ways. Only names with a part in the domains
+    /// concerned are looked at.
     fn follow_ways(&mut self, changed: &Changed) {
         let mut names: BTreeMap<Key, BTreeSet<Name>> = BTreeMap::new();
         for (realm, parts) in &self.abroad.names {

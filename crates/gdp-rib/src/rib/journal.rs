@@ -1,5 +1,6 @@
-//! What of the RIB is to outlive it in a store, item by item: which items have changed since somebody last asked. What an item is
-//! worth to a RIB that reads it back is decided in [`super::restore`].
+//! What of the RIB is to outlive it in a store, item by item: which items have changed since
+//! somebody last asked. What an item is worth to a RIB that reads it back is decided in
+//! [`super::restore`].
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -8,8 +9,9 @@ use std::str::FromStr;
 use gdp_proto::control::{NameRole, RecordKey};
 use gdp_wire::Name;
 
-/// Something that is stored, by what it is about. In the order in which a RIB can take it back: registrations need the
-/// switches and attachments they are bound to, key boxes the registrations they are for.
+/// Something that is stored, by what it is about. In the order in which a RIB can take it back:
+/// registrations need the switches and attachments they are bound to, key boxes the registrations
+/// they are for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Item {
     /// The highest serial of all entities that are forgotten.
@@ -28,7 +30,8 @@ pub enum Item {
     KeyBox { name: Name, writer: Name, epoch: u32, reader: Name },
 }
 
-/// As the key of the item in a store: words and hex digits between slashes, so that people can list them.
+/// As the key of the item in a store: words and hex digits between slashes, so that people can list
+/// them.
 impl fmt::Display for Item {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

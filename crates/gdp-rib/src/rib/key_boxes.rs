@@ -13,8 +13,8 @@ use crate::rib::model::RegistrationKey;
 use crate::rib::model::refusal;
 
 impl Rib {
-    /// One after the other: those before one that is refused are kept. A box may be for a reader that is not there, or not
-    /// yet: only one that shows the owner's grant is given it.
+    /// One after the other: those before one that is refused are kept. A box may be for a reader
+    /// that is not there, or not yet: only one that shows the owner's grant is given it.
     pub(super) fn key_boxes(
         &mut self,
         now: Now,

@@ -1,15 +1,18 @@
-//! The routing information base: which entities are attached where, who publishes and reads which name, and what each
-//! switch's FIB must therefore hold. Sans-IO: time and requests go in, a response and [`Effect`]s come out. No sockets,
-//! no clock, no data plane; the daemon in [`gdp_daemon::serve`] moves what travels.
+//! The routing information base: which entities are attached where, who publishes and reads which
+//! name, and what each switch's FIB must therefore hold. Sans-IO: time and requests go in, a
+//! response and [`Effect`]s come out. No sockets, no clock, no data plane; the daemon in
+//! [`gdp_daemon::serve`] moves what travels.
 //!
-//! Nothing is stored before it is verified: the derivation of names, the certificates and what their owner has revoked of
-//! them, the entity's own statement and its serial. The FIB of every switch is derived from what is stored, and from the
-//! paths in [`paths`]. Here is what goes in and out; [`statements`] takes what entities state, [`key_boxes`] and [`revoke`]
-//! what goes with it, [`reports`] what switches say; [`interdomain`] takes what RIBs of other domains tell, and [`exports`] gives what they may
-//! be told.
+//! Nothing is stored before it is verified: the derivation of names, the certificates and what
+//! their owner has revoked of them, the entity's own statement and its serial. The FIB of every
+//! switch is derived from what is stored, and from the paths in [`paths`]. Here is what goes in and
+//! out; [`statements`] takes what entities state, [`key_boxes`] and [`revoke`] what goes with it,
+//! [`reports`] what switches say; [`interdomain`] takes what RIBs of other domains tell, and
+//! [`exports`] gives what they may be told.
 //!
-//! Nobody has to believe this: who is told of others verifies their records again, who is given a key verifies who wrapped it,
-//! and who holds a newer revocation than the RIB gives keeps to that. What a RIB that lies can do is to withhold.
+//! Nobody has to believe this: who is told of others verifies their records again, who is given a
+//! key verifies who wrapped it, and who holds a newer revocation than the RIB gives keeps to that.
+//! What a RIB that lies can do is to withhold.
 
 mod bits;
 mod border_links;
@@ -70,7 +73,8 @@ pub use exports::Export;
 pub use journal::Item;
 pub use restore::{MAX_ITEM, RestoreError, decode_item, encode_item};
 
-/// How long the names of a switch that nobody reaches stay: a restart or a short partition must not cost the FIBs.
+/// How long the names of a switch that nobody reaches stay: a restart or a short partition must not
+/// cost the FIBs.
 pub const RESTART_TIME: Duration = Duration::from_secs(10);
 
 /// How long after it is reached a switch that has not reported is asked to.
@@ -83,8 +87,8 @@ pub enum Effect {
     Fib(FibPush),
     /// To an entity, through its switch. To be answered with [`Rib::told`].
     Peers(PeersPush),
-    /// The RIB holds no attachment of `entity` at `switch`: it must attach again. If the entity is the switch itself,
-    /// the RIB does not know the switch: it must report in full.
+    /// The RIB holds no attachment of `entity` at `switch`: it must attach again. If the entity is
+    /// the switch itself, the RIB does not know the switch: it must report in full.
     Detach { switch: Name, entity: Name },
 }
 
@@ -120,10 +124,11 @@ pub struct Rib {
 /// One life of a RIB.
 #[derive(Clone, Copy, Debug)]
 pub struct Run {
-    /// Higher than that of the RIB before, as far as that can be known; and another number each time.
+    /// Higher than that of the RIB before, as far as that can be known; and another number each
+    /// time.
     pub id: u64,
-    /// Until this time (as [`Now::clock`]) what an earlier RIB had the switches hold counts besides: entities are still to
-    /// state again what they had stated to that one.
+    /// Until this time (as [`Now::clock`]) what an earlier RIB had the switches hold counts
+    /// besides: entities are still to state again what they had stated to that one.
     pub settling: Duration,
 }
 
@@ -203,8 +208,8 @@ impl Rib {
         answer.unwrap_or_else(Response::from)
     }
 
-    /// What is known of a name anybody may hear who knows the name; to have names listed, one has to be attached here, or be the switch
-    /// that asks (for those who run it).
+    /// What is known of a name anybody may hear who knows the name; to have names listed, one has
+    /// to be attached here, or be the switch that asks (for those who run it).
     fn query(
         &mut self,
         now: Now,
@@ -226,7 +231,8 @@ impl Rib {
         Ok(self.names.query(now.clock, prefix, after))
     }
 
-    /// Whether a switch is known. If not, it is told to report, and what it asks is worth another attempt.
+    /// Whether a switch is known. If not, it is told to report, and what it asks is worth another
+    /// attempt.
     fn check_reported(&mut self, switch: Name) -> Result<(), Refusal> {
         if self.switches.contains_key(&switch) {
             return Ok(());
@@ -236,7 +242,8 @@ impl Rib {
         Err(Refusal::new(RefusalCode::Unreachable, reason))
     }
 
-    /// Takes a switch's report of all entities attached to it, with the egress bit it has had so far.
+    /// Takes a switch's report of all entities attached to it, with the egress bit it has had so
+    /// far.
     pub fn report(&mut self, now: Now, switch: &NameProof, attached: &[Name], own_bit: Option<u8>) -> Response {
         self.tick(now);
         let taken = self.try_report(now, switch, attached, own_bit);
@@ -251,7 +258,8 @@ impl Rib {
         self.judge_reach(now);
     }
 
-    /// An entity's link to `switch` is gone, and with it all that was bound to it. What it has elsewhere stays.
+    /// An entity's link to `switch` is gone, and with it all that was bound to it. What it has
+    /// elsewhere stays.
     pub fn detach(&mut self, now: Now, switch: &Name, entity: &Name) -> Response {
         self.tick(now);
         self.end_attachments_at(entity, switch);
@@ -287,13 +295,15 @@ impl Rib {
         self.peer_updates.tick(now.clock);
     }
 
-    /// When [`Self::tick`] and [`Self::effects`] have something to do, if nothing else happens before.
+    /// When [`Self::tick`] and [`Self::effects`] have something to do, if nothing else happens
+    /// before.
     pub fn next_tick(&self) -> Option<Duration> {
         let retries = self.switches.values().filter_map(|s| s.fib.retry_at());
         retries.chain(self.timers.first().map(|(at, _)| *at)).chain(self.peer_updates.retry_at()).min()
     }
 
-    /// Takes out what is to be sent now. To each switch one FIB push is out at a time, to each entity one about a name and role.
+    /// Takes out what is to be sent now. To each switch one FIB push is out at a time, to each
+    /// entity one about a name and role.
     pub fn effects(&mut self, now: Now) -> Vec<Effect> {
         let mut effects: Vec<_> = std::mem::take(&mut self.detached)
             .into_iter()
@@ -320,8 +330,8 @@ impl Rib {
         }
     }
 
-    /// Whether what an entity was to be told arrived; if not, it is told the whole through another of its
-    /// switches, or a while later.
+    /// Whether what an entity was to be told arrived; if not, it is told the whole through another
+    /// of its switches, or a while later.
     pub fn told(&mut self, now: Now, told: UpdateId, arrived: bool) {
         let other = self.told_elsewhere(told.registration_key, &told.switch);
         if let Some(held) = self.peer_updates.answered(now.clock, told, arrived, other) {
@@ -329,8 +339,9 @@ impl Rib {
         }
     }
 
-    /// Whether all switches that need a route for what an entity stated have answered that they hold it (or have failed to
-    /// answer), and are on the map with their egress bit: for the name, and for what it and its counterparts send each other.
+    /// Whether all switches that need a route for what an entity stated have answered that they
+    /// hold it (or have failed to answer), and are on the map with their egress bit: for the name,
+    /// and for what it and its counterparts send each other.
     pub fn is_settled(&self, name: &Name, entity: &Name, role: NameRole) -> bool {
         let is_on_the_map = |switch: &Name| {
             let bit = self.bits.of(switch);
@@ -348,7 +359,8 @@ impl Rib {
             && switches.flat_map(others).all(|(at, other)| settled(&at, &other))
     }
 
-    /// To be asked once a statement at `at` is settled: takes it back there if a switch has no room for the route it needs.
+    /// To be asked once a statement at `at` is settled: takes it back there if a switch has no room
+    /// for the route it needs.
     pub fn check_room(&mut self, name: &Name, entity: &Name, role: NameRole, at: &Name) -> Result<(), Refusal> {
         let lacking = |switch| self.switches.get(switch)?.fib.lacking();
         // Frames of a service go to the names of its parties.
@@ -410,7 +422,8 @@ impl Rib {
         self.names.len()
     }
 
-    /// How many names there are that somebody reads or calls, and nobody publishes or serves; and those.
+    /// How many names there are that somebody reads or calls, and nobody publishes or serves; and
+    /// those.
     pub fn unserved(&self) -> (usize, impl Iterator<Item = Name>) {
         self.names.unserved()
     }

@@ -45,14 +45,16 @@ pub struct Limits {
     pub readers_per_switch: usize,
     /// Entities that one entity exchanges messages with.
     pub counterparts: usize,
-    /// The same for all entities at a switch: as many pairs of names and links does its data plane hold for them.
+    /// The same for all entities at a switch: as many pairs of names and links does its data plane
+    /// hold for them.
     pub counterparts_per_switch: usize,
     /// Readers that one writer has key boxes for, of one name and epoch.
     pub box_readers: usize,
     pub boxes_per_entity: usize,
     /// Of all entities at a switch.
     pub boxes_per_switch: usize,
-    /// Revocations of names that somebody has a part in, and that came in by one origin; more count as the following.
+    /// Revocations of names that somebody has a part in, and that came in by one origin; more count
+    /// as the following.
     pub used_revocations: usize,
     /// Revocations of names that nobody has a part in.
     pub idle_revocations: usize,
@@ -132,8 +134,8 @@ pub struct RegistrationKey {
 }
 
 impl RegistrationKey {
-    /// What an entity is to its own name: it takes what its counterparts send there. Of this it is told nothing but who has
-    /// keys for it.
+    /// What an entity is to its own name: it takes what its counterparts send there. Of this it is
+    /// told nothing but who has keys for it.
     pub fn inbox(entity: Name) -> Self {
         Self { name: entity.to_bytes(), entity, role: NameRole::Subscriber }
     }
@@ -164,7 +166,8 @@ impl From<&PeersPush> for UpdateId {
     }
 }
 
-/// The entities of one domain that one neighbouring domain told of. All are reached by the same ways.
+/// The entities of one domain that one neighbouring domain told of. All are reached by the same
+/// ways.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Realm {
     pub next: Name,

@@ -1,5 +1,5 @@
-//! Who publishes, serves, reads and calls each name, with the certificates that prove it, and which switches need a route
-//! for it.
+//! Who publishes, serves, reads and calls each name, with the certificates that prove it, and which
+//! switches need a route for it.
 
 use crate::rib::model::Key;
 use crate::rib::registration::Registration;
@@ -36,7 +36,8 @@ impl Names {
         self.all.len()
     }
 
-    /// How many there are that somebody takes and nobody sends to, and those; none of the others is looked at.
+    /// How many there are that somebody takes and nobody sends to, and those; none of the others is
+    /// looked at.
     pub fn unserved(&self) -> (usize, impl Iterator<Item = Name>) {
         (self.unserved.len(), self.unserved.iter().copied().map(Name::from_bytes))
     }
@@ -94,20 +95,22 @@ impl Names {
         removed
     }
 
-    /// Drops a name that nobody has any part in. If it did: when that was to be [looked at](Self::look).
+    /// Drops a name that nobody has any part in. If it did: when that was to be [looked
+    /// at](Self::look).
     pub fn sweep(&mut self, name: &Key) -> Option<Duration> {
         self.all.get(name).filter(|topic| topic.parts().next().is_none())?;
         self.all.remove(name).map(|topic| topic.look_at)
     }
 
-    /// A part in the name ends then: has it looked at then at the latest. Returns when that was to be before, if that was later.
+    /// A part in the name ends then: has it looked at then at the latest. Returns when that was to
+    /// be before, if that was later.
     pub fn look_by(&mut self, name: &Key, ends: Duration) -> Option<Duration> {
         let topic = self.all.get_mut(name).filter(|topic| ends < topic.look_at)?;
         Some(std::mem::replace(&mut topic.look_at, ends))
     }
 
-    /// The parts in the name that are over, and when the next one is. It is not to be looked at again before [somebody
-    /// asks](Self::look_by) for it.
+    /// The parts in the name that are over, and when the next one is. It is not to be looked at
+    /// again before [somebody asks](Self::look_by) for it.
     pub fn look(&mut self, name: &Key, now: Duration) -> (Vec<(RegistrationKey, Name)>, Option<Duration>) {
         let Some(topic) = self.all.get_mut(name) else { return (Vec::new(), None) };
         topic.look_at = Duration::MAX;
@@ -153,7 +156,8 @@ impl Names {
         self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).of(entity))
     }
 
-    /// Whether all that an entity has stated of this says the same as `other`, and it has stated any.
+    /// Whether all that an entity has stated of this says the same as `other`, and it has stated
+    /// any.
     pub fn tell_the_same(&self, name: &Key, entity: &Name, role: NameRole, other: &Registration) -> bool {
         let mut all = self.all_of(name, entity, role).peekable();
         all.peek().is_some() && all.all(|registration| registration.tells_the_same(other))
@@ -195,7 +199,8 @@ impl Names {
         topic.map_or_else(BTreeSet::new, |topic| topic.switches(map))
     }
 
-    /// Those with this role in a name that can be reached, with what they stated; an entity as often as it has stated it.
+    /// Those with this role in a name that can be reached, with what they stated; an entity as
+    /// often as it has stated it.
     pub fn bound(&self, name: &Key, role: NameRole) -> impl Iterator<Item = (Name, &Registration)> {
         let all = self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).iter());
         all.filter(|(_, registration)| registration.bound).map(|((entity, _), registration)| (entity, registration))
@@ -252,7 +257,8 @@ impl Names {
         all.filter(|(_, r)| !r.stands_after(revocation)).map(|((entity, switch), r)| (entity, r.role, switch)).collect()
     }
 
-    /// Those whose credential rests on a membership that this revocation of a domain takes back, each with its switch.
+    /// Those whose credential rests on a membership that this revocation of a domain takes back,
+    /// each with its switch.
     pub fn expelled(&self, of_domain: &Revocation) -> Vec<(RegistrationKey, Name)> {
         let newest = |domain: &Name| (*domain == of_domain.name).then_some(of_domain);
         let all = self.all.iter().flat_map(|(name, topic)| {
@@ -263,7 +269,8 @@ impl Names {
         gone.map(|(registration_key, switch, _)| (registration_key, switch)).collect()
     }
 
-    /// The switches whose route changes because registrations of the name `at` these switches did, or ways over them.
+    /// The switches whose route changes because registrations of the name `at` these switches did,
+    /// or ways over them.
     pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
         match self.all.get_mut(name) {
             Some(topic) => topic.reroute(name, at, map),
@@ -276,8 +283,8 @@ impl Names {
         self.all.get(name)?.route(name, switch, map)
     }
 
-    /// The records of the names that begin so and lie behind `after`, as far as one message holds them, and entities of this domain may
-    /// know them.
+    /// The records of the names that begin so and lie behind `after`, as far as one message holds
+    /// them, and entities of this domain may know them.
     pub fn query(&self, now: Duration, prefix: &NamePrefix, after: Option<&RecordKey>) -> Response {
         let padded: Option<Name> = format!("{:0<64}", prefix.as_str()).parse().ok();
         let begin = padded.unwrap_or_default();

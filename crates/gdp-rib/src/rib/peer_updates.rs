@@ -1,8 +1,10 @@
-//! What each attached entity is told of its counterparts in a name, and how far it is known to hold that: the whole in
-//! parts after its statement, changes while it follows, the whole again after a failure. Each name and role of an entity
-//! is one stream of messages, one of which is out at a time. Streams of one switch share what may be out there, so that
-//! entities that do not answer hold up none elsewhere, and little there. Of a stream that has nothing to say, as almost all have, nothing
-//! is kept here: what its entity holds then is [noted](super::names::Registration::told) with what it has stated.
+//! What each attached entity is told of its counterparts in a name, and how far it is known to hold
+//! that: the whole in parts after its statement, changes while it follows, the whole again after a
+//! failure. Each name and role of an entity is one stream of messages, one of which is out at a
+//! time. Streams of one switch share what may be out there, so that entities that do not answer
+//! hold up none elsewhere, and little there. Of a stream that has nothing to say, as almost all
+//! have, nothing is kept here: what its entity holds then is
+//! [noted](super::names::Registration::told) with what it has stated.
 
 use crate::rib::model::RegistrationKey;
 use std::collections::btree_map::Entry;
@@ -22,7 +24,8 @@ use crate::rib::registration::Registration;
 pub(super) const AT_ONCE: usize = 64;
 const AT_ONCE_TO_ONE: usize = 4;
 
-/// How long after a message that did not arrive the whole is sent: doubled from the first to the second.
+/// How long after a message that did not arrive the whole is sent: doubled from the first to the
+/// second.
 const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(32));
 
 /// What an entity that is gone takes in a message.
@@ -52,7 +55,8 @@ pub(super) struct PeerUpdates {
 struct Stream {
     switch: Name,
     phase: Phase,
-    /// Counterparts of which other records, or none any more, are to be told; and those of which only boxes.
+    /// Counterparts of which other records, or none any more, are to be told; and those of which
+    /// only boxes.
     records: BTreeSet<Name>,
     boxes: BTreeSet<Name>,
     revocation: bool,
@@ -64,8 +68,8 @@ struct Stream {
     /// The whole was told while the RIB settled: it is to be told again.
     is_unsettled: bool,
     wait: Duration,
-    /// From when on it may turn to another switch because of a failure: once in a [wait](Self::wait), so that an entity that takes
-    /// nothing anywhere is not told without end.
+    /// From when on it may turn to another switch because of a failure: once in a
+    /// [wait](Self::wait), so that an entity that takes nothing anywhere is not told without end.
     turns_from: Duration,
 }
 
@@ -101,8 +105,9 @@ struct EntityQueue {
 }
 
 impl PeerUpdates {
-    /// Tells of all counterparts from now on. Returns the first part, which is the answer to the statement that began it, and what the
-    /// entity holds with it, if it is to be told nothing more. `only`: there is no other way to it.
+    /// Tells of all counterparts from now on. Returns the first part, which is the answer to the
+    /// statement that began it, and what the entity holds with it, if it is to be told nothing
+    /// more. `only`: there is no other way to it.
     pub fn begin(
         &mut self,
         registration_key: RegistrationKey,
@@ -147,7 +152,8 @@ impl PeerUpdates {
         }
     }
 
-    /// Has an entity told that its credential is revoked. Once: one that does not hear it is refused next time.
+    /// Has an entity told that its credential is revoked. Once: one that does not hear it is
+    /// refused next time.
     pub fn farewell(&mut self, registration_key: RegistrationKey, switch: Name) {
         self.streams.insert(registration_key, Stream::new(switch, Phase::Farewell).into());
         self.queue(registration_key);
@@ -163,7 +169,8 @@ impl PeerUpdates {
         self.mark(names, registration_key, |stream| _ = stream.boxes.insert(counterpart));
     }
 
-    /// A counterpart has boxes for what it sends to the entity itself. The stream begins with the first of them.
+    /// A counterpart has boxes for what it sends to the entity itself. The stream begins with the
+    /// first of them.
     pub fn inbox_boxes_changed(
         &mut self,
         names: &Names,
@@ -219,8 +226,9 @@ impl PeerUpdates {
         pushes
     }
 
-    /// Whether a message arrived; if not, the whole follows: through `other`, if that is another way that has not been tried just
-    /// now, or a while later. Returns what the entity holds, if it is to be told nothing more.
+    /// Whether a message arrived; if not, the whole follows: through `other`, if that is another
+    /// way that has not been tried just now, or a while later. Returns what the entity holds, if it
+    /// is to be told nothing more.
     pub fn answered(&mut self, now: Duration, told: UpdateId, arrived: bool, other: Option<Name>) -> Option<u64> {
         let UpdateId { switch, registration_key, generation } = told;
         if let Some(turns) = self.switches.get_mut(&switch) {
@@ -246,7 +254,8 @@ impl PeerUpdates {
         None
     }
 
-    /// Has the rest told, if there is any. Else the stream ends, unless there are several ways to the entity; returns what that holds.
+    /// Has the rest told, if there is any. Else the stream ends, unless there are several ways to
+    /// the entity; returns what that holds.
     fn go_on(&mut self, registration_key: RegistrationKey, only: bool) -> Option<u64> {
         if only
             && !registration_key.is_inbox()
@@ -438,7 +447,8 @@ impl Stream {
 }
 
 impl Source<'_> {
-    /// Adds the counterparts behind `after`, as many as there is room for. Returns the last of them, if there are more.
+    /// Adds the counterparts behind `after`, as many as there is room for. Returns the last of
+    /// them, if there are more.
     fn fill(self, peers: &mut Peers, registration_key: &RegistrationKey, after: Option<Name>) -> Option<Name> {
         let (mut room, mut end) = (RECORDS_SIZE, after);
         let mut add = |counterpart: Name| {

@@ -28,16 +28,19 @@ pub struct Registration {
     pub advert: Signed<Advert>,
     /// Of the statement.
     pub serial: u64,
-    /// Domains besides the one that it is stated in, that may know it; of those that read or call always empty.
+    /// Domains besides the one that it is stated in, that may know it; of those that read or call
+    /// always empty.
     pub scope: Arc<[Name]>,
-    /// What is stated at other switches stands besides; and this one sends it on each link of the entity.
+    /// What is stated at other switches stands besides; and this one sends it on each link of the
+    /// entity.
     pub everywhere: bool,
     pub ends: Duration,
-    /// Ends with the attachment of its entity; the entity is told of its counterparts, and can be reached by them. One from abroad can
-    /// be reached; what it is told is for the RIB there.
+    /// Ends with the attachment of its entity; the entity is told of its counterparts, and can be
+    /// reached by them. One from abroad can be reached; what it is told is for the RIB there.
     pub bound: bool,
-    /// The generation that the entity holds of what it is told of the name through this switch, while there is nothing more to tell: no
-    /// [stream](super::peer_updates) is kept for it then. 0: there is one, or it is told elsewhere.
+    /// The generation that the entity holds of what it is told of the name through this switch,
+    /// while there is nothing more to tell: no [stream](super::peer_updates) is kept for it then.
+    /// 0: there is one, or it is told elsewhere.
     pub told: u64,
 }
 
@@ -73,8 +76,8 @@ pub struct Kind {
 }
 
 impl Kind {
-    /// Whether a writer of this kind and a reader of `other` kind are counterparts here: as far as the writer's scope goes, and not if
-    /// their messages reach each other without passing here.
+    /// Whether a writer of this kind and a reader of `other` kind are counterparts here: as far as
+    /// the writer's scope goes, and not if their messages reach each other without passing here.
     pub fn meets(&self, other: &Self) -> bool {
         match (self.realm, other.realm) {
             (None, None) => true,
@@ -134,7 +137,8 @@ impl Registration {
         }
     }
 
-    /// Whether a counterpart that knows `other` need not be told of this one. Who calls a service wants to know where its servers are.
+    /// Whether a counterpart that knows `other` need not be told of this one. Who calls a service
+    /// wants to know where its servers are.
     pub fn tells_the_same(&self, other: &Self) -> bool {
         let is_as_near = self.role != NameRole::Server || self.switch == other.switch;
         self.credential == other.credential
@@ -144,7 +148,8 @@ impl Registration {
     }
 }
 
-/// Whether one of this role and kind exchanges messages with one of the opposite role and kind `other`.
+/// Whether one of this role and kind exchanges messages with one of the opposite role and kind
+/// `other`.
 pub fn meets(role: NameRole, kind: &Kind, other: &Kind) -> bool {
     if role.is_writer() { kind.meets(other) } else { other.meets(kind) }
 }

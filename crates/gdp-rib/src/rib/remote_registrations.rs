@@ -15,13 +15,15 @@ use std::collections::BTreeMap;
 use std::collections::BTreeSet;
 use std::collections::HashMap;
 
-/// A part that an entity of another domain has in a name, as that domain's RIB told, or one between.
+/// A part that an entity of another domain has in a name, as that domain's RIB told, or one
+/// between.
 #[derive(Clone, Debug)]
 pub struct Foreign {
     pub record: Record,
     /// Of which the record's switch is a member; the caller has verified that.
     pub domain: Name,
-    /// The neighbouring domain it came from: the next on the way to `domain`, where that has no border with this one.
+    /// The neighbouring domain it came from: the next on the way to `domain`, where that has no
+    /// border with this one.
     pub next: Name,
     /// Domains it has passed, its own included: 1 if it came from its own.
     pub hops: u32,

@@ -1,5 +1,6 @@
-//! What is known of switches: who is attached to them, as they report, and whether they are reached, as the topology of the
-//! RIB's own switch says. One that nobody reaches any more is forgotten after a while, with all that came through it.
+//! What is known of switches: who is attached to them, as they report, and whether they are
+//! reached, as the topology of the RIB's own switch says. One that nobody reaches any more is
+//! forgotten after a while, with all that came through it.
 
 use std::collections::BTreeSet;
 
@@ -44,7 +45,8 @@ impl Rib {
         Ok(())
     }
 
-    /// Compares the entities that are attached to a switch with those the RIB knows of, and sends it the whole FIB.
+    /// Compares the entities that are attached to a switch with those the RIB knows of, and sends
+    /// it the whole FIB.
     fn reconcile(&mut self, switch: &Name, attached: &[Name]) {
         let attached: BTreeSet<Name> = attached.iter().copied().collect();
         let Some(state) = self.switches.get_mut(switch) else { return };
@@ -85,8 +87,9 @@ impl Rib {
         }
     }
 
-    /// Somebody the RIB has not heard of states a bit that it gave to another switch, and had it before: as after a
-    /// partition. Switches send what bears that bit to whoever had it first, so the other one gets a new one.
+    /// Somebody the RIB has not heard of states a bit that it gave to another switch, and had it
+    /// before: as after a partition. Switches send what bears that bit to whoever had it first, so
+    /// the other one gets a new one.
     pub(super) fn settle_bits(&mut self) {
         let lost = |(switch, bit): &(Name, u8)| {
             let has = self.paths.bits.get(bit);

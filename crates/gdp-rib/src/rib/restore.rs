@@ -1,7 +1,8 @@
-//! What is stored of the RIB, and how another RIB takes it back. Nothing that is read is believed because of where it was: all of
-//! it is verified as if a stranger had said it now, under bounds that hold for statements as well. What cannot be proven (where
-//! entities are attached, how far their serials are spent, egress bits) does no more than a switch could say, and ends
-//! unless the switch says it as well.
+//! What is stored of the RIB, and how another RIB takes it back. Nothing that is read is believed
+//! because of where it was: all of it is verified as if a stranger had said it now, under bounds
+//! that hold for statements as well. What cannot be proven (where entities are attached, how far
+//! their serials are spent, egress bits) does no more than a switch could say, and ends unless the
+//! switch says it as well.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -158,8 +159,8 @@ impl Rib {
         encoded.inspect_err(|error| tracing::error!(%item, %error, "cannot be stored")).ok()
     }
 
-    /// Takes back what an earlier RIB of this domain had stored; call in the order of the items, and [`Self::restored`] after the
-    /// last.
+    /// Takes back what an earlier RIB of this domain had stored; call in the order of the items,
+    /// and [`Self::restored`] after the last.
     pub fn restore(&mut self, now: Now, item: &Item, bytes: &[u8]) -> Result<(), RestoreError> {
         match item {
             Item::Floor => self.entities.restore_forgotten(now, decode_item(bytes)?),
@@ -267,7 +268,8 @@ impl Rib {
             return Err(RestoreError::Misplaced);
         }
         let proof = self.proof_of(&writer).ok_or(RestoreError::Unbound)?;
-        // It may be attached to several switches, and may send to an inbox through one of them only.
+        // It may be attached to several switches, and may send to an inbox through one of them
+        // only.
         let switches = self.entities.attachments(&writer).map(|(_, attachment)| attachment.switch);
         let mut here: BTreeSet<Name> = switches.collect();
         here.extend(self.entities.known(&writer).map(|(_, through)| through));

@@ -1,6 +1,6 @@
-//! The newest revocation of each name: what its owner has taken back. Kept while anybody has a part in the name, and after
-//! that as long as there is room. Each origin has its share of it, here and in the file that outlives the RIB, so that a flood
-//! pushes out those of its own origin first.
+//! The newest revocation of each name: what its owner has taken back. Kept while anybody has a part
+//! in the name, and after that as long as there is room. Each origin has its share of it, here and
+//! in the file that outlives the RIB, so that a flood pushes out those of its own origin first.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -16,7 +16,8 @@ use crate::rib::model::Limits;
 pub(super) struct StoredRevocation {
     pub kept: Kept,
     pub claims: Revocation,
-    /// Its place among those that may go; none while it stays, because somebody has a part in the name.
+    /// Its place among those that may go; none while it stays, because somebody has a part in the
+    /// name.
     idle: Option<u64>,
 }
 
@@ -48,8 +49,8 @@ impl Revocations {
         self.held.get(name).map(|held| &held.claims)
     }
 
-    /// Keeps a verified revocation that [replaces](Revocation::check_replaces) the one that is held. `is_used`: somebody has a
-    /// part in the name.
+    /// Keeps a verified revocation that [replaces](Revocation::check_replaces) the one that is
+    /// held. `is_used`: somebody has a part in the name.
     pub fn put(&mut self, name: Key, kept: Kept, claims: Revocation, is_used: bool, limits: &Limits) {
         self.remove(&name);
         let share = self.shares.entry(kept.origin).or_default();
@@ -71,8 +72,8 @@ impl Revocations {
         self.changes
     }
 
-    /// Those of each origin in turn, as many bytes of one as of another: first those of names that somebody has a part in, then the
-    /// others, the one that has been so for longest last.
+    /// Those of each origin in turn, as many bytes of one as of another: first those of names that
+    /// somebody has a part in, then the others, the one that has been so for longest last.
     pub fn all(&self) -> Vec<Kept> {
         let mut all: Vec<&StoredRevocation> = self.held.values().collect();
         all.sort_by_key(|held| held.idle.map_or(0, |place| u64::MAX - place));
@@ -100,7 +101,8 @@ impl Revocations {
         }
     }
 
-    /// Nobody has a part in the name any more. Of too many such the oldest goes, of the origin that has most.
+    /// Nobody has a part in the name any more. Of too many such the oldest goes, of the origin that
+    /// has most.
     pub fn leave(&mut self, name: &Key, limits: &Limits) {
         let Some(held) = self.held.get_mut(name).filter(|held| held.idle.is_none()) else { return };
         let Some(share) = self.shares.get_mut(&held.kept.origin) else { return };

@@ -1,5 +1,5 @@
-//! Takes in an owner's revocation: what no longer holds goes at once, and all that have a part in the name are told. Nobody but
-//! the owner can make one, so it does not matter who brings it.
+//! Takes in an owner's revocation: what no longer holds goes at once, and all that have a part in
+//! the name are told. Nobody but the owner can make one, so it does not matter who brings it.
 
 use gdp_core::cert::{CertError, Revocation, Signed};
 use gdp_core::name::NameProof;
@@ -56,7 +56,8 @@ impl Rib {
         }
     }
 
-    /// Takes in what a domain has taken back, which was verified: by a grant to a role, only those read that have it still.
+    /// Takes in what a domain has taken back, which was verified: by a grant to a role, only those
+    /// read that have it still.
     pub fn domain_revoked(&mut self, now: Now, claims: &Revocation) {
         self.tick(now);
         self.domains.insert(claims.name, claims.clone());

@@ -1,5 +1,6 @@
-//! What entities state: that they are attached, what they are to which names. Verified here, stored, and followed up: routes
-//! for the names, routes between counterparts, and who is to be told.
+//! What entities state: that they are attached, what they are to which names. Verified here,
+//! stored, and followed up: routes for the names, routes between counterparts, and who is to be
+//! told.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -24,7 +25,8 @@ use crate::rib::model::RegistrationKey;
 use crate::rib::model::{limit_reached, refusal};
 use crate::rib::registration::{Registration, shared};
 
-/// Between two looks at which parts in a name are over: of a name that very many read, some always are.
+/// Between two looks at which parts in a name are over: of a name that very many read, some always
+/// are.
 const BETWEEN_ENDS: Duration = Duration::from_secs(1);
 
 /// A statement that is verified, with what it rests on.
@@ -194,10 +196,11 @@ impl Rib {
         self.entities.spend(now, requester.entity, requester.switch, serial, self.limits.unattached_per_switch)
     }
 
-    /// Each lane of an entity is attached to one switch. Attaching it again there only renews, if it resumes what was: a link
-    /// that does not come back is told of by a detach. Attaching it elsewhere ends what was, unless another lane is there; the old
-    /// switch is told, in case its link is still up: the entity must not believe that it is attached there. An entity that begins
-    /// anew has no other lanes.
+    /// Each lane of an entity is attached to one switch. Attaching it again there only renews, if
+    /// it resumes what was: a link that does not come back is told of by a detach. Attaching it
+    /// elsewhere ends what was, unless another lane is there; the old switch is told, in case its
+    /// link is still up: the entity must not believe that it is attached there. An entity that
+    /// begins anew has no other lanes.
     fn attach(&mut self, requester: &Requester, lane: u8, ends: Duration, resumes: bool) -> Result<(), Refusal> {
         let limit = self.limits.attached_per_switch;
         let full = |s: &super::Switch| s.attached.len() >= limit && !s.attached.contains(&requester.entity);
@@ -246,7 +249,8 @@ impl Rib {
         self.entities.retire(entity);
     }
 
-    /// An entity is no longer to be told of this through `switch`, but through another one, if it has stated it there.
+    /// An entity is no longer to be told of this through `switch`, but through another one, if it
+    /// has stated it there.
     fn tell_elsewhere(&mut self, registration_key: RegistrationKey, switch: &Name) {
         let other = self.told_elsewhere(registration_key, switch);
         self.peer_updates.follow(&registration_key, switch, other);
@@ -402,7 +406,8 @@ impl Rib {
         others.map(|(entity, other)| InboxOwner { entity, at: other.at() })
     }
 
-    /// Lets an entity and its counterparts send to each other's inbox, because of what it stated at `switch`.
+    /// Lets an entity and its counterparts send to each other's inbox, because of what it stated at
+    /// `switch`.
     fn join(&mut self, registration_key: RegistrationKey, switch: &Name) {
         let mut affected = BTreeSet::new();
         let new = self.names.get_at(&registration_key.name, &registration_key.entity, registration_key.role, switch);
@@ -426,7 +431,8 @@ impl Rib {
         self.reroute_inboxes(affected);
     }
 
-    /// The inboxes that concern an entity with this part in a name, each with who sends there for it.
+    /// The inboxes that concern an entity with this part in a name, each with who sends there for
+    /// it.
     fn pairs(&self, registration_key: RegistrationKey, registration: &Registration) -> Vec<(InboxOwner, InboxOwner)> {
         let place = InboxOwner { entity: registration_key.entity, at: registration.at() };
         let others =
@@ -448,7 +454,8 @@ impl Rib {
         others.map(|(entity, _)| RegistrationKey { name, entity, role }).collect()
     }
 
-    /// Brings the desired FIBs in line with what is registered for one name, after a change at these places.
+    /// Brings the desired FIBs in line with what is registered for one name, after a change at
+    /// these places.
     pub(super) fn follow_up(&mut self, name: Key, at: &[At]) {
         let map = self.map();
         let switches = at.iter().flat_map(|at| map.switches(at)).collect();
@@ -474,7 +481,8 @@ impl Rib {
         }
     }
 
-    /// A name that an entity advertises for another, as only its key can allow, is not an inbox for as long.
+    /// A name that an entity advertises for another, as only its key can allow, is not an inbox for
+    /// as long.
     pub(super) fn reroute(&mut self, name: Key, switches: impl IntoIterator<Item = Name>) {
         let is_stated = self.names.contains(&name);
         for switch in switches {

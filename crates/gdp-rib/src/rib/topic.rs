@@ -1,5 +1,5 @@
-//! One name: those who have a part in it, and where it is therefore routed. What is registered and the [`Map`] go in, routes come
-//! out. Called by [`super::names`].
+//! One name: those who have a part in it, and where it is therefore routed. What is registered and
+//! the [`Map`] go in, routes come out. Called by [`super::names`].
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -27,9 +27,11 @@ pub(super) struct Topic {
 /// Where frames to a name go.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Spread {
-    /// By the switches at which they come in: all that send, or where what is sent abroad may come in.
+    /// By the switches at which they come in: all that send, or where what is sent abroad may come
+    /// in.
     egress: BTreeMap<Name, u64>,
-    /// Those who send and those who take what is sent, if the name concerns other domains; within one all send to all.
+    /// Those who send and those who take what is sent, if the name concerns other domains; within
+    /// one all send to all.
     met: Option<Box<[BTreeSet<Kind>; 2]>>,
 }
 
@@ -88,8 +90,8 @@ impl Topic {
         all.map(move |(role, entity, switch)| RecordKey { name, role, entity, switch })
     }
 
-    /// Whether somebody publishes the name and somebody reads it. A service is not routed: its servers and callers send to each other's
-    /// own names.
+    /// Whether somebody publishes the name and somebody reads it. A service is not routed: its
+    /// servers and callers send to each other's own names.
     pub fn is_routed(&self) -> bool {
         self.spread.is_some()
     }
@@ -101,10 +103,12 @@ impl Topic {
         here.chain(borders).collect()
     }
 
-    /// The switches whose route changes because registrations `at` these switches did, or ways over them.
+    /// The switches whose route changes because registrations `at` these switches did, or ways over
+    /// them.
     ///
-    /// There are no routes unless somebody publishes the name and somebody reads it. One more taker at a switch concerns that
-    /// switch alone; the first or the last one there also those where frames come in.
+    /// There are no routes unless somebody publishes the name and somebody reads it. One more taker
+    /// at a switch concerns that switch alone; the first or the last one there also those where
+    /// frames come in.
     pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
         let spread = Some(self.spread(name, map)).filter(|spread| !spread.egress.is_empty());
         let before = std::mem::replace(&mut self.spread, spread.map(Box::new));
@@ -170,8 +174,9 @@ impl Topic {
     }
 }
 
-/// Those who have one role in a name; an entity as often as it has stated it at different switches. Of most names there is one, of some
-/// there are thousands: of neither is more kept than is needed to find them.
+/// Those who have one role in a name; an entity as often as it has stated it at different switches.
+/// Of most names there is one, of some there are thousands: of neither is more kept than is needed
+/// to find them.
 #[derive(Debug, Default)]
 pub(super) struct Registrations {
     /// By entity and switch, in that order.

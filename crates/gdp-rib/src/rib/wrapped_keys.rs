@@ -1,5 +1,6 @@
-//! Key boxes: the content keys of writers, each wrapped for one reader. StoredKeys beside the writer's advertisement, so that it need
-//! not be asked when a reader comes; only the reader can open them, and it verifies again who wrapped them.
+//! Key boxes: the content keys of writers, each wrapped for one reader. StoredKeys beside the
+//! writer's advertisement, so that it need not be asked when a reader comes; only the reader can
+//! open them, and it verifies again who wrapped them.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Bound;
@@ -112,7 +113,8 @@ impl WrappedKeyStore {
         }
     }
 
-    /// What a counterpart has for the entity: the keys of what it sends to the name, if the entity is to take that.
+    /// What a counterpart has for the entity: the keys of what it sends to the name, if the entity
+    /// is to take that.
     pub fn between(
         &self,
         registration_key: &RegistrationKey,

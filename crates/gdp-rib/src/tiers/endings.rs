@@ -15,8 +15,8 @@ use super::verification::{Judged, Revoked, Verification};
 use crate::rib::Now;
 
 impl Tiers {
-    /// An owner of a name, or a domain, has taken something back: what rests on it goes, and neighbours that have to do with the name are
-    /// told, but for the one that said so.
+    /// An owner of a name, or a domain, has taken something back: what rests on it goes, and
+    /// neighbours that have to do with the name are told, but for the one that said so.
     pub fn reconsider(&mut self, now: Now, about: Name, said_by: Option<Name>, revoked: &impl Revoked) {
         for (_, side) in self.sides.iter_mut().filter(|(domain, _)| said_by != Some(**domain)) {
             if let Some(kept) = revoked.kept(&about)
@@ -42,7 +42,8 @@ impl Tiers {
                 member.is_some_and(|member| member.domain.name().is_ok_and(|domain| domain == about))
             };
             let elsewhere = |held: &&Arc<TableRecord>| held.place.name != about && held.path.first() != Some(&about);
-            // There is no index of those who read for a role in a domain that they are not in: domains take something back rarely.
+            // There is no index of those who read for a role in a domain that they are not in:
+            // domains take something back rarely.
             let all = is_domain.then(|| side.table.parts()).into_iter().flatten();
             let of_members = all.filter(elsewhere).filter(is_of_member);
             for held in side.table.parts_about(about).chain(of_members) {
@@ -115,8 +116,8 @@ impl Tiers {
         sides.chain(self.endings.next()).chain(self.queries.next_tick()).min()
     }
 
-    /// Of what a neighbour said of where domain `about` is reached, a border is over: the others stay. What was taken back of them is gone
-    /// already.
+    /// Of what a neighbour said of where domain `about` is reached, a border is over: the others
+    /// stay. What was taken back of them is gone already.
     fn border_ended(&mut self, now: Now, domain: Name, about: Name) {
         let key = TierKey::Locator(about);
         let Some(side) = self.sides.get_mut(&domain) else { return };

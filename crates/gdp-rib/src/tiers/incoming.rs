@@ -33,7 +33,8 @@ impl Tiers {
     fn hello(&mut self, now: Now, from: Name, run: u64, holds: Option<TierHolds>) -> Result<TierResponse, Refusal> {
         if self.parents.contains(&from) || from == self.home {
             let reason = format!(
-                "domains {:#} and {from:#} each have the other for their parent: take `parent: true` away from one of them",
+                "domains {:#} and {from:#} each have the other for their parent: take `parent: true` away from one \
+                 of them",
                 self.home
             );
             self.count(from, "cycle");
@@ -106,7 +107,8 @@ impl Tiers {
                 }
                 entry => entry,
             };
-            // What it said before about the same it says no more, even if what it says now is refused.
+            // What it said before about the same it says no more, even if what it says now is
+            // refused.
             let key = key_of(&entry);
             let judged = judge.entry(from, &side.table, entry);
             let fits = |judged: &Judged| side.table.check_room(&judged.key, &judged.item, &self.limits);
@@ -210,7 +212,8 @@ impl Tiers {
     }
 }
 
-/// Whether somebody in domain `asker` who knows the name may hear of a part in it: writers have a scope.
+/// Whether somebody in domain `asker` who knows the name may hear of a part in it: writers have a
+/// scope.
 pub(super) fn may_hear(held: &TableRecord, asker: Name, home: Name) -> bool {
     held.origin(home) != asker && (!held.place.role.is_writer() || held.scope.contains(&asker))
 }

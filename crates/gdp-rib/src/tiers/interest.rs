@@ -8,13 +8,14 @@ use gdp_wire::Name;
 
 use super::table::TableRecord;
 
-/// Those on one side who have a part in a name, by their domains: however many they are, a domain is looked at once.
+/// Those on one side who have a part in a name, by their domains: however many they are, a domain
+/// is looked at once.
 #[derive(Debug, Default)]
 pub struct Interest {
     /// Where those who read or call are, by role.
     readers: BTreeMap<NameRole, BTreeSet<Name>>,
-    /// By role, and the domain that is in their scope: where those who publish or serve are. Of more than two domains two are kept,
-    /// one of which is another than any that is asked for.
+    /// By role, and the domain that is in their scope: where those who publish or serve are. Of
+    /// more than two domains two are kept, one of which is another than any that is asked for.
     writers: BTreeMap<(NameRole, Name), BTreeSet<Name>>,
 }
 
@@ -41,7 +42,8 @@ impl Interest {
         self.readers.is_empty() && self.writers.is_empty()
     }
 
-    /// Whether one of them exchanges messages with `other`: in another domain, and in the scope of whichever of the two writes.
+    /// Whether one of them exchanges messages with `other`: in another domain, and in the scope of
+    /// whichever of the two writes.
     pub fn wants(&self, other: &TableRecord, home: Name) -> bool {
         let (origin, role) = (other.origin(home), other.place.role.counterpart());
         if role.is_writer() {

@@ -8,8 +8,8 @@ pub struct Limits {
     pub entries: usize,
     /// Of each neighbour.
     pub bytes: usize,
-    /// Of each neighbour: more than anybody here exchanges messages with in one name (`counterparts` of [`crate::rib::Limits`]), of
-    /// writers and readers each.
+    /// Of each neighbour: more than anybody here exchanges messages with in one name
+    /// (`counterparts` of [`crate::rib::Limits`]), of writers and readers each.
     pub parts_per_name: usize,
 }
 

@@ -1,10 +1,13 @@
-//! Tiers: how the RIBs of different domains tell each other who publishes and reads which name. Sans-IO: time, what the own RIB knows
-//! and what neighbours say go in; messages to neighbours ([`Effect`]) and what the own RIB may know of other domains ([`Change`])
-//! come out. No sockets, no clock; the daemon moves what travels.
+//! Tiers: how the RIBs of different domains tell each other who publishes and reads which name.
+//! Sans-IO: time, what the own RIB knows and what neighbours say go in; messages to neighbours
+//! ([`Effect`]) and what the own RIB may know of other domains ([`Change`]) come out. No sockets,
+//! no clock; the daemon moves what travels.
 //!
-//! A domain has parents, in order, and children; any depth. To each it tells what [`spread`] chooses, kept the same at both ends by a
-//! [`Feed`](crate::feed::Feed). Each record carries the domains it came through: a domain that finds itself there refuses it, as it
-//! refuses a parent that it is above of. Nothing is believed because of who says it: [`verification`] verifies all again.
+//! A domain has parents, in order, and children; any depth. To each it tells what [`spread`]
+//! chooses, kept the same at both ends by a [`Feed`](crate::feed::Feed). Each record carries the
+//! domains it came through: a domain that finds itself there refuses it, as it refuses a parent
+//! that it is above of. Nothing is believed because of who says it: [`verification`] verifies all
+//! again.
 //!
 //! What a neighbour that lies can do is to withhold, and to say what its own domain alone may say.
 
@@ -128,8 +131,9 @@ pub struct Tiers {
 
 /// What the own domain says of itself.
 impl Tiers {
-    /// Of domain `home`. What it tells neighbours is of runs above `run`, one for each that comes: nanoseconds since any fixed time do, as
-    /// they are ahead of whatever an earlier RIB has come to.
+    /// Of domain `home`. What it tells neighbours is of runs above `run`, one for each that comes:
+    /// nanoseconds since any fixed time do, as they are ahead of whatever an earlier RIB has come
+    /// to.
     pub fn new(home: Name, run: u64, limits: Limits) -> Self {
         Self {
             home,
@@ -186,8 +190,8 @@ impl Tiers {
         self.adjacent = adjacent;
     }
 
-    /// What an entity has stated in this domain, verified by its RIB, with the switch it is attached to. Of what is for this domain alone
-    /// nothing is kept.
+    /// What an entity has stated in this domain, verified by its RIB, with the switch it is
+    /// attached to. Of what is for this domain alone nothing is kept.
     pub fn set_own(&mut self, now: Now, record: Record, host: Arc<Hosted>) -> Result<(), CertError> {
         let place = record.place()?;
         let scope = record.credential.scope()?;
@@ -247,18 +251,21 @@ impl Tiers {
         removed.chain(parcel.set.into_iter().map(Change::Set)).collect()
     }
 
-    /// What owners of names have taken back, as a neighbour has said in the last [request](Self::request); verified. The own RIB is to
-    /// keep it, and then [reconsider](Self::reconsider) each of these names.
+    /// What owners of names have taken back, as a neighbour has said in the last
+    /// [request](Self::request); verified. The own RIB is to keep it, and then
+    /// [reconsider](Self::reconsider) each of these names.
     pub fn take_revoked(&mut self) -> Vec<Kept> {
         std::mem::take(&mut self.heard_revoked)
     }
 
-    /// What the own RIB may know of an entity of another domain, with the keys it has for readers here.
+    /// What the own RIB may know of an entity of another domain, with the keys it has for readers
+    /// here.
     pub fn known_of(&self, entity: Name) -> OfEntity {
         self.known.of(entity)
     }
 
-    /// The part at a place that the own RIB may know, and whether it only passes through this domain.
+    /// The part at a place that the own RIB may know, and whether it only passes through this
+    /// domain.
     pub fn known_at(&self, place: &RecordKey) -> Option<(Arc<TableRecord>, bool)> {
         match self.known.feed.entries().get(&TierKey::Part(*place)) {
             Some(Item::Part { held, only_passes }) => Some((held.clone(), *only_passes)),

@@ -1,4 +1,5 @@
-//! What goes to neighbours, and what becomes of it: hellos to parents, what each is to be told, queries that climb.
+//! What goes to neighbours, and what becomes of it: hellos to parents, what each is to be told,
+//! queries that climb.
 
 use std::time::Duration;
 
@@ -15,7 +16,8 @@ use crate::feed::Room;
 use crate::rib::Now;
 use crate::tiers::ticket::Ticket;
 
-/// What one push takes: a message has at most 64 KiB, and the rest is for what encloses the entries. A single one always fits.
+/// What one push takes: a message has at most 64 KiB, and the rest is for what encloses the
+/// entries. A single one always fits.
 const ROOM: Room = Room { entries: 512, bytes: 48 * 1024 };
 
 /// Bytes of a key that is removed.
@@ -124,7 +126,8 @@ impl Tiers {
                 // All domains of the cycle may find it at once; not all are to try again at once.
                 let until = now.clock + RESTART_TIME + spread_out(self.home, side.cycles);
                 let reason = format!(
-                    "a cycle: domain {:#} is above domain {parent:#}, which can be no parent of it: take `parent: true` away \
+                    "a cycle: domain {:#} is above domain {parent:#}, which can be no parent of it: take `parent: \
+                     true` away \
                      from one of them",
                     self.home
                 );

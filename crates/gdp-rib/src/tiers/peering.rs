@@ -1,5 +1,6 @@
-//! Which domains are to be reached directly, and who makes the link: where somebody in this domain exchanges messages with somebody in
-//! another, both let each other peer, and one of the two can be reached. Both sides come to the same pair of borders by the same rule.
+//! Which domains are to be reached directly, and who makes the link: where somebody in this domain
+//! exchanges messages with somebody in another, both let each other peer, and one of the two can be
+//! reached. Both sides come to the same pair of borders by the same rule.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
@@ -25,7 +26,8 @@ pub struct Peering {
 pub struct Peerings(BTreeMap<Name, Duration>);
 
 impl Peerings {
-    /// These are the domains with which messages are exchanged now. Returns those to be reached directly.
+    /// These are the domains with which messages are exchanged now. Returns those to be reached
+    /// directly.
     pub fn follow(&mut self, now: Duration, concerned: impl Iterator<Item = Name>) -> BTreeSet<Name> {
         self.0.extend(concerned.map(|domain| (domain, now + IDLE)));
         self.0.retain(|_, until| *until > now);
@@ -33,8 +35,9 @@ impl Peerings {
     }
 }
 
-/// The link that this domain is to make to another, if it is the one to make it. Each names the border that can be reached, then the one
-/// with the lower name; of two that can be reached the one with the lower name dials.
+/// The link that this domain is to make to another, if it is the one to make it. Each names the
+/// border that can be reached, then the one with the lower name; of two that can be reached the one
+/// with the lower name dials.
 pub fn choose(own: &[SwitchStatement], other: &[SwitchStatement]) -> Option<Peering> {
     let (own, other) = (best(own)?, best(other)?);
     let (border, peer) = (own.switch, other.switch);

@@ -1,5 +1,6 @@
-//! Queries that miss climb: to one parent after the other, each of which asks its own. What nobody knows is remembered for a while, so
-//! that asking again costs no more than this RIB; who asks is not subscribed to anything.
+//! Queries that miss climb: to one parent after the other, each of which asks its own. What nobody
+//! knows is remembered for a while, so that asking again costs no more than this RIB; who asks is
+//! not subscribed to anything.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;

@@ -18,7 +18,8 @@ pub enum TierRefusal {
     #[error("that switch {switch:#} is of domain {domain:#}, which both have to say: {source}")]
     Host { switch: Name, domain: Name, source: Box<CertError> },
     #[error(
-        "the writer of {name:#} may be known in its own domain {origin:#} only: have its AdCert issued with the other domains in its scope"
+        "the writer of {name:#} may be known in its own domain {origin:#} only: have its AdCert issued with the \
+         other domains in its scope"
     )]
     OutOfScope { name: Name, origin: Name },
     #[error("the record of {0:#} has ended")]

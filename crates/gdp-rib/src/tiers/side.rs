@@ -1,4 +1,5 @@
-//! One neighbouring domain, as this RIB sees it: what it says, what it is to be told, and how the two stand.
+//! One neighbouring domain, as this RIB sees it: what it says, what it is to be told, and how the
+//! two stand.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Bound::{Included, Unbounded};
@@ -14,7 +15,8 @@ use gdp_wire::Name;
 use super::table::{Item, Table, TableRecord, count_out, first_box, first_place, is_box_of};
 use crate::feed::Feed;
 
-/// How long what a neighbour said stays after it was heard last: a restart or a short partition must not cost the names.
+/// How long what a neighbour said stays after it was heard last: a restart or a short partition
+/// must not cost the names.
 pub const RESTART_TIME: Duration = Duration::from_secs(30);
 
 /// After so long a child that says nothing counts as lost.
@@ -63,7 +65,8 @@ pub struct Side {
     pub standing: SessionState,
     pub table: Table,
     pub told: SentUpdate,
-    /// Of what is told: another number than that of any side before, whose generations the neighbour may still hold.
+    /// Of what is told: another number than that of any side before, whose generations the
+    /// neighbour may still hold.
     pub run: u64,
     /// Of the neighbour's side that was heard last.
     heard_run: Option<u64>,
@@ -149,7 +152,8 @@ pub struct OfEntity {
     pub boxes: Vec<Signed<KeyBox>>,
 }
 
-/// What one side is to be told, and by which sides it was said: this RIB's own entities are such a side, too.
+/// What one side is to be told, and by which sides it was said: this RIB's own entities are such a
+/// side, too.
 #[derive(Debug, Default)]
 pub struct SentUpdate {
     pub feed: Feed<TierKey, Item>,
@@ -162,8 +166,8 @@ pub struct SentUpdate {
 }
 
 impl SentUpdate {
-    /// Makes these the parts in a name that are told. Returns the entities that had a part before, and the domains whose
-    /// parts changed.
+    /// Makes these the parts in a name that are told. Returns the entities that had a part before,
+    /// and the domains whose parts changed.
     pub fn replace_parts(&mut self, home: Name, name: Name, parts: Vec<Item>) -> (BTreeSet<Name>, BTreeSet<Name>) {
         let (mut entities, mut origins) = (BTreeSet::new(), BTreeSet::new());
         let parts: BTreeMap<TierKey, Item> = parts
@@ -232,7 +236,8 @@ impl SentUpdate {
         matches!(first, Some((TierKey::Part(place), _)) if place.name == name)
     }
 
-    /// Tells what the owner of a name has taken back. Of too many such the first is told no more; whoever has heard it keeps it all the same.
+    /// Tells what the owner of a name has taken back. Of too many such the first is told no more;
+    /// whoever has heard it keeps it all the same.
     pub fn tell_revoked(&mut self, name: Name, kept: &Kept) {
         if !self.feed.entries().contains_key(&TierKey::Revocation(name)) {
             self.revoked.push_back(name);

@@ -1,6 +1,7 @@
-//! Who is told of what. Upward goes what may leave its domain; downward, and to this domain's own entities, what somebody there
-//! exchanges messages with. Of several ways to a part the shortest counts, of equal ones that through the first parent; nothing is told
-//! to a domain that it came through, and nothing that came from above is told above: so nothing circles.
+//! Who is told of what. Upward goes what may leave its domain; downward, and to this domain's own
+//! entities, what somebody there exchanges messages with. Of several ways to a part the shortest
+//! counts, of equal ones that through the first parent; nothing is told to a domain that it came
+//! through, and nothing that came from above is told above: so nothing circles.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -74,8 +75,8 @@ impl Tiers {
         };
         let is_wanted =
             |held: &&Arc<TableRecord>| interests.get(&home).is_some_and(|interest| interest.wants(held, home));
-        // What was stated here is known here. Otherwise one neighbour's word is not to hide another's: a way that is of no use does not
-        // count, however short.
+        // What was stated here is known here. Otherwise one neighbour's word is not to hide
+        // another's: a way that is of no use does not count, however short.
         let abroad = ways.values().filter(|ways| ways.iter().all(|held| !held.path.is_empty()));
         let known = abroad.filter_map(|ways| {
             let wanted = ways.iter().find(is_wanted);

@@ -1,5 +1,5 @@
-//! What one side says: parts in names, key boxes, locators, all verified before they come here. Of a neighbouring domain it is kept by
-//! mark and sweep, as a switch keeps its FIB.
+//! What one side says: parts in names, key boxes, locators, all verified before they come here. Of
+//! a neighbouring domain it is kept by mark and sweep, as a switch keeps its FIB.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -20,7 +20,8 @@ pub struct TableRecord {
     pub place: RecordKey,
     pub record: Record,
     pub host: Arc<Hosted>,
-    /// The domains it came through, the one that said it last; none for what was stated in this domain.
+    /// The domains it came through, the one that said it last; none for what was stated in this
+    /// domain.
     pub path: Vec<Name>,
     /// Of a writer: the domains its certificate names.
     pub scope: Vec<Name>,
@@ -49,7 +50,8 @@ impl TableRecord {
         self.path.last().copied().unwrap_or(home)
     }
 
-    /// Whether this is what `abroad` says, path and remaining time aside: then it need not be verified again.
+    /// Whether this is what `abroad` says, path and remaining time aside: then it need not be
+    /// verified again.
     pub fn states_the_same(&self, abroad: &RemoteRecord) -> bool {
         let (own, other) = (&self.record, &abroad.record);
         (own.proof, own.entity, own.switch) == (other.proof, other.entity, other.switch)
@@ -85,7 +87,8 @@ impl PartialEq for TableRecord {
 /// Something a side says; shared by all that hold it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
-    /// `only_passes`: nobody of this domain may know it, but it takes part in routes through this domain.
+    /// `only_passes`: nobody of this domain may know it, but it takes part in routes through this
+    /// domain.
     Part {
         held: Arc<TableRecord>,
         only_passes: bool,
@@ -206,7 +209,8 @@ impl Table {
         true
     }
 
-    /// The push that was begun is taken in. Returns what no part of the whole named, if that was its last.
+    /// The push that was begun is taken in. Returns what no part of the whole named, if that was
+    /// its last.
     pub fn end(&mut self, extent: Extent) -> BTreeSet<TierKey> {
         match extent {
             Extent::Full { last: true, .. } => self.whole.take().map_or_else(BTreeSet::new, |(_, unnamed)| unnamed),

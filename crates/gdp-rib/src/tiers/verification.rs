@@ -1,5 +1,5 @@
-//! Nothing that a neighbour says is taken in before it is verified here: paths, signatures, hosts, scopes, bounds. Each refusal
-//! has a reason that is counted.
+//! Nothing that a neighbour says is taken in before it is verified here: paths, signatures, hosts,
+//! scopes, bounds. Each refusal has a reason that is counted.
 
 pub use crate::tiers::refusal::TierRefusal;
 use std::collections::BTreeMap;
@@ -51,7 +51,8 @@ pub struct Judged {
 }
 
 impl<R: Revoked> Verification<'_, R> {
-    /// Judges what `from` says and is to be held, of which `table` is already; of [revocations](Self::revocation) nothing is.
+    /// Judges what `from` says and is to be held, of which `table` is already; of
+    /// [revocations](Self::revocation) nothing is.
     pub fn entry(&self, from: Name, table: &Table, entry: TierEntry) -> Result<Judged, TierRefusal> {
         match entry {
             TierEntry::Part(abroad) => {
@@ -78,7 +79,8 @@ impl<R: Revoked> Verification<'_, R> {
         }
     }
 
-    /// Judges what an owner is said to have taken back. Nobody else can have signed it, so it does not matter who says it.
+    /// Judges what an owner is said to have taken back. Nobody else can have signed it, so it does
+    /// not matter who says it.
     pub fn revocation(&self, proof: NameProof, revocation: Signed<Revocation>) -> Result<Announced, TierRefusal> {
         let unnamed = |source: CertError| TierRefusal::Revocation { name: Name::default(), source: source.into() };
         let name = proof.name().map_err(|error| unnamed(error.into()))?;
@@ -129,7 +131,8 @@ impl<R: Revoked> Verification<'_, R> {
         Ok(Judged { key, item, ends: self.now.clock_at(until), left_out })
     }
 
-    /// Whether nothing that something rests on has been taken back since it was verified. When it ends is known besides.
+    /// Whether nothing that something rests on has been taken back since it was verified. When it
+    /// ends is known besides.
     pub fn still_holds(&self, held: &TableRecord) -> Result<(), TierRefusal> {
         let (name, switch, domain) = (held.place.name, held.place.switch, held.origin(self.home));
         let wrong_host = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
@@ -177,7 +180,8 @@ impl<R: Revoked> Verification<'_, R> {
         Ok(held)
     }
 
-    /// The switch that a part is at. What has been verified of it with another part is not verified again.
+    /// The switch that a part is at. What has been verified of it with another part is not verified
+    /// again.
     fn host(&self, table: &Table, switch: Name, host: Host, domain: Name) -> Result<Arc<Hosted>, TierRefusal> {
         let wrong = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
         let revocation = self.revoked.newest(&domain);

@@ -1,4 +1,5 @@
-//! The newest statement of each switch, until it expires. Bounded; whoever is not reached makes room for whoever is new.
+//! The newest statement of each switch, until it expires. Bounded; whoever is not reached makes
+//! room for whoever is new.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -9,7 +10,8 @@ use gdp_proto::control::Flooded;
 use gdp_wire::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
 
-/// Switches of which something is known: those that have an egress bit, and as many that only pass frames on.
+/// Switches of which something is known: those that have an egress bit, and as many that only pass
+/// frames on.
 const MAX_SWITCHES: usize = 4 * EGRESS_SET_SIZE as usize;
 
 #[derive(Default)]
@@ -34,7 +36,8 @@ pub enum Taken {
 }
 
 impl Database {
-    /// Keeps a statement that is newer than what is held. If there is no room, one of those goes that are not `reached`.
+    /// Keeps a statement that is newer than what is held. If there is no room, one of those goes
+    /// that are not `reached`.
     pub fn take(
         &mut self,
         now: Duration,
@@ -70,8 +73,9 @@ impl Database {
         self.0.values().map(|held| held.expires).min()
     }
 
-    /// Whether a statement is newer than what is held, the same, or older. A switch that lost its numbers may state other things
-    /// under one it has used: then all agree on one of the two, and the switch itself goes above.
+    /// Whether a statement is newer than what is held, the same, or older. A switch that lost its
+    /// numbers may state other things under one it has used: then all agree on one of the two, and
+    /// the switch itself goes above.
     pub fn compare(&self, flooded: &Flooded, claims: &LinkState) -> Ordering {
         let Some(held) = self.0.get(&claims.switch) else { return Ordering::Greater };
         let age = |claims: &LinkState, flooded: &Flooded| (claims.version(), flooded.state.as_bytes().to_vec());

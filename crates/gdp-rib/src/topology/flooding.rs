@@ -1,5 +1,6 @@
-//! Which link's neighbour is still to be told of which switches. A neighbour that says nothing is told again; what it tells this
-//! switch it need not be told. Pure bookkeeping of names; what is told of them is in [`super::database`].
+//! Which link's neighbour is still to be told of which switches. A neighbour that says nothing is
+//! told again; what it tells this switch it need not be told. Pure bookkeeping of names; what is
+//! told of them is in [`super::database`].
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -9,14 +10,16 @@ use gdp_wire::Name;
 
 use super::database::Database;
 
-/// Batches that one neighbour has not answered yet: news need not wait for the answer to what was told before.
+/// Batches that one neighbour has not answered yet: news need not wait for the answer to what was
+/// told before.
 const MOST_OUT: usize = 4;
 
 /// Bytes of the statements in one batch, and what each has around it; a message has at most 64 KiB.
 const BATCH_SIZE: usize = 48 * 1024;
 const STATE_SIZE: usize = 200;
 
-/// How long after a batch that did not arrive the next is sent: doubled from the first to the second.
+/// How long after a batch that did not arrive the next is sent: doubled from the first to the
+/// second.
 const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
 /// Statements to send to a neighbour.
@@ -118,7 +121,8 @@ impl Flooding {
 }
 
 impl PendingAcks {
-    /// Takes out as many of those that are owed as fit a message. What is forgotten meanwhile is owed no more.
+    /// Takes out as many of those that are owed as fit a message. What is forgotten meanwhile is
+    /// owed no more.
     fn page(&mut self, now: Duration, database: &Database) -> (Vec<Flooded>, Vec<Name>) {
         let (mut states, mut names, mut room) = (Vec::new(), Vec::new(), BATCH_SIZE);
         while let Some(switch) = self.owed.first().copied() {

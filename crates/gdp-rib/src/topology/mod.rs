@@ -1,13 +1,15 @@
-//! Which switches there are in the domain and which paths lead to them: what every switch states of its links, flooded between
-//! the switches, and the shortest paths that this switch computes from it. Sans-IO: time, links and messages go in; messages
-//! and masks come out. Needs no RIB, and knows nothing of names of topics; [`gdp_daemon::serve`] moves what travels, and the RIB
-//! beside this switch reads which switches are reached.
+//! Which switches there are in the domain and which paths lead to them: what every switch states of
+//! its links, flooded between the switches, and the shortest paths that this switch computes from
+//! it. Sans-IO: time, links and messages go in; messages and masks come out. Needs no RIB, and
+//! knows nothing of names of topics; [`gdp_daemon::serve`] moves what travels, and the RIB beside
+//! this switch reads which switches are reached.
 //!
-//! [`database`] holds the newest statement of each switch, [`flooding`] knows which neighbour lacks which, [`paths`] turns
-//! statements into masks, [`cost`] a round-trip time into what crossing a link costs.
+//! [`database`] holds the newest statement of each switch, [`flooding`] knows which neighbour lacks
+//! which, [`paths`] turns statements into masks, [`cost`] a round-trip time into what crossing a
+//! link costs.
 //!
-//! Every statement is verified before it gets here ([`Verified`]). What a switch that lies can do is to state links that it has
-//! not: an adjacency counts only if both ends state it.
+//! Every statement is verified before it gets here ([`Verified`]). What a switch that lies can do
+//! is to state links that it has not: an adjacency counts only if both ends state it.
 
 pub mod cost;
 mod database;
@@ -31,17 +33,19 @@ use flooding::Flooding;
 pub use flooding::{Batch, BatchId};
 pub use paths::Paths;
 
-/// Seconds that a statement holds; it is stated again after a third of it. What is left then outlives the time for which the
-/// links of a daemon that died are held, so a switch that forwards on without its daemon stays on the map.
+/// Seconds that a statement holds; it is stated again after a third of it. What is left then
+/// outlives the time for which the links of a daemon that died are held, so a switch that forwards
+/// on without its daemon stays on the map.
 pub const LIFETIME: u32 = 180;
 
 const REFRESH: Duration = Duration::from_secs(LIFETIME as u64 / 3);
 
 const _: () = assert!(LIFETIME as u64 * 2 / 3 > gdp_core::peer::GRACEFUL_RESTART_TIME.as_secs());
 
-/// Between two statements of this switch, if what it states changes: from the first to the second, doubled with each that comes
-/// within twice the time. The first change after a quiet time is stated at once; that a neighbour is gone always after the first
-/// time, so what flaps is stated as gone rather than as there.
+/// Between two statements of this switch, if what it states changes: from the first to the second,
+/// doubled with each that comes within twice the time. The first change after a quiet time is
+/// stated at once; that a neighbour is gone always after the first time, so what flaps is stated as
+/// gone rather than as there.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(5));
 
 /// A statement that its switch has signed.
@@ -100,7 +104,8 @@ impl Stated {
 }
 
 impl Topology {
-    /// `run`: higher than that of this switch's last start. If it is not, the switch finds out as soon as a neighbour tells it.
+    /// `run`: higher than that of this switch's last start. If it is not, the switch finds out as
+    /// soon as a neighbour tells it.
     pub fn new(identity: Identity, run: u64) -> Self {
         let own =
             Own { identity, version: (run, 0), has: Stated::default(), stated: None, stated_at: None, wait: BACKOFF.0 };
@@ -108,7 +113,8 @@ impl Topology {
         Self { own, database, flooding, paths: Paths::default(), is_stale: true }
     }
 
-    /// The neighbours that frames may go to now, and what that costs. Those beyond [`MAX_NEIGHBOURS`] are not stated.
+    /// The neighbours that frames may go to now, and what that costs. Those beyond
+    /// [`MAX_NEIGHBOURS`] are not stated.
     pub fn set_neighbours(&mut self, neighbours: impl IntoIterator<Item = (Name, u32)>) {
         let own = self.own.identity.name();
         let usable = neighbours.into_iter().filter(|(name, _)| *name != own);
@@ -116,12 +122,14 @@ impl Topology {
         self.own.has.neighbours = all.into_iter().take(MAX_NEIGHBOURS).collect();
     }
 
-    /// Those of the neighbours whose daemons do not answer, so that nothing but frames may go to them.
+    /// Those of the neighbours whose daemons do not answer, so that nothing but frames may go to
+    /// them.
     pub fn set_silent(&mut self, silent: impl IntoIterator<Item = Name>) {
         self.own.has.silent = silent.into_iter().filter(|near| self.own.has.neighbours.contains_key(near)).collect();
     }
 
-    /// The links into other domains that frames may go by now. Those beyond [`MAX_BORDERS`] are not stated.
+    /// The links into other domains that frames may go by now. Those beyond [`MAX_BORDERS`] are not
+    /// stated.
     pub fn set_borders(&mut self, borders: impl IntoIterator<Item = Adjoining>) {
         let own = self.own.identity.name();
         let usable = borders.into_iter().filter(|border| border.switch != own);
@@ -155,7 +163,8 @@ impl Topology {
         self.flooding.down(link);
     }
 
-    /// Those of the statements that came over a link that may be news. They are to be verified, and then [learnt](Self::learn).
+    /// Those of the statements that came over a link that may be news. They are to be verified, and
+    /// then [learnt](Self::learn).
     pub fn news(&mut self, link: u32, states: Vec<Flooded>) -> Result<Vec<Flooded>, CertError> {
         let mut news = Vec::new();
         for flooded in states {
@@ -169,7 +178,8 @@ impl Topology {
         Ok(news)
     }
 
-    /// Takes in statements that came over a link, and passes them on over the others. Follow with [`Self::tick`].
+    /// Takes in statements that came over a link, and passes them on over the others. Follow with
+    /// [`Self::tick`].
     pub fn learn(&mut self, now: Duration, link: u32, states: Vec<Verified>) {
         let own = self.own.identity.name();
         for Verified { flooded, claims } in states {
@@ -193,8 +203,8 @@ impl Topology {
         }
     }
 
-    /// Brings everything up to date: states what this switch has to state, lets end what is over, computes paths. Returns whether
-    /// there are other paths than before, or another RIB.
+    /// Brings everything up to date: states what this switch has to state, lets end what is over,
+    /// computes paths. Returns whether there are other paths than before, or another RIB.
     pub fn tick(&mut self, now: Duration) -> bool {
         self.is_stale |= self.database.expire(now);
         if self.own.next(now).is_some_and(|at| at <= now) {
@@ -217,7 +227,8 @@ impl Topology {
         changed
     }
 
-    /// When [`Self::tick`] or [`Self::batches`] have something to do, if nothing else happens before.
+    /// When [`Self::tick`] or [`Self::batches`] have something to do, if nothing else happens
+    /// before.
     pub fn next_tick(&self, now: Duration) -> Option<Duration> {
         let all = [self.own.next(now), self.database.next_expiry(), self.flooding.retry_at()];
         all.into_iter().flatten().min()
@@ -238,13 +249,14 @@ impl Topology {
         &self.paths
     }
 
-    /// The nearest RIB that control reaches: its switch, and which run of it; as of the last [`Self::tick`].
+    /// The nearest RIB that control reaches: its switch, and which run of it; as of the last
+    /// [`Self::tick`].
     pub fn rib(&self) -> Option<(Name, u64)> {
         self.paths.rib
     }
 
-    /// The links of all switches that are reached into other domains, this one's among them, each with its switch; as of the last
-    /// [`Self::tick`].
+    /// The links of all switches that are reached into other domains, this one's among them, each
+    /// with its switch; as of the last [`Self::tick`].
     pub fn borders(&self) -> impl Iterator<Item = (Name, &Adjoining)> {
         let reached = self.states().filter(|state| self.paths.reaches(&state.switch));
         reached.flat_map(|state| state.borders.iter().map(|border| (state.switch, border)))
@@ -257,7 +269,8 @@ impl Topology {
 }
 
 impl Own {
-    /// An older self has stated something under a higher version: the clock went back, or the number was lost.
+    /// An older self has stated something under a higher version: the clock went back, or the
+    /// number was lost.
     fn heard_of_itself(&mut self, older: &LinkState) {
         if older.version() >= self.version {
             self.version = older.version();

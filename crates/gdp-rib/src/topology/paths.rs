@@ -1,5 +1,5 @@
-//! Shortest paths from one switch to all others: the next hop toward each, and as masks which egress bits lie behind which of its
-//! neighbours. Pure: statements in, paths out.
+//! Shortest paths from one switch to all others: the next hop toward each, and as masks which
+//! egress bits lie behind which of its neighbours. Pure: statements in, paths out.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,12 +18,14 @@ pub struct Paths {
     pub reach: BTreeMap<Name, u64>,
     /// The switches there is a path to, this one among them, and what the path costs.
     pub costs: BTreeMap<Name, u64>,
-    /// Whose each egress bit is: if two switches state the same, that of the one that has run longest counts.
+    /// Whose each egress bit is: if two switches state the same, that of the one that has run
+    /// longest counts.
     pub bits: BTreeMap<u8, Name>,
-    /// The neighbour by which control gets to each other switch: no switch whose daemon does not answer is on the way, or its end.
+    /// The neighbour by which control gets to each other switch: no switch whose daemon does not
+    /// answer is on the way, or its end.
     pub next: BTreeMap<Name, Name>,
-    /// The nearest switch with the domain's RIB that control gets to, the lower name of two; this one, if it is here. And which run
-    /// of that switch: a RIB that has started anew is another.
+    /// The nearest switch with the domain's RIB that control gets to, the lower name of two; this
+    /// one, if it is here. And which run of that switch: a RIB that has started anew is another.
     pub rib: Option<(Name, u64)>,
 }
 

@@ -1,5 +1,5 @@
-//! Switches with links between them, in simulated time: floods are lost, delayed and overtake each other, links flap, switches
-//! restart with a clock that went back, and frames cross all that.
+//! Switches with links between them, in simulated time: floods are lost, delayed and overtake each
+//! other, links flap, switches restart with a clock that went back, and frames cross all that.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
@@ -203,7 +203,8 @@ fn on_random_graphs_all_agree_in_the_end_and_frames_neither_multiply_nor_go_roun
             let from = w.random.index(count);
             w.send(from);
         }
-        // Where three eighths of what is said are lost, the last word is sometimes said again after half a minute.
+        // Where three eighths of what is said are lost, the last word is sometimes said again after
+        // half a minute.
         w.run_for(Duration::from_secs(45));
         w.check_converged();
         let before = w.fates;
@@ -230,7 +231,8 @@ struct World {
     events: BinaryHeap<Reverse<(Duration, u64, Event)>>,
     count: u64,
     random: Random,
-    /// Of eight messages so many are lost, or their answers; and how long the others take at most, in ms.
+    /// Of eight messages so many are lost, or their answers; and how long the others take at most,
+    /// in ms.
     loss: u64,
     slowest: u64,
     fates: Fates,
@@ -527,7 +529,8 @@ impl World {
         route
     }
 
-    /// Every switch reaches exactly those that cables lead to, at the same cost from both ends, and nothing is left to say.
+    /// Every switch reaches exactly those that cables lead to, at the same cost from both ends, and
+    /// nothing is left to say.
     fn check_converged(&self) {
         for a in 0..self.switches.len() {
             let connected = self.connected(a);

@@ -32,7 +32,8 @@ impl Board {
         Ok(ended)
     }
 
-    /// The server has left: goals that it had not ended are lost, which is shown as aborted. Whether anything is.
+    /// The server has left: goals that it had not ended are lost, which is shown as aborted.
+    /// Whether anything is.
     pub fn leave(&mut self, now: Instant, server: &Name) -> bool {
         let Some(shown) = self.servers.get_mut(server) else { return false };
         shown.left.get_or_insert(now);

@@ -1,4 +1,5 @@
-//! The messages that are the same for all actions (`action_msgs`, `unique_identifier_msgs`), in CDR of either byte order with its encapsulation.
+//! The messages that are the same for all actions (`action_msgs`, `unique_identifier_msgs`), in CDR
+//! of either byte order with its encapsulation.
 
 use bytes::Bytes;
 
@@ -45,7 +46,8 @@ pub struct Canceling {
     pub goals: Vec<(GoalId, (i32, u32))>,
 }
 
-/// The goal that a message begins with: one of feedback, or a request that sends, cancels or asks for the result.
+/// The goal that a message begins with: one of feedback, or a request that sends, cancels or asks
+/// for the result.
 pub fn goal_of(message: &[u8]) -> Result<GoalId, Malformed> {
     Reader::new(message)?.goal()
 }
@@ -105,7 +107,8 @@ impl Canceling {
         to.finish()
     }
 
-    /// What several servers answered to one request, as one: it was good if it was good for any of them.
+    /// What several servers answered to one request, as one: it was good if it was good for any of
+    /// them.
     pub fn merge(answers: impl IntoIterator<Item = Self>) -> Option<Self> {
         answers.into_iter().reduce(|mut all, one| {
             all.code = if all.code == 0 || one.code == 0 { 0 } else { all.code };
@@ -130,8 +133,8 @@ pub fn not_canceling() -> Bytes {
     Canceling { code: REJECTED, goals: vec![] }.write()
 }
 
-/// A response of `get_result`: the goal was aborted. The result, whose type is the action's own, is zeros: each number in it reads as zero, and
-/// each text and list as empty, as far as they reach.
+/// A response of `get_result`: the goal was aborted. The result, whose type is the action's own, is
+/// zeros: each number in it reads as zero, and each text and list as empty, as far as they reach.
 pub fn aborted() -> Bytes {
     const RESULT: usize = 4096;
     let mut to = Writer::new();

@@ -6,7 +6,8 @@ use std::time::Instant;
 use super::cdr::MAX_GOALS;
 use super::{GoalId, LINGER};
 
-/// Goals, each of a `T`: the server that has it, or who sent it. At most [`MAX_GOALS`], of which those that have ended give way.
+/// Goals, each of a `T`: the server that has it, or who sent it. At most [`MAX_GOALS`], of which
+/// those that have ended give way.
 pub struct Goals<T> {
     goals: HashMap<GoalId, Goal<T>>,
 }

@@ -80,7 +80,8 @@ impl Log {
         }
     }
 
-    /// What it has not been told after the event of this number; `None` if there is nothing. What was before, it has.
+    /// What it has not been told after the event of this number; `None` if there is nothing. What
+    /// was before, it has.
     pub fn after(&mut self, caller: &Name, after: u64) -> Option<Events> {
         let caller = self.callers.get_mut(caller)?;
         while caller.feedback.front().is_some_and(|(number, _)| *number <= after) {

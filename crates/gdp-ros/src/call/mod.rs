@@ -1,8 +1,9 @@
-//! What proxies say to each other about a service or an action: requests and replies between one that calls and one that serves, sealed
-//! for the two alone (`gdp::node::Client`, `Server`).
+//! What proxies say to each other about a service or an action: requests and replies between one
+//! that calls and one that serves, sealed for the two alone (`gdp::Client`, `Server`).
 //!
-//! One who calls first asks to have the service described; a call then goes in the terms of the server's ROS graph, and the caller's proxy
-//! converts if its own graph is of the other ROS version. [`Epoch`] says by which description.
+//! One who calls first asks to have the service described; a call then goes in the terms of the
+//! server's ROS graph, and the caller's proxy converts if its own graph is of the other ROS
+//! version. [`Epoch`] says by which description.
 
 use bytes::Bytes;
 use gdp_core::cbor;
@@ -41,7 +42,8 @@ pub enum Request {
         part: Part,
         body: Bytes,
     },
-    /// What happened to the caller's goals after the event of this number; answered when there is something, or after a while.
+    /// What happened to the caller's goals after the event of this number; answered when there is
+    /// something, or after a while.
     Events {
         epoch: Epoch,
         after: u64,
@@ -79,7 +81,8 @@ pub struct Description {
     pub definitions: Option<Definitions>,
 }
 
-/// The texts that the two messages of a service are defined by, each with all types that it contains.
+/// The texts that the two messages of a service are defined by, each with all types that it
+/// contains.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Definitions {

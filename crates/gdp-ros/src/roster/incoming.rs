@@ -1,4 +1,5 @@
-//! The side that is told: which publishers the writers of a name have, and what is held back until that is known.
+//! The side that is told: which publishers the writers of a name have, and what is held back until
+//! that is known.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
@@ -12,7 +13,8 @@ use super::{Kind, LEASE, Offer, Roster, RosterError, number};
 /// Writers of a name that are told apart.
 const MAX_PEERS: usize = 256;
 
-/// Messages that wait for the roster of their writer, and bytes of them, for all writers of a name. Beyond, the oldest go.
+/// Messages that wait for the roster of their writer, and bytes of them, for all writers of a name.
+/// Beyond, the oldest go.
 const MAX_HELD: usize = 1024;
 const MAX_HELD_BYTES: usize = 32 << 20;
 
@@ -44,7 +46,8 @@ struct Listed {
 /// What becomes of a publisher's counterpart here.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// It is to be there, and to offer this; also if it was there and offered something else, or another type.
+    /// It is to be there, and to offer this; also if it was there and offered something else, or
+    /// another type.
     Joined {
         writer: Name,
         number: u32,
@@ -187,7 +190,8 @@ impl Incoming {
         self.held_bytes -= self.held.pop_front().map_or(0, |(_, oldest)| oldest.body.len());
     }
 
-    /// Those of a writer that wait, of publishers that are known by now; what is from others of an earlier roster waits on.
+    /// Those of a writer that wait, of publishers that are known by now; what is from others of an
+    /// earlier roster waits on.
     fn release(&mut self, writer: Name) -> Vec<Message> {
         let Some(peer) = self.peers.get(&writer) else { return vec![] };
         let is_known = |(_, message): &(Instant, Message)| {

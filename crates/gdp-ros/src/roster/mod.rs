@@ -1,10 +1,13 @@
-//! What a proxy tells of a topic beside its messages: of which type they are, and which ROS publishers they come from, with the quality of
-//! service that each offers. It goes sealed like the messages, under the same name, so that whoever may read these learns it and nobody
-//! else does. Readers mirror it: each publisher has its counterpart in their ROS graph, for as long as it is listed.
+//! What a proxy tells of a topic beside its messages: of which type they are, and which ROS
+//! publishers they come from, with the quality of service that each offers. It goes sealed like the
+//! messages, under the same name, so that whoever may read these learns it and nobody else does.
+//! Readers mirror it: each publisher has its counterpart in their ROS graph, for as long as it is
+//! listed.
 //!
-//! A roster is pinned at the publisher of the name, so that every reader gets it before anything latched. It is sent again every
-//! [`REFRESH`]; whom a roster is not heard of for [`LEASE`] is gone, with all its publishers. A message says by its
-//! origin ([`origin`]) from which of the publishers it is.
+//! A roster is pinned at the publisher of the name, so that every reader gets it before anything
+//! latched. It is sent again every [`REFRESH`]; whom a roster is not heard of for [`LEASE`] is
+//! gone, with all its publishers. A message says by its origin ([`origin`]) from which of the
+//! publishers it is.
 
 mod incoming;
 mod outgoing;
@@ -25,8 +28,9 @@ pub const ROSTER: Encoding = Encoding::Other(0x4752);
 /// How often a roster is sent, if nothing changes.
 pub const REFRESH: Duration = Duration::from_secs(3);
 
-/// For how long a roster holds: somewhat longer than DDS waits for a participant that is not heard of, so that a robot between two networks keeps its
-/// publishers, and what is repaired then finds them.
+/// For how long a roster holds: somewhat longer than DDS waits for a participant that is not heard
+/// of, so that a robot between two networks keeps its publishers, and what is repaired then finds
+/// them.
 pub const LEASE: Duration = Duration::from_secs(30);
 
 /// The shortest lease that a publisher's promises make.
@@ -49,8 +53,9 @@ const VERSION: u8 = 2;
 pub struct Roster {
     version: u8,
     pub kind: Kind,
-    /// The text that the type is defined by, of all types that it contains, as its dialect concatenates them. Left out when it is only
-    /// said that everything is as before, or if the proxy does not know it.
+    /// The text that the type is defined by, of all types that it contains, as its dialect
+    /// concatenates them. Left out when it is only said that everything is as before, or if the
+    /// proxy does not know it.
     pub definition: Option<String>,
     /// By ascending number.
     pub writers: Vec<Writer>,
@@ -69,7 +74,8 @@ pub struct Kind {
 }
 
 impl Kind {
-    /// Whether messages of both are laid out alike, as far as is known: not every middleware tells hashes.
+    /// Whether messages of both are laid out alike, as far as is known: not every middleware tells
+    /// hashes.
     pub fn agrees(&self, other: &Self) -> bool {
         let unknown = self.hash.is_empty() || other.hash.is_empty();
         (self.dialect, &self.name) == (other.dialect, &other.name) && (unknown || self.hash == other.hash)
@@ -109,7 +115,8 @@ pub struct Offer {
 }
 
 impl Offer {
-    /// For how long a publisher that offers this is taken for there, if nothing is heard of its proxy: [`LEASE`], or as long as its promises hold.
+    /// For how long a publisher that offers this is taken for there, if nothing is heard of its
+    /// proxy: [`LEASE`], or as long as its promises hold.
     pub fn lease(&self) -> Duration {
         let promises = [self.deadline_ns, self.liveliness_ns].into_iter().filter(|ns| *ns > 0).min();
         promises.map_or(LEASE, |ns| Duration::from_nanos(ns).clamp(MIN_LEASE, LEASE))

@@ -1,4 +1,5 @@
-//! The side that tells: numbers the publishers of a topic in a ROS graph, and says when a roster is to be sent.
+//! The side that tells: numbers the publishers of a topic in a ROS graph, and says when a roster is
+//! to be sent.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};

@@ -48,7 +48,8 @@ fn what_is_no_catalog_or_too_much_is_refused() {
     for length in 0..bytes.len() {
         Catalog::read(&bytes[..length], key).unwrap_err();
     }
-    // Whatever is changed on the way is refused, or leads to other names or to grants that are worth nothing.
+    // Whatever is changed on the way is refused, or leads to other names or to grants that are
+    // worth nothing.
     for at in 0..bytes.len() {
         let mut changed = bytes.clone();
         changed[at] ^= 1;

@@ -42,7 +42,8 @@ pub enum RpcError {
     Refused(String),
 }
 
-/// Calls a method of the master or slave API at `uri` and returns the third part of its answer (code, text, value).
+/// Calls a method of the master or slave API at `uri` and returns the third part of its answer
+/// (code, text, value).
 pub async fn call(
     uri: &str,
     method: &str,
@@ -63,7 +64,8 @@ async fn exchange(uri: &str, body: String) -> Result<Bytes, RpcError> {
     let parsed: Uri = uri.parse().map_err(|_| bad())?;
     let (host, port) = host_and_port(&parsed).ok_or_else(bad)?;
     let stream = TcpStream::connect((host, port)).await.map_err(RpcError::Connect)?;
-    // One small write each way: nothing is won by waiting for more. Not being able to say so costs time only.
+    // One small write each way: nothing is won by waiting for more. Not being able to say so costs
+    // time only.
     _ = stream.set_nodelay(true);
     // `Content-Length`, not `content-length`: not every small server of ROS reads both.
     let (mut sender, connection) =

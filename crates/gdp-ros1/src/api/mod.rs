@@ -1,4 +1,5 @@
-//! The two XML-RPC interfaces of ROS 1: the master's, which a node calls, and the slave's, which every node serves.
+//! The two XML-RPC interfaces of ROS 1: the master's, which a node calls, and the slave's, which
+//! every node serves.
 
 pub mod client;
 pub mod master;

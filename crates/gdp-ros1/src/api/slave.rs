@@ -1,4 +1,5 @@
-//! What masters, other nodes and tools ask a node, without I/O. <https://wiki.ros.org/ROS/Slave_API>
+//! What masters, other nodes and tools ask a node, without I/O.
+//! <https://wiki.ros.org/ROS/Slave_API>
 
 use super::RpcError;
 use super::client::call;

@@ -11,7 +11,8 @@ use crate::api::client::host_and_port;
 use crate::api::master::{Master, MasterError};
 use crate::tcpros::{Header, Stream, TcprosError};
 
-/// Calls one service. Each call looks the server up and connects anew, so that it reaches the one that serves now.
+/// Calls one service. Each call looks the server up and connects anew, so that it reaches the one
+/// that serves now.
 #[derive(Clone, Debug)]
 pub struct ServiceClient {
     pub(crate) master: Master,
@@ -59,8 +60,8 @@ impl ServiceClient {
         .await
     }
 
-    /// Calls with a request as serialized by ROS 1, and returns the response likewise, both without their lengths. `md5sum`: refused by
-    /// the server if it has another; `*` for any.
+    /// Calls with a request as serialized by ROS 1, and returns the response likewise, both without
+    /// their lengths. `md5sum`: refused by the server if it has another; `*` for any.
     pub async fn call(&self, md5sum: &str, request: Bytes, limit: Duration) -> Result<Bytes, CallError> {
         self.within(limit, async {
             let (mut stream, uri, _) = self.connect(&[("md5sum", md5sum)]).await?;

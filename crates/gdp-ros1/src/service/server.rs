@@ -69,7 +69,8 @@ impl Service {
         Self { name, kind, caller_id, max_message, handler, running, alive, answers }
     }
 
-    /// Serves one who asks for this service by `header`: one request, or as many as come if it says so.
+    /// Serves one who asks for this service by `header`: one request, or as many as come if it says
+    /// so.
     pub async fn serve(self: Arc<Self>, mut stream: Stream, header: Header) -> Result<(), TcprosError> {
         let caller_id = match check(&header, &self.kind.name, &self.kind.md5sum) {
             Ok(caller_id) => caller_id.to_owned(),

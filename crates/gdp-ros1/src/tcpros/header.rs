@@ -1,5 +1,5 @@
-//! The connection header: fields `name=value`, each behind its length, all behind the length of the whole; lengths are little-endian of 32 bits.
-//! <https://wiki.ros.org/ROS/Connection%20Header>
+//! The connection header: fields `name=value`, each behind its length, all behind the length of the
+//! whole; lengths are little-endian of 32 bits. <https://wiki.ros.org/ROS/Connection%20Header>
 
 use std::collections::BTreeMap;
 

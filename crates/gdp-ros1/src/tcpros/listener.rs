@@ -20,7 +20,8 @@ const MAX_HANDSHAKES: usize = 256;
 /// Time to say so.
 const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Serves until it is dropped; then all connections end. `serve` takes a connection whose header has come.
+/// Serves until it is dropped; then all connections end. `serve` takes a connection whose header
+/// has come.
 pub async fn listen<F>(listener: TcpListener, serve: impl Fn(Stream, Header) -> F + Send + Sync + 'static)
 where
     F: Future<Output = Result<(), TcprosError>> + Send + 'static,

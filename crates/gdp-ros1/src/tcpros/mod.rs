@@ -1,4 +1,5 @@
-//! TCPROS: connection headers, then messages behind their lengths. <https://wiki.ros.org/ROS/TCPROS>
+//! TCPROS: connection headers, then messages behind their lengths.
+//! <https://wiki.ros.org/ROS/TCPROS>
 
 pub mod header;
 pub mod listener;

@@ -1,4 +1,5 @@
-//! A topic that this node publishes: who is connected, what waits for each, and the last message if it latches.
+//! A topic that this node publishes: who is connected, what waits for each, and the last message if
+//! it latches.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -23,7 +24,8 @@ pub struct MessageType {
     pub name: String,
     /// Of the definition, in hexadecimal.
     pub md5sum: String,
-    /// The definition with those of all types in it, as `gendeps --cat` prints it. May be empty: then tools cannot show the topic.
+    /// The definition with those of all types in it, as `gendeps --cat` prints it. May be empty:
+    /// then tools cannot show the topic.
     pub definition: String,
 }
 
@@ -161,7 +163,8 @@ impl Publication {
     }
 }
 
-/// Whether the header of one who connects asks for this type; returns who it is. The error is for the peer to read.
+/// Whether the header of one who connects asks for this type; returns who it is. The error is for
+/// the peer to read.
 pub fn check<'a>(header: &'a Header, name: &str, md5sum: &str) -> Result<&'a str, String> {
     let Some(theirs) = header.get("md5sum") else { return Err("Missing required 'md5sum' field".to_owned()) };
     if theirs != "*" && theirs != md5sum {

@@ -1,8 +1,10 @@
-//! Which publishers of a topic to be connected to, without I/O: what the master lists, what was reached, when to try again.
+//! Which publishers of a topic to be connected to, without I/O: what the master lists, what was
+//! reached, when to try again.
 //!
-//! What the master lists is not believed in one case. A master that was started anew knows only who has registered since, and most
-//! ROS 1 nodes never register twice: their connections are fine all the same. So only a master that has listed a publisher itself
-//! can end the connection to it by not listing it any more. One that it never listed keeps its connection as long as that lives.
+//! What the master lists is not believed in one case. A master that was started anew knows only who
+//! has registered since, and most ROS 1 nodes never register twice: their connections are fine all
+//! the same. So only a master that has listed a publisher itself can end the connection to it by
+//! not listing it any more. One that it never listed keeps its connection as long as that lives.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;

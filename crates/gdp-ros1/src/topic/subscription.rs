@@ -1,4 +1,5 @@
-//! A topic that this node subscribes to: connections to all who publish it, and one queue of what they say.
+//! A topic that this node subscribes to: connections to all who publish it, and one queue of what
+//! they say.
 
 pub use crate::topic::message::{Message, PublisherInfo};
 use std::collections::{BTreeMap, HashMap};
@@ -43,7 +44,8 @@ pub struct Listed {
     pub publishers: Vec<String>,
 }
 
-/// What keeps the connections of one subscription as the master lists them. Ends when `listed` does.
+/// What keeps the connections of one subscription as the master lists them. Ends when `listed`
+/// does.
 pub struct ConnectionSupervisor {
     pub common: Arc<Common>,
     pub sources: Sources,

@@ -177,7 +177,8 @@ impl<'a> Tokens<'a> {
         match self.next_element()? {
             Token::Open(found) if found == name => Ok(true),
             token => {
-                // White space may lie between: `next_element` has taken it away, and it means nothing here.
+                // White space may lie between: `next_element` has taken it away, and it means
+                // nothing here.
                 self.ahead = Some(token);
                 Ok(false)
             }

@@ -1,4 +1,5 @@
-//! Calls and answers as XML: compact, and in the form that roscpp's own small parser takes (no empty-element tags).
+//! Calls and answers as XML: compact, and in the form that roscpp's own small parser takes (no
+//! empty-element tags).
 
 use std::fmt::Write;
 
@@ -65,7 +66,8 @@ fn value(xml: &mut String, value: &Value) {
     xml.push_str("</value>");
 }
 
-/// Escaped. A carriage return would be read as a line feed; what cannot stand in XML at all is left out.
+/// Escaped. A carriage return would be read as a line feed; what cannot stand in XML at all is left
+/// out.
 fn text(raw: &str) -> String {
     let kept: String = raw.chars().filter(|&c| is_allowed(c)).collect();
     escape(&kept).replace('\r', "&#13;")

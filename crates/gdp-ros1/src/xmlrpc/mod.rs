@@ -1,8 +1,10 @@
-//! XML-RPC as ROS 1 uses it, without I/O: what is called, what is answered, and both as XML. <http://xmlrpc.com/spec.md>
+//! XML-RPC as ROS 1 uses it, without I/O: what is called, what is answered, and both as XML.
+//! <http://xmlrpc.com/spec.md>
 //!
-//! Only what occurs in the master and slave API: integers, booleans, strings, arrays, and structures (in faults). Whatever comes is bounded in
-//! depth and number; the bytes of a body are bounded by who reads it. Entities other than XML's own five are not known, so that
-//! nothing is ever expanded.
+//! Only what occurs in the master and slave API: integers, booleans, strings, arrays, and
+//! structures (in faults). Whatever comes is bounded in depth and number; the bytes of a body are
+//! bounded by who reads it. Entities other than XML's own five are not known, so that nothing is
+//! ever expanded.
 
 mod decode;
 mod encode;

@@ -1,4 +1,5 @@
-//! What the tests of the node share: a master with rospy nodes, and short ways to what is asked of both.
+//! What the tests of the node share: a master with rospy nodes, and short ways to what is asked of
+//! both.
 
 use bytes::Bytes;
 use gdp_ros1::{MasterState, MessageType, Node, Subscription};

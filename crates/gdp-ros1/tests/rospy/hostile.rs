@@ -172,7 +172,8 @@ fn failure(subscription: &Subscription, uri: &str) -> Option<String> {
     }
 }
 
-/// A publisher whose slave API is right, and which says this to all who connect; the URI of its slave API.
+/// A publisher whose slave API is right, and which says this to all who connect; the URI of its
+/// slave API.
 async fn liar(says: Vec<u8>) -> String {
     let [api, tcpros] =
         [TcpListener::bind("127.0.0.1:0").await.unwrap(), TcpListener::bind("127.0.0.1:0").await.unwrap()];

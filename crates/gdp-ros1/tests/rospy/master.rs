@@ -1,4 +1,5 @@
-//! A real master and real rospy nodes. They end with their guards, and if the test is killed with the thread that started them.
+//! A real master and real rospy nodes. They end with their guards, and if the test is killed with
+//! the thread that started them.
 
 use std::fs::File;
 use std::net::TcpListener;
@@ -67,7 +68,8 @@ impl Master {
         Node::start(self.config(name)).await.unwrap()
     }
 
-    /// A rospy node of the same name as its folder; returns when it says that it is ready, with what it says.
+    /// A rospy node of the same name as its folder; returns when it says that it is ready, with
+    /// what it says.
     pub async fn peer(&self, name: &str, arguments: &[&str]) -> (Process, Value) {
         let mut process = self.begin(name, arguments);
         let ready = process.event("ready").await;
@@ -85,8 +87,8 @@ impl Master {
     }
 }
 
-/// For a server that is started and started again. Below those that the system gives to outgoing connections: one of these could
-/// take it in between.
+/// For a server that is started and started again. Below those that the system gives to outgoing
+/// connections: one of these could take it in between.
 fn free_port() -> u16 {
     static NEXT: AtomicU16 = AtomicU16::new(0);
     let first = 12_000 + std::process::id() % 16_000;

@@ -130,7 +130,8 @@ async fn two_masters_and_a_name_that_another_node_takes() {
     elsewhere.publish(string("from here")).unwrap();
     assert_eq!(next_text(&mut heard).await, ("from here".to_owned(), "/other".to_owned()));
 
-    // The newcomer has the name, as ROS has it; the one from before says so, and does not fight for it.
+    // The newcomer has the name, as ROS has it; the one from before says so, and does not fight for
+    // it.
     let newcomer = first.node("/bridge").await;
     let _taken = newcomer.subscribe("/another", SubscribeOptions::default()).unwrap();
     let mut status = here.status();

@@ -42,7 +42,8 @@ async fn services_of_rospy_are_called_without_knowing_their_type() {
         matches!(&other, Err(CallError::Connection { source, .. }) if source.to_string().contains("md5")),
         "{other:?}"
     );
-    // Dead without a word: the master still names it, and the call fails at once and says what was tried.
+    // Dead without a word: the master still names it, and the call fails at once and says what was
+    // tried.
     light.kill();
     let dead = client.call("*", Bytes::from_static(&[1]), LIMIT).await;
     assert!(matches!(&dead, Err(CallError::Connection { uri, .. }) if uri.starts_with("rosrpc://")), "{dead:?}");

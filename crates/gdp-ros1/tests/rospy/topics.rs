@@ -80,7 +80,8 @@ async fn several_publishers_of_a_topic_come_and_go() {
     hear(&mut subscription, "/one", "from one").await;
     hear(&mut subscription, "/two", "from two").await;
     assert_eq!(connected(&subscription), ["/one", "/two"]);
-    // One takes leave, the other dies. The master goes on listing the dead one; we go on trying, and everybody else is heard.
+    // One takes leave, the other dies. The master goes on listing the dead one; we go on trying,
+    // and everybody else is heard.
     one.stop().await;
     two.kill();
     until("both are missed", async || connected(&subscription).is_empty().then_some(())).await;

@@ -20,7 +20,8 @@ fn what_is_encoded_is_decoded_to_the_same() {
 #[test]
 fn forms_that_python_and_roscpp_write_are_read() {
     let python = b"<?xml version='1.0'?>\n<methodResponse>\n<params>\n<param>\n<value><array><data>\n<value><int>1</int></value>\n\
-        <value><string></string></value>\n<value><array><data>\n</data></array></value>\n</data></array></value>\n</param>\n</params>\n\
+        <value><string></string></value>\n<value><array><data>\n</data></array></value>\n\
+        </data></array></value>\n</param>\n</params>\n\
         </methodResponse>\n";
     let expected = Value::Array(vec![Value::Int(1), Value::String(String::new()), Value::Array(vec![])]);
     assert_eq!(decode_response(python).unwrap(), Ok(expected));
@@ -53,7 +54,8 @@ fn hostile_documents_are_refused() {
     assert!(call("\u{1}").is_err());
     assert!(call("text<int>1</int>").is_err());
     assert!(call("<int>1</int><int>1</int>").is_err());
-    let bomb = b"<!DOCTYPE b [<!ENTITY a \"aaaa\"><!ENTITY b \"&a;&a;&a;\">]><methodCall><methodName>&b;</methodName></methodCall>";
+    let bomb = b"<!DOCTYPE b [<!ENTITY a \"aaaa\"><!ENTITY b \
+                 \"&a;&a;&a;\">]><methodCall><methodName>&b;</methodName></methodCall>";
     assert!(matches!(decode_call(bomb), Err(XmlRpcError::DocumentType)));
     assert!(matches!(decode_call(b"<methodCall><methodName>\xff"), Err(XmlRpcError::Encoding(_))));
     assert!(decode_call(b"").is_err());

@@ -1,4 +1,5 @@
-//! Formats the fields of events and spans as `tracing-subscriber` does, and escapes what strangers wrote into them.
+//! Formats the fields of events and spans as `tracing-subscriber` does, and escapes what strangers
+//! wrote into them.
 
 use std::fmt::{self, Debug, Write as _};
 

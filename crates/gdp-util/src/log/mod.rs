@@ -1,7 +1,9 @@
-//! The log of a long-running program, on stderr. A log that cannot be written costs lines of the log, and nothing else.
+//! The log of a long-running program, on stderr. A log that cannot be written costs lines of the
+//! log, and nothing else.
 //!
-//! One thread writes, so that a full disk, a reader of the pipe that stopped or ended, or a terminal that was halted
-//! neither blocks nor ends whoever logs. The Rust runtime ignores SIGPIPE; a pipe without a reader is an error of `write`.
+//! One thread writes, so that a full disk, a reader of the pipe that stopped or ended, or a
+//! terminal that was halted neither blocks nor ends whoever logs. The Rust runtime ignores SIGPIPE;
+//! a pipe without a reader is an error of `write`.
 
 mod fields;
 mod queue;
@@ -19,8 +21,8 @@ use crate::escape::Escaped;
 use fields::EscapedFields;
 use queue::Queue;
 
-/// What is logged if `RUST_LOG` is not set: this project's own information, and only errors of other crates, whose
-/// warnings are often about single datagrams or about what we handle.
+/// What is logged if `RUST_LOG` is not set: this project's own information, and only errors of
+/// other crates, whose warnings are often about single datagrams or about what we handle.
 const DEFAULT_FILTER: &str = "error,gdp=info";
 
 /// How long a program that ends waits for its last lines to be written.
@@ -45,7 +47,8 @@ fn format(filter: EnvFilter, colours: bool) -> SubscriberBuilder<EscapedFields, 
         .with_env_filter(filter)
         .with_ansi(colours)
         .fmt_fields(EscapedFields)
-        // Or what cannot be formatted or written is reported by `eprintln!`, which panics if stderr fails.
+        // Or what cannot be formatted or written is reported by `eprintln!`, which panics if stderr
+        // fails.
         .log_internal_errors(false)
 }
 
@@ -65,7 +68,8 @@ pub(crate) fn is_started() -> bool {
     WRITER.get() == Some(&true)
 }
 
-/// Writes a line, escaped, that looks like an event of this level and target, without going through `tracing`.
+/// Writes a line, escaped, that looks like an event of this level and target, without going through
+/// `tracing`.
 pub(crate) fn write(level: &str, target: &str, text: impl std::fmt::Display) {
     start_writer();
     QUEUE.push(line(level, target, text));

@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 /// Bytes that may wait. A writer that stands still costs no more memory than this.
 const CAPACITY: usize = 1 << 20;
 
-/// How long a writer that is not ready is left alone: a pipe that another process made non-blocking.
+/// How long a writer that is not ready is left alone: a pipe that another process made
+/// non-blocking.
 const NOT_READY: Duration = Duration::from_millis(100);
 
 /// Many threads push, one thread writes.

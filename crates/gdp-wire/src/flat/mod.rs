@@ -1,4 +1,5 @@
-//! The FIB as a flat table: where a name leads, found with one cache miss while a writer changes the table.
+//! The FIB as a flat table: where a name leads, found with one cache miss while a writer changes
+//! the table.
 //!
 //! ```text
 //!  word of a bucket   0       1 … 4   5 … 7   8 …
@@ -6,27 +7,31 @@
 //!  bucket 1 … n       state   name    entry   state … (8 lines of one cache line each)
 //! ```
 //!
-//! A name has two buckets and a line to begin with, from a hash of it. It is in the first free line from there on, around the
-//! first bucket and then around the second. [`lookup`] is the reader, for the kernel as well as for user space; [`Table`] is
-//! the only writer, in user space, on the same memory. Sized by [`buckets_for`], half of the lines are free: 128 B a name when
-//! the table is full.
+//! A name has two buckets and a line to begin with, from a hash of it. It is in the first free line
+//! from there on, around the first bucket and then around the second. [`lookup`] is the reader, for
+//! the kernel as well as for user space; [`Table`] is the only writer, in user space, on the same
+//! memory. Sized by [`buckets_for`], half of the lines are free: 128 B a name when the table is
+//! full.
 //!
-//! **A line is written once.** Its *state* says whether it is live, whether names that begin before it may lie behind it
-//! (*passed*), and how often the line was used. What is in a live line does not change: to change a route, the writer
-//! fills another line and then takes the old one back. A reader takes an entry only if the line's number of uses is the same
-//! before and after: the words between are those of one route of this name, which held during the lookup.
+//! **A line is written once.** Its *state* says whether it is live, whether names that begin before
+//! it may lie behind it (*passed*), and how often the line was used. What is in a live line does
+//! not change: to change a route, the writer fills another line and then takes the old one back. A
+//! reader takes an entry only if the line's number of uses is the same before and after: the words
+//! between are those of one route of this name, which held during the lookup.
 //!
-//! **A route that changes is never missed.** When a name moves to another line, the state of the line it begins with changes
-//! before the old line goes. A reader that finds nothing looks at that state again; if it changed, the reader looks again. A
-//! reader that does so [`TRIES`] times in vain finds nothing: the same name, or its neighbours, must change each time
-//! within nanoseconds.
+//! **A route that changes is never missed.** When a name moves to another line, the state of the
+//! line it begins with changes before the old line goes. A reader that finds nothing looks at that
+//! state again; if it changed, the reader looks again. A reader that does so [`TRIES`] times in
+//! vain finds nothing: the same name, or its neighbours, must change each time within nanoseconds.
 //!
-//! **A removal leaves no gaps**, because what ends a search is a line that nobody passed, not a free one; the writer takes a
-//! *passed* back once nobody needs it. So a search for a name that is not there ends at its first line as a rule.
+//! **A removal leaves no gaps**, because what ends a search is a line that nobody passed, not a
+//! free one; the writer takes a *passed* back once nobody needs it. So a search for a name that is
+//! not there ends at its first line as a rule.
 //!
-//! **The hash is keyed**, by a number that nobody outside learns: an owner of many names cannot pick such that share a
-//! bucket, because which do is another matter in every table. One word of a name is enough: to find 17 names that agree in
-//! 64 bits, one more than two buckets hold, is some 2⁶⁰ hashes of work.
+//! **The hash is keyed**, by a number that nobody outside learns: an owner of many names cannot
+//! pick such that share a bucket, because which do is another matter in every table. One word of a
+//! name is enough: to find 17 names that agree in 64 bits, one more than two buckets hold, is some
+//! 2⁶⁰ hashes of work.
 
 mod table;
 
@@ -54,7 +59,8 @@ const PATH: usize = 2 * LINES;
 const MASK: usize = 0;
 const KEY: usize = 1;
 
-/// Parts of a state. In the high 32 bits it counts how often the line was used; the writer keeps counts of its own between.
+/// Parts of a state. In the high 32 bits it counts how often the line was used; the writer keeps
+/// counts of its own between.
 const LIVE: u64 = 1;
 const PASSED: u64 = 2;
 const USED: u32 = 32;
@@ -167,7 +173,8 @@ impl Place {
 /// The entry of which these are the words.
 #[inline(always)]
 pub const fn from_words(words: [u64; 3]) -> FibEntry {
-    // SAFETY: an entry is 24 bytes of plain integers (`table` asserts the size), any of which are one.
+    // SAFETY: an entry is 24 bytes of plain integers (`table` asserts the size), any of which are
+    // one.
     unsafe { core::mem::transmute::<[u64; 3], FibEntry>(words) }
 }
 

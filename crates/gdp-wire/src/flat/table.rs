@@ -1,5 +1,6 @@
-//! The writer of a flat table. There is one at a time, so it reads its own memory as it left it; what it writes is ordered for the
-//! readers in the parent module, and for whoever takes the table over if the writer dies between any two stores.
+//! The writer of a flat table. There is one at a time, so it reads its own memory as it left it;
+//! what it writes is ordered for the readers in the parent module, and for whoever takes the table
+//! over if the writer dies between any two stores.
 #![cfg(target_has_atomic = "64")]
 
 use core::fmt;
@@ -18,7 +19,8 @@ const BATCH: usize = 16;
 /// Lines of its bucket that the name in this one passes.
 const STEPS: Count = Count { shift: 2, max: LINES as u64 - 1 };
 
-/// Names that begin in this bucket and lie in their second one; in the state of a bucket's first line only.
+/// Names that begin in this bucket and lie in their second one; in the state of a bucket's first
+/// line only.
 const SPILLED: Count = Count { shift: 5, max: (1 << 12) - 1 };
 
 /// How often a name moved that begins in this line.
@@ -94,7 +96,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
             .map(|at| (self.name(at), self.entry(at)))
     }
 
-    /// Adds a name, or changes where it leads. Whoever looks it up meanwhile finds what was or what is.
+    /// Adds a name, or changes where it leads. Whoever looks it up meanwhile finds what was or what
+    /// is.
     pub fn insert(&mut self, name: &Name, entry: FibEntry) -> Result<(), Full> {
         let place = self.place(name);
         let held = self.find(&place, name);
@@ -113,7 +116,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         Ok(())
     }
 
-    /// [`Self::insert`] for many, whose cache misses overlap. Those before the one that found no room are in.
+    /// [`Self::insert`] for many, whose cache misses overlap. Those before the one that found no
+    /// room are in.
     pub fn insert_all(&mut self, routes: &[(Name, FibEntry)]) -> Result<(), Full> {
         for batch in routes.chunks(BATCH) {
             self.fetch(batch.iter().map(|(name, _)| name));
@@ -180,7 +184,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         }
     }
 
-    /// Frees a line on a path that has none, by moving the name in it along its own path. The step that is free then.
+    /// Frees a line on a path that has none, by moving the name in it along its own path. The step
+    /// that is free then.
     fn make_room(&mut self, place: &Place) -> Result<usize, Full> {
         for step in 0..PATH {
             let at = place.at(step);
@@ -228,8 +233,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         }
     }
 
-    /// Puts right what a writer that died left half done. Whatever it did, there are marks and counts too many, never too few; a
-    /// name that was moving is there twice.
+    /// Puts right what a writer that died left half done. Whatever it did, there are marks and
+    /// counts too many, never too few; a name that was moving is there twice.
     fn repair(&mut self) {
         for bucket in 1..=self.mask + 1 {
             let at = bucket as usize * BUCKET;
@@ -320,13 +325,14 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     }
 }
 
-/// Names in the memory of a table that somebody else writes; one that moves meanwhile may count twice.
+/// Names in the memory of a table that somebody else writes; one that moves meanwhile may count
+/// twice.
 pub fn count(memory: &[AtomicU64]) -> usize {
     memory.iter().skip(BUCKET).step_by(LINE).filter(|state| state.load(Ordering::Relaxed) & LIVE != 0).count()
 }
 
-/// Brings the lines that a lookup of the name begins with into the caches, without waiting for them: two, because every third name or so
-/// is in the second.
+/// Brings the lines that a lookup of the name begins with into the caches, without waiting for
+/// them: two, because every third name or so is in the second.
 #[inline]
 pub fn prefetch(memory: &[AtomicU64], name: &Name) {
     let word = |index: usize| memory.get(index).map_or(0, |word| word.load(Ordering::Relaxed));

@@ -13,8 +13,8 @@ pub fn echo<'t, T: Tables>(header: &mut Header, ingress: &'t LinkEntry, tables: 
     Verdict::Answer(ingress, Counter::Echoed)
 }
 
-/// A refusal, with a code only if the neighbour is to be told of it: not about frames for several egress switches, and not
-/// faster than the link's rate.
+/// A refusal, with a code only if the neighbour is to be told of it: not about frames for several
+/// egress switches, and not faster than the link's rate.
 #[inline(always)]
 pub fn as_disclosed<T: Tables>(refusal: Refusal, header: &Header, ingress: &LinkEntry, tables: &T) -> Refusal {
     let bits = header.egress_bits();

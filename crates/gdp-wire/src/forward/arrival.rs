@@ -1,4 +1,5 @@
-//! ActionKind must be true of a frame before anything is looked up for it: its form, its link, its tag, and that it is new.
+//! ActionKind must be true of a frame before anything is looked up for it: its form, its link, its
+//! tag, and that it is new.
 
 use super::FrameType;
 use super::frame_type::frame_type;
@@ -14,7 +15,8 @@ pub struct Arrival<'t, W> {
     pub count: u64,
 }
 
-/// The link a frame came in on, its replay window and the frame's count, if it is well-formed, authentic and not known.
+/// The link a frame came in on, its replay window and the frame's count, if it is well-formed,
+/// authentic and not known.
 #[inline(always)]
 pub fn arrival<'t, T: Tables>(
     header: &Header,
@@ -28,8 +30,8 @@ pub fn arrival<'t, T: Tables>(
     if replay::is_fresh(&window, count) { Ok(Arrival { link, window, count }) } else { Err(Counter::Replayed) }
 }
 
-/// Takes a frame as an endpoint receives it on `link`: checks its form, that the neighbour sent it, and that it was not
-/// taken before. ActionKind it is: anything but a control frame.
+/// Takes a frame as an endpoint receives it on `link`: checks its form, that the neighbour sent it,
+/// and that it was not taken before. ActionKind it is: anything but a control frame.
 pub fn accept(header: &Header, available: usize, link: &LinkEntry, window: &impl Words) -> Result<FrameType, Counter> {
     let frame_type = well_formed(header, available)?;
     if header.link_id() != link.id {
@@ -64,7 +66,8 @@ fn authentic(
     has_tag: impl FnOnce([u64; 2], u64) -> bool,
 ) -> Result<u64, Counter> {
     let (key, count) = keyed(header, link, window);
-    // An entry that is being written or removed may have no key yet, or no longer; everybody knows that one.
+    // An entry that is being written or removed may have no key yet, or no longer; everybody knows
+    // that one.
     if key == [0; 2] {
         return Err(Counter::BadTag);
     }

@@ -16,9 +16,9 @@ pub enum Copy {
     Drop(Counter),
 }
 
-/// Makes the header of a frame that [`super::decide`] wants copied the one for `link`. `length`: bytes of the
-/// frame; `ingress`: where the frame came in.
-/// Bits partition: each neighbour gets those that it leads to, so nothing multiplies.
+/// Makes the header of a frame that [`super::decide`] wants copied the one for `link`. `length`:
+/// bytes of the frame; `ingress`: where the frame came in. Bits partition: each neighbour gets
+/// those that it leads to, so nothing multiplies.
 #[inline(always)]
 pub fn copy<T: Tables>(header: &mut Header, length: usize, link: &LinkEntry, ingress: &LinkEntry, tables: &T) -> Copy {
     if link.id == ingress.id {

@@ -1,9 +1,10 @@
-//! The forwarding decision. "Names at the edge, bits inside": the ingress switch looks the destination up and stamps
-//! the egress switches as bits (after BIER, RFC 8279); a switch in transit only looks at bits; the egress switch finds
-//! its own bit and looks the name up for its local links.
+//! The forwarding decision. "Names at the edge, bits inside": the ingress switch looks the
+//! destination up and stamps the egress switches as bits (after BIER, RFC 8279); a switch in
+//! transit only looks at bits; the egress switch finds its own bit and looks the name up for its
+//! local links.
 //!
-//! [`decide`] is the order of things; [`arrival`], [`route`], [`probe`] and [`answer`] are its parts, and [`copy()`] is what it leaves
-//! to be done for each link of a group.
+//! [`decide`] is the order of things; [`arrival`], [`route`], [`probe`] and [`answer`] are its
+//! parts, and [`copy()`] is what it leaves to be done for each link of a group.
 
 mod answer;
 mod arrival;
@@ -38,10 +39,12 @@ pub fn classify(first_byte: u8) -> Kind {
     }
 }
 
-/// Decides what happens to a frame of which `available` bytes are there, header included, and rewrites its header
-/// accordingly. `traffic`: the byte that IP has for DSCP and ECN in what carried it, of which only a router's mark counts (CE,
-/// RFC 3168); 0 on Ethernet. ActionKind lies behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries
-/// the verdict out leaves it behind. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or [`Verdict::Drop`], the header is unchanged.
+/// Decides what happens to a frame of which `available` bytes are there, header included, and
+/// rewrites its header accordingly. `traffic`: the byte that IP has for DSCP and ECN in what
+/// carried it, of which only a router's mark counts (CE, RFC 3168); 0 on Ethernet. ActionKind lies
+/// behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries the
+/// verdict out leaves it behind. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or
+/// [`Verdict::Drop`], the header is unchanged.
 #[inline(always)]
 pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8, tables: &'t T) -> Verdict<'t> {
     let Arrival { link: ingress, window, count } = match arrival(header, available, tables) {
@@ -49,7 +52,8 @@ pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8,
         Err(counter) => return Verdict::Drop(counter),
     };
     let classify_action = classify_action(header, ingress, tables);
-    // ActionKind is left to another plane is left as it came. Its window is the same: taken here, it would be refused there.
+    // ActionKind is left to another plane is left as it came. Its window is the same: taken here,
+    // it would be refused there.
     if !T::LAST && !is_for_this_plane(&classify_action, header.frame_len(), tables) {
         return Verdict::Slow;
     }
@@ -85,8 +89,9 @@ pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8,
 
 /// ActionKind is to be done with a frame, before this plane knows whether it is the one to do it.
 ///
-/// Every field always holds something. Where an enum leaves one out, the compiler spills a register that nothing was written to
-/// when a plane's answer is a call, and the kernel's verifier refuses that.
+/// Every field always holds something. Where an enum leaves one out, the compiler spills a register
+/// that nothing was written to when a plane's answer is a call, and the kernel's verifier refuses
+/// that.
 struct Decision<'t> {
     what: ActionKind,
     /// Where it leaves; the one it came by, if it leaves by none.

@@ -1,12 +1,14 @@
-//! The way of a probe: as that of a data frame for one egress switch, as far as the switches lead; no name is looked up, nothing is
-//! copied, and nobody is told of one that is dropped. Changes nothing.
+//! The way of a probe: as that of a data frame for one egress switch, as far as the switches lead;
+//! no name is looked up, nothing is copied, and nobody is told of one that is dropped. Changes
+//! nothing.
 
 use super::route::lowest_bit;
 use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
-/// The link that a probe leaves by; `None` if it ends here and the daemon may be given it: its hop limit is used up, this is the
-/// egress switch, or it comes from another domain, to which the inside of this one is hidden.
+/// The link that a probe leaves by; `None` if it ends here and the daemon may be given it: its hop
+/// limit is used up, this is the egress switch, or it comes from another domain, to which the
+/// inside of this one is hidden.
 #[inline(always)]
 pub fn next<'t, T: Tables>(
     header: &Header,

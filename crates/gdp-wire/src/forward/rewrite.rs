@@ -6,10 +6,13 @@ use crate::LinkRole;
 use crate::forward::route::is_foreign;
 use crate::tables::Tables;
 
-/// Takes a router's mark over into the header, which goes all the way to the reader; `false` if what carried the frame was marked,
-/// and its writer does not take marks, so that only a loss tells it (RFC 6040, section 4.2). `traffic`: of what carried it.
+/// Copies a router's congestion mark into the header, which goes all the way to the reader.
 ///
-/// By arithmetic: with a branch for the mark and one for who takes it, the kernel's verifier would look at half as many states again.
+/// Returns `false` if the outer packet was marked and the frame's writer takes no marks: only a
+/// loss can tell such a writer (RFC 6040, section 4.2). `traffic` is the byte of the outer packet.
+///
+/// By arithmetic: with a branch for the mark and one for who takes it, the kernel's verifier would
+/// look at half as many states again.
 #[inline(always)]
 pub fn carry_mark(header: &mut Header, traffic: u8) -> bool {
     let (marked, takes_marks) = (traffic & traffic >> 1 & 1, header.flags | header.flags >> 1);

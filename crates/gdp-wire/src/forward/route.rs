@@ -115,7 +115,8 @@ fn checked<'t>(egress: Egress<'t>, header: &Header, length: usize, ingress: &Lin
     Ok(egress)
 }
 
-/// Whether a frame came from another domain, here or at another switch of this one, and may not go on to a third.
+/// Whether a frame came from another domain, here or at another switch of this one, and may not go
+/// on to a third.
 #[inline(always)]
 pub fn is_foreign(header: &Header, ingress: &LinkEntry) -> bool {
     ingress.role == LinkRole::Border as u32 && ingress.flags & LinkEntry::TRANSIT == 0

@@ -5,14 +5,16 @@ use crate::{Counter, LinkEntry};
 /// ActionKind a data plane must do with a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict<'t> {
-    /// Send it by this link; the header has been rewritten for it, but for what [`Tables::stamp`] has left for later.
+    /// Send it by this link; the header has been rewritten for it, but for what [`Tables::stamp`]
+    /// has left for later.
     Send(&'t LinkEntry, Counter),
     /// For each link of this group that [`copy()`] says so, send what that makes of it; count it as
     /// [`Counter::Replicated`].
     Copies(u32),
     /// The header has become an answer to the neighbour: send it by this link, without a payload.
     Answer(&'t LinkEntry, Counter),
-    /// It is for this node itself, unchanged: an error, the answer to an echo, or a probe that ends here; counted as [`Counter::Notice`].
+    /// It is for this node itself, unchanged: an error, the answer to an echo, or a probe that ends
+    /// here; counted as [`Counter::Notice`].
     Notice(&'t LinkEntry),
     /// Leave it, untouched, to the next plane; counted as [`Counter::Slow`].
     Slow,

@@ -66,7 +66,8 @@ fn threads_that_share_a_window_take_each_count_once() {
             });
         }
     });
-    // A thread may have been overtaken by a whole ring, but then another has taken what it came too late for.
+    // A thread may have been overtaken by a whole ring, but then another has taken what it came too
+    // late for.
     assert!(taken.iter().all(|taken| taken.load(Ordering::Relaxed) == 1));
 }
 

@@ -40,7 +40,8 @@ impl Authority {
         Ok(Self { identity, books, issued, revocation, serial })
     }
 
-    /// Remembers first what is then given away: what is not known to be issued would not be revoked.
+    /// Remembers first what is then given away: what is not known to be issued would not be
+    /// revoked.
     pub fn remember(self, issue: Issue) -> anyhow::Result<()> {
         let mut issued = self.issued;
         issued.push(issue);

@@ -52,7 +52,8 @@ pub struct AdmitOptions {
     key: KeyOptions,
     /// The new member: 64 hex digits, as `gdp-ctl key show` prints them.
     entity: Name,
-    /// `switch`, `rib` or `border` for what forwards; any other is for grants to name: 1 to 32 of a-z, 0-9, _ and -.
+    /// `switch`, `rib` or `border` for what forwards; any other is for grants to name: 1 to 32 of
+    /// a-z, 0-9, _ and -.
     #[arg(long)]
     role: String,
     /// How long it is a member.
@@ -90,8 +91,8 @@ pub struct PeerOptions {
     key: KeyOptions,
     /// The other domain: 64 hex digits.
     domain: Name,
-    /// What it may do: some of peering (links of border switches), transit (send through this domain into a third one), visit (its
-    /// robots attach here).
+    /// What it may do: some of peering (links of border switches), transit (send through this
+    /// domain into a third one), visit (its robots attach here).
     #[arg(long, value_name = "RIGHT,…")]
     rights: PeerRights,
     #[arg(long, value_name = "N", default_value = "365", value_parser = clap::value_parser!(u32).range(1..))]

@@ -34,7 +34,8 @@ pub struct Options {
     /// The private key of the new member, made if there is none.
     #[arg(long, value_name = "FILE")]
     identity: Option<PathBuf>,
-    /// The folder of what is written: domain.card, membership, gdp.yaml, and the key unless --identity is given.
+    /// The folder of what is written: domain.card, membership, gdp.yaml, and the key unless
+    /// --identity is given.
     #[arg(short, long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
 }

@@ -1,5 +1,6 @@
-//! `gdp-ctl domain`: a trust domain and its members. Works on files, where the domain's key is kept; only a revocation is sent to a
-//! daemon, if one answers. `join` alone runs on the machine of a new member, and needs no key but its own.
+//! `gdp-ctl domain`: a trust domain and its members. Works on files, where the domain's key is
+//! kept; only a revocation is sent to a daemon, if one answers. `join` alone runs on the machine of
+//! a new member, and needs no key but its own.
 
 mod authority;
 mod issue;
@@ -12,7 +13,8 @@ use clap::Subcommand;
 
 use crate::cli::context::Context;
 
-const OFF_THE_SWITCHES: &str = "The domain's key is never needed on a switch, a RIB or a robot: run this where the key is kept, and \
+const OFF_THE_SWITCHES: &str = "The domain's key is never needed on a switch, a RIB or a robot: run this where the \
+                                key is kept, and \
                                 take the file to the member.";
 
 #[derive(Debug, Subcommand)]
@@ -25,7 +27,8 @@ pub enum Command {
     /// Let whoever holds the line that this prints become a member, once.
     #[command(after_help = "The line holds a private key: give it to the one it is for, and to nobody else.")]
     Invite(issue::InviteOptions),
-    /// Become a member by an invitation: makes a key if there is none, and writes the membership and a configuration.
+    /// Become a member by an invitation: makes a key if there is none, and writes the membership
+    /// and a configuration.
     Join(join::Options),
     /// Take memberships, invitations and peerings back, and tell the fabric if a daemon answers.
     #[command(after_help = OFF_THE_SWITCHES)]
@@ -33,7 +36,8 @@ pub enum Command {
     /// Let another domain do something with this one. The two peer when each has done so.
     #[command(after_help = OFF_THE_SWITCHES)]
     Peer(issue::PeerOptions),
-    /// Show a domain's card with what was issued from here, a certificate, or an invitation (without its key).
+    /// Show a domain's card with what was issued from here, a certificate, or an invitation
+    /// (without its key).
     Show(show::Options),
 }
 

@@ -1,4 +1,5 @@
-//! `gdp-ctl domain revoke`: the domain's word on what no longer holds, with a number above the last one.
+//! `gdp-ctl domain revoke`: the domain's word on what no longer holds, with a number above the last
+//! one.
 
 use std::path::Path;
 
@@ -20,8 +21,8 @@ use gdp_util::unix_time::unix_seconds;
 pub struct Options {
     #[command(flatten)]
     key: KeyOptions,
-    /// What to take back: serials, as `gdp-ctl domain show` lists them, files, or `-` for an invitation on stdin. With nothing to take
-    /// back, the newest revocation is published again.
+    /// What to take back: serials, as `gdp-ctl domain show` lists them, files, or `-` for an
+    /// invitation on stdin. With nothing to take back, the newest revocation is published again.
     #[arg(value_name = "SERIAL|FILE")]
     what: Vec<String>,
     /// All memberships of this entity that were issued from here.
@@ -74,7 +75,8 @@ impl Options {
             chosen.extend(of.filter(|i| matches!(i.to, To::Member { .. }) == is_member).map(|i| i.serial));
             if chosen.len() == before {
                 bail!(
-                    "nothing was issued to {name} from here; name its files or their serials, or those of its invitation"
+                    "nothing was issued to {name} from here; name its files or their serials, or those of its \
+                     invitation"
                 );
             }
         }

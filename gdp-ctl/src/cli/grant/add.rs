@@ -47,13 +47,15 @@ pub struct Options {
     /// The domain of --role.
     #[arg(long, value_name = "NAME", requires = "role")]
     domain: Option<Name>,
-    /// To another key (66 hex digits, as `gdp-ctl key show` prints them): it may issue such grants to others.
+    /// To another key (66 hex digits, as `gdp-ctl key show` prints them): it may issue such grants
+    /// to others.
     #[arg(long, value_name = "KEY")]
     delegate: Option<VerifyKey>,
     /// How messages are delivered.
     #[arg(long, value_enum, default_value = "unicast", requires = "publish", conflicts_with = "delegate")]
     mode: DeliveryMode,
-    /// A domain that may know the name; repeat for several. Without any: only the domain it is advertised in.
+    /// A domain that may know the name; repeat for several. Without any: only the domain it is
+    /// advertised in.
     #[arg(long, value_name = "NAME", requires = "publish", conflicts_with = "delegate")]
     scope: Vec<Name>,
     /// How long it holds: 90s, 15m, 2h, 7d.

@@ -1,5 +1,5 @@
-//! `gdp-ctl grant`: what an owner lets others do with a name. Works where the owner's key is kept, without a daemon; only a
-//! revocation is sent to one, if one answers.
+//! `gdp-ctl grant`: what an owner lets others do with a name. Works where the owner's key is kept,
+//! without a daemon; only a revocation is sent to one, if one answers.
 
 mod add;
 mod ledger;
@@ -16,7 +16,8 @@ const OFF_THE_ROBOT: &str = "The owner's key is never needed on a robot, nor on 
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Let an entity publish or read a name, a domain's role read it, or another key issue such grants.
+    /// Let an entity publish or read a name, a domain's role read it, or another key issue such
+    /// grants.
     #[command(after_help = OFF_THE_ROBOT)]
     Add(add::Options),
     /// Show what was granted from here, and what of it still holds.

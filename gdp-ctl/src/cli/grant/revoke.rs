@@ -1,4 +1,5 @@
-//! `gdp-ctl grant revoke`: the owner's word on what no longer holds, with a number above the last one.
+//! `gdp-ctl grant revoke`: the owner's word on what no longer holds, with a number above the last
+//! one.
 
 use std::path::{Path, PathBuf};
 
@@ -20,8 +21,8 @@ use gdp_util::unix_time::unix_seconds;
 pub struct Options {
     /// The name card. The newest revocation is kept beside it, in CARD.revocation.
     card: PathBuf,
-    /// What to take back: serials, as `gdp-ctl grant list` shows them, or certificate files. With nothing to take back, the
-    /// newest revocation is published again.
+    /// What to take back: serials, as `gdp-ctl grant list` shows them, or certificate files. With
+    /// nothing to take back, the newest revocation is published again.
     #[arg(value_name = "SERIAL|FILE")]
     serials: Vec<String>,
     /// All that was granted from here to this entity, such as a stolen robot.

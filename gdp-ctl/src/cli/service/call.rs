@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use gdp::node::{Client, NodeError};
+use gdp::{Client, NodeError};
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::Message;
 use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
@@ -38,7 +38,8 @@ pub struct Options {
     /// Its type, such as std_srvs/srv/SetBool.
     #[arg(value_name = "TYPE")]
     type_name: String,
-    /// Values of the request's fields, in YAML or JSON; fields that are left out are as the definition says, and else zero or empty.
+    /// Values of the request's fields, in YAML or JSON; fields that are left out are as the
+    /// definition says, and else zero or empty.
     #[arg(default_value = "{}")]
     values: String,
     #[command(flatten)]

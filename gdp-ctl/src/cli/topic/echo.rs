@@ -5,7 +5,7 @@ use std::time::Duration;
 use anyhow::bail;
 use base64ct::{Base64, Encoding as _};
 use clap::Args;
-use gdp::node::SubscribeOptions;
+use gdp::SubscribeOptions;
 use gdp_core::card::NameCard;
 use gdp_ros::compression::unpacked;
 use gdp_util::terminal::note;

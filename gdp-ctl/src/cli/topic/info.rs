@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use gdp::node::SubscribeOptions;
+use gdp::SubscribeOptions;
 use gdp_core::card::NameCard;
 use gdp_ros::roster::{Dialect, Kind, Offer};
 use gdp_wire::Name;
@@ -93,8 +93,8 @@ fn value(card: &NameCard, info: &Info) -> Value {
     })
 }
 
-/// The layout of ros2cli. Names of nodes stay with their graphs; the GID is the writer's name, and the number that the writer
-/// has given the publisher.
+/// The layout of ros2cli. Names of nodes stay with their graphs; the GID is the writer's name, and
+/// the number that the writer has given the publisher.
 fn lines(card: &NameCard, info: &Info, verbose: bool) -> Vec<String> {
     let mut publishers = Vec::new();
     for ((writer, number), publisher) in &info.publishers {

@@ -1,4 +1,5 @@
-//! `gdp-ctl topic list`, and likewise of services and actions: what the keyring has cards of, and who is there.
+//! `gdp-ctl topic list`, and likewise of services and actions: what the keyring has cards of, and
+//! who is there.
 
 use clap::Args;
 use gdp_core::card::NameCard;

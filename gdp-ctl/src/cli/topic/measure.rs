@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::bail;
 use clap::Args;
-use gdp::node::SubscribeOptions;
+use gdp::SubscribeOptions;
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::Message;
 use gdp_ros::compression::unpacked;

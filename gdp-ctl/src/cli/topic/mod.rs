@@ -25,7 +25,8 @@ pub enum Command {
     Hz(measure::Options),
     /// Show how many bytes come: of what travels compressed, those that it was before.
     Bw(measure::Options),
-    /// Show how old messages are when they come, by the stamps of their headers; without these, by when they were sent.
+    /// Show how old messages are when they come, by the stamps of their headers; without these, by
+    /// when they were sent.
     Delay(measure::DelayOptions),
     /// Publish a topic. ROS nodes behind proxies see it like any other publisher.
     Pub(publish::Options),

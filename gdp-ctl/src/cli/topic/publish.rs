@@ -1,10 +1,11 @@
-//! `gdp-ctl topic pub`: publishes a topic, with a roster as proxies send it, so that a publisher stands for it in ROS graphs elsewhere.
+//! `gdp-ctl topic pub`: publishes a topic, with a roster as proxies send it, so that a publisher
+//! stands for it in ROS graphs elsewhere.
 
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use clap::{Args, ValueEnum};
-use gdp::node::{Overflow, PublishOptions, Publisher, Reliability};
+use gdp::{Overflow, PublishOptions, Publisher, Reliability};
 use gdp_e2e::seal::Draft;
 use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
 use gdp_ros::roster::{self, Announcement, Dialect, Kind, Offer, Outgoing, ROSTER};
@@ -23,7 +24,8 @@ use crate::ros::view::View;
 use gdp_util::unix_time::unix_seconds;
 use gdp_util::unix_time::unix_time;
 
-/// What ROS readers behind a proxy need to find what stands there for this publisher, before the first of a few messages.
+/// What ROS readers behind a proxy need to find what stands there for this publisher, before the
+/// first of a few messages.
 const DISCOVERY: Duration = Duration::from_secs(1);
 
 /// How long readers may take for the last messages.
@@ -43,7 +45,8 @@ pub struct Options {
     /// Its type, such as std_msgs/msg/String.
     #[arg(value_name = "TYPE")]
     type_name: String,
-    /// Values of fields, in YAML or JSON; fields that are left out are as the definition says, and else zero or empty. `now` is a time, `auto` a header.
+    /// Values of fields, in YAML or JSON; fields that are left out are as the definition says, and
+    /// else zero or empty. `now` is a time, `auto` a header.
     #[arg(default_value = "{}")]
     values: String,
     /// Messages a second.

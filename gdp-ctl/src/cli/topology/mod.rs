@@ -1,4 +1,5 @@
-//! `gdp-ctl topology`: the domain's switches and the links between them, as the daemon's switch knows them.
+//! `gdp-ctl topology`: the domain's switches and the links between them, as the daemon's switch
+//! knows them.
 
 mod dot;
 mod links;
@@ -23,7 +24,8 @@ pub struct Options {
     /// Print a graph in the language of Graphviz: … --dot | dot -Tsvg > topology.svg
     #[arg(long, conflicts_with = "json")]
     dot: bool,
-    /// With --dot: also what entities at each switch publish and read. Asks the RIB, which must be this daemon.
+    /// With --dot: also what entities at each switch publish and read. Asks the RIB, which must be
+    /// this daemon.
     #[arg(long, requires = "dot")]
     names: bool,
 }

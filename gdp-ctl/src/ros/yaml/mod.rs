@@ -1,4 +1,5 @@
-//! YAML as `ros2 topic echo` prints it, which is as PyYAML does: blocks, Unicode as it is, lines of any length.
+//! YAML as `ros2 topic echo` prints it, which is as PyYAML does: blocks, Unicode as it is, lines of
+//! any length.
 
 mod scalar;
 

@@ -1,5 +1,6 @@
-//! Text in YAML: plain where it reads as the same text, otherwise in quotes. The rules are those of PyYAML's `Emitter.analyze_scalar` and of the
-//! resolver of YAML 1.1, whose `on`, `1:20` and `2026-11-22` are no text.
+//! Text in YAML: plain where it reads as the same text, otherwise in quotes. The rules are those of
+//! PyYAML's `Emitter.analyze_scalar` and of the resolver of YAML 1.1, whose `on`, `1:20` and
+//! `2026-11-22` are no text.
 
 use std::sync::LazyLock;
 

@@ -1,4 +1,5 @@
-//! A cluster of real etcd members on the loopback interface, each a process with its data in a temporary folder.
+//! A cluster of real etcd members on the loopback interface, each a process with its data in a
+//! temporary folder.
 
 use std::net::{Ipv4Addr, TcpStream};
 use std::process::{Child, Stdio};

@@ -1,4 +1,5 @@
-//! Domains, and daemons that are members of them, on loopback UDP, for tests that run these in their own process.
+//! Domains, and daemons that are members of them, on loopback UDP, for tests that run these in
+//! their own process.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;

@@ -1,4 +1,5 @@
-//! Servers elsewhere, for clients here. A server stands for them in the graph only while at least one of them is attached.
+//! Servers elsewhere, for clients here. A server stands for them in the graph only while at least
+//! one of them is attached.
 
 mod requests;
 mod servers;
@@ -10,7 +11,7 @@ use std::time::Instant;
 
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
-use gdp::node::{Client, NodeError};
+use gdp::{Client, NodeError};
 use gdp_core::cert::Reading;
 use gdp_ros::action::{Board, Goals, cdr};
 use gdp_ros::call::{Description, Event, Events, Part};
@@ -241,7 +242,8 @@ impl Route {
         }
     }
 
-    /// Begins to publish what is next, once what was before is published: a subscriber that does not keep up delays nothing else.
+    /// Begins to publish what is next, once what was before is published: a subscriber that does
+    /// not keep up delays nothing else.
     fn speak<'a>(&self, to: &mut In<'a>, doing: &Doing<'a>) {
         if to.is_speaking {
             return;

@@ -65,7 +65,8 @@ impl Route {
         }));
     }
 
-    /// Whom a request is for: most often one server. And whether it begins a goal that was not known.
+    /// Whom a request is for: most often one server. And whether it begins a goal that was not
+    /// known.
     fn targets(&self, to: &In<'_>, part: Part, request: &[u8]) -> Result<(Vec<Arc<Known>>, bool), Failure> {
         let known = |name: &Name| match to.remotes.get(name) {
             Some(Remote::Known(known)) => Some(known.clone()),

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp::node::Client;
+use gdp::Client;
 use gdp_ros::call::{Description, Epoch};
 use gdp_ros::services::service_name;
 use gdp_wire::Name;
@@ -57,7 +57,8 @@ impl Route {
     fn withdraw_if_alone<'a>(&'a self, to: &mut In<'a>, doing: &Doing<'a>) {
         let known = to.remotes.values().filter(|remote| matches!(remote, Remote::Known(_))).count();
         let is_unfit = to.remotes.values().any(|remote| matches!(remote, Remote::Unfit(_)));
-        // Another proxy of the graph may know more; if it does not either, neither is asked all the time.
+        // Another proxy of the graph may know more; if it does not either, neither is asked all the
+        // time.
         let now = Instant::now();
         if is_unfit {
             *self.unfit_until.lock() = Some(now + ASK_AGAIN);
@@ -68,7 +69,8 @@ impl Route {
             return;
         }
         if let Some((local, _)) = to.local.take() {
-            tracing::info!(service = %self.config.name, "no server elsewhere is left, so it is not announced here any more");
+            tracing::info!(service = %self.config.name, "no server elsewhere is left, so it is not announced here \
+                                                         any more");
             self.standing.set_status("waiting for a server elsewhere");
             to.outbox = Outbox::default();
             let message = to.board.message();
@@ -123,7 +125,8 @@ impl Route {
         Ok(())
     }
 
-    /// Whether a server can be called as what stands for it here, which is made if it is the first. The outer error is the graph's.
+    /// Whether a server can be called as what stands for it here, which is made if it is the first.
+    /// The outer error is the graph's.
     fn fit(
         &self,
         to: &mut In<'_>,

@@ -1,8 +1,10 @@
-//! Chooses the node that publishes a topic: the proxy's main node if it can, otherwise one that is made for it.
+//! Chooses the node that publishes a topic: the proxy's main node if it can, otherwise one that is
+//! made for it.
 //!
-//! A node of ROS 1 publishes a topic once, and latches one message of it. So counterparts that latch nothing share one
-//! publisher, and each that latches has one of its own. The first of these is at the main node: clients of actionlib take
-//! a server for connected only if the node that latches `status` is the one that subscribes to `goal` and `cancel`.
+//! A node of ROS 1 publishes a topic once, and latches one message of it. So counterparts that
+//! latch nothing share one publisher, and each that latches has one of its own. The first of these
+//! is at the main node: clients of actionlib take a server for connected only if the node that
+//! latches `status` is the one that subscribes to `goal` and `cancel`.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -129,7 +131,8 @@ impl Publisher {
         (&self.kind.name, &self.kind.md5sum) == (&kind.name, &kind.md5sum)
     }
 
-    /// Whether it is from now on that of another counterpart, because the one that it was for has left.
+    /// Whether it is from now on that of another counterpart, because the one that it was for has
+    /// left.
     fn take_over(&self) -> bool {
         let is_vacant = self.latches && self.is_vacant.swap(false, Ordering::Relaxed);
         if is_vacant {
@@ -138,7 +141,8 @@ impl Publisher {
         is_vacant
     }
 
-    /// Its counterpart has left: the next one may have its place before its last messages have arrived.
+    /// Its counterpart has left: the next one may have its place before its last messages have
+    /// arrived.
     pub fn vacate(&self) {
         self.is_vacant.store(true, Ordering::Relaxed);
     }

@@ -66,16 +66,17 @@ impl Client {
         Self { mapping, replies, asking, calls, listening }
     }
 
-    /// Waits until the endpoints of the server that this one is of are matched, both ways; which is told once. A request that comes to it before it
-    /// has discovered this client is repaired, as DDS repairs what is reliable.
+    /// Waits until the endpoints of the server that this one is of are matched, both ways; which is
+    /// told once. A request that comes to it before it has discovered this client is repaired, as
+    /// DDS repairs what is reliable.
     pub async fn until_matched(&self, server: [u8; 16]) {
         let participant = std::array::from_fn(|i| server[i]);
         let asking = self.asking.lock().await;
         tokio::join!(asking.requests.until_matched(participant), self.replies.until_matched(participant));
     }
 
-    /// Asks, and waits for the reply as long as it takes. Dropping the future gives the call up: a reply that comes later
-    /// is nobody's.
+    /// Asks, and waits for the reply as long as it takes. Dropping the future gives the call up: a
+    /// reply that comes later is nobody's.
     pub async fn call(&self, request: RawSample) -> Result<RawSample, CallError> {
         let (pending, arrival) = self.ask(request).await?;
         let answer = arrival.await.map_err(|_| CallError::Closed);

@@ -9,14 +9,17 @@ use super::super::raw::{Change, ENCAPSULATION, RawSample, Representation};
 /// Where a service's messages carry the identity of the request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mapping {
-    /// In the sample's metadata, as rmw_fastrtps does ("enhanced", DDS-RPC 1.0 §7.8.2): the body is ROS's alone.
+    /// In the sample's metadata, as rmw_fastrtps does ("enhanced", DDS-RPC 1.0 §7.8.2): the body is
+    /// ROS's alone.
     Enhanced,
-    /// In a header of 16 bytes before the body, as rmw_cyclonedds does: the client's number and a sequence number.
+    /// In a header of 16 bytes before the body, as rmw_cyclonedds does: the client's number and a
+    /// sequence number.
     Cyclone,
 }
 
 impl Mapping {
-    /// What an endpoint speaks, by the vendor's number that its GUID begins with (RTPS 2.5 §9.3.1.1).
+    /// What an endpoint speaks, by the vendor's number that its GUID begins with (RTPS 2.5
+    /// §9.3.1.1).
     pub fn of(endpoint: [u8; 16]) -> Self {
         match endpoint {
             [1, 0x10, ..] => Self::Cyclone,
@@ -48,7 +51,8 @@ pub(super) fn request(change: Change, mapping: Mapping) -> Result<(RequestId, Ra
     match mapping {
         Mapping::Cyclone => behead(change.sample),
         Mapping::Enhanced => {
-            // rmw_fastrtps names its reader of replies here, so that servers can see whether that is matched yet.
+            // rmw_fastrtps names its reader of replies here, so that servers can see whether that
+            // is matched yet.
             let asker = change.related.map(|related| related.writer_guid).filter(|guid| *guid != GUID::GUID_UNKNOWN);
             let writer_guid = asker.unwrap_or(change.writer);
             let id = SampleIdentity { writer_guid, sequence_number: change.sequence };
@@ -79,7 +83,8 @@ fn behead(sample: RawSample) -> Result<(RequestId, RawSample), Headless> {
     let header = bytes.get(ENCAPSULATION..ENCAPSULATION + HEADER).ok_or(short)?;
     let mut words: [u8; HEADER] = header.try_into().map_err(|_| short)?;
     orient(&mut words, representation);
-    // The header is as long as the largest alignment of XCDR1 twice: the body is aligned without it as with it.
+    // The header is as long as the largest alignment of XCDR1 twice: the body is aligned without it
+    // as with it.
     let mut body = BytesMut::with_capacity(bytes.len() - HEADER);
     body.put_slice(&bytes[..ENCAPSULATION]);
     body.put_slice(&bytes[ENCAPSULATION + HEADER..]);

@@ -48,7 +48,8 @@ pub struct ClientLife {
 }
 
 impl ClientLife {
-    /// Returns when discovery does not show it any more: it has said goodbye, or was not heard of for as long as it said.
+    /// Returns when discovery does not show it any more: it has said goodbye, or was not heard of
+    /// for as long as it said.
     pub async fn ends(&mut self) {
         let Self { writer, writers, is_shown } = self;
         *is_shown = *is_shown || timeout(SHOWN, writers.wait_for(|shown| shown.contains(writer))).await.is_ok();
@@ -93,8 +94,8 @@ impl Server {
         self.replies.lock().await.writer.settle().await;
     }
 
-    /// Answers a request of a client, in the mapping that it came in. Waits a bounded time for the sockets of this host,
-    /// or for a client whose reader is not discovered yet.
+    /// Answers a request of a client, in the mapping that it came in. Waits a bounded time for the
+    /// sockets of this host, or for a client whose reader is not discovered yet.
     pub async fn respond(&self, id: &RequestId, client: &ClientLife, reply: RawSample) -> Result<(), WriteError> {
         let options = WriteOptionsBuilder::new();
         let (sample, options) = match id.0 {
@@ -113,7 +114,8 @@ struct Replies {
     served: HashMap<Participant, Served>,
 }
 
-/// Of one participant: how many readers are served, and whose requests were answered; each of these has a reader of its own.
+/// Of one participant: how many readers are served, and whose requests were answered; each of these
+/// has a reader of its own.
 #[derive(Default)]
 struct Served {
     readers: usize,
@@ -121,7 +123,8 @@ struct Served {
 }
 
 impl Replies {
-    /// Has a client served: its request may come before its reader of replies is discovered, and what is written by then does not reach it.
+    /// Has a client served: its request may come before its reader of replies is discovered, and
+    /// what is written by then does not reach it.
     async fn reach(&mut self, client: GUID) {
         let Self { writer, served } = self;
         let of_client = participant(client);

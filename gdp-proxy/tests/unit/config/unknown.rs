@@ -8,7 +8,8 @@ use crate::config::Config;
 fn a_misspelt_key_is_named_with_its_line_and_with_what_was_meant() {
     let text = |topic: &str| {
         format!(
-            "version: 1\nidentity: a\nlinks: [{{to: 'eth://r0'}}]\ntopics:\n  - topic: /chatter\n    {topic}\n    card: c\n    cert: d\n"
+            "version: 1\nidentity: a\nlinks: [{{to: 'eth://r0'}}]\ntopics:\n  - topic: /chatter\n    {topic}\n    \
+             card: c\n    cert: d\n"
         )
     };
     let cases = [

@@ -121,7 +121,8 @@ async fn who_may_call_one_service_does_not_call_another_of_the_same_server() {
     eventually("it is not served here", || refused() == 1).await;
     forge(guarded.name()).await;
     eventually("it may not be called by this", || refused() == 2).await;
-    // It may as soon as it has a grant that the RIB told of, and what came a moment earlier with it.
+    // It may as soon as it has a grant that the RIB told of, and what came a moment earlier with
+    // it.
     forge(guarded.name()).await;
     let (reply, ()) = tokio::join!(soon(client.call(Encoding::Bytes, b"where to?")), echo(&mut server));
     assert_eq!(&reply.unwrap().body[..], b"where to?", "what came before was taken by now");
@@ -173,7 +174,8 @@ async fn a_server_that_begins_anew_is_called_again() {
     }
 }
 
-/// Those that are shown can be called: the way to one that is new is open by then, and so is that to one that is back.
+/// Those that are shown can be called: the way to one that is new is open by then, and so is that
+/// to one that is back.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_server_is_called_in_the_moment_in_which_it_is_there() {
     let fabric = Fabric::start().await;

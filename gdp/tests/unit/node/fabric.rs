@@ -1,5 +1,6 @@
-//! A switch with a RIB that believes everybody, for the tests of nodes: real ports and links, frames forwarded with
-//! `gdp_wire::forward`, and switches for each way in which a RIB may misbehave.
+//! A switch with a RIB that believes everybody, for the tests of nodes: real ports and links,
+//! frames forwarded with `gdp_wire::forward`, and switches for each way in which a RIB may
+//! misbehave.
 
 use gdp_wire::hop;
 use std::collections::{HashMap, HashSet};

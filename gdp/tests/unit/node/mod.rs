@@ -1,4 +1,5 @@
-//! Nodes against a switch and RIB of a page, over UDP on loopback. No root. The real ones: `gdp-ctl`, `tests/`.
+//! Nodes against a switch and RIB of a page, over UDP on loopback. No root. The real ones:
+//! `gdp-ctl`, `tests/`.
 
 mod anycast;
 mod fabric;
@@ -671,8 +672,8 @@ impl Swallows {
 /// Segments that are asked for though they are only late, on a machine that is busy.
 const A_FEW: u64 = 10;
 
-/// Whether nothing is wrong with what a reader dropped: on a machine that is busy it may not know of a writer or a key for so long that what
-/// came before is sent again.
+/// Whether nothing is wrong with what a reader dropped: on a machine that is busy it may not know
+/// of a writer or a key for so long that what came before is sent again.
 fn only_late(drops: &std::collections::BTreeMap<&'static str, u64>) -> bool {
     const LATE: [&str; 4] = ["seal_unknown_writer", "seal_no_key", "seal_unvouched", "seal_duplicate"];
     drops.iter().all(|(reason, count)| LATE.contains(reason) && *count <= A_FEW)

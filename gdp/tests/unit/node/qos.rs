@@ -1,4 +1,5 @@
-//! What publishers and readers ask of each other, and what becomes of messages when one of them ends.
+//! What publishers and readers ask of each other, and what becomes of messages when one of them
+//! ends.
 
 use super::*;
 use crate::node::Unflushed;

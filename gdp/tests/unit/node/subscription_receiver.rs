@@ -7,7 +7,8 @@ use gdp_e2e::seal::{Encoding, Segments};
 
 const NAME: Name = Name::from_bytes([1; 32]);
 
-/// The RIB may tell of a writer twice, and what that sent before it was asked again may have found no way.
+/// The RIB may tell of a writer twice, and what that sent before it was asked again may have found
+/// no way.
 #[test]
 fn what_was_lost_between_two_greetings_is_asked_for() {
     let (queue, _messages) = mpsc::channel(4);

@@ -1,4 +1,5 @@
-//! A zenoh router with the ROS 2 plugin in it, which is what `zenoh-bridge-ros2dds` is: `zenoh-bridge CONFIG`.
+//! A zenoh router with the ROS 2 plugin in it, which is what `zenoh-bridge-ros2dds` is:
+//! `zenoh-bridge CONFIG`.
 
 use anyhow::{Context, Result, anyhow};
 use zenoh::config::Config;

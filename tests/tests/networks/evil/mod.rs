@@ -1,7 +1,8 @@
-//! A fabric that is on nobody's side, in one process over UDP on loopback, without root: a switch of the tests' own making that
-//! hands every frame to the test before it sends it on, and a RIB (the real one) whose every word the test may change before an
-//! entity hears it. What the switch sends bears the right hop tags, so nothing but what is end to end stands in its way. It does
-//! not ask who may send where: that is for switches that are honest (`hostile.rs`).
+//! A fabric that is on nobody's side, in one process over UDP on loopback, without root: a switch
+//! of the tests' own making that hands every frame to the test before it sends it on, and a RIB
+//! (the real one) whose every word the test may change before an entity hears it. What the switch
+//! sends bears the right hop tags, so nothing but what is end to end stands in its way. It does not
+//! ask who may send where: that is for switches that are honest (`hostile.rs`).
 //!
 //! ```text
 //!   Node ──┐  requests ──► refuse_to_hear ──► Rib ──► lie ──► Node, Rogue
@@ -9,8 +10,8 @@
 //!   Rogue  ┘  frames ────► tamper ──► Node, Rogue
 //! ```
 //!
-//! A [`Rogue`] is an entity without a node: it is at the switch itself, holds its own keys and whatever it is given, and has
-//! the switch send what it likes. [`Owner`] gives out certificates.
+//! A [`Rogue`] is an entity without a node: it is at the switch itself, holds its own keys and
+//! whatever it is given, and has the switch send what it likes. [`Owner`] gives out certificates.
 
 mod owner;
 mod rogue;
@@ -23,8 +24,8 @@ pub use scene::{Recording, Scene, drops};
 pub use switch::{Frame, Switch};
 
 use anyhow::Result;
-use gdp::node::NodeCounters;
-use gdp::node::{Node, NodeConfig};
+use gdp::NodeCounters;
+use gdp::{Node, NodeConfig};
 use gdp_core::identity::Identity;
 use gdp_e2e::seal::Message;
 use gdp_tests::wait::{TIMEOUT, wait_for};

@@ -45,7 +45,8 @@ impl Rogue {
         self.identity.name()
     }
 
-    /// States its part in the owner's name, with a certificate that says so. The response may be a refusal.
+    /// States its part in the owner's name, with a certificate that says so. The response may be a
+    /// refusal.
     pub fn state(&mut self, switch: &Switch, owner: &Owner, role: NameRole) -> Result<Response> {
         let credential = match role.is_writer() {
             true => Credential::Writer(owner.ad_cert(self.name())?),
@@ -126,7 +127,8 @@ impl Rogue {
         self.boxes.iter().filter_map(open).collect()
     }
 
-    /// What it makes of frames to this name from this writer, with all the keys it holds and asking nobody.
+    /// What it makes of frames to this name from this writer, with all the keys it holds and asking
+    /// nobody.
     pub fn read(&self, name: Name, writer: &Identity, frames: &[Frame]) -> Result<Vec<Message>> {
         let mut reader = Reader::new(name, Backend::default(), Limits::default());
         reader.authorise(writer.name(), writer.key().verify_key())?;
@@ -159,9 +161,10 @@ impl Rogue {
         Ok(frames(&segments, writer.name(), source, to))
     }
 
-    /// A frame with one whole message as it would be with another body and `ahead` messages on: sealed with the key of its
-    /// epoch, which this entity holds, for the session that the frame shows. The signature stays what it was. Made by
-    /// docs/wire-format.md alone, as no SDK does this.
+    /// A frame with one whole message as it would be with another body and `ahead` messages on:
+    /// sealed with the key of its epoch, which this entity holds, for the session that the frame
+    /// shows. The signature stays what it was. Made by docs/wire-format.md alone, as no SDK does
+    /// this.
     pub fn resealed(&self, honest: &Frame, (name, writer): (Name, &Identity), ahead: u64, to: Name) -> Result<Frame> {
         let (backend, mut rest) = (Backend::default(), &honest.payload[..]);
         let (session, epoch) = (&honest.payload[16..32], &honest.payload[40..44]);

@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use gdp::node::Node;
-use gdp::node::{NodeCounters, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::Node;
+use gdp::{NodeCounters, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::identity::Identity;
 use gdp_e2e::seal::{Encoding, Message};
 use gdp_wire::Name;
@@ -116,7 +116,8 @@ impl Recording {
         frames.iter().rev().find(|frame| frame.destination == destination).cloned()
     }
 
-    /// Of everything that passes from now on; takes the place of what the switch did to frames before.
+    /// Of everything that passes from now on; takes the place of what the switch did to frames
+    /// before.
     pub fn of(switch: &Switch) -> Self {
         let recording = Self::default();
         let adding = recording.clone();

@@ -29,7 +29,8 @@ use parking_lot::{Mutex, MutexGuard};
 use tokio::runtime::Handle;
 use zerocopy::{FromBytes, IntoBytes};
 
-/// A frame on its way, as it is when its hop tag was checked; it is stamped anew for each that it goes `to`.
+/// A frame on its way, as it is when its hop tag was checked; it is stamped anew for each that it
+/// goes `to`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frame {
     pub destination: Name,
@@ -135,7 +136,8 @@ impl Switch {
         self.0.state().tamper = Box::new(tamper);
     }
 
-    /// From now on the RIB's word is what this makes of it: entity, name, what the entity is to it, the word.
+    /// From now on the RIB's word is what this makes of it: entity, name, what the entity is to it,
+    /// the word.
     pub fn lie(&self, lie: impl FnMut(Name, Name, NameRole, &mut Peers) + Send + 'static) {
         self.0.state().lie = Box::new(lie);
     }
@@ -177,7 +179,8 @@ impl Switch {
         self.0.ask(proof, request, &mut self.0.state())
     }
 
-    /// Tells an entity something that the RIB never said: as all there is, from a RIB that has just started.
+    /// Tells an entity something that the RIB never said: as all there is, from a RIB that has just
+    /// started.
     pub async fn tell(
         &self,
         entity: Name,

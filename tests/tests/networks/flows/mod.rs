@@ -1,10 +1,11 @@
-//! Nodes of the SDK in namespaces, topics between them, and messages that flow: which were sent, which came, and when.
+//! Nodes of the SDK in namespaces, topics between them, and messages that flow: which were sent,
+//! which came, and when.
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
-use gdp::node::{LinkStatus, PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::node::{Node, NodeConfig};
+use gdp::{LinkStatus, PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::{Node, NodeConfig};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::domain::Credentials;

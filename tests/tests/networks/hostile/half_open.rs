@@ -1,5 +1,5 @@
-//! A stranger of many addresses opens QUIC handshakes over UDP, proves its addresses where it is asked to, and hears of nothing else:
-//! none of its handshakes comes to an end by itself.
+//! A stranger of many addresses opens QUIC handshakes over UDP, proves its addresses where it is
+//! asked to, and hears of nothing else: none of its handshakes comes to an end by itself.
 //!
 //! ```text
 //!  stranger 10.8.0.2, 10.66.0.0/16 ──── 10.8.0.1 switch 10.7.0.1 ──── 10.7.0.2 robot
@@ -14,7 +14,7 @@ use std::task::{Context as TaskContext, Poll};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use gdp::node::{Node, NodeConfig};
+use gdp::{Node, NodeConfig};
 use gdp_core::identity::Identity;
 use gdp_tests::Tools;
 use gdp_tests::fabric::{Authority, Switch};

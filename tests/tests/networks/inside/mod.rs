@@ -1,4 +1,5 @@
-//! A tokio runtime in a network namespace, for tests that run daemons and nodes in their own process.
+//! A tokio runtime in a network namespace, for tests that run daemons and nodes in their own
+//! process.
 
 use anyhow::Result;
 use gdp_tests::netns::Namespace;
@@ -18,7 +19,8 @@ impl Inside {
         let enter = move || {
             // A thread of the runtime stays inside until it ends.
             std::mem::forget(door.enter().expect("a namespace that is there"));
-            // SAFETY: three numbers. The system call, and not libc's function, which is about all threads.
+            // SAFETY: three numbers. The system call, and not libc's function, which is about all
+            // threads.
             let changed = unsafe { libc::syscall(libc::SYS_setresuid, user, user, user) };
             assert_eq!(changed, 0, "a thread of root can become anybody's");
         };
@@ -26,7 +28,8 @@ impl Inside {
         Ok(Self { runtime: builder.worker_threads(1).enable_all().on_thread_start(enter).build()? })
     }
 
-    /// On a thread of the runtime: `block_on` stays on the calling one, where sockets would be of another namespace.
+    /// On a thread of the runtime: `block_on` stays on the calling one, where sockets would be of
+    /// another namespace.
     pub fn run<T: Send + 'static>(&self, future: impl Future<Output = T> + Send + 'static) -> Result<T> {
         Ok(self.runtime.block_on(self.runtime.spawn(future))?)
     }

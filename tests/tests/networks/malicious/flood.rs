@@ -1,5 +1,6 @@
-//! An attacker that sends as much as it can on a link that legitimate traffic uses as well. At which rate that passes is measured by
-//! `cargo xtask bench transport`; here, that it passes, and that memory stays what it was.
+//! An attacker that sends as much as it can on a link that legitimate traffic uses as well. At
+//! which rate that passes is measured by `cargo xtask bench transport`; here, that it passes, and
+//! that memory stays what it was.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,7 +18,8 @@ use crate::evil::{Frame, Recording, Rogue, Scene, dropped};
 /// Frames of a flood that are refused, at least.
 const FRAMES: u64 = 3_000;
 
-/// What the process may take more, in KiB: what waits for a key or a writer is 2 MiB, sockets and recordings not much.
+/// What the process may take more, in KiB: what waits for a key or a writer is 2 MiB, sockets and
+/// recordings not much.
 const MEMORY: u64 = 48 << 10;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -1,10 +1,10 @@
-//! Readers gone bad: one that has a grant and so the content keys, one that has none, one whose right was revoked; a writer
-//! whose right was revoked.
+//! Readers gone bad: one that has a grant and so the content keys, one that has none, one whose
+//! right was revoked; a writer whose right was revoked.
 
 use std::time::Instant;
 
 use anyhow::Result;
-use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::{PublishOptions, SubscribeOptions};
 use gdp_core::crypto::Backend;
 use gdp_e2e::feedback_wire::{Feedback, Missing};
 use gdp_e2e::keys::PairKey;
@@ -52,7 +52,8 @@ async fn a_reader_cannot_write_though_it_holds_the_key() -> Result<()> {
     scene.switch.inject(&rogue.sealed(&mut writer, rogue.name(), b"forged", cloud)?);
     scene.drops("seal_unknown_writer", 1)?;
 
-    // In the robot's session, which it has from the frames: in the place of the next message, and far ahead.
+    // In the robot's session, which it has from the frames: in the place of the next message, and
+    // far ahead.
     let honest = passed.iter().find(|frame| frame.destination == name).expect("a frame of the topic");
     for ahead in [1, 5_000, 1 << 40] {
         let before = dropped(&scene.cloud.counters(), "seal_bad_signature");
@@ -105,7 +106,8 @@ fn say(source: Name, destination: Name, payload: Vec<u8>) -> Frame {
     Frame { destination, source, flags: 0, payload, to: vec![destination] }
 }
 
-/// The robot repairs for each reader within a budget: what one asks for without end does not keep others waiting.
+/// The robot repairs for each reader within a budget: what one asks for without end does not keep
+/// others waiting.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_reader_that_asks_for_everything_again_and_again_stops_nobody() -> Result<()> {
     let mut scene = Scene::reliable().await?;
@@ -176,7 +178,8 @@ async fn a_revoked_reader_reads_nothing_of_the_next_epoch() -> Result<()> {
     let revocation = scene.owner.revocation(vec![serial])?;
     assert!(matches!(revoke(&scene.switch, &scene.owner, &revocation), Response::Done));
     let before = epoch(&recording, name);
-    // Those that are sealed until the writer has heard, and has begun another epoch, are the last that it reads.
+    // Those that are sealed until the writer has heard, and has begun another epoch, are the last
+    // that it reads.
     let (mut sent, deadline) = (Vec::new(), Instant::now() + TIMEOUT);
     while sent.is_empty() || epoch(&recording, name) == before {
         assert!(Instant::now() < deadline, "the epoch did not change");
@@ -207,7 +210,8 @@ fn epoch(recording: &Recording, name: Name) -> Option<[u8; 4]> {
     recording.last(name)?.payload.get(40..44)?.try_into().ok()
 }
 
-/// A stolen robot: whoever has it has its key. It is revoked as a writer of one name, and as a reader of another.
+/// A stolen robot: whoever has it has its key. It is revoked as a writer of one name, and as a
+/// reader of another.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stolen_robot_that_is_revoked_is_not_heard_and_hears_nothing() -> Result<()> {
     let mut scene = Scene::best_effort().await?;

@@ -1,9 +1,10 @@
-//! A RIB that lies. It can keep things from entities; it cannot make them believe what the owner of a name has not signed.
+//! A RIB that lies. It can keep things from entities; it cannot make them believe what the owner of
+//! a name has not signed.
 
 use std::sync::{Arc, Mutex};
 
 use anyhow::Result;
-use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::{PublishOptions, SubscribeOptions};
 use gdp_core::cert::Signed;
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
@@ -109,7 +110,8 @@ async fn boxes_of_others_are_not_opened() -> Result<()> {
     let Scene { switch, owner, cloud, cloud_identity, robot, .. } = &scene;
     let (rogue, name) = (Rogue::attach(switch)?, owner.name());
     let (key, reader) = (EpochKey::generate()?, (cloud.name(), &cloud_identity.box_public()));
-    // Signed by the rogue, who is no writer; and in the name of the robot, with the rogue's own key.
+    // Signed by the rogue, who is no writer; and in the name of the robot, with the rogue's own
+    // key.
     let own = keys::wrap(name, &rogue.identity, reader, u32::MAX, &key)?;
     let claims = KeyBox { writer: robot.name(), ..own.claims_unverified()? };
     let in_its_name = gdp_core::cert::issue(rogue.identity.key(), &claims)?;
@@ -167,8 +169,9 @@ pub fn revoke(switch: &Switch, owner: &Owner, revocation: &Signed<gdp_core::cert
     switch.ask(None, &request)
 }
 
-/// What is left to a RIB that keeps a revocation to itself: until the certificate ends, who never hears of it does not know.
-/// Whoever brings it to the entity by another way, or to another RIB, has it hold from then on.
+/// What is left to a RIB that keeps a revocation to itself: until the certificate ends, who never
+/// hears of it does not know. Whoever brings it to the entity by another way, or to another RIB,
+/// has it hold from then on.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_revocation_that_is_withheld_holds_once_it_is_heard() -> Result<()> {
     let mut scene = Scene::best_effort().await?;

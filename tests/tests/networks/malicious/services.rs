@@ -1,12 +1,13 @@
-//! A client gone bad, beside another client of the same service, with a switch that copies to it whatever passes and a RIB that shows it every
-//! key box: requests are sealed under a key of the client that the server alone is given, replies under one of the server that the one
-//! client alone is given. A server gone bad beside another is no better off.
+//! A client gone bad, beside another client of the same service, with a switch that copies to it
+//! whatever passes and a RIB that shows it every key box: requests are sealed under a key of the
+//! client that the server alone is given, replies under one of the server that the one client alone
+//! is given. A server gone bad beside another is no better off.
 
 use std::sync::{Arc, Mutex};
 
 use anyhow::{Context, Result};
-use gdp::node::Node;
-use gdp::node::{Client, Server};
+use gdp::Node;
+use gdp::{Client, Server};
 use gdp_core::cert::{Signed, issue};
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
@@ -74,7 +75,8 @@ async fn a_client_answers_no_other_client() -> Result<()> {
     let mut service = Service::start().await?;
     let (robot, to) = (service.server_identity.name(), service.client_node.name());
     let Service { switch, server, client_identity, client_node, client, other, .. } = &mut service;
-    // It is no counterpart of the client, so the RIB takes no box of it for the client's inbox; nor one in the server's name.
+    // It is no counterpart of the client, so the RIB takes no box of it for the client's inbox; nor
+    // one in the server's name.
     let key = EpochKey::generate()?;
     let own = keys::wrap(to, &other.identity, (to, &client_identity.box_public()), 1, &key)?;
     let claims = KeyBox { writer: robot, ..own.claims_unverified()? };
@@ -136,7 +138,8 @@ async fn another_server_reads_no_request_and_cannot_have_it_carried_out_again() 
     })?;
     assert!(seen.iter().all(|frame| frame.destination != owner.name()), "nothing goes to the service itself");
     assert!(other.read(robot, client_identity, &seen)?.is_empty());
-    // It has a key for what the client would send to it; a RIB that gives it the others gives it nothing.
+    // It has a key for what the client would send to it; a RIB that gives it the others gives it
+    // nothing.
     let key = client_identity.key().verify_key();
     let stored = boxes.lock().unwrap().clone();
     let of_client = stored.iter().filter_map(|signed| Some((signed, signed.claims_unverified().ok()?)));
@@ -150,7 +153,8 @@ async fn another_server_reads_no_request_and_cannot_have_it_carried_out_again() 
         }
     }
 
-    // What it recorded is carried out once, whatever it sends again; and what it seals itself, not at all.
+    // What it recorded is carried out once, whatever it sends again; and what it seals itself, not
+    // at all.
     let recorded: Vec<Frame> = of(&seen, robot, from).cloned().collect();
     let before = server_node.counters().messages_received;
     switch.inject(&recorded);

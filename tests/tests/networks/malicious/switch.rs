@@ -1,10 +1,11 @@
-//! A switch gone bad. It carries the frames and has the keys of the links, and none of those of what is in the frames.
+//! A switch gone bad. It carries the frames and has the keys of the links, and none of those of
+//! what is in the frames.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::{PublishOptions, SubscribeOptions};
 use gdp_core::identity::Identity;
 use gdp_e2e::seal::Encoding;
 use gdp_wire::Name;
@@ -104,7 +105,8 @@ async fn what_a_switch_repeats_is_delivered_once() -> Result<()> {
     for i in 0..COUNT {
         scene.passes(&[i; 100]).await?;
     }
-    // Twice too often, body and proof. On a machine that is busy a few are asked for again, and come three times more.
+    // Twice too often, body and proof. On a machine that is busy a few are asked for again, and
+    // come three times more.
     let (repeats, few) = (4 * u64::from(COUNT), 3 * 10);
     let counters = scene.drops("seal_duplicate", repeats)?;
     let dropped = dropped(&counters, "seal_duplicate");
@@ -179,8 +181,8 @@ async fn what_a_switch_makes_up_is_dropped() -> Result<()> {
     scene.passes(b"still true").await
 }
 
-/// A frame with a segment that came before, and behind it one that nobody sealed: what is not authentic must not count as having
-/// come, or what follows would be taken for old.
+/// A frame with a segment that came before, and behind it one that nobody sealed: what is not
+/// authentic must not count as having come, or what follows would be taken for old.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_hidden_behind_a_true_segment_moves_nothing() -> Result<()> {
     for reliable in [false, true] {
@@ -240,7 +242,8 @@ async fn a_restarted_reader_does_not_take_yesterdays_messages() -> Result<()> {
         })?;
         assert_eq!(&message.body[..], b"today");
         switch.inject(&yesterday);
-        // Of this session, but from before the reader asked; or of one that has ended, and sealed with keys that have, too.
+        // Of this session, but from before the reader asked; or of one that has ended, and sealed
+        // with keys that have, too.
         let reasons: &[&str] = if robot_restarts { &["seal_no_key", "seal_forged"] } else { &["seal_stale"] };
         let refused = || reasons.iter().map(|reason| dropped(&cloud.counters(), reason)).sum::<u64>();
         eventually("all to be refused", || (refused() >= 4 * u64::from(COUNT)).then_some(()))?;
@@ -283,8 +286,8 @@ async fn what_a_switch_holds_back_for_too_long_is_too_old() -> Result<()> {
     scene.passes(b"go on").await
 }
 
-/// What readers said to the writer before it was restarted opens once more, as the writer remembers nothing. It must not cost any
-/// of them a message.
+/// What readers said to the writer before it was restarted opens once more, as the writer remembers
+/// nothing. It must not cost any of them a message.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_readers_said_yesterday_moves_nothing_at_a_restarted_writer() -> Result<()> {
     let mut scene = Scene::reliable().await?;
@@ -365,7 +368,8 @@ async fn frames_moved_to_another_name_writer_or_session_do_not_open() -> Result<
         session,
     ];
     scene.switch.inject(&moved);
-    // Body and proof of each, but for the last one's proof, which is what it was. Epochs may have the same number.
+    // Body and proof of each, but for the last one's proof, which is what it was. Epochs may have
+    // the same number.
     let refused = || {
         let now = scene.cloud.counters();
         let more = |reason| dropped(&now, reason) - dropped(&before, reason);

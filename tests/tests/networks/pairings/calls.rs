@@ -1,5 +1,6 @@
-//! Every client at every server, of rospy, Cyclone DDS and Fast DDS; and an action of rclpy on Fast DDS. For no other vendor are there programs
-//! with actions that can be installed here: those of ROS 1 are topics, and Cyclone DDS has only its own interface, without ROS's.
+//! Every client at every server, of rospy, Cyclone DDS and Fast DDS; and an action of rclpy on Fast
+//! DDS. For no other vendor are there programs with actions that can be installed here: those of
+//! ROS 1 are topics, and Cyclone DDS has only its own interface, without ROS's.
 
 use std::time::Duration;
 
@@ -55,7 +56,8 @@ fn every_client_calls_every_server_and_sees_it_go_and_an_action_runs_its_course(
     site.check_alive()
 }
 
-/// One goal gets a number of numbers, and with each the feedback; the other is cancelled after three.
+/// One goal gets a number of numbers, and with each the feedback; the other is cancelled after
+/// three.
 fn feedback_and_results(patient: &mut Process, hasty: &mut Process) -> Result<()> {
     let result = hasty.wait_event("result", TIMEOUT)?;
     ensure!(result["status"] == "canceled" && result["shown"] == "canceled", "{}", hasty.report());
@@ -70,7 +72,8 @@ fn feedback_and_results(patient: &mut Process, hasty: &mut Process) -> Result<()
         let lengths: Vec<u64> = feedback.filter_map(|line| line["length"].as_u64()).collect();
         lengths.ends_with(&[20]).then_some(lengths)
     })?;
-    // The first ones may come before ROS has discovered who hears them, as from a server beside the client.
+    // The first ones may come before ROS has discovered who hears them, as from a server beside the
+    // client.
     let all: Vec<u64> = (heard[0]..=20).collect();
     ensure!(heard == all && heard[0] < 10, "each, in order, and not {heard:?}");
     Ok(())

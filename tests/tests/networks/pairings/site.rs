@@ -1,4 +1,5 @@
-//! The network, its switch, its masters and the proxies. What crosses is said by the test, which starts the programs as well.
+//! The network, its switch, its masters and the proxies. What crosses is said by the test, which
+//! starts the programs as well.
 //!
 //! ```text
 //!                         ┌ p1 ── l0 old: rospy at a master
@@ -94,7 +95,8 @@ impl Site {
         Ok(tempfile::Builder::new().prefix("gdp-pairings-").tempdir()?)
     }
 
-    /// Everything but the programs that have what is carried. `more`: what else the robot's proxy is configured with.
+    /// Everything but the programs that have what is carried. `more`: what else the robot's proxy
+    /// is configured with.
     pub fn start(tools: Tools, files: TempDir, carried: &[Carried], more: Value) -> Result<Self> {
         let folder = files.path();
         let [s1, robot, old, new] = network()?;
@@ -132,7 +134,8 @@ impl Site {
     /// A program of `tests/peers` for Cyclone DDS or rclpy.
     pub fn python(&self, at: &Namespace, peer: &str) -> Result<Command> {
         let mut command = at.command(self.tools.python()?)?;
-        // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared memory, past the network.
+        // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared memory,
+        // past the network.
         command.arg(self.tools.peer(peer)).env("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4").env("ROS_DOMAIN_ID", "0");
         command.env("ROS_LOG_DIR", self.folder());
         Ok(command)
@@ -229,7 +232,8 @@ fn master(label: &str, at: &Namespace, folder: &Path) -> Result<Process> {
     Process::spawn(&format!("{label}-master"), command, folder)
 }
 
-/// A program of Debian's ROS 1, in the Python that it is installed for; another may come first in `PATH`.
+/// A program of Debian's ROS 1, in the Python that it is installed for; another may come first in
+/// `PATH`.
 fn ros1(at: &Namespace, folder: &Path, program: &Path) -> Result<Command> {
     let mut command = at.command(Program::Python3)?;
     command.arg(program).env("ROS_MASTER_URI", MASTER).env("ROS_HOSTNAME", "localhost").env_remove("ROS_IP");

@@ -1,5 +1,6 @@
-//! Every source at every sink: nodes of rospy, Cyclone DDS and Fast DDS publish each type, and each of the three hears all of it, byte for
-//! byte as another implementation (rosbags) lays the message out. One type is of a package that no distribution has.
+//! Every source at every sink: nodes of rospy, Cyclone DDS and Fast DDS publish each type, and each
+//! of the three hears all of it, byte for byte as another implementation (rosbags) lays the message
+//! out. One type is of a package that no distribution has.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -51,8 +52,8 @@ fn every_source_is_heard_at_every_sink_with_every_type() -> Result<()> {
     }
 }
 
-/// Everything but the programs that publish and hear, and the types by key, as ROS 2 calls them. The robot's proxy alone knows what the type of
-/// the unknown package is, from a folder.
+/// Everything but the programs that publish and hear, and the types by key, as ROS 2 calls them.
+/// The robot's proxy alone knows what the type of the unknown package is, from a folder.
 fn start() -> Result<(Site, Value)> {
     let (tools, files) = (Tools::beside_this_test()?, Site::files()?);
     let folder = files.path();

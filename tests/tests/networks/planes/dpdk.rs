@@ -1,4 +1,5 @@
-//! The fixtures' switch in DPDK: the code that its loops run, on packets in its memory, without a device.
+//! The fixtures' switch in DPDK: the code that its loops run, on packets in its memory, without a
+//! device.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -73,8 +74,8 @@ impl DpdkSwitch {
         })
     }
 
-    /// What becomes of frames that arrive together, and what is counted in all. `gathers`: whether ports take packets that are chains, in
-    /// which copies share what they have in common.
+    /// What becomes of frames that arrive together, and what is counted in all. `gathers`: whether
+    /// ports take packets that are chains, in which copies share what they have in common.
     pub fn run(&mut self, frames: &[Vec<u8>], gathers: bool) -> Result<(Seen, Counts)> {
         let mut burst = Burst::new();
         for frame in frames {
@@ -131,7 +132,8 @@ fn copied(sent: Vec<Vec<u8>>, counted: &[(&Counter, u64)]) -> Result<Fate> {
     Ok(Fate::copied(copies))
 }
 
-/// Whether a copy is on its way to further switches. Copies are carried by Ethernet, tagged or not, or UDP.
+/// Whether a copy is on its way to further switches. Copies are carried by Ethernet, tagged or not,
+/// or UDP.
 fn has_bits(packet: &[u8]) -> bool {
     let at = match (packet[12], packet[13]) {
         (0x81, 0) => 18,

@@ -1,5 +1,6 @@
-//! The fixtures' switch in both data planes, and what becomes of a frame there. The kernel is asked under `BPF_PROG_TEST_RUN`, so nothing
-//! is sent; but it asks the routing table of a network namespace where links over UDP lead.
+//! The fixtures' switch in both data planes, and what becomes of a frame there. The kernel is asked
+//! under `BPF_PROG_TEST_RUN`, so nothing is sent; but it asks the routing table of a network
+//! namespace where links over UDP lead.
 pub mod dpdk;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -124,8 +125,9 @@ pub fn run(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) -> Result<Fa
     })
 }
 
-/// What the kernel does with a frame, but for how that is counted: `Slow`, `Forwarded` and `RedirectFailed` stand for whatever
-/// passes, is sent and is dropped. Reading the counters takes far longer than the frame.
+/// What the kernel does with a frame, but for how that is counted: `Slow`, `Forwarded` and
+/// `RedirectFailed` stand for whatever passes, is sent and is dropped. Reading the counters takes
+/// far longer than the frame.
 pub fn run_uncounted(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) -> Result<Fate> {
     let (action, out) = plane.test_run(buffers, frame)?;
     Ok(match action {
@@ -149,7 +151,8 @@ pub fn counted(before: [u64; Counter::COUNT], after: [u64; Counter::COUNT]) -> R
     }
 }
 
-/// What the userspace plane does with a frame, dressed in the Ethernet header it came with or leaves with.
+/// What the userspace plane does with a frame, dressed in the Ethernet header it came with or
+/// leaves with.
 pub fn run_userspace(tables: &UserTables, switch: &Switch, frame: &[u8]) -> Fate {
     let place = switch.find(frame).expect("a frame of ours");
     let mut gdp = frame[place.at..place.at + place.length].to_vec();
@@ -176,7 +179,8 @@ pub fn run_userspace(tables: &UserTables, switch: &Switch, frame: &[u8]) -> Fate
     }
 }
 
-/// Whether the sockets of the userspace plane do not get to see a packet: it is another protocol's, or QUIC's.
+/// Whether the sockets of the userspace plane do not get to see a packet: it is another protocol's,
+/// or QUIC's.
 pub fn is_for_no_data_socket(switch: &Switch, packet: &[u8]) -> bool {
     match switch.find(packet) {
         Some(place) => place.over_udp && place.length > 0 && packet[place.at] >= FIRST_QUIC_BYTE,

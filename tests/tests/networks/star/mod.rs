@@ -1,4 +1,5 @@
-//! A switch with many interfaces, and links behind each: what `replication` tests with, and `bench forward` measures on.
+//! A switch with many interfaces, and links behind each: what `replication` tests with, and `bench
+//! forward` measures on.
 //!
 //! ```text
 //!            ┌ p0 ──── w0 ┐
@@ -125,8 +126,8 @@ impl Star {
         execute(self.far.command(Program::Ethtool)?.args(["-K", &far_port(interface), "gro", state])).map(drop)
     }
 
-    /// From now on a thread of its own takes what arrives on the first interface, so that it finds several frames at a time.
-    /// Otherwise the writer itself does, after each.
+    /// From now on a thread of its own takes what arrives on the first interface, so that it finds
+    /// several frames at a time. Otherwise the writer itself does, after each.
     pub fn take_in_batches(&self) -> Result<()> {
         let threaded = "echo 1 > /sys/class/net/p0/threaded";
         execute(Program::Ip.command().args(["netns", "exec", self.switch.name(), Program::Sh.name(), "-c", threaded]))
@@ -147,8 +148,8 @@ pub fn xdp(ebpf_object: std::path::PathBuf) -> PlaneConfig {
     PlaneConfig { wanted: Wanted::Xdp, ebpf_object: Some(ebpf_object), ..PlaneConfig::default() }
 }
 
-/// The planes of the switch. Interfaces have their numbers only in the switch's namespace, so what is done to the planes is
-/// done there.
+/// The planes of the switch. Interfaces have their numbers only in the switch's namespace, so what
+/// is done to the planes is done there.
 pub struct Switch {
     planes: Planes,
     ports: Vec<Port>,
@@ -234,7 +235,8 @@ struct Inbox {
     frames: Mutex<HashMap<u32, Vec<Vec<u8>>>>,
 }
 
-/// Frames that are under way at most: less than a veth's ring of 256 with 64 copies each going through its one queue in turn.
+/// Frames that are under way at most: less than a veth's ring of 256 with 64 copies each going
+/// through its one queue in turn.
 const WINDOW: u64 = 32;
 
 impl Far {

@@ -1,4 +1,5 @@
-//! Numbered messages from a robot to a cloud, by nodes of the SDK: which arrive, how often, and in which order.
+//! Numbered messages from a robot to a cloud, by nodes of the SDK: which arrive, how often, and in
+//! which order.
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -6,8 +7,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use gdp::node::{Node, NodeConfig};
-use gdp::node::{PublishOptions, SubscribeOptions};
+use gdp::{Node, NodeConfig};
+use gdp::{PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{Issued, Reading};
 use gdp_core::identity::{Identity, SigningKey};
@@ -42,7 +43,8 @@ struct Shared {
 }
 
 impl Traffic {
-    /// From the node whose key, card and certificate are in the first folder, on the interface `r0` there; to that of the second, on `l0`.
+    /// From the node whose key, card and certificate are in the first folder, on the interface `r0`
+    /// there; to that of the second, on `l0`.
     pub fn start(robot: (&Namespace, PathBuf), cloud: (&Namespace, PathBuf)) -> Result<Self> {
         let shared = Arc::new(Shared::default());
         let mut traffic = Self { shared, threads: Vec::new() };
@@ -158,8 +160,9 @@ impl Traffic {
         Ok(())
     }
 
-    /// Nothing came twice, nor out of order; how many did not come. A segment that another way delayed until a later message was
-    /// there counts as one too many, as one that comes twice does: but then its message is missing.
+    /// Nothing came twice, nor out of order; how many did not come. A segment that another way
+    /// delayed until a later message was there counts as one too many, as one that comes twice
+    /// does: but then its message is missing.
     pub fn nothing_came_twice(&self) -> Result<usize> {
         let received = self.shared.received.lock().expect("no panic");
         ensure!(received.is_sorted_by(|a, b| a < b), "messages came twice, or out of order");

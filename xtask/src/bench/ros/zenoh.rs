@@ -20,7 +20,8 @@ const TIMEOUT: Duration = Duration::from_secs(20);
 pub struct Bridges([Process; 2]);
 
 impl Bridges {
-    /// The cloud's listens, the robot's dials. With `tls`, each shows a certificate, as both ends of a link do in the fabric.
+    /// The cloud's listens, the robot's dials. With `tls`, each shows a certificate, as both ends
+    /// of a link do in the fabric.
     pub fn start(program: &Path, chain: &Chain, tls: bool, folder: &Path) -> Result<Self> {
         let (_, cloud) = chain.ip_ends();
         let (protocol, secrets) = if tls { ("tls", Some(Secrets::make(&cloud, folder)?)) } else { ("tcp", None) };
@@ -60,7 +61,8 @@ impl Secrets {
             "2",
         ]);
         command.args(["-subj", "/CN=bridge", "-addext", &format!("subjectAltName=IP:{host}")]);
-        // The one certificate is its own authority: as an authority alone, TLS would not take it for an end.
+        // The one certificate is its own authority: as an authority alone, TLS would not take it
+        // for an end.
         command.args(["-addext", "basicConstraints=critical,CA:FALSE"]);
         command.arg("-keyout").arg(&key).arg("-out").arg(&certificate);
         execute(&mut command)?;

@@ -1,4 +1,5 @@
-//! Delegation, roles and revocation: what holds, and what must be refused with the error that says which.
+//! Delegation, roles and revocation: what holds, and what must be refused with the error that says
+//! which.
 
 use super::*;
 use crate::identity::{Identity, SigningKey};
@@ -70,7 +71,8 @@ fn each_bad_delegation_has_its_error() {
     }
 }
 
-/// A delegate cannot make another key a delegate: there is room for one delegation, and the owner must have signed it.
+/// A delegate cannot make another key a delegate: there is room for one delegation, and the owner
+/// must have signed it.
 #[test]
 fn a_delegation_is_not_passed_on() {
     let f = Fixture::new();

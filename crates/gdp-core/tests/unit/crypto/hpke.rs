@@ -9,7 +9,8 @@ const ENCAPSULATED: &str = "04a92719c6195d5085104f469a8b9814d5838ff72b60501e2c44
                             8536d7b61a1af4b78e5b7f951c0900be863c403ce65c9bfcb9382657222d18c4";
 const INFO: &[u8] = b"Ode on a Grecian Urn";
 
-/// RFC 9180 §A.3.1. The RFC prints no vectors with AES-256-GCM on this curve; this suite differs in the cipher alone.
+/// RFC 9180 §A.3.1. The RFC prints no vectors with AES-256-GCM on this curve; this suite differs in
+/// the cipher alone.
 #[test]
 fn the_suite_with_aes_128_opens_what_the_rfc_sealed() {
     let ciphertext = "5ad590bb8baa577f8619db35a36311226a896e7342a6d836d8b7bcd2f20b6c7f9076ac232e3ab2523f39513434";

@@ -4,8 +4,10 @@ use super::*;
 
 #[test]
 fn sockets_are_found_by_port() {
-    let table = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode ref pointer drops\n \
-                 401: 00000000:7AB7 00000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 4711 2 0 0\n \
+    let table = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode \
+                 ref pointer drops\n \
+                 401: 00000000:7AB7 00000000:0000 07 00000000:00000000 00:00000000 00000000 \
+                 \x20   0        0 4711 2 0 0\n \
                  402: 0100007F:7AB8 00000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 4712 2 0 0\n";
     assert_eq!(sockets_at(table, 31415).collect::<Vec<_>>(), ["4711"]);
     assert_eq!(sockets_at("nonsense\n a b:zz", 1).count(), 0);

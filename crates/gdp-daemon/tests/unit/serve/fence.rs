@@ -50,9 +50,10 @@ fn an_answer_that_comes_late_brings_nobody_back() {
     assert_eq!(fence.admit(9, NOW), Ok(()));
 }
 
-/// Leaders of two clusters of etcd, of which the second was set up while the first one's still led: they push as they like, and
-/// take reports only while they lead. Whatever happens before, the one that is left is followed in the end; and as long as runs
-/// rise, nobody is once a later one has pushed.
+/// Leaders of two clusters of etcd, of which the second was set up while the first one's still led:
+/// they push as they like, and take reports only while they lead. Whatever happens before, the one
+/// that is left is followed in the end; and as long as runs rise, nobody is once a later one has
+/// pushed.
 #[test]
 fn whoever_is_the_rib_in_the_end_is_followed() {
     let mut random = 1u64;

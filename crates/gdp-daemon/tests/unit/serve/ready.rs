@@ -29,7 +29,8 @@ fn it_says_what_is_on_what_is_off_and_which_command_changes_that() {
     assert_eq!(
         line,
         format!(
-            "ready: switch {}; RIB: here; links over UDP: on 0.0.0.0:31415; links on Ethernet: off, no interface is named \
+            "ready: switch {}; RIB: here; links over UDP: on 0.0.0.0:31415; links on Ethernet: off, no interface is \
+             named \
              (`gdp-ctl serve --interface DEV`); XDP: native on e0, e1, off on x0, x1 ({may}; \
              `gdp-ctl serve --interface x0 --interface x1` attaches it); admin socket: /run/gdp/ctl.sock",
             "75".repeat(32)

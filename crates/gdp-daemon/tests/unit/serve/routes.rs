@@ -285,7 +285,8 @@ fn what_a_daemon_left_of_a_border_stays_until_its_link_is_back() {
     assert_eq!(changes, [set(1, 6, &[70], &[70, 71]), from(5, &[70, 71])]);
 }
 
-/// Random pushes by a RIB that follows the rules, links and restarts of RIBs: what the data plane was told equals a model's.
+/// Random pushes by a RIB that follows the rules, links and restarts of RIBs: what the data plane
+/// was told equals a model's.
 #[test]
 fn the_data_plane_follows_any_sequence() {
     let mut seed = 5u64;

@@ -195,7 +195,8 @@ fn another_reader_cannot_write() {
     assert_eq!(push_all(&mut reader, f.writer_name(), f.seal(&mut f.writer(), b"honest", 1400)).len(), 1);
 }
 
-/// Segments made by an insider within an honest session, with sequences far ahead, must not make honest ones too old.
+/// Segments made by an insider within an honest session, with sequences far ahead, must not make
+/// honest ones too old.
 #[test]
 fn an_insider_cannot_move_an_honest_window() {
     let f = Fixture::new();
@@ -280,7 +281,8 @@ fn segments_of_one_message_agree_on_its_shape() {
     );
 }
 
-/// A proof is bound to its message: one from the same batch does not confirm_session for another message.
+/// A proof is bound to its message: one from the same batch does not confirm_session for another
+/// message.
 #[test]
 fn proofs_cannot_be_exchanged_within_a_batch() {
     let f = Fixture::new();

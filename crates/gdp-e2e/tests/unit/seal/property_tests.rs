@@ -1,6 +1,7 @@
-//! Properties of whole runs: any sequence of sending, cutting anew, changing keys, loss, reordering, duplication, damage
-//! and insiders' forgeries. What is delivered was sealed by the writer, is unchanged, and comes once; memory stays
-//! within the limits; and what arrives whole is delivered.
+//! Properties of whole runs: any sequence of sending, cutting anew, changing keys, loss,
+//! reordering, duplication, damage and insiders' forgeries. What is delivered was sealed by the
+//! writer, is unchanged, and comes once; memory stays within the limits; and what arrives whole is
+//! delivered.
 
 use super::tests::{EPOCH, Fixture, at, limits};
 use super::*;
@@ -99,7 +100,8 @@ impl Run {
         assert!(self.delivered.len() > 10);
     }
 
-    /// Something of the writer, onto the network: a batch, a message cut anew, a heartbeat; under a new key, now and then.
+    /// Something of the writer, onto the network: a batch, a message cut anew, a heartbeat; under a
+    /// new key, now and then.
     fn seal(&mut self, f: &Fixture) {
         let mut segments = Segments::new();
         let max_payload = 400 + self.random.below(1000) as usize;
@@ -134,7 +136,8 @@ impl Run {
         self.network.extend(segments.iter().map(<[u8]>::to_vec));
     }
 
-    /// Something of another reader, who has the key: in the writer's session, at a sequence of its choice.
+    /// Something of another reader, who has the key: in the writer's session, at a sequence of its
+    /// choice.
     fn forge(&mut self, f: &Fixture) {
         let mut forger = Writer::with_session(
             f.name,

@@ -1,4 +1,5 @@
-//! What holds beyond one message: sessions and who vouches for them, epochs, messages that are cut anew, heartbeats.
+//! What holds beyond one message: sessions and who vouches for them, epochs, messages that are cut
+//! anew, heartbeats.
 
 use super::tests::{DEADLINE, EPOCH, Fixture, at, limits, only, push_all, push_into};
 use super::wire::{HEADER_LEN, HeartbeatBody, SegmentHeader};
@@ -269,7 +270,8 @@ fn a_heartbeat_from_before_the_vouched_sequence_is_stale() {
     assert_eq!(refusal(&mut reader, &f, &beat(&mut writer, 1)), None);
 }
 
-/// Another reader has the epoch key, and can make heartbeats that open: none counts, and none keeps a true one out.
+/// Another reader has the epoch key, and can make heartbeats that open: none counts, and none keeps
+/// a true one out.
 #[test]
 fn another_reader_cannot_forge_a_heartbeat() {
     let f = Fixture::new();

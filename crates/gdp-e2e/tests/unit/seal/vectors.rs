@@ -1,4 +1,5 @@
-//! The published test vectors of names and segments. Signatures in them are those of RFC 6979, so that the vectors are the same on every run.
+//! The published test vectors of names and segments. Signatures in them are those of RFC 6979, so
+//! that the vectors are the same on every run.
 
 use super::*;
 use crate::vectors::check;
@@ -49,7 +50,8 @@ fn vectors_of_names() {
     check(
         "name.json",
         &json!({
-            "about": "name = SHA-256(\"gdp/name/1\" || owner_key || SHA-256(JCS(metadata))); owner_key is the public key of the P-256 private key 0x0101...01",
+            "about": "name = SHA-256(\"gdp/name/1\" || owner_key || SHA-256(JCS(metadata))); owner_key is the public \
+             key of the P-256 private key 0x0101...01",
             "vectors": vectors,
         }),
     );
@@ -149,7 +151,8 @@ fn vectors_of_segments() {
     check(
         "segment.json",
         &json!({
-            "about": "sealed by a new session; the signing key is the P-256 private key 0x0101...01 with RFC 6979 nonces",
+            "about": "sealed by a new session; the signing key is the P-256 private key 0x0101...01 with RFC 6979 \
+             nonces",
             "name": name,
             "writer": writer_name,
             "session": hex::encode(session),

@@ -67,8 +67,8 @@ fn best_effort_1_mb_at_30_hz_over_2_percent_loss() {
     }
 }
 
-/// With the link's rate as the uplink's budget, and without: then the large topic's path is all that keeps the queue short. Frames of
-/// 9000 bytes, so that ten seconds do not take long.
+/// With the link's rate as the uplink's budget, and without: then the large topic's path is all
+/// that keeps the queue short. Frames of 9000 bytes, so that ten seconds do not take long.
 #[test]
 fn small_10_mb_at_10_hz_and_64_b_at_100_hz_on_one_500_mbit_link() {
     const RATE: u64 = 500 * MBIT;
@@ -181,7 +181,8 @@ fn two_bulk_flows_on_one_bottleneck() {
     }
 }
 
-/// A reliable topic of large messages that is three times as fast as its path: what its writer drops is dropped whole, so that the path carries nothing in vain.
+/// A reliable topic of large messages that is three times as fast as its path: what its writer
+/// drops is dropped whole, so that the path carries nothing in vain.
 #[test]
 fn what_is_too_fast_for_its_path_arrives_as_far_as_the_path_goes() {
     let mut sim = Simulation::new(4);
@@ -200,7 +201,8 @@ fn what_is_too_fast_for_its_path_arrives_as_far_as_the_path_goes() {
     assert!(delivered * 500_000 * 8 >= 10 * 40 * MBIT * 7 / 10, "{delivered} messages");
 }
 
-/// Messages of a few frames with pauses between them: none waits for what the ones before have shown of the path.
+/// Messages of a few frames with pauses between them: none waits for what the ones before have
+/// shown of the path.
 #[test]
 fn short_messages_with_pauses_never_wait_for_a_report() {
     for size in [8_000, 20_000, 40_000] {
@@ -255,13 +257,15 @@ fn a_slow_subscriber_never_slows_the_others() {
         let (alone, alone_p90) = run(overflow, false);
         let (beside, beside_p90) = run(overflow, true);
         assert!(beside * 100 >= alone * 95, "{overflow:?}: {beside} of {alone}");
-        // Who lags is noticed by a publisher that waits; without one, what it asks for goes before what is new.
+        // Who lags is noticed by a publisher that waits; without one, what it asks for goes before
+        // what is new.
         let slower = if overflow == Overflow::Block { 2 } else { 20 };
         assert!(beside_p90 <= slower * alone_p90, "{overflow:?}: {beside_p90} instead of {alone_p90}");
     }
 }
 
-/// Messages of some frames, twice as fast as the path, which is long: there is always a gap behind what goes.
+/// Messages of some frames, twice as fast as the path, which is long: there is always a gap behind
+/// what goes.
 #[test]
 fn what_a_reader_never_gets_does_not_hold_up_the_rest() {
     let mut sim = Simulation::new(6);

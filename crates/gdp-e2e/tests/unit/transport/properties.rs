@@ -1,4 +1,5 @@
-//! What holds under any faults: no message twice, order, exact counts and bounded memory are checked by the simulation at every step.
+//! What holds under any faults: no message twice, order, exact counts and bounded memory are
+//! checked by the simulation at every step.
 
 use gdp_faults::{Burst, Faults, Random, Reorder};
 
@@ -86,7 +87,8 @@ fn a_reader_that_lies_is_only_a_nuisance() {
     assert!(repeated_bytes < fresh / 4 + 4 * (256 << 10) + (1 << 20), "{repeated_bytes} of {sent_bytes}");
 }
 
-/// Who holds the key can make up segments, but no message: those that the writer signs are delivered all the same.
+/// Who holds the key can make up segments, but no message: those that the writer signs are
+/// delivered all the same.
 #[test]
 fn made_up_segments_move_nothing() {
     for options in [InboundOptions::newest(), InboundOptions::every()] {

@@ -1,5 +1,5 @@
-//! Writers, switches and readers in simulated time, joined by links with faults. What holds always is checked here at every step: no
-//! message twice, none out of order, memory within its bounds.
+//! Writers, switches and readers in simulated time, joined by links with faults. What holds always
+//! is checked here at every step: no message twice, none out of order, memory within its bounds.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::rc::Rc;
@@ -132,7 +132,8 @@ impl Simulation {
         cable
     }
 
-    /// A writer, a switch and readers; the faults are those of the way from the writer to the switch, the delays those of a round trip.
+    /// A writer, a switch and readers; the faults are those of the way from the writer to the
+    /// switch, the delays those of a round trip.
     pub fn star(seed: u64, there: Faults, readers: usize) -> (Self, usize, Vec<usize>) {
         let mut sim = Self::new(seed);
         let (writer, switch) = (sim.node(), sim.node());
@@ -559,7 +560,8 @@ impl TopicSim {
 }
 
 impl Reading {
-    /// What the reader of sealed segments does: puts messages together, of whichever cut is complete first.
+    /// What the reader of sealed segments does: puts messages together, of whichever cut is
+    /// complete first.
     fn take(&mut self, now: u64, segment: &Segment) {
         if !self.inbound.segment(now, segment) {
             return;

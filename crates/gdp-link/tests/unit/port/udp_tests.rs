@@ -1,5 +1,5 @@
-//! Data frames and QUIC packets over real UDP sockets on loopback, with honest senders and others. No root. Paths that take less
-//! than their interface: `tests/tests/networks/udp.rs`.
+//! Data frames and QUIC packets over real UDP sockets on loopback, with honest senders and others.
+//! No root. Paths that take less than their interface: `tests/tests/networks/udp.rs`.
 
 use std::future::poll_fn;
 use std::io::IoSliceMut;

@@ -89,7 +89,8 @@ impl<'a> Scan<'a> {
         Ok(&rest[..length])
     }
 
-    /// Passes over a value. Only its brackets and strings are looked at: whoever takes it looks at the rest.
+    /// Passes over a value. Only its brackets and strings are looked at: whoever takes it looks at
+    /// the rest.
     pub fn skip(&mut self) -> Result<()> {
         let mut depth = 0_usize;
         loop {

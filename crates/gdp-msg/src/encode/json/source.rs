@@ -1,5 +1,6 @@
-//! Reads JSON. Fields in the order of the definition, which is how everybody writes them, are read as they come; for others the object
-//! is passed over once, to find out where each field's value is.
+//! Reads JSON. Fields in the order of the definition, which is how everybody writes them, are read
+//! as they come; for others the object is passed over once, to find out where each field's value
+//! is.
 
 use base64ct::{Base64, Encoding as _};
 

@@ -1,5 +1,6 @@
-//! Several domains, each with its RIB, and borders between them. RIBs tell each other what they have to, as if there were no time and no loss
-//! between them; and frames go through the FIBs of all as `gdp_wire::forward` would have them.
+//! Several domains, each with its RIB, and borders between them. RIBs tell each other what they
+//! have to, as if there were no time and no loss between them; and frames go through the FIBs of
+//! all as `gdp_wire::forward` would have them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -83,7 +84,8 @@ impl Federation {
         self.domains[domain].switch(index)
     }
 
-    /// Has RIBs tell each other, their switches and their entities until there is nothing left to tell.
+    /// Has RIBs tell each other, their switches and their entities until there is nothing left to
+    /// tell.
     pub fn settle(&mut self) {
         loop {
             let mut told = 0;
@@ -200,8 +202,8 @@ impl Federation {
         all.collect()
     }
 
-    /// Sends a frame of everybody that may send: those who take it, in whichever domain, get one copy, and nobody else any. And everybody
-    /// knows just those.
+    /// Sends a frame of everybody that may send: those who take it, in whichever domain, get one
+    /// copy, and nobody else any. And everybody knows just those.
     pub fn check_delivery(&self) {
         let records = self.records();
         let entity = |record: &Record| record.entity.name().unwrap();
@@ -221,7 +223,8 @@ impl Federation {
                 let mut expected: Vec<_> = met.iter().map(|(to, r)| (*to, entity(r))).collect();
                 expected.sort();
                 assert_eq!(delivered, expected, "{sent:?} of domain {d}");
-                // Copies go where anybody at a switch sends to; those that are for others do not come in.
+                // Copies go where anybody at a switch sends to; those that are for others do not
+                // come in.
                 let is_for_others = |to: &usize| to == d || met.iter().all(|(met, _)| met != to);
                 assert!(sent.refused.iter().all(is_for_others), "{sent:?} of domain {d}");
             }
@@ -266,7 +269,8 @@ impl Federation {
     }
 }
 
-/// Whether two counterparts may exchange messages: within one domain, or as far as the writer's scope goes.
+/// Whether two counterparts may exchange messages: within one domain, or as far as the writer's
+/// scope goes.
 fn meet(one: (usize, &Record), other: (usize, &Record)) -> bool {
     let (writer, reader) = if one.1.is_writer() { (one, other) } else { (other, one) };
     one.0 == other.0 || scope(writer.1).is_some_and(|scope| scope.contains(&domain(reader.0)))

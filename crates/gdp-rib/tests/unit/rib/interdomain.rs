@@ -1,4 +1,5 @@
-//! Entities of several domains: who reaches whom over which border, who is told, what remains when borders and neighbours come and go.
+//! Entities of several domains: who reaches whom over which border, who is told, what remains when
+//! borders and neighbours come and go.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -135,7 +136,8 @@ fn keys_cross_to_readers_that_are_there_and_to_no_others() {
     assert_eq!(readers, [reader.name()]);
 }
 
-/// A writer of one domain that may be known in its own only, and one that may in both; a reader in each.
+/// A writer of one domain that may be known in its own only, and one that may in both; a reader in
+/// each.
 #[test]
 fn a_scope_ends_at_the_border() {
     let mut f = pair();
@@ -208,7 +210,8 @@ fn what_a_relay_may_not_know_itself_it_passes_on() {
     assert_eq!(f.domains[1].counterparts(&between, Subscriber), 0);
 }
 
-/// Two borders between two domains, of which each side thinks differently: what comes may come by both.
+/// Two borders between two domains, of which each side thinks differently: what comes may come by
+/// both.
 #[test]
 fn each_side_chooses_its_way_and_takes_what_comes_by_any() {
     let borders = [Border([(0, 0), (1, 0)], [1, 9]), Border([(0, 1), (1, 1)], [9, 1])];

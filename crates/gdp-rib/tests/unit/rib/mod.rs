@@ -1,4 +1,5 @@
-//! The RIB as a whole: what it refuses and why, what a lost attachment takes with it, which routes follow.
+//! The RIB as a whole: what it refuses and why, what a lost attachment takes with it, which routes
+//! follow.
 
 mod counterparts;
 mod federation;

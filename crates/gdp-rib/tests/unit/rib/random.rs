@@ -1,6 +1,7 @@
-//! Random joins, leaves, moves, second links, link failures, revocations, key boxes, restarts of the RIB and lost messages. Whatever happened: FIBs that
-//! follow the pushes equal the desired ones and a model's, what is sent reaches exactly those that take it, and everybody
-//! knows its counterparts and has the boxes that are kept for it.
+//! Random joins, leaves, moves, second links, link failures, revocations, key boxes, restarts of
+//! the RIB and lost messages. Whatever happened: FIBs that follow the pushes equal the desired ones
+//! and a model's, what is sent reaches exactly those that take it, and everybody knows its
+//! counterparts and has the boxes that are kept for it.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -151,7 +152,8 @@ fn check(w: &mut World) {
     w.check_told();
 }
 
-/// Another RIB goes on with what this one has stored: it has the same to say, and nobody has to say anything again.
+/// Another RIB goes on with what this one has stored: it has the same to say, and nobody has to say
+/// anything again.
 fn take_over(w: &mut World, entities: &[Entity], id: u64) {
     w.store();
     let told = |w: &World| {
@@ -178,7 +180,8 @@ fn take_over(w: &mut World, entities: &[Entity], id: u64) {
     assert!(w.rib.detached.is_empty(), "nobody has to attach again");
 }
 
-/// The RIB forgets everything; switches report, and entities attach again and state nothing until they next do.
+/// The RIB forgets everything; switches report, and entities attach again and state nothing until
+/// they next do.
 fn restart(w: &mut World, entities: &[Entity], id: u64) {
     w.rib = Rib::new(w.switch(0), Run { id, settling: Duration::ZERO }, Limits::default());
     w.rib.open_journal();

@@ -136,7 +136,8 @@ fn what_is_stored_is_believed_no_more_than_a_stranger() {
     assert_eq!(listed(&w), 1, "what was bound to its attachment is gone");
 }
 
-/// A writer at the first of two switches and a reader at the second, of the name, with a key for the reader.
+/// A writer at the first of two switches and a reader at the second, of the name, with a key for
+/// the reader.
 fn talking() -> (World, [Identity; 2], Name) {
     let mut w = World::chain(2);
     let (writer, reader) = (w.attached("robot", 0), w.attached("cloud", 1));

@@ -1,4 +1,5 @@
-//! A RIB with switches and entities around it, that report, ask, and take what they are pushed as real ones do.
+//! A RIB with switches and entities around it, that report, ask, and take what they are pushed as
+//! real ones do.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -321,7 +322,8 @@ impl World {
             .collect()
     }
 
-    /// Has everybody told once: those with this role that were, and how many counterparts each of them knows now.
+    /// Has everybody told once: those with this role that were, and how many counterparts each of
+    /// them knows now.
     pub fn told(&mut self, role: NameRole) -> Vec<(Name, Name, usize)> {
         let pushes = self.tell().into_iter().filter(|push| push.role == role);
         let known = |p: &PeersPush| self.nodes[&(p.entity, p.name, p.role)].known().count();
@@ -333,7 +335,8 @@ impl World {
         std::iter::from_fn(|| Some(self.tell().len()).filter(|count| *count > 0)).sum()
     }
 
-    /// Carries out what is to be sent now, as entities and switches do. Returns what entities were told.
+    /// Carries out what is to be sent now, as entities and switches do. Returns what entities were
+    /// told.
     pub fn tell(&mut self) -> Vec<PeersPush> {
         let (mut told, mut pushes) = (Vec::new(), Vec::new());
         for effect in self.rib.effects(self.now) {
@@ -419,7 +422,8 @@ impl World {
         pushes
     }
 
-    /// Carries pushes out until there are none; the FIBs of the switches are then what the RIB wants.
+    /// Carries pushes out until there are none; the FIBs of the switches are then what the RIB
+    /// wants.
     pub fn settle(&mut self) {
         loop {
             let pushes = self.pushes();
@@ -517,9 +521,9 @@ impl World {
         assert_eq!((count, &unserved), (unserved.len(), &has(false).difference(&has(true)).copied().collect()));
     }
 
-    /// Sends a frame of everybody that may send through the switches' FIBs, as `gdp_wire::forward` would: each of those that
-    /// take the name gets one copy, if there is a path to its switch, and nobody else any; so does each counterpart in its
-    /// inbox.
+    /// Sends a frame of everybody that may send through the switches' FIBs, as `gdp_wire::forward`
+    /// would: each of those that take the name gets one copy, if there is a path to its switch, and
+    /// nobody else any; so does each counterpart in its inbox.
     pub fn check_delivery(&self) {
         let (records, _) = self.rib.records(self.now, None, usize::MAX);
         let name = |record: &Record| record.entity.name().unwrap();
@@ -556,7 +560,8 @@ impl World {
         one.entity != other.entity && is_bound(one) && is_bound(other)
     }
 
-    /// What every entity believes of its counterparts is what the RIB holds, and it has every box that is kept for it.
+    /// What every entity believes of its counterparts is what the RIB holds, and it has every box
+    /// that is kept for it.
     pub fn check_told(&self) {
         let (records, _) = self.rib.records(self.now, None, usize::MAX);
         for record in &records {

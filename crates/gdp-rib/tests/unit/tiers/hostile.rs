@@ -1,4 +1,5 @@
-//! What a neighbour may try: each attempt is refused, with a reason that is counted, and leaves nothing behind.
+//! What a neighbour may try: each attempt is refused, with a reason that is counted, and leaves
+//! nothing behind.
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
-//! Whole federations in simulated time, compared with what each domain should know by all that was stated; and what a hostile
-//! neighbour may try.
+//! Whole federations in simulated time, compared with what each domain should know by all that was
+//! stated; and what a hostile neighbour may try.
 
 mod drawn;
 mod hostile;

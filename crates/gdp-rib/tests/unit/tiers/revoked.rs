@@ -1,4 +1,5 @@
-//! What the owner of a name takes back is heard by the RIBs of all domains that have to do with the name, and by no others.
+//! What the owner of a name takes back is heard by the RIBs of all domains that have to do with the
+//! name, and by no others.
 
 use std::time::Duration;
 

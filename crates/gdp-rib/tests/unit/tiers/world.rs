@@ -1,5 +1,5 @@
-//! Domains with real keys and certificates, their tiers, and links between them in simulated time: every message is encoded and
-//! decoded, takes its time, and is lost when its link is down.
+//! Domains with real keys and certificates, their tiers, and links between them in simulated time:
+//! every message is encoded and decoded, takes its time, and is lost when its link is down.
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -106,7 +106,8 @@ pub struct World {
 }
 
 thread_local! {
-    /// Keys cost more than all else here: entities and domains of one index have the same in all worlds.
+    /// Keys cost more than all else here: entities and domains of one index have the same in all
+    /// worlds.
     static IDENTITIES: RefCell<BTreeMap<(&'static str, usize), Identity>> = const { RefCell::new(BTreeMap::new()) };
 }
 
@@ -389,7 +390,8 @@ impl World {
         }
     }
 
-    /// The RIB of a domain is given what the owner of a topic has taken back: all with these serials.
+    /// The RIB of a domain is given what the owner of a topic has taken back: all with these
+    /// serials.
     pub fn revoke(&mut self, at: usize, topic: usize, number: u64, revoked: Vec<u64>) {
         let kept = revocation(topic, number, revoked);
         self.take_revoked(at, kept, None);

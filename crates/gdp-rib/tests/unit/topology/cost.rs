@@ -35,7 +35,8 @@ fn the_first_answer_counts_instead_of_the_handshake() {
 #[test]
 fn jitter_of_radio_links_changes_nothing() {
     let mut random = Random(5);
-    // Wi-Fi: 2 ms, and up to 100 ms in one sample of five; LTE: 35 to 90 ms all the time, with outages of seconds.
+    // Wi-Fi: 2 ms, and up to 100 ms in one sample of five; LTE: 35 to 90 ms all the time, with
+    // outages of seconds.
     let mut wifi = |_| 2 * MS + random.below(500) + if random.below(5) == 0 { random.below(100 * MS) } else { 0 };
     let mut meter = Meter::new(Duration::ZERO, Some(Duration::from_millis(2)));
     assert_eq!(Link { meter: &mut meter, now: Duration::ZERO }.run(24 * 3600, &mut wifi), 0);

@@ -46,7 +46,8 @@ fn a_writer_that_stands_still_stops_nobody_and_costs_bounded_memory() {
 
 #[test]
 fn what_cannot_be_written_is_dropped_counted_and_never_runs_into_the_next_line() {
-    // The disk takes two bytes of the second line, nothing of the third, and then there is room again.
+    // The disk takes two bytes of the second line, nothing of the third, and then there is room
+    // again.
     let steps = [Step::Take(usize::MAX), Step::Take(2), Step::Fail(28), Step::Fail(28)];
     let (queue, output) = start(move |i| steps.get(i).copied().unwrap_or(Step::Take(usize::MAX)));
     for line in ["first\n", "second\n", "third\n", "fourth\n"] {
