@@ -4,8 +4,7 @@ use std::sync::OnceLock;
 
 use gdp_core::cert::{Claims, Signed, issue};
 use gdp_core::identity::Identity;
-use gdp_core::keys::EpochKey;
-use gdp_core::keys::{KeyBox, open, wrap};
+use gdp_core::keys::{EpochKey, KeyBox, open, wrap};
 use gdp_e2e::keys::KeyStore;
 use gdp_wire::Name;
 

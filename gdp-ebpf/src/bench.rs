@@ -17,8 +17,7 @@ use aya_ebpf::helpers::bpf_ktime_get_ns;
 use aya_ebpf::macros::{map, xdp};
 use aya_ebpf::maps::{Array, DevMap};
 use aya_ebpf::programs::XdpContext;
-use gdp_wire::hop;
-use gdp_wire::{Header, LinkEntry, Name};
+use gdp_wire::{Header, LinkEntry, Name, hop};
 
 /// What forwarding changes lies in the first 104 bytes: at most Ethernet with a VLAN tag, IPv6,
 /// UDP, and a GDP header up to the destination name.

@@ -8,8 +8,7 @@ use aya_ebpf::maps::{Array, HashMap};
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::{FibEntry, Name, flat};
 
-use crate::bench_names;
-use crate::fib;
+use crate::{bench_names, fib};
 
 /// Of a packet, from its beginning. The programs write all but `mask` and `kept`.
 #[repr(C)]

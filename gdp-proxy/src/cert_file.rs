@@ -9,7 +9,7 @@ use gdp_util::file_watch::{FileStamp, FileWatcher, WatchedFile};
 use gdp_wire::Name;
 
 use crate::config::Side;
-use crate::material::{Permission, load_permission};
+use crate::permission::{Permission, load_permission};
 
 #[derive(Clone)]
 pub struct CertFile {

@@ -12,9 +12,10 @@ use serde::Serialize;
 use crate::automatic::{card_of, choose, judge};
 use crate::config::{Config, ExposeConfig, Side, Thing, What, is_hidden};
 use crate::graph::{self, Found, GraphObserver, Offered};
-use crate::material::{ExposeMaterial, Material, RouteMaterial};
+use crate::material::{ExposeMaterial, Material};
 use crate::reload::Loaded;
 use crate::ros2::{DisplayedQos, TopicName, TypeName};
+use crate::route_material::RouteMaterial;
 
 /// Of the JSON form: another one whenever a key goes, or means something else.
 const VERSION: u32 = 1;

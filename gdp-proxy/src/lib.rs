@@ -14,6 +14,7 @@
 
 pub mod automatic;
 pub mod call;
+mod carries;
 mod cert_file;
 pub mod config;
 mod delivery;
@@ -23,14 +24,17 @@ pub mod graph;
 mod large;
 pub mod manager;
 pub mod material;
+mod material_error;
 mod membership;
 pub mod peer_proxies;
+mod permission;
 pub mod proxy;
 pub mod relay;
 pub mod reload;
 mod renewal;
 pub mod ros2;
 pub mod route;
+mod route_material;
 mod route_status;
 pub mod routes;
 pub mod stats;

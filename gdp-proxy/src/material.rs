@@ -3,14 +3,15 @@
 //! a mistake is said with the key of the configuration it is under, and not as a refusal from a RIB
 //! three hops away. The RIB verifies everything again.
 
+pub use crate::material_error::{MaterialError, with_path};
+pub use crate::permission::{Permission, check_permission, load_permission};
+pub use crate::route_material::{RouteMaterial, carded_type};
 use std::collections::BTreeMap;
-use std::fmt::Display;
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use gdp_core::card::NameCard;
-use gdp_core::cert::{AdCert, CertError, Issued, MAX_CERT_FILE, Reading};
+use gdp_core::cert::Reading;
 use gdp_core::domain::{CredentialFiles, Credentials, Trust};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_util::file_watch::{FileSet, FileWatcher};
@@ -21,8 +22,6 @@ use crate::cert_file::CertFile;
 use crate::config::{Config, ExposeConfig, ImportConfig, Side, TopicConfig};
 use crate::relay::Relay;
 use crate::renewal::Renewal;
-use crate::ros2::TypeName;
-use gdp_util::unix_time::unix_seconds;
 
 /// Everything secret or signed that a proxy works with.
 pub struct Material {
@@ -52,59 +51,6 @@ pub struct ImportMaterial {
     pub catalog: NameCard,
     pub grant: Reading,
     pub(crate) file: Renewal,
-}
-
-/// Of one direction of a topic, service or action.
-#[derive(Clone)]
-pub struct RouteMaterial {
-    pub card: NameCard,
-    /// From the configuration or the card.
-    pub kind: Option<TypeName>,
-    pub permission: Permission,
-    /// Where that came from.
-    pub(crate) file: Renewal,
-}
-
-/// What the owner of the name allows this proxy.
-#[derive(Clone, PartialEq)]
-pub enum Permission {
-    Publish(Issued<AdCert>),
-    Read(Reading),
-}
-
-impl Permission {
-    /// The direction that it is for.
-    pub fn side(&self) -> Side {
-        match self {
-            Self::Publish(_) => Side::Out,
-            Self::Read(_) => Side::In,
-        }
-    }
-
-    /// Of a topic that goes out.
-    pub fn publish(self) -> Option<Issued<AdCert>> {
-        match self {
-            Self::Publish(cert) => Some(cert),
-            Self::Read(_) => None,
-        }
-    }
-
-    /// Of a topic that comes in.
-    pub fn read(self) -> Option<Reading> {
-        match self {
-            Self::Publish(_) => None,
-            Self::Read(grant) => Some(grant),
-        }
-    }
-}
-
-/// A file does not do for what the configuration wants of it.
-#[derive(Debug, thiserror::Error)]
-#[error("{key}: {reason}")]
-pub struct MaterialError {
-    /// `topics[0].cert`
-    pub(crate) key: String,
-    pub(crate) reason: String,
 }
 
 impl Material {
@@ -237,56 +183,6 @@ fn load_import(
         Permission::Read(grant) => Ok(ImportMaterial { catalog, grant, file: Renewal::File(file.into()) }),
         Permission::Publish(_) => Err(wrong("grant", "is a permission to publish".into())),
     }
-}
-
-/// The type of a topic, service or action, by what the configuration and its name card say.
-pub(crate) fn carded_type(
-    configured: Option<&TypeName>,
-    card: &NameCard,
-    path: &Path,
-    what: &str,
-) -> Result<Option<TypeName>, String> {
-    let carded = card.get("type").filter(|text| !text.is_empty()).map(TypeName::parse).transpose();
-    let carded = carded.map_err(|error| format!("{}: {error}", path.display()))?;
-    match (configured, carded) {
-        (Some(configured), Some(carded)) if *configured != carded => Err(format!(
-            "{configured}, but the name is of a {what} of {carded} ({}): correct one of them",
-            path.display()
-        )),
-        (configured, carded) => Ok(configured.cloned().or(carded)),
-    }
-}
-
-/// What the file with the right to one direction of a topic holds now.
-pub(crate) fn load_permission(path: &Path, side: Side, card: &NameCard, entity: Name) -> Result<Permission, String> {
-    let mut text = String::new();
-    let file = File::open(path).map_err(|error| error.to_string())?;
-    file.take(MAX_CERT_FILE as u64 + 1).read_to_string(&mut text).map_err(|error| error.to_string())?;
-    check_permission(side, &text, card, entity, unix_seconds()).map_err(|error| error.to_string())
-}
-
-fn check_permission(side: Side, text: &str, card: &NameCard, entity: Name, now: u64) -> Result<Permission, CertError> {
-    match side {
-        Side::Out => {
-            let cert = Issued::<AdCert>::from_pem(text)?;
-            let certified = cert.verify(&card.proof(), None, now)?.entity;
-            if certified != entity {
-                return Err(CertError::WrongEntity { expected: entity, got: certified });
-            }
-            Ok(Permission::Publish(cert))
-        }
-        Side::In => {
-            let grant = Reading::from_pem(text)?;
-            grant.verify(&card.proof(), entity, None, now)?;
-            Ok(Permission::Read(grant))
-        }
-    }
-}
-
-/// The reason with the file in front, unless it names the file already.
-pub(crate) fn with_path(reason: impl Display, path: &Path) -> String {
-    let (reason, path) = (reason.to_string(), path.display().to_string());
-    if reason.contains(&path) { reason } else { format!("{path}: {reason}") }
 }
 
 #[cfg(test)]

@@ -5,22 +5,22 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow};
-use gdp::Node;
-use gdp::{LinkConfig, NodeConfig};
+use gdp::{LinkConfig, Node, NodeConfig};
 use gdp_core::domain::CredentialFiles;
 use gdp_link::link::RekeySchedule;
 use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::automatic::{self, Automatic, CatalogStats, Links};
 use crate::call::CallStats;
+use crate::carries::Carries;
 use crate::config::Config;
 use crate::diagnostics::{self, Diagnostics};
 use crate::graph;
 use crate::manager::Changed;
-use crate::material::RouteMaterial;
 use crate::membership::store_credentials;
 use crate::reload::{LoadError, Loaded, Watch};
-use crate::routes::{self, CallPlan, Calls, Carries, Planned, RoutePlan, Routes};
+use crate::route_material::RouteMaterial;
+use crate::routes::{self, CallPlan, Calls, Planned, RoutePlan, Routes};
 use crate::stats::{RouteStats, Stats, StatsFile, VERSION};
 use gdp_ros::types::Types;
 

@@ -16,7 +16,8 @@ use tokio::time::{Instant, sleep_until};
 
 use crate::config::{Config, ConfigError};
 use crate::graph::GraphError;
-use crate::material::{Material, MaterialError};
+use crate::material::Material;
+use crate::material_error::MaterialError;
 
 /// Before what was refused is tried again though no file is another one, if it may pass by itself:
 /// doubled from the first to the second.

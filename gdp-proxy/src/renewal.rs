@@ -6,7 +6,7 @@ use std::fmt::Display;
 use tokio::sync::watch;
 
 use crate::cert_file::CertFile;
-use crate::material::Permission;
+use crate::permission::Permission;
 
 #[derive(Clone)]
 pub enum Renewal {

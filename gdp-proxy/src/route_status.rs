@@ -15,8 +15,8 @@ use tokio::time::{Interval, MissedTickBehavior};
 use crate::config::Side;
 use crate::graph::GraphError;
 use crate::manager::Failure;
-use crate::material::Permission;
 use crate::peer_proxies::Part;
+use crate::permission::Permission;
 use crate::renewal::Renewal;
 
 /// How often it is looked for another certificate, and for what else time brings.

@@ -16,8 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use gdp::{LinkState, PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::{Node, NodeConfig};
+use gdp::{LinkState, Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
 use gdp_core::domain::{CredentialFiles, Credentials};

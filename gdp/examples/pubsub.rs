@@ -12,8 +12,7 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use clap::Parser;
-use gdp::{Node, NodeConfig};
-use gdp::{PublishOptions, SubscribeOptions};
+use gdp::{Node, NodeConfig, PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, issue};
 use gdp_core::identity::{Identity, SigningKey};

@@ -4,6 +4,8 @@
 //! What the switch and its RIB say is verified here again before it is believed: who may write a
 //! name follows from certificates of the name's owner alone.
 
+mod abort_on_drop;
+mod attachment;
 mod choice;
 mod clock;
 mod counters;
@@ -65,6 +67,7 @@ use gdp_link::port::LinkAddr;
 use gdp_proto::control::{NameRole, Record, RecordKey, Refusal, RefusalCode, Request};
 use gdp_util::unix_time::unix_seconds;
 
+pub use crate::node::attachment::SETTLING;
 pub use counters::{Meter, NodeCounters, PublisherCounters, SubscriptionCounters};
 pub use ending::Ended;
 pub use feedback::{Feedback, FrameError};
@@ -75,7 +78,6 @@ pub use publisher::{Publisher, Unflushed};
 pub use service_instances::Instance;
 pub use services::{Call, Client, Server};
 pub use subscription::Subscription;
-pub use supervisor::SETTLING;
 
 /// How a node finds its switch.
 #[derive(Clone, Debug)]

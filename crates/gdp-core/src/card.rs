@@ -2,11 +2,10 @@
 //! derives the name. A card is no secret key, but it tells the topic: it is given to those who
 //! should know it.
 
-use crate::crypto;
 use crate::crypto::CryptoError;
-use crate::name;
 use crate::name::{Metadata, Name, NameProof};
 use crate::verify_key::VerifyKey;
+use crate::{crypto, name};
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::fmt;
 use std::fs::OpenOptions;

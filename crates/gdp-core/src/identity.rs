@@ -1,16 +1,12 @@
 //! P-256 keys, and the entity one of them makes. Private keys live in PKCS#8 PEM files of mode
 //! 0600, never in a log and no longer in memory than their owner.
 
-use crate::crypto;
-use crate::crypto::CryptoError;
-use crate::crypto::{Backend, Signer};
-use crate::crypto::{PUBLIC_KEY_LEN, SIGNATURE_LEN};
+use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN, SIGNATURE_LEN, Signer};
 use crate::keys::BoxKey;
-use crate::name;
 use crate::name::{Metadata, Name, NameProof};
-use crate::secret_file;
 use crate::secret_file::SecretFileError;
 pub use crate::verify_key::VerifyKey;
+use crate::{crypto, name, secret_file};
 use p256::SecretKey;
 use p256::elliptic_curve::sec1::ToSec1Point;
 use p256::pkcs8::{DecodePrivateKey, EncodePrivateKey, LineEnding};

@@ -2,9 +2,7 @@
 //! The bytes are specified in `docs/wire-format.md`, "Names":
 //! `name = SHA-256("gdp/name/1" ‖ owner key ‖ SHA-256(JCS(metadata)))`.
 
-use crate::crypto::Backend;
-use crate::crypto::CryptoError;
-use crate::crypto::PUBLIC_KEY_LEN;
+use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN};
 use crate::verify_key::VerifyKey;
 pub use gdp_wire::Name;
 use serde::{Deserialize, Serialize};

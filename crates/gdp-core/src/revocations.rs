@@ -6,13 +6,11 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::cbor;
 use crate::cbor::CborError;
-use crate::cert::CertError;
-use crate::cert::{Revocation, Signed};
+use crate::cert::{CertError, Revocation, Signed};
 use crate::name::{Name, NameProof};
-use crate::secret_file;
 use crate::secret_file::SecretFileError;
+use crate::{cbor, secret_file};
 
 /// The first bytes of such a file.
 const HEAD: &[u8] = b"gdp revocations 1\n";

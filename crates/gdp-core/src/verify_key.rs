@@ -5,9 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-use crate::crypto::CryptoError;
-use crate::crypto::{self, Backend, Verifier};
-use crate::crypto::{PUBLIC_KEY_LEN, SIGNATURE_LEN};
+use crate::crypto::{self, Backend, CryptoError, PUBLIC_KEY_LEN, SIGNATURE_LEN, Verifier};
 
 /// A public P-256 key, SEC1 compressed, known to be a point on the curve. Text form: 66 hex digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -5,11 +5,10 @@ mod dpdk;
 mod etcd;
 
 use std::collections::HashSet;
-use std::fmt;
-use std::fs;
 use std::io::Read;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::{fmt, fs};
 
 use gdp_core::cert::MAX_ADDRESSES;
 use gdp_core::domain::{CredentialFiles, MAX_PEERS};

@@ -3,17 +3,16 @@
 //! `gdp-ctl doctor`.
 
 use std::collections::{HashMap, HashSet};
-use std::fmt;
-use std::io;
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::sync::OnceLock;
+use std::{fmt, io};
 
 use aya::programs::links::LinkType;
 use aya::programs::{loaded_links, loaded_programs};
 
 use super::capabilities::{SYS_ADMIN, missing};
-use super::kernel::Mode;
 use super::netlink::{Netlink, attribute, number};
+use crate::attach_mode::Mode;
 
 /// Of an `ifinfomsg`.
 pub(super) const HEADER: usize = 16;

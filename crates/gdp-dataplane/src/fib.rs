@@ -11,18 +11,17 @@
 //! the next daemon takes the newest, which is complete. Called by [`super::kernel`], by its tests
 //! and by `bench forward`.
 
-use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 use aya::maps::{Array, ArrayOfMaps, IterableMap, Map, MapData, MapError};
 use gdp_wire::flat::{BUCKET, Table, buckets_for, count};
 use gdp_wire::{FibEntry, Name};
 
-use super::kernel::{LoadError, UpdateError};
 use super::mapping::Mapping;
 use super::pins::{Pins, PinsError};
 use super::resizable_table::{self, FIRST, ResizableTable};
+use crate::kernel_failures::{LoadError, UpdateError};
 
 // The kernel wants no dots in them.
 const PIN: &str = "FIB_TABLE";

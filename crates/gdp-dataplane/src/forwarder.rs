@@ -1,23 +1,19 @@
 //! Moves frames between data sockets according to [`super::userspace::handle`]: one thread for each
 //! socket that receives. Nothing is allocated for a batch, and the tables are entered once.
 
-use std::collections::HashMap;
+pub use crate::forwarder_state::{Medium, Shared, sockets};
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use gdp_link::port::{BATCH, DataSocket, InFrame, LinkAddr, OutFrame, RecvBatch};
 use gdp_wire::counter::is_sampled;
 use gdp_wire::{Counter, Header};
-use parking_lot::RwLock;
 use zerocopy::{FromBytes, IntoBytes};
 
-use super::notices::Notices;
-use super::queues::Queues;
 use super::tables::Reader;
-use super::tally::Tally;
 use super::userspace::{CopyOut, Outcome, copies, handle};
 
 /// Frames that a thread hands to an interface before it looks again whether they wait there, if
@@ -26,63 +22,6 @@ const LOOK: usize = 16;
 
 /// How long a thread takes to notice that it should end.
 const NOTICE: Duration = Duration::from_millis(100);
-
-/// Where frames can be sent: an interface, or UDP.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Medium {
-    Ethernet(u32),
-    Udp,
-}
-
-impl From<LinkAddr> for Medium {
-    fn from(address: LinkAddr) -> Self {
-        match address {
-            LinkAddr::Ethernet { ifindex, .. } => Self::Ethernet(ifindex),
-            LinkAddr::Udp(_) => Self::Udp,
-        }
-    }
-}
-
-/// What all threads share.
-pub struct Shared {
-    pub notices: Arc<Notices>,
-    pub tally: Tally,
-    queues: Arc<Queues>,
-    sockets: RwLock<HashMap<Medium, Arc<DataSocket>>>,
-    counters: [AtomicU64; Counter::COUNT],
-}
-
-impl Shared {
-    /// `queues`: those of the tables.
-    pub fn new(queues: Arc<Queues>) -> Self {
-        Self {
-            notices: Arc::default(),
-            tally: Tally::default(),
-            queues,
-            sockets: RwLock::new(HashMap::new()),
-            counters: [const { AtomicU64::new(0) }; Counter::COUNT],
-        }
-    }
-
-    /// In the order of [`Counter::ALL`].
-    pub fn counters(&self) -> [u64; Counter::COUNT] {
-        std::array::from_fn(|i| self.counters[i].load(Ordering::Relaxed))
-    }
-
-    /// Sends a frame of this node itself; if it is lost, so be it.
-    pub fn send_own(&self, to: LinkAddr, header: Header, payload: &[u8]) {
-        let sockets = self.sockets.read();
-        if let Some(socket) = sockets.get(&Medium::from(to)) {
-            socket.send_batch([OutFrame { to, head: header.as_bytes(), body: payload }]);
-        }
-    }
-
-    fn count(&self, counter: Counter, frames: u64) {
-        if frames > 0 {
-            self.counters[counter as usize].fetch_add(frames, Ordering::Relaxed);
-        }
-    }
-}
 
 /// One socket's thread. Dropping it ends the thread; frames to that medium are then lost and
 /// counted.
@@ -283,8 +222,4 @@ impl Worker {
         }
         self.shared.count(Counter::RedirectFailed, lost - open);
     }
-}
-
-fn sockets<T>(shared: &Shared, change: impl FnOnce(&mut HashMap<Medium, Arc<DataSocket>>) -> T) -> T {
-    change(&mut shared.sockets.write())
 }

@@ -2,35 +2,35 @@
 //! sockets or links' meaning. Called by [`super::Planes`], by the kernel tests and by `bench
 //! forward`.
 
+pub use crate::attach_mode::Mode;
+use crate::kernel_failures::FLOOR;
+pub use crate::kernel_failures::{AttachError, LoadError, UpdateError};
+use crate::map_update::{removed, update};
 use std::collections::{HashMap as Table, HashSet};
 use std::hash::Hash;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use aya::maps::{Array, DevMapHash, HashMap, MapData, MapError, PerCpuArray, PerCpuHashMap, PerCpuValues};
-use aya::pin::PinError;
-use aya::programs::links::{FdLink, LinkError, PinnedLink};
+use aya::programs::links::{FdLink, PinnedLink};
 use aya::programs::xdp::{XdpLink, XdpLinkId, XdpMode};
 use aya::programs::{ProgramError, ProgramFd, TestRun, TestRunOptions, Xdp};
-use aya::{Ebpf, EbpfError, EbpfLoader};
+use aya::{Ebpf, EbpfLoader};
 use gdp_link::link::KeyedEntry;
 use gdp_wire::replay::WORDS;
-use gdp_wire::table::{CopyCount, EGRESS_SET_SIZE, MAX_PORTS, link_index};
+use gdp_wire::table::{CopyCount, EGRESS_SET_SIZE, link_index};
 use gdp_wire::{Counter, FibEntry, LinkEntry, LocalAddress, Name, Permit, SwitchConfig, Vlan};
 
 use super::fib::{self, Fib};
 use super::group_slots::Member;
-use super::kernel_errors;
-use super::kernel_groups::{GroupMaps, KernelGroups, OpenError};
+use super::kernel_groups::{GroupMaps, KernelGroups};
 use super::kernel_version::KernelVersion;
 use super::link_memory::{LinkMaps, LinkMemory};
 use super::losses::{self, Losses, LossesError};
-use super::object::{BuiltWithoutXdp, Object};
+use super::object::Object;
 use super::pins::{Pins, PinsError};
 use super::tally::KernelTally;
 use super::verified;
 
-/// The oldest kernel the programs are meant for.
-pub const FLOOR: KernelVersion = KernelVersion(5, 15);
 /// The first kernel whose XDP takes packets in several buffers.
 const FRAGS: KernelVersion = KernelVersion(5, 18);
 
@@ -38,92 +38,6 @@ const FRAGS: KernelVersion = KernelVersion(5, 18);
 const ROUTES_AT_EGRESS: KernelVersion = KernelVersion(6, 12);
 /// The program that says where a link over UDP leads.
 const ROUTE: &str = "gdp_route";
-
-/// Why the XDP programs cannot be used at all.
-#[derive(Debug, thiserror::Error)]
-pub enum LoadError {
-    #[error(
-        "this process lacks {}; run it as root, or grant it these with `setcap` or AmbientCapabilities= of \
-         systemd", .0.join(", ")
-    )]
-    NotPermitted(Vec<&'static str>),
-    #[error("the kernel is {0}, and the XDP programs need {FLOOR} or later")]
-    OldKernel(KernelVersion),
-    #[error(transparent)]
-    NoObject(#[from] BuiltWithoutXdp),
-    #[error("{object}: {}", kernel_errors::load(source))]
-    Object { object: Object, source: Box<EbpfError> },
-    #[error(
-        "{object}: it has no {what} `{name}`; it belongs to another version: `cargo xtask build` makes the right one"
-    )]
-    Mismatch { object: Object, what: &'static str, name: &'static str },
-    #[error("{object}: {}", kernel_errors::program(source))]
-    Program { object: Object, source: Box<ProgramError> },
-    #[error("{object}: map `{map}`: {source}")]
-    Map { object: Object, map: &'static str, source: MapError },
-    #[error("cannot map the counts and windows of links into memory: {0}")]
-    LinkMemory(std::io::Error),
-    #[error("the groups that an earlier daemon left: {0}")]
-    Groups(#[from] OpenError),
-    #[error(transparent)]
-    Fib(#[from] UpdateError),
-    #[error("{object}: {source}")]
-    Read { object: Object, source: std::io::Error },
-    #[error("{object}: {source}")]
-    Parse { object: Object, source: aya_obj::ParseError },
-    #[error(transparent)]
-    Pins(#[from] PinsError),
-}
-
-/// The program was not put on an interface, or not taken off.
-#[derive(Debug, thiserror::Error)]
-pub enum AttachError {
-    #[error(transparent)]
-    Program(#[from] ProgramError),
-    #[error("the program cannot be made to outlive the daemon: {0}")]
-    Pin(#[from] PinError),
-    #[error(transparent)]
-    Link(#[from] LinkError),
-    #[error("{}: {source}", path.display())]
-    Unpin { path: PathBuf, source: std::io::Error },
-}
-
-/// A write to a BPF map was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum UpdateError {
-    #[error("the FIB is full ({capacity} names): set `fib_capacity` higher")]
-    FibFull { capacity: u32 },
-    #[error("no memory for a FIB of {names} names ({source}): set `fib_capacity` lower")]
-    FibMemory { names: u32, source: std::io::Error },
-    #[error("{}: the FIB cannot be made to outlive the daemon: {source}", path.display())]
-    FibPin { path: PathBuf, source: std::io::Error },
-    #[error(
-        "the FIB is full ({capacity} second and further writers of a name at one switch): set `fib_capacity` higher"
-    )]
-    PermitsFull { capacity: u32 },
-    #[error("XDP runs on {MAX_PORTS} interfaces already, the most it does")]
-    PortsFull,
-    #[error("port {port} cannot lead to interface {ifindex}: {source}")]
-    Port { port: u32, ifindex: u32, source: aya::maps::xdp::XdpMapError },
-    #[error("BPF map {map}: {source}")]
-    Map { map: &'static str, source: MapError },
-}
-
-/// How a program is attached to an interface.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mode {
-    Native,
-    Generic,
-}
-
-impl Mode {
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Native => "native",
-            Self::Generic => "generic",
-        }
-    }
-}
 
 /// How the packets of an interface may lie in memory. There is a switch for each, and they do the
 /// same.
@@ -761,22 +675,9 @@ fn is_full(error: &MapError) -> bool {
     matches!(error, MapError::SyscallError(error) if error.io_error.raw_os_error() == Some(libc::E2BIG))
 }
 
-/// That there was nothing to remove is no error.
-pub(super) fn removed(result: Result<(), MapError>) -> Result<(), MapError> {
-    match result {
-        Err(MapError::KeyNotFound | MapError::ElementNotFound) => Ok(()),
-        Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::ENOENT) => Ok(()),
-        result => result,
-    }
-}
-
 /// Makes the keys of a map these.
 fn set_of<K: aya::Pod + Eq + Hash>(map: &mut HashMap<MapData, K, u32>, keys: &HashSet<K>) -> Result<(), MapError> {
     let held: HashSet<K> = map.keys().collect::<Result<_, _>>()?;
     held.difference(keys).try_for_each(|key| removed(map.remove(key)))?;
     keys.difference(&held).try_for_each(|key| map.insert(key, 0, 0))
-}
-
-pub(super) fn update(map: &'static str) -> impl Fn(MapError) -> UpdateError {
-    move |source| UpdateError::Map { map, source }
 }

@@ -5,7 +5,7 @@ use aya::EbpfError;
 use aya::maps::MapError;
 use aya::programs::ProgramError;
 
-use super::kernel::AttachError;
+use crate::kernel_failures::AttachError;
 
 /// Why the object could not be loaded.
 pub fn load(error: &EbpfError) -> String {

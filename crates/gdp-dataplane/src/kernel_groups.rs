@@ -7,6 +7,7 @@
 //! price of one. Where maps are pinned, each of them is, too: to open it from the outer map would
 //! take CAP_SYS_ADMIN.
 
+pub use crate::kernel_failures::OpenError;
 use std::collections::{BTreeMap, HashSet};
 use std::io;
 use std::os::fd::{AsFd, AsRawFd};
@@ -18,8 +19,9 @@ use gdp_wire::GroupSlot;
 use gdp_wire::table::{MAX_COPIES, MAX_GROUPS};
 
 use super::group_slots::{GroupSlots, Member, Step};
-use super::kernel::{UpdateError, removed, update};
 use super::pins::PinsError;
+use crate::kernel_failures::UpdateError;
+use crate::map_update::{removed, update};
 
 /// Device maps made at a time.
 const TOGETHER: u32 = 16;
@@ -234,17 +236,6 @@ impl KernelGroups {
     fn pin(&self, number: u32) -> Option<PathBuf> {
         self.pins.as_ref().map(|folder| folder.join(format!("{PIN}{number}")))
     }
-}
-
-/// What an earlier daemon left cannot be read.
-#[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    #[error(transparent)]
-    Map(#[from] MapError),
-    #[error(transparent)]
-    Update(#[from] UpdateError),
-    #[error(transparent)]
-    Pins(#[from] PinsError),
 }
 
 fn open_pinned(path: &Path) -> Result<DevMapHash<MapData>, OpenError> {

@@ -30,23 +30,27 @@
 // They panic where stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+mod attach_mode;
 pub mod capabilities;
 pub mod device;
 pub mod disturbance;
 pub mod dpdk;
 pub mod fib;
 pub mod forwarder;
+mod forwarder_state;
 pub mod group_slots;
 pub mod groups;
 pub mod host_pair;
 mod interface_plane;
 pub mod kernel;
 pub mod kernel_errors;
+pub mod kernel_failures;
 pub mod kernel_groups;
 pub mod kernel_types;
 pub mod kernel_version;
 pub mod link_memory;
 pub mod losses;
+mod map_update;
 mod mapping;
 pub mod netlink;
 pub mod notices;
@@ -61,6 +65,7 @@ pub mod userspace;
 mod verified;
 pub mod xdp_features;
 
+use crate::tables::permits::without;
 use std::collections::{HashMap, HashSet};
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
@@ -75,13 +80,16 @@ use gdp_wire::{
     Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, LocalAddress, Name, Permit, SwitchConfig, Vlan,
 };
 
+use crate::attach_mode::Mode;
+use crate::forwarder_state::{Medium, Shared};
+use crate::kernel_failures::{LoadError, UpdateError};
 use device::Device;
 use dpdk::{DeviceCounters, DpdkConfig, DpdkPlane, DpdkPlaneError};
-use forwarder::{Forwarder, Medium, Shared};
+use forwarder::Forwarder;
 use group_slots::Member;
 use groups::Groups;
 pub use interface_plane::{InterfacePlane, SUPPORTED};
-use kernel::{Adopted, KernelPlane, LoadError, Mode, UpdateError};
+use kernel::{Adopted, KernelPlane};
 use link_memory::LinkMemory;
 use notices::Notices;
 use pins::{Pins, PinsError};
@@ -1276,11 +1284,6 @@ fn adopted_route(entry: &FibEntry, readers: Option<&[u32]>, sources: Vec<u32>) -
         },
         sources,
     }
-}
-
-/// Those that are not among `others`.
-fn without(permits: &[Permit], others: &[Permit]) -> Vec<Permit> {
-    permits.iter().filter(|permit| !others.contains(permit)).copied().collect()
 }
 
 const OCCUPIED: &str = "another XDP program is attached";

@@ -18,10 +18,9 @@ use aya::programs::{ProgramError, RawTracePoint};
 use aya::{Ebpf, util};
 use gdp_wire::losses::NetDevices;
 
-use super::kernel_errors;
 use super::kernel_types::{KernelTypes, TypesError, VMLINUX};
 use super::pins::Pins;
-use super::verified;
+use super::{kernel_errors, verified};
 
 /// The map in the object, and in a folder of pins.
 pub const MAP: &str = "REDIRECT_LOSSES";

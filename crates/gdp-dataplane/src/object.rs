@@ -1,9 +1,8 @@
 //! The XDP programs: the object inside this executable, or a file that somebody names.
 
 use std::borrow::Cow;
-use std::fmt;
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fmt, io};
 
 /// Names a file to load instead of the embedded object; for development and tests.
 pub const ENVIRONMENT: &str = "GDP_EBPF_OBJECT";

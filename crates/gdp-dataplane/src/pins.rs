@@ -25,7 +25,7 @@ use aya::maps::{MapError, MapInfo};
 use gdp_wire::Name;
 use gdp_wire::table::ABI;
 
-use super::kernel::Mode;
+use crate::attach_mode::Mode;
 
 /// Where the BPF file system is, unless configured otherwise.
 pub const BPFFS: &str = "/sys/fs/bpf";

@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicU64;
 use gdp_wire::flat::Table;
 use gdp_wire::{FibEntry, Name};
 
-use super::kernel::UpdateError;
+use crate::kernel_failures::UpdateError;
 
 /// Names that the first table is for: 128 KiB.
 pub const FIRST: u32 = 1024;

@@ -3,9 +3,8 @@
 //! the system; [`super::Planes`] writes the maps.
 
 use std::ffi::CStr;
-use std::fs;
-use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::{fs, io};
 
 use gdp_wire::LocalAddress;
 use gdp_wire::table::MAX_LOCAL_ADDRESSES;

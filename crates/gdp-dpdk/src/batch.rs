@@ -4,11 +4,10 @@
 
 use std::cell::Cell;
 
-use gdp_wire::forward;
 use gdp_wire::replay::Words;
 use gdp_wire::table::PORT_ROUTED;
 use gdp_wire::tables::Tables;
-use gdp_wire::{FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
+use gdp_wire::{FibEntry, Header, LinkEntry, LinkRole, Name, Permit, forward};
 
 use crate::carrier::Stations;
 use crate::local::Local;

@@ -5,8 +5,7 @@ use std::ffi::{CString, c_char};
 use std::marker::PhantomData;
 use std::sync::mpsc;
 
-use crate::DpdkError;
-use crate::sys;
+use crate::{DpdkError, sys};
 use parking_lot::Mutex;
 
 /// How DPDK is to begin.

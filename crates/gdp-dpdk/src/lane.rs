@@ -1,12 +1,10 @@
 //! Where a loop's packets leave by a port.
 
-use crate::mbuf::Burst;
-use crate::mbuf::Mbuf;
+use crate::mbuf::{Burst, Mbuf};
 use crate::port::Send;
 use parking_lot::Mutex;
 use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Where a loop's packets leave by a port.
 pub struct TxLane {

@@ -10,8 +10,7 @@ use std::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 
 use gdp_wire::fetch::fetch;
 
-use crate::sys;
-use crate::{DpdkError, Eal};
+use crate::{DpdkError, Eal, sys};
 
 /// The largest packet that fits an mbuf, in bytes: a jumbo frame.
 pub const LARGEST: usize = 9216;

@@ -5,8 +5,7 @@ use std::ffi::{CStr, CString, c_void};
 use std::sync::Arc;
 
 use crate::mbuf::{Burst, Pool};
-use crate::sys;
-use crate::{DpdkError, Eal};
+use crate::{DpdkError, Eal, sys};
 use parking_lot::Mutex;
 
 /// Places in each queue, unless the device wants others.

@@ -13,13 +13,15 @@ mod extent;
 mod peers;
 mod record;
 mod refusal;
+mod role;
 mod tiers;
 mod traced;
 
 pub use crate::control::extent::Extent;
 pub use crate::control::record::{Credential, Record, RecordKey, Verified};
 pub use crate::control::refusal::{Refusal, RefusalCode};
-pub use peers::{NameRole, Peers, PeersExtent, PeersPush};
+pub use crate::control::role::NameRole;
+pub use peers::{Peers, PeersExtent, PeersPush};
 pub use tiers::{
     MAX_ANCESTORS, MAX_PATH, RemoteRecord, TierEntry, TierHolds, TierKey, TierLeg, TierMessage, TierPush, TierRequest,
     TierResponse,

@@ -9,8 +9,7 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use gdp_core::card::CardError;
-use gdp_core::card::NameCard;
+use gdp_core::card::{CardError, NameCard};
 use gdp_core::cbor;
 use gdp_core::cbor::CborError;
 use gdp_core::cert::{Issued, ReadGrant};

@@ -1,7 +1,6 @@
 //! The fields of a header that belong to the link it leaves by.
 
-use crate::Header;
-use crate::LinkEntry;
+use crate::{Header, LinkEntry};
 
 /// Writes the fields that belong to `link` into a frame that leaves by it, and the hop tag over the
 /// whole. `count`: frames sent on the link, with this one.

@@ -1,10 +1,7 @@
 //! The tables of a data plane, as the forwarding decision reads them.
 
-use crate::Header;
-use crate::Name;
-use crate::hop;
-use crate::replay;
 use crate::table::{FibEntry, LinkEntry, Permit};
+use crate::{Header, Name, hop, replay};
 
 /// What [`crate::forward::decide`] asks of a data plane. Lookups must be bounded and must not
 /// block.

@@ -7,8 +7,7 @@ mod frames;
 
 use frames::Frame;
 use frames::fixtures::{array, hex, key, unhex};
-use gdp_wire::hop;
-use gdp_wire::{ControlHeader, Counter, FrameType, Header, LinkEntry, Name, forward, replay};
+use gdp_wire::{ControlHeader, Counter, FrameType, Header, LinkEntry, Name, forward, hop, replay};
 use serde::{Deserialize, Serialize};
 use zerocopy::{FromBytes, IntoBytes};
 

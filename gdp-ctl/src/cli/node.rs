@@ -16,8 +16,7 @@ use gdp_util::terminal::note;
 use super::key::Kind;
 use crate::cli::context::Context;
 use crate::ros::feed::Feed;
-use crate::ros::{fabric::Fabric, fabric::identity, fabric::local_switch};
-use crate::ros::{keyring::Keyring, keyring::called};
+use crate::ros::{fabric::Fabric, fabric::identity, fabric::local_switch, keyring::Keyring, keyring::called};
 use gdp_daemon::folders;
 use gdp_util::unix_time::unix_seconds;
 

@@ -2,8 +2,7 @@
 //! whom, what both sides say when not, and what ends a link or renews it.
 
 use std::io;
-use std::net::SocketAddr;
-use std::net::UdpSocket;
+use std::net::{SocketAddr, UdpSocket};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 

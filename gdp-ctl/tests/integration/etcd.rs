@@ -3,9 +3,10 @@
 
 use std::time::Duration;
 
-use gdp_daemon::store::{Endpoint, StoreError};
-use gdp_daemon::store::{gateway::Event, gateway::Gateway, gateway::Op, gateway::Watch};
-use gdp_daemon::store::{items::Copy, items::KeySpace, items::Writer};
+use gdp_daemon::store::{
+    Endpoint, StoreError, gateway::Event, gateway::Gateway, gateway::Op, gateway::Watch, items::Copy, items::KeySpace,
+    items::Writer,
+};
 use gdp_rib::rib::Item;
 use gdp_wire::Name;
 use tokio::time::timeout;

@@ -16,8 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant, SystemTime};
 
-use gdp::{Node, NodeConfig};
-use gdp::{PublishOptions, Publisher, SubscribeOptions, Subscription};
+use gdp::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Advert, AdvertOp, Grantee, Issued, Mode, ReadGrant, Reading, RtCert, issue};
 use gdp_core::identity::{Identity, SigningKey};

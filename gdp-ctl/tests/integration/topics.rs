@@ -4,8 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, ChildStdout, Output, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
-use gdp::{Node, NodeConfig};
-use gdp::{PublishOptions, Publisher, SubscribeOptions};
+use gdp::{Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions};
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, Reading, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_daemon::serve::{Running, start};

@@ -9,13 +9,15 @@ use gdp_wire::Name;
 use tokio::sync::watch;
 
 use super::omissions::{Omissions, Omitted, Reason};
+use crate::carries::Carries;
 use crate::config::{CallConfig, MAX_CALLS, MAX_ROUTES, RuleOptions, Side, Thing};
 use crate::graph::Graph;
 use crate::manager::Plan;
-use crate::material::{Permission, RouteMaterial};
+use crate::permission::Permission;
 use crate::renewal::{Renewal, Told};
 use crate::ros2::TopicName;
-use crate::routes::{CallPlan, Carries, Planned, RoutePlan};
+use crate::route_material::RouteMaterial;
+use crate::routes::{CallPlan, Planned, RoutePlan};
 use crate::{call, route};
 
 /// What is kept from one time to the next.

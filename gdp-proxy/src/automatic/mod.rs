@@ -36,8 +36,10 @@ use self::listed::{Listed, chosen};
 use self::omissions::Reason;
 use crate::config::{ExposeConfig, ImportConfig, Thing};
 use crate::graph::{self, Found, Graph, GraphObserver};
-use crate::material::{ImportMaterial, Permission, RouteMaterial};
+use crate::material::ImportMaterial;
+use crate::permission::Permission;
 use crate::reload::Loaded;
+use crate::route_material::RouteMaterial;
 use crate::routes::{CallPlan, RoutePlan};
 
 pub use self::choice::{choose, judge};

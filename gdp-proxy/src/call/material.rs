@@ -7,8 +7,9 @@ use gdp_wire::Name;
 
 use crate::cert_file::CertFile;
 use crate::config::{CallConfig, Config};
-use crate::material::{MaterialError, RouteMaterial, carded_type, with_path};
+use crate::material_error::{MaterialError, with_path};
 use crate::renewal::Renewal;
+use crate::route_material::{RouteMaterial, carded_type};
 
 /// All of them, each with which one it is in the order of [`Config::calls`].
 pub fn load(

@@ -24,13 +24,13 @@ use gdp::Node;
 use gdp_ros::types::Types;
 use parking_lot::Mutex;
 
+use crate::carries::{Carries, Way};
 use crate::config::{CallConfig, Thing, What};
 use crate::graph::Graph;
-use crate::material::RouteMaterial;
 use crate::peer_proxies::LISTEN;
 use crate::ros2::TopicName;
+use crate::route_material::RouteMaterial;
 use crate::route_status::{EitherRight, RouteError, RouteStatus};
-use crate::routes::{Carries, Way};
 use crate::tally::Reason as _;
 use crate::turns::{Turns, unless};
 use counters::CallCounters;

@@ -1,11 +1,12 @@
 //! What is said of one service or action.
 
+pub use crate::config::call_kind::What;
 use std::path::PathBuf;
 
 use schemars::JsonSchema;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Deserializer};
 
-use super::{GraphConfig, Graphs, Side};
+use super::{Graphs, Side};
 use crate::ros2::{TopicName, TypeName};
 
 /// One service or action that crosses.
@@ -27,55 +28,6 @@ pub struct CallConfig {
     /// to call (`--read`).
     pub cert: Option<PathBuf>,
     pub grant: Option<PathBuf>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum What {
-    Service,
-    Action,
-}
-
-impl What {
-    /// The kind of its name card, and the key of its name in the configuration.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Service => "service",
-            Self::Action => "action",
-        }
-    }
-
-    /// The list of the configuration that it stands in.
-    pub fn list(self) -> &'static str {
-        match self {
-            Self::Service => "services",
-            Self::Action => "actions",
-        }
-    }
-
-    fn folder(self) -> &'static str {
-        match self {
-            Self::Service => "srv",
-            Self::Action => "action",
-        }
-    }
-
-    /// Whether it can be of this type.
-    pub fn fits(self, kind: &TypeName) -> bool {
-        kind.as_str().split('/').nth(1) == Some(self.folder())
-    }
-
-    /// Whether a graph can have it.
-    pub(super) fn check_graph(self, graph: &GraphConfig) -> Result<(), String> {
-        match (self, graph) {
-            (Self::Action, GraphConfig::Ros1(_)) => {
-                Err("actions of ROS 1 are topics: list NAME/goal, NAME/cancel, NAME/status, NAME/feedback and \
-                 NAME/result under topics"
-                    .into())
-            }
-            _ => Ok(()),
-        }
-    }
 }
 
 /// One entry of `services` or `actions`, which are alike but for the key of its name.

@@ -5,6 +5,7 @@
 //! This is the file alone; [`crate::material`] reads the files it names.
 
 mod automatic;
+mod call_kind;
 mod calls;
 mod frames;
 mod graphs;
@@ -30,7 +31,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
 pub use self::automatic::{ExposeConfig, ImportConfig, Reader, Remap, Rule, RuleOptions, remapped};
-pub use self::calls::{CallConfig, What};
+pub use self::calls::CallConfig;
 pub use self::frames::FramePrefix;
 pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config};
 pub use self::pattern::{Pattern, is_hidden};
@@ -38,6 +39,7 @@ pub use self::relay::RelayConfig;
 pub use self::schema::schema;
 pub use self::thing::Thing;
 pub use self::topics::{Compression, Conversion, Direction, Side, TopicConfig};
+pub use crate::config::call_kind::What;
 
 /// A longer file is no configuration.
 const MAX_FILE: u64 = 1024 * 1024;

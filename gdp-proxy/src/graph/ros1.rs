@@ -15,8 +15,8 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
 use self::publishers::{Publisher, Publishers};
-use super::{Arrived, Event, GraphError, Key, NODE, WriteError};
 use crate::config::Ros1Config;
+use crate::graph::event::{Arrived, Event, GraphError, Key, NODE, WriteError};
 use crate::peer_proxies::{self, PeerProxies, Voice};
 use crate::ros2::TopicName;
 use gdp_ros::roster::{Dialect, Kind, Offer};

@@ -8,7 +8,7 @@ use bytes::Bytes;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use super::{Event, Key, WriteError};
+use crate::graph::event::{Event, Key, WriteError};
 use crate::ros2::{
     self, DisplayedQos, Domain, Durability, Endpoint, Graph, Qos, RawReader, RawSample, RawWriter, Reliability,
     RosError, TopicName, TypeName,

@@ -9,8 +9,9 @@ use gdp_ros1::{CallError, ServiceServer, ServiceType};
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::time::timeout;
 
-use super::{Graph, GraphError, NODE};
+use super::Graph;
 use crate::config::What;
+use crate::graph::event::{GraphError, NODE};
 use crate::ros2::{self, ClientLife, RawSample, RequestId, ServicePeer, TopicName, TypeName};
 use gdp_ros::call::{Description, Failure, FailureCode};
 use gdp_ros::roster::{Dialect, Kind};

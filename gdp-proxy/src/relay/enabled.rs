@@ -16,7 +16,8 @@ use gdp_wire::Name;
 use tokio::runtime::{Builder, Runtime};
 
 use crate::config::{Config, LinkPlace, RelayConfig};
-use crate::material::{MaterialError, load_identity, with_path};
+use crate::material::load_identity;
+use crate::material_error::{MaterialError, with_path};
 use gdp_util::unix_time::unix_seconds;
 
 /// A relay that can be started.

@@ -4,7 +4,7 @@
 use std::convert::Infallible;
 
 use crate::config::Config;
-use crate::material::MaterialError;
+use crate::material_error::MaterialError;
 
 /// A relay that cannot be: [`Relay::load`] never returns one.
 pub struct Relay(Infallible);

@@ -1,7 +1,8 @@
 //! Actions are no more than three services and two topics beneath `NAME/_action` (design.ros2.org,
 //! "Actions"): their names and types, and the QoS that rclcpp and rclpy give them.
 
-use super::{Depth, Durability, NameError, Qos, Reliability, TopicName, TypeName};
+use super::{Depth, Durability, Qos, Reliability, TopicName, TypeName};
+use gdp_ros::names::NameError;
 
 /// The parts of one action.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -7,6 +7,7 @@
 
 mod action;
 mod discovery;
+mod domain_id;
 mod graph;
 mod names;
 mod presence;
@@ -15,6 +16,7 @@ mod range;
 mod raw;
 mod service;
 
+pub use crate::ros2::domain_id::MAX_DOMAIN_ID;
 pub use action::Action;
 pub use gdp_ros::names::NameError;
 pub use graph::{ActionInfo, DisplayedQos, Endpoint, Graph, ServiceInfo, ServicePeer, TopicInfo, TypeHash};
@@ -40,9 +42,6 @@ use graph::PROXY_TOPIC;
 
 use crate::peer_proxies::{self, PeerProxies};
 use presence::Presence;
-
-/// The largest domain id whose ports (7400 + 250 · id and up) exist.
-pub const MAX_DOMAIN_ID: u16 = 232;
 
 /// The proxy's presence in a DDS domain, until it [leaves](Domain::leave).
 pub struct Domain {

@@ -17,17 +17,16 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp::Node;
-use gdp::{NodeError, Publisher};
+use gdp::{Node, NodeError, Publisher};
 use parking_lot::{Mutex, MutexGuard};
 
+use crate::carries::{Carries, Way};
 use crate::config::{Side, Thing, TopicConfig};
 use crate::graph::Graph;
-use crate::material::RouteMaterial;
 use crate::peer_proxies::Place;
 use crate::ros2::TopicName;
+use crate::route_material::RouteMaterial;
 use crate::route_status::{EitherRight, Right, RouteError, RouteStatus};
-use crate::routes::{Carries, Way};
 use crate::stats::{Drop, FabricCounters, RouteCounters, RouteStats};
 use crate::tally::Reason as _;
 use crate::turns::Turns;

@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::ros2::TopicName;
-use gdp_core::cert::{Delegation, Grantee, MemberCert, Membership, Mode, ReadGrant, issue};
+use gdp_core::cert::{AdCert, Delegation, Grantee, Issued, MemberCert, Membership, Mode, ReadGrant, issue};
+use gdp_util::unix_time::unix_seconds;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::LazyLock;

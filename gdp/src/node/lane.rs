@@ -12,8 +12,8 @@ use tokio::sync::Notify;
 
 use super::choice::Fitness;
 use super::counters::Count;
-use super::supervisor::Attachment;
 use super::{LinkConfig, LinkTarget};
+use crate::node::attachment::Attachment;
 use gdp_e2e::transport::{Output, Transmit, Uplink, UplinkOptions};
 use gdp_wire::SMALLEST_PATH;
 

@@ -17,7 +17,7 @@ use rtnetlink::{Handle, MulticastGroup, RouteMessageBuilder};
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
-use super::supervisor::AbortOnDrop;
+use crate::node::abort_on_drop::AbortOnDrop;
 use gdp_link::port::LinkAddr;
 
 /// What is listened to.

@@ -3,8 +3,7 @@
 //! readers; others reach them by commands, which take effect before the next frame is looked at.
 
 use std::collections::{BTreeSet, HashMap};
-use std::sync::mpsc;
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, Weak, mpsc};
 use std::time::{Duration, Instant};
 
 use gdp_wire::replay::{self, Window};
@@ -18,7 +17,7 @@ use super::publication::Publication;
 use super::send_path::SendPath;
 use super::shared_entry::SharedEntry;
 use super::subscription_receiver::{Change, SubscriptionReceiver, Verdict};
-use super::supervisor::Attachment;
+use crate::node::attachment::Attachment;
 use gdp_core::peer::MAX_LANES;
 use gdp_e2e::feedback_wire::Feedback;
 use gdp_e2e::keys::PairError;

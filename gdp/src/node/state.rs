@@ -27,8 +27,9 @@ use super::service_instances::ServiceInstances;
 use super::services::Pending;
 use super::subscription::Queue;
 use super::subscription_receiver::{Shared, SubscriptionReceiver};
-use super::supervisor::{Attachment, Event};
+use super::supervisor::Event;
 use super::{LinkConfig, NodeError, Stated};
+use crate::node::attachment::Attachment;
 use gdp_core::cert::{
     AdCert, Advert, AdvertOp, CertError, Issued, Reading as Grant, Revocation, RtCert, Signed, issue,
 };

@@ -3,40 +3,34 @@
 //! another network. The application's handles never notice but for what was lost. [`run`] keeps all
 //! links of a node.
 
-use gdp_wire::hop;
+use crate::node::abort_on_drop::AbortOnDrop;
+use crate::node::attachment::Attachment;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{Header, Name};
 use tokio::sync::{mpsc, watch};
-use tokio::task::{JoinHandle, JoinSet};
+use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep, sleep_until, timeout_at};
-use zerocopy::IntoBytes;
 
 use super::choice::Pulse;
-use super::frame_size::FrameSize;
 use super::lane::{LinkSlot, Status};
 use super::network::{Network, NetworkPath, until_led};
 use super::pause::{BACKOFF, ExpediteToken, wait};
 use super::receiver::Command;
 use super::send_path::SwitchLinks;
-use super::shared_entry::SharedEntry;
 use super::state::{self, State};
 use super::{LinkConfig, LinkTarget, NodeError, Stated};
 use gdp_core::cert::{Revocation, Signed};
 use gdp_core::crypto;
 use gdp_core::name::NameProof;
-use gdp_core::peer::GRACEFUL_RESTART_TIME;
-use gdp_core::peer::Role;
-use gdp_link::link::{Link, LinkError, LinkKeys, RekeySchedule, Responder};
-use gdp_link::link::{liveness::Liveness, liveness::Pace, liveness::Step};
-use gdp_link::port::{DataSocket, Interface, LinkAddr, OutFrame, Port, PortConfig, interface_index};
+use gdp_core::peer::{GRACEFUL_RESTART_TIME, Role};
+use gdp_link::link::{Link, LinkError, RekeySchedule, Responder};
+use gdp_link::port::{Interface, LinkAddr, Port, PortConfig, interface_index};
 use gdp_proto::control::{Refusal, RefusalCode, Request, Response};
 use gdp_util::backoff::Backoff;
-use gdp_wire::SMALLEST_PATH;
 
 /// How long a switch may take to answer discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
@@ -51,9 +45,6 @@ const ANSWER: Duration = Duration::from_millis(500);
 /// The same of a switch on a cable.
 const ANSWER_ON_CABLE: Duration = Duration::from_millis(100);
 
-/// Between two echoes that are waited for.
-const ECHOES: Duration = Duration::from_millis(10);
-
 /// How long the node tries to attach again over the link it has; the switch waits a little longer
 /// for its answer.
 const REATTACH: Duration = Duration::from_secs(4);
@@ -65,125 +56,12 @@ const RENEWAL: Duration = Duration::from_secs(state::LIFETIME as u64 / 3);
 const MAIN_ECHOES: Duration = Duration::from_millis(100);
 const OTHER_ECHOES: Duration = Duration::from_millis(500);
 
-/// How long frames on a new link over UDP stay as small as any path takes: meanwhile QUIC learns
-/// the paths of links that are made at the same time, and switches learn them from it.
-pub const SETTLING: Duration = Duration::from_secs(3);
-
 /// What the rest of the node tells the supervisor.
 pub enum Event {
     /// A publisher or subscription was dropped.
     Withdraw { name: Name, stated: Stated },
     /// The RIB does not know this revocation.
     Revoke { proof: NameProof, revocation: Signed<Revocation> },
-}
-
-/// A link that was made, as publishers use it.
-pub struct Attachment {
-    /// Which of the node's links it is.
-    pub lane: u8,
-    pub link: Link,
-    pub entry: SharedEntry,
-    pub data: Arc<DataSocket>,
-    /// Bytes of the largest frame that may come.
-    pub largest: usize,
-    /// What links further on take, as far as it is known.
-    pub frame_size: FrameSize,
-    /// How the switch was reached when the link was made.
-    way: NetworkPath,
-    since: Instant,
-    count: AtomicU64,
-    /// Cookie of the latest answer to an echo.
-    answer: AtomicU64,
-    /// The switch tells what paths cost.
-    costs_told: AtomicBool,
-}
-
-impl Attachment {
-    fn new(lane: u8, link: Link, way: NetworkPath, port: &Port) -> Self {
-        let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
-        let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
-        let costs_told = AtomicBool::new(false);
-        Self { lane, entry, link, data, largest, frame_size, way, since: Instant::now(), count, answer, costs_told }
-    }
-
-    /// The count for the next frame: 1 for the first.
-    pub fn next_count(&self) -> u64 {
-        self.count.fetch_add(1, Ordering::Relaxed).wrapping_add(1)
-    }
-
-    /// Sends a frame without a payload to the switch itself; if it is lost, so be it.
-    pub fn send(&self, mut header: Header) {
-        hop::stamp(&mut header, &self.entry.get(), self.next_count());
-        self.data.send_batch([OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] }]);
-    }
-
-    /// The switch has answered the echo with this cookie.
-    pub fn answered(&self, cookie: u64) {
-        self.answer.store(cookie, Ordering::Relaxed);
-    }
-
-    /// Asks the data plane of the switch whether it lives, and returns when it does not answer.
-    async fn until_silent(&self) {
-        let mut liveness = Liveness::new(Pace::of(self.link.addr()));
-        loop {
-            let cookie = crypto::random().map_or(0, u64::from_le_bytes);
-            match liveness.step(self.answer.load(Ordering::Relaxed), cookie) {
-                Step::Ask => self.send(Header::echo(cookie)),
-                Step::Silent => return,
-            }
-            sleep(liveness.pace().interval).await;
-        }
-    }
-
-    /// Whether the data plane of the switch answers where frames are sent to. On the host itself
-    /// that takes microseconds, but the daemon may not have taken the link into service yet.
-    async fn is_answered(&self, within: Duration) -> bool {
-        let (mut asked, until) = (Vec::new(), Instant::now() + within);
-        while Instant::now() < until {
-            let cookie = crypto::random().map_or(0, u64::from_le_bytes);
-            asked.push(cookie);
-            self.send(Header::echo(cookie));
-            sleep(ECHOES).await;
-            if asked.contains(&self.answer.load(Ordering::Relaxed)) {
-                return true;
-            }
-        }
-        false
-    }
-
-    /// Has the switch tell what paths cost, if it does not already. If it does not answer, servers
-    /// are chosen without that, and it is asked again with what is stated next.
-    pub async fn watch_costs(&self, state: &State) {
-        if self.costs_told.load(Ordering::Relaxed) {
-            return;
-        }
-        match self.link.request(&Request::WatchCosts).await {
-            // What it has told since is newer.
-            Ok(Response::Costs(costs)) if !self.costs_told.swap(true, Ordering::Relaxed) => {
-                state.set_costs(self.lane, costs)
-            }
-            Ok(Response::Costs(_)) => {}
-            Ok(other) => tracing::debug!(?other, "the switch does not tell what paths cost"),
-            Err(error) => tracing::debug!(%error, "the switch did not tell what paths cost"),
-        }
-    }
-
-    /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far
-    /// as is known.
-    pub fn max_payload(&self) -> usize {
-        let settling = matches!(self.link.addr(), LinkAddr::Udp(_)) && self.since.elapsed() < SETTLING;
-        let largest = if settling { SMALLEST_PATH.into() } else { self.link.mtu() };
-        (largest.min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
-    }
-
-    /// Replaces the keys of the link now and then, as long as it lives.
-    async fn keep_keys(self: Arc<Self>) {
-        let put = |keys: &LinkKeys| {
-            self.entry.update(|entry| keys.put(entry));
-            true
-        };
-        self.link.keep_keys(|| self.count.load(Ordering::Relaxed), put).await;
-    }
 }
 
 /// A link whose switch fell silent, in use until then at the latest.
@@ -701,7 +579,7 @@ async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request
             }
         }
         Request::Costs(costs) => {
-            attachment.costs_told.store(true, Ordering::Relaxed);
+            attachment.reported_costs.store(true, Ordering::Relaxed);
             state.set_costs(attachment.lane, costs);
             Response::Done
         }
@@ -782,14 +660,6 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, event: Event) {
                 tracing::warn!(%error, "the RIB does not know a revocation, and does not take it");
             }
         }
-    }
-}
-
-pub struct AbortOnDrop(pub JoinHandle<()>);
-
-impl Drop for AbortOnDrop {
-    fn drop(&mut self) {
-        self.0.abort();
     }
 }
 

@@ -30,9 +30,8 @@ use gdp_tests::programs::Executable as _;
 use gdp_wire::{Carrier, Counter, FibEntry, Header, LinkEntry, LinkRole, Name};
 use zerocopy::IntoBytes;
 
-use crate::Bench;
-use crate::lookups;
 use crate::testpmd::Testpmd;
+use crate::{Bench, lookups};
 
 const NAMES: u32 = 1 << 20;
 

@@ -18,11 +18,10 @@ use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use gdp_wire::{Counter, FibEntry, LinkEntry, Name, SwitchConfig};
 
-use crate::Bench;
-use crate::lookups;
 use crate::path::{Kind, Path};
 use crate::switch::{LEFT, Medium, RIGHT, TOPIC, link};
 use crate::traffic::Traffic;
+use crate::{Bench, lookups};
 
 /// What the FIB holds when it is full: the name of the frames, and others.
 const CAPACITY: u32 = 1 << 20;

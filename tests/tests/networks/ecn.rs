@@ -12,12 +12,10 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::{Node, NodeConfig};
-use gdp::{PublishOptions, SubscribeOptions};
+use gdp::{Node, NodeConfig, PublishOptions, SubscribeOptions};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp_core::identity::Identity;
-use gdp_core::identity::SigningKey;
+use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_daemon::config::{Config, DataPlane, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};

@@ -10,8 +10,7 @@
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, Result, ensure};
-use gdp::{Node, NodeConfig};
-use gdp::{Publisher, Subscription};
+use gdp::{Node, NodeConfig, Publisher, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::identity::{Identity, SigningKey};

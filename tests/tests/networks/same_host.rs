@@ -11,12 +11,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use gdp::{Node, NodeConfig};
-use gdp::{Publisher, Subscription};
+use gdp::{Node, NodeConfig, Publisher, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
-use gdp_core::identity::Identity;
-use gdp_core::identity::SigningKey;
+use gdp_core::identity::{Identity, SigningKey};
 use gdp_e2e::seal::Encoding;
 use gdp_tests::Tools;
 use gdp_tests::fabric::Mounted;

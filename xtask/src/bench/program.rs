@@ -1,13 +1,9 @@
 //! The command line of a benchmark program.
 
-use crate::build;
-use crate::setup;
 use crate::setup::Purpose;
-use crate::shell;
-use crate::workspace;
 use crate::workspace::Profile;
-use anyhow::Result;
-use anyhow::bail;
+use crate::{build, setup, shell, workspace};
+use anyhow::{Result, bail};
 use std::process::Command;
 
 /// How often and how long to measure, and how to show it.

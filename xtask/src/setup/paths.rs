@@ -1,7 +1,6 @@
 //! The folders of toolchains.
 
-use std::path::Path;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub fn home(variable: &str, default: &str) -> PathBuf {
     std::env::var_os(variable)

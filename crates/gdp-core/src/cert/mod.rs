@@ -32,8 +32,7 @@ pub use link_state::{Adjoining, LinkState, MAX_BORDERS, MAX_NEIGHBOURS};
 pub use owner::{
     AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, Mode, ReadGrant, Revocation,
 };
-pub use request::{Requester, authorise_advertise, authorise_subscribe, authorise_withdraw};
-pub use request::{Side, verify_statement};
+pub use request::{Requester, Side, authorise_advertise, authorise_subscribe, authorise_withdraw, verify_statement};
 pub use signed::{MAX_SIGNED, Signed, issue};
 pub use statements::{Advert, RtCert};
 pub use switch::{Host, Locator, MAX_ADDRESSES, MAX_LOCATED, MAX_LOCATOR, SwitchStatement};

@@ -3,8 +3,7 @@
 use super::Claims;
 use crate::cbor;
 use crate::cert::error::CertError;
-use crate::crypto::CryptoError;
-use crate::crypto::SIGNATURE_LEN;
+use crate::crypto::{CryptoError, SIGNATURE_LEN};
 use crate::identity::SigningKey;
 use crate::verify_key::VerifyKey;
 use coset::{CoseSign1, CoseSign1Builder, HeaderBuilder, TaggedCborSerializable, iana};

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::Credentials;
 use crate::card::{CardError, NameCard};
-use crate::cert::CertError;
-use crate::cert::{MAX_CERT_FILE, Membership, Signed};
+use crate::cert::{CertError, MAX_CERT_FILE, Membership, Signed};
 
 #[derive(Debug, thiserror::Error)]
 pub enum PaperFileError {

@@ -12,9 +12,8 @@ use std::sync::Arc;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
-use crate::cert::CertError;
 use crate::cert::domain::roles;
-use crate::cert::{MemberCert, Membership, PeerCert, PeerRights, Revocation, Signed};
+use crate::cert::{CertError, MemberCert, Membership, PeerCert, PeerRights, Revocation, Signed};
 use crate::name::{Name, NameProof};
 use crate::peer::{Peer, Role};
 use crate::revocations::Kept;

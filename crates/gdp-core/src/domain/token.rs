@@ -8,8 +8,7 @@ use zeroize::{Zeroize, Zeroizing};
 
 use crate::cbor;
 use crate::cbor::CborError;
-use crate::cert::CertError;
-use crate::cert::{Invite, MemberCert, Membership, Signed, issue};
+use crate::cert::{CertError, Invite, MemberCert, Membership, Signed, issue};
 use crate::identity::SigningKey;
 use crate::link_target::LinkTarget;
 use crate::name::{Name, NameProof};

@@ -9,9 +9,7 @@ use std::sync::Arc;
 use zeroize::Zeroizing;
 
 use crate::crypto;
-use crate::crypto::Backend;
-use crate::crypto::CryptoError;
-use crate::crypto::PUBLIC_KEY_LEN;
+use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN};
 
 const CONTEXT: &[u8] = b"gdp/box-key/1";
 

@@ -2,8 +2,7 @@
 //! keys from it.
 
 use crate::crypto;
-use crate::crypto::CryptoError;
-use crate::crypto::{Aead, Backend};
+use crate::crypto::{Aead, Backend, CryptoError};
 use crate::name::Name;
 use std::fmt;
 use zeroize::Zeroizing;

@@ -5,12 +5,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::BoxKey;
-use crate::cert::CertError;
-use crate::cert::{Claims, Signed, Validity, issue};
+use crate::cert::{CertError, Claims, Signed, Validity, issue};
 use crate::crypto;
-use crate::crypto::CryptoError;
-use crate::crypto::HPKE_OVERHEAD;
-use crate::crypto::PUBLIC_KEY_LEN;
+use crate::crypto::{CryptoError, HPKE_OVERHEAD, PUBLIC_KEY_LEN};
 use crate::identity::Identity;
 use crate::keys::EpochKey;
 use crate::name::Name;

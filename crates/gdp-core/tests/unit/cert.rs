@@ -3,8 +3,7 @@
 use super::*;
 use crate::identity::{Identity, SigningKey};
 use crate::name;
-use crate::name::Name;
-use crate::name::NameProof;
+use crate::name::{Name, NameProof};
 
 const NOW: u64 = 1_800_000_000;
 

@@ -18,12 +18,10 @@ use gdp_dataplane::device::Device;
 use gdp_dataplane::dpdk::DpdkConfig;
 use gdp_dataplane::kernel::KernelPlane;
 use gdp_dataplane::kernel_version::KernelVersion;
-use gdp_dataplane::losses;
 use gdp_dataplane::object::Object;
 use gdp_dataplane::pins::{self, Pins, PinsError};
-use gdp_dataplane::udp;
 use gdp_dataplane::xdp_features::XdpFeatures;
-use gdp_dataplane::{disturbance, host_pair};
+use gdp_dataplane::{disturbance, host_pair, losses, udp};
 use gdp_util::unix_time::unix_seconds;
 
 /// What a daemon with this configuration would find, in this network namespace.

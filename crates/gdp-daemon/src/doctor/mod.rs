@@ -14,7 +14,7 @@ use serde::Serialize;
 use facts::{
     Bpffs, Clock, Dpdk, DpdkDevice, DpdkPort, Facts, Interface, LeftOver, Loaded, Owner, PortState, Udp, Wanted,
 };
-use gdp_dataplane::kernel::FLOOR;
+use gdp_dataplane::kernel_failures::FLOOR;
 use gdp_dataplane::kernel_version::KernelVersion;
 
 /// The first kernel whose XDP takes packets in several buffers.

@@ -7,14 +7,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use gdp_core::cbor;
 use gdp_core::cert::{CertError, Revocation, Signed};
 use gdp_core::domain::{CurrentCredentials, PaperFileError};
 use gdp_core::identity::Identity;
 use gdp_core::name::NameProof;
 use gdp_core::revocations::{Kept, RevocationFile};
-use gdp_core::secret_file;
 use gdp_core::secret_file::SecretFileError;
+use gdp_core::{cbor, secret_file};
 use gdp_link::link::Link;
 use gdp_proto::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
 use gdp_wire::Name;

@@ -21,8 +21,10 @@ use super::retries::Retries;
 use super::tiers::records;
 use gdp_rib::rib::{Foreign, Now, Rib};
 use gdp_rib::tiers;
-use gdp_rib::tiers::{Change, Hosted, Item, Limits, Reply, Revoked, TableRecord, Ticket, Tiers};
-use gdp_rib::tiers::{peering::Peering, peering::Peerings, peering::choose};
+use gdp_rib::tiers::{
+    Change, Hosted, Item, Limits, Reply, Revoked, TableRecord, Ticket, Tiers, peering::Peering, peering::Peerings,
+    peering::choose,
+};
 
 /// After so long a border that lacks a wanted peering is told again.
 const REMINDER: Duration = Duration::from_secs(10);

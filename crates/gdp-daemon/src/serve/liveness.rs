@@ -6,8 +6,7 @@ use std::sync::Arc;
 
 use gdp_core::crypto;
 use gdp_core::peer::Role;
-use gdp_link::link::Link;
-use gdp_link::link::{liveness::Liveness, liveness::Pace, liveness::Step};
+use gdp_link::link::{Link, liveness::Liveness, liveness::Pace, liveness::Step};
 use tokio::time::sleep;
 
 use super::{Daemon, links};

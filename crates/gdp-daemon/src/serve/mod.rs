@@ -56,8 +56,7 @@ pub use self::ready::Ready;
 use self::replica::Replica;
 use self::revocation_store::StoredRevocations;
 use crate::config::{Config, DataPlane};
-use gdp_dataplane::host_pair;
-use gdp_dataplane::{PinLocation, PlaneConfig, PlaneError, Planes, Wanted};
+use gdp_dataplane::{PinLocation, PlaneConfig, PlaneError, Planes, Wanted, host_pair};
 use gdp_util::unix_time::unix_nanos;
 
 /// How often the addresses of peers are looked at, because QUIC moves without saying so; how far

@@ -21,9 +21,8 @@ use super::core::{Core, Next, run_id};
 use super::term::{Term, Ticket, within};
 use crate::config::EtcdConfig;
 use crate::domain::Used;
-use crate::store::StoreError;
 use crate::store::gateway::Gateway;
-use crate::store::{items::Change, items::Copy, items::KeySpace, items::Writer};
+use crate::store::{StoreError, items::Change, items::Copy, items::KeySpace, items::Writer};
 use gdp_rib::rib::{Item, Limits, RestoreError, Rib, Run, decode_item, encode_item};
 use gdp_util::unix_time::unix_nanos;
 

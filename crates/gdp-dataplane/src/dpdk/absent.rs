@@ -11,7 +11,7 @@ use gdp_link::link::KeyedEntry;
 use gdp_wire::{Counter, LinkEntry};
 
 use super::{DeviceCounters, DpdkConfig, DpdkPlaneError};
-use crate::forwarder::Shared;
+use crate::forwarder_state::Shared;
 use crate::tables::Reader;
 
 pub struct DpdkPlane(Infallible);

@@ -17,9 +17,8 @@ use super::routes::Routes;
 use super::settings::{self, Settings};
 use super::{DeviceCounters, DpdkConfig, DpdkPlaneError, LARGEST_ROOM};
 use crate::device::Device;
-use crate::forwarder::Shared;
-use crate::udp;
-use crate::{tables::Reader, tables::View};
+use crate::forwarder_state::Shared;
+use crate::{tables::Reader, tables::View, udp};
 
 const _: () = assert!(LARGEST_ROOM == gdp_dpdk::mbuf::LARGEST);
 

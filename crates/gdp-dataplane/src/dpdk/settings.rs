@@ -13,8 +13,7 @@ use std::path::PathBuf;
 
 use gdp_link::port::interface_index;
 
-use crate::device;
-use crate::{netlink::Netlink, netlink::number};
+use crate::{device, netlink::Netlink, netlink::number};
 
 /// What is set for every device: a packet whose sender is not reached by the interface is not for
 /// this host, no address is answered for, and IPv6 is off.

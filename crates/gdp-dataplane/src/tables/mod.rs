@@ -15,6 +15,7 @@
 //! have come to lead to a link that is newer than its snapshot lead nowhere.
 
 mod names;
+pub(crate) mod permits;
 #[cfg(test)]
 #[path = "../../tests/unit/tables.rs"]
 mod tests;
@@ -26,18 +27,17 @@ use std::sync::Arc;
 use arc_swap::{ArcSwap, Cache};
 use gdp_link::link::KeyedEntry;
 use gdp_link::port::LinkAddr;
-use gdp_wire::flat;
 use gdp_wire::replay::Words;
 use gdp_wire::table::{EGRESS_SET_SIZE, MAX_LINKS, NEIGHBOURS, link_index};
 use gdp_wire::tables::Tables;
-use gdp_wire::{FibEntry, Header, LinkEntry, LinkRole, Name, Permit};
+use gdp_wire::{FibEntry, Header, LinkEntry, LinkRole, Name, Permit, flat};
 use papaya::LocalGuard;
 
-use super::kernel::UpdateError;
 use super::link_memory::LinkMemory;
 use super::queues::Queues;
 use super::resizable_table::ResizableTable;
-use super::without;
+use crate::kernel_failures::UpdateError;
+use crate::tables::permits::without;
 use names::{Memory, Names};
 
 /// A link, and where its frames go.

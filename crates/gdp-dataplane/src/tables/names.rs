@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicU64;
 use gdp_wire::Name;
 use gdp_wire::flat::{BUCKET, Table, buckets_for};
 
-use crate::kernel::UpdateError;
+use crate::kernel_failures::UpdateError;
 use crate::mapping::Mapping;
 use crate::{resizable_table, resizable_table::FIRST, resizable_table::ResizableTable};
 

@@ -2,12 +2,8 @@
 
 use crate::carrier::packet::Payload;
 use gdp_wire::Carrier;
-use zerocopy::FromBytes;
-use zerocopy::Immutable;
-use zerocopy::IntoBytes;
-use zerocopy::KnownLayout;
-use zerocopy::Unaligned;
 use zerocopy::network_endian::U16;
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 /// Also IPv6's "next header".
 pub const UDP: u8 = 17;

@@ -22,13 +22,11 @@ mod window;
 mod wire;
 mod writer;
 
-pub use crate::seal::event::{Heartbeat, Lost, Timestamps};
-pub use crate::seal::event::{Limits, Received};
+pub use crate::seal::event::{Heartbeat, Limits, Lost, Received, Timestamps};
 pub use drop_reason::DropReason;
 pub use message::{Draft, Encoding, Latched, MAX_ORIGIN, Message, MessageId};
 pub use reader::Reader;
-pub use segment::SegmentId;
-pub use segment::segment_ids;
+pub use segment::{SegmentId, segment_ids};
 pub use segments::Segments;
 pub use window::Window;
 pub use wire::VERSION as SEGMENT_VERSION;

@@ -32,6 +32,7 @@
 //! of its readers that report; what one of them asks for again has a budget; and none can make the
 //! writer hold more than its history.
 
+mod arrival;
 mod black_hole;
 mod congestion;
 mod inbound;
@@ -44,7 +45,8 @@ mod slot;
 mod topic;
 mod uplink;
 
-pub use inbound::{Arrival, Inbound, InboundCounters, InboundOptions, Order, Segment};
+pub use crate::transport::arrival::{Arrival, InboundCounters, InboundOptions, Order, Segment};
+pub use inbound::Inbound;
 pub use outbox::{History, Overflow, Reliability, TopicCounters};
 pub use sealed::{Position, Sealed};
 pub use topic::TopicOptions;

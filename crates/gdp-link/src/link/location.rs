@@ -1,11 +1,9 @@
 //! What a link needs to know of the port it is on.
 
-use std::net::IpAddr;
-use std::net::UdpSocket;
+use std::net::{IpAddr, UdpSocket};
 
 use crate::port::HostPair;
-use std::net::Ipv4Addr;
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr};
 
 /// What a link needs to know of the port it is on.
 #[derive(Clone, Copy, Debug)]

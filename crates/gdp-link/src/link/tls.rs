@@ -22,8 +22,7 @@ use rustls::version::TLS13;
 use rustls::{CertificateError, DigitallySignedStruct, DistinguishedName, Error, PeerMisbehaved, SignatureScheme};
 
 use crate::link::error::LinkError;
-use crate::link::timing::MAX_STREAMS;
-use crate::link::timing::{IDLE_TIMEOUT, KEEP_ALIVE};
+use crate::link::timing::{IDLE_TIMEOUT, KEEP_ALIVE, MAX_STREAMS};
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_proto::control::MAX_MESSAGE;
 

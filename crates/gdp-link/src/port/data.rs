@@ -9,12 +9,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use super::LinkAddr;
 use super::batch::{OutFrame, RecvBatch, Sent};
-use super::ethernet;
 use super::send::{Chunk, Offload};
 use super::sys::{self, Event, RawAddr};
 use super::udp::SharedUdp;
+use super::{LinkAddr, ethernet};
 
 /// Where data frames of a port arrive and leave. Shared by threads; receiving is meant for one of
 /// them.

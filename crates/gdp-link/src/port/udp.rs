@@ -18,12 +18,11 @@ use quinn::{AsyncUdpSocket, UdpPoller};
 use tokio::io::Interest;
 use tokio::net::UdpSocket;
 
-use super::LinkAddr;
 use super::batch::RecvBatch;
 use super::control::Control;
-use super::host;
 use super::misdelivered::{Frames, Packets};
 use super::sys::{self, Event, RawAddr, step};
+use super::{LinkAddr, host};
 
 /// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the
 /// kernel's memory.

@@ -1,20 +1,12 @@
 //! One statement with the certificates that authorise it, as a RIB stores it.
 
-use crate::control::peers::NameRole;
-use gdp_core::cert::AdCert;
-use gdp_core::cert::Advert;
-use gdp_core::cert::CertError;
-use gdp_core::cert::Issued;
-use gdp_core::cert::Membership;
-use gdp_core::cert::Reading;
-use gdp_core::cert::Revocation;
-use gdp_core::cert::Side;
-use gdp_core::cert::Signed;
-use gdp_core::cert::verify_statement;
+use crate::control::role::NameRole;
+use gdp_core::cert::{
+    AdCert, Advert, CertError, Issued, Membership, Reading, Revocation, Side, Signed, verify_statement,
+};
 use gdp_core::name::NameProof;
 use gdp_wire::Name;
-use serde::Deserialize;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// One verified advertisement or subscription, with all that is needed to verify it again.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -1,7 +1,6 @@
 //! What a RIB refuses, and why.
 
-use serde::Deserialize;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Why a request was refused: a code for programs and a sentence that names the thing and the
 /// remedy for people.

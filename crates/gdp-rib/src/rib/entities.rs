@@ -11,9 +11,7 @@ use gdp_proto::control::{Refusal, RefusalCode};
 use gdp_wire::Name;
 
 use super::journal::{Item, Journal};
-use crate::rib::model::Key;
-use crate::rib::model::Now;
-use crate::rib::model::{count_out, limit_reached};
+use crate::rib::model::{Key, Now, count_out, limit_reached};
 use crate::rib::registration::EntityIdentity;
 
 /// How far ahead of the RIB's clock a serial may be, read as Unix time in nanoseconds, if it does

@@ -12,10 +12,7 @@ use gdp_proto::control::{Refusal, Route};
 use gdp_wire::Name;
 
 use super::border_links::Map;
-use crate::rib::model::At;
-use crate::rib::model::Key;
-use crate::rib::model::Limits;
-use crate::rib::model::{count_out, limit_reached};
+use crate::rib::model::{At, Key, Limits, count_out, limit_reached};
 
 #[derive(Debug)]
 struct Inbox {

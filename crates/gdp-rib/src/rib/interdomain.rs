@@ -15,14 +15,8 @@ use gdp_proto::control::{NameRole, RecordKey, Refusal, RefusalCode};
 use gdp_wire::Name;
 
 use super::border_links::{Changed, GRACE};
-use super::statements::lifetime;
 use super::{Rib, Timer};
-use crate::rib::model::InboxOwner;
-use crate::rib::model::Key;
-use crate::rib::model::Now;
-use crate::rib::model::Realm;
-use crate::rib::model::RegistrationKey;
-use crate::rib::model::{limit_reached, refusal};
+use crate::rib::model::{InboxOwner, Key, Now, Realm, RegistrationKey, lifetime, limit_reached, refusal};
 use crate::rib::registration::{EntityIdentity, Registration, Remote, shared};
 
 impl Rib {

@@ -6,11 +6,7 @@ use gdp_proto::control::{NameRole, Refusal, RefusalCode, Response};
 use gdp_wire::Name;
 
 use super::Rib;
-use crate::rib::model::At;
-use crate::rib::model::InboxOwner;
-use crate::rib::model::Now;
-use crate::rib::model::RegistrationKey;
-use crate::rib::model::refusal;
+use crate::rib::model::{At, InboxOwner, Now, RegistrationKey, refusal};
 
 impl Rib {
     /// One after the other: those before one that is refused are kept. A box may be for a reader

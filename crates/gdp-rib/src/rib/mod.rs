@@ -39,8 +39,7 @@ mod tests;
 mod topic;
 mod wrapped_keys;
 
-pub use crate::rib::model::UpdateId;
-pub use crate::rib::model::{Limits, Now};
+pub use crate::rib::model::{Limits, Now, UpdateId};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -52,8 +51,7 @@ use gdp_proto::control::{
 };
 use gdp_wire::Name;
 
-use crate::rib::model::Key;
-use crate::rib::model::RegistrationKey;
+use crate::rib::model::{Key, RegistrationKey};
 use crate::rib::remote_registrations::RemoteRegistrations;
 use crate::topology::Paths;
 use bits::Bits;

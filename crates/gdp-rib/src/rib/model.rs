@@ -3,13 +3,11 @@
 use gdp_proto::control::PeersPush;
 
 use crate::rib::journal::Item;
-use gdp_proto::control::NameRole;
-use gdp_proto::control::RecordKey;
+use gdp_proto::control::{NameRole, RecordKey};
 use gdp_wire::Name;
 
 use gdp_core::cert::CertError;
-use gdp_proto::control::Refusal;
-use gdp_proto::control::RefusalCode;
+use gdp_proto::control::{Refusal, RefusalCode};
 use std::collections::HashMap;
 use std::hash::Hash;
 
@@ -187,4 +185,12 @@ pub enum At {
 pub struct InboxOwner {
     pub entity: Name,
     pub at: At,
+}
+
+pub fn lifetime(now: Now, stated: u32, not_after: u64) -> Result<Duration, Refusal> {
+    if stated == 0 {
+        return Err(Refusal::new(RefusalCode::Malformed, "a statement with a lifetime of 0 s states nothing"));
+    }
+    let seconds = u64::from(stated).min((not_after - now.unix).max(1));
+    Ok(now.clock.saturating_add(Duration::from_secs(seconds)))
 }

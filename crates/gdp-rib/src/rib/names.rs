@@ -13,10 +13,7 @@ use gdp_wire::Name;
 
 use super::border_links::Map;
 use super::topic::{Registrations, Topic, distinct};
-use crate::rib::model::At;
-use crate::rib::model::Limits;
-use crate::rib::model::RegistrationKey;
-use crate::rib::model::limit_reached;
+use crate::rib::model::{At, Limits, RegistrationKey, limit_reached};
 
 /// Bytes of records in one message; what is left of 64 KiB is for what encloses them.
 pub(super) const RECORDS_SIZE: usize = 56 * 1024;

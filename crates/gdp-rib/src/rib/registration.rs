@@ -1,14 +1,9 @@
 //! One entity's part in a name, at one switch.
 
-use crate::rib::model::At;
-use crate::rib::model::Realm;
-use gdp_core::cert::Advert;
-use gdp_core::cert::Revocation;
-use gdp_core::cert::Signed;
+use crate::rib::model::{At, Realm};
+use gdp_core::cert::{Advert, Revocation, Signed};
 use gdp_core::name::NameProof;
-use gdp_proto::control::Credential;
-use gdp_proto::control::NameRole;
-use gdp_proto::control::Record;
+use gdp_proto::control::{Credential, NameRole, Record};
 use gdp_wire::Name;
 use std::sync::Arc;
 use std::time::Duration;
@@ -152,4 +147,15 @@ impl Registration {
 /// `other`.
 pub fn meets(role: NameRole, kind: &Kind, other: &Kind) -> bool {
     if role.is_writer() { kind.meets(other) } else { other.meets(kind) }
+}
+
+/// A statement that is verified, with what it rests on.
+pub struct Verified {
+    pub name: NameProof,
+    pub credential: Credential,
+    pub signed: Signed<Advert>,
+    pub advert: Advert,
+    pub everywhere: bool,
+    pub scope: Vec<Name>,
+    pub not_after: u64,
 }

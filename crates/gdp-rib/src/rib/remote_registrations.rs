@@ -1,19 +1,13 @@
 //! The registrations that RIBs of other domains announce, besides those in use.
 
-use crate::rib::model::Key;
-use crate::rib::model::Realm;
-use crate::rib::model::count_out;
-use crate::rib::registration::Registration;
-use crate::rib::registration::Remote;
+use crate::rib::model::{Key, Realm, count_out};
+use crate::rib::registration::{Registration, Remote};
 use gdp_core::cert::Signed;
 use gdp_core::keys::KeyBox;
 use gdp_core::name::NameProof;
-use gdp_proto::control::Record;
-use gdp_proto::control::RecordKey;
+use gdp_proto::control::{Record, RecordKey};
 use gdp_wire::Name;
-use std::collections::BTreeMap;
-use std::collections::BTreeSet;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// A part that an entity of another domain has in a name, as that domain's RIB told, or one
 /// between.

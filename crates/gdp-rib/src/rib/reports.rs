@@ -11,10 +11,7 @@ use gdp_wire::Name;
 use gdp_wire::table::MAX_LINKS;
 
 use super::{RESTART_TIME, Rib, Timer, UNREPORTED};
-use crate::rib::model::At;
-use crate::rib::model::Now;
-use crate::rib::model::RegistrationKey;
-use crate::rib::model::{limit_reached, refusal};
+use crate::rib::model::{At, Now, RegistrationKey, limit_reached, refusal};
 
 impl Rib {
     pub(super) fn try_report(

@@ -23,8 +23,7 @@ use serde::{Deserialize, Serialize};
 use super::entities::Attachment;
 use super::journal::{Item, Journal};
 use super::{Rib, Timer};
-use crate::rib::model::Now;
-use crate::rib::model::RegistrationKey;
+use crate::rib::model::{Now, RegistrationKey};
 use crate::rib::registration::{Registration, shared};
 
 /// Bytes of one stored item; records are what travels in messages of no more.

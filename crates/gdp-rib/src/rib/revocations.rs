@@ -9,8 +9,7 @@ use gdp_core::revocations::{Kept, Origin};
 use gdp_wire::Name;
 
 use super::journal::{Item, Journal};
-use crate::rib::model::Key;
-use crate::rib::model::Limits;
+use crate::rib::model::{Key, Limits};
 
 #[derive(Debug)]
 pub(super) struct StoredRevocation {

@@ -8,9 +8,7 @@ use gdp_proto::control::{NameRole, Refusal, Response};
 use gdp_wire::Name;
 
 use super::Rib;
-use crate::rib::model::Now;
-use crate::rib::model::RegistrationKey;
-use crate::rib::model::refusal;
+use crate::rib::model::{Now, RegistrationKey, refusal};
 
 impl Rib {
     pub(super) fn revoke(

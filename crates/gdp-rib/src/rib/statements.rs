@@ -2,12 +2,12 @@
 //! stored, and followed up: routes for the names, routes between counterparts, and who is to be
 //! told.
 
+use crate::rib::model::lifetime;
+use crate::rib::registration::Verified;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use gdp_core::cert::{
-    Advert, CertError, Requester, Signed, authorise_advertise, authorise_subscribe, authorise_withdraw,
-};
+use gdp_core::cert::{CertError, Requester, authorise_advertise, authorise_subscribe, authorise_withdraw};
 use gdp_core::name::NameProof;
 use gdp_core::peer::MAX_LANES;
 use gdp_proto::control::{Credential, EntityRequest, NameRole, RecordKey, Refusal, RefusalCode, Response, Route};
@@ -17,28 +17,12 @@ use super::border_links::Map;
 use super::entities::Attachment;
 use super::peer_updates::Source;
 use super::{Rib, Timer};
-use crate::rib::model::At;
-use crate::rib::model::InboxOwner;
-use crate::rib::model::Key;
-use crate::rib::model::Now;
-use crate::rib::model::RegistrationKey;
-use crate::rib::model::{limit_reached, refusal};
+use crate::rib::model::{At, InboxOwner, Key, Now, RegistrationKey, limit_reached, refusal};
 use crate::rib::registration::{Registration, shared};
 
 /// Between two looks at which parts in a name are over: of a name that very many read, some always
 /// are.
 const BETWEEN_ENDS: Duration = Duration::from_secs(1);
-
-/// A statement that is verified, with what it rests on.
-struct Verified {
-    name: NameProof,
-    credential: Credential,
-    signed: Signed<Advert>,
-    advert: Advert,
-    everywhere: bool,
-    scope: Vec<Name>,
-    not_after: u64,
-}
 
 impl Rib {
     pub(super) fn entity_request(
@@ -509,12 +493,4 @@ impl Rib {
     pub(super) fn map(&self) -> Map<'_> {
         Map { bits: &self.bits, ways: &self.ways }
     }
-}
-
-pub(super) fn lifetime(now: Now, stated: u32, not_after: u64) -> Result<Duration, Refusal> {
-    if stated == 0 {
-        return Err(Refusal::new(RefusalCode::Malformed, "a statement with a lifetime of 0 s states nothing"));
-    }
-    let seconds = u64::from(stated).min((not_after - now.unix).max(1));
-    Ok(now.clock.saturating_add(Duration::from_secs(seconds)))
 }

@@ -9,8 +9,7 @@ use gdp_proto::control::{NameRole, RecordKey, Route};
 use gdp_wire::Name;
 
 use super::border_links::Map;
-use crate::rib::model::Key;
-use crate::rib::model::{At, Realm};
+use crate::rib::model::{At, Key, Realm};
 use crate::rib::registration::{Kind, Registration, meets};
 
 #[derive(Debug)]

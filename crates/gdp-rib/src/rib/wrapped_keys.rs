@@ -11,12 +11,7 @@ use gdp_proto::control::{NameRole, Refusal, RefusalCode};
 use gdp_wire::Name;
 
 use super::journal::{Item, Journal};
-use crate::rib::model::At;
-use crate::rib::model::InboxOwner;
-use crate::rib::model::Key;
-use crate::rib::model::Limits;
-use crate::rib::model::RegistrationKey;
-use crate::rib::model::{count_out, limit_reached};
+use crate::rib::model::{At, InboxOwner, Key, Limits, RegistrationKey, count_out, limit_reached};
 
 /// Epochs of one writer and name that are kept: the present one and the one before.
 const EPOCHS: usize = 2;

@@ -22,9 +22,8 @@ pub use arrival::{accept, keyed};
 pub use copy::{Copy, copy};
 
 use crate::header::FrameType;
-use crate::replay;
 use crate::tables::Tables;
-use crate::{Counter, Header, LinkEntry, LinkRole};
+use crate::{Counter, Header, LinkEntry, LinkRole, replay};
 
 use arrival::{Arrival, arrival};
 use route::{Egress, Refusal, is_foreign, route};

@@ -1,10 +1,8 @@
 //! ActionKind changes in the header of a frame that a switch forwards.
 
-use crate::Header;
-use crate::LinkEntry;
-use crate::LinkRole;
 use crate::forward::route::is_foreign;
 use crate::tables::Tables;
+use crate::{Header, LinkEntry, LinkRole};
 
 /// Copies a router's congestion mark into the header, which goes all the way to the reader.
 ///

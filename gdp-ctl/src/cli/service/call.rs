@@ -22,8 +22,7 @@ use crate::ros::keyring::called;
 use crate::ros::python;
 use crate::ros::user_input::UserInput;
 use crate::ros::view::View;
-use gdp_util::unix_time::unix_seconds;
-use gdp_util::unix_time::unix_time;
+use gdp_util::unix_time::{unix_seconds, unix_time};
 
 /// How long, how often, and how soon again a server is asked what it serves.
 const ATTEMPT: Duration = Duration::from_secs(2);

@@ -17,10 +17,8 @@ use crate::cli::context::Context;
 use crate::ros::fabric::Fabric;
 use crate::ros::item::Item;
 use crate::ros::keyring::called;
-use crate::ros::python;
 use crate::ros::yaml::document;
-use crate::ros::{feed::Decoder, feed::Feed, feed::Heard};
-use crate::ros::{view::Limits, view::View};
+use crate::ros::{feed::Decoder, feed::Feed, feed::Heard, python, view::Limits, view::View};
 
 #[derive(Debug, Args)]
 pub struct Options {

@@ -12,8 +12,7 @@ use serde_json::{Value, json};
 use super::super::node::{NodeOptions, listen, unless_interrupted};
 use crate::cli::context::Context;
 use crate::ros::keyring::called;
-use crate::ros::{fabric::Fabric, fabric::Parties};
-use crate::ros::{feed::Feed, feed::Publisher};
+use crate::ros::{fabric::Fabric, fabric::Parties, feed::Feed, feed::Publisher};
 
 /// For what the writers say of their publishers.
 const TIMEOUT: Duration = Duration::from_secs(3);

@@ -21,8 +21,7 @@ use crate::ros::keyring::called;
 use crate::ros::python;
 use crate::ros::user_input::UserInput;
 use crate::ros::view::View;
-use gdp_util::unix_time::unix_seconds;
-use gdp_util::unix_time::unix_time;
+use gdp_util::unix_time::{unix_seconds, unix_time};
 
 /// What ROS readers behind a proxy need to find what stands there for this publisher, before the
 /// first of a few messages.

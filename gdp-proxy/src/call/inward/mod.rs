@@ -1,12 +1,15 @@
 //! Servers elsewhere, for clients here. A server stands for them in the graph only while at least
 //! one of them is attached.
 
+mod events;
 mod requests;
 mod servers;
+mod state;
 
+use crate::call::inward::events::{Doing, Done, Remote};
+use crate::call::inward::state::In;
 use std::collections::BTreeMap;
 use std::pin::{Pin, pin};
-use std::sync::Arc;
 use std::time::Instant;
 
 use futures::StreamExt;
@@ -14,12 +17,12 @@ use futures::stream::FuturesUnordered;
 use gdp::{Client, NodeError};
 use gdp_core::cert::Reading;
 use gdp_ros::action::{Board, Goals, cdr};
-use gdp_ros::call::{Description, Event, Events, Part};
+use gdp_ros::call::{Event, Events, Part};
 use gdp_wire::Name;
 use parking_lot::Mutex;
 use tokio::sync::watch;
 
-use super::asking::{Changed, Described, Known, News};
+use super::asking::{Changed, News};
 use super::counters::Reason;
 use super::outbox::Outbox;
 use super::stand::Stands;
@@ -29,45 +32,8 @@ use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
 use servers::{ask_for_events, withdraw};
 
-/// A server elsewhere.
-enum Remote {
-    Asked,
-    Known(Arc<Known>),
-    /// It cannot be called, at least until then.
-    Unfit(Instant),
-}
-
-/// What has come of something that was begun.
-enum Done {
-    Description(Name, Described),
-    /// With the event that was had before.
-    News(Arc<Known>, u64, News),
-    /// Published here, if it was; and whether it is feedback.
-    Said(bool, Result<(), String>),
-    /// What stood for servers is gone.
-    Withdrawn(Result<(), String>),
-}
-
-type Doing<'a> = FuturesUnordered<Pin<Box<dyn Future<Output = Done> + Send + 'a>>>;
-
 /// Calls, with the servers that were found to be others.
 type Calls<'a> = FuturesUnordered<Pin<Box<dyn Future<Output = Vec<Changed>> + Send + 'a>>>;
-
-/// What this side knows of all servers of the name.
-struct In<'a> {
-    way: &'a Way<'a>,
-    client: &'a Client,
-    remotes: BTreeMap<Name, Remote>,
-    /// What stands for them, and what it is.
-    local: Option<(Arc<Stands>, Description)>,
-    goals: &'a Mutex<Goals<Name>>,
-    board: Board,
-    outbox: Outbox,
-    /// Something of it is being published.
-    is_speaking: bool,
-    /// Who waits is to be told that it is in vain.
-    is_leaving: watch::Receiver<bool>,
-}
 
 impl Route {
     pub(super) async fn run_in(
@@ -257,24 +223,6 @@ impl Route {
                 Event::Status(message) => Done::Said(false, local.publish_status(message).await),
             }
         }));
-    }
-}
-
-impl In<'_> {
-    fn knows(&self, known: &Arc<Known>) -> bool {
-        matches!(self.remotes.get(&known.instance), Some(Remote::Known(now)) if Arc::ptr_eq(now, known))
-    }
-
-    /// Those that a server has, or had.
-    fn lose_goals(&mut self, now: Instant, server: Name) {
-        self.goals.lock().end_all(now, server);
-        if self.board.leave(now, &server) {
-            self.show();
-        }
-    }
-
-    fn show(&mut self) {
-        self.outbox.status(self.board.message());
     }
 }
 

@@ -11,7 +11,9 @@ use super::super::MAX_PENDING;
 use super::super::asking::{Asking, Failed, Known};
 use super::super::counters::Reason;
 use super::super::stand::Stands;
-use super::{Calls, In, Remote, Route};
+use super::{Calls, Route};
+use crate::call::inward::events::Remote;
+use crate::call::inward::state::In;
 use crate::graph::Asked;
 
 impl Route {

@@ -15,7 +15,7 @@ use gdp_ros1::{MessageType, Node, NodeConfig, PublishOptions};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::task::JoinSet;
 
-use crate::graph::{GraphError, WriteError};
+use crate::graph::event::{GraphError, WriteError};
 
 /// The publishers of one proxy at one master.
 pub struct Publishers {

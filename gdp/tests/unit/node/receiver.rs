@@ -1,8 +1,7 @@
 //! Unit tests of `node::receiver`.
 
 use super::*;
-use gdp_wire::LinkEntry;
-use gdp_wire::hop;
+use gdp_wire::{LinkEntry, hop};
 use std::collections::BTreeMap;
 
 use super::super::options::SubscribeOptions;

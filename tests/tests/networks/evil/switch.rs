@@ -21,10 +21,9 @@ use gdp_proto::control::{
 };
 use gdp_rib::rib::fib::Pushed;
 use gdp_rib::rib::{Effect, Limits, Now, Rib, Run, UpdateId};
-use gdp_wire::Name;
 use gdp_wire::replay::{self, Window};
 use gdp_wire::table::PORT_USERSPACE;
-use gdp_wire::{FrameType, Header, forward};
+use gdp_wire::{FrameType, Header, Name, forward};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::runtime::Handle;
 use zerocopy::{FromBytes, IntoBytes};

@@ -4,13 +4,11 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
-use gdp::{LinkStatus, PublishOptions, Publisher, SubscribeOptions, Subscription};
-use gdp::{Node, NodeConfig};
+use gdp::{LinkStatus, Node, NodeConfig, PublishOptions, Publisher, SubscribeOptions, Subscription};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, Grantee, Mode, ReadGrant, issue};
 use gdp_core::domain::Credentials;
-use gdp_core::identity::Identity;
-use gdp_core::identity::SigningKey;
+use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_e2e::seal::Encoding;
 use gdp_e2e::transport::InboundCounters;

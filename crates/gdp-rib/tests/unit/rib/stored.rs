@@ -11,8 +11,7 @@ use gdp_proto::control;
 use gdp_proto::control::{NameRole, Record, RefusalCode, Response};
 
 use super::world::{World, expect_refused};
-use crate::rib::{Item, RESTART_TIME, Run};
-use crate::rib::{restore::decode_item, restore::encode_item};
+use crate::rib::{Item, RESTART_TIME, Run, restore::decode_item, restore::encode_item};
 
 #[test]
 fn a_replica_goes_on_where_another_ended() {

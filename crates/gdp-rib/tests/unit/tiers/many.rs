@@ -9,8 +9,7 @@ use gdp_proto::control::{NameRole, RecordKey, TierEntry, TierKey, TierRequest, T
 use super::hostile::Victim;
 use super::world::{Random, World, hosted};
 use crate::tiers::interest::Interest;
-use crate::tiers::{Item, Limits, Tiers};
-use crate::tiers::{table::Table, table::TableRecord};
+use crate::tiers::{Item, Limits, Tiers, table::Table, table::TableRecord};
 
 use NameRole::{Caller, Publisher, Server, Subscriber};
 

@@ -1,0 +1,54 @@
+//! Whether a call is a service or an action.
+
+use crate::config::GraphConfig;
+use crate::ros2::TypeName;
+use serde::Serialize;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum What {
+    Service,
+    Action,
+}
+
+impl What {
+    /// The kind of its name card, and the key of its name in the configuration.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Service => "service",
+            Self::Action => "action",
+        }
+    }
+
+    /// The list of the configuration that it stands in.
+    pub fn list(self) -> &'static str {
+        match self {
+            Self::Service => "services",
+            Self::Action => "actions",
+        }
+    }
+
+    pub fn folder(self) -> &'static str {
+        match self {
+            Self::Service => "srv",
+            Self::Action => "action",
+        }
+    }
+
+    /// Whether it can be of this type.
+    pub fn fits(self, kind: &TypeName) -> bool {
+        kind.as_str().split('/').nth(1) == Some(self.folder())
+    }
+
+    /// Whether a graph can have it.
+    pub fn check_graph(self, graph: &GraphConfig) -> Result<(), String> {
+        match (self, graph) {
+            (Self::Action, GraphConfig::Ros1(_)) => {
+                Err("actions of ROS 1 are topics: list NAME/goal, NAME/cancel, NAME/status, NAME/feedback and \
+                 NAME/result under topics"
+                    .into())
+            }
+            _ => Ok(()),
+        }
+    }
+}
