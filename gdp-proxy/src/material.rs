@@ -7,7 +7,6 @@ pub use crate::material_error::{MaterialError, with_path};
 pub use crate::permission::{Permission, check_permission, load_permission};
 pub use crate::route_material::{RouteMaterial, carded_type};
 use std::collections::BTreeMap;
-use std::io::Read;
 use std::path::Path;
 
 use gdp_core::card::NameCard;

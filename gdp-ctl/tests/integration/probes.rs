@@ -134,7 +134,7 @@ async fn the_topology_is_drawn() {
     assert_eq!((graph.matches(" -- ").count(), graph.matches("(RIB)").count()), (2, 1), "{graph}");
     let elsewhere = chain.run(0, &["topology", "--dot", "--names"]).await;
     assert!(String::from_utf8_lossy(&elsewhere.stderr).contains("not the RIB"), "{elsewhere:?}");
-    assert_eq!(chain.run(0, &["--json", "topology", "--dot"]).await.status.code(), Some(2));
+    assert_eq!(chain.run(0, &["topology", "--dot", "--json"]).await.status.code(), Some(2));
 }
 
 impl Chain<'_> {
