@@ -1,7 +1,7 @@
 //! What travels on a link's control streams: requests, responses and the records in them, and their
 //! bounded encoding.
 //!
-//! Types and checks only, no I/O: [`gdp_link::link`] moves them, `gdp` asks, the daemon's
+//! Types and checks only, no I/O: `gdp-link` moves them, `gdp` asks, the daemon's
 //! RIB answers. One request and its response to a QUIC stream, each a big-endian u32 length and
 //! that many bytes of CBOR, at most [`MAX_MESSAGE`]. Streams are not ordered among each other: who
 //! needs an order waits for the response before asking again.

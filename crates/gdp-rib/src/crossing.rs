@@ -1,5 +1,5 @@
 //! How a trace goes on in other domains, without I/O: which domain may be asked next, what of its
-//! answer is taken, and how often a neighbour may ask. [`gdp_daemon::serve::crossing`] asks and
+//! answer is taken, and how often a neighbour may ask. `gdp-daemon` asks and
 //! answers.
 
 use std::time::Duration;

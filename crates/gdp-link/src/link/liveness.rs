@@ -4,7 +4,7 @@
 //!
 //! Sans-IO: the caller has a clock, makes cookies, sends echoes and remembers the cookie of the
 //! latest answer. Answers are believed as frames are, by their tag; here it is only asked what they
-//! answer. Used by nodes (`node::supervisor`) and by switches (`gdp-ctl`, `serve::liveness`).
+//! answer. Used by nodes (`node::supervisor`) and by switches (`gdp-daemon`).
 
 use std::collections::VecDeque;
 use std::time::Duration;

@@ -1,7 +1,7 @@
 //! The routing information base: which entities are attached where, who publishes and reads which
 //! name, and what each switch's FIB must therefore hold. Sans-IO: time and requests go in, a
 //! response and [`Effect`]s come out. No sockets, no clock, no data plane; the daemon in
-//! [`gdp_daemon::serve`] moves what travels.
+//! `gdp-daemon` moves what travels.
 //!
 //! Nothing is stored before it is verified: the derivation of names, the certificates and what
 //! their owner has revoked of them, the entity's own statement and its serial. The FIB of every

@@ -1,7 +1,7 @@
 //! Which switches there are in the domain and which paths lead to them: what every switch states of
 //! its links, flooded between the switches, and the shortest paths that this switch computes from
 //! it. Sans-IO: time, links and messages go in; messages and masks come out. Needs no RIB, and
-//! knows nothing of names of topics; [`gdp_daemon::serve`] moves what travels, and the RIB beside
+//! knows nothing of names of topics; `gdp-daemon` moves what travels, and the RIB beside
 //! this switch reads which switches are reached.
 //!
 //! [`database`] holds the newest statement of each switch, [`flooding`] knows which neighbour lacks
