@@ -138,7 +138,8 @@ def act(action):
     def execute(goal):
         for n in range(goal.goal):
             server.publish_feedback(TestFeedback(feedback=n))
-            rospy.sleep(0.02)
+            # Longer in all than a new connection takes: feedback is not latched.
+            rospy.sleep(0.2)
         server.set_succeeded(TestResult(result=2 * goal.goal))
 
     server = actionlib.SimpleActionServer(action, TestAction, execute, auto_start=False)
