@@ -216,9 +216,9 @@ impl Bytes {
 
 /// The committed file.
 pub fn read() -> Fixtures {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/fixtures/frames.json");
-    let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{path}: {error}"));
-    serde_json::from_str(&text).unwrap_or_else(|error| panic!("{path}: {error}"))
+    // Beside this file, which crates at different depths include.
+    let text = include_str!("../../fixtures/frames.json");
+    serde_json::from_str(text).unwrap_or_else(|error| panic!("tests/fixtures/frames.json: {error}"))
 }
 
 /// The tables of the fixtures' switch, as a data plane takes them.
