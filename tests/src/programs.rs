@@ -55,6 +55,7 @@ programs! {
     Openssl = "openssl",
     /// Started by build scripts as well.
     PkgConfig = "pkg-config",
+    Protoc = "protoc",
     /// Debian's, whose modules are those of ROS 1; another may come first on `PATH`.
     Python3 = "/usr/bin/python3",
     Rosmaster = "/usr/bin/rosmaster",

@@ -25,9 +25,27 @@ pub struct Options {
     /// in files of their own
     #[arg(long, conflicts_with = "checked")]
     dist: bool,
+    #[command(flatten)]
+    features: Features,
+}
+
+/// What `gdp-ctl` has besides.
+#[derive(clap::Args, Clone, Copy, Default)]
+pub struct Features {
     /// Build gdp-ctl with the DPDK data plane
     #[arg(long)]
-    dpdk: bool,
+    pub dpdk: bool,
+    /// Build gdp-ctl with the storage of RIB replicas
+    #[arg(long)]
+    pub etcd: bool,
+}
+
+impl Features {
+    /// Installs what they need.
+    pub fn ensure(self) -> Result<()> {
+        let purposes = [(self.dpdk, Purpose::Dpdk), (self.etcd, Purpose::Etcd)];
+        purposes.into_iter().filter(|(is_wanted, _)| *is_wanted).try_for_each(|(_, purpose)| setup::ensure(purpose))
+    }
 }
 
 /// Which executables to build.
@@ -43,20 +61,18 @@ pub fn run(options: Options) -> Result<()> {
     if options.ebpf_only {
         return ebpf();
     }
-    if options.dpdk {
-        setup::ensure(Purpose::Dpdk)?;
-    }
+    options.features.ensure()?;
     let profile = match (options.checked, options.dist) {
         (true, _) => Profile::Checked,
         (_, true) => Profile::Dist,
         _ => Profile::Release,
     };
-    executables(Executables::All, profile, options.dpdk)
+    executables(Executables::All, profile, options.features)
 }
 
-/// Executables with the XDP programs inside, and perhaps with DPDK. Fails if the programs are not
+/// Executables with the XDP programs inside. Fails if the programs are not
 /// inside.
-pub fn executables(which: Executables, profile: Profile, dpdk: bool) -> Result<()> {
+pub fn executables(which: Executables, profile: Profile, features: Features) -> Result<()> {
     ebpf()?;
     let mut command = shell::cargo();
     command.args(["build", "--profile", profile.name(), "--bin", SWITCH]);
@@ -66,8 +82,10 @@ pub fn executables(which: Executables, profile: Profile, dpdk: bool) -> Result<(
         Executables::Switch => command.args(["--package", SWITCH]),
         Executables::All => command.args(["--bin", PROXY]),
     };
-    if dpdk {
-        command.args(["--features", "gdp-ctl/dpdk"]);
+    for (is_wanted, feature) in [(features.dpdk, "gdp-ctl/dpdk"), (features.etcd, "gdp-ctl/etcd")] {
+        if is_wanted {
+            command.args(["--features", feature]);
+        }
     }
     shell::run(&mut command)?;
     ensure_embedded(&profile.executables().join(SWITCH))?;

@@ -16,7 +16,7 @@ use gdp_tests::{netns, wait};
 use serde::Serialize;
 
 use self::story::Story;
-use crate::build::{self, Executables};
+use crate::build::{self, Executables, Features};
 use crate::peers as peer_programs;
 use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
@@ -27,7 +27,7 @@ pub fn run(options: Options) -> Result<()> {
         bail!("the demo builds network namespaces and loads XDP programs, which needs root");
     }
     setup::ensure(Purpose::Demo)?;
-    build::executables(Executables::All, Profile::Release, false)?;
+    build::executables(Executables::All, Profile::Release, Features::default())?;
     peer_programs::build()?;
     wait::catch_interrupts();
     netns::sweep()?;

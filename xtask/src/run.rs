@@ -5,15 +5,14 @@ use std::os::unix::process::CommandExt;
 use anyhow::{Context, Result};
 use gdp_tests::programs::own;
 
-use crate::build::{self, Executables};
+use crate::build::{self, Executables, Features};
 use crate::setup::{self, Purpose};
 use crate::workspace::Profile;
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// Builds the DPDK data plane as well, for a configuration with `data_plane: dpdk`
-    #[arg(long)]
-    dpdk: bool,
+    #[command(flatten)]
+    features: Features,
     /// Passed on to `gdp-ctl serve`
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     arguments: Vec<String>,
@@ -21,10 +20,8 @@ pub struct Options {
 
 pub fn run(options: Options) -> Result<()> {
     setup::ensure(Purpose::Run)?;
-    if options.dpdk {
-        setup::ensure(Purpose::Dpdk)?;
-    }
-    build::executables(Executables::Switch, Profile::Release, options.dpdk)?;
+    options.features.ensure()?;
+    build::executables(Executables::Switch, Profile::Release, options.features)?;
     let program = Profile::Release.executables().join("gdp-ctl");
     // Replaces this process, so that signals and the exit code are the daemon's own.
     let error = own(&program).arg("serve").args(options.arguments).exec();

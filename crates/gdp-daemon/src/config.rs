@@ -393,7 +393,7 @@ impl File {
         if self.public.len() > MAX_ADDRESSES {
             return invalid(format!("public: {} addresses, where at most {MAX_ADDRESSES} are told", self.public.len()));
         }
-        let etcd = self.etcd.map(|entry| entry.check(rib)).transpose().map_err(ParseError::Invalid)?;
+        let etcd = self.etcd.map(|entry| entry.check(rib, folder)).transpose().map_err(ParseError::Invalid)?;
         let dpdk = self.dpdk.check().map_err(ParseError::Invalid)?;
         if self.data_plane == DataPlane::Dpdk && dpdk.ports.is_empty() {
             return invalid(

@@ -4,8 +4,8 @@
 use std::time::Duration;
 
 use gdp_daemon::store::{
-    Endpoint, StoreError, gateway::Event, gateway::Gateway, gateway::Op, gateway::Watch, items::Copy, items::KeySpace,
-    items::Writer,
+    Access, Endpoint, StoreError, client::EtcdClient, client::Watch, items::Copy, items::KeySpace, items::Writer,
+    kv::Event, kv::Op,
 };
 use gdp_rib::rib::Item;
 use gdp_wire::Name;
@@ -25,14 +25,14 @@ async fn an_old_leader_changes_nothing_and_a_new_one_has_everything() {
     let mut two = Replica::new(&cluster, 2).await;
     let mut first = one.elected().await.expect("there is no leader");
     assert!(two.elected().await.is_none(), "there is one");
-    assert!(two.place.has_leader(&mut two.gateway).await.unwrap());
+    assert!(two.place.has_leader(&mut two.client).await.unwrap());
 
     written(&mut first, &[put(1, b"a"), put(2, b"b"), put(3, b"c")]).await;
     written(&mut first, &[put(1, b"a2"), (item(2), None), (item(9), None)]).await;
     let expected = [(item(1), b"a2".to_vec()), (item(3), b"c".to_vec())];
     two.catch_up(&expected).await;
 
-    one.gateway.revoke(one.lease).await.unwrap();
+    one.client.revoke(one.lease).await.unwrap();
     two.leader_gone().await;
     let mut second = two.elected().await.expect("the other has resigned");
     let fenced = first.write(&[put(1, b"late")]).await;
@@ -52,10 +52,10 @@ async fn a_leader_is_gone_with_its_lease() {
     let mut two = Replica::new(&cluster, 2).await;
     one.ttl = SHORT;
     let mut writer = one.elected().await.unwrap();
-    assert!(one.gateway.keep_alive(one.lease).await.unwrap());
+    assert!(one.client.keep_alive(one.lease).await.unwrap());
     two.leader_gone().await;
     assert!(two.elected().await.is_some());
-    assert!(!one.gateway.keep_alive(one.lease).await.unwrap());
+    assert!(!one.client.keep_alive(one.lease).await.unwrap());
     assert!(matches!(writer.write(&[put(1, b"late")]).await, Err(StoreError::Fenced)));
 }
 
@@ -71,7 +71,7 @@ async fn what_the_leader_says_counts_whoever_meddles_or_if_an_answer_is_lost() {
             Some(value) => Op::Put { key: &key, value, lease: 0 },
             None => Op::Delete(&key),
         };
-        assert!(one.gateway.transact(&[], &[op], &[]).await.unwrap().succeeded);
+        assert!(one.client.transact(&[], &[op], &[]).await.unwrap().succeeded);
         written(&mut writer, &[put(1, b"a2"), (item(2), None)]).await;
         one.list().await;
         assert_eq!(one.items(), [(item(1), b"a2".to_vec())]);
@@ -104,7 +104,7 @@ async fn what_was_compacted_is_listed_anew() {
     }
     one.list().await;
     cluster.etcdctl(&[0], &["compaction", &one.copy.revision().to_string()]);
-    let mut watch = two.gateway.watch(two.place.prefix(), 2).await.unwrap();
+    let mut watch = two.client.watch(two.place.prefix(), 2).await.unwrap();
     let followed = next(&mut watch).await;
     assert!(matches!(followed, Err(StoreError::Compacted)), "{followed:?}");
     two.list().await;
@@ -133,7 +133,7 @@ async fn a_restart_of_etcd_loses_nothing_and_one_member_may_be_gone() {
 struct Replica {
     name: Name,
     endpoints: Vec<Endpoint>,
-    gateway: Gateway,
+    client: EtcdClient,
     place: KeySpace,
     copy: Copy,
     watch: Watch,
@@ -145,14 +145,14 @@ struct Replica {
 impl Replica {
     async fn new(cluster: &Cluster, index: u8) -> Self {
         let endpoints = cluster.endpoints();
-        let (mut gateway, place) = (Gateway::new(&endpoints), KeySpace::new("test/rib"));
-        let copy = Copy::list(&place, &mut gateway).await.unwrap();
-        let watch = gateway.watch(place.prefix(), copy.revision() + 1).await.unwrap();
-        Self { name: Name::from_bytes([index; 32]), endpoints, gateway, place, copy, watch, lease: 0, ttl: LONG }
+        let (mut client, place) = (client(&endpoints), KeySpace::new("test/rib"));
+        let copy = Copy::list(&place, &mut client).await.unwrap();
+        let watch = client.watch(place.prefix(), copy.revision() + 1).await.unwrap();
+        Self { name: Name::from_bytes([index; 32]), endpoints, client, place, copy, watch, lease: 0, ttl: LONG }
     }
 
     async fn list(&mut self) {
-        self.copy = Copy::list(&self.place, &mut self.gateway).await.unwrap();
+        self.copy = Copy::list(&self.place, &mut self.client).await.unwrap();
     }
 
     fn items(&self) -> Vec<(Item, Vec<u8>)> {
@@ -161,12 +161,12 @@ impl Replica {
 
     /// Who writes, if it is elected.
     async fn elected(&mut self) -> Option<Writer> {
-        self.lease = self.gateway.grant(self.ttl).await.unwrap();
-        let term = self.place.stand(&mut self.gateway, &self.name, self.lease).await.unwrap()?;
+        self.lease = self.client.grant(self.ttl).await.unwrap();
+        let term = self.place.stand(&mut self.client, &self.name, self.lease).await.unwrap()?;
         // An answer may be lost.
-        assert_eq!(self.place.stand(&mut self.gateway, &self.name, self.lease).await.unwrap(), Some(term));
-        let copy = Copy::list(&self.place, &mut self.gateway).await.unwrap();
-        Some(copy.into_writer(Gateway::new(&self.endpoints), term))
+        assert_eq!(self.place.stand(&mut self.client, &self.name, self.lease).await.unwrap(), Some(term));
+        let copy = Copy::list(&self.place, &mut self.client).await.unwrap();
+        Some(copy.into_writer(client(&self.endpoints), term))
     }
 
     async fn catch_up(&mut self, expected: &[(Item, Vec<u8>)]) {
@@ -178,6 +178,10 @@ impl Replica {
     async fn leader_gone(&mut self) {
         while !self.copy.apply(next(&mut self.watch).await.unwrap()).unwrap() {}
     }
+}
+
+fn client(endpoints: &[Endpoint]) -> EtcdClient {
+    EtcdClient::new(endpoints, &Access::default()).unwrap()
 }
 
 /// Within a time that is long enough for a lease to end.

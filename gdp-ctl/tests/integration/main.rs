@@ -2,10 +2,12 @@
 //! contain the whole daemon.
 
 mod cli;
+#[cfg(feature = "etcd")]
 mod cluster;
 mod daemon;
 mod domain_links;
 mod domains;
+#[cfg(feature = "etcd")]
 mod etcd;
 mod federation;
 mod fenced;
@@ -16,9 +18,13 @@ mod member;
 mod owner;
 mod ports;
 mod probes;
+#[cfg(feature = "etcd")]
 mod replicas;
+#[cfg(feature = "etcd")]
 mod resigning;
 mod revocations;
+#[cfg(feature = "etcd")]
+mod secured_etcd;
 mod services;
 mod switch;
 mod topics;

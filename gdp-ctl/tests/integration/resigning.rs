@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use gdp_daemon::config::{Config, EtcdConfig};
 use gdp_daemon::serve::start;
-use gdp_daemon::store::Endpoint;
-use gdp_daemon::store::gateway::Gateway;
+use gdp_daemon::store::client::EtcdClient;
 use gdp_daemon::store::items::KeySpace;
+use gdp_daemon::store::{Access, Endpoint};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
@@ -17,18 +17,23 @@ use tokio::time::timeout;
 use crate::cluster::Cluster;
 use crate::switch::{TIMEOUT, config, wait};
 
+/// What a request to put the leader's key contains, and no other does: the key, then the tag of the
+/// value (`PutRequest` in etcd's `rpc.proto`).
+const PUT: &[u8] = b"test//leader\x12";
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_replica_that_resigns_while_it_is_elected_leaves_no_leader() {
     let (cluster, folder, stands) = (Cluster::start(1), tempfile::tempdir().unwrap(), Arc::new(Notify::new()));
     let endpoints = vec![relay(cluster.endpoints()[0].clone(), stands.clone()).await];
-    let etcd = Some(EtcdConfig { endpoints, prefix: "test/".into() });
+    let etcd = Some(EtcdConfig { endpoints, prefix: "test/".into(), access: Access::default() });
     let switch = start(Config { etcd, ..config(folder.path(), "s1") }).await.unwrap();
     timeout(TIMEOUT, stands.notified()).await.expect("it stands for election");
-    let (place, gateway) = (KeySpace::new("test/"), async || Gateway::new(&cluster.endpoints()));
-    wait("the election", async || place.has_leader(&mut gateway().await).await.unwrap()).await;
+    let (place, client) =
+        (KeySpace::new("test/"), || EtcdClient::new(&cluster.endpoints(), &Access::default()).unwrap());
+    wait("the election", async || place.has_leader(&mut client()).await.unwrap()).await;
     switch.resign().await;
     // Its lease would last for seconds.
-    assert!(!place.has_leader(&mut gateway().await).await.unwrap(), "others may stand");
+    assert!(!place.has_leader(&mut client()).await.unwrap(), "others may stand");
     switch.stop().await;
 }
 
@@ -46,7 +51,7 @@ async fn relay(to: Endpoint, puts: Arc<Notify>) -> Endpoint {
             });
         }
     });
-    Endpoint { host: "127.0.0.1".into(), port }
+    Endpoint { tls: false, host: "127.0.0.1".into(), port }
 }
 
 async fn pass_on(near: TcpStream, far: TcpStream, puts: &Notify) {
@@ -55,7 +60,7 @@ async fn pass_on(near: TcpStream, far: TcpStream, puts: &Notify) {
     let ask = async {
         let mut bytes = vec![0; 64 << 10];
         while let Ok(length @ 1..) = from_near.read(&mut bytes).await {
-            let is_put = bytes[..length].windows(11).any(|window| window == b"request_put");
+            let is_put = bytes[..length].windows(PUT.len()).any(|window| window == PUT);
             is_held.fetch_or(is_put, Ordering::SeqCst);
             if to_far.write_all(&bytes[..length]).await.is_err() {
                 break;

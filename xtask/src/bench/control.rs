@@ -3,7 +3,7 @@
 
 use anyhow::Result;
 
-use crate::build::{self, Executables};
+use crate::build::{self, Executables, Features};
 use crate::shell;
 use crate::workspace::Profile;
 
@@ -27,7 +27,7 @@ pub struct Options {
 
 pub fn run(options: Options) -> Result<()> {
     let mut command = super::program::target("control")?;
-    build::executables(Executables::All, Profile::Dist, false)?;
+    build::executables(Executables::All, Profile::Dist, Features::default())?;
     options.rows.pass(&mut command);
     command.args(["--names", &options.names.to_string()]);
     super::program::pass(&mut command, options.rounds, options.milliseconds, options.json);

@@ -26,7 +26,7 @@ use gdp_tests::programs::{Executable as _, Program};
 use gdp_tests::{Tools, wait};
 use serde::Serialize;
 
-use crate::build::{self, Executables};
+use crate::build::{self, Executables, Features};
 use crate::peers as peer_programs;
 use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
@@ -95,7 +95,7 @@ pub fn run(options: Options) -> Result<()> {
     let routes = if options.paths.is_empty() { vec![Route::Gdp, Route::Ip, Route::Site] } else { options.paths };
     setup::ensure(Purpose::Bench)?;
     if routes.contains(&Route::Gdp) {
-        build::executables(Executables::All, Profile::Dist, false)?;
+        build::executables(Executables::All, Profile::Dist, Features::default())?;
     }
     peer_programs::build()?;
     wait::catch_interrupts();

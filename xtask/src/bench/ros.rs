@@ -28,7 +28,7 @@ use gdp_tests::{Tools, wait};
 use serde::Serialize;
 
 use self::zenoh::Bridges;
-use crate::build::{self, Executables};
+use crate::build::{self, Executables, Features};
 use crate::peers as peer_programs;
 use crate::setup::{self, Purpose};
 use crate::workspace::{self, Profile};
@@ -125,7 +125,7 @@ pub fn run(options: Options) -> Result<()> {
     let routes = if options.paths.is_empty() { ROUTES.to_vec() } else { options.paths };
     setup::ensure(Purpose::Bench)?;
     if routes.contains(&Route::Gdp) {
-        build::executables(Executables::All, Profile::Dist, false)?;
+        build::executables(Executables::All, Profile::Dist, Features::default())?;
     }
     peer_programs::build()?;
     let bridge = if routes.iter().any(|route| matches!(route, Route::Zenoh | Route::ZenohTls)) {

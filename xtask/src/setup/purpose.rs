@@ -9,6 +9,8 @@ pub enum Purpose {
     Run,
     /// Build and run a switch with DPDK
     Dpdk,
+    /// Build a switch whose RIB has replicas
+    Etcd,
     /// Run the tests that need no root
     Unit,
     /// Run all tests
@@ -40,6 +42,8 @@ pub enum Part {
     Dpdk,
     /// Run replicas of a RIB.
     Etcd,
+    /// Compile the client of etcd.
+    EtcdClient,
     /// Run foreign DDS programs against ours.
     Dds,
     /// Compare messages with those that another implementation makes.
@@ -56,16 +60,21 @@ pub enum Part {
 
 impl Purpose {
     pub const fn parts(self) -> &'static [Part] {
-        use Part::{Dds, Dpdk, Ebpf, Etcd, Fresh, Git, Lints, Namespaces, Ros1, Ros2, Rosbags, Workspace, Zenoh};
+        use Part::{
+            Dds, Dpdk, Ebpf, Etcd, EtcdClient, Fresh, Git, Lints, Namespaces, Ros1, Ros2, Rosbags, Workspace, Zenoh,
+        };
         match self {
             Self::Run => &[Workspace, Ebpf],
             Self::Dpdk => &[Workspace, Dpdk],
-            Self::Unit => &[Workspace, Git, Etcd, Dds, Rosbags, Ros1, Ros2],
-            Self::Test => &[Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, Dds, Rosbags, Ros1, Ros2],
+            Self::Etcd => &[Workspace, EtcdClient],
+            Self::Unit => &[Workspace, Git, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
+            Self::Test => &[Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
             Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
-            Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, Dds, Zenoh],
+            Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Zenoh],
             Self::Fresh => &[Fresh, Git, Namespaces],
-            Self::Ci => &[Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, Dds, Rosbags, Ros1, Ros2, Fresh],
+            Self::Ci => {
+                &[Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Fresh]
+            }
         }
     }
 }

@@ -148,6 +148,21 @@ pub const STEPS: &[Step] = &[
         ..NOTHING
     },
     Step {
+        part: Part::EtcdClient,
+        what: "protoc with the files that it comes with",
+        why: "the build script of `etcd-client` compiles etcd's interface with it; a switch without the cargo \
+              feature `etcd` does not need it",
+        programs: &[Program::Protoc],
+        // Debian has them in a package of their own.
+        present: || {
+            let mut command = Program::Protoc.command();
+            shell::output(command.args(["-o/dev/null", "google/protobuf/descriptor.proto"])).is_some()
+        },
+        packages: &["protobuf-compiler", "libprotobuf-dev"],
+        elsewhere: "install protoc 3.15 or later, with google/protobuf/*.proto beside it",
+        ..NOTHING
+    },
+    Step {
         part: Part::Dds,
         what: "Fast DDS with its IDL compiler, and a C++ compiler",
         why: "one of the two DDS vendors that tests and demo run as unmodified applications",

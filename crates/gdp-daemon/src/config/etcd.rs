@@ -1,8 +1,10 @@
 //! The section `etcd` of the configuration: where replicas of a RIB keep together what they know.
 
+use std::path::{Path, PathBuf};
+
 use serde::Deserialize;
 
-use crate::store::Endpoint;
+use crate::store::{Access, ClientCertificate, Endpoint, Login, Tls};
 
 /// Members of an etcd cluster; they are three or five.
 const MAX_ENDPOINTS: usize = 16;
@@ -18,6 +20,7 @@ pub struct EtcdConfig {
     /// What all keys begin with: the same for the replicas of one domain, another for those of any
     /// other.
     pub prefix: String,
+    pub access: Access,
 }
 
 /// As it is written.
@@ -27,6 +30,11 @@ pub(super) struct EtcdEntry {
     endpoints: Vec<String>,
     #[serde(default = "default_prefix")]
     prefix: String,
+    ca: Option<PathBuf>,
+    cert: Option<PathBuf>,
+    key: Option<PathBuf>,
+    user: Option<String>,
+    password_file: Option<PathBuf>,
 }
 
 fn default_prefix() -> String {
@@ -34,8 +42,8 @@ fn default_prefix() -> String {
 }
 
 impl EtcdEntry {
-    /// `rib`: whether this daemon is a RIB.
-    pub fn check(self, rib: bool) -> Result<EtcdConfig, String> {
+    /// `rib`: whether this daemon is a RIB. `folder`: paths are relative to it.
+    pub fn check(mut self, rib: bool, folder: &Path) -> Result<EtcdConfig, String> {
         if !rib {
             return Err("etcd: it keeps what replicas of the RIB know, and this daemon is none; remove it, or rib: \
                         false and uplink"
@@ -52,6 +60,7 @@ impl EtcdEntry {
         if !(1..=MAX_ENDPOINTS).contains(&endpoints.len()) {
             return Err(format!("etcd: {} endpoints, where 1 to {MAX_ENDPOINTS} are listed", endpoints.len()));
         }
+        let access = self.access(&endpoints, folder)?;
         let prefix = self.prefix;
         let is_plain = prefix.chars().all(|c| c.is_ascii_graphic());
         if !is_plain || prefix.len() > MAX_PREFIX || prefix.split('/').any(str::is_empty) {
@@ -60,6 +69,40 @@ impl EtcdEntry {
                  ends, such as gdp/rib"
             ));
         }
-        Ok(EtcdConfig { endpoints, prefix })
+        Ok(EtcdConfig { endpoints, prefix, access })
+    }
+
+    fn access(&mut self, endpoints: &[Endpoint], folder: &Path) -> Result<Access, String> {
+        let client = match (self.cert.take(), self.key.take()) {
+            (Some(cert), Some(key)) => Some(ClientCertificate { cert: folder.join(cert), key: folder.join(key) }),
+            (None, None) => None,
+            (Some(_), None) => return Err("etcd: cert needs key, the file of its private key".into()),
+            (None, Some(_)) => return Err("etcd: key needs cert, the file of its certificate".into()),
+        };
+        let login = match (self.user.take(), self.password_file.take()) {
+            (Some(user), Some(_)) if user.is_empty() => return Err("etcd: user is empty".into()),
+            (Some(user), Some(file)) => Some(Login { user, password_file: folder.join(file) }),
+            (None, None) => None,
+            (Some(_), None) => return Err("etcd: user needs password_file, a file with the password".into()),
+            (None, Some(_)) => return Err("etcd: password_file needs user, whose password it has".into()),
+        };
+        if let Some(plain) = endpoints.iter().find(|endpoint| !endpoint.tls) {
+            if endpoints.iter().any(|endpoint| endpoint.tls) {
+                return Err(format!("etcd: {plain} is without TLS, and other endpoints are https"));
+            }
+            if self.ca.is_some() || client.is_some() {
+                return Err(format!(
+                    "etcd: ca, cert and key are of use with https endpoints only, and {plain} is none"
+                ));
+            }
+            if login.is_some() {
+                return Err(format!(
+                    "etcd: the password of user would cross the network in clear to {plain}: use https"
+                ));
+            }
+            return Ok(Access::default());
+        }
+        let ca = self.ca.take().ok_or("etcd: https endpoints need ca, the file of the CA that certifies them")?;
+        Ok(Access { tls: Some(Tls { ca: folder.join(ca), client }), login })
     }
 }

@@ -85,6 +85,8 @@ pub enum StartError {
     NoPort,
     #[error(transparent)]
     Admin(#[from] admin::AdminError),
+    #[error(transparent)]
+    Store(#[from] crate::store::StoreError),
 }
 
 /// A running daemon's shared state.
@@ -171,7 +173,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         port_config,
         core: Mutex::new(core),
         revocations,
-        replica: config.etcd.clone().map(Replica::new),
+        replica: config.etcd.as_ref().map(Replica::new).transpose()?,
         domain,
         ports: Mutex::default(),
         udp: OnceLock::new(),

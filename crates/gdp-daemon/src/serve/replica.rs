@@ -21,7 +21,7 @@ use super::core::{Core, Next, run_id};
 use super::term::{Term, Ticket, within};
 use crate::config::EtcdConfig;
 use crate::domain::Used;
-use crate::store::gateway::Gateway;
+use crate::store::client::EtcdClient;
 use crate::store::{StoreError, items::Change, items::Copy, items::KeySpace, items::Writer};
 use gdp_rib::rib::{Item, Limits, RestoreError, Rib, Run, decode_item, encode_item};
 use gdp_util::unix_time::unix_nanos;
@@ -47,7 +47,8 @@ const RESIGNATION: Duration = Duration::from_secs(2);
 
 /// A replica's part in what is kept together.
 pub struct Replica {
-    config: EtcdConfig,
+    /// Never asks; copies of it do.
+    client: EtcdClient,
     place: KeySpace,
     stage: watch::Sender<Stage>,
 }
@@ -70,8 +71,10 @@ struct Elected {
 }
 
 impl Replica {
-    pub fn new(config: EtcdConfig) -> Self {
-        Self { place: KeySpace::new(&config.prefix), config, stage: watch::Sender::new(Stage::Standing) }
+    /// Fails if a file that the configuration names is of no use, or etcd is not built in.
+    pub fn new(config: &EtcdConfig) -> Result<Self, StoreError> {
+        let client = EtcdClient::new(&config.endpoints, &config.access)?;
+        Ok(Self { client, place: KeySpace::new(&config.prefix), stage: watch::Sender::new(Stage::Standing) })
     }
 
     /// Returns once it leads no more, and does not stand again; if etcd does not answer, a while
@@ -94,8 +97,8 @@ impl Replica {
         let _ = self.stage.subscribe().wait_for(|stage| *stage == awaited).await;
     }
 
-    fn gateway(&self) -> Gateway {
-        Gateway::new(&self.config.endpoints)
+    fn client(&self) -> EtcdClient {
+        self.client.clone()
     }
 }
 
@@ -182,7 +185,7 @@ async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
             not_elected => {
                 // It may have been elected and not know: then it leads no more.
                 if let Some(lease) = lease {
-                    give_up(&mut replica.gateway(), lease).await;
+                    give_up(&mut replica.client(), lease).await;
                 }
                 not_elected.and_then(Result::err)
             }
@@ -200,13 +203,13 @@ async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
 /// Keeps a copy of what is stored until there is no leader, and this replica is elected. `lease`:
 /// with which it stands, from before it does.
 async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -> Result<(Copy, Elected), StoreError> {
-    let (mut gateway, place, own) = (replica.gateway(), &replica.place, daemon.name);
-    let mut copy = Copy::list(place, &mut gateway).await?;
-    let mut watch = gateway.watch(place.prefix(), copy.revision() + 1).await?;
+    let (mut client, place, own) = (replica.client(), &replica.place, daemon.name);
+    let mut copy = Copy::list(place, &mut client).await?;
+    let mut watch = client.watch(place.prefix(), copy.revision() + 1).await?;
     loop {
-        let is_led = place.has_leader(&mut gateway).await?;
+        let is_led = place.has_leader(&mut client).await?;
         daemon.core().no_rib = (!is_led).then(|| "no replica of it leads; one is about to".into());
-        if !is_led && let Some(elected) = Elected::stand(place, &mut gateway, &own, lease).await? {
+        if !is_led && let Some(elected) = Elected::stand(place, &mut client, &own, lease).await? {
             let caught_up = async {
                 while copy.revision() < elected.revision {
                     copy.apply(watch.next().await?)?;
@@ -233,19 +236,19 @@ async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -
 impl Elected {
     async fn stand(
         place: &KeySpace,
-        gateway: &mut Gateway,
+        client: &mut EtcdClient,
         own: &Name,
         stands_with: &mut Option<i64>,
     ) -> Result<Option<Self>, StoreError> {
         let asked = Instant::now();
-        let lease = gateway.grant(TTL).await?;
+        let lease = client.grant(TTL).await?;
         *stands_with = Some(lease);
         let term = Arc::new(Term::new(asked + Duration::from_secs(TTL) - MARGIN));
-        match place.stand(gateway, own, lease).await? {
+        match place.stand(client, own, lease).await? {
             Some(revision) => Ok(Some(Self { lease, revision, term })),
             None => {
                 // Another was elected.
-                gateway.revoke(lease).await?;
+                client.revoke(lease).await?;
                 *stands_with = None;
                 Ok(None)
             }
@@ -253,11 +256,11 @@ impl Elected {
     }
 
     /// Renews the lease until it is over all the same.
-    async fn hold(&self, gateway: &mut Gateway) -> StoreError {
+    async fn hold(&self, client: &mut EtcdClient) -> StoreError {
         loop {
             sleep(BEAT).await;
             let asked = Instant::now();
-            match gateway.keep_alive(self.lease).await {
+            match client.keep_alive(self.lease).await {
                 Ok(true) => {}
                 Ok(false) => return StoreError::Fenced,
                 Err(error) if self.term.is_over() => return error,
@@ -275,10 +278,10 @@ impl Elected {
 
 /// Is the RIB for a term. Returns why no longer; none: it is to resign.
 async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elected) -> Option<StoreError> {
-    let mut gateway = replica.gateway();
+    let mut client = replica.client();
     let work = async {
         tokio::select! {
-            error = elected.hold(&mut gateway) => error,
+            error = elected.hold(&mut client) => error,
             error = serve_term(daemon, replica, copy, &elected) => error,
         }
     };
@@ -289,13 +292,13 @@ async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elec
     let why = error.as_ref().map_or_else(|| "this replica resigns".into(), ToString::to_string);
     daemon.core().put_down(&elected.term, &why);
     daemon.topology_changed();
-    give_up(&mut gateway, elected.lease).await;
+    give_up(&mut client, elected.lease).await;
     error
 }
 
 /// So that others need not wait until the lease is over.
-async fn give_up(gateway: &mut Gateway, lease: i64) {
-    if let Err(error) = gateway.revoke(lease).await {
+async fn give_up(client: &mut EtcdClient, lease: i64) {
+    if let Err(error) = client.revoke(lease).await {
         tracing::debug!(%error, "the lease is over only when its time is");
     }
 }
@@ -374,7 +377,7 @@ async fn take_over(
     daemon.topology_changed();
     daemon.report_in_full();
     daemon.send_effects();
-    Ok((copy.into_writer(replica.gateway(), elected.revision), changed))
+    Ok((copy.into_writer(replica.client(), elected.revision), changed))
 }
 
 impl Core {

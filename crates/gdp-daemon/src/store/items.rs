@@ -8,7 +8,8 @@ use std::collections::BTreeMap;
 use gdp_wire::Name;
 
 use super::StoreError;
-use super::gateway::{Compare, Event, Gateway, KeyValue, Op};
+use super::client::EtcdClient;
+use super::kv::{Compare, Event, KeyValue, Op};
 use gdp_rib::rib::{Item, MAX_ITEM};
 
 /// Bytes of keys and values that a replica takes; as much as etcd itself does, if not told
@@ -58,10 +59,10 @@ impl KeySpace {
 
     /// Stands for election. The revision that created the leader's key, if that is this replica's
     /// now.
-    pub async fn stand(&self, gateway: &mut Gateway, who: &Name, lease: i64) -> Result<Option<i64>, StoreError> {
+    pub async fn stand(&self, client: &mut EtcdClient, who: &Name, lease: i64) -> Result<Option<i64>, StoreError> {
         let (key, value) = (self.leader(), who.to_string());
         let put = Op::Put { key: &key, value: value.as_bytes(), lease };
-        let outcome = gateway.transact(&[Compare::Created(&key, 0)], &[put], &[Op::Get(&key)]).await?;
+        let outcome = client.transact(&[Compare::Created(&key, 0)], &[put], &[Op::Get(&key)]).await?;
         if outcome.succeeded {
             return Ok(Some(outcome.revision));
         }
@@ -71,8 +72,8 @@ impl KeySpace {
     }
 
     /// Whether there is a leader.
-    pub async fn has_leader(&self, gateway: &mut Gateway) -> Result<bool, StoreError> {
-        let outcome = gateway.transact(&[], &[Op::Get(&self.leader())], &[]).await?;
+    pub async fn has_leader(&self, client: &mut EtcdClient) -> Result<bool, StoreError> {
+        let outcome = client.transact(&[], &[Op::Get(&self.leader())], &[]).await?;
         Ok(outcome.found.iter().any(Option::is_some))
     }
 }
@@ -95,8 +96,8 @@ struct Stored {
 }
 
 impl Copy {
-    pub async fn list(place: &KeySpace, gateway: &mut Gateway) -> Result<Self, StoreError> {
-        let (all, revision) = gateway.list(place.prefix(), MAX_STORED).await?;
+    pub async fn list(place: &KeySpace, client: &mut EtcdClient) -> Result<Self, StoreError> {
+        let (all, revision) = client.list(place.prefix(), MAX_STORED).await?;
         let mut copy = Self { place: place.clone(), items: BTreeMap::new(), size: 0, revision };
         all.into_iter().for_each(|kv| copy.put(kv));
         Ok(copy)
@@ -150,9 +151,9 @@ impl Copy {
     }
 
     /// For the replica that the election of this revision made leader.
-    pub fn into_writer(self, gateway: Gateway, term: i64) -> Writer {
+    pub fn into_writer(self, client: EtcdClient, term: i64) -> Writer {
         let revisions = self.items.into_iter().map(|(item, stored)| (item, stored.revision)).collect();
-        Writer { place: self.place, gateway, term, revisions }
+        Writer { place: self.place, client, term, revisions }
     }
 }
 
@@ -162,7 +163,7 @@ pub type Change = (Item, Option<Vec<u8>>);
 /// Writes for the leader of one term.
 pub struct Writer {
     place: KeySpace,
-    gateway: Gateway,
+    client: EtcdClient,
     term: i64,
     /// As of which revision each item is there.
     revisions: BTreeMap<Item, i64>,
@@ -207,7 +208,7 @@ impl Writer {
                 }
                 otherwise.push(Op::Get(key));
             }
-            let outcome = self.gateway.transact(&compare, &then, &otherwise).await?;
+            let outcome = self.client.transact(&compare, &then, &otherwise).await?;
             if outcome.succeeded {
                 for (item, value) in batch {
                     match value {

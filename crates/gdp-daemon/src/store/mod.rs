@@ -1,18 +1,27 @@
 //! Where the RIB of several replicas is kept: etcd. A daemon whose RIB runs alone needs none of
 //! this.
 //!
-//! [`gateway`] speaks to etcd, [`items`] knows how items of the RIB lie in it and how a leader
+//! [`client`] speaks to etcd, [`items`] knows how items of the RIB lie in it and how a leader
 //! writes them; who leads, and what follows from that, is in [`crate::serve::replica`].
 
-pub mod gateway;
+mod access;
+#[cfg_attr(not(feature = "etcd"), path = "without_etcd.rs")]
+pub mod client;
 pub mod items;
+pub mod kv;
 
 use std::fmt;
 use std::str::FromStr;
 
+use gdp_core::secret_file::SecretFileError;
+
+pub use self::access::{Access, ClientCertificate, Login, Tls};
+
 /// Where a member of an etcd cluster takes requests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Endpoint {
+    /// `https`, not `http`.
+    pub tls: bool,
     /// A name, or an address without brackets.
     pub host: String,
     pub port: u16,
@@ -20,8 +29,9 @@ pub struct Endpoint {
 
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { host, port } = self;
-        if host.contains(':') { write!(f, "http://[{host}]:{port}") } else { write!(f, "http://{host}:{port}") }
+        let Self { tls, host, port } = self;
+        let scheme = if *tls { "https" } else { "http" };
+        if host.contains(':') { write!(f, "{scheme}://[{host}]:{port}") } else { write!(f, "{scheme}://{host}:{port}") }
     }
 }
 
@@ -29,14 +39,11 @@ impl FromStr for Endpoint {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("{text:?} is not an endpoint such as http://127.0.0.1:2379 or http://[::1]:2379");
-        if text.starts_with("https://") {
-            return Err(format!(
-                "{text:?}: etcd is spoken to without TLS; have it listen on this host or on a network that is yours \
-                 alone"
-            ));
-        }
-        let authority = text.strip_prefix("http://").ok_or_else(wrong)?;
+        let wrong = || format!("{text:?} is not an endpoint such as https://10.0.0.1:2379 or http://[::1]:2379");
+        let (tls, authority) = match text.strip_prefix("https://") {
+            Some(authority) => (true, authority),
+            None => (false, text.strip_prefix("http://").ok_or_else(wrong)?),
+        };
         let authority = authority.strip_suffix('/').unwrap_or(authority);
         let (host, port) = authority.rsplit_once(':').ok_or_else(wrong)?;
         let host = match host.strip_prefix('[') {
@@ -44,7 +51,7 @@ impl FromStr for Endpoint {
             None => Some(host).filter(|host| is_host_name(host)),
         };
         let port = port.parse().ok().filter(|port| *port > 0).ok_or_else(wrong)?;
-        Ok(Self { host: host.ok_or_else(wrong)?.to_owned(), port })
+        Ok(Self { tls, host: host.ok_or_else(wrong)?.to_owned(), port })
     }
 }
 
@@ -60,8 +67,12 @@ pub enum StoreError {
     Unreachable { endpoint: Endpoint, reason: String },
     #[error("etcd at {endpoint} refused: {reason}")]
     Refused { endpoint: Endpoint, reason: String },
-    #[error("what came from {endpoint} is not an answer of etcd: {reason}")]
-    Malformed { endpoint: Endpoint, reason: String },
+    #[error("etcd: {0}")]
+    File(#[from] SecretFileError),
+    #[error(
+        "built without etcd: build gdp-ctl with the cargo feature `etcd` (cargo xtask build --etcd), or remove etcd from the configuration"
+    )]
+    NotBuilt,
     #[error("etcd has let go of the history that was to be followed")]
     Compacted,
     #[error("etcd holds more than the {0} bytes that a RIB takes: look what is under its prefix")]

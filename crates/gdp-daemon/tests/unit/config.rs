@@ -1,6 +1,7 @@
 //! Unit tests of `config`.
 
 use super::*;
+use crate::store::{Access, Login};
 
 const S: &str = "75e1000000000000000000000000000000000000000000000000000000000000";
 
@@ -94,7 +95,17 @@ fn replicas_of_a_rib() {
         ("{}", "endpoints"),
         ("{endpoints: []}", "0 endpoints"),
         ("{endpoints: ['http://a:1', 'http://a:1/']}", "listed twice"),
-        ("{endpoints: ['https://a:1']}", "TLS"),
+        ("{endpoints: ['https://a:1']}", "need ca"),
+        ("{endpoints: ['https://a:1', 'http://b:1'], ca: c}", "http://b:1 is without TLS"),
+        ("{endpoints: ['https://a:1'], ca: c, cert: c}", "cert needs key"),
+        ("{endpoints: ['https://a:1'], ca: c, key: k}", "key needs cert"),
+        ("{endpoints: ['https://a:1'], ca: c, user: u}", "user needs password_file"),
+        ("{endpoints: ['https://a:1'], ca: c, user: '', password_file: p}", "user is empty"),
+        ("{endpoints: ['https://a:1'], ca: c, password_file: p}", "password_file needs user"),
+        ("{endpoints: ['https://a:1'], ca: c, user: u, password: p}", "password"),
+        ("{endpoints: ['http://a:1'], ca: c}", "https endpoints only"),
+        ("{endpoints: ['http://a:1'], cert: c, key: k}", "https endpoints only"),
+        ("{endpoints: ['http://a:1'], user: u, password_file: p}", "in clear"),
         ("{endpoints: [a]}", "is not an endpoint"),
         ("{endpoints: ['http://a:1'], prefix: /rib}", "slash"),
         ("{endpoints: ['http://a:1'], prefix: ''}", "visible"),
@@ -104,6 +115,13 @@ fn replicas_of_a_rib() {
         let error = parse(&format!("etcd: {section}")).expect_err(section);
         assert!(error.contains(needle), "{section}: {error}");
     }
+    let secured = "etcd: {endpoints: ['https://a:1'], ca: c, cert: d, key: k, user: u, password_file: /p}";
+    let Access { tls, login } = parse(secured).unwrap().etcd.unwrap().access;
+    let tls = tls.unwrap();
+    assert!(tls.ca.ends_with("c") && tls.ca.is_absolute(), "{tls:?}");
+    let client = tls.client.unwrap();
+    assert!(client.cert.ends_with("d") && client.key.ends_with("k"), "{client:?}");
+    assert_eq!(login, Some(Login { user: "u".into(), password_file: "/p".into() }));
     let elsewhere = format!("uplink: {{interface: a, switch: {S}}}\netcd: {{endpoints: ['http://a:1']}}");
     assert!(parse(&elsewhere).unwrap_err().contains("this daemon is none"));
 }

@@ -2,6 +2,7 @@
 //! temporary folder.
 
 use std::net::{Ipv4Addr, TcpStream};
+use std::path::PathBuf;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
@@ -14,7 +15,15 @@ use crate::ports::free_addr;
 /// How long a member may take until it answers.
 const START: Duration = Duration::from_secs(60);
 
+/// Files, in PEM, with which members demand certificates of their clients, and have one.
+pub struct Certificates {
+    pub ca: PathBuf,
+    pub cert: PathBuf,
+    pub key: PathBuf,
+}
+
 pub struct Cluster {
+    certificates: Option<Certificates>,
     members: Vec<Member>,
     folder: TempDir,
 }
@@ -22,22 +31,33 @@ pub struct Cluster {
 struct Member {
     client: u16,
     peer: u16,
+    metrics: u16,
     process: Option<Child>,
 }
 
 impl Cluster {
     /// Starts so many members, and waits until they are one cluster.
     pub fn start(count: usize) -> Self {
-        let member = || Member { client: free_addr().port(), peer: free_addr().port(), process: None };
+        Self::start_with(count, None)
+    }
+
+    /// With TLS, if there are certificates.
+    pub fn start_with(count: usize, certificates: Option<Certificates>) -> Self {
+        let port = || free_addr().port();
+        let member = || Member { client: port(), peer: port(), metrics: port(), process: None };
         let members = std::iter::repeat_with(member).take(count).collect();
-        let mut cluster = Self { members, folder: tempfile::tempdir().unwrap() };
+        let mut cluster = Self { certificates, members, folder: tempfile::tempdir().unwrap() };
         (0..count).for_each(|i| cluster.spawn(i));
         cluster.await_health();
         cluster
     }
 
     pub fn endpoints(&self) -> Vec<Endpoint> {
-        self.members.iter().map(|m| Endpoint { host: "127.0.0.1".into(), port: m.client }).collect()
+        self.members.iter().map(|m| self.endpoint(m)).collect()
+    }
+
+    fn endpoint(&self, member: &Member) -> Endpoint {
+        Endpoint { tls: self.certificates.is_some(), host: "127.0.0.1".into(), port: member.client }
     }
 
     /// Ends a member at once, as if its machine had.
@@ -75,9 +95,12 @@ impl Cluster {
 
     /// What `etcdctl` says of these arguments, at members that run.
     pub fn etcdctl(&self, members: &[usize], arguments: &[&str]) -> String {
-        let urls: Vec<_> = members.iter().map(|i| format!("http://127.0.0.1:{}", self.members[*i].client)).collect();
-        let output = Program::Etcdctl
-            .command()
+        let urls: Vec<_> = members.iter().map(|i| self.endpoint(&self.members[*i]).to_string()).collect();
+        let mut command = Program::Etcdctl.command();
+        if let Some(Certificates { ca, cert, key }) = &self.certificates {
+            command.arg("--cacert").arg(ca).arg("--cert").arg(cert).arg("--key").arg(key);
+        }
+        let output = command
             .env("ETCDCTL_API", "3")
             .arg(format!("--endpoints={}", urls.join(",")))
             .args(arguments)
@@ -95,15 +118,21 @@ impl Cluster {
         let log =
             std::fs::File::options().create(true).append(true).open(folder.join(format!("m{index}.log"))).unwrap();
         let member = &self.members[index];
-        let process = Program::Etcd
-            .command()
+        let client = self.endpoint(member);
+        let mut command = Program::Etcd.command();
+        if let Some(Certificates { ca, cert, key }) = &self.certificates {
+            command.arg("--client-cert-auth").arg("--trusted-ca-file").arg(ca);
+            command.arg("--cert-file").arg(cert).arg("--key-file").arg(key);
+        }
+        let process = command
             .arg(format!("--name=m{index}"))
             .arg(format!("--data-dir={}", folder.join(format!("m{index}")).display()))
-            .arg(format!("--listen-client-urls={}", url(member.client)))
-            .arg(format!("--advertise-client-urls={}", url(member.client)))
+            .arg(format!("--listen-client-urls={client}"))
+            .arg(format!("--advertise-client-urls={client}"))
             .arg(format!("--listen-peer-urls={}", url(member.peer)))
             .arg(format!("--initial-advertise-peer-urls={}", url(member.peer)))
             .arg(format!("--initial-cluster={all}"))
+            .arg(format!("--listen-metrics-urls={}", url(member.metrics)))
             .arg("--logger=zap")
             .stdin(Stdio::null())
             .stdout(log.try_clone().unwrap())
@@ -118,7 +147,7 @@ impl Cluster {
         let until = Instant::now() + START;
         let running = |member: &&Member| member.process.is_some();
         for member in self.members.iter().filter(running) {
-            while !is_healthy(member.client) {
+            while !is_healthy(member.metrics) {
                 assert!(Instant::now() < until, "etcd does not start: see {}", self.folder.path().display());
                 std::thread::sleep(Duration::from_millis(50));
             }

@@ -1,0 +1,49 @@
+//! Takes the place of the client of etcd in a build without the cargo feature `etcd`. It has the
+//! same functions, and all of them fail.
+
+use super::kv::{Compare, Event, KeyValue, Op, Outcome};
+use super::{Access, Endpoint, StoreError};
+
+/// There is none in this build.
+#[derive(Clone)]
+pub struct EtcdClient(());
+
+/// There is none in this build.
+pub struct Watch(());
+
+impl EtcdClient {
+    /// Always fails with [`StoreError::NotBuilt`].
+    pub fn new(_: &[Endpoint], _: &Access) -> Result<Self, StoreError> {
+        Err(StoreError::NotBuilt)
+    }
+
+    pub async fn list(&mut self, _: &[u8], _: usize) -> Result<(Vec<KeyValue>, i64), StoreError> {
+        Err(StoreError::NotBuilt)
+    }
+
+    pub async fn transact(&mut self, _: &[Compare<'_>], _: &[Op<'_>], _: &[Op<'_>]) -> Result<Outcome, StoreError> {
+        Err(StoreError::NotBuilt)
+    }
+
+    pub async fn grant(&mut self, _: u64) -> Result<i64, StoreError> {
+        Err(StoreError::NotBuilt)
+    }
+
+    pub async fn keep_alive(&mut self, _: i64) -> Result<bool, StoreError> {
+        Err(StoreError::NotBuilt)
+    }
+
+    pub async fn revoke(&mut self, _: i64) -> Result<(), StoreError> {
+        Err(StoreError::NotBuilt)
+    }
+
+    pub async fn watch(&mut self, _: &[u8], _: i64) -> Result<Watch, StoreError> {
+        Err(StoreError::NotBuilt)
+    }
+}
+
+impl Watch {
+    pub async fn next(&mut self) -> Result<Vec<Event>, StoreError> {
+        Err(StoreError::NotBuilt)
+    }
+}
