@@ -30,7 +30,7 @@ static SERVED: Array<u64> = Array::with_max_entries(MAX_GROUPS, 0);
 
 /// Values are link ids. Most groups are small, so elements are allocated as they are needed.
 #[map]
-static SLOTS: HashMap<GroupSlot, u32> = HashMap::with_max_entries(MAX_GROUPS * MAX_COPIES, BPF_F_NO_PREALLOC);
+static PLACES: HashMap<GroupSlot, u32> = HashMap::with_max_entries(MAX_GROUPS * MAX_COPIES, BPF_F_NO_PREALLOC);
 
 /// The egress bits that the kernel can copy frames for; this switch's own bit is that of the local
 /// readers.
@@ -63,5 +63,5 @@ pub fn link_at(place: &GroupSlot) -> Option<u32> {
     // SAFETY: the value is read at once; an element that is freed meanwhile stays readable until
     // the program ends, as an id of a link that then is another's or nobody's: the copy is of the
     // same name, and for it as for any reader just gone.
-    SLOTS.get_ptr(place).map(|link| unsafe { *link })
+    PLACES.get_ptr(place).map(|link| unsafe { *link })
 }
