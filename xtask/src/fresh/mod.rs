@@ -67,7 +67,12 @@ fn in_a_clean_root(options: &Options, stages: &mut Stages) -> Result<()> {
         cache.use_compiled(&Compiled::key(&root.clone_folder())?)?;
         source::restore_times(&root.clone_folder(), &cache.times())?;
     }
-    stages.time("crates", || root.online(&cache, &["cargo", "fetch", "--locked"]))?;
+    stages.time("crates", || {
+        root.online(&cache, &["cargo", "fetch", "--locked"])?;
+        // What is built later, without a network.
+        root.online(&cache, &["cargo", "fetch", "--locked", "--manifest-path", "gdp-ebpf/Cargo.toml"])?;
+        root.online(&cache, &["cargo", "fetch", "--manifest-path", "third_party/rustdds/published/Cargo.toml"])
+    })?;
     stages.time("setup run", || root.online(&cache, &["cargo", "xtask", "setup", "run"]))?;
     let site = Site::new()?;
     let native = format!("XDP: native on {INTERFACE}");
