@@ -1,7 +1,7 @@
 //! The trait of everything that a route manager runs.
 
 use crate::graph::Graph;
-use crate::peer_proxies::Place;
+use crate::peer_proxies::Candidate;
 use crate::ros2::TypeName;
 use crate::route_material::RouteMaterial;
 use crate::route_status::{RouteError, RouteStatus};
@@ -27,7 +27,7 @@ pub trait Carries: Send + Sync + 'static {
     /// `graph`: what the configuration calls it.
     fn new(config: &Self::Config, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self;
 
-    fn standing(&self) -> &RouteStatus;
+    fn route_status(&self) -> &RouteStatus;
 
     fn stats(&self) -> Self::Stats;
 
@@ -49,5 +49,5 @@ pub struct Way<'a> {
     /// Of the name's card or the configuration.
     pub kind: Option<&'a TypeName>,
     pub card: &'a NameCard,
-    pub place: &'a Place,
+    pub candidate: &'a Candidate,
 }

@@ -25,7 +25,7 @@ pub struct CertFile {
     /// the log has told of.
     taken: Option<FileStamp>,
     offered: Option<FileStamp>,
-    told: Option<FileStamp>,
+    reported: Option<FileStamp>,
 }
 
 impl CertFile {
@@ -40,8 +40,8 @@ impl CertFile {
     ) -> Result<(Self, Permission), String> {
         let (watched, is_pending) = (watcher.watch(path), false);
         let (path, topic, card) = (path.to_owned(), topic.to_owned(), card.clone());
-        let (taken, offered, told) = (None, None, None);
-        let mut file = Self { path, watched, is_pending, side, topic, card, entity, taken, offered, told };
+        let (taken, offered, reported) = (None, None, None);
+        let mut file = Self { path, watched, is_pending, side, topic, card, entity, taken, offered, reported };
         let permission = file.read()?;
         file.taken();
         Ok((file, permission))
@@ -70,10 +70,10 @@ impl CertFile {
 
     /// What was offered last is of no use at the moment: said once in the log.
     pub fn refused(&mut self, reason: &dyn Display) {
-        if self.told != self.offered {
+        if self.reported != self.offered {
             let (topic, file) = (&self.topic, self.path.display());
             tracing::warn!(%topic, %file, "the new certificate is of no use yet, going on with the old one: {reason}");
-            self.told = self.offered;
+            self.reported = self.offered;
         }
     }
 

@@ -55,12 +55,12 @@ type Before = HashMap<(String, String, Side), (u64, u64)>;
 
 #[derive(Serialize)]
 struct Array {
-    header: Header,
-    status: Vec<Status>,
+    header: DiagnosticHeader,
+    status: Vec<DiagnosticStatus>,
 }
 
 #[derive(Serialize)]
-struct Header {
+struct DiagnosticHeader {
     stamp: Stamp,
     frame_id: &'static str,
 }
@@ -72,7 +72,7 @@ struct Stamp {
 }
 
 #[derive(Serialize)]
-struct Status {
+struct DiagnosticStatus {
     level: u8,
     name: String,
     message: String,
@@ -128,7 +128,7 @@ impl Diagnostics {
         let before = std::mem::take(&mut self.before);
         let status = routes.iter().map(|route| self.status(route, &before)).collect();
         let stamp = Stamp { sec: now.as_secs(), nanosec: now.subsec_nanos() };
-        let json = serde_json::to_vec(&Array { header: Header { stamp, frame_id: "" }, status })?;
+        let json = serde_json::to_vec(&Array { header: DiagnosticHeader { stamp, frame_id: "" }, status })?;
         for (writer, converter) in &mut self.outlets {
             let bytes = converter.convert(json.clone().into())?;
             writer.write(bytes, u64::try_from(now.as_nanos())?).await?;
@@ -136,7 +136,7 @@ impl Diagnostics {
         Ok(())
     }
 
-    fn status(&mut self, route: &RouteStats, before: &Before) -> Status {
+    fn status(&mut self, route: &RouteStats, before: &Before) -> DiagnosticStatus {
         let RouteStats { topic, graph, status, direction, name, counted, kind, .. } = route;
         let drops = counted.drops.values().sum();
         let key = (topic.clone(), graph.clone(), *direction);
@@ -158,7 +158,7 @@ impl Diagnostics {
         ];
         let dropped = counted.drops.iter().filter(|(_, count)| **count > 0);
         values.extend(dropped.map(|(reason, count)| value(&format!("dropped: {reason}"), count.to_string())));
-        Status {
+        DiagnosticStatus {
             level: level as u8,
             name: format!("gdp_proxy: {topic} {direction}"),
             message: status.clone(),

@@ -9,7 +9,7 @@ use futures::future::join_all;
 use gdp_wire::Name;
 use serde::Serialize;
 
-use crate::automatic::{card_of, choose, judge};
+use crate::automatic::{card_of, check_exposed, choose};
 use crate::config::{Config, ExposeConfig, Side, Thing, What, is_hidden};
 use crate::graph::{self, Found, GraphObserver, Offered};
 use crate::material::{ExposeMaterial, Material};
@@ -93,7 +93,7 @@ fn report(Loaded { config, material }: &Loaded, found: &BTreeMap<String, Found>)
 }
 
 /// One direction of something that the configuration lists.
-struct Listed<'a> {
+struct ListedEntity<'a> {
     key: String,
     graph: &'a str,
     thing: Thing,
@@ -101,15 +101,21 @@ struct Listed<'a> {
     material: &'a RouteMaterial,
 }
 
-fn listed<'a>(config: &'a Config, material: &'a Material) -> impl Iterator<Item = Listed<'a>> {
+fn listed<'a>(config: &'a Config, material: &'a Material) -> impl Iterator<Item = ListedEntity<'a>> {
     let graph = |label: &'a Option<String>| Some(config.graphs.get(label.as_deref()).ok()?.0);
     let topics = material.routes.iter().filter_map(move |(at, material)| {
         let topic = &config.topics[*at];
         let (key, graph) = (format!("topics[{at}]"), graph(&topic.graph)?);
-        Some(Listed { key, graph, thing: Thing::Topic, name: &topic.topic, material })
+        Some(ListedEntity { key, graph, thing: Thing::Topic, name: &topic.topic, material })
     });
     let calls = config.calls().zip(&material.calls).filter_map(move |((key, call), (_, material))| {
-        Some(Listed { key, graph: graph(&call.graph)?, thing: Thing::Call(call.what), name: &call.name, material })
+        Some(ListedEntity {
+            key,
+            graph: graph(&call.graph)?,
+            thing: Thing::Call(call.what),
+            name: &call.name,
+            material,
+        })
     });
     topics.chain(calls)
 }
@@ -122,8 +128,8 @@ struct Rows {
 }
 
 impl Rows {
-    fn of_listed(&mut self, found: &BTreeMap<String, Found>, listed: Listed<'_>) {
-        let Listed { key, graph, thing, name, material } = listed;
+    fn of_listed(&mut self, found: &BTreeMap<String, Found>, listed: ListedEntity<'_>) {
+        let ListedEntity { key, graph, thing, name, material } = listed;
         let offered =
             found.get(graph).and_then(|found| found.get(&(thing, name.clone()))).map_or(&[][..], Vec::as_slice);
         let kind = material.kind.as_ref().or_else(|| offered.first()?.kind.as_ref());
@@ -168,7 +174,7 @@ impl Rows {
                     because: "expose".into(),
                     ..row
                 },
-                (Some((expose, _)), chosen) => match judge(expose, thing, name, kind) {
+                (Some((expose, _)), chosen) => match check_exposed(expose, thing, name, kind) {
                     Err(why) => Row { because: why.to_string(), ..row },
                     Ok(_) => {
                         Row { because: another_type(chosen.as_ref().and_then(|(chosen, _)| chosen.as_ref())), ..row }

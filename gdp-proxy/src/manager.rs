@@ -21,10 +21,10 @@ const AGAIN: Duration = Duration::from_secs(10);
 /// Something that is wanted. While it equals what runs in its place, that goes on.
 pub trait Plan: PartialEq {
     /// Where it is: of one place one runs at a time.
-    type Place: Ord + Clone + Send + 'static;
+    type Key: Ord + Clone + Send + 'static;
     type Work: Work;
 
-    fn place(&self) -> Self::Place;
+    fn key(&self) -> Self::Key;
 }
 
 /// What runs for a plan.
@@ -56,11 +56,11 @@ type Begin<P> = Box<dyn Fn(&P) -> <P as Plan>::Work>;
 /// What runs, and what is to run in its place.
 pub struct Manager<P: Plan> {
     begin: Begin<P>,
-    places: BTreeMap<P::Place, Running<P>>,
-    tasks: JoinSet<(P::Place, Option<anyhow::Error>)>,
+    keys: BTreeMap<P::Key, RunningPlan<P>>,
+    tasks: JoinSet<(P::Key, Option<anyhow::Error>)>,
 }
 
-struct Running<P: Plan> {
+struct RunningPlan<P: Plan> {
     plan: P,
     work: Arc<P::Work>,
     stop: watch::Sender<bool>,
@@ -70,35 +70,39 @@ struct Running<P: Plan> {
 
 /// What came of a set of plans, by count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Changed {
+pub struct ChangeCounts {
     pub begun: usize,
     pub ended: usize,
-    pub kept: usize,
+    pub unchanged: usize,
 }
 
-impl Add for Changed {
+impl Add for ChangeCounts {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
-        Self { begun: self.begun + other.begun, ended: self.ended + other.ended, kept: self.kept + other.kept }
+        Self {
+            begun: self.begun + other.begun,
+            ended: self.ended + other.ended,
+            unchanged: self.unchanged + other.unchanged,
+        }
     }
 }
 
 impl<P: Plan> Manager<P> {
     /// `begin` makes what runs for a plan; it runs later.
     pub fn new(begin: impl Fn(&P) -> P::Work + 'static) -> Self {
-        Self { begin: Box::new(begin), places: BTreeMap::new(), tasks: JoinSet::new() }
+        Self { begin: Box::new(begin), keys: BTreeMap::new(), tasks: JoinSet::new() }
     }
 
     /// From now on these run, at most one in a place, and no others.
-    pub fn want(&mut self, plans: impl IntoIterator<Item = P>) -> Changed {
-        let mut wanted: BTreeMap<P::Place, P> = plans.into_iter().map(|plan| (plan.place(), plan)).collect();
-        let mut changed = Changed::default();
-        for (place, running) in &mut self.places {
-            let next = wanted.remove(place);
+    pub fn want(&mut self, plans: impl IntoIterator<Item = P>) -> ChangeCounts {
+        let mut wanted: BTreeMap<P::Key, P> = plans.into_iter().map(|plan| (plan.key(), plan)).collect();
+        let mut changed = ChangeCounts::default();
+        for (key, running) in &mut self.keys {
+            let next = wanted.remove(key);
             let stopping = *running.stop.borrow();
             if !stopping && next.as_ref() == Some(&running.plan) {
-                changed.kept += 1;
+                changed.unchanged += 1;
                 continue;
             }
             changed.begun += usize::from(next.is_some());
@@ -131,13 +135,13 @@ impl<P: Plan> Manager<P> {
 
     /// Of all that run, in the order of their places.
     pub fn stats(&self) -> Vec<<P::Work as Work>::Stats> {
-        self.places.values().map(|running| running.work.stats()).collect()
+        self.keys.values().map(|running| running.work.stats()).collect()
     }
 
     /// Ends all, and returns when they have ended, with what is to be shown of them at last.
     pub async fn close(mut self) -> Vec<<P::Work as Work>::Stats> {
         self.want([]);
-        let works: Vec<_> = self.places.values().map(|running| running.work.clone()).collect();
+        let works: Vec<_> = self.keys.values().map(|running| running.work.clone()).collect();
         while let Some(ended) = self.tasks.join_next().await {
             if let Some(error) = self.ended(ended) {
                 tracing::warn!("while leaving: {error:#}");
@@ -146,10 +150,10 @@ impl<P: Plan> Manager<P> {
         works.iter().map(|work| work.stats()).collect()
     }
 
-    fn ended(&mut self, ended: Result<(P::Place, Option<anyhow::Error>), JoinError>) -> Option<anyhow::Error> {
+    fn ended(&mut self, ended: Result<(P::Key, Option<anyhow::Error>), JoinError>) -> Option<anyhow::Error> {
         match ended.context("a route panicked") {
-            Ok((place, error)) => {
-                let next = self.places.remove(&place).and_then(|running| running.next);
+            Ok((key, error)) => {
+                let next = self.keys.remove(&key).and_then(|running| running.next);
                 next.into_iter().for_each(|plan| self.begin(plan));
                 error
             }
@@ -158,10 +162,10 @@ impl<P: Plan> Manager<P> {
     }
 
     fn begin(&mut self, plan: P) {
-        let (place, work) = (plan.place(), Arc::new((self.begin)(&plan)));
+        let (key, work) = (plan.key(), Arc::new((self.begin)(&plan)));
         let (stop, stopped) = watch::channel(false);
-        self.places.insert(place.clone(), Running { plan, work: work.clone(), stop, next: None });
-        self.tasks.spawn(async move { (place, run(&*work, stopped).await) });
+        self.keys.insert(key.clone(), RunningPlan { plan, work: work.clone(), stop, next: None });
+        self.tasks.spawn(async move { (key, run(&*work, stopped).await) });
     }
 }
 

@@ -26,7 +26,7 @@ use crate::renewal::Renewal;
 pub struct Material {
     pub identity: Identity,
     /// With their files, which are watched since before they were read.
-    pub papers: Option<(Credentials, FileSet)>,
+    pub credentials: Option<(Credentials, FileSet)>,
     pub relay: Option<Relay>,
     /// In the order of the configuration's topics, each with which of them it is.
     pub routes: Vec<(usize, RouteMaterial)>,
@@ -65,15 +65,16 @@ impl Material {
         let topics = config.topics.iter().enumerate();
         let routes = topics.flat_map(|(i, topic)| topic.direction.sides().iter().map(move |side| (i, topic, *side)));
         let routes = routes.map(load).collect::<Result<Vec<_>, _>>()?;
-        let papers = config.domain.as_ref().map(|domain| load_credentials(&domain.into(), identity.name(), watcher));
-        let papers = papers.transpose()?;
+        let credentials =
+            config.domain.as_ref().map(|domain| load_credentials(&domain.into(), identity.name(), watcher));
+        let credentials = credentials.transpose()?;
         let relay = Relay::load(config)?;
         let expose = config.expose.as_ref().map(load_expose).transpose()?;
         let imports = config.import.iter().enumerate();
         let imports = imports.map(|(i, import)| load_import(i, import, identity.name(), watcher));
         let imports = imports.collect::<Result<_, _>>()?;
         let calls = call::material::load(config, identity.name(), watcher)?;
-        let material = Self { identity, papers, relay, routes, expose, imports, calls };
+        let material = Self { identity, credentials, relay, routes, expose, imports, calls };
         material.check_names(config)?;
         Ok(material)
     }
@@ -121,9 +122,9 @@ fn load_credentials(
 ) -> Result<(Credentials, FileSet), MaterialError> {
     let wrong = |reason: String| MaterialError { key: "domain".into(), reason };
     let watched = FileSet::new(watcher, files.paths());
-    let papers = files.load().map_err(|error| wrong(error.to_string()))?;
-    Trust::new(entity, papers.clone().into(), true).map_err(|error| wrong(error.to_string()))?;
-    Ok((papers, watched))
+    let credentials = files.load().map_err(|error| wrong(error.to_string()))?;
+    Trust::new(entity, credentials.clone().into(), true).map_err(|error| wrong(error.to_string()))?;
+    Ok((credentials, watched))
 }
 
 /// Errors with the key inside the topic.

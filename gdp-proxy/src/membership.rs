@@ -12,7 +12,7 @@ pub async fn store_credentials(node: &Node, files: Option<(&CredentialFiles, Fil
     loop {
         watched.changed().await;
         let renewed = match files.load() {
-            Ok(papers) => node.renew_credentials(papers).await.map_err(|error| error.to_string()),
+            Ok(credentials) => node.renew_credentials(credentials).await.map_err(|error| error.to_string()),
             Err(error) => Err(error.to_string()),
         };
         match renewed {

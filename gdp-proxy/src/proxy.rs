@@ -16,7 +16,7 @@ use crate::carries::Carries;
 use crate::config::Config;
 use crate::diagnostics::{self, Diagnostics};
 use crate::graph;
-use crate::manager::Changed;
+use crate::manager::ChangeCounts;
 use crate::membership::store_credentials;
 use crate::reload::{LoadError, Loaded, Watch};
 use crate::route_material::RouteMaterial;
@@ -72,7 +72,7 @@ async fn carry(
     tracing::info!(entity = %node.name(), graphs = ?graphs.keys(), "attached to the switch and in the ROS graphs");
 
     let files = loaded.config.domain.as_ref().map(CredentialFiles::from);
-    let watched = loaded.material.papers.take().map(|(_, watched)| watched);
+    let watched = loaded.material.credentials.take().map(|(_, watched)| watched);
     let mut keeping = std::pin::pin!(store_credentials(&node, files.as_ref().zip(watched)));
 
     let mut running = Running {
@@ -83,7 +83,7 @@ async fn carry(
     let mut explicit = Explicit::new(&loaded, &graphs)?;
     let mut automatic = Automatic::new(&loaded, &graphs, node.name(), None)?;
     running.want(&mut automatic, &explicit);
-    let mut shown = Shown::new(stats);
+    let mut stats_writer = StatsWriter::new(stats);
     let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await;
     let ended = loop {
         tokio::select! {
@@ -92,7 +92,7 @@ async fn carry(
             () = automatic.changed() => {
                 running.want(&mut automatic, &explicit);
             }
-            () = shown.due() => shown.show(&node, running.stats()),
+            () = stats_writer.due() => stats_writer.show(&node, running.stats()),
             () = diagnostics::due(&mut diagnostics) => {
                 if let Some(diagnostics) = &mut diagnostics {
                     diagnostics.tell(&running.routes.stats()).await;
@@ -108,8 +108,8 @@ async fn carry(
                     watch.taken(&loaded);
                     explicit = Explicit::new(&loaded, &graphs)?;
                     automatic = Automatic::new(&loaded, &graphs, node.name(), Some(automatic))?;
-                    let Changed { begun, ended, kept } = running.want(&mut automatic, &explicit);
-                    tracing::info!(begun, ended, kept, "took the changed configuration");
+                    let ChangeCounts { begun, ended, unchanged } = running.want(&mut automatic, &explicit);
+                    tracing::info!(begun, ended, unchanged, "took the changed configuration");
                 }
                 Err(error) => {
                     if watch.refused(&loaded, &error) {
@@ -124,7 +124,7 @@ async fn carry(
 
     tracing::info!("leaving");
     let last = running.close().await;
-    shown.show(&node, last);
+    stats_writer.show(&node, last);
     drop((automatic, explicit, diagnostics));
     node.close().await;
     graph::leave(graphs).await;
@@ -147,7 +147,7 @@ struct RunningStats {
 
 impl Running {
     /// From now on this crosses, and what matches by itself.
-    fn want(&mut self, automatic: &mut Automatic, explicit: &Explicit) -> Changed {
+    fn want(&mut self, automatic: &mut Automatic, explicit: &Explicit) -> ChangeCounts {
         let plans = automatic.plan(&explicit.topics, &explicit.calls);
         self.catalogs.want(plans.catalogs);
         self.routes.want(plans.routes) + self.calls.want(plans.calls)
@@ -193,15 +193,15 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
         connect_timeout: CONNECT_PATIENCE,
         rekey: RekeySchedule::default(),
         state: config.state.clone(),
-        papers: material.papers.as_ref().map(|(papers, _)| papers.clone()),
+        papers: material.credentials.as_ref().map(|(credentials, _)| credentials.clone()),
     };
-    let places: Vec<String> = config.links.iter().map(|link| link.to.to_string()).collect();
-    let places = places.join(", ");
+    let addresses: Vec<String> = config.links.iter().map(|link| link.to.to_string()).collect();
+    let addresses = addresses.join(", ");
     loop {
         match Node::connect(node.clone()).await {
             Ok(node) => return Ok(node),
-            Err(error) if error.may_pass() => tracing::warn!(links = %places, "no switch yet: {error}"),
-            Err(error) => return Err(error).with_context(|| format!("cannot attach at {places}")),
+            Err(error) if error.may_pass() => tracing::warn!(links = %addresses, "no switch yet: {error}"),
+            Err(error) => return Err(error).with_context(|| format!("cannot attach at {addresses}")),
         }
     }
 }
@@ -251,13 +251,13 @@ fn planned<R: Carries>(
 
 /// The statistics file, if there is one. Topics are worth more than their statistics: a full disk
 /// stops only these, until it is mended.
-struct Shown {
+struct StatsWriter {
     file: Option<StatsFile>,
     ticks: Interval,
     failing: bool,
 }
 
-impl Shown {
+impl StatsWriter {
     fn new(file: Option<StatsFile>) -> Self {
         let mut ticks = tokio::time::interval(STATS_PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);

@@ -110,7 +110,7 @@ pub struct Watch {
     /// When what was refused is tried again, how long the next pause is, and what was said of it.
     again: Option<Instant>,
     retry: Backoff,
-    told: Option<String>,
+    reported: Option<String>,
 }
 
 impl Watch {
@@ -118,8 +118,8 @@ impl Watch {
     /// process.
     pub fn new(path: &Path, watcher: &FileWatcher) -> std::io::Result<Self> {
         let (hangup, files) = (signal(SignalKind::hangup())?, FileSet::new(watcher, [path]));
-        let (path, watcher, again, told) = (path.into(), watcher.clone(), None, None);
-        Ok(Self { path, hangup, watcher, files, again, retry: RETRY, told })
+        let (path, watcher, again, reported) = (path.into(), watcher.clone(), None, None);
+        Ok(Self { path, hangup, watcher, files, again, retry: RETRY, reported })
     }
 
     pub fn watcher(&self) -> &FileWatcher {
@@ -133,7 +133,7 @@ impl Watch {
 
     /// It was loaded, and is what runs.
     pub fn taken(&mut self, loaded: &Loaded) {
-        (self.again, self.retry, self.told) = (None, RETRY, None);
+        (self.again, self.retry, self.reported) = (None, RETRY, None);
         self.look_at(loaded.cards());
     }
 
@@ -143,8 +143,8 @@ impl Watch {
         self.look_at(loaded.cards().chain(error.files().iter().map(PathBuf::as_path)));
         self.again = error.may_pass().then(|| Instant::now() + self.retry.next_delay());
         let said = error.to_string();
-        let is_new = self.told.as_ref() != Some(&said);
-        self.told = Some(said);
+        let is_new = self.reported.as_ref() != Some(&said);
+        self.reported = Some(said);
         is_new
     }
 
@@ -166,7 +166,7 @@ impl Watch {
         };
         if is_another {
             // So it is news, whatever comes of it.
-            (self.retry, self.told) = (RETRY, None);
+            (self.retry, self.reported) = (RETRY, None);
         }
     }
 }

@@ -11,12 +11,12 @@ use crate::permission::Permission;
 #[derive(Clone)]
 pub enum Renewal {
     File(Box<CertFile>),
-    Told(Told),
+    Notified(Notified),
 }
 
 /// What others in the proxy say that the certificate is.
 #[derive(Clone)]
-pub struct Told {
+pub struct Notified {
     newest: watch::Receiver<Permission>,
     /// It has been offered, and is not in force.
     offered: bool,
@@ -27,7 +27,7 @@ impl Renewal {
     pub fn changed(&mut self) -> Option<Permission> {
         match self {
             Self::File(file) => file.changed(),
-            Self::Told(told) => told.changed(),
+            Self::Notified(notified) => notified.changed(),
         }
     }
 
@@ -35,7 +35,7 @@ impl Renewal {
     pub fn taken(&mut self) {
         match self {
             Self::File(file) => file.taken(),
-            Self::Told(told) => told.offered = false,
+            Self::Notified(notified) => notified.offered = false,
         }
     }
 
@@ -43,14 +43,14 @@ impl Renewal {
     pub fn refused(&mut self, reason: &dyn Display) {
         match self {
             Self::File(file) => file.refused(reason),
-            Self::Told(_) => {
+            Self::Notified(_) => {
                 tracing::warn!("a renewed certificate is of no use yet, going on with the old one: {reason}")
             }
         }
     }
 }
 
-impl Told {
+impl Notified {
     /// What it says now is in force.
     pub fn new(newest: watch::Receiver<Permission>) -> Self {
         Self { newest, offered: false }

@@ -15,7 +15,7 @@ use tokio::time::{Interval, MissedTickBehavior};
 use crate::config::Side;
 use crate::graph::GraphError;
 use crate::manager::Failure;
-use crate::peer_proxies::Part;
+use crate::peer_proxies::RoutePart;
 use crate::permission::Permission;
 use crate::renewal::Renewal;
 
@@ -27,7 +27,7 @@ pub const RETRY: Backoff = Backoff::new(Duration::from_millis(500), Duration::fr
 
 /// A right to a name, and where it came from.
 pub struct Right<T> {
-    held: T,
+    current: T,
     file: Renewal,
     of: fn(Permission) -> Option<T>,
 }
@@ -49,22 +49,22 @@ impl EitherRight {
 
 impl Right<Issued<AdCert>> {
     /// To publish or serve it.
-    pub fn publish(held: Issued<AdCert>, file: Renewal) -> Self {
-        Self { held, file, of: Permission::publish }
+    pub fn publish(current: Issued<AdCert>, file: Renewal) -> Self {
+        Self { current, file, of: Permission::publish }
     }
 }
 
 impl Right<Reading> {
     /// To read or call it.
-    pub fn read(held: Reading, file: Renewal) -> Self {
-        Self { held, file, of: Permission::read }
+    pub fn read(current: Reading, file: Renewal) -> Self {
+        Self { current, file, of: Permission::read }
     }
 }
 
 impl<T: Clone> Right<T> {
     /// What it is at the moment.
-    pub fn held(&self) -> T {
-        self.held.clone()
+    pub fn current(&self) -> T {
+        self.current.clone()
     }
 
     /// Another one than that, if there is one.
@@ -108,8 +108,8 @@ impl RouteStatus {
     }
 
     /// For the other proxies of its graph.
-    pub fn part(&self, side: Side) -> Part {
-        Part { name: self.name, side, title: self.title.clone() }
+    pub fn part(&self, side: Side) -> RoutePart {
+        RoutePart { name: self.name, side, title: self.title.clone() }
     }
 
     /// The ROS type, as its graph calls it, as soon as it is known.
@@ -155,7 +155,7 @@ impl RouteStatus {
         self.set_status(&message);
         tokio::time::sleep(delay).await;
         if let Some(new) = right.newer() {
-            right.held = new;
+            right.current = new;
             right.file.taken();
         }
     }
@@ -165,7 +165,7 @@ impl RouteStatus {
         let Some(new) = right.newer() else { return };
         match show(new.clone()).await {
             Ok(()) => {
-                right.held = new;
+                right.current = new;
                 right.file.taken();
                 tracing::info!(what = %self.title, name = %self.name, "the certificate was renewed");
             }

@@ -30,7 +30,7 @@ pub struct Planned<R: Carries> {
 }
 
 /// The route of a plan.
-pub struct Running<R: Carries> {
+pub struct RunningRoute<R: Carries> {
     route: R,
     plan: Arc<Planned<R>>,
     node: Node,
@@ -40,7 +40,7 @@ pub struct Running<R: Carries> {
 pub fn manager<R: Carries>(node: Node, types: Arc<Types>) -> Manager<Arc<Planned<R>>> {
     Manager::new(move |plan: &Arc<Planned<R>>| {
         let route = R::new(&plan.config, &plan.label, &plan.material, types.clone());
-        Running { route, plan: plan.clone(), node: node.clone() }
+        RunningRoute { route, plan: plan.clone(), node: node.clone() }
     })
 }
 
@@ -57,15 +57,15 @@ impl<R: Carries> PartialEq for Planned<R> {
 }
 
 impl<R: Carries> Plan for Arc<Planned<R>> {
-    type Place = (String, R::Key, Side);
-    type Work = Running<R>;
+    type Key = (String, R::Key, Side);
+    type Work = RunningRoute<R>;
 
-    fn place(&self) -> Self::Place {
+    fn key(&self) -> Self::Key {
         (self.label.clone(), R::key(&self.config), self.material.permission.side())
     }
 }
 
-impl<R: Carries> Work for Running<R> {
+impl<R: Carries> Work for RunningRoute<R> {
     type Stats = R::Stats;
 
     fn stats(&self) -> R::Stats {
@@ -73,12 +73,12 @@ impl<R: Carries> Work for Running<R> {
     }
 
     fn failed(&self, why: &str) {
-        self.route.standing().failed(why);
+        self.route.route_status().failed(why);
     }
 
     async fn run(&self, stop: impl Future<Output = ()> + Send) -> Result<(), Failure> {
         let Planned { graph, material, .. } = &*self.plan;
         let ended = self.route.run(graph, &self.node, material.clone(), stop).await;
-        ended.map_err(|error| self.route.standing().ended(error))
+        ended.map_err(|error| self.route.route_status().ended(error))
     }
 }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use gdp::Node;
 use gdp_wire::Name;
 
-use crate::peer_proxies::Place;
+use crate::peer_proxies::Candidate;
 use crate::route_status::RouteStatus;
 
 /// How often it is looked whether another proxy of the graph carries it.
@@ -15,16 +15,16 @@ const LOOK: Duration = Duration::from_millis(250);
 
 /// The turns of this proxy, until `stop` ends.
 pub struct Turns<'a, S> {
-    place: &'a Place,
+    candidate: &'a Candidate,
     node: &'a Node,
-    standing: &'a RouteStatus,
+    route_status: &'a RouteStatus,
     stop: Pin<&'a mut S>,
     is_stopped: bool,
 }
 
 impl<'a, S: Future<Output = ()>> Turns<'a, S> {
-    pub fn new(place: &'a Place, node: &'a Node, standing: &'a RouteStatus, stop: Pin<&'a mut S>) -> Self {
-        Self { place, node, standing, stop, is_stopped: false }
+    pub fn new(candidate: &'a Candidate, node: &'a Node, route_status: &'a RouteStatus, stop: Pin<&'a mut S>) -> Self {
+        Self { candidate, node, route_status, stop, is_stopped: false }
     }
 
     /// Waits until no other proxy of the graph carries it: true. False once it is stopped.
@@ -33,12 +33,12 @@ impl<'a, S: Future<Output = ()>> Turns<'a, S> {
             return false;
         }
         // Before anything is carried: who has it already is not disturbed.
-        let Some(ahead) = self.place.ahead(Instant::now()) else { return true };
-        tracing::info!(what = self.standing.title(), name = %self.standing.name(), "standing by for {ahead}");
-        self.standing.set_status(&format!("standing by for {ahead}"));
+        let Some(ahead) = self.candidate.ahead(Instant::now()) else { return true };
+        tracing::info!(what = self.route_status.title(), name = %self.route_status.name(), "standing by for {ahead}");
+        self.route_status.set_status(&format!("standing by for {ahead}"));
         tokio::select! {
             () = &mut self.stop => false,
-            () = until(self.node, self.place, |ahead| ahead.is_none().then_some(())) => true,
+            () = until(self.node, self.candidate, |ahead| ahead.is_none().then_some(())) => true,
         }
     }
 
@@ -46,7 +46,7 @@ impl<'a, S: Future<Output = ()>> Turns<'a, S> {
     pub async fn over(&mut self) {
         tokio::select! {
             () = &mut self.stop => self.is_stopped = true,
-            _ = until(self.node, self.place, |ahead| ahead) => {}
+            _ = until(self.node, self.candidate, |ahead| ahead) => {}
         }
     }
 }
@@ -61,10 +61,10 @@ pub async fn unless<T>(over: &mut (impl Future<Output = ()> + Unpin), work: impl
 
 /// Waits for what is wanted of who carries it instead of this proxy; and tells meanwhile whether
 /// this one could.
-async fn until<T>(node: &Node, place: &Place, wanted: impl Fn(Option<Name>) -> Option<T>) -> T {
+async fn until<T>(node: &Node, candidate: &Candidate, wanted: impl Fn(Option<Name>) -> Option<T>) -> T {
     loop {
-        place.set_attached(node.switch().is_ok());
-        if let Some(found) = wanted(place.ahead(Instant::now())) {
+        candidate.set_attached(node.switch().is_ok());
+        if let Some(found) = wanted(candidate.ahead(Instant::now())) {
             return found;
         }
         tokio::time::sleep(LOOK).await;

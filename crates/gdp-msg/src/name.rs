@@ -52,7 +52,7 @@ impl TypeName {
         if is_identifier(package) && is_identifier(name) {
             return Ok(Self { package: package.into(), kind, name: name.into() });
         }
-        Err(NameError(shown(&format!("{package}/{name}"))))
+        Err(NameError(excerpt(&format!("{package}/{name}"))))
     }
 
     /// Of a message of this package.
@@ -66,7 +66,7 @@ impl TypeName {
     /// # Errors
     /// For anything else.
     pub fn parse(text: &str) -> Result<Self, NameError> {
-        let refused = || NameError(shown(text));
+        let refused = || NameError(excerpt(text));
         if text.len() > 3 * MAX_NAME {
             return Err(refused());
         }
@@ -155,13 +155,13 @@ pub(crate) fn is_identifier(text: &str) -> bool {
 }
 
 /// So much of a text as an error may repeat.
-pub(crate) fn shown(text: &str) -> String {
+pub(crate) fn excerpt(text: &str) -> String {
     const MOST: usize = 80;
-    let mut shown: String = text.chars().take(MOST).map(|c| if c.is_control() { ' ' } else { c }).collect();
+    let mut excerpt: String = text.chars().take(MOST).map(|c| if c.is_control() { ' ' } else { c }).collect();
     if text.chars().nth(MOST).is_some() {
-        shown.push('…');
+        excerpt.push('…');
     }
-    shown
+    excerpt
 }
 
 #[cfg(test)]

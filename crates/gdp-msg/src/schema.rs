@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::definition::{self, Base, Definition, DefinitionError};
 use crate::dialect::Dialect;
-use crate::name::{NameError, TypeName, shown};
+use crate::name::{NameError, TypeName, excerpt};
 use crate::registry::{AddError, Registry};
 
 /// Most types that a message consists of.
@@ -98,7 +98,7 @@ impl Schema {
     /// As [`Schema::from_text`], and for a text that is no bundle.
     pub fn from_bundle(bundle: &str) -> Result<Arc<Self>, SchemaError> {
         let (first, text) = bundle.split_once('\n').unwrap_or((bundle, ""));
-        let refused = || SchemaError::Bundle(shown(first));
+        let refused = || SchemaError::Bundle(excerpt(first));
         let rest = first.strip_prefix(BUNDLE).and_then(|rest| rest.strip_prefix(' ')).ok_or_else(refused)?;
         let (dialect, name) = match rest.split_once(' ').ok_or_else(refused)? {
             ("ros1", name) => (Dialect::Ros1, name),

@@ -42,7 +42,7 @@ pub enum Change {
         topic: Topic,
     },
     /// Nobody publishes it or subscribes to it any more.
-    TopicGone {
+    TopicRemoved {
         name: String,
     },
     /// It is new, or others serve it.
@@ -50,7 +50,7 @@ pub enum Change {
         name: String,
         nodes: BTreeSet<String>,
     },
-    ServiceGone {
+    ServiceRemoved {
         name: String,
     },
 }
@@ -86,11 +86,11 @@ impl Snapshot {
         let topics = self.topics.iter().filter(|&(name, topic)| earlier.topics.get(name) != Some(topic));
         let topics = topics.map(|(name, topic)| Change::Topic { name: name.clone(), topic: topic.clone() });
         let gone = earlier.topics.keys().filter(|name| !self.topics.contains_key(*name));
-        let gone = gone.map(|name| Change::TopicGone { name: name.clone() });
+        let gone = gone.map(|name| Change::TopicRemoved { name: name.clone() });
         let services = self.services.iter().filter(|&(name, nodes)| earlier.services.get(name) != Some(nodes));
         let services = services.map(|(name, nodes)| Change::Service { name: name.clone(), nodes: nodes.clone() });
         let unserved = earlier.services.keys().filter(|name| !self.services.contains_key(*name));
-        let unserved = unserved.map(|name| Change::ServiceGone { name: name.clone() });
+        let unserved = unserved.map(|name| Change::ServiceRemoved { name: name.clone() });
         topics.chain(gone).chain(services).chain(unserved).collect()
     }
 }

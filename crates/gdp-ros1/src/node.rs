@@ -19,7 +19,7 @@ use crate::graph::Graph;
 use crate::names::{NameError, resolve, validate_node};
 use crate::queue::Queue;
 use crate::registrar::Registrar;
-use crate::registration::{Key, Kind, Registrations};
+use crate::registration::{Key, RegistrationKind, Registrations};
 use crate::service::client::ServiceClient;
 use crate::service::server::{Service, ServiceRequest, ServiceType};
 use crate::shared::{Shared, Status, Subscribed};
@@ -125,7 +125,7 @@ impl Node {
         }
         publications.insert(topic.clone(), publication.clone());
         let kind = publication.kind.name.clone();
-        let registered = Registered::new(&self.shared, (Kind::Publisher, topic), kind);
+        let registered = Registered::new(&self.shared, (RegistrationKind::Publisher, topic), kind);
         Ok(Publisher { publication, registered })
     }
 
@@ -156,7 +156,7 @@ impl Node {
         let sources = Sources::new(uri.clone());
         tokio::spawn(ConnectionSupervisor { common: common.clone(), sources, listed: of_master, states: shown }.run());
         subscriptions.insert(topic.clone(), Subscribed { kind: kind.clone(), listed, states: states.clone() });
-        let registered = Registered::new(&self.shared, (Kind::Subscriber, topic), kind);
+        let registered = Registered::new(&self.shared, (RegistrationKind::Subscriber, topic), kind);
         Ok(Subscription { common, ended: states.clone(), states, registered })
     }
 
@@ -190,7 +190,9 @@ impl Node {
             return Err(NodeError::Served(service));
         }
         services.insert(service.clone(), Arc::new(served));
-        Ok(ServiceServer { registered: Registered::new(&self.shared, (Kind::Service, service), String::new()) })
+        Ok(ServiceServer {
+            registered: Registered::new(&self.shared, (RegistrationKind::Service, service), String::new()),
+        })
     }
 
     /// To call a service with. Asks nobody yet.
@@ -258,9 +260,9 @@ impl Drop for Registered {
         let leave = || self.shared.register(|registrations| registrations.leave(&self.key));
         let (kind, name) = &self.key;
         match kind {
-            Kind::Publisher => remove(&self.shared.publications, name, leave),
-            Kind::Subscriber => remove(&self.shared.subscriptions, name, leave),
-            Kind::Service => remove(&self.shared.services, name, leave),
+            RegistrationKind::Publisher => remove(&self.shared.publications, name, leave),
+            RegistrationKind::Subscriber => remove(&self.shared.subscriptions, name, leave),
+            RegistrationKind::Service => remove(&self.shared.services, name, leave),
         }
     }
 }

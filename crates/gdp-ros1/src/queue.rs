@@ -24,11 +24,11 @@ impl Default for QueueLimits {
 
 pub struct Queue<T> {
     limits: QueueLimits,
-    waiting: Mutex<Waiting<T>>,
+    waiting: Mutex<QueuedItem<T>>,
     pushed: Notify,
 }
 
-struct Waiting<T> {
+struct QueuedItem<T> {
     /// Each with its bytes.
     items: VecDeque<(T, usize)>,
     bytes: usize,
@@ -37,7 +37,7 @@ struct Waiting<T> {
 
 impl<T> Queue<T> {
     pub fn new(limits: QueueLimits) -> Self {
-        let waiting = Waiting { items: VecDeque::new(), bytes: 0, dropped: 0 };
+        let waiting = QueuedItem { items: VecDeque::new(), bytes: 0, dropped: 0 };
         Self { limits, waiting: Mutex::new(waiting), pushed: Notify::new() }
     }
 
@@ -79,7 +79,7 @@ impl<T> Queue<T> {
         self.waiting().dropped
     }
 
-    fn waiting(&self) -> MutexGuard<'_, Waiting<T>> {
+    fn waiting(&self) -> MutexGuard<'_, QueuedItem<T>> {
         self.waiting.lock()
     }
 }

@@ -9,7 +9,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::api::master::{MasterError, SystemState};
 use crate::graph::Snapshot;
-use crate::registration::Step;
+use crate::registration::RegistrationStep;
 use crate::shared::{MasterState, Shared};
 
 /// To take everything back when the node leaves.
@@ -122,12 +122,12 @@ impl Registrar {
             self.is_known &= !is_empty;
             let Some(step) = next else { return MasterState::Reached };
             let result = match &step {
-                Step::Register { key, kind } => self.shared.register_at_master(key, kind).await,
-                Step::Unregister { key } => self.shared.unregister_at_master(key).await,
+                RegistrationStep::Register { key, kind } => self.shared.register_at_master(key, kind).await,
+                RegistrationStep::Unregister { key } => self.shared.unregister_at_master(key).await,
             };
             match result {
                 Ok(()) => {
-                    self.is_known |= matches!(step, Step::Register { .. });
+                    self.is_known |= matches!(step, RegistrationStep::Register { .. });
                     self.shared.registrations().done(&step);
                 }
                 Err(MasterError::Refused { text, .. }) => self.shared.registrations().refused(&step, text),

@@ -7,18 +7,18 @@ use crate::api::master::SystemState;
 
 /// What is registered, under a full name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Kind {
+pub enum RegistrationKind {
     Publisher,
     Subscriber,
     Service,
 }
 
 /// One registration: what, and of which topic or service.
-pub type Key = (Kind, String);
+pub type Key = (RegistrationKind, String);
 
 /// What to ask the master for.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum RegistrationStep {
     /// `kind`: the type of a topic, or `*`; empty for services.
     Register {
         key: Key,
@@ -32,12 +32,12 @@ pub enum Step {
 /// All registrations of one node.
 #[derive(Default)]
 pub struct Registrations {
-    entries: BTreeMap<Key, Entry>,
+    entries: BTreeMap<Key, MasterEntry>,
 }
 
-struct Entry {
+struct MasterEntry {
     kind: String,
-    state: State,
+    state: RegistrationState,
     /// How often the master has forgotten it.
     run: u64,
     /// Of a subscriber's topic: who publishes it, as the master said last.
@@ -45,7 +45,7 @@ struct Entry {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum State {
+enum RegistrationState {
     Wanted,
     Registered,
     /// The master's reason. Asked again at the next look at the master.
@@ -58,42 +58,46 @@ impl Registrations {
     /// Asks for a registration. One that is just being taken back is wanted again.
     pub fn want(&mut self, key: Key, kind: String) {
         let run = self.entries.get(&key).map_or(0, |entry| entry.run);
-        self.entries.insert(key, Entry { kind, state: State::Wanted, run, publishers: BTreeSet::new() });
+        self.entries
+            .insert(key, MasterEntry { kind, state: RegistrationState::Wanted, run, publishers: BTreeSet::new() });
     }
 
     /// Takes one back. Also of one that is not known to be registered: the answer may have been
     /// lost.
     pub fn leave(&mut self, key: &Key) {
         if let Some(entry) = self.entries.get_mut(key) {
-            entry.state = State::Leaving;
+            entry.state = RegistrationState::Leaving;
         }
     }
 
     /// Takes all back.
     pub fn leave_all(&mut self) {
-        self.entries.values_mut().for_each(|entry| entry.state = State::Leaving);
+        self.entries.values_mut().for_each(|entry| entry.state = RegistrationState::Leaving);
     }
 
     /// What to ask for next. It stays next until [`Self::done`] or [`Self::refused`].
-    pub fn next(&self) -> Option<Step> {
+    pub fn next(&self) -> Option<RegistrationStep> {
         self.entries.iter().find_map(|(key, entry)| match entry.state {
-            State::Wanted => Some(Step::Register { key: key.clone(), kind: entry.kind.clone() }),
-            State::Leaving => Some(Step::Unregister { key: key.clone() }),
-            State::Registered | State::Refused(_) => None,
+            RegistrationState::Wanted => {
+                Some(RegistrationStep::Register { key: key.clone(), kind: entry.kind.clone() })
+            }
+            RegistrationState::Leaving => Some(RegistrationStep::Unregister { key: key.clone() }),
+            RegistrationState::Registered | RegistrationState::Refused(_) => None,
         })
     }
 
     /// The master did it. What was asked for meanwhile counts: a step whose opposite is wanted now
     /// does not end anything.
-    pub fn done(&mut self, step: &Step) {
+    pub fn done(&mut self, step: &RegistrationStep) {
         match step {
-            Step::Register { key, .. } => {
-                if let Some(entry) = self.entries.get_mut(key).filter(|entry| entry.state == State::Wanted) {
-                    entry.state = State::Registered;
+            RegistrationStep::Register { key, .. } => {
+                if let Some(entry) = self.entries.get_mut(key).filter(|entry| entry.state == RegistrationState::Wanted)
+                {
+                    entry.state = RegistrationState::Registered;
                 }
             }
-            Step::Unregister { key } => {
-                if self.entries.get(key).is_some_and(|entry| entry.state == State::Leaving) {
+            RegistrationStep::Unregister { key } => {
+                if self.entries.get(key).is_some_and(|entry| entry.state == RegistrationState::Leaving) {
                     self.entries.remove(key);
                 }
             }
@@ -101,15 +105,16 @@ impl Registrations {
     }
 
     /// The master will not do it.
-    pub fn refused(&mut self, step: &Step, reason: String) {
+    pub fn refused(&mut self, step: &RegistrationStep, reason: String) {
         match step {
-            Step::Register { key, .. } => {
-                if let Some(entry) = self.entries.get_mut(key).filter(|entry| entry.state == State::Wanted) {
-                    entry.state = State::Refused(reason);
+            RegistrationStep::Register { key, .. } => {
+                if let Some(entry) = self.entries.get_mut(key).filter(|entry| entry.state == RegistrationState::Wanted)
+                {
+                    entry.state = RegistrationState::Refused(reason);
                 }
             }
             // It is not there, or not ours.
-            Step::Unregister { .. } => self.done(step),
+            RegistrationStep::Unregister { .. } => self.done(step),
         }
     }
 
@@ -126,25 +131,25 @@ impl Registrations {
         let mut forgotten = 0;
         for ((kind, name), entry) in &mut self.entries {
             let listed = match kind {
-                Kind::Publisher => &publishers,
-                Kind::Subscriber => &subscribers,
-                Kind::Service => &services,
+                RegistrationKind::Publisher => &publishers,
+                RegistrationKind::Subscriber => &subscribers,
+                RegistrationKind::Service => &services,
             };
             let is_listed = listed.get(name).is_some_and(|nodes| nodes.contains(node));
             match entry.state {
-                State::Refused(_) => entry.state = State::Wanted,
-                State::Registered if !is_listed => {
-                    entry.state = State::Wanted;
+                RegistrationState::Refused(_) => entry.state = RegistrationState::Wanted,
+                RegistrationState::Registered if !is_listed => {
+                    entry.state = RegistrationState::Wanted;
                     entry.run += 1;
                     forgotten += 1;
                 }
                 _ => {}
             }
             let others = publishers.get(name).cloned().unwrap_or_default();
-            if *kind == Kind::Subscriber && entry.publishers != others {
+            if *kind == RegistrationKind::Subscriber && entry.publishers != others {
                 entry.publishers = others;
-                if entry.state == State::Registered {
-                    entry.state = State::Wanted;
+                if entry.state == RegistrationState::Registered {
+                    entry.state = RegistrationState::Wanted;
                 }
             }
         }
@@ -163,13 +168,13 @@ impl Registrations {
 
     /// How many the master has still to be told of, or has refused.
     pub fn pending(&self) -> usize {
-        self.entries.values().filter(|entry| entry.state != State::Registered).count()
+        self.entries.values().filter(|entry| entry.state != RegistrationState::Registered).count()
     }
 
     /// What the master refused, with its reasons.
     pub fn refusals(&self) -> Vec<(Key, String)> {
-        let refused = |(key, entry): (&Key, &Entry)| match &entry.state {
-            State::Refused(reason) => Some((key.clone(), reason.clone())),
+        let refused = |(key, entry): (&Key, &MasterEntry)| match &entry.state {
+            RegistrationState::Refused(reason) => Some((key.clone(), reason.clone())),
             _ => None,
         };
         self.entries.iter().filter_map(refused).collect()

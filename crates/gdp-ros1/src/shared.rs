@@ -10,7 +10,7 @@ use crate::api::master::{Master, MasterError};
 use crate::api::slave::{SlaveCall, failure, success};
 use crate::config::NodeConfig;
 use crate::graph::Snapshot;
-use crate::registration::{Key, Kind, Registrations};
+use crate::registration::{Key, RegistrationKind, Registrations};
 use crate::service::server::{Answers, Service};
 use crate::tcpros::listener::refuse;
 use crate::tcpros::{Header, Stream, TcprosError};
@@ -115,7 +115,7 @@ impl Shared {
     /// Who publishes a topic now. `asked`: the version of the list when the master was asked; if
     /// one has come by itself since, that is newer.
     pub fn listed(&self, topic: &str, publishers: Vec<String>, asked: Option<u64>) {
-        let run = self.registrations().run_of(&(Kind::Subscriber, topic.to_owned()));
+        let run = self.registrations().run_of(&(RegistrationKind::Subscriber, topic.to_owned()));
         let subscriptions = self.subscriptions.lock();
         let Some(subscribed) = subscriptions.get(topic) else { return };
         subscribed.listed.send_if_modified(|listed| {
@@ -232,9 +232,9 @@ impl Shared {
     pub async fn register_at_master(&self, key: &Key, kind: &str) -> Result<(), MasterError> {
         let (of, name) = key;
         match of {
-            Kind::Publisher => self.master.register_publisher(name, kind, &self.uri).await.map(drop),
-            Kind::Service => self.master.register_service(name, &self.service_uri(), &self.uri).await,
-            Kind::Subscriber => {
+            RegistrationKind::Publisher => self.master.register_publisher(name, kind, &self.uri).await.map(drop),
+            RegistrationKind::Service => self.master.register_service(name, &self.service_uri(), &self.uri).await,
+            RegistrationKind::Subscriber => {
                 let asked = self.version(name);
                 let publishers = self.master.register_subscriber(name, kind, &self.uri).await?;
                 self.listed(name, publishers, Some(asked));
@@ -245,9 +245,9 @@ impl Shared {
 
     pub async fn unregister_at_master(&self, (kind, name): &Key) -> Result<(), MasterError> {
         match kind {
-            Kind::Publisher => self.master.unregister_publisher(name, &self.uri).await,
-            Kind::Subscriber => self.master.unregister_subscriber(name, &self.uri).await,
-            Kind::Service => self.master.unregister_service(name, &self.service_uri()).await,
+            RegistrationKind::Publisher => self.master.unregister_publisher(name, &self.uri).await,
+            RegistrationKind::Subscriber => self.master.unregister_subscriber(name, &self.uri).await,
+            RegistrationKind::Service => self.master.unregister_service(name, &self.service_uri()).await,
         }
     }
 

@@ -121,7 +121,7 @@ impl Feed {
                     message.writer
                 )),
             },
-            Taken::Held => {}
+            Taken::Pending => {}
             Taken::Crowded(gone) => self.leave_out(gone),
         }
     }

@@ -18,7 +18,7 @@ pub const GRACE: Duration = Duration::from_secs(5);
 pub struct Exposed {
     /// What it is called elsewhere.
     pub name: TopicName,
-    pub manner: RuleOptions,
+    pub rule_options: RuleOptions,
 }
 
 /// Why something is not exposed.
@@ -48,7 +48,7 @@ impl fmt::Display for NotExposed {
 }
 
 /// What the configuration says of something of this type.
-pub fn judge(
+pub fn check_exposed(
     config: &ExposeConfig,
     thing: Thing,
     name: &TopicName,
@@ -58,12 +58,12 @@ pub fn judge(
         return Err(NotExposed::Denied(pattern.to_string()));
     }
     let why_not = if is_hidden(thing, name) { NotExposed::Hidden } else { NotExposed::NoPattern };
-    let manner = config.manner(thing, name).ok_or(why_not(thing))?;
+    let rule_options = config.rule_options(thing, name).ok_or(why_not(thing))?;
     if !config.types.is_empty() && !kind.is_some_and(|kind| config.types.contains(kind)) {
         return Err(NotExposed::OtherType);
     }
     let name = remapped(name, &config.remap).ok_or(NotExposed::NoName)?;
-    Ok(Exposed { name, manner })
+    Ok(Exposed { name, rule_options })
 }
 
 /// Of what something is offered as, the first that the configuration exposes, and how.
@@ -73,7 +73,7 @@ pub fn choose(
     name: &TopicName,
     offered: &[Offered],
 ) -> Option<(Option<TypeName>, Exposed)> {
-    offered.iter().find_map(|it| Some((it.kind.clone(), judge(config, thing, name, it.kind.as_ref()).ok()?)))
+    offered.iter().find_map(|it| Some((it.kind.clone(), check_exposed(config, thing, name, it.kind.as_ref()).ok()?)))
 }
 
 /// What is exposed at a time.
@@ -86,7 +86,7 @@ struct Chosen {
     kind: Option<TypeName>,
     exposed: Exposed,
     /// When its last publisher or server had gone.
-    gone: Option<Instant>,
+    absent_since: Option<Instant>,
 }
 
 impl Choice {
@@ -96,23 +96,23 @@ impl Choice {
             // Another type makes another name, at once.
             let there = found.get(&(*thing, name.clone()));
             let there = there.map(|offered| offered.iter().any(|it| it.kind == chosen.kind));
-            chosen.gone = if there == Some(true) { None } else { chosen.gone.or(Some(now)) };
-            let in_time = chosen.gone.is_none_or(|gone| now < gone + GRACE);
-            let judged = || judge(config, *thing, name, chosen.kind.as_ref());
-            there != Some(false) && in_time && judged() == Ok(chosen.exposed.clone())
+            chosen.absent_since = if there == Some(true) { None } else { chosen.absent_since.or(Some(now)) };
+            let in_time = chosen.absent_since.is_none_or(|absent_since| now < absent_since + GRACE);
+            let checked = || check_exposed(config, *thing, name, chosen.kind.as_ref());
+            there != Some(false) && in_time && checked() == Ok(chosen.exposed.clone())
         });
         for (key @ (thing, name), offered) in found {
             if !self.chosen.contains_key(key)
                 && let Some((kind, exposed)) = choose(config, *thing, name, offered)
             {
-                self.chosen.insert(key.clone(), Chosen { kind, exposed, gone: None });
+                self.chosen.insert(key.clone(), Chosen { kind, exposed, absent_since: None });
             }
         }
     }
 
     /// When [`Self::update`] does something though the graph is the same.
     pub fn due(&self) -> Option<Instant> {
-        self.chosen.values().filter_map(|chosen| chosen.gone).min().map(|gone| gone + GRACE)
+        self.chosen.values().filter_map(|chosen| chosen.absent_since).min().map(|absent_since| absent_since + GRACE)
     }
 
     pub fn iter(&self) -> impl Iterator<Item = (Thing, &TopicName, Option<&TypeName>, &Exposed)> {

@@ -14,7 +14,7 @@ use crate::config::{CallConfig, MAX_CALLS, MAX_ROUTES, RuleOptions, Side, Thing}
 use crate::graph::Graph;
 use crate::manager::Plan;
 use crate::permission::Permission;
-use crate::renewal::{Renewal, Told};
+use crate::renewal::{Notified, Renewal};
 use crate::ros2::TopicName;
 use crate::route_material::RouteMaterial;
 use crate::routes::{CallPlan, Planned, RoutePlan};
@@ -22,7 +22,7 @@ use crate::{call, route};
 
 /// What is kept from one time to the next.
 #[derive(Default)]
-pub struct Kept {
+pub struct PlannerState {
     /// The rights to names that were made or learnt here; routes follow them by themselves.
     rights: BTreeMap<(Name, Side), watch::Sender<Permission>>,
     /// What is not carried, and what the log has of it.
@@ -31,9 +31,9 @@ pub struct Kept {
 
 /// One time.
 pub struct Gathering<'a> {
-    kept: &'a mut Kept,
-    topics: Gathered<route::Route>,
-    calls: Gathered<call::Route>,
+    planner_state: &'a mut PlannerState,
+    topics: RouteSet<route::Route>,
+    calls: RouteSet<call::Route>,
     names: Names,
     used: BTreeSet<(Name, Side)>,
     omitted: Omitted,
@@ -43,26 +43,27 @@ pub struct Gathering<'a> {
 type Names = BTreeMap<(Name, Side), String>;
 
 /// All plans of a kind.
-struct Gathered<R: Carries> {
+struct RouteSet<R: Carries> {
     plans: Vec<Arc<Planned<R>>>,
-    places: BTreeSet<<Arc<Planned<R>> as Plan>::Place>,
+    keys: BTreeSet<<Arc<Planned<R>> as Plan>::Key>,
     most: usize,
 }
 
 impl<'a> Gathering<'a> {
     /// These go first.
-    pub fn new(kept: &'a mut Kept, topics: &[Arc<RoutePlan>], calls: &[Arc<CallPlan>]) -> Self {
+    pub fn new(planner_state: &'a mut PlannerState, topics: &[Arc<RoutePlan>], calls: &[Arc<CallPlan>]) -> Self {
         let mut names = Names::new();
         let (topics, calls) =
-            (Gathered::new(topics, &mut names, MAX_ROUTES), Gathered::new(calls, &mut names, MAX_CALLS));
-        Self { kept, topics, calls, names, used: BTreeSet::new(), omitted: Omitted::new() }
+            (RouteSet::new(topics, &mut names, MAX_ROUTES), RouteSet::new(calls, &mut names, MAX_CALLS));
+        Self { planner_state, topics, calls, names, used: BTreeSet::new(), omitted: Omitted::new() }
     }
 
     /// The right to a name, as it is told to whoever uses it from now on.
     pub fn right(&mut self, name: Name, permission: Permission) -> (Permission, Renewal) {
         let side = permission.side();
         self.used.insert((name, side));
-        let sender = self.kept.rights.entry((name, side)).or_insert_with(|| watch::Sender::new(permission.clone()));
+        let sender =
+            self.planner_state.rights.entry((name, side)).or_insert_with(|| watch::Sender::new(permission.clone()));
         sender.send_if_modified(|known| {
             let is_new = *known != permission;
             if is_new {
@@ -70,7 +71,7 @@ impl<'a> Gathering<'a> {
             }
             is_new
         });
-        (permission, Renewal::Told(Told::new(sender.subscribe())))
+        (permission, Renewal::Notified(Notified::new(sender.subscribe())))
     }
 
     /// Something of this name in this graph. Whether it is to run: another may have its place.
@@ -78,14 +79,14 @@ impl<'a> Gathering<'a> {
         &mut self,
         thing: Thing,
         name: &TopicName,
-        manner: &RuleOptions,
-        place: &(String, Arc<Graph>),
+        rule_options: &RuleOptions,
+        key: &(String, Arc<Graph>),
         material: RouteMaterial,
     ) -> bool {
-        let ((label, graph), kind, side) = (place.clone(), material.kind.clone(), material.permission.side());
+        let ((label, graph), kind, side) = (key.clone(), material.kind.clone(), material.permission.side());
         let added = match thing {
             Thing::Topic => {
-                let config = manner.topic(name, &label, kind, side.into());
+                let config = rule_options.topic(name, &label, kind, side.into());
                 self.topics.add(Planned { config, label, graph, material }, &mut self.names)
             }
             Thing::Call(what) => {
@@ -106,19 +107,19 @@ impl<'a> Gathering<'a> {
 
     /// What was not used this time is forgotten; what is omitted is logged.
     pub fn finish(self) -> (Vec<Arc<RoutePlan>>, Vec<Arc<CallPlan>>) {
-        let Self { kept, topics, calls, used, omitted, .. } = self;
-        kept.rights.retain(|key, _| used.contains(key));
-        for line in kept.omissions.update(Instant::now(), omitted) {
+        let Self { planner_state, topics, calls, used, omitted, .. } = self;
+        planner_state.rights.retain(|key, _| used.contains(key));
+        for line in planner_state.omissions.update(Instant::now(), omitted) {
             tracing::warn!("{line}");
         }
         (topics.plans, calls.plans)
     }
 }
 
-impl<R: Carries> Gathered<R> {
+impl<R: Carries> RouteSet<R> {
     fn new(plans: &[Arc<Planned<R>>], names: &mut Names, most: usize) -> Self {
         names.extend(plans.iter().map(|plan| (named(plan), R::title(&plan.config))));
-        Self { plans: plans.to_vec(), places: plans.iter().map(Plan::place).collect(), most }
+        Self { plans: plans.to_vec(), keys: plans.iter().map(Plan::key).collect(), most }
     }
 
     /// Whether its place was free; an error says why else it is not added.
@@ -127,13 +128,13 @@ impl<R: Carries> Gathered<R> {
         if self.plans.len() >= most {
             return Err(Reason::NoFreeRoute(most));
         }
-        if self.places.contains(&plan.place()) {
+        if self.keys.contains(&plan.key()) {
             return Ok(false);
         }
         if let Some(other) = names.get(&named(&plan)) {
             return Err(Reason::NameIsTaken { name: plan.material.card.name(), by: other.clone() });
         }
-        self.places.insert(plan.place());
+        self.keys.insert(plan.key());
         names.insert(named(&plan), R::title(&plan.config));
         self.plans.push(plan);
         Ok(true)

@@ -85,7 +85,7 @@ pub fn card_of(
 ) -> Result<NameCard, IssueError> {
     let kind = kind.map_or("", TypeName::as_str);
     let said = [("kind", thing.as_str()), ("topic", exposed.name.as_str()), ("type", kind)];
-    let mut metadata: Metadata = exposed.manner.meta.clone();
+    let mut metadata: Metadata = exposed.rule_options.meta.clone();
     metadata.extend(said.map(|(key, value)| (key.to_owned(), value.to_owned())));
     let said = gdp_core::name::canonical_json(&metadata);
     let secret = Backend::default().hkdf_sha256(&[], &owner.pkcs8_der(), &[CONTEXT, said.as_bytes()])?;

@@ -15,8 +15,8 @@ use tokio::sync::watch;
 
 use super::listed::{Catalogs, Listed};
 use crate::config::Side;
-use crate::large::beside;
 use crate::manager::{Failure, Manager, Plan, Work};
+use crate::offload::run_blocking_if_large;
 use crate::renewal::Renewal;
 use crate::route_status::{RETRY, Right, RouteError, RouteStatus, ended_because, ticks};
 use gdp_util::unix_time::unix_seconds;
@@ -55,14 +55,14 @@ pub struct CatalogStats {
 pub struct CatalogLink {
     plan: CatalogPlan,
     node: Node,
-    standing: RouteStatus,
+    route_status: RouteStatus,
 }
 
 pub fn manager(node: Node) -> Links {
     Manager::new(move |plan: &CatalogPlan| CatalogLink {
         plan: plan.clone(),
         node: node.clone(),
-        standing: RouteStatus::new("catalog".into(), plan.card.name(), None),
+        route_status: RouteStatus::new("catalog".into(), plan.card.name(), None),
     })
 }
 
@@ -88,10 +88,10 @@ impl PartialEq for CatalogPlan {
 }
 
 impl Plan for CatalogPlan {
-    type Place = (Name, Side);
+    type Key = (Name, Side);
     type Work = CatalogLink;
 
-    fn place(&self) -> Self::Place {
+    fn key(&self) -> Self::Key {
         (self.card.name(), self.side())
     }
 }
@@ -100,17 +100,17 @@ impl Work for CatalogLink {
     type Stats = CatalogStats;
 
     fn stats(&self) -> CatalogStats {
-        CatalogStats { name: self.plan.card.name(), direction: self.plan.side(), status: self.standing.status() }
+        CatalogStats { name: self.plan.card.name(), direction: self.plan.side(), status: self.route_status.status() }
     }
 
     fn failed(&self, why: &str) {
-        self.standing.failed(why);
+        self.route_status.failed(why);
     }
 
     async fn run(&self, stop: impl Future<Output = ()> + Send) -> Result<(), Failure> {
         let mut publisher = None;
         let ended = tokio::select! {
-            Err(error) = self.carry(&mut publisher) => Err(self.standing.ended(error)),
+            Err(error) = self.carry(&mut publisher) => Err(self.route_status.ended(error)),
             () = stop => Ok(()),
         };
         if let Some(publisher) = publisher {
@@ -139,16 +139,16 @@ impl CatalogLink {
     ) -> Result<Infallible, RouteError> {
         let mut pause = RETRY;
         loop {
-            let error = match self.node.publish(self.plan.card.proof(), right.held(), options()).await {
+            let error = match self.node.publish(self.plan.card.proof(), right.current(), options()).await {
                 Ok(new) => {
                     pause = RETRY;
-                    self.standing.is_up();
+                    self.route_status.is_up();
                     ended_because(self.publish(publisher.insert(new), &mut catalog, right).await)?
                 }
                 Err(error) => error,
             };
             drop(publisher.take());
-            self.standing.pause(error, &mut pause, right).await;
+            self.route_status.pause(error, &mut pause, right).await;
         }
     }
 
@@ -173,7 +173,7 @@ impl CatalogLink {
                         publisher.mention(CATALOG, &catalog.borrow().clone());
                         due = Instant::now() + REFRESH;
                     }
-                    self.standing.renew(right, async |new| publisher.renew(new).await).await;
+                    self.route_status.renew(right, async |new| publisher.renew(new).await).await;
                 }
             }
         }
@@ -189,16 +189,16 @@ impl CatalogLink {
         let mut catalogs = Catalogs::new(*self.plan.card.owner_key(), self.node.name());
         loop {
             let options = SubscribeOptions::reliable();
-            let error = match self.node.subscribe(self.plan.card.proof(), right.held(), options).await {
+            let error = match self.node.subscribe(self.plan.card.proof(), right.current(), options).await {
                 Ok(mut subscription) => {
                     pause = RETRY;
-                    self.standing.is_up();
+                    self.route_status.is_up();
                     let to = (&mut catalogs, listed, files);
                     ended_because(self.take(&mut subscription, to, right).await)?
                 }
                 Err(error) => error,
             };
-            self.standing.pause(error, &mut pause, right).await;
+            self.route_status.pause(error, &mut pause, right).await;
             // Nothing more is heard of those elsewhere.
             if catalogs.poll(Instant::now()) {
                 listed.send_replace(catalogs.all().into());
@@ -220,7 +220,7 @@ impl CatalogLink {
                         let member = || Some(files?.load().ok()?.membership);
                         let take = || catalogs.take(&message, member, Instant::now(), unix_seconds());
                         // Each name in it has signatures.
-                        let taken = beside(message.body.len(), take);
+                        let taken = run_blocking_if_large(message.body.len(), take);
                         taken.unwrap_or_else(|error| {
                             tracing::warn!(catalog = %self.plan.card.name(), writer = %message.writer, "a catalog is not taken: {error}");
                             false
@@ -230,7 +230,7 @@ impl CatalogLink {
                     None => return subscription.ended().await,
                 },
                 _ = looks.tick() => {
-                    self.standing.renew(right, async |new| subscription.renew(new).await).await;
+                    self.route_status.renew(right, async |new| subscription.renew(new).await).await;
                     catalogs.poll(Instant::now())
                 }
             };

@@ -37,10 +37,10 @@ pub struct Catalogs {
     owner: VerifyKey,
     /// This proxy.
     entity: Name,
-    writers: BTreeMap<Name, Heard>,
+    writers: BTreeMap<Name, ReceivedCatalog>,
 }
 
-struct Heard {
+struct ReceivedCatalog {
     session: [u8; 16],
     sequence: u64,
     until: Instant,
@@ -69,16 +69,17 @@ impl Catalogs {
         }
         let before = self.writers.get_mut(&message.writer);
         let mut known = None;
-        if let Some(heard) = before {
-            if heard.session == message.session && heard.sequence > message.sequence {
+        if let Some(received) = before {
+            if received.session == message.session && received.sequence > message.sequence {
                 return Ok(false);
             }
-            (heard.session, heard.sequence, heard.until) = (message.session, message.sequence, now + LEASE);
-            if heard.body == message.body && (heard.verified..heard.verified.saturating_add(AGAIN)).contains(&now_unix)
+            (received.session, received.sequence, received.until) = (message.session, message.sequence, now + LEASE);
+            if received.body == message.body
+                && (received.verified..received.verified.saturating_add(AGAIN)).contains(&now_unix)
             {
                 return Ok(false);
             }
-            known = Some(heard.listed.clone());
+            known = Some(received.listed.clone());
         } else if self.writers.len() >= MAX_WRITERS {
             return Err(CatalogError::TooMuch { what: "writers", got: MAX_WRITERS + 1, most: MAX_WRITERS });
         }
@@ -88,21 +89,22 @@ impl Catalogs {
         let listed: Vec<Listed> = listed.collect();
         let is_new = known.as_ref() != Some(&listed);
         let (session, sequence, until, body) = (message.session, message.sequence, now + LEASE, message.body.clone());
-        self.writers.insert(message.writer, Heard { session, sequence, until, body, verified: now_unix, listed });
+        self.writers
+            .insert(message.writer, ReceivedCatalog { session, sequence, until, body, verified: now_unix, listed });
         Ok(is_new)
     }
 
     /// Forgets writers that are silent. Whether there were any.
     pub fn poll(&mut self, now: Instant) -> bool {
         let before = self.writers.len();
-        self.writers.retain(|_, heard| now < heard.until);
+        self.writers.retain(|_, received| now < received.until);
         before != self.writers.len()
     }
 
     /// All that is listed, each name once.
     pub fn all(&self) -> Vec<Listed> {
         let mut names = BTreeSet::new();
-        let listed = self.writers.values().flat_map(|heard| &heard.listed);
+        let listed = self.writers.values().flat_map(|received| &received.listed);
         listed.filter(|listed| names.insert(listed.card.name())).cloned().collect()
     }
 

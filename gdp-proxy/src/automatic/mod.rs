@@ -29,7 +29,7 @@ use gdp_wire::Name;
 use tokio::sync::watch;
 
 use self::choice::Choice;
-use self::gather::{Gathering, Kept};
+use self::gather::{Gathering, PlannerState};
 use self::issuer::{IssuedCredentials, Issuer};
 use self::link::{CatalogPlan, End};
 use self::listed::{Listed, chosen};
@@ -42,7 +42,7 @@ use crate::reload::Loaded;
 use crate::route_material::RouteMaterial;
 use crate::routes::{CallPlan, RoutePlan};
 
-pub use self::choice::{choose, judge};
+pub use self::choice::{check_exposed, choose};
 pub use self::issuer::card_of;
 pub use self::link::{CatalogStats, Links, manager};
 
@@ -53,25 +53,25 @@ const LOOK: Duration = Duration::from_secs(60);
 pub struct Automatic {
     expose: Option<Expose>,
     imports: Vec<Import>,
-    kept: Kept,
+    planner_state: PlannerState,
     look: Instant,
 }
 
 struct Expose {
     config: ExposeConfig,
-    place: (String, Arc<Graph>),
+    placed_in: (String, Arc<Graph>),
     graph_observer: GraphObserver,
     choice: Choice,
     issuer: Issuer,
     catalog: NameCard,
     /// By name; of the catalog as well.
-    papers: BTreeMap<Name, IssuedCredentials>,
+    issued_credentials: BTreeMap<Name, IssuedCredentials>,
     list: watch::Sender<Arc<[u8]>>,
 }
 
 struct Import {
     config: ImportConfig,
-    place: (String, Arc<Graph>),
+    placed_in: (String, Arc<Graph>),
     graph_observer: GraphObserver,
     material: ImportMaterial,
     listed: watch::Receiver<Arc<[Listed]>>,
@@ -90,29 +90,31 @@ impl Automatic {
     /// Of a configuration. What `before` knows and is still wanted goes on.
     pub fn new(loaded: &Loaded, graphs: &graph::All, entity: Name, before: Option<Self>) -> Result<Self> {
         let Loaded { config, material } = loaded;
-        let (before_expose, mut before_imports, kept) = match before {
-            Some(Self { expose, imports, kept, .. }) => (expose, imports, kept),
-            None => (None, vec![], Kept::default()),
+        let (before_expose, mut before_imports, planner_state) = match before {
+            Some(Self { expose, imports, planner_state, .. }) => (expose, imports, planner_state),
+            None => (None, vec![], PlannerState::default()),
         };
-        let place = |label: &Option<String>| {
+        let placed_in = |label: &Option<String>| {
             let (label, _) = config.graphs.get(label.as_deref()).map_err(|reason| anyhow!(reason))?;
             let graph = graphs.get(label).cloned().context("a graph that was not joined")?;
             anyhow::Ok((label.to_owned(), graph))
         };
         let expose = match (&config.expose, &material.expose) {
             (Some(expose), Some(material)) => {
-                let (config, place, catalog) = (expose.clone(), place(&expose.graph)?, material.catalog.clone());
-                let same = |before: &Expose| before.catalog == catalog && Arc::ptr_eq(&before.place.1, &place.1);
+                let (config, placed_in, catalog) =
+                    (expose.clone(), placed_in(&expose.graph)?, material.catalog.clone());
+                let same =
+                    |before: &Expose| before.catalog == catalog && Arc::ptr_eq(&before.placed_in.1, &placed_in.1);
                 Some(match before_expose.filter(same) {
                     Some(before) => before.with(config),
                     None => Expose {
                         config,
-                        graph_observer: GraphObserver::of(&place.1),
-                        place,
+                        graph_observer: GraphObserver::of(&placed_in.1),
+                        placed_in,
                         choice: Choice::default(),
                         issuer: Issuer::new(material.owner.clone(), entity),
                         catalog,
-                        papers: BTreeMap::new(),
+                        issued_credentials: BTreeMap::new(),
                         list: watch::Sender::new(Arc::default()),
                     },
                 })
@@ -126,18 +128,18 @@ impl Automatic {
                 Some(at) => before_imports.swap_remove(at).tell,
                 None => Arc::new(watch::Sender::new(Arc::default())),
             };
-            let (config, place) = (config.clone(), place(&config.graph)?);
+            let (config, placed_in) = (config.clone(), placed_in(&config.graph)?);
             Ok(Import {
                 config,
-                graph_observer: GraphObserver::of(&place.1),
-                place,
+                graph_observer: GraphObserver::of(&placed_in.1),
+                placed_in,
                 material: material.clone(),
                 listed: tell.subscribe(),
                 tell,
                 files: files.clone(),
             })
         });
-        Ok(Self { expose, imports: imports.collect::<Result<_>>()?, kept, look: Instant::now() + LOOK })
+        Ok(Self { expose, imports: imports.collect::<Result<_>>()?, planner_state, look: Instant::now() + LOOK })
     }
 
     /// Waits until [`Self::plan`] may come to something else. Safe to cancel.
@@ -165,8 +167,8 @@ impl Automatic {
     /// What is to run, what the configuration lists first: it is not exposed or imported a second
     /// time.
     pub fn plan(&mut self, topics: &[Arc<RoutePlan>], calls: &[Arc<CallPlan>]) -> Plans {
-        let Self { expose, imports, kept, .. } = self;
-        let mut gathering = Gathering::new(kept, topics, calls);
+        let Self { expose, imports, planner_state, .. } = self;
+        let mut gathering = Gathering::new(planner_state, topics, calls);
         let mut catalogs: Vec<CatalogPlan> =
             expose.iter_mut().filter_map(|expose| expose.plan(&mut gathering)).collect();
         catalogs.extend(imports.iter_mut().map(|import| import.plan(&mut gathering)));
@@ -179,7 +181,7 @@ impl Expose {
     /// The same graph and catalog, as another configuration wants it.
     fn with(mut self, config: ExposeConfig) -> Self {
         if (&config.readers, &config.scope) != (&self.config.readers, &self.config.scope) {
-            self.papers.clear();
+            self.issued_credentials.clear();
         }
         Self { config, ..self }
     }
@@ -188,7 +190,7 @@ impl Expose {
         self.choice.update(&self.config, &self.graph_observer.found(), Instant::now());
         let now = unix_nanos();
         let catalog = self.catalog.clone();
-        let own = papers(&self.issuer, &mut self.papers, &self.config, &catalog, now)?;
+        let own = issued_credentials(&self.issuer, &mut self.issued_credentials, &self.config, &catalog, now)?;
         let (_, renewal) = gathering.right(catalog.name(), Permission::Publish(own.cert.clone()));
         let (mut entries, mut bytes, mut names) = (BTreeMap::new(), 0, BTreeSet::from([catalog.name()]));
         let mut is_full = None;
@@ -212,7 +214,10 @@ impl Expose {
                 gathering.omit(thing, called, Reason::RemappedOntoAnother);
                 continue;
             }
-            let Some(issued) = papers(&self.issuer, &mut self.papers, &self.config, &card, now) else { continue };
+            let Some(issued) = issued_credentials(&self.issuer, &mut self.issued_credentials, &self.config, &card, now)
+            else {
+                continue;
+            };
             names.insert(name);
             let entry = Entry { metadata: card.metadata().clone(), grants: issued.grants };
             let size = match entry.size() {
@@ -228,13 +233,13 @@ impl Expose {
             }
             let (permission, file) = gathering.right(name, Permission::Publish(issued.cert));
             let material = RouteMaterial { card, kind: kind.cloned(), permission, file };
-            if gathering.add(thing, called, &exposed.manner, &self.place, material) {
+            if gathering.add(thing, called, &exposed.rule_options, &self.placed_in, material) {
                 entries.insert(name, entry);
                 bytes += size;
             }
         }
         // Also of what is not carried: to issue them is work.
-        self.papers.retain(|name, _| names.contains(name));
+        self.issued_credentials.retain(|name, _| names.contains(name));
         let list = Catalog::new(entries.into_values().collect()).map_err(|error| error.to_string());
         match list.and_then(|list| list.to_bytes().map_err(|error| error.to_string())) {
             Ok(list) => {
@@ -253,7 +258,7 @@ impl Expose {
 }
 
 /// Those that there are, or new ones if they are old.
-fn papers(
+fn issued_credentials(
     issuer: &Issuer,
     known: &mut BTreeMap<Name, IssuedCredentials>,
     config: &ExposeConfig,
@@ -261,13 +266,13 @@ fn papers(
     now: u64,
 ) -> Option<IssuedCredentials> {
     let name = card.name();
-    if let Some(papers) = known.get(&name).filter(|papers| !papers.are_old(now)) {
-        return Some(papers.clone());
+    if let Some(issued_credentials) = known.get(&name).filter(|issued_credentials| !issued_credentials.are_old(now)) {
+        return Some(issued_credentials.clone());
     }
     match issuer.issue(name, config, now) {
-        Ok(papers) => {
-            known.insert(name, papers.clone());
-            Some(papers)
+        Ok(issued_credentials) => {
+            known.insert(name, issued_credentials.clone());
+            Some(issued_credentials)
         }
         Err(error) => {
             tracing::error!(%name, "no certificate: {error}");
@@ -279,7 +284,7 @@ fn papers(
 impl Import {
     fn plan(&mut self, gathering: &mut Gathering) -> CatalogPlan {
         let listed = self.listed.borrow_and_update().clone();
-        let manner = self.config.manner();
+        let rule_options = self.config.rule_options();
         let here = if self.config.wants_calls() { self.graph_observer.found() } else { Found::new() };
         for ((thing, called), Listed { card, kind, right, .. }) in chosen(&self.config, &listed) {
             // Both would carry out each call.
@@ -289,7 +294,7 @@ impl Import {
             }
             let (permission, file) = gathering.right(card.name(), Permission::Read(right.clone()));
             let material = RouteMaterial { card: card.clone(), kind: kind.clone(), permission, file };
-            gathering.add(thing, &called, &manner, &self.place, material);
+            gathering.add(thing, &called, &rule_options, &self.placed_in, material);
         }
         let ImportMaterial { catalog, grant, file } = self.material.clone();
         let end = End::Reads(grant, self.tell.clone(), self.files.clone());

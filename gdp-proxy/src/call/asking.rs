@@ -15,7 +15,7 @@ use gdp_wire::Name;
 use parking_lot::Mutex;
 
 use super::counters::Reason;
-use crate::large::beside;
+use crate::offload::run_blocking_if_large;
 
 /// For a server's proxy to answer a question about events, which it does once a minute though there
 /// are none.
@@ -57,7 +57,7 @@ impl From<Failure> for Failed {
 }
 
 pub fn no_server() -> Failed {
-    Failure::new(FailureCode::Gone, "it is not attached any more").into()
+    Failure::new(FailureCode::ServerLeft, "it is not attached any more").into()
 }
 
 async fn ask(client: &Client, instance: Name, request: &Request) -> Result<Reply, NodeError> {
@@ -146,7 +146,7 @@ impl<'a> Asking<'a> {
     /// request, and is asked once more.
     async fn call(&self, known: &Arc<Known>) -> Result<Bytes, Failed> {
         let convert = || known.converters.lock().request.convert(self.request.clone());
-        let body = beside(self.request.len(), convert).map_err(unconvertible)?;
+        let body = run_blocking_if_large(self.request.len(), convert).map_err(unconvertible)?;
         let failed = match self.exchange(known, known.epoch, body.clone()).await {
             Err(failed) if failed.reason == Reason::Changed => failed,
             answered => return answered,
@@ -166,7 +166,8 @@ impl<'a> Asking<'a> {
         let failed = |reason, code, why: &dyn ToString| Failed { failure: Failure::new(code, why.to_string()), reason };
         match ask(self.client, known.instance, &Request::Call { epoch, part: self.part, body }).await {
             Ok(Reply::Answer(body)) => {
-                beside(body.len(), || known.converters.lock().response.convert(body)).map_err(unconvertible)
+                run_blocking_if_large(body.len(), || known.converters.lock().response.convert(body))
+                    .map_err(unconvertible)
             }
             Ok(Reply::Failure(failure)) => Err(failure.into()),
             Ok(Reply::Description(..) | Reply::Events(_)) => {
@@ -179,7 +180,7 @@ impl<'a> Asking<'a> {
                     NodeError::Protocol(_) => Reason::Malformed,
                     _ => Reason::SendFailed,
                 };
-                Err(failed(reason, FailureCode::Gone, &error))
+                Err(failed(reason, FailureCode::ServerLeft, &error))
             }
         }
     }

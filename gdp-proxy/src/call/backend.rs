@@ -16,7 +16,7 @@ use crate::ros2::{self, RawReader, RosError};
 
 /// How long a question about events waits for some. A link may have lost the answer, or the asker
 /// may be gone.
-const HOLD: Duration = Duration::from_secs(60);
+const QUESTION_LIFETIME: Duration = Duration::from_secs(60);
 
 pub enum Backend {
     Service(Caller),
@@ -36,7 +36,7 @@ pub struct Action {
 }
 
 /// Events that somebody waits for.
-pub type Told = (Call, Events);
+pub type CallEvents = (Call, Events);
 
 impl Backend {
     /// With what others are told of it. Waits until it may be called.
@@ -90,7 +90,7 @@ impl Backend {
 
     /// What happens at its topics: whom that is told. Also counts what is dropped for it. Safe to
     /// cancel.
-    pub async fn heard(&self) -> Result<(Vec<Told>, u64), String> {
+    pub async fn next_events(&self) -> Result<(Vec<CallEvents>, u64), String> {
         let Self::Action(action) = self else { return std::future::pending().await };
         tokio::select! {
             message = action.feedback.recv() => {
@@ -105,13 +105,13 @@ impl Backend {
     }
 
     /// Somebody asks what is new after an event.
-    pub fn ask(&self, call: Call, after: u64) -> Result<Option<Told>, Box<(Call, Failure)>> {
+    pub fn ask(&self, call: Call, after: u64) -> Result<Option<CallEvents>, Box<(Call, Failure)>> {
         let Self::Action(action) = self else {
             let failure = Failure::new(FailureCode::Malformed, "the name is of a service, and services have no events");
             return Err(Box::new((call, failure)));
         };
         let (caller, now) = (call.client(), Instant::now());
-        if let Err(error) = action.log.lock().heard(now, caller) {
+        if let Err(error) = action.log.lock().add_caller(now, caller) {
             return Err(Box::new((call, Failure::new(FailureCode::Busy, error))));
         }
         match action.log.lock().after(&caller, after) {
@@ -125,13 +125,14 @@ impl Backend {
 
     /// Forgets what is over. Whose questions have waited for long enough, with the answer that
     /// there is nothing.
-    pub fn sweep(&self) -> Vec<Told> {
+    pub fn sweep(&self) -> Vec<CallEvents> {
         let (Self::Action(action), now) = (self, Instant::now()) else { return vec![] };
         let mut goals = action.goals.lock();
         goals.sweep(now);
         action.log.lock().sweep(now, |caller| goals.has_live(*caller));
         let mut questions = action.questions.lock();
-        let over = questions.iter().filter(|(_, (_, _, since))| now.saturating_duration_since(*since) >= HOLD);
+        let over =
+            questions.iter().filter(|(_, (_, _, since))| now.saturating_duration_since(*since) >= QUESTION_LIFETIME);
         let over: Vec<Name> = over.map(|(caller, _)| *caller).collect();
         let over = over.iter().filter_map(|caller| questions.remove(caller));
         over.map(|(call, last, _)| (call, Events { last, ..Events::default() })).collect()
@@ -141,7 +142,7 @@ impl Backend {
 impl Action {
     async fn send_goal(&self, caller: Name, body: Bytes) -> Result<Bytes, Failure> {
         let goal = cdr::goal_of(&body).map_err(|error| Failure::new(FailureCode::Malformed, error))?;
-        self.log.lock().heard(Instant::now(), caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
+        self.log.lock().add_caller(Instant::now(), caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
         // What it says of the goal may come before its answer.
         let is_new = {
             let mut goals = self.goals.lock();
@@ -163,7 +164,7 @@ impl Action {
         Ok(answer)
     }
 
-    fn take_feedback(&self, message: Bytes) -> (Vec<Told>, u64) {
+    fn take_feedback(&self, message: Bytes) -> (Vec<CallEvents>, u64) {
         // Goals of clients here, and of other proxies, are not for anybody.
         let caller = cdr::goal_of(&message).ok().and_then(|goal| self.goals.lock().get(&goal));
         let Some(caller) = caller else { return (vec![], 0) };
@@ -171,7 +172,7 @@ impl Action {
         (self.tell(&caller).into_iter().collect(), dropped)
     }
 
-    fn take_status(&self, message: &[u8]) -> Result<Vec<Told>, String> {
+    fn take_status(&self, message: &[u8]) -> Result<Vec<CallEvents>, String> {
         let statuses = cdr::statuses(message).map_err(|error| error.to_string())?;
         let (now, mut goals, mut log) = (Instant::now(), self.goals.lock(), self.log.lock());
         let callers: Vec<Name> = log.callers().copied().collect();
@@ -185,7 +186,7 @@ impl Action {
     }
 
     /// If it asks.
-    fn tell(&self, caller: &Name) -> Option<Told> {
+    fn tell(&self, caller: &Name) -> Option<CallEvents> {
         let mut questions = self.questions.lock();
         let (_, after, _) = questions.get(caller)?;
         let events = self.log.lock().after(caller, *after)?;

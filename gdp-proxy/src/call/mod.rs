@@ -47,7 +47,7 @@ pub struct Route {
     graph: String,
     types: Arc<Types>,
     counters: CallCounters,
-    standing: RouteStatus,
+    route_status: RouteStatus,
     /// Servers elsewhere were none that this proxy can call: until when it leaves them to others.
     unfit_until: Mutex<Option<Instant>>,
 }
@@ -72,13 +72,13 @@ impl Carries for Route {
             graph: graph.into(),
             types,
             counters: CallCounters::default(),
-            standing: RouteStatus::new(Self::title(config), material.card.name(), kind),
+            route_status: RouteStatus::new(Self::title(config), material.card.name(), kind),
             unfit_until: Mutex::new(None),
         }
     }
 
-    fn standing(&self) -> &RouteStatus {
-        &self.standing
+    fn route_status(&self) -> &RouteStatus {
+        &self.route_status
     }
 
     fn stats(&self) -> CallStats {
@@ -86,10 +86,10 @@ impl Carries for Route {
             what: self.config.what,
             service: self.config.name.to_string(),
             graph: self.graph.clone(),
-            kind: self.standing.kind(),
-            status: self.standing.status(),
+            kind: self.route_status.kind(),
+            status: self.route_status.status(),
             direction: self.config.side,
-            name: self.standing.name(),
+            name: self.route_status.name(),
             counted: self.counters.read(),
         }
     }
@@ -103,25 +103,28 @@ impl Carries for Route {
     ) -> Result<(), RouteError> {
         let RouteMaterial { card, kind, permission, file } = material;
         // What has failed is left to others until it shows that it works by now.
-        let place =
-            graph.peer_proxies().enter(node.name(), self.standing.part(permission.side()), !self.standing.has_failed());
-        let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
+        let candidate = graph.peer_proxies().enter(
+            node.name(),
+            self.route_status.part(permission.side()),
+            !self.route_status.has_failed(),
+        );
+        let way = Way { graph, node, kind: kind.as_ref(), card: &card, candidate: &candidate };
         let (mut right, mut stop) = (EitherRight::new(permission, file), pin!(stop));
         // A call that two carry out does harm.
-        self.standing.set_status("listening for other proxies of the graph");
+        self.route_status.set_status("listening for other proxies of the graph");
         if unless(&mut stop, tokio::time::sleep(LISTEN)).await.is_none() {
             return Ok(());
         }
-        let mut turns = Turns::new(&place, node, &self.standing, stop);
+        let mut turns = Turns::new(&candidate, node, &self.route_status, stop);
         while turns.begin().await {
-            place.set_keeps(true);
+            candidate.set_keeps(true);
             let over = pin!(turns.over());
             let ended = match &mut right {
                 EitherRight::Publish(right) => self.run_out(&way, right, over).await,
                 EitherRight::Read(right) => self.run_in(&way, right, over).await,
             };
             self.counters.servers(0);
-            place.set_keeps(false);
+            candidate.set_keeps(false);
             ended?;
         }
         Ok(())
@@ -143,7 +146,7 @@ impl Route {
     }
 
     fn is_up(&self, kind: &str) {
-        self.standing.set_kind(kind);
-        self.standing.is_up();
+        self.route_status.set_kind(kind);
+        self.route_status.is_up();
     }
 }

@@ -12,7 +12,7 @@ use gdp_ros::services::service_name;
 use gdp_wire::Name;
 use tokio::sync::{Notify, watch};
 
-use super::backend::{Backend, Told};
+use super::backend::{Backend, CallEvents};
 use super::counters::Reason;
 use super::{LAST_WORDS, MAX_PENDING, Route, Way};
 use crate::config::What;
@@ -36,7 +36,7 @@ struct Offer {
 enum Turn {
     /// It is not this proxy's any more to serve.
     Over,
-    Gone,
+    ServerLeft,
     Ended(NodeError),
 }
 
@@ -50,11 +50,11 @@ impl Route {
         right: &mut Right<Issued<AdCert>>,
         mut over: Pin<&mut (impl Future<Output = ()> + Send)>,
     ) -> Result<(), RouteError> {
-        let Way { graph, node, kind, card, place } = *way;
+        let Way { graph, node, kind, card, candidate } = *way;
         let mut servers = Servers::new(graph, &self.config.name, self.config.what);
         let mut pause = RETRY;
         loop {
-            self.standing.set_status("waiting for a local server");
+            self.route_status.set_status("waiting for a local server");
             let found = async {
                 let peer = servers.until_there().await?;
                 Ok::<_, RouteError>((peer.clone(), self.offer(graph, kind, peer).await))
@@ -63,25 +63,25 @@ impl Route {
             let (peer, offer) = found?;
             let again = async {
                 match offer {
-                    Ok(offer) => match node.serve(card.proof(), right.held()).await {
+                    Ok(offer) => match node.serve(card.proof(), right.current()).await {
                         Ok(server) => return Ok(Some((offer, server))),
                         Err(error) => {
-                            place.set_permitted(false);
-                            self.standing.pause(error, &mut pause, right).await;
+                            candidate.set_permitted(false);
+                            self.route_status.pause(error, &mut pause, right).await;
                         }
                     },
                     Err(Unfit::Call(CallerError::Graph(error))) => return Err(error.into()),
                     // Another proxy of the graph may do better.
                     Err(error @ (Unfit::Call(_) | Unfit::Random)) => {
-                        place.set_permitted(false);
+                        candidate.set_permitted(false);
                         let mut retry = RETRY;
-                        self.standing.pause(error, &mut retry, right).await;
+                        self.route_status.pause(error, &mut retry, right).await;
                     }
                     Err(error @ Unfit::OtherType { .. }) => {
-                        place.set_permitted(false);
+                        candidate.set_permitted(false);
                         tracing::warn!(service = %self.config.name, "not carried: {error}");
-                        self.standing.set_status(&error.to_string());
-                        servers.until_gone(&peer).await?;
+                        self.route_status.set_status(&error.to_string());
+                        servers.until_left(&peer).await?;
                     }
                 }
                 Ok::<_, RouteError>(None)
@@ -89,7 +89,7 @@ impl Route {
             let Some(served) = unless(&mut over, again).await else { return Ok(()) };
             let Some((offer, mut server)) = served? else { continue };
             pause = RETRY;
-            place.set_permitted(true);
+            candidate.set_permitted(true);
             self.is_up(&offer.description.kind.name);
             self.counters.servers(1);
             let turn = self.serve(&mut servers, &offer, &mut server, right, &mut over).await;
@@ -97,10 +97,10 @@ impl Route {
             drop(server);
             match turn? {
                 Turn::Over => return Ok(()),
-                Turn::Gone => tracing::info!(service = %self.config.name, "the local server has gone"),
+                Turn::ServerLeft => tracing::info!(service = %self.config.name, "the local server has gone"),
                 Turn::Ended(error) => {
-                    place.set_permitted(false);
-                    if unless(&mut over, self.standing.pause(error, &mut pause, right)).await.is_none() {
+                    candidate.set_permitted(false);
+                    if unless(&mut over, self.route_status.pause(error, &mut pause, right)).await.is_none() {
                         return Ok(());
                     }
                 }
@@ -142,28 +142,29 @@ impl Route {
                     Some(call) => self.take(call, offer, &is_gone, &mut answering),
                     None => break ended_because(ended.await).map(Turn::Ended),
                 },
-                heard = offer.backend.heard() => match heard {
-                    Ok((told, dropped)) => {
+                heard = offer.backend.next_events() => match heard {
+                    Ok((events, dropped)) => {
                         self.counters.events(0, dropped);
-                        answering.extend(told.into_iter().map(|told| -> Answering<'_> { Box::pin(self.tell(told)) }));
+                        let answers = events.into_iter().map(|event| -> Answering<'_> { Box::pin(self.tell(event)) });
+                        answering.extend(answers);
                     }
                     Err(error) => self.failed(Reason::Malformed, error),
                 },
-                left = servers.until_gone(&offer.peer) => break left.map(|()| Turn::Gone).map_err(Into::into),
-                () = offer.lost.notified() => break Ok(Turn::Gone),
+                left = servers.until_left(&offer.peer) => break left.map(|()| Turn::ServerLeft).map_err(Into::into),
+                () = offer.lost.notified() => break Ok(Turn::ServerLeft),
                 () = &mut *over => break Ok(Turn::Over),
                 why = &mut ended => break ended_because(why).map(Turn::Ended),
                 _ = ticks.tick() => {
-                    self.standing.renew(right, async |new| server.renew(new).await).await;
-                    let told = offer.backend.sweep();
-                    answering.extend(told.into_iter().map(|told| -> Answering<'_> { Box::pin(self.tell(told)) }));
+                    self.route_status.renew(right, async |new| server.renew(new).await).await;
+                    let events = offer.backend.sweep();
+                    answering.extend(events.into_iter().map(|event| -> Answering<'_> { Box::pin(self.tell(event)) }));
                 }
             }
         };
         // Those who wait learn that it is over.
         gone.send_replace(true);
-        let told = async { while answering.next().await.is_some() {} };
-        _ = tokio::time::timeout(LAST_WORDS, told).await;
+        let events = async { while answering.next().await.is_some() {} };
+        _ = tokio::time::timeout(LAST_WORDS, events).await;
         turn
     }
 
@@ -191,7 +192,7 @@ impl Route {
             }
             Some(Request::Events { after, .. }) => match offer.backend.ask(call, after) {
                 Ok(None) => return,
-                Ok(Some(told)) => return answering.push(Box::pin(self.tell(told))),
+                Ok(Some(events)) => return answering.push(Box::pin(self.tell(events))),
                 Err(refused) => {
                     let (call, failure) = *refused;
                     return answering.push(Box::pin(self.reply(call, Reply::Failure(failure))));
@@ -207,7 +208,7 @@ impl Route {
                     let _pending = self.counters.begun();
                     let answer = tokio::select! {
                         answer = self.ask(offer, part, call.client(), body) => answer,
-                        _ = is_gone.wait_for(|gone| *gone) => Err(Failure::new(FailureCode::Gone, "")),
+                        _ = is_gone.wait_for(|gone| *gone) => Err(Failure::new(FailureCode::ServerLeft, "")),
                     };
                     let reply = match answer {
                         Ok(answer) => {
@@ -230,7 +231,7 @@ impl Route {
     /// Asks the local server. One call that fails does not mean that it has gone.
     async fn ask(&self, offer: &Offer, part: Part, caller: Name, body: Bytes) -> Result<Bytes, Failure> {
         match offer.backend.call(part, caller, body).await {
-            Err(failure) if failure.code == FailureCode::Gone && matches!(offer.peer, Peer::Ros1(_)) => {
+            Err(failure) if failure.code == FailureCode::ServerLeft && matches!(offer.peer, Peer::Ros1(_)) => {
                 if !offer.backend.has_lost_server().await {
                     return Err(Failure::new(FailureCode::Refused, failure.text()));
                 }
@@ -241,7 +242,7 @@ impl Route {
         }
     }
 
-    async fn tell(&self, (call, events): Told) {
+    async fn tell(&self, (call, events): CallEvents) {
         self.counters.events(events.events.len() as u64, 0);
         self.reply(call, Reply::Events(events)).await;
     }
@@ -261,7 +262,7 @@ impl Route {
 impl From<FailureCode> for Reason {
     fn from(code: FailureCode) -> Self {
         match code {
-            FailureCode::Gone => Self::Left,
+            FailureCode::ServerLeft => Self::Left,
             FailureCode::Refused => Self::Refused,
             FailureCode::Busy => Self::Busy,
             FailureCode::Malformed => Self::Malformed,

@@ -109,7 +109,7 @@ pub struct ImportConfig {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rule {
     pub topic: Pattern,
-    pub manner: RuleOptions,
+    pub rule_options: RuleOptions,
 }
 
 /// How topics cross. What is absent is as in `topics`.
@@ -223,7 +223,7 @@ pub fn remapped(topic: &TopicName, remap: &[Remap]) -> Option<TopicName> {
 
 impl ExposeConfig {
     /// How it crosses, if a pattern means it.
-    pub fn manner(&self, thing: Thing, name: &TopicName) -> Option<RuleOptions> {
+    pub fn rule_options(&self, thing: Thing, name: &TopicName) -> Option<RuleOptions> {
         let called = |patterns: &[Pattern]| {
             let is_meant = patterns.iter().any(|pattern| pattern.matches(thing, name));
             is_meant.then(|| RuleOptions { meta: self.defaults.meta.clone(), ..RuleOptions::default() })
@@ -231,7 +231,7 @@ impl ExposeConfig {
         match thing {
             Thing::Topic => {
                 let rule = self.topics.iter().find(|rule| rule.topic.matches(thing, name))?;
-                Some(rule.manner.or(&self.defaults))
+                Some(rule.rule_options.or(&self.defaults))
             }
             Thing::Call(What::Service) => called(&self.services),
             Thing::Call(What::Action) => called(&self.actions),
@@ -239,12 +239,12 @@ impl ExposeConfig {
     }
 
     fn manners(&self) -> impl Iterator<Item = &RuleOptions> {
-        self.topics.iter().map(|rule| &rule.manner).chain([&self.defaults])
+        self.topics.iter().map(|rule| &rule.rule_options).chain([&self.defaults])
     }
 
     /// Whether a topic goes by two links.
     pub(super) fn duplicates(&self) -> bool {
-        self.manners().any(|manner| manner.duplicate == Some(true))
+        self.manners().any(|rule_options| rule_options.duplicate == Some(true))
     }
 
     /// Errors with the key inside `expose`.
@@ -254,7 +254,7 @@ impl ExposeConfig {
             return Err(("readers", format!("more than {MAX_GRANTS}; give them a role in a domain")));
         }
         let manners = self.manners();
-        for key in manners.flat_map(|manner| manner.meta.keys()) {
+        for key in manners.flat_map(|rule_options| rule_options.meta.keys()) {
             if matches!(key.as_str(), "kind" | "topic" | "type" | "nonce") {
                 return Err(("meta", format!("{key} is said by the proxy itself; remove it")));
             }
@@ -294,7 +294,7 @@ impl ImportConfig {
         }
     }
 
-    pub fn manner(&self) -> RuleOptions {
+    pub fn rule_options(&self) -> RuleOptions {
         let frame_prefix = self.frame_prefix.clone();
         RuleOptions { qos: self.qos, duplicate: Some(self.duplicate), frame_prefix, ..RuleOptions::default() }
     }
@@ -322,14 +322,14 @@ impl From<RuleSaid> for Rule {
         let RuleSaid { topic, qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, meta } = said;
         Self {
             topic,
-            manner: RuleOptions { qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, meta },
+            rule_options: RuleOptions { qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, meta },
         }
     }
 }
 
 impl<'de> Deserialize<'de> for Rule {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = |text: &str| Ok(Self { topic: Pattern::parse(text)?, manner: RuleOptions::default() });
+        let text = |text: &str| Ok(Self { topic: Pattern::parse(text)?, rule_options: RuleOptions::default() });
         let expecting = "a pattern such as /camera/**, or a mapping such as {topic: /camera/**, max_hz: 5}";
         deserializer.deserialize_any(TextOrMap { expecting, text, map: |said: RuleSaid| Ok(said.into()) })
     }

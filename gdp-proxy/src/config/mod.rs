@@ -66,7 +66,7 @@ pub struct Config {
     pub identity: PathBuf,
     /// The ways to the fabric, in the order in which they are wanted: everything goes by the first
     /// that is up.
-    pub links: Vec<LinkPlace>,
+    pub links: Vec<LinkEntry>,
     /// A folder for what the proxy must not forget, which is what owners have revoked; made if
     /// there is none.
     #[serde(default)]
@@ -162,7 +162,7 @@ impl Definitions {
 /// One way to the fabric.
 #[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct LinkPlace {
+pub struct LinkEntry {
     /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT` or
     /// `udp://HOST:PORT%INTERFACE`.
     #[serde(deserialize_with = "from_text")]
@@ -177,9 +177,9 @@ pub struct LinkPlace {
     pub budget: Option<NonZeroU64>,
 }
 
-impl From<&LinkPlace> for LinkConfig {
-    fn from(place: &LinkPlace) -> Self {
-        let LinkPlace { to, switch, budget } = place;
+impl From<&LinkEntry> for LinkConfig {
+    fn from(place: &LinkEntry) -> Self {
+        let LinkEntry { to, switch, budget } = place;
         Self { target: to.clone(), switch: *switch, budget: budget.map(NonZeroU64::get) }
     }
 }

@@ -32,14 +32,14 @@ pub enum Graph {
 
 /// Reads a topic. What this proxy itself wrote is not seen.
 pub enum Reader<'a> {
-    Ros1(ros1::Reader),
-    Ros2(Box<ros2::Reader<'a>>),
+    Ros1(ros1::Ros1Reader),
+    Ros2(Box<ros2::Ros2Reader<'a>>),
 }
 
 /// Stands for one publisher elsewhere; subscribers see it go when it is dropped.
 pub enum Writer {
-    Ros1(ros1::Writer),
-    Ros2(Box<ros2::Writer>),
+    Ros1(ros1::Ros1Writer),
+    Ros2(Box<ros2::Ros2Writer>),
 }
 
 /// All that a proxy is in, by their names in the configuration.
@@ -121,8 +121,8 @@ impl Graph {
         qos: Option<Qos>,
     ) -> Result<Reader<'_>, GraphError> {
         match self {
-            Self::Ros1(master) => Ok(Reader::Ros1(ros1::Reader::new(master, topic)?)),
-            Self::Ros2(domain) => Ok(Reader::Ros2(ros2::Reader::new(domain, topic, kind, qos).into())),
+            Self::Ros1(master) => Ok(Reader::Ros1(ros1::Ros1Reader::new(master, topic)?)),
+            Self::Ros2(domain) => Ok(Reader::Ros2(ros2::Ros2Reader::new(domain, topic, kind, qos).into())),
         }
     }
 
@@ -138,9 +138,9 @@ impl Graph {
         match self {
             Self::Ros1(master) => {
                 let md5sum = types.md5sum(kind, definition)?;
-                Ok(Writer::Ros1(ros1::Writer::new(master, topic, kind, definition, md5sum, offers).await?))
+                Ok(Writer::Ros1(ros1::Ros1Writer::new(master, topic, kind, definition, md5sum, offers).await?))
             }
-            Self::Ros2(domain) => Ok(Writer::Ros2(ros2::Writer::new(domain, topic, kind, offers)?.into())),
+            Self::Ros2(domain) => Ok(Writer::Ros2(ros2::Ros2Writer::new(domain, topic, kind, offers)?.into())),
         }
     }
 

@@ -98,7 +98,7 @@ impl Voice for Presence {
 }
 
 /// Reads a topic.
-pub struct Reader {
+pub struct Ros1Reader {
     subscription: Subscription,
     sources: watch::Receiver<SourceStates>,
     /// By their URIs.
@@ -108,7 +108,7 @@ pub struct Reader {
     events: VecDeque<Event>,
 }
 
-impl Reader {
+impl Ros1Reader {
     pub fn new(master: &Master, topic: &TopicName) -> Result<Self, NodeError> {
         let subscription = master.node.subscribe(topic.as_str(), SubscribeOptions::default())?;
         let mut sources = subscription.sources();
@@ -197,9 +197,9 @@ pub fn is_proxy(caller_id: &str) -> bool {
 }
 
 /// Stands for a publisher elsewhere.
-pub struct Writer(Arc<Publisher>);
+pub struct Ros1Writer(Arc<Publisher>);
 
-impl Writer {
+impl Ros1Writer {
     pub async fn new(
         master: &Master,
         topic: &TopicName,

@@ -17,7 +17,7 @@ use gdp_ros::roster::{Dialect, Kind, Offer};
 
 /// Reads a topic, of which it makes its readers as publishers appear. Those that latch have one of
 /// their own: it asks for what they keep, and others would not match that.
-pub struct Reader<'a> {
+pub struct Ros2Reader<'a> {
     domain: &'a Domain,
     topic: TopicName,
     /// Of the configuration, or of the first publisher.
@@ -38,7 +38,7 @@ struct Known {
     offers: Offer,
     /// It is not there any more; when that is told. What it has written may come after what
     /// discovery says.
-    gone: Option<Instant>,
+    left_at: Option<Instant>,
 }
 
 struct Half {
@@ -55,9 +55,9 @@ const MAX_EARLY_BYTES: usize = 32 << 20;
 const LATE: Duration = Duration::from_millis(200);
 
 /// Stands for a publisher elsewhere.
-pub struct Writer(RawWriter);
+pub struct Ros2Writer(RawWriter);
 
-impl<'a> Reader<'a> {
+impl<'a> Ros2Reader<'a> {
     pub fn new(domain: &'a Domain, topic: &TopicName, kind: Option<&TypeName>, qos: Option<Qos>) -> Self {
         let mut graph = domain.graph();
         graph.mark_changed();
@@ -82,7 +82,7 @@ impl<'a> Reader<'a> {
                 return Ok(event);
             }
             let Self { graph, live, latched, early, known, .. } = self;
-            let gone = known.values().filter_map(|known| known.gone).min();
+            let left_at = known.values().filter_map(|known| known.left_at).min();
             let (is_latched, arrived) = tokio::select! {
                 biased;
                 changed = graph.changed() => {
@@ -97,8 +97,8 @@ impl<'a> Reader<'a> {
                     self.drop_early();
                     continue;
                 }
-                () = sleep_until(gone) => {
-                    self.tell_of_gone();
+                () = sleep_until(left_at) => {
+                    self.report_left();
                     continue;
                 }
                 arrived = recv(latched) => (true, arrived),
@@ -153,7 +153,7 @@ impl<'a> Reader<'a> {
         let told = Instant::now() + LATE;
         for (key, known) in &mut self.known {
             let is_gone = !found.contains_key(key);
-            known.gone = is_gone.then(|| known.gone.unwrap_or(told));
+            known.left_at = is_gone.then(|| known.left_at.unwrap_or(told));
         }
         for (key, (kind, offers)) in found {
             if self.known.get(&key).is_none_or(|before| (&before.kind, before.offers) != (&kind, offers)) {
@@ -162,7 +162,7 @@ impl<'a> Reader<'a> {
                     Some(policy) => Event::Incompatible { key, policy },
                     None => Event::Joined { key, kind: kind.clone(), offers },
                 });
-                self.known.insert(key, Known { kind, offers, gone: None });
+                self.known.insert(key, Known { kind, offers, left_at: None });
             }
         }
         for (_, is_latched, arrived) in std::mem::take(&mut self.early) {
@@ -171,10 +171,10 @@ impl<'a> Reader<'a> {
         self.ask()
     }
 
-    fn tell_of_gone(&mut self) {
+    fn report_left(&mut self) {
         let now = Instant::now();
-        let gone = self.known.extract_if(.., |_, known| known.gone.is_some_and(|told| told <= now));
-        self.events.extend(gone.map(|(key, _)| Event::Left(key)));
+        let left_at = self.known.extract_if(.., |_, known| known.left_at.is_some_and(|told| told <= now));
+        self.events.extend(left_at.map(|(key, _)| Event::Left(key)));
     }
 
     /// What is latched is to be read once more.
@@ -272,7 +272,7 @@ async fn recv(half: &Option<Half>) -> Result<ros2::Arrived, ros2::Unreadable> {
     }
 }
 
-impl Writer {
+impl Ros2Writer {
     pub fn new(domain: &Domain, topic: &TopicName, kind: &Kind, offers: Offer) -> Result<Self, RosError> {
         domain.writer(topic, &TypeName::parse(&kind.name)?, &offers).map(Self)
     }

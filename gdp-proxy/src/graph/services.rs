@@ -48,13 +48,13 @@ impl Servers {
         }
     }
 
-    /// Waits until there is one. Safe to cancel, as [`Self::until_gone`].
+    /// Waits until there is one. Safe to cancel, as [`Self::until_left`].
     pub async fn until_there(&mut self) -> Result<Peer, GraphError> {
         self.until(|peers| peers.first().cloned()).await
     }
 
     /// Waits until this one is not there any more.
-    pub async fn until_gone(&mut self, peer: &Peer) -> Result<(), GraphError> {
+    pub async fn until_left(&mut self, peer: &Peer) -> Result<(), GraphError> {
         self.until(|peers| (!peers.contains(peer)).then_some(())).await
     }
 
@@ -148,7 +148,7 @@ impl Caller {
             Self::Ros1 { client, md5sum } => {
                 client.call(md5sum, request, Duration::MAX).await.map_err(|error| match error {
                     CallError::Failed { text, .. } => Failure::new(FailureCode::Refused, text),
-                    error => Failure::new(FailureCode::Gone, error),
+                    error => Failure::new(FailureCode::ServerLeft, error),
                 })
             }
             Self::Ros2(client) => {
@@ -157,7 +157,7 @@ impl Caller {
                 let answer = client.call(sample).await.map_err(|error| match error {
                     ros2::CallError::Busy => Failure::new(FailureCode::Busy, error),
                     ros2::CallError::BigEndian => Failure::new(FailureCode::Malformed, error),
-                    ros2::CallError::Write(_) | ros2::CallError::Closed => Failure::new(FailureCode::Gone, error),
+                    ros2::CallError::Write(_) | ros2::CallError::Closed => Failure::new(FailureCode::ServerLeft, error),
                 })?;
                 Ok(answer.bytes)
             }

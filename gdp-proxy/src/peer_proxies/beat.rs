@@ -47,7 +47,7 @@ pub async fn beat(peer_proxies: Arc<PeerProxies>, mut voice: impl Voice) {
             continue;
         };
         let text = String::from_utf8_lossy(heard.get(..MAX_TEXT.min(heard.len())).unwrap_or_default());
-        if let Err(error) = peer_proxies.heard(Instant::now(), &text)
+        if let Err(error) = peer_proxies.receive(Instant::now(), &text)
             && !std::mem::replace(&mut has_warned, true)
         {
             tracing::warn!("what another proxy in the graph says of what it carries is not heeded: {error}");

@@ -1,6 +1,7 @@
 //! Proxies in one ROS graph that could carry the same: each tells the others what it is able to
 //! carry, and of those that are able the one with the lowest name does. The others stand by, and
-//! take over once it has gone, has lost the fabric or its right, or is not heard of for [`HOLD`].
+//! take over once it has gone, has lost the fabric or its right, or is silent for
+//! [`DEAD_INTERVAL`].
 //! Services and actions stay with the one that carries them, though a lower name comes: with it,
 //! calls and goals that are under way would end.
 //!
@@ -24,7 +25,7 @@ use crate::config::{MAX_CALLS, MAX_ROUTES, Side};
 
 /// For how long another proxy is taken for there that is not heard of: three times as long as it is
 /// silent at most.
-pub const HOLD: Duration = Duration::from_secs(3);
+pub const DEAD_INTERVAL: Duration = Duration::from_secs(3);
 
 /// For how long it is listened, before calls are taken, whether another proxy takes them: longer
 /// than one is silent.
@@ -42,7 +43,7 @@ const VERSION: u8 = 2;
 /// name, one way.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Part {
+pub struct RoutePart {
     pub name: Name,
     pub side: Side,
     /// `topic /chatter`, `service /add`, `action /move`.
@@ -56,7 +57,7 @@ struct Claims {
     version: u8,
     entity: Name,
     /// What it is able to carry, and whether that stays with it because it does.
-    able: Vec<(Part, bool)>,
+    able: Vec<(RoutePart, bool)>,
 }
 
 /// Of any version.
@@ -77,7 +78,7 @@ pub struct PeerProxies {
 struct State {
     /// Known once there is something to carry.
     own: Option<Name>,
-    able: HashMap<Part, Able>,
+    able: HashMap<RoutePart, Able>,
     others: HashMap<Name, Other>,
 }
 
@@ -92,15 +93,15 @@ struct Able {
 
 struct Other {
     /// And whether it keeps that.
-    able: HashMap<Part, bool>,
-    heard: Instant,
+    able: HashMap<RoutePart, bool>,
+    last_seen: Instant,
 }
 
 /// What one route carries or stands by for, until it is dropped.
-pub struct Place {
+pub struct Candidate {
     peer_proxies: Arc<PeerProxies>,
     own: Name,
-    part: Part,
+    part: RoutePart,
 }
 
 /// What another proxy says is not taken.
@@ -117,12 +118,12 @@ pub enum ClaimsError {
 impl PeerProxies {
     /// For the proxy `own`. `is_able`: whether it is taken to be able to carry it, until it says
     /// otherwise.
-    pub fn enter(self: &Arc<Self>, own: Name, part: Part, is_able: bool) -> Place {
+    pub fn enter(self: &Arc<Self>, own: Name, part: RoutePart, is_able: bool) -> Candidate {
         let mut state = self.lock();
         state.own = Some(own);
         state.able.insert(part.clone(), Able { is_attached: true, is_permitted: is_able, keeps: false });
         self.news.notify_one();
-        Place { peer_proxies: self.clone(), own, part }
+        Candidate { peer_proxies: self.clone(), own, part }
     }
 
     /// What the others are to be told, if there has ever been something.
@@ -138,7 +139,7 @@ impl PeerProxies {
     }
 
     /// Another proxy, or this one, has told this.
-    pub fn heard(&self, now: Instant, text: &str) -> Result<(), ClaimsError> {
+    pub fn receive(&self, now: Instant, text: &str) -> Result<(), ClaimsError> {
         let Versioned { version } = serde_json::from_str(text)?;
         if version != VERSION {
             return Err(ClaimsError::Version(version));
@@ -155,7 +156,7 @@ impl PeerProxies {
         if state.others.len() >= MAX_OTHERS && !state.others.contains_key(&entity) {
             return Err(ClaimsError::TooMuch { what: "proxies in a graph", got: MAX_OTHERS + 1, most: MAX_OTHERS });
         }
-        let known = state.others.insert(entity, Other { able: able.into_iter().collect(), heard: now });
+        let known = state.others.insert(entity, Other { able: able.into_iter().collect(), last_seen: now });
         if known.is_none() {
             // One who comes is not to wait for the next time that it is told.
             self.news.notify_one();
@@ -176,11 +177,11 @@ impl Able {
 
 impl Other {
     fn is_there(&self, now: Instant) -> bool {
-        now.saturating_duration_since(self.heard) < HOLD
+        now.saturating_duration_since(self.last_seen) < DEAD_INTERVAL
     }
 }
 
-impl Place {
+impl Candidate {
     /// Whether this proxy reaches the fabric.
     pub fn set_attached(&self, is_attached: bool) {
         self.set(|able| able.is_attached = is_attached);
@@ -224,12 +225,12 @@ impl Place {
     /// Whether what this entity publishes under the name is from the same graph.
     pub fn is_twin(&self, now: Instant, entity: &Name) -> bool {
         let state = self.peer_proxies.lock();
-        let publishes = |part: &Part| part.side == Side::Out && part.name == self.part.name;
+        let publishes = |part: &RoutePart| part.side == Side::Out && part.name == self.part.name;
         state.others.get(entity).is_some_and(|other| other.is_there(now) && other.able.keys().any(publishes))
     }
 }
 
-impl Drop for Place {
+impl Drop for Candidate {
     fn drop(&mut self) {
         self.peer_proxies.lock().able.remove(&self.part);
         self.peer_proxies.news.notify_one();

@@ -15,7 +15,7 @@ use gdp_daemon::serve::Running;
 use gdp_wire::Name;
 use tokio::runtime::{Builder, Runtime};
 
-use crate::config::{Config, LinkPlace, RelayConfig};
+use crate::config::{Config, LinkEntry, RelayConfig};
 use crate::material::load_identity;
 use crate::material_error::{MaterialError, with_path};
 use gdp_util::unix_time::unix_seconds;
@@ -100,7 +100,7 @@ impl RunningRelay {
 
 /// Those of the proxy's switches that a switch can have as neighbours: at an address, and known by
 /// name.
-fn neighbours(links: &[LinkPlace]) -> Vec<Neighbour> {
+fn neighbours(links: &[LinkEntry]) -> Vec<Neighbour> {
     let mut neighbours: Vec<Neighbour> = Vec::new();
     for link in links {
         let (LinkTarget::Udp { host, port, interface: None }, Some(switch)) = (&link.to, link.switch) else { continue };
@@ -125,8 +125,8 @@ fn check_membership(files: &CredentialFiles, identity: &Identity) -> Result<(), 
             roles::SWITCH
         )
     };
-    let papers = files.load().map_err(|error| remedy(error.to_string()))?;
-    let trust = Trust::new(identity.name(), papers.into(), true).map_err(|error| remedy(error.to_string()))?;
+    let credentials = files.load().map_err(|error| remedy(error.to_string()))?;
+    let trust = Trust::new(identity.name(), credentials.into(), true).map_err(|error| remedy(error.to_string()))?;
     let own = trust.own(unix_seconds()).map_err(|error| remedy(error.to_string()))?;
     match roles::is_switch(&own.role) {
         true => Ok(()),

@@ -25,7 +25,7 @@ pub use qos::{Depth, Durability, Qos, Reliability};
 pub use range::{Range, RangeError};
 pub use raw::{Arrived, ENCAPSULATION, RawReader, RawSample, RawWriter, Representation, Unreadable, WriteError};
 
-pub use service::{BadRequest, CallError, Client, ClientLife, Headless, Mapping, Request, RequestId, Server};
+pub use service::{BadRequest, CallError, Client, ClientLife, Headless, Mapping, ReceivedRequest, RequestId, Server};
 
 use std::net::Ipv4Addr;
 use std::sync::Arc;

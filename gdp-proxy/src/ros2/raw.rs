@@ -50,7 +50,7 @@ pub struct Arrived {
 }
 
 /// A message with what services need to tell whose it is.
-pub(super) struct Change {
+pub(super) struct SampleChange {
     pub sample: RawSample,
     pub writer: GUID,
     pub sequence: SequenceNumber,
@@ -155,13 +155,13 @@ impl RawReader {
     /// The next message. Wakes when it arrives, without polling; may be cancelled without losing
     /// one.
     pub async fn recv(&self) -> Result<Arrived, Unreadable> {
-        let Change { sample, writer, sequence, written_ns, .. } = self.change().await?;
+        let SampleChange { sample, writer, sequence, written_ns, .. } = self.change().await?;
         let lost = self.gaps.lock().before(writer, sequence);
         Ok(Arrived { writer, sample, written_ns, lost })
     }
 
     /// As [`recv`](Self::recv), with the message's identity.
-    pub(super) async fn change(&self) -> Result<Change, Unreadable> {
+    pub(super) async fn change(&self) -> Result<SampleChange, Unreadable> {
         // However much there is to read, others have their turn.
         cooperative(poll_fn(|context| {
             if let Some(taken) = self.take() {
@@ -174,13 +174,13 @@ impl RawReader {
         .await
     }
 
-    fn take(&self) -> Option<Result<Change, Unreadable>> {
+    fn take(&self) -> Option<Result<SampleChange, Unreadable>> {
         loop {
             match self.reader.try_take_one() {
                 Ok(None) => return None,
                 Ok(Some(change)) if self.is_own(change.writer_guid()) => {}
                 Ok(Some(change)) => {
-                    return Some(Ok(Change {
+                    return Some(Ok(SampleChange {
                         writer: change.writer_guid(),
                         sequence: change.sequence_number,
                         related: change.related_sample_identity(),

@@ -8,7 +8,7 @@ use gdp_e2e::seal::Message;
 use gdp_msg::{Encoding, TranscodeError};
 
 use crate::config::{Compression, FramePrefix, TopicConfig};
-use crate::large::beside;
+use crate::offload::run_blocking_if_large;
 use gdp_ros::compression::Packer;
 use gdp_ros::roster::Kind;
 use gdp_ros::types::{Converter, Form, TypeError, Types, sealed, unsealed};
@@ -37,13 +37,13 @@ impl Outbound {
     }
 
     pub fn convert(&mut self, bytes: Bytes) -> Result<Bytes, TranscodeError> {
-        beside(bytes.len(), || self.converter.convert(bytes))
+        run_blocking_if_large(bytes.len(), || self.converter.convert(bytes))
     }
 
     /// What was converted, as it travels.
     pub fn pack<'a>(&'a mut self, body: &'a [u8]) -> (seal::Encoding, &'a [u8]) {
         match &mut self.packer {
-            Some(packer) => beside(body.len(), || packer.pack(self.encoding, body)),
+            Some(packer) => run_blocking_if_large(body.len(), || packer.pack(self.encoding, body)),
             None => (self.encoding, body),
         }
     }
@@ -78,7 +78,7 @@ impl Inbound {
 
     pub fn convert(&mut self, types: &Types, message: Message) -> Result<Bytes, String> {
         let ratio = if matches!(message.encoding, seal::Encoding::Other(_)) { LIKELY_RATIO } else { 1 };
-        beside(message.body.len() * ratio, || self.convert_here(types, message))
+        run_blocking_if_large(message.body.len() * ratio, || self.convert_here(types, message))
     }
 
     fn convert_here(&mut self, types: &Types, message: Message) -> Result<Bytes, String> {

@@ -17,7 +17,7 @@ use super::locals::{Locals, Whose};
 use super::{Route, Way};
 use crate::delivery::subscribe_options;
 use crate::graph::Graph;
-use crate::peer_proxies::Place;
+use crate::peer_proxies::Candidate;
 use crate::ros2::{Qos, TypeName};
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
@@ -36,7 +36,7 @@ const WAITING: usize = 256;
 struct In<'a> {
     graph: &'a Graph,
     own: Name,
-    place: &'a Place,
+    candidate: &'a Candidate,
     /// Of the name's card or the configuration.
     kind: Option<&'a TypeName>,
     incoming: Incoming,
@@ -47,16 +47,16 @@ struct In<'a> {
 
 impl Route {
     pub(super) async fn run_in(&self, way: &Way<'_>, right: &mut Right<Reading>) -> Result<Infallible, RouteError> {
-        let Way { graph, node, kind, card, place } = *way;
+        let Way { graph, node, kind, card, candidate } = *way;
         let (incoming, locals) = (Incoming::default(), Locals::new(Instant::now()));
-        let mut to = In { graph, own: node.name(), place, kind, incoming, locals, misfit: None };
+        let mut to = In { graph, own: node.name(), candidate, kind, incoming, locals, misfit: None };
         let mut pause = RETRY;
         loop {
-            let error = match node.subscribe(card.proof(), right.held(), subscribe_options(&self.config)).await {
+            let error = match node.subscribe(card.proof(), right.current(), subscribe_options(&self.config)).await {
                 Ok(mut subscription) => {
                     *self.fabric() = FabricCounters::In(subscription.meter());
                     pause = RETRY;
-                    self.is_up(place);
+                    self.is_up(candidate);
                     self.carry_in(&mut to, &mut subscription, right).await?
                 }
                 Err(error) => error,
@@ -64,7 +64,7 @@ impl Route {
             // Nothing more is heard of those elsewhere.
             let changes = to.incoming.clear();
             self.change(&mut to, changes).await;
-            self.pause(error, &mut pause, right, place).await;
+            self.pause(error, &mut pause, right, candidate).await;
         }
     }
 
@@ -88,7 +88,7 @@ impl Route {
                     continue;
                 }
                 _ = ticks.tick() => {
-                    self.standing.renew(right, async |new| subscription.renew(new).await).await;
+                    self.route_status.renew(right, async |new| subscription.renew(new).await).await;
                     // Whose rosters wait here has not fallen silent: it is this proxy that was
                     // late.
                     for _ in 0..WAITING {
@@ -116,7 +116,7 @@ impl Route {
         if message.writer == to.own {
             return self.drop(Drop::Own, "this proxy wrote it");
         }
-        if to.place.is_twin(Instant::now(), &message.writer) {
+        if to.candidate.is_twin(Instant::now(), &message.writer) {
             return self.drop(Drop::Own, "another proxy of the same ROS graph wrote it");
         }
         if message.encoding == ROSTER {
@@ -144,7 +144,7 @@ impl Route {
                 }
                 self.write(to, None, message).await;
             }
-            Taken::Held => {}
+            Taken::Pending => {}
             Taken::Crowded(gone) => self.drop_all(Drop::Unannounced, gone as u64, NOT_SAID),
         }
     }
@@ -182,7 +182,7 @@ impl Route {
         for whose in to.locals.due(Instant::now()) {
             let Some(local) = to.locals.get(&whose) else { continue };
             let made = self.try_to_make(to.graph, to.kind, local).await;
-            let kept = match made {
+            let history = match made {
                 Ok(made) => local.made(made),
                 Err(why) => {
                     tracing::warn!(topic = %self.config.topic, "{}", no_counterpart(&whose, &why));
@@ -190,7 +190,7 @@ impl Route {
                     continue;
                 }
             };
-            for message in kept {
+            for message in history {
                 self.write_to(local, message).await;
             }
             self.trim(to);
@@ -214,7 +214,7 @@ impl Route {
         let offers = self.config.qos.map_or(*offers, Offer::from);
         let writer = graph.writer(&self.types, &self.config.topic, &here, text.as_deref(), offers);
         let writer = writer.await.map_err(|error| error.to_string())?;
-        self.standing.set_kind(&here.name);
+        self.route_status.set_kind(&here.name);
         Ok(Made::new(Instant::now(), writer, offers, format))
     }
 
@@ -261,13 +261,13 @@ impl Route {
     /// Says in the status which publishers have no counterpart, or one that is not heard; and to
     /// other proxies of the graph whether this one can do anything for the topic.
     fn show(&self, to: &mut In<'_>) {
-        to.place.set_permitted(!to.locals.are_hopeless());
+        to.candidate.set_permitted(!to.locals.are_hopeless());
         let mut faults: Vec<_> = to.locals.faults().map(|(whose, why)| no_counterpart(whose, why)).collect();
         faults.extend(to.misfit.clone());
         match &faults[..] {
-            [] => self.standing.set_status("up"),
-            [only] => self.standing.set_status(only),
-            [first, rest @ ..] => self.standing.set_status(&format!("{first}; and {} more", rest.len())),
+            [] => self.route_status.set_status("up"),
+            [only] => self.route_status.set_status(only),
+            [first, rest @ ..] => self.route_status.set_status(&format!("{first}; and {} more", rest.len())),
         }
     }
 }

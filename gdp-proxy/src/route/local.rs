@@ -8,7 +8,7 @@ use gdp_e2e::seal::Message;
 use gdp_util::backoff::Backoff;
 
 use super::format::Inbound;
-use super::hold::Hold;
+use super::pending_match::PendingMatch;
 use crate::delivery::latched;
 use crate::graph::{WriteError, Writer};
 use crate::stats::{Drop, RouteCounters};
@@ -20,7 +20,7 @@ use gdp_ros::types::Types;
 const LINGER: Duration = Duration::from_secs(1);
 
 /// Bytes that are kept of what one publisher latches.
-const MAX_KEPT_BYTES: usize = 64 << 20;
+const MAX_HISTORY_BYTES: usize = 64 << 20;
 
 /// Between attempts to make one.
 const RETRY: Backoff = Backoff::new(Duration::from_secs(1), Duration::from_secs(30));
@@ -30,13 +30,13 @@ pub struct Local {
     pub kind: Kind,
     pub definition: Option<Arc<str>>,
     pub offers: Offer,
-    state: State,
+    state: LocalState,
     /// What the publisher latches, for a writer that is made later; and how much that is.
-    kept: VecDeque<Message>,
-    kept_bytes: usize,
+    history: VecDeque<Message>,
+    history_bytes: usize,
 }
 
-enum State {
+enum LocalState {
     /// It is to be made.
     Wanted,
     Made(Box<Made>),
@@ -55,7 +55,7 @@ pub struct Made {
     pub offers: Offer,
     format: Inbound,
     /// As they came: compressed, they may be much smaller.
-    hold: Option<Hold<Message>>,
+    pending_match: Option<PendingMatch<Message>>,
     written: Option<Instant>,
 }
 
@@ -64,44 +64,44 @@ pub type Refused = (Drop, String);
 
 impl Local {
     pub fn new(kind: Kind, definition: Option<Arc<str>>, offers: Offer) -> Self {
-        Self { kind, definition, offers, state: State::Wanted, kept: VecDeque::new(), kept_bytes: 0 }
+        Self { kind, definition, offers, state: LocalState::Wanted, history: VecDeque::new(), history_bytes: 0 }
     }
 
     /// Whether it is time to try to make it.
     pub fn is_due(&self, now: Instant) -> bool {
         match &self.state {
-            State::Wanted => true,
-            State::Failed { again, .. } => *again <= now,
-            State::Made(_) | State::Silent => false,
+            LocalState::Wanted => true,
+            LocalState::Failed { again, .. } => *again <= now,
+            LocalState::Made(_) | LocalState::Silent => false,
         }
     }
 
     /// Why there is none, if one could not be made.
     pub fn fault(&self) -> Option<&str> {
         match &self.state {
-            State::Failed { why, .. } => Some(why),
+            LocalState::Failed { why, .. } => Some(why),
             _ => None,
         }
     }
 
     /// It is made: what its publisher latches is written first.
     pub fn made(&mut self, made: Made) -> Vec<Message> {
-        self.state = State::Made(made.into());
-        self.kept.iter().cloned().collect()
+        self.state = LocalState::Made(made.into());
+        self.history.iter().cloned().collect()
     }
 
     pub fn failed(&mut self, now: Instant, why: String) {
         let mut retry = match &self.state {
-            State::Failed { retry, .. } => *retry,
+            LocalState::Failed { retry, .. } => *retry,
             _ => RETRY,
         };
-        self.state = State::Failed { why, again: now + retry.next_delay(), retry };
+        self.state = LocalState::Failed { why, again: now + retry.next_delay(), retry };
     }
 
     /// Nothing is heard of its publisher: subscribers here see it go.
     pub fn silence(&mut self) -> Option<Made> {
-        match std::mem::replace(&mut self.state, State::Silent) {
-            State::Made(made) => Some(*made),
+        match std::mem::replace(&mut self.state, LocalState::Silent) {
+            LocalState::Made(made) => Some(*made),
             _ => None,
         }
     }
@@ -112,8 +112,8 @@ impl Local {
             self.forget();
         }
         (self.kind, self.definition, self.offers) = (kind, definition, offers);
-        match std::mem::replace(&mut self.state, State::Wanted) {
-            State::Made(made) => Some(*made),
+        match std::mem::replace(&mut self.state, LocalState::Wanted) {
+            LocalState::Made(made) => Some(*made),
             _ => None,
         }
     }
@@ -128,9 +128,9 @@ impl Local {
         if most == 0 {
             return self.forget();
         }
-        self.kept_bytes += message.body.len();
-        self.kept.push_back(message.clone());
-        while self.kept.len() > most || (self.kept.len() > 1 && self.kept_bytes > MAX_KEPT_BYTES) {
+        self.history_bytes += message.body.len();
+        self.history.push_back(message.clone());
+        while self.history.len() > most || (self.history.len() > 1 && self.history_bytes > MAX_HISTORY_BYTES) {
             self.forget_oldest();
         }
     }
@@ -138,37 +138,37 @@ impl Local {
     /// Bytes that are kept, or wait for subscribers.
     pub fn bytes(&self) -> usize {
         match &self.state {
-            State::Made(made) => self.kept_bytes + made.bytes(),
-            _ => self.kept_bytes,
+            LocalState::Made(made) => self.history_bytes + made.bytes(),
+            _ => self.history_bytes,
         }
     }
 
     /// Lets the oldest message of them go: how many bytes these are.
     pub fn evict(&mut self) -> usize {
         match &mut self.state {
-            State::Made(made) if made.bytes() > self.kept_bytes => made.evict(),
+            LocalState::Made(made) if made.bytes() > self.history_bytes => made.evict(),
             _ => self.forget_oldest(),
         }
     }
 
     fn forget(&mut self) {
-        self.kept.clear();
-        self.kept_bytes = 0;
+        self.history.clear();
+        self.history_bytes = 0;
     }
 
     fn forget_oldest(&mut self) -> usize {
-        let bytes = self.kept.pop_front().map_or(0, |oldest| oldest.body.len());
-        self.kept_bytes -= bytes;
+        let bytes = self.history.pop_front().map_or(0, |oldest| oldest.body.len());
+        self.history_bytes -= bytes;
         bytes
     }
 
     pub fn is_made(&self) -> bool {
-        matches!(self.state, State::Made(_))
+        matches!(self.state, LocalState::Made(_))
     }
 
     pub fn made_mut(&mut self) -> Option<&mut Made> {
         match &mut self.state {
-            State::Made(made) => Some(made),
+            LocalState::Made(made) => Some(made),
             _ => None,
         }
     }
@@ -176,16 +176,16 @@ impl Local {
 
 impl Made {
     pub fn new(now: Instant, writer: Writer, offers: Offer, format: Inbound) -> Self {
-        Self { writer, offers, format, hold: Some(Hold::new(now, offers.reliable)), written: None }
+        Self { writer, offers, format, pending_match: Some(PendingMatch::new(now, offers.reliable)), written: None }
     }
 
     /// Writes a message, or has it wait.
     pub async fn take(&mut self, types: &Types, counters: &RouteCounters, message: Message) -> Result<(), Refused> {
         let began = Instant::now();
-        match &mut self.hold {
-            Some(hold) => {
+        match &mut self.pending_match {
+            Some(pending_match) => {
                 let length = message.body.len();
-                hold.push(message, length);
+                pending_match.push(message, length);
             }
             None => {
                 self.write(types, counters, message).await?;
@@ -197,32 +197,32 @@ impl Made {
 
     /// Whether something waits.
     pub fn is_holding(&self) -> bool {
-        self.hold.is_some()
+        self.pending_match.is_some()
     }
 
     /// Bytes that wait for subscribers.
     pub fn bytes(&self) -> usize {
-        self.hold.as_ref().map_or(0, Hold::bytes)
+        self.pending_match.as_ref().map_or(0, PendingMatch::bytes)
     }
 
     /// How many messages wait that go with it.
     pub fn abandon(self) -> u64 {
-        self.hold.map_or(0, |hold| hold.into_waiting().count() as u64)
+        self.pending_match.map_or(0, |pending_match| pending_match.into_waiting().count() as u64)
     }
 
     /// Lets the oldest message that waits go: how many bytes it is.
     pub fn evict(&mut self) -> usize {
-        self.hold.as_mut().map_or(0, Hold::drop_oldest)
+        self.pending_match.as_mut().map_or(0, PendingMatch::drop_oldest)
     }
 
     /// Writes what has waited, once it need not wait any more; what was refused.
     pub async fn look(&mut self, types: &Types, counters: &RouteCounters, now: Instant) -> Vec<Refused> {
-        let Self { writer, hold, .. } = self;
+        let Self { writer, pending_match, .. } = self;
         let mut refused = Vec::new();
-        if hold.as_mut().is_some_and(|hold| hold.is_over(now, || writer.is_matched()))
-            && let Some(hold) = self.hold.take()
+        if pending_match.as_mut().is_some_and(|pending_match| pending_match.is_over(now, || writer.is_matched()))
+            && let Some(pending_match) = self.pending_match.take()
         {
-            for message in hold.into_waiting() {
+            for message in pending_match.into_waiting() {
                 refused.extend(self.write(types, counters, message).await.err());
             }
         }
@@ -231,7 +231,7 @@ impl Made {
 
     /// Whether it may go, its publisher having gone.
     pub fn is_over(&self, now: Instant) -> bool {
-        self.hold.is_none() && self.written.is_none_or(|written| now >= written + LINGER)
+        self.pending_match.is_none() && self.written.is_none_or(|written| now >= written + LINGER)
     }
 
     async fn write(&mut self, types: &Types, counters: &RouteCounters, message: Message) -> Result<(), Refused> {

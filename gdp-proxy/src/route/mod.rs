@@ -4,12 +4,12 @@
 //! again, and the others go on.
 
 mod format;
-mod hold;
 mod inward;
 mod local;
 mod locals;
 mod outward;
 mod pace;
+mod pending_match;
 
 use std::convert::Infallible;
 use std::fmt::Display;
@@ -23,7 +23,7 @@ use parking_lot::{Mutex, MutexGuard};
 use crate::carries::{Carries, Way};
 use crate::config::{Side, Thing, TopicConfig};
 use crate::graph::Graph;
-use crate::peer_proxies::Place;
+use crate::peer_proxies::Candidate;
 use crate::ros2::TopicName;
 use crate::route_material::RouteMaterial;
 use crate::route_status::{EitherRight, Right, RouteError, RouteStatus};
@@ -43,7 +43,7 @@ pub struct Route {
     side: Side,
     types: Arc<Types>,
     counters: RouteCounters,
-    standing: RouteStatus,
+    route_status: RouteStatus,
     /// Of the fabric's side of it.
     fabric: Mutex<FabricCounters>,
 }
@@ -76,23 +76,23 @@ impl Carries for Route {
             side: material.permission.side(),
             types,
             counters: RouteCounters::default(),
-            standing: RouteStatus::new(Self::title(config), material.card.name(), kind),
+            route_status: RouteStatus::new(Self::title(config), material.card.name(), kind),
             fabric: Mutex::new(FabricCounters::None),
         }
     }
 
-    fn standing(&self) -> &RouteStatus {
-        &self.standing
+    fn route_status(&self) -> &RouteStatus {
+        &self.route_status
     }
 
     fn stats(&self) -> RouteStats {
         RouteStats {
             topic: self.config.topic.to_string(),
             graph: self.graph.clone(),
-            kind: self.standing.kind(),
-            status: self.standing.status(),
+            kind: self.route_status.kind(),
+            status: self.route_status.status(),
             direction: self.side,
-            name: self.standing.name(),
+            name: self.route_status.name(),
             fabric: self.fabric().read(),
             counted: self.counters.read(),
         }
@@ -106,13 +106,14 @@ impl Carries for Route {
         stop: impl Future<Output = ()> + Send,
     ) -> Result<(), RouteError> {
         // What has failed is left to others until it shows that it works by now.
-        let place = graph.peer_proxies().enter(node.name(), self.standing.part(self.side), !self.standing.has_failed());
+        let candidate =
+            graph.peer_proxies().enter(node.name(), self.route_status.part(self.side), !self.route_status.has_failed());
         let RouteMaterial { card, kind, permission, file } = material;
-        let way = Way { graph, node, kind: kind.as_ref(), card: &card, place: &place };
+        let way = Way { graph, node, kind: kind.as_ref(), card: &card, candidate: &candidate };
         let mut right = EitherRight::new(permission, file);
         let mut publisher = None;
         let mut stop = pin!(stop);
-        let mut turns = Turns::new(&place, node, &self.standing, stop.as_mut());
+        let mut turns = Turns::new(&candidate, node, &self.route_status, stop.as_mut());
         while turns.begin().await {
             let result = tokio::select! {
                 Err(error) = self.carry(&way, &mut right, &mut publisher) => Err(error),
@@ -145,14 +146,20 @@ impl Route {
     async fn close(&self, Published { publisher, farewell }: Published) {
         publisher.pin(ROSTER, &farewell);
         if let Err(error) = publisher.close(FLUSH).await {
-            tracing::warn!(topic = %self.config.topic, name = %self.standing.name(), "left with messages under way: {error}");
+            tracing::warn!(topic = %self.config.topic, name = %self.route_status.name(), "left with messages under way: {error}");
         }
     }
 
     /// A refusal: another proxy of the graph may do better meanwhile.
-    async fn pause<T: Clone>(&self, error: NodeError, pause: &mut Backoff, right: &mut Right<T>, place: &Place) {
-        place.set_permitted(false);
-        self.standing.pause(error, pause, right).await;
+    async fn pause<T: Clone>(
+        &self,
+        error: NodeError,
+        pause: &mut Backoff,
+        right: &mut Right<T>,
+        candidate: &Candidate,
+    ) {
+        candidate.set_permitted(false);
+        self.route_status.pause(error, pause, right).await;
     }
 
     /// Counts every drop; the first one for a reason is worth a line in the log, the counters have
@@ -171,8 +178,8 @@ impl Route {
         self.fabric.lock()
     }
 
-    fn is_up(&self, place: &Place) {
-        place.set_permitted(true);
-        self.standing.is_up();
+    fn is_up(&self, candidate: &Candidate) {
+        candidate.set_permitted(true);
+        self.route_status.is_up();
     }
 }

@@ -15,7 +15,7 @@ use super::pace::Pace;
 use super::{Published, Route, Way};
 use crate::delivery::{lacks, latched, publish_options, stronger};
 use crate::graph::{Arrived, Event, GraphError, Key, Reader};
-use crate::large::is_large;
+use crate::offload::is_large;
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
 use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
@@ -58,21 +58,21 @@ impl Route {
         right: &mut Right<Issued<AdCert>>,
         publisher: &mut Option<Published>,
     ) -> Result<Infallible, RouteError> {
-        let Way { node, card, place, .. } = *way;
+        let Way { node, card, candidate, .. } = *way;
         let mut out = self.learn(way, self.config.qos.map(Offer::from)).await?;
         let mut pause = RETRY;
         loop {
             let farewell = out.roster.farewell()?;
             let new = loop {
                 let options = publish_options(&out.offers, &self.config);
-                match node.publish(card.proof(), right.held(), options).await {
+                match node.publish(card.proof(), right.current(), options).await {
                     Ok(new) => break &mut publisher.insert(Published { publisher: new, farewell }).publisher,
-                    Err(error) => self.pause(error, &mut pause, right, place).await,
+                    Err(error) => self.pause(error, &mut pause, right, candidate).await,
                 }
             };
             *self.fabric() = FabricCounters::Out(new.meter());
             pause = RETRY;
-            self.is_up(place);
+            self.is_up(candidate);
             self.show_out("up", &out.incompatible_publishers);
             out.roster.offers().for_each(|(number, offers)| new.latch(&roster::origin(number), latched(&offers)));
             out.wait_for_reader(new).await?;
@@ -88,7 +88,7 @@ impl Route {
                 Turn::Ended(error) => {
                     drop(published);
                     let offers = out.offers;
-                    self.pause(error, &mut pause, right, place).await;
+                    self.pause(error, &mut pause, right, candidate).await;
                     // What has come meanwhile is old by now.
                     out = self.learn(way, Some(offers)).await?;
                 }
@@ -99,7 +99,7 @@ impl Route {
     /// Reads the topic; returns when it is known how to publish it. Never, if its type cannot be
     /// converted as the configuration wants: the status says so.
     async fn learn<'a>(&self, way: &Way<'a>, offers: Option<Offer>) -> Result<Out<'a>, RouteError> {
-        let Way { graph, kind, place, .. } = *way;
+        let Way { graph, kind, candidate, .. } = *way;
         let mut incompatible_publishers = BTreeMap::new();
         let mut reader = graph.reader(&self.config.topic, kind, self.config.qos)?;
         let wanted = kind.map(|kind| graph.kind(kind));
@@ -125,15 +125,15 @@ impl Route {
                 }
             },
         };
-        self.standing.set_kind(&kind.name);
+        self.route_status.set_kind(&kind.name);
         let definition = reader.definition().map(str::to_owned).or_else(|| self.types.definition(&kind));
         let format = match Outbound::new(&self.config, &self.types, &kind, definition.as_deref()) {
             Ok(format) => format,
             Err(error) => {
-                self.standing.set_status(&error.to_string());
+                self.route_status.set_status(&error.to_string());
                 tracing::warn!(topic = %self.config.topic, kind = %kind.name, "not carried: {error}");
                 // Another proxy of the graph may know more.
-                place.set_permitted(false);
+                candidate.set_permitted(false);
                 std::future::pending().await
             }
         };
@@ -179,7 +179,7 @@ impl Route {
                     continue;
                 }
                 _ = ticks.tick() => {
-                    self.standing.renew(right, async |new| publisher.renew(new).await).await;
+                    self.route_status.renew(right, async |new| publisher.renew(new).await).await;
                     continue;
                 }
             };
@@ -315,11 +315,11 @@ impl Route {
     /// Says in the status which publishers are not carried.
     fn show_out(&self, otherwise: &str, incompatible_publishers: &BTreeMap<Key, String>) {
         match incompatible_publishers.iter().next() {
-            None => self.standing.set_status(otherwise),
+            None => self.route_status.set_status(otherwise),
             Some((key, why)) => {
                 let more = incompatible_publishers.len() - 1;
                 let more = if more == 0 { String::new() } else { format!("; and {more} more") };
-                self.standing.set_status(&format!("publisher {key:x} here is not carried: {why}{more}"));
+                self.route_status.set_status(&format!("publisher {key:x} here is not carried: {why}{more}"));
             }
         }
     }
@@ -328,10 +328,10 @@ impl Route {
         match error.code {
             // As long as nobody subscribes.
             ErrorCode::NoRoute => {
-                tracing::info!(topic = %self.config.topic, name = %self.standing.name(), "not carried on: {error}")
+                tracing::info!(topic = %self.config.topic, name = %self.route_status.name(), "not carried on: {error}")
             }
             _ => {
-                tracing::warn!(topic = %self.config.topic, name = %self.standing.name(), "the switch refused a frame: {error}")
+                tracing::warn!(topic = %self.config.topic, name = %self.route_status.name(), "the switch refused a frame: {error}")
             }
         }
     }

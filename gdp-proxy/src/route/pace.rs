@@ -10,14 +10,14 @@ use crate::graph::Key;
 /// `T`: a message.
 pub struct Pace<T> {
     period: Option<Duration>,
-    publishers: HashMap<Option<Key>, Turn<T>>,
+    publishers: HashMap<Option<Key>, PublisherTurn<T>>,
 }
 
-struct Turn<T> {
+struct PublisherTurn<T> {
     /// When the next message is wanted.
     due: Instant,
     /// The newest since the last that went.
-    held: Option<T>,
+    pending: Option<T>,
 }
 
 impl<T> Pace<T> {
@@ -29,10 +29,10 @@ impl<T> Pace<T> {
     /// of.
     pub fn take(&mut self, now: Instant, from: Option<Key>, message: T) -> (Option<T>, u64) {
         let Some(period) = self.period else { return (Some(message), 0) };
-        let turn = self.publishers.entry(from).or_insert(Turn { due: now, held: None });
-        let replaced = u64::from(turn.held.take().is_some());
+        let turn = self.publishers.entry(from).or_insert(PublisherTurn { due: now, pending: None });
+        let replaced = u64::from(turn.pending.take().is_some());
         if now < turn.due {
-            turn.held = Some(message);
+            turn.pending = Some(message);
             return (None, replaced);
         }
         // A message that comes a little late does not shift all that follow.
@@ -44,21 +44,21 @@ impl<T> Pace<T> {
     /// itself soon after is newer.
     pub fn next(&self) -> Option<Instant> {
         let grace = self.period? / 2;
-        self.publishers.values().filter(|turn| turn.held.is_some()).map(|turn| turn.due + grace).min()
+        self.publishers.values().filter(|turn| turn.pending.is_some()).map(|turn| turn.due + grace).min()
     }
 
     /// What is held and is to go now; one for each call.
     pub fn overdue(&mut self, now: Instant) -> Option<T> {
         let period = self.period?;
-        let waits = |turn: &&mut Turn<T>| turn.held.is_some() && now >= turn.due + period / 2;
+        let waits = |turn: &&mut PublisherTurn<T>| turn.pending.is_some() && now >= turn.due + period / 2;
         let turn = self.publishers.values_mut().find(waits)?;
         turn.due = now + period;
-        turn.held.take()
+        turn.pending.take()
     }
 
     /// What is held of a publisher that has gone.
     pub fn left(&mut self, key: Key) -> Option<T> {
-        self.publishers.remove(&Some(key))?.held
+        self.publishers.remove(&Some(key))?.pending
     }
 }
 

@@ -54,7 +54,7 @@ async fn a_name_that_is_listed_twice_is_read_once_and_the_rest_is_told() {
         let topics: Vec<_> = routes.iter().map(|plan| plan.config.topic.as_str()).collect();
         assert_eq!(topics, ["/chatter", "/one/a", "/two/b"]);
         let told: Vec<_> =
-            automatic.kept.omissions.known().iter().map(|(what, why)| format!("{what}: {why}")).collect();
+            automatic.planner_state.omissions.known().iter().map(|(what, why)| format!("{what}: {why}")).collect();
         assert!(
             told[0].starts_with("topic /one/chatter: its name ")
                 && told[0].contains("is already that of topic /chatter")
@@ -92,8 +92,11 @@ async fn what_finds_no_room_in_the_catalog_is_told_and_the_rest_is_listed() {
     let [CatalogPlan { end: End::Writes(_, list), .. }] = &plans.catalogs[..] else { panic!("one catalog") };
     let listed = Catalog::read(&list.borrow(), owner.verify_key()).unwrap();
     assert!((100..500).contains(&listed.len()), "{}", listed.len());
-    assert_eq!((plans.routes.len(), automatic.kept.omissions.known().len()), (listed.len(), 500 - listed.len()));
-    assert!(automatic.kept.omissions.known().iter().all(|(_, reason)| *reason == Reason::CatalogHasAllBytes));
+    assert_eq!(
+        (plans.routes.len(), automatic.planner_state.omissions.known().len()),
+        (listed.len(), 500 - listed.len())
+    );
+    assert!(automatic.planner_state.omissions.known().iter().all(|(_, reason)| *reason == Reason::CatalogHasAllBytes));
     drop((automatic, plans));
     graph::leave(graphs).await;
 }
@@ -147,7 +150,13 @@ async fn services_are_listed_and_carried_as_calls_unless_the_configuration_lists
     assert_eq!(listed, expected.map(|entry| entry.map(Some)));
     let names: Vec<_> = plans.calls.iter().map(|plan| plan.config.name.as_str()).collect();
     assert_eq!((names, plans.routes.len()), (vec!["/light", "/a", "/untyped"], 1));
-    let told = automatic.kept.omissions.known().iter().map(|(what, why)| format!("{what}: {why}")).collect::<Vec<_>>();
+    let told = automatic
+        .planner_state
+        .omissions
+        .known()
+        .iter()
+        .map(|(what, why)| format!("{what}: {why}"))
+        .collect::<Vec<_>>();
     assert_eq!(told, ["service /b: remap gives it the name of another"]);
     drop((automatic, plans, explicit));
     graph::leave(graphs).await;

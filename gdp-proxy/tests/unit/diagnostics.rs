@@ -46,8 +46,8 @@ fn it_is_written_in_either_dialect() {
     let told = Form { kind: &ros2, definition: None, encoding: Encoding::Json };
     let values = vec![Value { key: "rate (Hz)".into(), value: "10".into() }];
     let (name, message, hardware_id) = ("n".to_owned(), "m".to_owned(), "h".to_owned());
-    let status = vec![Status { level: Level::Error as u8, name, message, hardware_id, values }];
-    let array = Array { header: Header { stamp: Stamp { sec: 1, nanosec: 2 }, frame_id: "" }, status };
+    let status = vec![DiagnosticStatus { level: Level::Error as u8, name, message, hardware_id, values }];
+    let array = Array { header: DiagnosticHeader { stamp: Stamp { sec: 1, nanosec: 2 }, frame_id: "" }, status };
     let json = bytes::Bytes::from(serde_json::to_vec(&array).unwrap());
     for dialect in [Dialect::Ros1, Dialect::Ros2] {
         let (kind, _) = types.counterpart(&told, dialect).unwrap();

@@ -16,10 +16,10 @@ struct Running {
 type Told = Arc<Mutex<Vec<String>>>;
 
 impl Plan for Toy {
-    type Place = u8;
+    type Key = u8;
     type Work = Running;
 
-    fn place(&self) -> u8 {
+    fn key(&self) -> u8 {
         self.0
     }
 }
@@ -77,11 +77,11 @@ async fn until(manager: &mut Manager<Toy>, told: &Told, expected: &[&str]) {
 async fn what_is_wanted_as_it_is_goes_on_and_the_rest_begins_ends_or_begins_anew() {
     let (mut manager, told) = manager();
     let changed = manager.want([Toy(1, "a"), Toy(2, "a"), Toy(3, "a")]);
-    assert_eq!(changed, Changed { begun: 3, ended: 0, kept: 0 });
+    assert_eq!(changed, ChangeCounts { begun: 3, ended: 0, unchanged: 0 });
     until(&mut manager, &told, &["begin 1a", "begin 2a", "begin 3a"]).await;
 
     let changed = manager.want([Toy(1, "a"), Toy(2, "b"), Toy(4, "a")]);
-    assert_eq!(changed, Changed { begun: 2, ended: 2, kept: 1 });
+    assert_eq!(changed, ChangeCounts { begun: 2, ended: 2, unchanged: 1 });
     until(&mut manager, &told, &["end 3a", "begin 2b", "begin 4a"]).await;
     let log = told.lock().clone();
     let at = |line: &str| log.iter().position(|told| told == line);

@@ -12,7 +12,7 @@ fn what_is_told_is_offered_until_it_is_in_force() {
         |serial| Permission::Publish(issue(&files.owner, &AdCert { serial, ..files.claims() }).unwrap().into());
     let serial = |permission: Option<Permission>| Some(permission?.publish().unwrap().serials().unwrap()[0].1);
     let (tell, newest) = watch::channel(permission(1));
-    let mut told = Renewal::Told(Told::new(newest));
+    let mut told = Renewal::Notified(Notified::new(newest));
     assert!(told.changed().is_none());
     tell.send_replace(permission(2));
     for _ in 0..2 {

@@ -44,7 +44,7 @@ pub struct Options {
     rounds: u32,
     /// Only this path (may be repeated)
     #[arg(long = "path", value_enum)]
-    paths: Vec<Route>,
+    paths: Vec<LatencyRoute>,
 }
 
 /// Bytes of a message, and messages per second.
@@ -52,15 +52,15 @@ const LOADS: [(usize, f64); 3] = [(64, 100.0), (8_000, 100.0), (1 << 20, 10.0)];
 
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
-enum Route {
+enum LatencyRoute {
     Gdp,
     Ip,
     Site,
 }
 
 #[derive(Serialize)]
-struct Row {
-    route: Route,
+struct LatencyRow {
+    route: LatencyRoute,
     /// Whether the processors were kept awake.
     awake: bool,
     bytes: usize,
@@ -92,9 +92,13 @@ pub fn run(options: Options) -> Result<()> {
     if !workspace::is_root() {
         bail!("network namespaces need root");
     }
-    let routes = if options.paths.is_empty() { vec![Route::Gdp, Route::Ip, Route::Site] } else { options.paths };
+    let routes = if options.paths.is_empty() {
+        vec![LatencyRoute::Gdp, LatencyRoute::Ip, LatencyRoute::Site]
+    } else {
+        options.paths
+    };
     setup::ensure(Purpose::Bench)?;
-    if routes.contains(&Route::Gdp) {
+    if routes.contains(&LatencyRoute::Gdp) {
         build::executables(Executables::All, Profile::Dist, Features::default())?;
     }
     peer_programs::build()?;
@@ -125,12 +129,12 @@ pub fn run(options: Options) -> Result<()> {
     Ok(())
 }
 
-fn measure(tools: &Tools, route: Route, bytes: usize, rate: f64, count: u64) -> Result<Measured> {
+fn measure(tools: &Tools, route: LatencyRoute, bytes: usize, rate: f64, count: u64) -> Result<Measured> {
     eprintln!("{count} messages of {bytes} B over {}", name(route));
     let plain = |received| Measured { received, stages: BTreeMap::new() };
     let traffic = Traffic { count, rate, size: bytes, ..Default::default() };
     match route {
-        Route::Gdp => {
+        LatencyRoute::Gdp => {
             let mut fabric = Fabric::start(tools.clone(), FabricOptions::default())?;
             fabric.start_proxies()?;
             let (robot, cloud) = (fabric.chain.robot(), fabric.chain.cloud());
@@ -138,7 +142,7 @@ fn measure(tools: &Tools, route: Route, bytes: usize, rate: f64, count: u64) -> 
             let stages = stages(&fabric, received.len() as u64)?;
             Ok(Measured { received, stages })
         }
-        Route::Ip => {
+        LatencyRoute::Ip => {
             let chain = Chain::build(ChainOptions::default())?;
             chain.become_ip_routers()?;
             let (robot, cloud) = chain.ip_ends();
@@ -149,7 +153,7 @@ fn measure(tools: &Tools, route: Route, bytes: usize, rate: f64, count: u64) -> 
             let folder = logs()?;
             converse(tools, [(chain.robot(), &talks), (chain.cloud(), &hears)], folder.path()).map(plain)
         }
-        Route::Site => {
+        LatencyRoute::Site => {
             let site = Namespace::create("site")?;
             site.enable_loopback_multicast()?;
             let folder = logs()?;
@@ -201,7 +205,7 @@ fn logs() -> Result<tempfile::TempDir> {
     Ok(tempfile::Builder::new().prefix("gdp-bench-").tempdir()?)
 }
 
-fn row(route: Route, awake: bool, bytes: usize, rate: f64, sent: u64, all: Vec<Measured>) -> Row {
+fn row(route: LatencyRoute, awake: bool, bytes: usize, rate: f64, sent: u64, all: Vec<Measured>) -> LatencyRow {
     let mut sorted: Vec<Duration> = all.iter().flat_map(|m| &m.received).map(|m| m.latency).collect();
     let received = sorted.len() as u64;
     sorted.sort();
@@ -211,22 +215,22 @@ fn row(route: Route, awake: bool, bytes: usize, rate: f64, sent: u64, all: Vec<M
     // Of the round in the middle.
     let mut stages: Vec<_> = all.into_iter().map(|m| m.stages).collect();
     let stages_us = stages.swap_remove(stages.len() / 2);
-    Row { route, awake, bytes, rate, sent, received, latency_us, stages_us }
+    LatencyRow { route, awake, bytes, rate, sent, received, latency_us, stages_us }
 }
 
 fn micros(duration: Duration) -> f64 {
     duration.as_nanos() as f64 / 1000.0
 }
 
-fn name(route: Route) -> &'static str {
+fn name(route: LatencyRoute) -> &'static str {
     match route {
-        Route::Gdp => "gdp: proxy, 3 XDP switches, proxy",
-        Route::Ip => "ip: 3 kernel routers, in clear",
-        Route::Site => "site: one host, DDS alone",
+        LatencyRoute::Gdp => "gdp: proxy, 3 XDP switches, proxy",
+        LatencyRoute::Ip => "ip: 3 kernel routers, in clear",
+        LatencyRoute::Site => "site: one host, DDS alone",
     }
 }
 
-fn print_table(rows: &[Row]) {
+fn print_table(rows: &[LatencyRow]) {
     println!("One-way latency, Cyclone DDS -> Fast DDS, in microseconds");
     for awake in [false, true] {
         println!("\n{}", if awake { "processors kept awake" } else { "machine as it is" });

@@ -49,19 +49,19 @@ pub struct Options {
     bytes: Vec<usize>,
     /// Only this path (may be repeated)
     #[arg(long = "path", value_enum)]
-    paths: Vec<Route>,
+    paths: Vec<RosRoute>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
-enum Route {
+enum RosRoute {
     Gdp,
     Ip,
     ZenohTls,
     Zenoh,
 }
 
-const ROUTES: [Route; 4] = [Route::Gdp, Route::Ip, Route::ZenohTls, Route::Zenoh];
+const ROUTES: [RosRoute; 4] = [RosRoute::Gdp, RosRoute::Ip, RosRoute::ZenohTls, RosRoute::Zenoh];
 
 /// Messages of one size at one rate.
 struct Load {
@@ -82,14 +82,14 @@ const LOADS: [Load; 6] = [
 ];
 
 impl Load {
-    fn is_carried_by(&self, route: Route) -> bool {
-        self.vendor == Vendor::Cyclone || matches!(route, Route::Gdp | Route::Ip)
+    fn is_carried_by(&self, route: RosRoute) -> bool {
+        self.vendor == Vendor::Cyclone || matches!(route, RosRoute::Gdp | RosRoute::Ip)
     }
 }
 
 #[derive(Serialize)]
-struct Row {
-    route: Route,
+struct RosRow {
+    route: RosRoute,
     bytes: usize,
     /// Per second, on all topics together.
     rate: f64,
@@ -124,11 +124,11 @@ pub fn run(options: Options) -> Result<()> {
     }
     let routes = if options.paths.is_empty() { ROUTES.to_vec() } else { options.paths };
     setup::ensure(Purpose::Bench)?;
-    if routes.contains(&Route::Gdp) {
+    if routes.contains(&RosRoute::Gdp) {
         build::executables(Executables::All, Profile::Dist, Features::default())?;
     }
     peer_programs::build()?;
-    let bridge = if routes.iter().any(|route| matches!(route, Route::Zenoh | Route::ZenohTls)) {
+    let bridge = if routes.iter().any(|route| matches!(route, RosRoute::Zenoh | RosRoute::ZenohTls)) {
         Some(peer_programs::build_zenoh()?)
     } else {
         None
@@ -138,7 +138,7 @@ pub fn run(options: Options) -> Result<()> {
     let bench = Bench { tools: workspace::tools(Profile::Dist), bridge };
     let mut rows = Vec::new();
     for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
-        let routes: Vec<Route> = routes.iter().copied().filter(|route| load.is_carried_by(*route)).collect();
+        let routes: Vec<RosRoute> = routes.iter().copied().filter(|route| load.is_carried_by(*route)).collect();
         let count = (load.rate * f64::from(options.seconds)).ceil() as u64;
         let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
         for _ in 0..options.rounds {
@@ -170,12 +170,12 @@ struct Bench {
 }
 
 impl Bench {
-    fn measure(&self, route: Route, load: &Load, count: u64) -> Result<Measured> {
-        let on_loopback = load.vendor == Vendor::Cyclone && route != Route::Ip;
+    fn measure(&self, route: RosRoute, load: &Load, count: u64) -> Result<Measured> {
+        let on_loopback = load.vendor == Vendor::Cyclone && route != RosRoute::Ip;
         let Load { bytes: size, rate, topics, .. } = *load;
         let traffic = Traffic { count, rate, size, topics, on_loopback, ..Default::default() };
         match route {
-            Route::Gdp => {
+            RosRoute::Gdp => {
                 let mut fabric = Fabric::start(self.tools.clone(), FabricOptions { topics, ..Default::default() })?;
                 fabric.start_proxies()?;
                 let ends = [(fabric.chain.robot(), &traffic), (fabric.chain.cloud(), &traffic)];
@@ -183,7 +183,7 @@ impl Bench {
                 let between: Vec<&Process> = switches.chain(&fabric.robot).chain(&fabric.cloud).collect();
                 converse(&self.tools, load.vendor, ends, &between, fabric.folder())
             }
-            Route::Ip => {
+            RosRoute::Ip => {
                 let chain = routers()?;
                 let (robot, cloud) = chain.ip_ends();
                 // DDS finds its peers by multicast, which routers do not forward: each is told of
@@ -199,10 +199,10 @@ impl Bench {
                     folder.path(),
                 )
             }
-            Route::ZenohTls | Route::Zenoh => {
+            RosRoute::ZenohTls | RosRoute::Zenoh => {
                 let Some(bridge) = &self.bridge else { bail!("the bridge was not built") };
                 let (chain, folder) = (routers()?, logs()?);
-                let bridges = Bridges::start(bridge, &chain, route == Route::ZenohTls, folder.path())?;
+                let bridges = Bridges::start(bridge, &chain, route == RosRoute::ZenohTls, folder.path())?;
                 let talks = Traffic { node: Some("talker".into()), ..traffic.clone() };
                 let hears = Traffic { node: Some("listener".into()), ..traffic };
                 let ends = [(chain.robot(), &talks), (chain.cloud(), &hears)];
@@ -256,7 +256,7 @@ fn logs() -> Result<tempfile::TempDir> {
     Ok(tempfile::Builder::new().prefix("gdp-bench-").tempdir()?)
 }
 
-fn row(route: Route, load: &Load, sent: u64, all: &[Measured]) -> Row {
+fn row(route: RosRoute, load: &Load, sent: u64, all: &[Measured]) -> RosRow {
     let messages = || all.iter().flat_map(|measured| &measured.received);
     let mut sorted: Vec<Duration> = messages().map(|message| message.latency).collect();
     sorted.sort();
@@ -267,19 +267,19 @@ fn row(route: Route, load: &Load, sent: u64, all: &[Measured]) -> Row {
     let cpu_us = cpu.filter(|_| received > 0).map(|taken| taken.as_secs_f64() * 1e6 / received as f64);
     let damaged = messages().filter(|message| !message.intact).count() as u64;
     let Load { bytes, rate, topics, .. } = *load;
-    Row { route, bytes, rate, topics, sent, received, damaged, latency_us, cpu_us }
+    RosRow { route, bytes, rate, topics, sent, received, damaged, latency_us, cpu_us }
 }
 
-fn name(route: Route) -> &'static str {
+fn name(route: RosRoute) -> &'static str {
     match route {
-        Route::Gdp => "gdp: proxy, 3 XDP switches, proxy",
-        Route::Ip => "ip: 3 kernel routers, in clear",
-        Route::ZenohTls => "zenoh: two bridges, 3 routers, TLS",
-        Route::Zenoh => "zenoh: two bridges, 3 routers",
+        RosRoute::Gdp => "gdp: proxy, 3 XDP switches, proxy",
+        RosRoute::Ip => "ip: 3 kernel routers, in clear",
+        RosRoute::ZenohTls => "zenoh: two bridges, 3 routers, TLS",
+        RosRoute::Zenoh => "zenoh: two bridges, 3 routers",
     }
 }
 
-fn print_table(rows: &[Row]) {
+fn print_table(rows: &[RosRow]) {
     println!("ROS 2 messages, one way, in microseconds; processor time of what stands between the two DDS programs");
     println!(
         "{:<36} {:>8} {:>6} {:>6} {:>13} {:>8} {:>8} {:>8} {:>8} {:>9}",

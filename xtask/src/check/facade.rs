@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 
 use syn::{Item, UseTree, Visibility};
 
-use super::sources::Source;
+use super::sources::SourceFile;
 
 const FACADE: &str = "gdp/src/lib.rs";
 const MOST_ITEMS: usize = 60;
 /// The one public module: what other crates of this workspace need, without a promise.
 const UNSTABLE: &str = "unstable";
 
-pub fn findings(product: &HashMap<PathBuf, Source>) -> Vec<String> {
+pub fn findings(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let Some(facade) = product.get(Path::new(FACADE)) else { return vec![format!("{FACADE} does not exist")] };
     let mut shown = 0;
     let mut found = Vec::new();

@@ -12,7 +12,7 @@ use syn::visit::{self, Visit};
 use syn::{Item, ItemUse, Macro, UseTree, Visibility};
 
 use super::modules::Crate;
-use super::sources::{Source, is_for_tests};
+use super::sources::{SourceFile, is_for_tests};
 
 /// The names that one file uses of another.
 pub type Edges<'a> = BTreeMap<(&'a Path, &'a Path), BTreeSet<String>>;
@@ -24,8 +24,8 @@ pub struct Circle<'a> {
 }
 
 /// The circles of every crate. `sources`: the product's files, by path.
-pub fn circles(sources: &HashMap<PathBuf, Source>) -> Vec<Circle<'_>> {
-    let mut roots: Vec<&Source> = sources.values().filter(|source| is_root(&source.path)).collect();
+pub fn circles(sources: &HashMap<PathBuf, SourceFile>) -> Vec<Circle<'_>> {
+    let mut roots: Vec<&SourceFile> = sources.values().filter(|source| is_root(&source.path)).collect();
     roots.sort_by(|a, b| a.path.cmp(&b.path));
     roots.into_iter().flat_map(|root| of_crate(&edges(&Crate::read(root, sources)))).collect()
 }

@@ -6,18 +6,18 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use syn::Item;
 
-use super::sources::{Source, is_for_tests, tracked};
+use super::sources::{SourceFile, is_for_tests, tracked};
 use crate::workspace;
 
 const LONGEST_FILE: usize = 500;
 const WIDEST_CODE: usize = 120;
 const WIDEST_TEXT: usize = 100;
 
-pub fn count(product: &HashMap<PathBuf, Source>) -> usize {
+pub fn count(product: &HashMap<PathBuf, SourceFile>) -> usize {
     product.values().map(|source| source.text.lines().count()).sum()
 }
 
-pub fn long_files(product: &HashMap<PathBuf, Source>) -> Vec<String> {
+pub fn long_files(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let lengths = product.values().map(|source| (source.text.lines().count(), &source.path));
     let mut long: Vec<_> = lengths.filter(|(length, _)| *length > LONGEST_FILE).collect();
     long.sort_by(|a, b| b.cmp(a));
@@ -25,13 +25,13 @@ pub fn long_files(product: &HashMap<PathBuf, Source>) -> Vec<String> {
 }
 
 /// Test modules whose text lies in a product file, and test files below `src`.
-pub fn tests_in_product(product: &HashMap<PathBuf, Source>) -> Vec<String> {
+pub fn tests_in_product(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let mut found: Vec<String> = product.values().flat_map(inline_tests).collect();
     found.sort();
     found
 }
 
-fn inline_tests(source: &Source) -> Vec<String> {
+fn inline_tests(source: &SourceFile) -> Vec<String> {
     let modules = source.syntax.items.iter().filter_map(|item| match item {
         Item::Mod(module) if is_for_tests(&module.attrs) => Some(module),
         _ => None,

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 
-use self::sources::Source;
+use self::sources::SourceFile;
 
 /// How many findings of a rule over its limit are printed without `--all`.
 const MAX_PRINTED: usize = 20;
@@ -36,7 +36,7 @@ struct Rule {
 }
 
 pub fn run(options: Options) -> Result<()> {
-    let product: HashMap<PathBuf, Source> =
+    let product: HashMap<PathBuf, SourceFile> =
         sources::product()?.into_iter().map(|source| (source.path.clone(), source)).collect();
     let rules = [
         Rule { name: "files of one crate import each other in a circle", limit: 2, findings: circles(&product) },
@@ -95,7 +95,7 @@ impl Rule {
     }
 }
 
-fn circles(product: &HashMap<PathBuf, Source>) -> Vec<String> {
+fn circles(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let circle = |circle: imports::Circle| {
         let ties = circle.edges.iter().map(|((from, to), names)| {
             let names: Vec<&str> = names.iter().map(String::as_str).collect();

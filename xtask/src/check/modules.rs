@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use syn::{Attribute, Expr, Item, ItemMod, Lit, Meta, UseTree, Visibility};
 
-use super::sources::{Source, is_for_tests};
+use super::sources::{SourceFile, is_for_tests};
 
 /// A module's path inside its crate; empty for the root.
 pub type ModulePath = Vec<String>;
@@ -36,7 +36,7 @@ pub struct Crate<'a> {
 impl<'a> Crate<'a> {
     /// `root`: the path of `lib.rs` or `main.rs`. Modules that are compiled for tests only are left
     /// out.
-    pub fn read(root: &'a Source, sources: &'a HashMap<PathBuf, Source>) -> Self {
+    pub fn read(root: &'a SourceFile, sources: &'a HashMap<PathBuf, SourceFile>) -> Self {
         let mut modules = BTreeMap::new();
         add(&mut modules, sources, Vec::new(), &root.path, &root.syntax.items, &folder_of_root(&root.path));
         Self { modules }
@@ -110,7 +110,7 @@ impl Module<'_> {
 
 fn add<'a>(
     modules: &mut BTreeMap<ModulePath, Module<'a>>,
-    sources: &'a HashMap<PathBuf, Source>,
+    sources: &'a HashMap<PathBuf, SourceFile>,
     path: ModulePath,
     file: &'a Path,
     items: &'a [Item],
@@ -175,7 +175,7 @@ impl Module<'_> {
 
 /// Where `mod name;` finds its file: `name.rs` or `name/mod.rs` in the module's folder, or what
 /// `#[path]` says.
-fn file_of<'a>(module: &ItemMod, folder: &Path, sources: &'a HashMap<PathBuf, Source>) -> Option<&'a Source> {
+fn file_of<'a>(module: &ItemMod, folder: &Path, sources: &'a HashMap<PathBuf, SourceFile>) -> Option<&'a SourceFile> {
     let name = module.ident.to_string();
     match module.attrs.iter().find_map(path_attribute) {
         Some(path) => sources.get(&folder.join(path)),

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use syn::visit::{self, Visit};
 use syn::{Ident, Item};
 
-use super::sources::{Source, is_for_tests};
+use super::sources::{SourceFile, is_for_tests};
 
 const MOST_DEFINITIONS: usize = 3;
 
@@ -65,7 +65,7 @@ const RETIRED: [&str; 46] = [
 const CONVENTIONAL: [&str; 5] = ["Options", "Error", "Result", "Command", "Config"];
 
 /// Type names that the product defines more often than three times.
-pub fn repeated_types(product: &HashMap<PathBuf, Source>) -> Vec<String> {
+pub fn repeated_types(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let mut definitions: BTreeMap<String, Vec<&Path>> = BTreeMap::new();
     for source in product.values() {
         for name in source.syntax.items.iter().filter_map(type_name) {
@@ -94,12 +94,12 @@ fn type_name(item: &Item) -> Option<String> {
 }
 
 /// Definitions and files whose name has a word of [`RETIRED`] in it.
-pub fn retired_words(product: &HashMap<PathBuf, Source>) -> Vec<String> {
+pub fn retired_words(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let mut found = Vec::new();
     for source in product.values() {
         let stem = source.path.with_extension("");
         let parts = stem.iter().skip(1).map(|part| part.to_string_lossy().into_owned());
-        let mut names = Definitions(parts.filter(|part| part != "mod").collect());
+        let mut names = DefinedNames(parts.filter(|part| part != "mod").collect());
         names.visit_file(&source.syntax);
         found.extend(
             names.0.iter().filter(|name| is_retired(name)).map(|name| format!("{}: {name}", source.path.display())),
@@ -130,15 +130,15 @@ fn words(name: &str) -> Vec<String> {
 }
 
 /// Collects the names of everything that a file defines.
-struct Definitions(Vec<String>);
+struct DefinedNames(Vec<String>);
 
-impl Definitions {
+impl DefinedNames {
     fn add(&mut self, ident: &Ident) {
         self.0.push(ident.to_string());
     }
 }
 
-impl<'ast> Visit<'ast> for Definitions {
+impl<'ast> Visit<'ast> for DefinedNames {
     fn visit_item(&mut self, item: &'ast Item) {
         match item {
             Item::Mod(module) if is_for_tests(&module.attrs) => return,

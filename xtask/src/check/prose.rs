@@ -6,19 +6,19 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use syn::{Attribute, Expr, Item, Lit, Meta, Visibility};
 
-use super::sources::{Source, tracked};
+use super::sources::{SourceFile, tracked};
 use crate::workspace;
 
 const MOST_WORDS: usize = 25;
 
 /// Files without a first sentence, and first sentences of files and public items that are too long.
-pub fn findings(product: &HashMap<PathBuf, Source>) -> Vec<String> {
+pub fn findings(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let mut found: Vec<String> = product.values().flat_map(of_source).collect();
     found.sort();
     found
 }
 
-fn of_source(source: &Source) -> Vec<String> {
+fn of_source(source: &SourceFile) -> Vec<String> {
     let path = source.path.display();
     let mut found = Vec::new();
     match first_sentence(&documentation(&source.syntax.attrs)) {

@@ -9,7 +9,7 @@ use syn::{Attribute, File};
 use crate::{shell, workspace};
 
 /// One `.rs` file that is compiled into the product, without its tests.
-pub struct Source {
+pub struct SourceFile {
     /// Relative to the workspace's root.
     pub path: PathBuf,
     pub text: String,
@@ -20,7 +20,7 @@ pub struct Source {
 const NOT_PRODUCT: [&str; 3] = ["tests", "fuzz", "third_party"];
 
 /// Every product file that Git tracks, in the order of the paths.
-pub fn product() -> Result<Vec<Source>> {
+pub fn product() -> Result<Vec<SourceFile>> {
     let mut sources = Vec::new();
     for path in tracked("*.rs")? {
         if is_product(&path) {
@@ -47,11 +47,11 @@ fn is_product(path: &Path) -> bool {
     !NOT_PRODUCT.contains(&top.as_ref()) && (path.ends_with("build.rs") || folders.any(|folder| folder == "src"))
 }
 
-fn read(path: PathBuf) -> Result<Source> {
+fn read(path: PathBuf) -> Result<SourceFile> {
     let file = workspace::root().join(&path);
     let text = std::fs::read_to_string(&file).with_context(|| format!("cannot read {}", file.display()))?;
     let syntax = syn::parse_file(&text).with_context(|| format!("cannot parse {}", file.display()))?;
-    Ok(Source { path, text, syntax })
+    Ok(SourceFile { path, text, syntax })
 }
 
 /// Whether an item with these attributes is compiled for tests only.

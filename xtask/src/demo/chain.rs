@@ -20,7 +20,7 @@ use crate::workspace::{self, Profile};
 
 /// What `--json` prints.
 #[derive(Serialize)]
-pub struct Outcome {
+pub struct ChainOutcome {
     sent: u64,
     received: u64,
     lost: u64,
@@ -40,7 +40,7 @@ pub struct Outcome {
 /// The link between s1 and s2 goes through a bridge, where an eavesdropper listens.
 const TAPPED: usize = 1;
 
-pub fn play(options: &Options, story: &Story) -> Result<Outcome> {
+pub fn play(options: &Options, story: &Story) -> Result<ChainOutcome> {
     story.say("Building   robot ── s1 ──(wire)── s2 ── s3 ── cloud   in network namespaces: Ethernet only, no IP");
     let chain = ChainOptions { wire: Some(TAPPED), ..Default::default() };
     let mut fabric = Fabric::start(workspace::tools(Profile::Release), FabricOptions { chain, ..Default::default() })?;
@@ -108,11 +108,11 @@ fn outcome(
     route: &[Hop],
     forwarded: &[u64],
     statuses: &[Value],
-) -> Outcome {
+) -> ChainOutcome {
     let arrived = super::story::arrived(received);
     let label = |i: usize| format!("s{}", i + 1);
     let planes: Vec<String> = statuses.iter().map(|status| text(&status["data_plane"])).collect();
-    Outcome {
+    ChainOutcome {
         sent: traffic.count,
         received: arrived,
         lost: traffic.count - arrived,
@@ -135,7 +135,7 @@ fn tell_route(story: &Story, route: &[Hop]) {
     }
 }
 
-fn tell_counters(story: &Story, outcome: &Outcome, after: &[Value]) {
+fn tell_counters(story: &Story, outcome: &ChainOutcome, after: &[Value]) {
     story.say("\nData frames forwarded in the kernel, and all that each switch counted since it started:");
     for ((label, frames), status) in outcome.forwarded_in_kernel.iter().zip(after) {
         let counters = status["counters"].as_object().into_iter().flatten();

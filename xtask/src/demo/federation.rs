@@ -18,7 +18,7 @@ use crate::workspace::{self, Profile};
 
 /// What `--json` prints.
 #[derive(Serialize)]
-pub struct Outcome {
+pub struct FederationOutcome {
     sent: u64,
     received: u64,
     lost: u64,
@@ -58,7 +58,7 @@ const FIGURE: &str = "
                      └┄┄┄ robot ┄┄┄┘     Cyclone DDS talker
 ";
 
-pub fn play(options: &Options, story: &Story) -> Result<Outcome> {
+pub fn play(options: &Options, story: &Story) -> Result<FederationOutcome> {
     story.say("Building the paper's Figure 4 in network namespaces, each switch with XDP:");
     story.say(FIGURE);
     let mut federation = Federation::start(workspace::tools(Profile::Release))?;
@@ -95,18 +95,18 @@ pub fn play(options: &Options, story: &Story) -> Result<Outcome> {
         Ok::<_, anyhow::Error>(())
     };
     watch(&federation, "The robot is at the enterprise", 0, "a1", &mut conversation)?;
-    let before = heard(&conversation);
+    let before = received(&conversation);
     federation.roam(Site::University)?;
     let at = serving(&federation)?;
     watch(&federation, "The robot has moved to the university", before, at, &mut conversation)?;
-    let (before, at) = (heard(&conversation), serving(&federation)?);
+    let (before, at) = (received(&conversation), serving(&federation)?);
     federation.kill(at)?;
     let other = if at == "u1" { "u2" } else { "u1" };
     watch(&federation, "Its switch has died, and another has taken over", before, other, &mut conversation)?;
 
     let received = conversation.finish(Duration::from_secs(5), Duration::from_secs(10))?;
     let count = arrived(&received);
-    let outcome = Outcome {
+    let outcome = FederationOutcome {
         sent: traffic.count,
         received: count,
         lost: traffic.count - count,
@@ -121,7 +121,7 @@ pub fn play(options: &Options, story: &Story) -> Result<Outcome> {
     Ok(outcome)
 }
 
-fn heard(conversation: &Conversation) -> usize {
+fn received(conversation: &Conversation) -> usize {
     peers::received(&conversation.listener).len()
 }
 

@@ -11,7 +11,7 @@ use gdp_tests::programs::{Executable as _, Program};
 use crate::shell;
 
 /// A folder of the cache, what it may hold, and where it is in the root.
-pub struct Part {
+pub struct CachePart {
     name: &'static str,
     /// Bytes. A larger folder is emptied before the next run.
     limit: u64,
@@ -20,10 +20,10 @@ pub struct Part {
 
 const GIB: u64 = 1 << 30;
 
-pub const PARTS: [Part; 3] = [
-    Part { name: "debs", limit: 2 * GIB, at: "var/cache/apt/archives" },
-    Part { name: "crates", limit: 3 * GIB, at: "root/.cargo/registry" },
-    Part { name: "wheels", limit: GIB, at: "root/.cache/pip" },
+pub const PARTS: [CachePart; 3] = [
+    CachePart { name: "debs", limit: 2 * GIB, at: "var/cache/apt/archives" },
+    CachePart { name: "crates", limit: 3 * GIB, at: "root/.cargo/registry" },
+    CachePart { name: "wheels", limit: GIB, at: "root/.cache/pip" },
 ];
 
 /// What debootstrap downloads.

@@ -18,7 +18,7 @@ use clap::ValueEnum;
 use gdp_tests::programs::{Executable as _, Program};
 
 pub use self::ebpf::{EbpfCompiler, bpf_linker};
-use self::steps::{STEPS, Step};
+use self::steps::{STEPS, SetupStep};
 use crate::{shell, workspace};
 
 #[derive(clap::Args)]
@@ -73,13 +73,13 @@ fn look_up_programs() -> Result<()> {
     Ok(())
 }
 
-fn missing(purposes: &[Purpose]) -> Vec<&'static Step> {
+fn missing(purposes: &[Purpose]) -> Vec<&'static SetupStep> {
     let wanted = |part| purposes.iter().any(|purpose| purpose.parts().contains(&part));
     STEPS.iter().filter(|step| wanted(step.part) && !step.is_done()).collect()
 }
 
 /// What is missing and why, and the commands that install it. Whether they may be run here.
-fn announce(missing: &[&Step]) -> bool {
+fn announce(missing: &[&SetupStep]) -> bool {
     eprintln!("Missing on this machine:");
     for step in missing {
         eprintln!("  {}: {}", step.what, step.why);
@@ -97,7 +97,7 @@ fn announce(missing: &[&Step]) -> bool {
     known
 }
 
-fn install(missing: &[&Step]) -> Result<()> {
+fn install(missing: &[&SetupStep]) -> Result<()> {
     if !announce(missing) {
         bail!("this system is not Debian 12, so nothing was installed: run the commands above, then try again");
     }
@@ -111,7 +111,7 @@ fn install(missing: &[&Step]) -> Result<()> {
 
 /// Installs the Debian packages of all steps at once: dpkg takes most of its time for beginning and
 /// ending.
-fn packages(missing: &[&Step]) -> Vec<String> {
+fn packages(missing: &[&SetupStep]) -> Vec<String> {
     let names: BTreeSet<&str> = missing.iter().flat_map(|step| step.packages).copied().collect();
     if names.is_empty() {
         return Vec::new();
@@ -125,7 +125,7 @@ fn packages(missing: &[&Step]) -> Vec<String> {
 
 /// Makes the Python environment, which Debian wants to be of its own, and installs the wheels of
 /// all steps at once.
-fn wheels(missing: &[&Step]) -> Vec<String> {
+fn wheels(missing: &[&SetupStep]) -> Vec<String> {
     let names: Vec<&str> = missing.iter().flat_map(|step| step.wheels).copied().collect();
     if names.is_empty() {
         return Vec::new();

@@ -27,7 +27,7 @@ pub enum Purpose {
 
 /// What is installed together.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Part {
+pub enum SetupPart {
     /// Compile the workspace.
     Workspace,
     /// Compile the XDP programs.
@@ -59,8 +59,8 @@ pub enum Part {
 }
 
 impl Purpose {
-    pub const fn parts(self) -> &'static [Part] {
-        use Part::{
+    pub const fn parts(self) -> &'static [SetupPart] {
+        use SetupPart::{
             Dds, Dpdk, Ebpf, Etcd, EtcdClient, Fresh, Git, Lints, Namespaces, Ros1, Ros2, Rosbags, Workspace, Zenoh,
         };
         match self {

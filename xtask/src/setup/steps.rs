@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use gdp_tests::programs::{Executable as _, Program};
 
 use super::ebpf::{EbpfCompiler, bpf_linker_present};
-use crate::setup::purpose::Part;
+use crate::setup::purpose::SetupPart;
 use crate::{shell, workspace};
 
 /// One thing that a machine may lack.
-pub struct Step {
-    pub part: Part,
+pub struct SetupStep {
+    pub part: SetupPart,
     pub what: &'static str,
     pub why: &'static str,
     /// External programs that it installs.
@@ -29,7 +29,7 @@ pub struct Step {
     pub elsewhere: &'static str,
 }
 
-impl Step {
+impl SetupStep {
     pub fn is_done(&self) -> bool {
         let programs = self.programs.iter().all(|program| program.find().is_some());
         programs && self.marker().is_none_or(|marker| venv().join(marker).is_file()) && (self.present)()
@@ -48,8 +48,8 @@ pub fn venv() -> PathBuf {
 }
 
 /// What steps leave out.
-const NOTHING: Step = Step {
-    part: Part::Workspace,
+const NOTHING: SetupStep = SetupStep {
+    part: SetupPart::Workspace,
     what: "",
     why: "",
     programs: &[],
@@ -60,9 +60,9 @@ const NOTHING: Step = Step {
     elsewhere: "",
 };
 
-pub const STEPS: &[Step] = &[
-    Step {
-        part: Part::Workspace,
+pub const STEPS: &[SetupStep] = &[
+    SetupStep {
+        part: SetupPart::Workspace,
         what: "a C compiler",
         why: "the cryptography (aws-lc) is C and assembly",
         programs: &[Program::Cc, Program::Objcopy],
@@ -70,8 +70,8 @@ pub const STEPS: &[Step] = &[
         elsewhere: "install gcc and binutils",
         ..NOTHING
     },
-    Step {
-        part: Part::Lints,
+    SetupStep {
+        part: SetupPart::Lints,
         what: "rustfmt and clippy",
         why: "CI checks formatting and lints",
         present: || rust_component("cargo-fmt") && rust_component("cargo-clippy"),
@@ -79,8 +79,8 @@ pub const STEPS: &[Step] = &[
         elsewhere: "rustup component add rustfmt clippy",
         ..NOTHING
     },
-    Step {
-        part: Part::Git,
+    SetupStep {
+        part: SetupPart::Git,
         what: "git",
         why: "checks list the files of the tree, and a test applies the patches of RustDDS as somebody upstream would",
         programs: &[Program::Git],
@@ -88,8 +88,8 @@ pub const STEPS: &[Step] = &[
         elsewhere: "install git",
         ..NOTHING
     },
-    Step {
-        part: Part::Ebpf,
+    SetupStep {
+        part: SetupPart::Ebpf,
         what: "a Rust compiler with `core` for bpfel-unknown-none",
         why: "rustup's stable toolchain cannot compile the XDP programs; Debian ships the prebuilt library",
         present: || EbpfCompiler::find().is_some(),
@@ -97,8 +97,8 @@ pub const STEPS: &[Step] = &[
         elsewhere: "rustup toolchain install nightly --profile minimal --component rust-src",
         ..NOTHING
     },
-    Step {
-        part: Part::Ebpf,
+    SetupStep {
+        part: SetupPart::Ebpf,
         what: "bpf-linker 0.13.0",
         why: "links the XDP programs, with LLVM 22, the LLVM of the compiler above; built without optimisation, as \
               it calls LLVM for the work",
@@ -116,8 +116,8 @@ pub const STEPS: &[Step] = &[
         elsewhere: "cargo install bpf-linker --version 0.13.0 --locked   # its LLVM must be that of the eBPF compiler",
         ..NOTHING
     },
-    Step {
-        part: Part::Namespaces,
+    SetupStep {
+        part: SetupPart::Namespaces,
         what: "iproute2, ethtool and nftables",
         why: "tests, demo and benchmarks build networks of namespaces and veth pairs, some of them behind NAT",
         programs: &[Program::Ip, Program::Tc, Program::Ethtool, Program::Nft],
@@ -125,8 +125,8 @@ pub const STEPS: &[Step] = &[
         elsewhere: "install iproute2, ethtool and nftables",
         ..NOTHING
     },
-    Step {
-        part: Part::Dpdk,
+    SetupStep {
+        part: SetupPart::Dpdk,
         what: "DPDK 22.11 with its headers, drivers and testpmd, and libclang",
         why: "the DPDK data plane is linked with it, bindgen reads its headers with libclang, and `bench forward` \
               compares with testpmd",
@@ -138,8 +138,8 @@ pub const STEPS: &[Step] = &[
         elsewhere: "install DPDK 22.11, 23.03 or 23.07 (headers, libraries, drivers, testpmd), pkg-config and libclang",
         ..NOTHING
     },
-    Step {
-        part: Part::Etcd,
+    SetupStep {
+        part: SetupPart::Etcd,
         what: "etcd and etcdctl",
         why: "tests run replicas of a RIB on clusters of their own; the service that Debian starts with it is not used",
         programs: &[Program::Etcd, Program::Etcdctl],
@@ -147,8 +147,8 @@ pub const STEPS: &[Step] = &[
         elsewhere: "install etcd 3.4 or later, with etcdctl",
         ..NOTHING
     },
-    Step {
-        part: Part::EtcdClient,
+    SetupStep {
+        part: SetupPart::EtcdClient,
         what: "protoc with the files that it comes with",
         why: "the build script of `etcd-client` compiles etcd's interface with it; a switch without the cargo \
               feature `etcd` does not need it",
@@ -162,8 +162,8 @@ pub const STEPS: &[Step] = &[
         elsewhere: "install protoc 3.15 or later, with google/protobuf/*.proto beside it",
         ..NOTHING
     },
-    Step {
-        part: Part::Dds,
+    SetupStep {
+        part: SetupPart::Dds,
         what: "Fast DDS with its IDL compiler, and a C++ compiler",
         why: "one of the two DDS vendors that tests and demo run as unmodified applications",
         programs: &[Program::Cxx, Program::Fastddsgen],
@@ -172,22 +172,22 @@ pub const STEPS: &[Step] = &[
         elsewhere: "install g++, Fast DDS 2.9 or later (headers and library) and fastddsgen",
         ..NOTHING
     },
-    Step {
-        part: Part::Dds,
+    SetupStep {
+        part: SetupPart::Dds,
         what: "Cyclone DDS 11.0.1",
         why: "the other of the two DDS vendors",
         wheels: &["cyclonedds==11.0.1"],
         ..WHEELS
     },
-    Step {
-        part: Part::Rosbags,
+    SetupStep {
+        part: SetupPart::Rosbags,
         what: "rosbags 0.11.9",
         why: "tests compare messages of every ROS type with what it makes of them",
         wheels: &["rosbags==0.11.9"],
         ..WHEELS
     },
-    Step {
-        part: Part::Ros1,
+    SetupStep {
+        part: SetupPart::Ros1,
         what: "rosmaster, rospy, actionlib and the common message packages",
         why: "the master and the applications of ROS 1 that tests run; rospy needs netifaces, though its package \
               only recommends it",
@@ -217,8 +217,8 @@ pub const STEPS: &[Step] = &[
                     /usr/bin/python3, and netifaces",
         ..NOTHING
     },
-    Step {
-        part: Part::Ros2,
+    SetupStep {
+        part: SetupPart::Ros2,
         what: "ROS 2 Kilted's rclpy on Fast DDS",
         why: "applications of ROS 2 that tests run; its other middlewares are no wheels",
         wheels: &[
@@ -230,8 +230,8 @@ pub const STEPS: &[Step] = &[
         ],
         ..WHEELS
     },
-    Step {
-        part: Part::Zenoh,
+    SetupStep {
+        part: SetupPart::Zenoh,
         what: "cmake, libclang and openssl",
         why: "the bridge that `bench ros` measures against contains Cyclone DDS, which is C, and wants certificates",
         programs: &[Program::Cmake, Program::Openssl],
@@ -240,8 +240,8 @@ pub const STEPS: &[Step] = &[
         elsewhere: "install cmake, libclang and openssl",
         ..NOTHING
     },
-    Step {
-        part: Part::Fresh,
+    SetupStep {
+        part: SetupPart::Fresh,
         what: "debootstrap and util-linux",
         why: "`cargo xtask fresh` makes a clean Debian root, and runs in it alone",
         programs: &[Program::Debootstrap, Program::Unshare],
@@ -252,7 +252,7 @@ pub const STEPS: &[Step] = &[
 ];
 
 /// What steps of Python wheels leave out.
-const WHEELS: Step = Step {
+const WHEELS: SetupStep = SetupStep {
     present: || Path::new("/usr/bin/python3").is_file(),
     packages: &["python3-venv"],
     elsewhere: "install Python 3.11 with its venv module",

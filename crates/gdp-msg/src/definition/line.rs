@@ -10,7 +10,7 @@ use super::{
     Base, Constant, Count, Definition, DefinitionError, Field, MAX_ARRAY, MAX_FIELDS, MAX_TEXT, Problem, Scalar,
 };
 use crate::dialect::Dialect;
-use crate::name::{TypeName, is_identifier, shown};
+use crate::name::{TypeName, excerpt, is_identifier};
 
 /// What ROS 2's compilers put into an empty message, and what is therefore none of its fields.
 pub(super) const PLACEHOLDER: &str = "structure_needs_at_least_one_member";
@@ -66,7 +66,7 @@ fn element(dialect: Dialect, context: &TypeName, line: &str) -> Result<Option<El
         return Ok(None);
     }
     let Some((type_text, rest)) = code.split_once([' ', '\t']) else {
-        return Err(Problem::Incomplete(shown(code)));
+        return Err(Problem::Incomplete(excerpt(code)));
     };
     let rest = rest.trim_start();
     if let Some((name, value)) = rest.split_once('=') {
@@ -81,8 +81,8 @@ fn element(dialect: Dialect, context: &TypeName, line: &str) -> Result<Option<El
         let is_value = literal::is_value(dialect, &base, Count::One, text);
         let constant = Constant { base, name: identifier(name)?, text: text.into() };
         return match constant.base {
-            Base::Time | Base::Duration | Base::Named(_) => Err(Problem::Type(shown(type_text), dialect)),
-            _ if !is_value => Err(Problem::Value(shown(type_text), shown(text))),
+            Base::Time | Base::Duration | Base::Named(_) => Err(Problem::Type(excerpt(type_text), dialect)),
+            _ if !is_value => Err(Problem::Value(excerpt(type_text), excerpt(text))),
             _ => Ok(Some(Element::Constant(constant))),
         };
     }
@@ -93,9 +93,9 @@ fn element(dialect: Dialect, context: &TypeName, line: &str) -> Result<Option<El
     let (base_text, count) = count(dialect, type_text)?;
     let base = base(dialect, context, base_text)?;
     match default {
-        Some(default) if dialect == Dialect::Ros1 => return Err(Problem::Default(shown(default))),
+        Some(default) if dialect == Dialect::Ros1 => return Err(Problem::Default(excerpt(default))),
         Some(default) if !literal::is_value(dialect, &base, count, default) => {
-            return Err(Problem::Value(shown(type_text), shown(default)));
+            return Err(Problem::Value(excerpt(type_text), excerpt(default)));
         }
         _ => {}
     }
@@ -113,13 +113,13 @@ fn count(dialect: Dialect, text: &str) -> Result<(&str, Count), Problem> {
     }
     match inside.strip_prefix("<=") {
         Some(bound) if dialect == Dialect::Ros2 => Ok((base, Count::Sequence(Some(length(bound)?)))),
-        Some(_) => Err(Problem::Type(shown(text), dialect)),
+        Some(_) => Err(Problem::Type(excerpt(text), dialect)),
         None => Ok((base, Count::Fixed(length(inside)?))),
     }
 }
 
 fn length(text: &str) -> Result<u32, Problem> {
-    let refused = || Problem::Length(shown(text));
+    let refused = || Problem::Length(excerpt(text));
     let digits = text.bytes().all(|byte| byte.is_ascii_digit());
     let length = text.parse().ok().filter(|length| digits && (1..=MAX_ARRAY).contains(length));
     length.ok_or_else(refused)
@@ -151,9 +151,9 @@ fn base(dialect: Dialect, context: &TypeName, text: &str) -> Result<Base, Proble
         return Ok(Base::Named(TypeName::message(context.package(), text)));
     }
     let named = TypeName::parse(text).ok().filter(|_| !text.contains(':'));
-    named.map(Base::Named).ok_or_else(|| Problem::Type(shown(text), dialect))
+    named.map(Base::Named).ok_or_else(|| Problem::Type(excerpt(text), dialect))
 }
 
 fn identifier(name: &str) -> Result<Box<str>, Problem> {
-    if is_identifier(name) { Ok(name.into()) } else { Err(Problem::Name(shown(name))) }
+    if is_identifier(name) { Ok(name.into()) } else { Err(Problem::Name(excerpt(name))) }
 }

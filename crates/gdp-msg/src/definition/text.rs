@@ -3,7 +3,7 @@
 
 use super::{Definition, DefinitionError, MAX_TEXT, Problem, parse};
 use crate::dialect::Dialect;
-use crate::name::{TypeName, shown};
+use crate::name::{TypeName, excerpt};
 
 /// Most definitions in one text.
 const MAX_DEFINITIONS: usize = 1024;
@@ -36,7 +36,7 @@ pub fn split(dialect: Dialect, name: &TypeName, text: &str) -> Result<Vec<Defini
             return Err(refused(number, Problem::Idl));
         }
         let Some(header) = header.strip_prefix("MSG:") else {
-            return Err(refused(number, Problem::Header(shown(header))));
+            return Err(refused(number, Problem::Header(excerpt(header))));
         };
         let of = TypeName::parse(header.trim()).map_err(|error| refused(number, error.into()))?;
         current = (of, number + 1, lines.at);

@@ -1,7 +1,7 @@
 //! Makes a program of two schemas.
 
 use super::pair::{Step, Unpaired, pair};
-use super::program::{FieldPlace, Op, Program, Text};
+use super::program::{FieldPath, Op, Program, Text};
 use crate::definition::{Base, Count, Definition, Field, Scalar, type_text};
 use crate::dialect::Dialect;
 use crate::encode::Encoding;
@@ -44,7 +44,7 @@ pub(super) fn compile(
     let program = Program { frame_prefix: frame_prefix.into(), ..Program::default() };
     let mut compiler =
         Compiler { root: from.name(), json, program, notes: Vec::new(), field: 0, is_frame: false, barrier: 0 };
-    compiler.program.fields.push(FieldPlace { parent: 0, name: "".into(), repeated: false });
+    compiler.program.fields.push(FieldPath { parent: 0, name: "".into(), repeated: false });
     let (from_shape, to_shape) = (Shape::of_message(from.root()), Shape::of_message(to.root()));
     compiler.shape(from, from_shape, to, to_shape)?;
     Ok((compiler.program, compiler.notes))
@@ -176,7 +176,7 @@ impl Compiler<'_> {
             }
             (Shape::Stamp(a), Shape::Stamp(b)) => self.stamp(a, b),
             (Shape::Message(a), Shape::Message(b)) => self.message(from, a, to, b),
-            _ => Err(self.differ(shown(a), shown(b))),
+            _ => Err(self.differ(excerpt(a), excerpt(b))),
         }
     }
 
@@ -256,7 +256,7 @@ impl Compiler<'_> {
     fn field(&mut self, from: &Schema, a: &Field, to: &Schema, b: &Field) -> Result<Least, MapError> {
         let parent = std::mem::replace(&mut self.field, self.program.fields.len() as u32);
         let repeated = a.count != Count::One;
-        self.program.fields.push(FieldPlace { parent, name: a.name.clone(), repeated });
+        self.program.fields.push(FieldPath { parent, name: a.name.clone(), repeated });
         let count = match (a.count, b.count) {
             (Count::Sequence(a), Count::Sequence(b)) => Count::Sequence(a.into_iter().chain(b).min()),
             (a, b) if a == b => a,
@@ -374,7 +374,7 @@ fn is_frame(of: &Definition, field: &Field) -> bool {
     is_text && (&*field.name == "child_frame_id" || (is_header && &*field.name == "frame_id"))
 }
 
-fn shown(shape: Shape<'_>) -> String {
+fn excerpt(shape: Shape<'_>) -> String {
     match shape {
         Shape::Scalar { kind, .. } => kind.name().into(),
         Shape::Text(Text { wide: true, .. }) => "wstring".into(),

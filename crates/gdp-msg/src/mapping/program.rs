@@ -87,7 +87,7 @@ pub(super) struct Program {
     /// Of each step, the field that it is for: an index of `fields`.
     pub of: Vec<u32>,
     /// The first is the message itself.
-    pub fields: Vec<FieldPlace>,
+    pub fields: Vec<FieldPath>,
     /// Members of objects, as steps refer to them.
     pub members: Vec<Vec<Box<str>>>,
     /// Of [`Op::Frame`].
@@ -96,7 +96,7 @@ pub(super) struct Program {
 
 /// Where a field is.
 #[derive(Debug)]
-pub(super) struct FieldPlace {
+pub(super) struct FieldPath {
     /// The field that it is inside of.
     pub parent: u32,
     pub name: Box<str>,

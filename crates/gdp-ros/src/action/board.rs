@@ -15,10 +15,10 @@ const MAX_LEFT: usize = 64;
 /// Of an action that is called.
 #[derive(Default)]
 pub struct Board {
-    servers: BTreeMap<Name, Shown>,
+    servers: BTreeMap<Name, ServerStatuses>,
 }
 
-struct Shown {
+struct ServerStatuses {
     statuses: Vec<Status>,
     left: Option<Instant>,
 }
@@ -28,23 +28,23 @@ impl Board {
     pub fn say(&mut self, server: Name, message: &[u8]) -> Result<Vec<Status>, Malformed> {
         let statuses = statuses(message)?;
         let ended = statuses.iter().filter(|status| status.is_final()).copied().collect();
-        self.servers.insert(server, Shown { statuses, left: None });
+        self.servers.insert(server, ServerStatuses { statuses, left: None });
         Ok(ended)
     }
 
     /// The server has left: goals that it had not ended are lost, which is shown as aborted.
     /// Whether anything is.
     pub fn leave(&mut self, now: Instant, server: &Name) -> bool {
-        let Some(shown) = self.servers.get_mut(server) else { return false };
-        shown.left.get_or_insert(now);
+        let Some(server) = self.servers.get_mut(server) else { return false };
+        server.left.get_or_insert(now);
         let mut lost = false;
-        for status in shown.statuses.iter_mut().filter(|status| !status.is_final()) {
+        for status in server.statuses.iter_mut().filter(|status| !status.is_final()) {
             (status.status, lost) = (ABORTED, true);
         }
-        let left = |shown: &Shown| shown.left;
+        let left = |server: &ServerStatuses| server.left;
         while self.servers.values().filter_map(left).count() > MAX_LEFT {
-            let oldest = self.servers.iter().filter_map(|(server, shown)| Some((shown.left?, *server))).min();
-            oldest.and_then(|(_, server)| self.servers.remove(&server));
+            let oldest = self.servers.iter().filter_map(|(name, server)| Some((server.left?, *name))).min();
+            oldest.and_then(|(_, name)| self.servers.remove(&name));
         }
         lost
     }
@@ -52,13 +52,13 @@ impl Board {
     /// No longer shows what was lost long ago. Whether anything is not shown any more.
     pub fn sweep(&mut self, now: Instant) -> bool {
         let before = self.servers.len();
-        self.servers.retain(|_, shown| shown.left.is_none_or(|left| now.saturating_duration_since(left) < LINGER));
+        self.servers.retain(|_, server| server.left.is_none_or(|left| now.saturating_duration_since(left) < LINGER));
         self.servers.len() < before
     }
 
     /// All of them, as a message.
     pub fn message(&self) -> Bytes {
-        let all = self.servers.values().flat_map(|shown| &shown.statuses).copied();
+        let all = self.servers.values().flat_map(|server| &server.statuses).copied();
         status_array(&all.take(MAX_GOALS).collect::<Vec<_>>())
     }
 }

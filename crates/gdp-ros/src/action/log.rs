@@ -33,7 +33,7 @@ struct Caller {
     dropped: u64,
     /// The newest; what was before is of no interest.
     status: Option<(u64, Bytes)>,
-    heard: Instant,
+    last_seen: Instant,
 }
 
 /// Nobody else can be told.
@@ -43,16 +43,16 @@ pub struct LogError;
 
 impl Log {
     /// It calls, and is told from now on.
-    pub fn heard(&mut self, now: Instant, caller: Name) -> Result<(), LogError> {
+    pub fn add_caller(&mut self, now: Instant, caller: Name) -> Result<(), LogError> {
         if let Some(known) = self.callers.get_mut(&caller) {
-            known.heard = now;
+            known.last_seen = now;
             return Ok(());
         }
         if self.callers.len() >= MAX_CALLERS {
             return Err(LogError);
         }
         let (feedback, status) = (VecDeque::new(), None);
-        let new = Caller { next: 1, feedback, bytes: 0, dropped: 0, status, heard: now };
+        let new = Caller { next: 1, feedback, bytes: 0, dropped: 0, status, last_seen: now };
         self.callers.insert(caller, new);
         Ok(())
     }
@@ -112,7 +112,7 @@ impl Log {
 
     /// Forgets those who were not heard of for long; `stays`: whose goals go on.
     pub fn sweep(&mut self, now: Instant, stays: impl Fn(&Name) -> bool) {
-        self.callers.retain(|caller, known| now.saturating_duration_since(known.heard) < LINGER || stays(caller));
+        self.callers.retain(|caller, known| now.saturating_duration_since(known.last_seen) < LINGER || stays(caller));
     }
 
     pub fn callers(&self) -> impl Iterator<Item = &Name> {

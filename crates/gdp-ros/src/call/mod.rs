@@ -102,7 +102,7 @@ pub struct Failure {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FailureCode {
     /// The ROS server has gone; it may have carried the request out.
-    Gone,
+    ServerLeft,
     /// The ROS server says that it failed.
     Refused,
     /// As many calls as the proxy holds wait for the ROS server.
@@ -254,7 +254,7 @@ impl Part {
 }
 
 impl FailureCode {
-    const ALL: [Self; 5] = [Self::Gone, Self::Refused, Self::Busy, Self::Malformed, Self::Changed];
+    const ALL: [Self; 5] = [Self::ServerLeft, Self::Refused, Self::Busy, Self::Malformed, Self::Changed];
 
     fn from_u8(number: u8) -> Option<Self> {
         Self::ALL.get(usize::from(number)).copied()
@@ -262,7 +262,7 @@ impl FailureCode {
 
     fn as_str(self) -> &'static str {
         match self {
-            Self::Gone => "the server has gone, and may have carried the request out",
+            Self::ServerLeft => "the server has gone, and may have carried the request out",
             Self::Refused => "the server failed",
             Self::Busy => "as many calls as may wait for the server",
             Self::Malformed => "the server's proxy does not take the request",

@@ -15,25 +15,25 @@ const MAX_PEERS: usize = 256;
 
 /// Messages that wait for the roster of their writer, and bytes of them, for all writers of a name.
 /// Beyond, the oldest go.
-const MAX_HELD: usize = 1024;
-const MAX_HELD_BYTES: usize = 32 << 20;
+const MAX_PENDING: usize = 1024;
+const MAX_PENDING_BYTES: usize = 32 << 20;
 
 /// Of a name that is read.
 #[derive(Default)]
 pub struct Incoming {
-    peers: HashMap<Name, Peer>,
+    peers: HashMap<Name, RosterPeer>,
     /// With when each came.
-    held: VecDeque<(Instant, Message)>,
-    held_bytes: usize,
+    pending: VecDeque<(Instant, Message)>,
+    pending_bytes: usize,
 }
 
-struct Peer {
+struct RosterPeer {
     kind: Kind,
     definition: Option<Arc<str>>,
     writers: BTreeMap<u32, Listed>,
     /// The message that said so, in its session.
     said: ([u8; 16], u64),
-    heard: Instant,
+    last_seen: Instant,
 }
 
 #[derive(Clone, Copy)]
@@ -74,7 +74,7 @@ pub enum Taken {
     /// Its writer tells no publishers apart.
     Plain(Message),
     /// It waits for the roster.
-    Held,
+    Pending,
     /// It waits, and so many others do not any more.
     Crowded(usize),
 }
@@ -125,7 +125,7 @@ impl Incoming {
             Change::Joined { writer, number: *number, kind, definition, offers: now.offers }
         });
         changes.extend(left.chain(joined));
-        self.peers.insert(writer, Peer { kind, definition, writers, said, heard: now });
+        self.peers.insert(writer, RosterPeer { kind, definition, writers, said, last_seen: now });
         Ok((changes, self.release(writer)))
     }
 
@@ -136,25 +136,25 @@ impl Incoming {
             && peer.said.0 == message.session
             && peer.writers.get(&number).is_some_and(|from| !from.is_silent)
         {
-            peer.heard = now;
+            peer.last_seen = now;
             return Taken::From(number, message);
         }
         // Of one that is silent the next roster tells, which is on its way; others wait for theirs.
-        self.held_bytes += message.body.len();
-        self.held.push_back((now, message));
+        self.pending_bytes += message.body.len();
+        self.pending.push_back((now, message));
         let mut gone = 0;
-        while self.held.len() > MAX_HELD || (self.held_bytes > MAX_HELD_BYTES && self.held.len() > 1) {
+        while self.pending.len() > MAX_PENDING || (self.pending_bytes > MAX_PENDING_BYTES && self.pending.len() > 1) {
             self.drop_oldest();
             gone += 1;
         }
-        if gone == 0 { Taken::Held } else { Taken::Crowded(gone) }
+        if gone == 0 { Taken::Pending } else { Taken::Crowded(gone) }
     }
 
     /// Who is not heard of any more. Messages that waited for so long are dropped: how many.
     pub fn poll(&mut self, now: Instant) -> (Vec<Change>, usize) {
         let mut changes = Vec::new();
         for (writer, peer) in &mut self.peers {
-            let silence = now.saturating_duration_since(peer.heard);
+            let silence = now.saturating_duration_since(peer.last_seen);
             for (number, listed) in &mut peer.writers {
                 if !listed.is_silent && silence >= listed.offers.lease() {
                     listed.is_silent = true;
@@ -162,24 +162,26 @@ impl Incoming {
                 }
             }
         }
-        let before = self.held.len();
-        while self.held.front().is_some_and(|(came, _)| now.saturating_duration_since(*came) >= LEASE) {
+        let before = self.pending.len();
+        while self.pending.front().is_some_and(|(came, _)| now.saturating_duration_since(*came) >= LEASE) {
             self.drop_oldest();
         }
-        (changes, before - self.held.len())
+        (changes, before - self.pending.len())
     }
 
     /// Nothing is known any more: all publishers have left.
     pub fn clear(&mut self) -> Vec<Change> {
-        let numbers =
-            |(writer, peer): (Name, Peer)| peer.writers.into_keys().map(move |number| Change::Left { writer, number });
+        let numbers = |(writer, peer): (Name, RosterPeer)| {
+            peer.writers.into_keys().map(move |number| Change::Left { writer, number })
+        };
         std::mem::take(self).peers.into_iter().flat_map(numbers).collect()
     }
 
     /// Makes room for one more writer, if one is not heard of any more: its publishers have left.
     fn forget_silent(&mut self, now: Instant) -> Option<Vec<Change>> {
-        let is_silent = |peer: &Peer| {
-            now.saturating_duration_since(peer.heard) >= LEASE && peer.writers.values().all(|listed| listed.is_silent)
+        let is_silent = |peer: &RosterPeer| {
+            now.saturating_duration_since(peer.last_seen) >= LEASE
+                && peer.writers.values().all(|listed| listed.is_silent)
         };
         let writer = *self.peers.iter().find(|(_, peer)| is_silent(peer))?.0;
         let numbers = self.peers.remove(&writer)?.writers.into_keys();
@@ -187,7 +189,7 @@ impl Incoming {
     }
 
     fn drop_oldest(&mut self) {
-        self.held_bytes -= self.held.pop_front().map_or(0, |(_, oldest)| oldest.body.len());
+        self.pending_bytes -= self.pending.pop_front().map_or(0, |(_, oldest)| oldest.body.len());
     }
 
     /// Those of a writer that wait, of publishers that are known by now; what is from others of an
@@ -199,9 +201,9 @@ impl Incoming {
                 && message.session == peer.said.0
                 && number(&message.origin).is_some_and(|number| peer.writers.contains_key(&number))
         };
-        let (released, held) = std::mem::take(&mut self.held).into_iter().partition::<VecDeque<_>, _>(is_known);
-        self.held = held;
-        self.held_bytes = self.held.iter().map(|(_, message)| message.body.len()).sum();
+        let (released, pending) = std::mem::take(&mut self.pending).into_iter().partition::<VecDeque<_>, _>(is_known);
+        self.pending = pending;
+        self.pending_bytes = self.pending.iter().map(|(_, message)| message.body.len()).sum();
         released.into_iter().map(|(_, message)| message).collect()
     }
 }

@@ -123,9 +123,9 @@ fn messages_wait_for_the_roster_that_tells_of_their_publisher() {
     let (mut out, mut into) = (Outgoing::new(kind(), None), Incoming::default());
     assert!(matches!(into.message(now, message(1, 1, b"", "plain")), Taken::Plain(_)));
     for i in 0..3u32 {
-        assert_eq!(into.message(now, message(1, 2 + u64::from(i), &origin(i), "held")), Taken::Held);
+        assert_eq!(into.message(now, message(1, 2 + u64::from(i), &origin(i), "held")), Taken::Pending);
     }
-    assert_eq!(into.message(now, message(2, 1, &origin(0), "another's")), Taken::Held);
+    assert_eq!(into.message(now, message(2, 1, &origin(0), "another's")), Taken::Pending);
     out.joined(0, RELIABLE);
     out.joined(1, RELIABLE);
     let (_, released) = into.roster(now, &message(1, 5, b"", body(out.poll(now).unwrap()))).unwrap();
@@ -134,7 +134,7 @@ fn messages_wait_for_the_roster_that_tells_of_their_publisher() {
     // A writer that began anew numbers its publishers anew.
     let mut anew = message(1, 1, &origin(1), "x");
     anew.session = [9; 16];
-    assert_eq!(into.message(now, anew), Taken::Held);
+    assert_eq!(into.message(now, anew), Taken::Pending);
     assert_eq!(into.poll(now + LEASE).1, 3, "two of publishers that were never listed, and this one");
 }
 
@@ -155,7 +155,7 @@ fn a_new_session_has_other_publishers() {
 fn what_waits_is_bounded() {
     let (mut into, now) = (Incoming::default(), Instant::now());
     let large = Bytes::from(vec![0; 20 << 20]);
-    assert_eq!(into.message(now, message(1, 1, &origin(0), large.clone())), Taken::Held);
+    assert_eq!(into.message(now, message(1, 1, &origin(0), large.clone())), Taken::Pending);
     assert_eq!(into.message(now, message(1, 2, &origin(0), large)), Taken::Crowded(1));
     let mut crowded = 0;
     for i in 0..3000 {

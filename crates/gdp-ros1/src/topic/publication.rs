@@ -112,7 +112,7 @@ impl Publication {
             Err(reason) => return refuse(stream, &reason).await,
         };
         let mut alive = self.alive.subscribe();
-        let _entry = Entry { publication: Arc::downgrade(&self), id };
+        let _entry = SubscriberEntry { publication: Arc::downgrade(&self), id };
         let ours = self.header().encode();
         drop(self);
         let Stream { mut reader, mut writer } = stream;
@@ -175,12 +175,12 @@ pub fn check<'a>(header: &'a Header, name: &str, md5sum: &str) -> Result<&'a str
 }
 
 /// A subscriber's place. Leaves it when the connection ends, however it does.
-struct Entry {
+struct SubscriberEntry {
     publication: std::sync::Weak<Publication>,
     id: u64,
 }
 
-impl Drop for Entry {
+impl Drop for SubscriberEntry {
     fn drop(&mut self) {
         let Some(publication) = self.publication.upgrade() else { return };
         let mut subscribers = publication.subscribers();

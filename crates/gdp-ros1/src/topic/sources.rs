@@ -19,24 +19,24 @@ const RETRY: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_s
 pub const MAX_SOURCES: usize = 1024;
 
 /// A connection that held so long was a good one: the next attempt is made soon.
-const HELD: Duration = Duration::from_secs(5);
+const STABLE_AFTER: Duration = Duration::from_secs(5);
 
 /// The publishers of one topic, by the URIs of their slave APIs.
 pub struct Sources {
     own: String,
-    known: BTreeMap<String, Source>,
+    known: BTreeMap<String, PublisherSource>,
 }
 
-struct Source {
+struct PublisherSource {
     /// The last run of the master in which it was listed.
     listed: u64,
     /// Whether it still is.
     wanted: bool,
-    state: State,
+    state: SourceState,
     backoff: Backoff,
 }
 
-enum State {
+enum SourceState {
     Waiting { until: Instant },
     Connecting,
     Connected { since: Instant },
@@ -44,7 +44,7 @@ enum State {
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Action {
+pub enum SourceAction {
     /// Connect; when that has ended, [`Sources::ended`] is to be called.
     Connect(String),
     /// Forget it, and end the connection if there is one. No more is heard of it.
@@ -58,7 +58,7 @@ impl Sources {
     }
 
     /// The master lists these, in its run of this number.
-    pub fn listed(&mut self, run: u64, publishers: &[String], now: Instant) -> Vec<Action> {
+    pub fn listed(&mut self, run: u64, publishers: &[String], now: Instant) -> Vec<SourceAction> {
         for source in self.known.values_mut() {
             source.wanted = false;
         }
@@ -70,8 +70,8 @@ impl Sources {
             match self.known.entry(publisher.clone()) {
                 Entry::Occupied(mut known) => (known.get_mut().listed, known.get_mut().wanted) = (run, true),
                 Entry::Vacant(new) if room => {
-                    let state = State::Waiting { until: now };
-                    new.insert(Source { listed: run, wanted: true, state, backoff: RETRY });
+                    let state = SourceState::Waiting { until: now };
+                    new.insert(PublisherSource { listed: run, wanted: true, state, backoff: RETRY });
                 }
                 Entry::Vacant(_) => {
                     tracing::warn!(publisher, MAX_SOURCES, "a topic has more publishers than are connected to");
@@ -81,11 +81,11 @@ impl Sources {
         let mut dropped = Vec::new();
         self.known.retain(|publisher, source| {
             let kept = match source.state {
-                State::Waiting { .. } => source.wanted,
-                State::Connecting | State::Connected { .. } => source.wanted || source.listed != run,
+                SourceState::Waiting { .. } => source.wanted,
+                SourceState::Connecting | SourceState::Connected { .. } => source.wanted || source.listed != run,
             };
             if !kept {
-                dropped.push(Action::Drop(publisher.clone()));
+                dropped.push(SourceAction::Drop(publisher.clone()));
             }
             kept
         });
@@ -94,12 +94,12 @@ impl Sources {
     }
 
     /// Whom to connect to now.
-    pub fn due(&mut self, now: Instant) -> Vec<Action> {
+    pub fn due(&mut self, now: Instant) -> Vec<SourceAction> {
         let mut actions = Vec::new();
         for (publisher, source) in &mut self.known {
-            if matches!(source.state, State::Waiting { until } if until <= now) {
-                source.state = State::Connecting;
-                actions.push(Action::Connect(publisher.clone()));
+            if matches!(source.state, SourceState::Waiting { until } if until <= now) {
+                source.state = SourceState::Connecting;
+                actions.push(SourceAction::Connect(publisher.clone()));
             }
         }
         actions
@@ -107,9 +107,9 @@ impl Sources {
 
     /// When somebody is to be connected to, if nothing happens before.
     pub fn next_due(&self) -> Option<Instant> {
-        let waiting = |source: &Source| match source.state {
-            State::Waiting { until } => Some(until),
-            State::Connecting | State::Connected { .. } => None,
+        let waiting = |source: &PublisherSource| match source.state {
+            SourceState::Waiting { until } => Some(until),
+            SourceState::Connecting | SourceState::Connected { .. } => None,
         };
         self.known.values().filter_map(waiting).min()
     }
@@ -117,7 +117,7 @@ impl Sources {
     /// A connection is made.
     pub fn connected(&mut self, publisher: &str, now: Instant) {
         if let Some(source) = self.known.get_mut(publisher) {
-            source.state = State::Connected { since: now };
+            source.state = SourceState::Connected { since: now };
         }
     }
 
@@ -128,10 +128,11 @@ impl Sources {
             self.known.remove(publisher);
             return false;
         }
-        if matches!(source.state, State::Connected { since } if now.saturating_duration_since(since) >= HELD) {
+        let is_stable = |since| now.saturating_duration_since(since) >= STABLE_AFTER;
+        if matches!(source.state, SourceState::Connected { since } if is_stable(since)) {
             source.backoff = RETRY;
         }
-        source.state = State::Waiting { until: now + source.backoff.next_delay() };
+        source.state = SourceState::Waiting { until: now + source.backoff.next_delay() };
         true
     }
 }

@@ -10,7 +10,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::{AbortHandle, Id, JoinSet};
 
 use super::link::{self, Common, LinkError};
-use super::sources::{Action, Sources};
+use super::sources::{SourceAction, Sources};
 use crate::queue::QueueLimits;
 
 /// What to subscribe to.
@@ -95,9 +95,9 @@ impl ConnectionSupervisor {
         }
     }
 
-    fn act(&mut self, links: &mut Links, action: Action) {
+    fn act(&mut self, links: &mut Links, action: SourceAction) {
         match action {
-            Action::Connect(publisher) => {
+            SourceAction::Connect(publisher) => {
                 let (common, uri, connected) = (self.common.clone(), publisher.clone(), links.connected.clone());
                 let task = links.tasks.spawn(async move { link::run(&common, &uri, connected).await });
                 links.by_id.insert(task.id(), publisher.clone());
@@ -109,7 +109,7 @@ impl ConnectionSupervisor {
                     is_new
                 });
             }
-            Action::Drop(publisher) => {
+            SourceAction::Drop(publisher) => {
                 if let Some(task) = links.by_uri.remove(&publisher) {
                     links.by_id.remove(&task.id());
                     task.abort();

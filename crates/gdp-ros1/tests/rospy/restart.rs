@@ -170,9 +170,9 @@ async fn watch(graph: &mut gdp_ros1::Graph, seen: &mut Snapshot, wanted: impl Fn
             for change in graph.changes().await.expect("the node is there") {
                 match change {
                     Change::Topic { name, topic } => _ = seen.topics.insert(name, topic),
-                    Change::TopicGone { name } => assert!(seen.topics.remove(&name).is_some()),
+                    Change::TopicRemoved { name } => assert!(seen.topics.remove(&name).is_some()),
                     Change::Service { name, nodes } => _ = seen.services.insert(name, nodes),
-                    Change::ServiceGone { name } => assert!(seen.services.remove(&name).is_some()),
+                    Change::ServiceRemoved { name } => assert!(seen.services.remove(&name).is_some()),
                 }
             }
             assert_eq!(seen, graph.snapshot());

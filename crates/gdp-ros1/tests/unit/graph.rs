@@ -28,9 +28,9 @@ fn changes_are_what_came_went_and_became_known() {
         second.changes_since(&first),
         [
             Change::Topic { name: "/a".to_owned(), topic },
-            Change::TopicGone { name: "/b".to_owned() },
+            Change::TopicRemoved { name: "/b".to_owned() },
             Change::Service { name: "/y".to_owned(), nodes: set(&["/p"]) },
-            Change::ServiceGone { name: "/x".to_owned() },
+            Change::ServiceRemoved { name: "/x".to_owned() },
         ]
     );
     assert_eq!(first.changes_since(&Snapshot::default()).len(), 3);

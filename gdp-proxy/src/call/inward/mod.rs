@@ -44,11 +44,11 @@ impl Route {
     ) -> Result<(), RouteError> {
         let mut pause = RETRY;
         loop {
-            let error = match unless(&mut over, way.node.client(way.card.proof(), right.held())).await {
+            let error = match unless(&mut over, way.node.client(way.card.proof(), right.current())).await {
                 None => return Ok(()),
                 Some(Ok(client)) => {
                     pause = RETRY;
-                    way.place.set_permitted(!self.leaves_to_others(Instant::now()));
+                    way.candidate.set_permitted(!self.leaves_to_others(Instant::now()));
                     match self.carry_in(way, &client, right, &mut over).await? {
                         Some(error) => error,
                         None => return Ok(()),
@@ -57,8 +57,8 @@ impl Route {
                 Some(Err(error)) => error,
             };
             self.counters.servers(0);
-            way.place.set_permitted(false);
-            if unless(&mut over, self.standing.pause(error, &mut pause, right)).await.is_none() {
+            way.candidate.set_permitted(false);
+            if unless(&mut over, self.route_status.pause(error, &mut pause, right)).await.is_none() {
                 return Ok(());
             }
         }
@@ -79,7 +79,7 @@ impl Route {
         let (mut ticks, mut changes, mut ended) = (ticks(), client.changes(), pin!(client.ended()));
         changes.mark_changed();
         let (mut doing, mut calls) = (Doing::new(), Calls::new());
-        self.standing.set_status("waiting for a server elsewhere");
+        self.route_status.set_status("waiting for a server elsewhere");
         let why = loop {
             self.speak(&mut to, &doing);
             let local = to.local.as_ref().map(|(local, _)| local.clone());
@@ -99,7 +99,7 @@ impl Route {
                 why = &mut ended => break Some(why),
                 () = &mut *over => break None,
                 _ = ticks.tick() => {
-                    self.standing.renew(right, async |new| client.renew(new).await).await;
+                    self.route_status.renew(right, async |new| client.renew(new).await).await;
                     let now = Instant::now();
                     to.goals.lock().sweep(now);
                     if to.board.sweep(now) {

@@ -39,7 +39,7 @@ impl Route {
                 answer = answer => Some(answer),
                 () = asker.hangs_up() => None,
                 _ = is_leaving.wait_for(|leaving| *leaving) => {
-                    Some(Err(Failure::new(FailureCode::Gone, "this proxy carries no calls any more").into()))
+                    Some(Err(Failure::new(FailureCode::ServerLeft, "this proxy carries no calls any more").into()))
                 }
             };
             match (part, &answer) {

@@ -33,7 +33,7 @@ impl Route {
     pub(super) fn look<'a>(&'a self, to: &mut In<'a>, doing: &Doing<'a>) {
         let now = Instant::now();
         // What another proxy of this graph serves, clients here have without this one.
-        let instances = to.client.instances().into_iter().filter(|one| !to.way.place.is_twin(now, &one.name));
+        let instances = to.client.instances().into_iter().filter(|one| !to.way.candidate.is_twin(now, &one.name));
         let attached: Vec<Name> = instances.take(MAX_SERVERS).map(|one| one.name).collect();
         let gone: Vec<Name> = to.remotes.keys().filter(|name| !attached.contains(name)).copied().collect();
         for name in gone {
@@ -65,7 +65,7 @@ impl Route {
         if is_unfit {
             *self.unfit_until.lock() = Some(now + ASK_AGAIN);
         }
-        to.way.place.set_permitted(known > 0 || !self.leaves_to_others(now));
+        to.way.candidate.set_permitted(known > 0 || !self.leaves_to_others(now));
         self.counters.servers(known);
         if known > 0 {
             return;
@@ -73,7 +73,7 @@ impl Route {
         if let Some((local, _)) = to.local.take() {
             tracing::info!(service = %self.config.name, "no server elsewhere is left, so it is not announced here \
                                                          any more");
-            self.standing.set_status("waiting for a server elsewhere");
+            self.route_status.set_status("waiting for a server elsewhere");
             to.outbox = Outbox::default();
             let message = to.board.message();
             doing.push(Box::pin(async move { Done::Withdrawn(withdraw(local, message).await) }));
@@ -118,7 +118,7 @@ impl Route {
             Err(error) => {
                 tracing::warn!(service = %self.config.name, server = %name, "not called: {error}");
                 if to.local.is_none() {
-                    self.standing.set_status(&error);
+                    self.route_status.set_status(&error);
                 }
                 to.remotes.insert(name, Remote::Unfit(Instant::now() + ASK_AGAIN));
             }
@@ -157,8 +157,10 @@ impl Route {
             let own = hex::encode(own);
             return Ok(Err(format!("its {} is another than the one known here, of hash {own}", here.kind.name)));
         }
-        if let Some((_, standing)) = to.local.as_ref().filter(|(_, standing)| !standing.kind.agrees(&here.kind)) {
-            return Ok(Err(format!("it is of another type than the {} of another server", standing.kind.name)));
+        if let Some((_, route_status)) =
+            to.local.as_ref().filter(|(_, route_status)| !route_status.kind.agrees(&here.kind))
+        {
+            return Ok(Err(format!("it is of another type than the {} of another server", route_status.kind.name)));
         }
         let converters = match self.types.service_converters(&here, &there) {
             Ok(converters) => Mutex::new(converters),

@@ -20,7 +20,7 @@ use crate::graph::event::{GraphError, WriteError};
 /// The publishers of one proxy at one master.
 pub struct Publishers {
     config: NodeConfig,
-    topics: Mutex<HashMap<String, Topic>>,
+    topics: Mutex<HashMap<String, PublishedTopic>>,
     /// How many nodes were made for one publisher.
     made: AtomicU32,
     /// Those of them that take leave of the master.
@@ -31,7 +31,7 @@ pub struct Publishers {
 type Leaving = Arc<Mutex<JoinSet<()>>>;
 
 #[derive(Default)]
-struct Topic {
+struct PublishedTopic {
     at_main: Weak<Publisher>,
     /// What counterparts that latch nothing share.
     unlatched: Weak<Publisher>,
@@ -112,7 +112,7 @@ impl Publishers {
         while leaving.join_next().await.is_some() {}
     }
 
-    fn topics(&self) -> MutexGuard<'_, HashMap<String, Topic>> {
+    fn topics(&self) -> MutexGuard<'_, HashMap<String, PublishedTopic>> {
         self.topics.lock()
     }
 }

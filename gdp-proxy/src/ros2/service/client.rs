@@ -31,15 +31,15 @@ struct Asking {
 /// The calls that wait, and replies that came before the write had said what its request is called.
 #[derive(Default)]
 struct Calls {
-    waiting: HashMap<Key, oneshot::Sender<RawSample>>,
+    waiting: HashMap<RequestKey, oneshot::Sender<RawSample>>,
     /// At most one request is being written at a time, and until then its key is not known.
     writing: bool,
-    early: HashMap<Key, RawSample>,
+    early: HashMap<RequestKey, RawSample>,
 }
 
 /// A request of this client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-enum Key {
+enum RequestKey {
     Header([u8; super::mapping::HEADER]),
     Sequence(i64),
 }
@@ -97,12 +97,12 @@ impl Client {
                 let header = header(asking.requests.guid(), asking.number);
                 let options = WriteOptionsBuilder::new().build();
                 asking.requests.write_with(with_header(&request, header), options).await?;
-                Key::Header(header)
+                RequestKey::Header(header)
             }
             Mapping::Enhanced => {
                 let options = WriteOptionsBuilder::new().related_sample_identity(asker(self.replies.guid())).build();
                 let written = asking.requests.write_with(request, options).await?;
-                Key::Sequence(written.sequence_number.into())
+                RequestKey::Sequence(written.sequence_number.into())
             }
         };
         let (sender, arrival) = oneshot::channel();
@@ -145,7 +145,7 @@ impl Drop for Writing<'_> {
 
 /// A call that waits; when dropped, it does so no more.
 struct Pending {
-    key: Key,
+    key: RequestKey,
     calls: Arc<Mutex<Calls>>,
 }
 
@@ -184,9 +184,11 @@ async fn listen(replies: Arc<RawReader>, own: [GUID; 2], mapping: Mapping, calls
 const MAX_EARLY: usize = 16;
 
 /// Replies go to all clients of a service: whether this is to one of ours.
-fn own_key(id: &RequestId, own: [GUID; 2]) -> Option<Key> {
+fn own_key(id: &RequestId, own: [GUID; 2]) -> Option<RequestKey> {
     match id.0 {
-        Id::Header(header) => (header[..8] == own[1].to_bytes()[8..]).then_some(Key::Header(header)),
-        Id::Sample(asked) => own.contains(&asked.writer_guid).then_some(Key::Sequence(asked.sequence_number.into())),
+        Id::Header(header) => (header[..8] == own[1].to_bytes()[8..]).then_some(RequestKey::Header(header)),
+        Id::Sample(asked) => {
+            own.contains(&asked.writer_guid).then_some(RequestKey::Sequence(asked.sequence_number.into()))
+        }
     }
 }

@@ -4,7 +4,7 @@ use bytes::{BufMut, Bytes, BytesMut};
 use rustdds::rpc::SampleIdentity;
 use rustdds::{GUID, SequenceNumber};
 
-use super::super::raw::{Change, ENCAPSULATION, RawSample, Representation};
+use super::super::raw::{ENCAPSULATION, RawSample, Representation, SampleChange};
 
 /// Where a service's messages carry the identity of the request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,7 +47,7 @@ pub(super) const HEADER: usize = 16;
 pub struct Headless(Mapping);
 
 /// What a server is to answer with, and the request without its header.
-pub(super) fn request(change: Change, mapping: Mapping) -> Result<(RequestId, RawSample), Headless> {
+pub(super) fn request(change: SampleChange, mapping: Mapping) -> Result<(RequestId, RawSample), Headless> {
     match mapping {
         Mapping::Cyclone => behead(change.sample),
         Mapping::Enhanced => {
@@ -62,7 +62,7 @@ pub(super) fn request(change: Change, mapping: Mapping) -> Result<(RequestId, Ra
 }
 
 /// What a reply says it answers, and the reply without its header; `None` if it says nothing.
-pub(super) fn reply(change: Change, mapping: Mapping) -> Result<Option<(RequestId, RawSample)>, Headless> {
+pub(super) fn reply(change: SampleChange, mapping: Mapping) -> Result<Option<(RequestId, RawSample)>, Headless> {
     match mapping {
         Mapping::Cyclone => behead(change.sample).map(Some),
         Mapping::Enhanced => Ok(change.related.map(|id| (RequestId(Id::Sample(id)), change.sample))),

@@ -11,7 +11,7 @@ mod server;
 
 pub use client::{CallError, Client};
 pub use mapping::{Headless, Mapping, RequestId};
-pub use server::{BadRequest, ClientLife, Request, Server};
+pub use server::{BadRequest, ClientLife, ReceivedRequest, Server};
 
 use super::{Domain, Qos, RosError, TopicName, TypeName};
 

@@ -13,7 +13,7 @@ use crate::ros2::discovery::Writers;
 use crate::ros2::raw::{Participant, RawReader, RawSample, RawWriter, Unreadable, WriteError, participant};
 
 /// How long discovery may take to show a client whose request is here.
-const SHOWN: Duration = Duration::from_secs(3);
+const MATCH_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// How long a client's reader of replies may take to be discovered once its request is here.
 const REACHED: Duration = Duration::from_millis(500);
@@ -31,7 +31,7 @@ pub struct Server {
 
 /// What a client asks.
 #[derive(Clone, Debug)]
-pub struct Request {
+pub struct ReceivedRequest {
     /// For [`Server::respond`].
     pub id: RequestId,
     pub sample: RawSample,
@@ -44,17 +44,18 @@ pub struct ClientLife {
     writer: GUID,
     writers: watch::Receiver<Arc<Writers>>,
     /// Discovery has shown it.
-    is_shown: bool,
+    is_matched: bool,
 }
 
 impl ClientLife {
     /// Returns when discovery does not show it any more: it has said goodbye, or was not heard of
     /// for as long as it said.
     pub async fn ends(&mut self) {
-        let Self { writer, writers, is_shown } = self;
-        *is_shown = *is_shown || timeout(SHOWN, writers.wait_for(|shown| shown.contains(writer))).await.is_ok();
+        let Self { writer, writers, is_matched } = self;
+        *is_matched =
+            *is_matched || timeout(MATCH_TIMEOUT, writers.wait_for(|shown| shown.contains(writer))).await.is_ok();
         // Who was never shown is not missed.
-        if !*is_shown || writers.wait_for(|shown| !shown.contains(writer)).await.is_err() {
+        if !*is_matched || writers.wait_for(|shown| !shown.contains(writer)).await.is_err() {
             // Nobody discovers any more: the domain is being left.
             std::future::pending().await
         }
@@ -81,12 +82,12 @@ impl Server {
     }
 
     /// The next request. May be cancelled without losing one.
-    pub async fn recv(&self) -> Result<Request, BadRequest> {
+    pub async fn recv(&self) -> Result<ReceivedRequest, BadRequest> {
         let change = self.requests.change().await?;
         let mapping = self.mapping.unwrap_or_else(|| Mapping::of(change.writer.to_bytes()));
-        let client = ClientLife { writer: change.writer, writers: self.writers.clone(), is_shown: false };
+        let client = ClientLife { writer: change.writer, writers: self.writers.clone(), is_matched: false };
         let (id, sample) = request(change, mapping)?;
-        Ok(Request { id, sample, client })
+        Ok(ReceivedRequest { id, sample, client })
     }
 
     /// Waits until clients have their answers, for as long as that takes.

@@ -8,25 +8,28 @@ fn deny_wins_and_nothing_is_exposed_that_is_not_named() {
     let config = config(
         "topics: [/camera/**, /odom, /rosout], deny: [/camera/raw, /**/secret/**, /parameter*], types: [a/msg/B]",
     );
-    let judge = |topic: &str, kind: &str| {
-        judge(&config, Thing::Topic, &name(topic), TypeName::parse(kind).ok().as_ref()).map(|it| it.name)
+    let check_exposed = |topic: &str, kind: &str| {
+        check_exposed(&config, Thing::Topic, &name(topic), TypeName::parse(kind).ok().as_ref()).map(|it| it.name)
     };
-    assert_eq!(judge("/camera/left", "a/msg/B"), Ok(name("/camera/left")));
-    assert_eq!(judge("/camera/raw", "a/msg/B"), Err(NotExposed::Denied("/camera/raw".into())));
-    assert_eq!(judge("/camera/secret/x", "a/msg/B"), Err(NotExposed::Denied("/**/secret/**".into())));
-    assert_eq!(judge("/cmd_vel", "a/msg/B"), Err(NotExposed::NoPattern(Thing::Topic)));
-    assert_eq!(judge("/camera/_hidden", "a/msg/B"), Err(NotExposed::Hidden(Thing::Topic)));
-    assert_eq!(judge("/rosout", "a/msg/B"), Ok(name("/rosout")));
-    assert_eq!(judge("/odom", "a/msg/C"), Err(NotExposed::OtherType));
+    assert_eq!(check_exposed("/camera/left", "a/msg/B"), Ok(name("/camera/left")));
+    assert_eq!(check_exposed("/camera/raw", "a/msg/B"), Err(NotExposed::Denied("/camera/raw".into())));
+    assert_eq!(check_exposed("/camera/secret/x", "a/msg/B"), Err(NotExposed::Denied("/**/secret/**".into())));
+    assert_eq!(check_exposed("/cmd_vel", "a/msg/B"), Err(NotExposed::NoPattern(Thing::Topic)));
+    assert_eq!(check_exposed("/camera/_hidden", "a/msg/B"), Err(NotExposed::Hidden(Thing::Topic)));
+    assert_eq!(check_exposed("/rosout", "a/msg/B"), Ok(name("/rosout")));
+    assert_eq!(check_exposed("/odom", "a/msg/C"), Err(NotExposed::OtherType));
 }
 
 #[test]
 fn the_first_pattern_says_how() {
     let config =
         config("topics: [{topic: /a, max_hz: 1}, /**], remap: [{from: /a, to: /r1/a}], defaults: {priority: 7}");
-    let exposed = judge(&config, Thing::Topic, &name("/a"), Some(&kind())).unwrap();
-    assert_eq!((exposed.name, exposed.manner.max_hz.unwrap().get()), (name("/r1/a"), 1));
-    assert_eq!(judge(&config, Thing::Topic, &name("/b"), Some(&kind())).unwrap().manner.priority.unwrap().get(), 7);
+    let exposed = check_exposed(&config, Thing::Topic, &name("/a"), Some(&kind())).unwrap();
+    assert_eq!((exposed.name, exposed.rule_options.max_hz.unwrap().get()), (name("/r1/a"), 1));
+    assert_eq!(
+        check_exposed(&config, Thing::Topic, &name("/b"), Some(&kind())).unwrap().rule_options.priority.unwrap().get(),
+        7
+    );
 }
 
 #[test]
@@ -36,27 +39,28 @@ fn what_is_called_is_exposed_by_its_own_patterns_and_none_that_nodes_have_for_th
          remap: [{from: /a, to: /r1/a}], defaults: {max_hz: 5, meta: {site: x}}",
     );
     let (service, action) = (Thing::Call(What::Service), Thing::Call(What::Action));
-    let judge = |thing, text: &str| judge(&config, thing, &name(text), None).map(|it| it.name.to_string());
-    assert_eq!(judge(service, "/a/light"), Ok("/r1/a/light".into()));
-    assert_eq!(judge(service, "/a/stop"), Err(NotExposed::Denied("/a/stop".into())));
-    assert_eq!(judge(service, "/a/set_parameters"), Err(NotExposed::Hidden(service)));
-    assert_eq!(judge(service, "/b/get_parameters"), Ok("/b/get_parameters".into()));
-    assert_eq!(judge(service, "/arm/dock"), Err(NotExposed::NoPattern(service)));
-    assert_eq!(judge(action, "/arm/dock"), Ok("/arm/dock".into()));
-    assert_eq!(judge(Thing::Topic, "/a/light"), Err(NotExposed::NoPattern(Thing::Topic)));
-    let manner = config.manner(service, &name("/a/light")).unwrap();
-    assert_eq!((manner.max_hz, manner.meta["site"].as_str()), (None, "x"));
+    let check_exposed =
+        |thing, text: &str| check_exposed(&config, thing, &name(text), None).map(|it| it.name.to_string());
+    assert_eq!(check_exposed(service, "/a/light"), Ok("/r1/a/light".into()));
+    assert_eq!(check_exposed(service, "/a/stop"), Err(NotExposed::Denied("/a/stop".into())));
+    assert_eq!(check_exposed(service, "/a/set_parameters"), Err(NotExposed::Hidden(service)));
+    assert_eq!(check_exposed(service, "/b/get_parameters"), Ok("/b/get_parameters".into()));
+    assert_eq!(check_exposed(service, "/arm/dock"), Err(NotExposed::NoPattern(service)));
+    assert_eq!(check_exposed(action, "/arm/dock"), Ok("/arm/dock".into()));
+    assert_eq!(check_exposed(Thing::Topic, "/a/light"), Err(NotExposed::NoPattern(Thing::Topic)));
+    let rule_options = config.rule_options(service, &name("/a/light")).unwrap();
+    assert_eq!((rule_options.max_hz, rule_options.meta["site"].as_str()), (None, "x"));
 }
 
 #[test]
 fn where_types_are_named_what_has_none_is_not_exposed() {
     let config = config("services: [/**], types: [a/srv/B]");
-    let judge = |kind: Option<&str>| {
+    let check_exposed = |kind: Option<&str>| {
         let kind = kind.map(|kind| TypeName::parse(kind).unwrap());
-        judge(&config, Thing::Call(What::Service), &name("/a"), kind.as_ref()).map(|_| ())
+        check_exposed(&config, Thing::Call(What::Service), &name("/a"), kind.as_ref()).map(|_| ())
     };
-    assert_eq!(judge(Some("a/srv/B")), Ok(()));
-    assert_eq!([None, Some("a/srv/C")].map(judge), [Err(NotExposed::OtherType), Err(NotExposed::OtherType)]);
+    assert_eq!(check_exposed(Some("a/srv/B")), Ok(()));
+    assert_eq!([None, Some("a/srv/C")].map(check_exposed), [Err(NotExposed::OtherType), Err(NotExposed::OtherType)]);
 }
 
 #[test]

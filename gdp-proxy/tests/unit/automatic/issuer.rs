@@ -13,8 +13,10 @@ fn a_name_is_the_same_every_time_and_another_for_everything_else() {
     let (owner, other) = (SigningKey::generate().unwrap(), SigningKey::generate().unwrap());
     let name = |owner: &SigningKey, thing: Thing, topic: &str, kind: &str, meta: &str| {
         let meta = BTreeMap::from([("site".into(), meta.into())]);
-        let exposed =
-            Exposed { name: TopicName::parse(topic).unwrap(), manner: RuleOptions { meta, ..RuleOptions::default() } };
+        let exposed = Exposed {
+            name: TopicName::parse(topic).unwrap(),
+            rule_options: RuleOptions { meta, ..RuleOptions::default() },
+        };
         let kind = TypeName::parse(kind).ok();
         Issuer::new(owner.clone(), entity()).card(thing, kind.as_ref(), &exposed).unwrap().name()
     };
@@ -36,18 +38,18 @@ fn a_name_is_the_same_every_time_and_another_for_everything_else() {
 fn papers_are_good_for_this_proxy_and_its_readers_and_grow_old() {
     let owner = SigningKey::generate().unwrap();
     let issuer = Issuer::new(owner.clone(), entity());
-    let exposed = Exposed { name: TopicName::parse("/a").unwrap(), manner: RuleOptions::default() };
+    let exposed = Exposed { name: TopicName::parse("/a").unwrap(), rule_options: RuleOptions::default() };
     let card = issuer.card(Thing::Topic, TypeName::parse("a/msg/A").ok().as_ref(), &exposed).unwrap();
     assert_eq!((card.get("topic"), card.get("nonce").unwrap().len()), (Some("/a"), 32));
     let mut config: ExposeConfig = serde_saphyr::from_str("{owner: o, catalog: c, topics: [/a]}").unwrap();
     let to = Grantee::Role { domain: entity(), role: "operator".into() };
     config.readers = vec![Reader(Grantee::Entity(entity())), Reader(to.clone())];
-    let papers = issuer.issue(card.name(), &config, NOW).unwrap();
+    let credentials = issuer.issue(card.name(), &config, NOW).unwrap();
     let seconds = NOW / 1_000_000_000;
-    assert_eq!(papers.cert.verify(&card.proof(), None, seconds).unwrap().entity, entity());
-    assert_eq!(papers.grants[1].verify(&card.proof(), None, seconds).unwrap().to, to);
-    papers.grants[1].verify(&card.proof(), None, seconds + LIFETIME + 1).unwrap_err();
-    let hours = |hours: i64| papers.are_old(NOW.saturating_add_signed(hours * 3_600_000_000_000));
+    assert_eq!(credentials.cert.verify(&card.proof(), None, seconds).unwrap().entity, entity());
+    assert_eq!(credentials.grants[1].verify(&card.proof(), None, seconds).unwrap().to, to);
+    credentials.grants[1].verify(&card.proof(), None, seconds + LIFETIME + 1).unwrap_err();
+    let hours = |hours: i64| credentials.are_old(NOW.saturating_add_signed(hours * 3_600_000_000_000));
     assert_eq!([0, 11, 12, 30, -1].map(hours), [false, false, true, true, true]);
 }
 

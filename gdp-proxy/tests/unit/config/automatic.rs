@@ -29,14 +29,14 @@ fn a_pattern_says_what_differs() {
          defaults: {max_hz: 9, priority: 6, compression: zstd, frame_prefix: r1/, meta: {floor: '1', site: x}}\n",
     )
     .unwrap();
-    let manner = |i: usize| config.topics[i].manner.or(&config.defaults);
-    let meta = |i: usize| manner(i).meta.into_values().collect::<Vec<_>>().join(" ");
-    assert_eq!((manner(0).max_hz.unwrap().get(), meta(0)), (9, "1 x".into()));
-    assert_eq!((manner(1).max_hz.unwrap().get(), meta(1)), (5, "2 x".into()));
-    let topic = manner(1).topic(&TopicName::parse("/b").unwrap(), "here", None, Direction::Out);
+    let rule_options = |i: usize| config.topics[i].rule_options.or(&config.defaults);
+    let meta = |i: usize| rule_options(i).meta.into_values().collect::<Vec<_>>().join(" ");
+    assert_eq!((rule_options(0).max_hz.unwrap().get(), meta(0)), (9, "1 x".into()));
+    assert_eq!((rule_options(1).max_hz.unwrap().get(), meta(1)), (5, "2 x".into()));
+    let topic = rule_options(1).topic(&TopicName::parse("/b").unwrap(), "here", None, Direction::Out);
     assert_eq!((topic.priority.get(), topic.graph.as_deref(), topic.duplicate), (6, Some("here"), false));
     assert_eq!((topic.compression, topic.frame_prefix.unwrap().as_str()), (Compression::None, "r1/"));
-    assert_eq!(manner(0).compression, Some(Compression::Zstd));
+    assert_eq!(rule_options(0).compression, Some(Compression::Zstd));
 }
 
 #[test]
@@ -71,7 +71,7 @@ fn frames_of_what_is_imported_get_a_prefix_as_its_topics_do() {
     let config = "catalog: c\ngrant: g\ntopics: [/**]\nprefix: /r2\nframe_prefix: r2/\n";
     let config: ImportConfig = serde_saphyr::from_str(config).unwrap();
     let topic = config.local_name(&TopicName::parse("/odom").unwrap()).unwrap();
-    let topic = config.manner().topic(&topic, "here", None, Direction::In);
+    let topic = config.rule_options().topic(&topic, "here", None, Direction::In);
     assert_eq!((topic.topic.as_str(), topic.frame_prefix.unwrap().as_str()), ("/r2/odom", "r2/"));
 }
 

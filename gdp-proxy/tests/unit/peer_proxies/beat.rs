@@ -5,7 +5,7 @@ use tokio::sync::mpsc;
 
 use super::*;
 use crate::config::Side;
-use crate::peer_proxies::Part;
+use crate::peer_proxies::RoutePart;
 
 struct Counting(mpsc::UnboundedSender<String>);
 
@@ -22,13 +22,13 @@ impl Voice for Counting {
 #[tokio::test]
 async fn what_changes_all_the_time_is_told_a_few_times_a_second() {
     let (peer_proxies, start) = (Arc::new(PeerProxies::default()), Instant::now());
-    let part = Part { name: Name::from_bytes([9; 32]), side: Side::Out, title: "topic /chatter".into() };
-    let place = peer_proxies.enter(Name::from_bytes([1; 32]), part, true);
+    let part = RoutePart { name: Name::from_bytes([9; 32]), side: Side::Out, title: "topic /chatter".into() };
+    let candidate = peer_proxies.enter(Name::from_bytes([1; 32]), part, true);
     let (tell, mut told) = mpsc::unbounded_channel();
     let beating = tokio::spawn(beat(peer_proxies, Counting(tell)));
     let mut texts = Vec::new();
     for i in 0..1000 {
-        place.set_permitted(i % 2 == 0);
+        candidate.set_permitted(i % 2 == 0);
         tokio::time::sleep(Duration::from_millis(1)).await;
         texts.extend(std::iter::from_fn(|| told.try_recv().ok()));
     }

@@ -35,8 +35,8 @@ fn frames_have_the_prefix_of_either_side() {
     let prefix = FramePrefix::try_from("r1/".to_owned()).unwrap();
     let cdr = Bytes::from_static(b"\0\x01\0\0\x01\0\0\0\x02\0\0\0\x05\0\0\0/map\0");
     let json = Some(Conversion::Json);
-    let manner = RuleOptions { frame_prefix: Some(prefix.clone()), encoding: json, ..RuleOptions::default() };
-    let mut out = Outbound::new(&config(manner), &types, &header, None).unwrap();
+    let rule_options = RuleOptions { frame_prefix: Some(prefix.clone()), encoding: json, ..RuleOptions::default() };
+    let mut out = Outbound::new(&config(rule_options), &types, &header, None).unwrap();
     let body = out.convert(cdr.clone()).unwrap();
     assert_eq!(body, &br#"{"stamp":{"sec":1,"nanosec":2},"frame_id":"r1/map"}"#[..]);
 
@@ -73,8 +73,8 @@ fn kind(name: &str) -> Kind {
     Kind { dialect: Dialect::Ros2, name: name.into(), hash: vec![] }
 }
 
-fn config(manner: RuleOptions) -> TopicConfig {
-    manner.topic(&TopicName::parse("/a").unwrap(), "here", None, Direction::Out)
+fn config(rule_options: RuleOptions) -> TopicConfig {
+    rule_options.topic(&TopicName::parse("/a").unwrap(), "here", None, Direction::Out)
 }
 
 fn message(encoding: seal::Encoding, body: &[u8]) -> Message {

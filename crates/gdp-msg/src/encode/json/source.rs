@@ -8,7 +8,7 @@ use super::scan::Scan;
 use super::{is_octet, scan};
 use crate::definition::{Count, Scalar};
 use crate::encode::{Block, Fault, Members, Result, Source};
-use crate::name::shown;
+use crate::name::excerpt;
 
 pub(crate) struct JsonSource<'a> {
     scan: Scan<'a>,
@@ -68,7 +68,7 @@ impl<'a> JsonSource<'a> {
             let key = self.key()?;
             let key = self.unescaped(key)?;
             let Some(index) = members.iter().position(|member| **member == *key) else {
-                return Err(Fault::Unknown(shown(key)));
+                return Err(Fault::Unknown(excerpt(key)));
             };
             let at = self.scan.at;
             if found[index].replace(at).is_some() {
@@ -86,10 +86,10 @@ impl Source for JsonSource<'_> {
         let quoted = self.scan.peek() == Some(b'"');
         if quoted {
             let text = self.string()?;
-            return quoted_number(kind, text).ok_or_else(|| Fault::Value(shown(text), kind.name()));
+            return quoted_number(kind, text).ok_or_else(|| Fault::Value(excerpt(text), kind.name()));
         }
         let text = self.scan.bare()?;
-        number(kind, text).ok_or_else(|| Fault::Value(shown(text), kind.name()))
+        number(kind, text).ok_or_else(|| Fault::Value(excerpt(text), kind.name()))
     }
 
     fn array(&mut self, kind: Scalar, _count: Count, _per: u32) -> Result<Option<Block<'_>>> {

@@ -10,7 +10,7 @@ fn name(number: u64) -> Name {
 
 fn of(callers: &[u64]) -> Log {
     let mut log = Log::default();
-    callers.iter().for_each(|caller| log.heard(Instant::now(), name(*caller)).unwrap());
+    callers.iter().for_each(|caller| log.add_caller(Instant::now(), name(*caller)).unwrap());
     log
 }
 
@@ -67,8 +67,8 @@ fn what_waits_is_bounded_and_what_goes_is_counted() {
 fn callers_are_bounded_and_forgotten() {
     let start = Instant::now();
     let mut log = of(&(0..MAX_CALLERS as u64).collect::<Vec<_>>());
-    assert_eq!(log.heard(start, name(9999)), Err(LogError));
+    assert_eq!(log.add_caller(start, name(9999)), Err(LogError));
     log.sweep(start + 2 * LINGER, |caller| *caller == name(7));
     assert_eq!(log.callers().collect::<Vec<_>>(), [&name(7)]);
-    assert_eq!(log.heard(start, name(9999)), Ok(()));
+    assert_eq!(log.add_caller(start, name(9999)), Ok(()));
 }

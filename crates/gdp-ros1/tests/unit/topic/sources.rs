@@ -6,12 +6,12 @@ fn uris<const N: usize>(hosts: [&str; N]) -> Vec<String> {
     hosts.map(|host| format!("http://{host}:1/")).to_vec()
 }
 
-fn connect(host: &str) -> Action {
-    Action::Connect(format!("http://{host}:1/"))
+fn connect(host: &str) -> SourceAction {
+    SourceAction::Connect(format!("http://{host}:1/"))
 }
 
-fn dropped(host: &str) -> Action {
-    Action::Drop(format!("http://{host}:1/"))
+fn dropped(host: &str) -> SourceAction {
+    SourceAction::Drop(format!("http://{host}:1/"))
 }
 
 fn sources() -> (Sources, Instant) {
@@ -40,12 +40,12 @@ fn what_ends_is_tried_again_ever_later_until_it_is_gone() {
         assert_eq!(sources.due(now), [connect("a")]);
     }
     assert_eq!(waits, [200, 400, 800, 1600, 3200, 6400, 10_000, 10_000]);
-    now += HELD;
+    now += STABLE_AFTER;
     assert!(sources.ended("http://a:1/", now));
     assert_eq!(sources.next_due(), Some(now + Duration::from_secs(10)), "it took long to fail");
     sources.due(now + Duration::from_secs(10));
     sources.connected("http://a:1/", now);
-    now += HELD;
+    now += STABLE_AFTER;
     assert!(sources.ended("http://a:1/", now));
     assert_eq!(sources.next_due(), Some(now + Duration::from_millis(200)), "it held");
     assert_eq!(sources.listed(1, &[], now), [dropped("a")]);

@@ -15,6 +15,6 @@ pub fn is_large(bytes: usize) -> bool {
 
 /// Works on so many bytes. If that is large, what else this thread is to do is left to others
 /// meanwhile.
-pub fn beside<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
+pub fn run_blocking_if_large<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
     if is_large(bytes) { tokio::task::block_in_place(work) } else { work() }
 }

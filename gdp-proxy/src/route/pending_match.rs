@@ -18,7 +18,7 @@ const MAX_WAITING: usize = 256;
 const MAX_WAITING_BYTES: usize = 16 << 20;
 
 /// `T`: a message.
-pub struct Hold<T> {
+pub struct PendingMatch<T> {
     until: Instant,
     has_matched: bool,
     /// With its bytes, and those of all.
@@ -26,7 +26,7 @@ pub struct Hold<T> {
     bytes: usize,
 }
 
-impl<T> Hold<T> {
+impl<T> PendingMatch<T> {
     pub fn new(now: Instant, is_reliable: bool) -> Self {
         let patience = if is_reliable { RELIABLE_PATIENCE } else { TIMEOUT };
         Self { until: now + patience, has_matched: false, waiting: VecDeque::new(), bytes: 0 }
@@ -64,5 +64,5 @@ impl<T> Hold<T> {
 }
 
 #[cfg(test)]
-#[path = "../../tests/unit/route/hold.rs"]
+#[path = "../../tests/unit/route/pending_match.rs"]
 mod tests;
