@@ -1,6 +1,6 @@
 //! What a daemon knows of its trust domain, without I/O: whom it takes links with ([`Trust`]), and
-//! whom invitations have admitted. [`crate::serve::domain`] reads and keeps the files, asks and
-//! tells others; the links are judged in [`crate::serve::core`].
+//! whom invitations have admitted. `serve::domain` reads the files, asks and tells others;
+//! `serve::core` admits the peers of links.
 
 use std::collections::BTreeMap;
 

@@ -14,9 +14,12 @@ use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
+use super::core::probes::{Location, ProbeError};
+use super::daemon::Daemon;
+use super::entity_requests::{self, Origin};
 use super::events::Listener;
-use super::trace::{Hop, Location, ProbeError};
-use super::{Daemon, status};
+use super::status;
+use super::trace::Hop;
 use gdp_proto::admin::{MAX_REQUEST, PAGE, Reply, Request, reply_line};
 
 /// Commands served at once.
@@ -148,15 +151,14 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
         }
         Request::Peers => {
             let core = daemon.core();
-            let home = core.domain.as_ref().map(|domain| domain.trust.home());
-            Reply::Ok(json!({"domain": home, "peers": status::peers(&core)}))
+            Reply::Ok(json!({"domain": core.membership.home(), "peers": status::peers(&core)}))
         }
         Request::Locate { what } => {
             let core = daemon.core();
             probed(core.locate(&what).map(|Location { name, is_near, egress }| {
                 json!({
                     "name": name, "own": core.name(), "near": is_near, "egress": egress,
-                    "end": ended(&core.end_of(&name)),
+                    "end": ended(&core.switch.end_of(&name)),
                 })
             }))
         }
@@ -179,18 +181,7 @@ async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
         Request::Fib { after } => page(status::fib(daemon, after, PAGE)),
         Request::Rib { after } => page(status::rib(daemon, after, PAGE)),
         Request::Entity { entity, request } => {
-            let response = match daemon.is_of_domain(&request) {
-                Some((proof, revocation)) => daemon.take_revocation(proof, revocation, None).await,
-                None => {
-                    let next = {
-                        let mut core = daemon.core();
-                        let next = core.entity_request(entity.as_ref(), true, *request);
-                        core.store_first(next)
-                    };
-                    daemon.complete(next).await
-                }
-            };
-            match response {
+            match entity_requests::answer(daemon, Origin::Tool(entity), *request).await {
                 Response::Refused(refusal) => {
                     let code = serde_json::to_value(refusal.code).ok();
                     let code = code.as_ref().and_then(Value::as_str).unwrap_or("Refused").to_owned();

@@ -8,7 +8,7 @@ use gdp_proto::control::{PathCosts, Request, Response};
 use tokio::sync::watch;
 use tokio::time::sleep;
 
-use super::Daemon;
+use super::daemon::Daemon;
 
 /// Between two messages to one endpoint, however often costs change.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -45,15 +45,13 @@ async fn tell(link: Link, mut costs: watch::Receiver<PathCosts>) {
     }
 }
 
-impl Daemon {
-    /// Paths from here cost this now.
-    pub(super) fn set_costs(&self, costs: &PathCosts) {
-        self.costs.send_if_modified(|held| {
-            let changed = held != costs;
-            if changed {
-                held.clone_from(costs);
-            }
-            changed
-        });
-    }
+/// Paths from here cost this now.
+pub fn set(daemon: &Daemon, costs: &PathCosts) {
+    daemon.costs.send_if_modified(|before| {
+        let changed = before != costs;
+        if changed {
+            before.clone_from(costs);
+        }
+        changed
+    });
 }

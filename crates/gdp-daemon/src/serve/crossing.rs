@@ -5,22 +5,18 @@
 use std::time::{Duration, Instant};
 
 use futures::future::join_all;
-use gdp_core::domain::Relationship;
 use gdp_link::link::Link;
-use gdp_proto::control::{
-    Crossing, Refusal, RefusalCode, Request, Response, TraceLeg, TraceOn, TracedDomain, TracedEnd, TracedSwitch,
-};
+use gdp_proto::control::{Crossing, Request, Response, TraceLeg, TraceOn, TracedDomain, TracedEnd, TracedSwitch};
 use gdp_wire::Name;
 use gdp_wire::header::INITIAL_HOP_LIMIT;
-use gdp_wire::table::EGRESS_SET_SIZE;
 use tokio::time::timeout_at;
 
-use super::Daemon;
-use super::control::onward;
-use super::core::{Core, Next, refuse};
+use super::core::follow_up::{FollowUp, TraceEntry, Tracing};
+use super::core::relay::onward;
+use super::daemon::Daemon;
 use super::trace::Hop;
 use crate::config::Inside;
-use gdp_rib::crossing::{Walk, check_path, composed, inside, only, path_on, refused, taken};
+use gdp_rib::crossing::{Walk, composed, inside, only, path_on, refused, taken};
 
 /// How long all of a trace may take, less than a request over a link may.
 const TIMEOUT: Duration = Duration::from_millis(4500);
@@ -28,96 +24,16 @@ const TIMEOUT: Duration = Duration::from_millis(4500);
 /// Who is asked has so much less than who asks, for the way.
 const MARGIN: Duration = Duration::from_millis(100);
 
-/// Egress switches that are probed for a neighbour, at most.
-pub(super) const MAX_EGRESS: usize = 8;
-
 /// Echoes and probes for one switch, until one is answered.
 const TRIES: usize = 2;
 
 /// Switches in a row that do not answer: then nothing further on is asked.
 const SILENT: usize = 2;
 
-/// A trace that a switch of this domain, or a border of another one, has asked for.
-pub enum Tracing {
-    /// The name leaves by this link into that domain.
-    Leaves { link: Link, domain: Name, request: TraceOn },
-    /// It has come from another domain.
-    Enters(Entered),
-}
-
-/// A name that another domain traces here, and may.
-pub struct Entered {
-    request: TraceOn,
-    home: Name,
-    /// Which domain asks, and by which border switch of it the frames come.
-    asked_by: Name,
-    from: Name,
-    /// They may go on to a third domain.
-    may_cross: bool,
-    shown: Inside,
-    egress: Vec<Name>,
-}
-
-impl Core {
-    /// A switch of this domain asks for what is behind a link of this one.
-    pub(super) fn trace_leaves(&self, request: TraceOn) -> Next {
-        let TraceLeg::Out { domain, peer } = request.leg else {
-            return refuse(RefusalCode::Malformed, "a trace that crosses a border is not passed on");
-        };
-        match self.border_link(&peer, domain) {
-            Some(link) => Next::Trace(Box::new(Tracing::Leaves { link, domain, request })),
-            None => {
-                let reason = format!("switch {} has no link to switch {peer} of domain {domain} now", self.name());
-                refuse(RefusalCode::Unreachable, reason)
-            }
-        }
-    }
-
-    /// A neighbouring switch asks over its link.
-    pub(super) fn trace_enters(&mut self, from: &Link, request: TraceOn) -> Next {
-        match self.entered(from, request) {
-            Ok(entered) => Next::Trace(Box::new(Tracing::Enters(entered))),
-            Err(refusal) => Next::Answer(refusal.into()),
-        }
-    }
-
-    fn entered(&mut self, from: &Link, request: TraceOn) -> Result<Entered, Refusal> {
-        let (id, now) = (from.local_id(), self.now().clock);
-        let (Some(domain), TraceLeg::Across) = (self.domain_of(from), request.leg) else {
-            return Err(Refusal::new(RefusalCode::Malformed, "traces come over a border, or are passed on"));
-        };
-        let home = self.domain.as_ref().map(|domain| domain.trust.home());
-        let (Some(home), Some(state)) = (home, self.links.get_mut(&id)) else {
-            return Err(Refusal::new(RefusalCode::Unreachable, "the link is gone"));
-        };
-        if !state.traces.take(now) {
-            let reason = format!("domain {domain:#} has asked for too many traces; try again in a second");
-            return Err(Refusal::new(RefusalCode::Limit, reason));
-        }
-        let is_transit = matches!(&state.admission.standing, Relationship::Border { ours, .. } if ours.transit);
-        check_path(&request.path, &domain, &home)?;
-        // The same words for a name that nobody has and for one that is none of its business.
-        if !self.planes.writers(&request.name).contains(&id) {
-            let reason = format!("domain {home:#} takes nothing for {:#} from domain {domain:#}", request.name);
-            return Err(Refusal::new(RefusalCode::NotFound, reason));
-        }
-        let paths = self.topology.paths();
-        let bits = self.planes.route(&request.name).map_or(0, |entry| entry.egress_bits);
-        let of = |bit: u8| (bits >> bit & 1 != 0).then(|| paths.bits.get(&bit).copied()).flatten();
-        let egress: Vec<Name> = (0..EGRESS_SET_SIZE as u8).filter_map(of).take(MAX_EGRESS).collect();
-        if self.outstanding.room(Some(domain)) < egress.len() {
-            let reason = format!("probes of other traces for domain {domain:#} are under way; try again in a second");
-            return Err(Refusal::new(RefusalCode::Limit, reason));
-        }
-        let (from, shown) = (from.peer().name, self.shown_inside);
-        Ok(Entered { request, home, asked_by: domain, from, may_cross: is_transit, shown, egress })
-    }
-}
-
 impl Daemon {
     /// Traces a name on, by the link of a border of this domain into another one.
     pub(super) async fn trace_beyond(&self, name: Name, border: Name, beyond: (Name, Name)) -> Vec<TracedDomain> {
-        let home = self.core().domain.as_ref().map(|domain| domain.trust.home());
+        let home = self.core().membership.home();
         match home {
             Some(home) => self.beyond(name, border, beyond, (&[], home), Instant::now() + TIMEOUT).await,
             None => only(beyond.0, beyond.1, refused("this switch is a member of no domain")),
@@ -127,7 +43,7 @@ impl Daemon {
     pub(super) async fn trace_on(&self, tracing: Tracing) -> Response {
         let domains = match tracing {
             Tracing::Leaves { link, domain, request } => self.across(&link, domain, request).await,
-            Tracing::Enters(entered) => self.within(entered).await,
+            Tracing::Enters(entry) => self.within(entry).await,
         };
         Response::TracedOn { domains }
     }
@@ -152,18 +68,18 @@ impl Daemon {
             match border == core.name() {
                 true => core.trace_leaves(request),
                 false => match core.link_toward(&border) {
-                    Ok(link) => Next::Forward(link, onward(border, Request::TraceOn(request))),
-                    Err(refusal) => Next::Answer(refusal.into()),
+                    Ok(link) => FollowUp::Forward(link, onward(border, Request::TraceOn(request))),
+                    Err(refusal) => FollowUp::Answer(refusal.into()),
                 },
             }
         };
         let response = match next {
-            Next::Trace(tracing) => match *tracing {
+            FollowUp::Trace(tracing) => match *tracing {
                 Tracing::Leaves { link, domain, request } => return self.across(&link, domain, request).await,
                 Tracing::Enters(_) => None,
             },
-            Next::Forward(link, request) => asked(&link, &request, until).await,
-            Next::Answer(response) => Some(response),
+            FollowUp::Forward(link, request) => asked(&link, &request, until).await,
+            FollowUp::Answer(response) => Some(response),
             _ => None,
         };
         answered(domain, peer, response)
@@ -191,10 +107,10 @@ impl Daemon {
     }
 
     /// The way of a name through this domain, and beyond.
-    async fn within(&self, entered: Entered) -> Vec<TracedDomain> {
-        let Entered { request, home, asked_by, from, may_cross, shown, egress } = entered;
+    async fn within(&self, entry: TraceEntry) -> Vec<TracedDomain> {
+        let TraceEntry { request, home, asked_by, from, may_cross, visibility, egress } = entry;
         let (own, name, until) = (self.name, request.name, deadline(&request));
-        let shows_switches = shown == Inside::Open;
+        let shows_switches = visibility == Inside::Open;
         // Half of the time, so that some is left for what is beyond.
         let half = Instant::now() + until.saturating_duration_since(Instant::now()) / 2;
         let walks = join_all(egress.iter().map(|to| self.walk(asked_by, name, *to, shows_switches, half))).await;
@@ -220,7 +136,7 @@ impl Daemon {
     ) -> (Walk, Option<TracedEnd>) {
         let mut walk = Walk::default();
         if egress == self.name {
-            let end = self.core().end_of(&name);
+            let end = self.core().switch.end_of(&name);
             walk.end = Some((end.links, Duration::ZERO));
             return (walk, Some(end));
         }

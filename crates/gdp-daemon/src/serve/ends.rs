@@ -1,7 +1,7 @@
 //! The links to one peer in the data plane. An endpoint may have several at once, each a lane; of
 //! each lane there is the newest link, and earlier ones that the peer may still send on. Pure
-//! bookkeeping of ids; [`super::routes`] asks it which link to send on, [`super::core`] and
-//! [`super::graceful_restart`] say how long links last.
+//! bookkeeping of ids; [`super::routes`] asks it which link to send on, the switch in
+//! [`super::core`] and [`super::graceful_restart`] say how long links last.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;

@@ -10,20 +10,18 @@ use gdp_core::cert::{CertError, Host, Locator, MAX_LOCATED, MAX_LOCATOR, Revocat
 use gdp_core::domain::Trust;
 use gdp_core::keys::KeyBox;
 use gdp_core::revocations::Kept;
-use gdp_proto::control::{RecordKey, Refusal, RefusalCode, Response, TierKey, TierResponse};
+use gdp_proto::control::{RecordKey, Refusal, RefusalCode, Response, TierEntry, TierKey, TierResponse};
 use gdp_wire::Name;
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
-use super::core::Next;
-use super::peering::Wanted;
+use super::core::follow_up::{FederationEffect, FollowUp};
 use super::retries::Retries;
-use super::tiers::records;
 use gdp_rib::rib::{Foreign, Now, Rib};
 use gdp_rib::tiers;
 use gdp_rib::tiers::{
-    Change, Hosted, Item, Limits, Reply, Revoked, TableRecord, Ticket, Tiers, peering::Peering, peering::Peerings,
-    peering::choose,
+    Change, Effect, Hosted, Item, Limits, Reply, Revoked, TableRecord, Ticket, Tiers, peering::Peering,
+    peering::Peerings, peering::WantedPeerings, peering::choose,
 };
 
 /// After so long a border that lacks a wanted peering is told again.
@@ -42,12 +40,12 @@ pub struct Federation {
     boxes: BTreeMap<Name, BTreeMap<RecordKey, Vec<Signed<KeyBox>>>>,
     /// The places abroad of which the RIB did not take what it was told.
     retries: Retries,
-    pub(super) waiting: HashMap<Ticket, oneshot::Sender<TierResponse>>,
+    waiting: HashMap<Ticket, oneshot::Sender<TierResponse>>,
     peerings: Peerings,
     /// By domain.
     wanted_for: BTreeMap<Name, Peering>,
     /// What is wanted of each border, and when it is to be told.
-    pub(super) wanted: BTreeMap<Name, (Wanted, Option<Duration>)>,
+    pub(super) wanted: BTreeMap<Name, (WantedPeerings, Option<Duration>)>,
 }
 
 /// What a switch of the domain has shown; it has been verified.
@@ -169,7 +167,8 @@ impl Federation {
             return;
         }
         let own = claims(&self.locator());
-        let mut wanted: BTreeMap<Name, Wanted> = self.wanted.keys().map(|border| (*border, Wanted::new())).collect();
+        let mut wanted: BTreeMap<Name, WantedPeerings> =
+            self.wanted.keys().map(|border| (*border, WantedPeerings::new())).collect();
         for domain in needed.into_iter().filter(may_peer) {
             let peering = self.tiers.locator(domain).and_then(|locator| choose(&own, &claims(locator)));
             // While it is idle, as before: who is there is not told any more.
@@ -304,14 +303,37 @@ impl Federation {
         }
     }
 
-    pub(super) fn wait(&mut self, reply: Reply, is_query: bool) -> Next {
+    /// What the tiers send to the RIBs of other domains; who waits for an answer of theirs gets it.
+    pub(super) fn messages(&mut self, now: Now) -> Vec<FederationEffect> {
+        let mut messages = Vec::new();
+        for effect in self.tiers.effects(now) {
+            match effect {
+                Effect::Answer { ticket, response } => {
+                    if let Some(answer) = self.waiting.remove(&ticket) {
+                        // Whoever asked may be gone.
+                        let _ = answer.send(response);
+                    }
+                }
+                Effect::Ask { to, sent, request } => messages.push(FederationEffect::Message { to, sent, request }),
+            }
+        }
+        messages
+    }
+
+    /// Asks the RIBs of other domains for a name that this one does not know.
+    pub(super) fn query(&mut self, now: Now, name: Name) -> FollowUp {
+        let reply = self.tiers.query(now, name);
+        self.wait(reply, true)
+    }
+
+    pub(super) fn wait(&mut self, reply: Reply, is_query: bool) -> FollowUp {
         match reply {
-            Reply::Now(response) if is_query => Next::Answer(records(response)),
-            Reply::Now(response) => Next::Answer(Response::Tier(Box::new(response))),
+            Reply::Now(response) if is_query => FollowUp::Answer(records(response)),
+            Reply::Now(response) => FollowUp::Answer(Response::Tier(Box::new(response))),
             Reply::Later(ticket) => {
                 let (answer, waiting) = oneshot::channel();
                 self.waiting.insert(ticket, answer);
-                Next::Await { waiting, is_query }
+                FollowUp::Await { waiting, is_query }
             }
         }
     }
@@ -333,6 +355,21 @@ impl Federation {
             })
         });
         shown.collect()
+    }
+}
+
+/// What other domains answered to a query, as an entity is told it.
+pub(super) fn records(response: TierResponse) -> Response {
+    match response {
+        TierResponse::Answer { entries, truncated } => {
+            let records = entries.into_iter().filter_map(|entry| match entry {
+                TierEntry::Part(remote) => Some(remote.record),
+                _ => None,
+            });
+            Response::Records { records: records.collect(), truncated }
+        }
+        TierResponse::Refused(refusal) => refusal.into(),
+        _ => Response::Records { records: Vec::new(), truncated: false },
     }
 }
 

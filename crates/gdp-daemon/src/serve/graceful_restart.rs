@@ -1,6 +1,6 @@
 //! Links that stay in the data plane though nobody answers on them, or another has replaced them:
 //! their peers may still send on them, or forward without a daemon. Each has a time at which it
-//! goes; [`super::core`] removes it then.
+//! goes; the switch in [`super::core`] removes it then.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};

@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
+use std::time::Duration;
 
 use futures::{Stream, StreamExt, TryStreamExt};
 use gdp_core::mac::DisplayMac;
@@ -11,6 +12,11 @@ use netlink_packet_route::link::{LinkAttribute, LinkFlags, LinkLayerType};
 use netlink_packet_route::neighbour::{NeighbourAddress, NeighbourAttribute};
 use rtnetlink::{Handle, MulticastGroup};
 use serde::Serialize;
+use tokio::sync::watch;
+use tokio::time::{sleep, timeout};
+
+/// Interfaces are looked at this often, even if netlink said nothing.
+pub const LOOK: Duration = Duration::from_secs(2);
 
 /// Stations that are told of at most.
 const MAX_STATIONS: usize = 1024;
@@ -62,6 +68,13 @@ pub async fn without_carrier() -> Result<BTreeSet<u32>, rtnetlink::Error> {
     let result = dark.try_collect().await;
     task.abort();
     result
+}
+
+/// Waits for a change of interfaces, but not for long.
+pub async fn look(changes: &mut watch::Receiver<()>) {
+    if let Ok(Err(_)) = timeout(LOOK, changes.changed()).await {
+        sleep(LOOK).await;
+    }
 }
 
 async fn ask(handle: &Handle) -> Result<Vec<InterfaceInfo>, rtnetlink::Error> {

@@ -1,5 +1,5 @@
 //! Asks the data planes of peers that fell silent. QUIC ends in the peer's daemon, or in its
-//! process; what forwards may live on. So [`super::core`] holds such a link, with its routes, and
+//! process; what forwards may live on. So the switch keeps such a link, with its routes, and
 //! here it is given up as soon as nothing answers on it.
 
 use std::sync::Arc;
@@ -9,7 +9,8 @@ use gdp_core::peer::Role;
 use gdp_link::link::{Link, liveness::Liveness, liveness::Pace, liveness::Step};
 use tokio::time::sleep;
 
-use super::{Daemon, links};
+use super::daemon::Daemon;
+use super::detach::detach_lost;
 
 /// Runs until the link is given up, the peer is back on a newer one, or the time is over that links
 /// are held.
@@ -17,13 +18,13 @@ pub async fn watch(daemon: Arc<Daemon>, link: Link) {
     let (peer, id) = (link.peer().name, link.local_id());
     tracing::info!(peer = %format_args!("{peer:#}"), "its link is held while its data plane answers echoes");
     let mut liveness = Liveness::new(Pace::of(link.addr()));
-    while daemon.core().awaits(&link) {
+    while daemon.core().switch.awaits(&link) {
         let cookie = crypto::random().map_or(0, u64::from_le_bytes);
         let step = {
             let core = daemon.core();
-            let step = liveness.step(core.planes.notices().answer(id), cookie);
+            let step = liveness.step(core.switch.planes.notices().answer(id), cookie);
             if step == Step::Ask {
-                core.planes.ask(id, cookie);
+                core.switch.planes.ask(id, cookie);
             }
             step
         };
@@ -37,11 +38,11 @@ pub async fn watch(daemon: Arc<Daemon>, link: Link) {
 fn give_up(daemon: &Arc<Daemon>, link: &Link) {
     tracing::info!(peer = %format_args!("{:#}", link.peer().name), "its data plane does not answer either; its link \
                                          is gone");
-    let lost = daemon.core().release(link.local_id());
+    let lost = daemon.core().switch.release(link.local_id());
     if link.peer().role == Role::Switch {
         daemon.topology_changed();
     }
     if let Some(entity) = lost {
-        daemon.spawn(links::detach_lost(daemon.clone(), entity));
+        daemon.spawn(detach_lost(daemon.clone(), entity));
     }
 }

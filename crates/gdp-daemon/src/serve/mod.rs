@@ -3,12 +3,17 @@
 //! data planes in [`gdp_dataplane`].
 
 pub mod admin;
-mod control;
-pub mod core;
+mod answering;
+mod core;
 mod costs;
-pub mod crossing;
+mod crossing;
+mod daemon;
+mod detach;
 mod domain;
+mod domain_store;
+mod election;
 mod ends;
+mod entity_requests;
 pub mod events;
 mod federation;
 mod fence;
@@ -25,104 +30,35 @@ mod replica;
 mod report;
 mod retries;
 mod revocation_store;
-pub mod routes;
+mod routes;
+mod start_error;
 mod status;
 mod term;
-mod tiers;
 mod trace;
 mod warnings;
 
-use std::collections::HashMap;
 use std::net::SocketAddr;
-use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_core::identity::Identity;
-use gdp_core::secret_file::SecretFileError;
-use gdp_link::link::{LinkError, LinkIds};
+use gdp_dataplane::{PinLocation, PlaneConfig, Planes, Wanted, host_pair};
+use gdp_link::link::LinkIds;
 use gdp_link::port::{Port, PortConfig};
-use gdp_proto::control::PathCosts;
 use gdp_wire::Name;
-use parking_lot::{Mutex, MutexGuard};
-use tokio::sync::{Notify, watch};
-use tokio::task::JoinSet;
 
-use self::control::Report;
 use self::core::Core;
-use self::domain::StoredDomain;
+use self::daemon::Daemon;
+use self::domain_store::DomainStore;
 pub use self::ready::Ready;
 use self::replica::Replica;
 use self::revocation_store::StoredRevocations;
+pub use self::start_error::StartError;
 use crate::config::{Config, DataPlane};
-use gdp_dataplane::{PinLocation, PlaneConfig, PlaneError, Planes, Wanted, host_pair};
-use gdp_util::unix_time::unix_nanos;
 
 /// How often the addresses of peers are looked at, because QUIC moves without saying so; how far
 /// they are; and links that are held.
 const FOLLOW: Duration = Duration::from_millis(500);
-
-/// Why a daemon does not start.
-#[derive(Debug, thiserror::Error)]
-pub enum StartError {
-    #[error(transparent)]
-    Identity(#[from] SecretFileError),
-    #[error(transparent)]
-    Membership(#[from] domain::MembershipError),
-    #[error("cannot create the folder {}: {source}", path.display())]
-    Folder { path: PathBuf, source: std::io::Error },
-    #[error(transparent)]
-    Plane(#[from] PlaneError),
-    #[error(transparent)]
-    Link(#[from] LinkError),
-    #[error("cannot ask the kernel for its interfaces: {0}")]
-    Netlink(#[from] rtnetlink::Error),
-    #[error(
-        "this daemon has no interface and no UDP address, so nobody can reach it; name interfaces, or set udp: \
-         0.0.0.0:31415"
-    )]
-    NoPort,
-    #[error(transparent)]
-    Admin(#[from] admin::AdminError),
-    #[error(transparent)]
-    Store(#[from] crate::store::StoreError),
-}
-
-/// A running daemon's shared state.
-pub struct Daemon {
-    name: Name,
-    port_config: PortConfig,
-    core: Mutex<Core>,
-    revocations: StoredRevocations,
-    /// Its part, if this is one of several replicas of the RIB.
-    replica: Option<Replica>,
-    /// What is kept of the domain, if this is a member of one.
-    domain: Option<StoredDomain>,
-    ports: Mutex<HashMap<String, Arc<Port>>>,
-    /// Where links over UDP are taken.
-    udp: OnceLock<SocketAddr>,
-    /// Who is at each place, and who waits to be.
-    turns: Mutex<HashMap<SerializedTask, Arc<tokio::sync::Mutex<()>>>>,
-    report: Notify,
-    topology: Notify,
-    rib_changed: Notify,
-    /// What paths from here cost.
-    costs: watch::Sender<PathCosts>,
-    /// Switches have answered the RIB here.
-    answered: Notify,
-    stopping: AtomicBool,
-    tasks: Mutex<JoinSet<()>>,
-}
-
-/// What is done by one at a time.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
-enum SerializedTask {
-    /// Serving a link of this lane of an entity.
-    Lane(Name, u8),
-    /// Attaching an entity, or detaching it.
-    Entity(Name),
-}
 
 /// A daemon that runs until [`Running::stop`].
 pub struct Running {
@@ -156,36 +92,18 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     let has_rib = config.rib && config.etcd.is_none();
     let mut core = Core::new(identity.clone(), config.neighbours.clone(), has_rib, planes);
     core.take_over(&link_ids);
-    let revocations = StoredRevocations::recall(&config.identity, &mut core)?;
+    let revocations = StoredRevocations::recall(&config.identity, core.rib_host.rib.as_mut())?;
     let port_config = PortConfig { rekey: config.rekey, ..PortConfig::switch(identity.clone(), link_ids) };
-    let mut domain = None;
+    let mut domain_store = None;
     if let Some(domain_config) = &config.domain {
-        let (kept, member) = StoredDomain::recall(domain_config, &identity, &config.identity)?;
+        let (store, member) = DomainStore::recall(domain_config, &identity, &config.identity)?;
         port_config.papers.set(member.trust.papers().clone());
-        (domain, core.domain) = (Some(kept), Some(member));
-        core.federate(unix_nanos());
-        core.public = config.public.clone();
-        core.shown_inside = domain_config.trace;
+        domain_store = Some(store);
+        core.join_domain(member, config.public.clone(), domain_config.trace);
     }
-    let shown = port_config.papers.clone();
-    let daemon = Arc::new(Daemon {
-        name: identity.name(),
-        port_config,
-        core: Mutex::new(core),
-        revocations,
-        replica: config.etcd.as_ref().map(Replica::new).transpose()?,
-        domain,
-        ports: Mutex::default(),
-        udp: OnceLock::new(),
-        turns: Mutex::default(),
-        report: Notify::new(),
-        topology: Notify::new(),
-        rib_changed: Notify::new(),
-        costs: watch::Sender::default(),
-        answered: Notify::new(),
-        stopping: AtomicBool::new(false),
-        tasks: Mutex::default(),
-    });
+    let credentials = port_config.papers.clone();
+    let replica = config.etcd.as_ref().map(Replica::new).transpose()?;
+    let daemon = Arc::new(Daemon::new(port_config, core, revocations, replica, domain_store));
     let interfaces = interfaces_to_use(&config).await?;
     let changes = ports::watch_interfaces(&daemon);
     let admin = admin::listen(&daemon, &config.socket)?;
@@ -193,7 +111,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     for name in &interfaces {
         opened.push(match ports::open_ethernet(&daemon, name) {
             Ok(port) => Some(port),
-            Err(error) if is_absent(&error) || config.all_interfaces && !is_denied(&error) => {
+            Err(error) if error.is_absent() || config.all_interfaces && !error.is_denied() => {
                 tracing::warn!("{name} is not used for now: {error}");
                 None
             }
@@ -228,14 +146,14 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     for (name, port) in interfaces.iter().zip(&opened) {
         if port.is_some() { &mut ready.ethernet } else { &mut ready.awaited }.push(name.clone());
     }
-    ready.look_at(&daemon.core().planes);
+    ready.look_at(&daemon.core().switch.planes);
     for (name, port) in interfaces.into_iter().zip(opened) {
         daemon.spawn(ports::run_ethernet(daemon.clone(), name, port, changes.clone()));
     }
     if let Some((bind, port)) = &udp {
         port.udp_addr().map(|addr| daemon.udp.set(addr));
         daemon.spawn(ports::run_udp(daemon.clone(), port.clone(), *bind, changes.clone()));
-        let wanted = daemon.core().peerings.subscribe();
+        let wanted = daemon.core().rib_client.peerings.subscribe();
         daemon.spawn(peering::run(daemon.clone(), port.clone(), wanted));
     }
     daemon.spawn(report::report(daemon.clone()));
@@ -243,11 +161,11 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     daemon.spawn(trace::run(daemon.clone()));
     daemon.spawn(flooding::watch_carrier(daemon.clone(), changes));
     daemon.spawn(report::rib_clock(daemon.clone()));
-    daemon.spawn(replica::run(daemon.clone()));
+    daemon.spawn(election::run(daemon.clone()));
     daemon.spawn(follow_addresses(daemon.clone()));
     daemon.report.notify_one();
     if let Some(config) = config.domain {
-        daemon.spawn(domain::watch(daemon.clone(), config, shown));
+        daemon.spawn(domain::watch(daemon.clone(), config, credentials));
     }
     Ok(Running { daemon, udp: udp.map(|(_, port)| port), admin, ready })
 }
@@ -274,7 +192,7 @@ impl Running {
 
     /// Whether the kernel forwards on if this process ends without [`Self::stop`].
     pub fn outlives(&self) -> bool {
-        self.daemon.core().planes.outlives()
+        self.daemon.core().switch.planes.outlives()
     }
 
     /// If this is the leader of several replicas of the RIB, it is no more when this returns, so
@@ -288,70 +206,18 @@ impl Running {
     /// Tells peers, closes everything and takes the XDP programs off.
     pub async fn stop(self) {
         self.resign().await;
-        self.daemon.stopping.store(true, Ordering::Relaxed);
         // First, so that nobody opens again what is closed here.
-        let mut tasks = std::mem::take(&mut *self.daemon.tasks.lock());
-        tasks.shutdown().await;
-        // What they were to keep. If it cannot be kept, that is in the log.
-        let _ = self.daemon.keep_domain().await;
-        let _ = self.daemon.keep_revocations().await;
+        self.daemon.end_tasks().await;
+        // What they were to save. If it cannot be saved, that is in the log.
+        let _ = self.daemon.save_domain().await;
+        let _ = self.daemon.save_revocations().await;
         let mut ports: Vec<_> = std::mem::take(&mut *self.daemon.ports()).into_values().collect();
         ports.extend(self.udp);
         futures::future::join_all(ports.iter().map(|port| port.close("shutting down"))).await;
         drop(ports);
-        self.daemon.core().planes.detach_all();
+        self.daemon.core().switch.planes.detach_all();
         ports::remove_host_pair(&self.daemon).await;
         drop(self.admin);
-    }
-}
-
-impl Daemon {
-    fn core(&self) -> MutexGuard<'_, Core> {
-        let mut core = self.core.lock();
-        core.end_term();
-        core
-    }
-
-    fn ports(&self) -> MutexGuard<'_, HashMap<String, Arc<Port>>> {
-        self.ports.lock()
-    }
-
-    fn is_stopping(&self) -> bool {
-        self.stopping.load(Ordering::Relaxed)
-    }
-
-    /// Runs a task until it ends or the daemon does.
-    fn spawn(&self, task: impl Future<Output = ()> + Send + 'static) {
-        let mut tasks = self.tasks.lock();
-        if self.is_stopping() {
-            return;
-        }
-        while tasks.try_join_next().is_some() {}
-        tasks.spawn(task);
-    }
-
-    /// Neighbours came or went, cost something else, or say something new; or this switch has
-    /// another egress bit.
-    fn topology_changed(&self) {
-        self.topology.notify_one();
-    }
-
-    /// The RIB may hold less, or more, of this switch's endpoints than are here.
-    fn report_in_full(&self) {
-        self.core().report = Report::Due;
-        self.report.notify_one();
-    }
-
-    fn turns(&self, place: SerializedTask) -> Arc<tokio::sync::Mutex<()>> {
-        self.turns.lock().entry(place).or_default().clone()
-    }
-
-    /// Forgets a place that nobody is at or waits for.
-    fn leave(&self, place: SerializedTask) {
-        let mut turns = self.turns.lock();
-        if turns.get(&place).is_some_and(|held| Arc::strong_count(held) == 1) {
-            turns.remove(&place);
-        }
     }
 }
 
@@ -360,9 +226,9 @@ async fn follow_addresses(daemon: Arc<Daemon>) {
         tokio::time::sleep(FOLLOW).await;
         let (lost, neighbours_changed) = {
             let mut core = daemon.core();
-            core.follow_addresses();
+            core.switch.follow_addresses();
             let cost_changed = core.measure();
-            let (lost, neighbours_lost) = core.end_hold(std::time::Instant::now());
+            let (lost, neighbours_lost) = core.end_stale_links(std::time::Instant::now());
             (lost, neighbours_lost || cost_changed)
         };
         if neighbours_changed {
@@ -370,7 +236,7 @@ async fn follow_addresses(daemon: Arc<Daemon>) {
         }
         for entity in lost {
             tracing::info!(entity = %format_args!("{entity:#}"), "an endpoint did not come back");
-            daemon.spawn(links::detach_lost(daemon.clone(), entity));
+            daemon.spawn(detach::detach_lost(daemon.clone(), entity));
         }
     }
 }
@@ -384,19 +250,6 @@ async fn interfaces_to_use(config: &Config) -> Result<Vec<String>, StartError> {
         used.extend(all.map(|interface| interface.name).filter(|name| !config.named_interfaces().contains(name)));
     }
     Ok(used)
-}
-
-fn is_absent(error: &StartError) -> bool {
-    matches!(os_error(error), Some(libc::ENODEV | libc::ENETDOWN))
-}
-
-fn is_denied(error: &StartError) -> bool {
-    matches!(os_error(error), Some(libc::EPERM | libc::EACCES))
-}
-
-fn os_error(error: &StartError) -> Option<i32> {
-    let StartError::Link(LinkError::Io { source, .. }) = error else { return None };
-    source.raw_os_error()
 }
 
 fn make_folder(file: &std::path::Path) -> Result<(), StartError> {

@@ -6,20 +6,17 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use gdp_link::port::Port;
+use gdp_rib::tiers::peering::WantedPeerings;
 use gdp_wire::Name;
 use tokio::sync::watch;
 use tokio::task::{AbortHandle, JoinSet};
 
-use super::Daemon;
+use super::daemon::Daemon;
 use super::ports::keep_link;
 use crate::config::Via;
 
-/// The border switches of other domains that this one is to have links with, and where each may be,
-/// best first.
-pub type Wanted = BTreeMap<Name, Vec<SocketAddr>>;
-
 /// Keeps the wanted links until the daemon ends.
-pub async fn run(daemon: Arc<Daemon>, port: Arc<Port>, mut wanted: watch::Receiver<Wanted>) {
+pub async fn run(daemon: Arc<Daemon>, port: Arc<Port>, mut wanted: watch::Receiver<WantedPeerings>) {
     let (mut tasks, mut kept) = (JoinSet::new(), BTreeMap::<Name, (Vec<SocketAddr>, AbortHandle)>::new());
     loop {
         let now = wanted.borrow_and_update().clone();
@@ -27,7 +24,7 @@ pub async fn run(daemon: Arc<Daemon>, port: Arc<Port>, mut wanted: watch::Receiv
             let stays = now.get(switch) == Some(addrs);
             if !stays {
                 task.abort();
-                let link = daemon.core().link_to(switch);
+                let link = daemon.core().switch.link_to(switch);
                 link.inspect(|link| link.close("nobody exchanges messages by this peering any more"));
             }
             stays

@@ -13,9 +13,11 @@ use gdp_link::port::{Interface, LinkAddr, Port};
 use gdp_util::backoff::{Backoff, jittered};
 use gdp_wire::Name;
 use tokio::sync::watch;
-use tokio::time::{Instant, sleep, timeout};
+use tokio::time::{Instant, sleep};
 
-use super::{Daemon, StartError, interfaces, links};
+use super::daemon::Daemon;
+use super::start_error::StartError;
+use super::{interfaces, links};
 use crate::config::{NeighbourAddress, Via};
 use gdp_dataplane::host_pair;
 
@@ -26,14 +28,11 @@ const DISCOVERY: Duration = Duration::from_secs(2);
 const LONGEST_DELAY: Duration = Duration::from_secs(3);
 const RETRY: Backoff = Backoff::new(Duration::from_millis(100), LONGEST_DELAY);
 
-/// Interfaces are looked at this often, even if netlink said nothing.
-const LOOK: Duration = Duration::from_secs(2);
-
 /// Opens a port on an interface and has the data planes take it over.
 pub fn open_ethernet(daemon: &Arc<Daemon>, name: &str) -> Result<Arc<Port>, StartError> {
     let port = Arc::new(Port::ethernet(name, &daemon.port_config)?);
     if let Some(interface) = port.interface() {
-        daemon.core().planes.attach(interface, port.data())?;
+        daemon.core().switch.planes.attach(interface, port.data())?;
     }
     Ok(port)
 }
@@ -49,7 +48,7 @@ pub async fn open_udp(
     let opened = open_host_pair(daemon, addr).await;
     let no_pair = opened.as_ref().err().map(|reason| format!("endpoints on this host, because {reason}"));
     let pair = {
-        let planes = &mut daemon.core().planes;
+        let planes = &mut daemon.core().switch.planes;
         planes.attach_udp(port.data(), addr, opened.ok())?;
         planes.host_pair()
     };
@@ -60,7 +59,7 @@ pub async fn open_udp(
 /// The interfaces by which endpoints on this host reach the kernel plane, if there can be any;
 /// otherwise why not.
 async fn open_host_pair(daemon: &Daemon, bound: std::net::SocketAddr) -> Result<host_pair::Ends, String> {
-    let possible = daemon.core().planes.takes_pair(bound);
+    let possible = daemon.core().switch.planes.takes_pair(bound);
     let opened = match possible {
         Ok(()) => host_pair::open(&daemon.name).await.map_err(|error| error.to_string()),
         Err(reason) => Err(reason),
@@ -87,12 +86,12 @@ pub async fn run_udp(
 ) {
     let follow_interfaces = async {
         loop {
-            look(&mut changes).await;
+            interfaces::look(&mut changes).await;
             refresh(&daemon);
-            let pair = daemon.core().planes.host_pair();
+            let pair = daemon.core().switch.planes.host_pair();
             port.set_host_pair(pair);
             if pair.is_none() {
-                daemon.core().close_links_by_pair();
+                daemon.core().switch.close_links_by_pair();
             }
         }
     };
@@ -115,13 +114,13 @@ pub async fn run_ethernet(
             Some(port) => port,
             None => match open_ethernet(&daemon, &name) {
                 Ok(port) => {
-                    let planes = daemon.core().planes.report();
+                    let planes = daemon.core().switch.planes.report();
                     planes.iter().filter(|plane| plane.interface == name).for_each(|plane| plane.log());
                     port
                 }
                 Err(error) => {
                     tracing::debug!(interface = name, %error, "not usable yet");
-                    look(&mut changes).await;
+                    interfaces::look(&mut changes).await;
                     continue;
                 }
             },
@@ -136,7 +135,7 @@ pub async fn run_ethernet(
         daemon.ports().remove(&name);
         open.close("the interface is gone").await;
         if let Some(interface) = open.interface() {
-            daemon.core().planes.detach(interface.index);
+            daemon.core().switch.planes.detach(interface.index);
         }
     }
 }
@@ -145,7 +144,7 @@ pub async fn run_ethernet(
 async fn gone(daemon: &Arc<Daemon>, port: &Port, changes: &mut watch::Receiver<()>) {
     let Some(opened) = port.interface() else { return std::future::pending().await };
     loop {
-        look(changes).await;
+        interfaces::look(changes).await;
         match Interface::find(&opened.name) {
             Ok(now) if now.index == opened.index && now.mac == opened.mac && now.mtu == opened.mtu => {}
             _ => return,
@@ -155,15 +154,8 @@ async fn gone(daemon: &Arc<Daemon>, port: &Port, changes: &mut watch::Receiver<(
 }
 
 fn refresh(daemon: &Daemon) {
-    if let Err(error) = daemon.core().planes.refresh() {
+    if let Err(error) = daemon.core().switch.planes.refresh() {
         tracing::error!(%error, "the data planes could not be refreshed");
-    }
-}
-
-/// Waits for a change of interfaces, but not for long.
-pub async fn look(changes: &mut watch::Receiver<()>) {
-    if let Ok(Err(_)) = timeout(LOOK, changes.changed()).await {
-        sleep(LOOK).await;
     }
 }
 
@@ -172,7 +164,7 @@ async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
     // Of two neighbours the one with the smaller name dials, unless it is said otherwise.
     let to_dial: Vec<NeighbourAddress> = {
         let core = daemon.core();
-        let near = core.neighbours.iter().filter(|n| n.place.via.same_port(via));
+        let near = core.neighbours.listed.iter().filter(|n| n.place.via.same_port(via));
         near.filter(|n| n.dial || own.as_bytes() < n.place.switch.as_bytes()).map(|n| n.place.clone()).collect()
     };
     let dials = futures::future::join_all(
@@ -198,7 +190,7 @@ async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
 async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     let peer = link.peer().name;
     if let Err(reason) = links::take(daemon, link, via.clone()).await {
-        daemon.core().refused(peer, &via, &reason);
+        daemon.core().switch.refused(peer, &via, &reason);
         tracing::warn!(peer = %format_args!("{peer:#}"), %reason, "refused a link");
     }
 }
@@ -210,7 +202,7 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
     let (mut retry, mut told) = (RETRY, HashMap::new());
     let mut turns = ways.iter().cycle().peekable();
     while let Some(via) = turns.peek().copied() {
-        let existing = daemon.core().link_to(&switch);
+        let existing = daemon.core().switch.link_to(&switch);
         let problem = match existing {
             Some(link) => {
                 let up = Instant::now();
@@ -233,7 +225,7 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
             }
         };
         if told.insert(via, problem.clone()).is_none_or(|before| before != problem) {
-            daemon.core().refused(switch, via, &problem);
+            daemon.core().switch.refused(switch, via, &problem);
             tracing::warn!(switch = %format_args!("{switch:#}"), %via, "no link: {problem}; trying on");
         }
         // Neighbours that start together do not stay in step.
@@ -267,7 +259,7 @@ pub fn watch_interfaces(daemon: &Arc<Daemon>) -> watch::Receiver<()> {
             }
         }),
         Err(error) => {
-            tracing::warn!(%error, "no news of interfaces from the kernel; looking every {} s", LOOK.as_secs());
+            tracing::warn!(%error, "no news of interfaces from the kernel; looking every {} s", interfaces::LOOK.as_secs());
             daemon.spawn(async move {
                 sender.closed().await;
             });

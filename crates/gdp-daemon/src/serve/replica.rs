@@ -1,46 +1,14 @@
-//! The daemon as one of several replicas of its domain's RIB. One of them leads: it alone is the
-//! RIB, as long as its lease at etcd lasts; the others keep a copy of what it stores and stand for
-//! election when it is gone. What entities state is said to be done once it is stored.
-//!
-//! Two do not lead at once as far as anybody can tell: a leader counts its lease from before it
-//! asked for it and shorter than etcd does, looks at that count whenever it touches the RIB, and
-//! etcd takes nothing of it once the key of its term is gone.
+//! The daemon's part as one of several replicas of its domain's RIB: whether it stands for
+//! election. What it does is in [`super::election`].
 
-use std::collections::BTreeSet;
-use std::sync::Arc;
 use std::time::Duration;
 
-use gdp_core::peer::GRACEFUL_RESTART_TIME;
-use gdp_proto::control::Response;
-use gdp_wire::Name;
 use tokio::sync::watch;
-use tokio::time::{Instant, sleep, sleep_until, timeout};
+use tokio::time::timeout;
 
-use super::Daemon;
-use super::core::{Core, Next, run_id};
-use super::term::{Term, Ticket, within};
 use crate::config::EtcdConfig;
-use crate::domain::Used;
 use crate::store::client::EtcdClient;
-use crate::store::{StoreError, items::Change, items::Copy, items::KeySpace, items::Writer};
-use gdp_rib::rib::{Item, Limits, RestoreError, Rib, Run, decode_item, encode_item};
-use gdp_util::unix_time::unix_nanos;
-
-/// Seconds of a leader's lease.
-const TTL: u64 = 5;
-
-/// So much shorter does the leader itself count it: clocks differ in how fast they run, and what it
-/// last sent is on its way.
-const MARGIN: Duration = Duration::from_secs(1);
-
-/// How often the leader renews it, and the others look whether there is one.
-const BEAT: Duration = Duration::from_millis(800);
-
-/// How long after a failure the next attempt is made.
-const RETRY: Duration = Duration::from_millis(300);
-
-/// What ends by itself is stored within this.
-const SWEEP: Duration = Duration::from_millis(250);
+use crate::store::{StoreError, items::KeySpace};
 
 /// How long the end of a daemon waits for etcd to take note that it leads no more.
 const RESIGNATION: Duration = Duration::from_secs(2);
@@ -49,367 +17,54 @@ const RESIGNATION: Duration = Duration::from_secs(2);
 pub struct Replica {
     /// Never asks; copies of it do.
     client: EtcdClient,
-    place: KeySpace,
+    pub(super) keys: KeySpace,
     stage: watch::Sender<Stage>,
 }
 
 /// How far a replica is with its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
-    Standing,
+pub enum Stage {
+    Active,
     /// It is to lead no more.
     Resigning,
     /// It does not lead, and never will.
-    Gone,
-}
-
-/// What made this replica the leader.
-struct Elected {
-    lease: i64,
-    revision: i64,
-    term: Arc<Term>,
+    Ended,
 }
 
 impl Replica {
     /// Fails if a file that the configuration names is of no use, or etcd is not built in.
     pub fn new(config: &EtcdConfig) -> Result<Self, StoreError> {
         let client = EtcdClient::new(&config.endpoints, &config.access)?;
-        Ok(Self { client, place: KeySpace::new(&config.prefix), stage: watch::Sender::new(Stage::Standing) })
+        Ok(Self { client, keys: KeySpace::new(&config.prefix), stage: watch::Sender::new(Stage::Active) })
     }
 
     /// Returns once it leads no more, and does not stand again; if etcd does not answer, a while
     /// later.
     pub async fn resign(&self) {
         self.stage.send_if_modified(|stage| {
-            let stands = *stage == Stage::Standing;
-            if stands {
+            let is_active = *stage == Stage::Active;
+            if is_active {
                 *stage = Stage::Resigning;
             }
-            stands
+            is_active
         });
-        if timeout(RESIGNATION, self.until(Stage::Gone)).await.is_err() {
+        if timeout(RESIGNATION, self.until(Stage::Ended)).await.is_err() {
             tracing::warn!("etcd was not told that this replica leads no more: others wait until its lease is over");
         }
     }
 
-    async fn until(&self, awaited: Stage) {
+    /// Returns once it is at this stage.
+    pub async fn until(&self, awaited: Stage) {
         // It ends no earlier than this does.
         let _ = self.stage.subscribe().wait_for(|stage| *stage == awaited).await;
     }
 
-    fn client(&self) -> EtcdClient {
+    /// It leads no more, and never will.
+    pub fn end(&self) {
+        self.stage.send_replace(Stage::Ended);
+    }
+
+    pub fn client(&self) -> EtcdClient {
         self.client.clone()
-    }
-}
-
-impl Core {
-    /// A leader whose lease is over has no RIB.
-    pub(super) fn end_term(&mut self) {
-        if self.term.take_if(|term| term.is_over()).is_some() {
-            (self.rib, self.federation) = (None, None);
-            self.topology.set_rib(false);
-        }
-    }
-
-    /// This replica leads no more; what is not stored of its term never is.
-    fn put_down(&mut self, term: &Term, why: &str) {
-        term.end(why);
-        self.end_term();
-    }
-
-    /// What follows from a request: if the RIB here has changed with it, that is to be stored
-    /// before anybody is told. To be called under the lock under which the request was taken in.
-    pub(super) fn store_first(&mut self, next: Next) -> Next {
-        let (Some(term), Some(rib)) = (&self.term, &mut self.rib) else { return next };
-        if let Next::KeepInvitation { new: Some(serial) } = &next {
-            self.unstored_invitations.insert(*serial);
-        }
-        let is_positive = !matches!(next, Next::Answer(Response::Refused(_) | Response::Records { .. }));
-        let is_stored = !rib.has_changed() && self.unstored_invitations.is_empty() && !term.is_writing();
-        // A switch that reports follows this RIB: etcd is to say that it leads.
-        let is_report = matches!(next, Next::Answer(Response::Reported { .. }));
-        if is_positive && (is_report || !is_stored) { Next::Store(term.ticket(), Box::new(next)) } else { next }
-    }
-
-    /// Moves what has changed and is not stored to `changed`, and says how it is to be stored, and
-    /// for which tickets. None without a RIB.
-    fn unstored(&mut self, changed: &mut BTreeSet<Item>) -> Option<(u64, Vec<Change>)> {
-        let now = self.now();
-        let (rib, term) = (self.rib.as_mut()?, self.term.as_ref()?);
-        changed.append(&mut rib.take_changed());
-        changed.extend(std::mem::take(&mut self.unstored_invitations).into_iter().map(Item::Invitation));
-        term.set_writing(!changed.is_empty());
-        let domain = self.domain.as_ref();
-        let value = |item: &Item| match item {
-            Item::Invitation(serial) => encode_item(domain?.invitations.get(*serial)?).ok(),
-            item => rib.stored(now, item),
-        };
-        Some((term.last_ticket(), changed.iter().map(|item| (*item, value(item))).collect()))
-    }
-}
-
-impl Daemon {
-    /// Stores what a request has changed, and then does what it needs besides.
-    pub(super) async fn store(self: &Arc<Self>, ticket: Ticket, next: Next) -> Response {
-        match (ticket.stored().await, next) {
-            (Ok(()), next) => Box::pin(self.complete(next)).await,
-            (Err(refusal), Next::KeepInvitation { new: Some(serial) }) => {
-                if let Some(domain) = &mut self.core().domain {
-                    domain.invitations.forget(serial);
-                }
-                refusal.into()
-            }
-            (Err(refusal), _) => refusal.into(),
-        }
-    }
-}
-
-/// Follows what is stored and leads when it is this replica's turn, until the daemon ends, or it is
-/// to [resign](Replica::resign).
-pub async fn run(daemon: Arc<Daemon>) {
-    if let Some(replica) = &daemon.replica {
-        follow_and_lead(&daemon, replica).await;
-        replica.stage.send_replace(Stage::Gone);
-    }
-}
-
-async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
-    loop {
-        let mut lease = None;
-        let elected = tokio::select! {
-            elected = stand_by(daemon, replica, &mut lease) => Some(elected),
-            () = replica.until(Stage::Resigning) => None,
-        };
-        let error = match elected {
-            Some(Ok((copy, elected))) => lead(daemon, replica, copy, elected).await,
-            not_elected => {
-                // It may have been elected and not know: then it leads no more.
-                if let Some(lease) = lease {
-                    give_up(&mut replica.client(), lease).await;
-                }
-                not_elected.and_then(Result::err)
-            }
-        };
-        // It is to resign.
-        let Some(error) = error else { return };
-        if !matches!(error, StoreError::Compacted) {
-            tracing::warn!(%error, "this replica of the RIB is behind");
-            daemon.core().no_rib = Some(error.to_string());
-        }
-        sleep(RETRY).await;
-    }
-}
-
-/// Keeps a copy of what is stored until there is no leader, and this replica is elected. `lease`:
-/// with which it stands, from before it does.
-async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -> Result<(Copy, Elected), StoreError> {
-    let (mut client, place, own) = (replica.client(), &replica.place, daemon.name);
-    let mut copy = Copy::list(place, &mut client).await?;
-    let mut watch = client.watch(place.prefix(), copy.revision() + 1).await?;
-    loop {
-        let is_led = place.has_leader(&mut client).await?;
-        daemon.core().no_rib = (!is_led).then(|| "no replica of it leads; one is about to".into());
-        if !is_led && let Some(elected) = Elected::stand(place, &mut client, &own, lease).await? {
-            let caught_up = async {
-                while copy.revision() < elected.revision {
-                    copy.apply(watch.next().await?)?;
-                }
-                Ok(())
-            };
-            match timeout(MARGIN, caught_up).await {
-                Ok(Ok(())) => return Ok((copy, elected)),
-                Ok(Err(error)) => return Err(error),
-                // Listed anew, it is whole again.
-                Err(_) => return Err(StoreError::Compacted),
-            }
-        }
-        let look = Instant::now() + BEAT;
-        loop {
-            tokio::select! {
-                events = watch.next() => if copy.apply(events?)? { break },
-                () = sleep_until(look) => break,
-            }
-        }
-    }
-}
-
-impl Elected {
-    async fn stand(
-        place: &KeySpace,
-        client: &mut EtcdClient,
-        own: &Name,
-        stands_with: &mut Option<i64>,
-    ) -> Result<Option<Self>, StoreError> {
-        let asked = Instant::now();
-        let lease = client.grant(TTL).await?;
-        *stands_with = Some(lease);
-        let term = Arc::new(Term::new(asked + Duration::from_secs(TTL) - MARGIN));
-        match place.stand(client, own, lease).await? {
-            Some(revision) => Ok(Some(Self { lease, revision, term })),
-            None => {
-                // Another was elected.
-                client.revoke(lease).await?;
-                *stands_with = None;
-                Ok(None)
-            }
-        }
-    }
-
-    /// Renews the lease until it is over all the same.
-    async fn hold(&self, client: &mut EtcdClient) -> StoreError {
-        loop {
-            sleep(BEAT).await;
-            let asked = Instant::now();
-            match client.keep_alive(self.lease).await {
-                Ok(true) => {}
-                Ok(false) => return StoreError::Fenced,
-                Err(error) if self.term.is_over() => return error,
-                Err(error) => {
-                    tracing::warn!(%error, "the lease of the leading RIB was not renewed");
-                    continue;
-                }
-            }
-            if !self.term.extend(asked + Duration::from_secs(TTL) - MARGIN) {
-                return StoreError::Fenced;
-            }
-        }
-    }
-}
-
-/// Is the RIB for a term. Returns why no longer; none: it is to resign.
-async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elected) -> Option<StoreError> {
-    let mut client = replica.client();
-    let work = async {
-        tokio::select! {
-            error = elected.hold(&mut client) => error,
-            error = serve_term(daemon, replica, copy, &elected) => error,
-        }
-    };
-    let error = tokio::select! {
-        error = within(&elected.term, work) => Some(error),
-        () = replica.until(Stage::Resigning) => None,
-    };
-    let why = error.as_ref().map_or_else(|| "this replica resigns".into(), ToString::to_string);
-    daemon.core().put_down(&elected.term, &why);
-    daemon.topology_changed();
-    give_up(&mut client, elected.lease).await;
-    error
-}
-
-/// So that others need not wait until the lease is over.
-async fn give_up(client: &mut EtcdClient, lease: i64) {
-    if let Err(error) = client.revoke(lease).await {
-        tracing::debug!(%error, "the lease is over only when its time is");
-    }
-}
-
-async fn serve_term(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: &Elected) -> StoreError {
-    let (writer, changed) = match take_over(daemon, replica, copy, elected).await {
-        Ok(taken) => taken,
-        Err(error) => return error,
-    };
-    write(daemon, &elected.term, writer, changed).await
-}
-
-/// Makes the copy the RIB of this daemon. Returns who writes what changes in it, and what of it is
-/// of no use.
-async fn take_over(
-    daemon: &Arc<Daemon>,
-    replica: &Replica,
-    copy: Copy,
-    elected: &Elected,
-) -> Result<(Writer, BTreeSet<Item>), StoreError> {
-    let known = daemon.revocations.known().unwrap_or_else(|error| {
-        tracing::error!(%error, "what is kept here of revocations is of no use; those at etcd count");
-        Vec::new()
-    });
-    let (now, root) = (daemon.core().now(), daemon.name);
-    let run = Run { id: run_id(elected.revision.unsigned_abs()), settling: now.clock + GRACEFUL_RESTART_TIME };
-    // Signatures are verified, perhaps many.
-    let restoring = move || {
-        let mut rib = Rib::new(root, run, Limits::default());
-        rib.open_journal();
-        rib.recall(known);
-        let taken = rib.revocations_taken();
-        let (mut used, mut useless, mut count) = (Vec::new(), BTreeSet::new(), 0);
-        for (item, bytes) in copy.items() {
-            let restored = match item {
-                Item::Invitation(serial) => decode_item::<Used>(bytes).map(|one| {
-                    // Of what is of no use any more, nothing is kept.
-                    if one.serial == *serial && one.until >= now.unix {
-                        used.push(one)
-                    } else {
-                        useless.insert(*item);
-                    }
-                }),
-                item => rib.restore(now, item, bytes),
-            };
-            match restored {
-                Ok(()) => count += 1,
-                Err(error) => {
-                    tracing::debug!(%item, %error, "left out of what was stored");
-                    // A newer replica may lead next.
-                    if !matches!(error, RestoreError::Version(_)) {
-                        useless.insert(*item);
-                    }
-                }
-            }
-        }
-        rib.restored();
-        let changed = rib.take_changed();
-        // What is there as it was read need not be written.
-        let differs = |item: &Item| rib.stored(now, item).as_deref() != copy.get(item);
-        let changed: Vec<Item> = changed.into_iter().filter(differs).collect();
-        useless.extend(changed);
-        (rib, copy, used, useless, taken, count)
-    };
-    let restored = tokio::task::spawn_blocking(restoring).await;
-    let Ok((rib, copy, used, changed, taken, count)) = restored else { return Err(StoreError::Fenced) };
-    {
-        let mut core = daemon.core();
-        daemon.revocations.restart(taken);
-        if let Some(domain) = &mut core.domain {
-            used.into_iter().for_each(|used| domain.invitations.take(used));
-        }
-        core.lead(rib, elected.term.clone());
-    }
-    tracing::info!(items = count, left_out = changed.len(), "this replica leads: the RIB is here");
-    daemon.topology_changed();
-    daemon.report_in_full();
-    daemon.send_effects();
-    Ok((copy.into_writer(replica.client(), elected.revision), changed))
-}
-
-impl Core {
-    fn lead(&mut self, mut rib: Rib, term: Arc<Term>) {
-        rib.set_paths(self.now(), self.topology.paths().clone());
-        (self.rib, self.term, self.no_rib) = (Some(rib), Some(term), None);
-        self.federate(unix_nanos());
-        self.topology.set_rib(true);
-    }
-}
-
-/// Writes what changes, all that have asked meanwhile at once. Returns why it cannot.
-async fn write(daemon: &Daemon, term: &Term, mut writer: Writer, mut changed: BTreeSet<Item>) -> StoreError {
-    loop {
-        let batch = daemon.core().unstored(&mut changed);
-        let Some((last, batch)) = batch else { return StoreError::Fenced };
-        if batch.is_empty() && !term.is_awaited(last) {
-            term.awaited(SWEEP).await;
-            continue;
-        }
-        match writer.write(&batch).await {
-            Ok(()) => {
-                changed.clear();
-                term.set_writing(false);
-                term.done(last);
-            }
-            Err(error @ (StoreError::Fenced | StoreError::Contended)) => return error,
-            Err(error) => {
-                tracing::warn!(%error, "what has changed in the RIB is not stored");
-                term.failed(last, &error.to_string());
-                sleep(RETRY).await;
-            }
-        }
     }
 }

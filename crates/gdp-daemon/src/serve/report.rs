@@ -8,10 +8,8 @@ use gdp_proto::control::{RefusalCode, Response};
 use gdp_util::backoff::Backoff;
 use tokio::time::{Instant, sleep_until, timeout};
 
-use super::Daemon;
-use super::control::{Report, Reporting};
-use super::core::Next;
-use super::federation::Federation;
+use super::core::rib_client::{PendingReport, Report};
+use super::daemon::Daemon;
 
 /// Between attempts to report: doubled from the first to the second.
 const RETRY: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
@@ -40,7 +38,7 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
     if let Some(taken) = report_here(daemon).await {
         return taken;
     }
-    let Some(Reporting { by, run, follows, link, request }) = daemon.core().report_to_send() else { return true };
+    let Some(PendingReport { by, run, follows, link, request }) = daemon.core().report_to_send() else { return true };
     match link.request(&request).await {
         // As long as the map is being drawn.
         Ok(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => {
@@ -57,7 +55,7 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
         }
         Ok(Response::Reported { run: of_rib }) => {
             tracing::info!(at = %format_args!("{by:#}"), "the RIB has taken this switch's report");
-            daemon.core().report_taken(Report::Taken { by, run }, of_rib, follows)
+            daemon.core().rib_client.report_accepted(Report::Accepted { by, run }, of_rib, follows)
         }
         Ok(other) => {
             tracing::warn!(?other, "the report to the RIB was answered with something else");
@@ -70,22 +68,19 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
 async fn report_here(daemon: &Arc<Daemon>) -> Option<bool> {
     let (by, follows, next) = {
         let mut core = daemon.core();
-        let (switch, now, own_bit) = (core.identity.proof(), core.now(), core.routes.own_bit());
-        let (attached, was): (Vec<_>, _) = (core.attached.iter().copied().collect(), core.report);
-        let rib = core.rib.as_mut()?;
-        if matches!(was, Report::Taken { .. }) {
+        core.rib_host.rib.as_ref()?;
+        if matches!(core.rib_client.report, Report::Accepted { .. }) {
             return Some(true);
         }
-        let response = rib.report(now, &switch, &attached, own_bit);
-        core.report = Report::Sent;
-        let next = core.store_first(Next::Answer(response));
-        (core.name(), core.fence.follows(), next)
+        let next = core.report_here();
+        (core.name(), core.rib_client.fence.follows(), core.rib_host.store_first(next))
     };
+    daemon.send_effects();
     let response = daemon.complete(next).await;
     let mut core = daemon.core();
     Some(match response {
         // The RIB here runs as long as this daemon: whatever its number, there is no other.
-        Response::Reported { run } => core.report_taken(Report::Taken { by, run: 0 }, run, follows),
+        Response::Reported { run } => core.rib_client.report_accepted(Report::Accepted { by, run: 0 }, run, follows),
         other => {
             tracing::warn!(?other, "the RIB does not take its own switch's report");
             false
@@ -96,17 +91,13 @@ async fn report_here(daemon: &Arc<Daemon>) -> Option<bool> {
 /// Lets end in the RIB what ends by itself, and retries what is to be retried.
 pub async fn rib_clock(daemon: Arc<Daemon>) {
     loop {
-        let next = {
+        let (next, pending) = {
             let mut core = daemon.core();
             let now = core.now();
-            let federation = core.federation.as_ref().and_then(Federation::next_tick);
-            let next = core.rib.as_mut().and_then(|rib| {
-                rib.tick(now);
-                rib.next_tick().into_iter().chain(federation).min()
-            });
-            next.and_then(|clock| core.instant(clock))
+            let next = core.rib_host.tick(now).and_then(|clock| core.clock.instant(clock));
+            (next, core.rib_effects())
         };
-        daemon.dispatch_effects();
+        daemon.send(pending);
         let latest = Instant::now() + LONGEST_SLEEP;
         let next = next.map_or(latest, Instant::from_std);
         let wake = next.min(latest).max(Instant::now() + SHORTEST_SLEEP);

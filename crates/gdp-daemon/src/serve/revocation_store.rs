@@ -2,7 +2,7 @@
 //! that something is done, and not for each of many changes by itself. The revocations of the RIB
 //! here are kept so, in a file beside the switch's key: a daemon that starts anew refuses at once
 //! what an owner has taken back. Nothing else of the RIB is kept; entities state it again. What is
-//! kept of the domain is in [`super::domain`].
+//! stored of the domain is in [`super::domain_store`].
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,11 +13,9 @@ use gdp_core::cert::Revocation;
 use gdp_core::revocations::{Kept, RevocationFile};
 use gdp_core::secret_file::SecretFileError;
 use gdp_proto::control::{Refusal, RefusalCode};
+use gdp_rib::rib::Rib;
 use tokio::sync::Mutex;
 use tokio::time::{Instant, sleep_until};
-
-use super::Daemon;
-use super::core::Core;
 
 /// Bytes of the file.
 const MAX: usize = 16 << 20;
@@ -85,23 +83,21 @@ impl RevocationStore {
 pub struct StoredRevocations {
     file: RevocationFile,
     /// Of what [`gdp_rib::rib::Rib::revocations_taken`] counts.
-    keeper: RevocationStore,
+    progress: RevocationStore,
 }
 
 impl StoredRevocations {
     /// Gives the RIB what an earlier one knew.
-    pub fn recall(identity: &Path, core: &mut Core) -> Result<Self, SecretFileError> {
+    pub fn recall(identity: &Path, rib: Option<&mut Rib>) -> Result<Self, SecretFileError> {
         let file = RevocationFile::new(identity.with_extension("revocations"), MAX);
         let mut saved = 0;
-        if let Some(rib) = &mut core.rib {
+        if let Some(rib) = rib {
             rib.recall(file.load()?);
             saved = rib.revocations_taken();
         }
-        Ok(Self { file, keeper: RevocationStore::new(saved) })
+        Ok(Self { file, progress: RevocationStore::new(saved) })
     }
-}
 
-impl StoredRevocations {
     /// What an earlier RIB here knew.
     pub fn known(&self) -> Result<Vec<(Kept, Revocation)>, SecretFileError> {
         self.file.load()
@@ -109,26 +105,21 @@ impl StoredRevocations {
 
     /// There is another RIB, that has taken so many from the file.
     pub fn restart(&self, taken: u64) {
-        self.keeper.saved.store(taken, Ordering::Release);
+        self.progress.saved.store(taken, Ordering::Release);
     }
-}
 
-impl Daemon {
-    /// Returns once what has been revoked by now is in the file; to be called before it is said to
-    /// be done.
-    pub(super) async fn keep_revocations(self: &Arc<Self>) -> Result<(), Refusal> {
-        let StoredRevocations { file, keeper } = &self.revocations;
-        let taken = self.core().rib.as_ref().map_or(0, |rib| rib.revocations_taken());
-        let collect = || self.core().rib.as_ref().map(|rib| (rib.revocations_taken(), rib.kept_revocations()));
-        let file = file.clone();
-        let write = move |all| {
+    /// Returns once so many changes are in the file. `collect`: how many there are, and all there
+    /// is to write.
+    pub async fn save(&self, changes: u64, collect: impl FnOnce() -> Option<(u64, Vec<Kept>)>) -> Result<(), Refusal> {
+        let file = self.file.clone();
+        let write = move |all: Vec<Kept>| {
             let omitted = file.save(&all)?;
             if omitted > 0 {
                 tracing::warn!(omitted, "more revocations than {} holds", file.path().display());
             }
             Ok(())
         };
-        keeper.keep(taken, collect, write).await
+        self.progress.keep(changes, collect, write).await
     }
 }
 

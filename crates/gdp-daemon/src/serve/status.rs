@@ -11,10 +11,12 @@ use gdp_proto::control::RecordKey;
 use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
 use serde_json::{Map, Value, json};
 
-use super::core::{Core, LinkState as LiveLink, link_role};
+use super::core::Core;
+use super::core::link_state::{LinkState as LiveLink, link_role};
+use super::core::neighbours::Adjacencies;
+use super::daemon::Daemon;
 use super::federation::Federation;
-use super::flooding::Adjacencies;
-use super::{Daemon, interfaces, warnings};
+use super::{interfaces, warnings};
 use crate::domain::{Domain, Relationship};
 use gdp_dataplane::host_pair;
 use gdp_util::unix_time::unix_seconds;
@@ -26,14 +28,14 @@ const BUSIEST: usize = 10;
 pub async fn status(daemon: &Arc<Daemon>) -> Value {
     let interfaces = interfaces::list().await.unwrap_or_default();
     let core = daemon.core();
-    let over_udp = core.links.iter().filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_)));
-    let udp_links = over_udp.filter(|(id, _)| !core.planes.first_plane_sends_on(**id)).count();
-    let report = core.planes.report();
-    let (losses, mut errors) = match core.planes.losses() {
+    let over_udp = core.switch.links.iter().filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_)));
+    let udp_links = over_udp.filter(|(id, _)| !core.switch.planes.first_plane_sends_on(**id)).count();
+    let report = core.switch.planes.report();
+    let (losses, mut errors) = match core.switch.planes.losses() {
         Ok(losses) => (losses, Vec::new()),
         Err(reason) => (Default::default(), vec![reason]),
     };
-    let devices = core.planes.dpdk_devices();
+    let devices = core.switch.planes.dpdk_devices();
     let used: Vec<Value> = report
         .iter()
         .map(|plane| {
@@ -52,22 +54,22 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         })
         .collect();
     let (mut counters, mut by_plane) = (Map::new(), Map::new());
-    match core.planes.counters() {
+    match core.switch.planes.counters() {
         Ok(counted) => {
             for (counter, first, userspace) in counted {
                 counters.insert(counter.as_str().into(), (first + userspace).into());
-                let planes = json!({core.planes.first_plane(): first, "userspace": userspace});
+                let planes = json!({core.switch.planes.first_plane(): first, "userspace": userspace});
                 by_plane.insert(counter.as_str().into(), planes);
             }
         }
         Err(error) => errors.push(error.to_string()),
     }
-    let busiest = core.planes.busiest(BUSIEST).unwrap_or_else(|error| {
+    let busiest = core.switch.planes.busiest(BUSIEST).unwrap_or_else(|error| {
         errors.push(error.to_string());
         Vec::new()
     });
-    errors.extend(core.unplaced());
-    errors.extend(core.no_rib.iter().map(|why| format!("the RIB of this replica: {why}")));
+    errors.extend(core.switch.pending_routes());
+    errors.extend(core.rib_host.no_rib.iter().map(|why| format!("the RIB of this replica: {why}")));
     // What the host itself has made is no interface that anybody asked about.
     let outward: Vec<_> = report.into_iter().filter(|plane| !host_pair::is_end(&plane.interface)).collect();
     let (data_plane, reason) = summary(&outward, udp_links);
@@ -77,7 +79,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "data_plane": data_plane,
         "data_plane_reason": reason,
         "interfaces": used,
-        "dpdk_processor_time_us": core.planes.dpdk_processor_time().iter().map(Duration::as_micros).collect::<Vec<_>>(),
+        "dpdk_processor_time_us": core.switch.planes.dpdk_processor_time().iter().map(Duration::as_micros).collect::<Vec<_>>(),
         "udp": daemon.udp.get(),
         "links": links(&core),
         "links_held": links_held(&core),
@@ -85,12 +87,12 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         "counters": counters,
         "counters_by_plane": by_plane,
         "busiest": busiest.iter().map(|(name, frames)| json!({"name": name, "frames": frames})).collect::<Vec<_>>(),
-        "fib": {"names": core.routes.len(), "generation": core.routes.generation(), "own_bit": core.routes.own_bit()},
+        "fib": {"names": core.switch.routes.len(), "generation": core.switch.routes.generation(), "own_bit": core.switch.routes.own_bit()},
         "topology": {"switches": core.topology.states().count(), "reached": core.topology.paths().costs.len()},
-        "rib": core.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
-        "domain": core.domain.as_ref().map(domain),
+        "rib": core.rib_host.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
+        "domain": core.membership.domain.as_ref().map(domain),
         "control": control(&core),
-        "tiers": core.federation.as_ref().map(Federation::status),
+        "tiers": core.rib_host.federation.as_ref().map(Federation::status),
         "warnings": warnings::warnings(&core),
         "errors": errors,
     })
@@ -106,11 +108,11 @@ fn handshakes(counts: HandshakeCounts) -> Value {
 /// `fenced`: how often something was refused that a RIB said whose term was over.
 fn control(core: &Core) -> Value {
     let rib = core.topology.rib().map(|(rib, _)| rib);
-    let problem = core.rib_at().err().filter(|_| core.rib.is_none());
+    let problem = core.rib_at().err().filter(|_| core.rib_host.rib.is_none());
     json!({
         "rib": rib,
         "next": rib.and_then(|rib| core.topology.paths().next.get(&rib)),
-        "fenced": core.fence.refused(),
+        "fenced": core.rib_client.fence.refused(),
         "ready": problem.is_none(),
         "reason": problem.map(|refusal| refusal.reason),
     })
@@ -118,9 +120,9 @@ fn control(core: &Core) -> Value {
 
 /// `gdp-ctl link list`: every live link, by id.
 pub fn links(core: &Core) -> Vec<Value> {
-    let mut links: Vec<_> = core.links.values().collect();
+    let mut links: Vec<_> = core.switch.links.values().collect();
     links.sort_by_key(|state| state.link.local_id());
-    let Adjacencies { neighbours: mut costs, borders, .. } = core.adjacencies();
+    let Adjacencies { neighbours: mut costs, borders, .. } = core.neighbours.adjacencies(&core.switch);
     costs.extend(borders.into_values().map(|border| (border.switch, border.cost)));
     links
         .into_iter()
@@ -145,9 +147,9 @@ pub fn links(core: &Core) -> Vec<Value> {
                 "errors_received": errors_received(core, link.local_id()),
                 "arrivals": arrivals(core, link.local_id()),
                 "traces_refused": state.traces.refused(),
-                "sent": core.planes.frames_sent(link.local_id()),
-                "carrier": !core.is_dark(state.to),
-                "plane": if core.planes.first_plane_sends_on(link.local_id()) { core.planes.first_plane() } else { "userspace" },
+                "sent": core.switch.planes.frames_sent(link.local_id()),
+                "carrier": core.switch.has_carrier(state.to),
+                "plane": if core.switch.planes.first_plane_sends_on(link.local_id()) { core.switch.planes.first_plane() } else { "userspace" },
             })
         })
         .collect()
@@ -157,31 +159,31 @@ pub fn links(core: &Core) -> Vec<Value> {
 /// links lead to, and whoever was refused a link lately; by name. A peer with a link is not
 /// refused.
 pub fn peers(core: &Core) -> Vec<Value> {
-    let listed = core.neighbours.iter().map(|neighbour| neighbour.place.switch);
+    let listed = core.neighbours.listed.iter().map(|neighbour| neighbour.place.switch);
     let is_peer =
         |state: &&LiveLink| state.link.peer().role == Role::Switch || foreign(&state.admission.standing).is_some();
-    let linked = core.links.values().filter(is_peer).map(|state| state.link.peer().name);
-    let refused = core.refusals.iter().map(|(peer, _)| *peer);
+    let linked = core.switch.links.values().filter(is_peer).map(|state| state.link.peer().name);
+    let refused = core.switch.refusals.iter().map(|(peer, _)| *peer);
     let all: BTreeSet<Name> = listed.chain(linked).chain(refused).collect();
     all.into_iter().map(|peer| self::peer(core, peer)).collect()
 }
 
 fn peer(core: &Core, name: Name) -> Value {
-    let neighbour = core.neighbours.iter().find(|neighbour| neighbour.place.switch == name);
-    let link = core.link_to(&name);
-    let state = link.as_ref().and_then(|link| core.links.get(&link.local_id()));
+    let neighbour = core.neighbours.get(&name);
+    let link = core.switch.link_to(&name);
+    let state = link.as_ref().and_then(|link| core.switch.links.get(&link.local_id()));
     let standing = state.map(|state| &state.admission.standing);
     let (ours, theirs) = match standing {
         Some(Relationship::Border { ours, theirs, .. }) => (Some(ours.to_string()), Some(theirs.to_string())),
         _ => (None, None),
     };
-    let refused = core.refusals.iter().find(|(peer, _)| **peer == name).map(|(_, refused)| refused);
+    let refused = core.switch.refusals.iter().find(|(peer, _)| **peer == name).map(|(_, refused)| refused);
     json!({
         "peer": name,
         "listed": neighbour.is_some(),
         "role": state.map(|state| link_role(state.role())),
         "domain": match standing {
-            Some(Relationship::Member { .. }) => core.domain.as_ref().map(|domain| domain.trust.home()),
+            Some(Relationship::Member { .. }) => core.membership.home(),
             Some(standing) => foreign(standing),
             None => None,
         },
@@ -191,7 +193,7 @@ fn peer(core: &Core, name: Name) -> Value {
         "until": state.map(|state| state.admission.until).filter(|until| *until < u64::MAX),
         "link": match state {
             Some(_) => "up",
-            None if core.held.keeps(&name) => "held",
+            None if core.switch.stale.keeps(&name) => "held",
             None => "down",
         },
         "via": state.map(|state| state.via.to_string()).or_else(|| neighbour.map(|n| n.place.via.to_string())),
@@ -202,7 +204,7 @@ fn peer(core: &Core, name: Name) -> Value {
 
 /// Links whose peers fell silent or have a newer one, or that an earlier daemon left; by id.
 fn links_held(core: &Core) -> Vec<Value> {
-    let mut held: Vec<_> = core.held.iter().collect();
+    let mut held: Vec<_> = core.switch.stale.iter().collect();
     held.sort_by_key(|link| link.entry.id);
     held.into_iter()
         .map(|link| {
@@ -219,7 +221,7 @@ fn links_held(core: &Core) -> Vec<Value> {
 
 /// What became of the frames that came in on a link; counters without any are left out.
 fn arrivals(core: &Core, link: u32) -> Value {
-    match core.planes.arrivals(link) {
+    match core.switch.planes.arrivals(link) {
         Ok(counts) => {
             let counts = Counter::ALL.iter().zip(counts).filter(|(_, frames)| *frames > 0);
             counts
@@ -253,7 +255,7 @@ pub fn topology(daemon: &Daemon) -> Value {
             })
         })
         .collect();
-    let home = core.domain.as_ref().map(|domain| domain.trust.home());
+    let home = core.membership.home();
     json!({"own": core.name(), "domain": home, "switches": switches})
 }
 
@@ -294,7 +296,7 @@ fn foreign(standing: &Relationship) -> Option<Name> {
 
 /// What a neighbour refused of what this switch sent it, by code.
 fn errors_received(core: &Core, link: u32) -> Map<String, Value> {
-    let errors = ErrorCode::ALL.iter().zip(core.planes.notices().errors(link));
+    let errors = ErrorCode::ALL.iter().zip(core.switch.planes.notices().errors(link));
     errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count.into())).collect()
 }
 
@@ -324,22 +326,22 @@ fn summary(report: &[gdp_dataplane::InterfacePlane], udp_links: usize) -> (&'sta
 /// more.
 pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
-    let (routes, more) = core.planes.routes_behind(after, limit).map_err(|error| error.to_string())?;
-    let peers = core.peers_by_link();
+    let (routes, more) = core.switch.planes.routes_behind(after, limit).map_err(|error| error.to_string())?;
+    let peers = core.switch.peers_by_link();
     let page: Vec<Value> = routes.iter().map(|(name, entry)| route(&core, &peers, name, entry)).collect();
     Ok(json!({"routes": page, "more": more}))
 }
 
 fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
-    let own = core.routes.own_bit().map_or(0, |bit| 1u64 << bit);
+    let own = core.switch.routes.own_bit().map_or(0, |bit| 1u64 << bit);
     let names = |links: Vec<u32>| links.iter().filter_map(|link| peers.get(link)).copied().collect::<Vec<_>>();
     json!({
         "name": name,
         "egress_bits": format!("{:#x}", entry.egress_bits),
         "own": entry.egress_bits & own != 0,
-        "toward": core.routes.neighbours_toward(entry.egress_bits & !own),
-        "readers": names(core.planes.readers(entry)),
-        "writers": names(core.planes.writers(name)),
+        "toward": core.switch.routes.neighbours_toward(entry.egress_bits & !own),
+        "readers": names(core.switch.planes.readers(entry)),
+        "writers": names(core.switch.planes.writers(name)),
         "group": entry.group,
     })
 }
@@ -347,7 +349,7 @@ fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry
 /// One page of `gdp-ctl rib dump`, or why there is none.
 pub fn rib(daemon: &Daemon, after: Option<RecordKey>, limit: usize) -> Result<Value, String> {
     let core = daemon.core();
-    let Some(rib) = &core.rib else {
+    let Some(rib) = &core.rib_host.rib else {
         let at = match core.topology.rib() {
             Some((rib, _)) => format!("it is at switch {rib}"),
             None => "and there is no way to it".into(),

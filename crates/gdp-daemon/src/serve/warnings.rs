@@ -26,9 +26,9 @@ pub fn warnings(core: &Core) -> Vec<Value> {
 fn silent(core: &Core) -> Vec<Value> {
     let mut quiet = BTreeMap::<Name, Duration>::new();
     let mut heard = BTreeSet::new();
-    for (id, state) in core.links.iter().filter(|(_, state)| state.link.peer().role == Role::Endpoint) {
+    for (id, state) in core.switch.links.iter().filter(|(_, state)| state.link.peer().role == Role::Endpoint) {
         let (peer, age) = (state.link.peer().name, state.since.elapsed());
-        let came = core.planes.arrivals(*id).map_or(true, |row| {
+        let came = core.switch.planes.arrivals(*id).map_or(true, |row| {
             [Counter::Forwarded, Counter::Delivered, Counter::Replicated].iter().any(|c| row[*c as usize] > 0)
         });
         if came || age < SILENT {
@@ -39,7 +39,7 @@ fn silent(core: &Core) -> Vec<Value> {
     }
     quiet.retain(|peer, _| !heard.contains(peer));
     let warn = |(entity, age): (Name, Duration)| {
-        let names = core.routes.leading_from(&entity);
+        let names = core.switch.routes.leading_from(&entity);
         (names > 0).then(|| json!({"kind": "silent", "entity": entity, "names": names, "for_s": age.as_secs()}))
     };
     quiet.into_iter().filter_map(warn).collect()
@@ -47,6 +47,6 @@ fn silent(core: &Core) -> Vec<Value> {
 
 /// Names that are read or called, and nobody publishes or serves; as far as the RIB here knows.
 fn unserved(core: &Core) -> Option<Value> {
-    let (count, names) = core.rib.as_ref()?.unserved();
+    let (count, names) = core.rib_host.rib.as_ref()?.unserved();
     (count > 0).then(|| json!({"kind": "unserved", "count": count, "names": names.take(NAMES).collect::<Vec<_>>()}))
 }

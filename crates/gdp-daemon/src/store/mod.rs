@@ -2,7 +2,7 @@
 //! this.
 //!
 //! [`client`] speaks to etcd, [`items`] knows how items of the RIB lie in it and how a leader
-//! writes them; who leads, and what follows from that, is in [`crate::serve::replica`].
+//! writes them; who leads, and what follows from that, is in `serve::election`.
 
 mod access;
 #[cfg_attr(not(feature = "etcd"), path = "without_etcd.rs")]

@@ -12,6 +12,10 @@ use gdp_wire::Name;
 /// How long a peering stays that nobody uses any more.
 pub const IDLE: Duration = Duration::from_secs(60);
 
+/// The border switches of other domains that a border is to have links with, and the addresses of
+/// each, best first.
+pub type WantedPeerings = BTreeMap<Name, Vec<SocketAddr>>;
+
 /// A link that a border of this domain is to make.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Peering {

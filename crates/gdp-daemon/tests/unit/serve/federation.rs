@@ -116,7 +116,7 @@ fn a_domain_says_only_where_it_can_be_reached_now() {
 fn a_border_is_told_again_while_a_wanted_link_is_missing() {
     let mut h = Home::new(Limits::default());
     let [border, peer] = [30, 31].map(|index| identity("border", index).name());
-    let wanted = Wanted::from([(peer, vec!["192.0.2.1:31415".parse().unwrap()])]);
+    let wanted = WantedPeerings::from([(peer, vec!["192.0.2.1:31415".parse().unwrap()])]);
     h.federation.wanted.insert(border, (wanted, None));
     let now = h.world.now.clock;
     h.federation.remind_borders(now, |at, to| (at, to) == (border, peer));

@@ -1,0 +1,172 @@
+//! Carries requests through: does what each needs before it is answered, and sends what the RIB
+//! here sends because of it.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::future::join_all;
+use gdp_link::link::Link;
+use gdp_proto::control::{Refusal, RefusalCode, Response};
+use tokio::time::timeout;
+
+use super::core::Core;
+use super::core::follow_up::{FollowUp, OnReply, PendingRequest, Statement};
+use super::daemon::Daemon;
+use super::federation::records;
+
+/// How long an accepted statement waits for switches to take their routes.
+const SETTLE: Duration = Duration::from_secs(1);
+
+/// How long another domain's RIB is waited for.
+const TIER_TIMEOUT: Duration = Duration::from_secs(10);
+
+impl Daemon {
+    /// Takes a request in under the lock, and answers it once what it needs is done.
+    pub async fn answer(self: &Arc<Self>, request: impl FnOnce(&mut Core) -> FollowUp) -> Response {
+        let (next, pending) = {
+            let mut core = self.core();
+            let next = request(&mut core);
+            (core.rib_host.store_first(next), core.rib_effects())
+        };
+        self.send(pending);
+        self.rib_changed.notify_one();
+        self.complete(next).await
+    }
+
+    /// Does what a request needs that was taken in, and answers it.
+    pub async fn complete(self: &Arc<Self>, next: FollowUp) -> Response {
+        match next {
+            FollowUp::Answer(response) => response,
+            FollowUp::Store(ticket, next) => match ticket.stored().await {
+                Ok(()) => Box::pin(self.complete(*next)).await,
+                Err(refusal) => self.refuse_unsaved(&next, refusal),
+            },
+            FollowUp::SaveRevocation(response) => {
+                self.save_revocations().await.map_or_else(Response::from, |()| response)
+            }
+            FollowUp::SaveInvitation { .. } => match self.save_domain().await {
+                Ok(()) => Response::Done,
+                Err(refusal) => self.refuse_unsaved(&next, refusal),
+            },
+            FollowUp::Await { waiting, is_query } => match timeout(TIER_TIMEOUT, waiting).await {
+                Ok(Ok(response)) if is_query => records(response),
+                Ok(Ok(response)) => Response::Tier(Box::new(response)),
+                _ => Refusal::new(RefusalCode::Unreachable, "no RIB of another domain has answered").into(),
+            },
+            FollowUp::Trace(tracing) => self.trace_on(*tracing).await,
+            FollowUp::Settle(response, statement) => {
+                self.settled(&statement).await.map_or_else(Response::from, |()| response)
+            }
+            FollowUp::Reattach(links, request) => {
+                let asked = links.iter().map(async |link| reattached(self, link, link.request(&request).await.ok()));
+                join_all(asked).await;
+                Response::Done
+            }
+            FollowUp::Report => {
+                self.report.notify_one();
+                Response::Done
+            }
+            FollowUp::Forward(link, request) => match link.request(&request).await {
+                Ok(response) => response,
+                Err(error) => {
+                    let peer = link.peer().name;
+                    Refusal::new(RefusalCode::Unreachable, format!("no answer through {peer}: {error}")).into()
+                }
+            },
+        }
+    }
+
+    /// An invitation that admits somebody, and cannot be saved, has admitted nobody.
+    fn refuse_unsaved(&self, next: &FollowUp, refusal: Refusal) -> Response {
+        if let (FollowUp::SaveInvitation { new: Some(serial) }, Some(domain)) =
+            (next, &mut self.core().membership.domain)
+        {
+            domain.invitations.forget(*serial);
+        }
+        refusal.into()
+    }
+
+    /// Waits until the switches have the routes that follow from a statement, so that what its
+    /// entity sends next is not lost; but not for long on one that does not answer. Refuses the
+    /// statement if one has no room.
+    async fn settled(self: &Arc<Self>, statement: &Statement) -> Result<(), Refusal> {
+        let settled = async {
+            loop {
+                let answered = self.answered.notified();
+                if self.core().rib_host.rib.as_ref().is_none_or(|rib| statement.is_settled(rib)) {
+                    return;
+                }
+                answered.await;
+            }
+        };
+        if timeout(SETTLE, settled).await.is_err() {
+            tracing::warn!(
+                name = %format_args!("{:#}", statement.name),
+                "a switch does not answer; what is sent to the name may be lost until it does"
+            );
+        }
+        let room = match &mut self.core().rib_host.rib {
+            Some(rib) => statement.check_room(rib),
+            None => Ok(()),
+        };
+        if room.is_err() {
+            self.send_effects();
+        }
+        room
+    }
+
+    /// Sends what the RIB here has to send after something changed in it.
+    pub fn send_effects(self: &Arc<Self>) {
+        let pending = self.core().rib_effects();
+        self.send(pending);
+        self.rib_changed.notify_one();
+    }
+
+    /// Sends requests of the RIB here, and tells it the replies.
+    pub fn send(self: &Arc<Self>, pending: Vec<PendingRequest>) {
+        self.rib_was_heard();
+        self.answered.notify_waiters();
+        for PendingRequest { link, request, on_reply } in pending {
+            let daemon = self.clone();
+            self.spawn(async move {
+                let asked = async {
+                    let answer = link.as_ref()?.request(&request).await;
+                    answer.inspect_err(|error| tracing::debug!(%error, "what the RIB sent was not answered")).ok()
+                };
+                let response = match on_reply {
+                    // Nobody of this domain answers for another.
+                    OnReply::Tier(..) => timeout(TIER_TIMEOUT, asked).await.ok().flatten(),
+                    _ => asked.await,
+                };
+                match (on_reply, &link) {
+                    (OnReply::Nothing, _) => {}
+                    (OnReply::Reattach, Some(link)) => reattached(&daemon, link, response),
+                    (on_reply, _) => {
+                        daemon.core().answered(on_reply, response);
+                        daemon.send_effects();
+                    }
+                }
+            });
+        }
+    }
+}
+
+/// An endpoint was asked to attach again. One that could not is asked again, because the RIB
+/// answers the next report so; one that would not has to begin with a new link.
+fn reattached(daemon: &Daemon, link: &Link, response: Option<Response>) {
+    let entity = link.peer().name;
+    match response {
+        Some(Response::Done) => {
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB did not know the attachment; it was made \
+                                                   again");
+        }
+        _ if link.close_reason().is_some() => {}
+        None => daemon.report_in_full(),
+        Some(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => daemon.report_in_full(),
+        Some(_) => {
+            tracing::info!(entity = %format_args!("{entity:#}"), "the RIB does not know the attachment; closing the \
+                                                   link");
+            link.close("the RIB does not know this attachment: attach again");
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! This switch as a member of its domain: whom it admits, and how it shows that it is a member.
+
+use std::net::SocketAddr;
+
+use gdp_core::cert::domain::roles;
+use gdp_core::cert::{self, CertError, Host, Revocation, Signed, SwitchStatement, issue};
+use gdp_core::identity::Identity;
+use gdp_core::name::NameProof;
+use gdp_core::peer::Role;
+use gdp_link::link::Link;
+use gdp_proto::control::{RefusalCode, Request};
+use gdp_util::unix_time::{unix_nanos, unix_seconds};
+use gdp_wire::Name;
+
+use super::follow_up::{FollowUp, refuse};
+use crate::config::Inside;
+use crate::domain::{Admission, Credentials, Domain};
+
+/// What a switch has of its domain, if it is a member of one.
+#[derive(Default)]
+pub struct Membership {
+    /// Without it, links are accepted from all listed neighbours, and from all endpoints.
+    pub domain: Option<Domain>,
+    /// The addresses at which other domains reach this border.
+    public: Vec<SocketAddr>,
+    /// What other domains see that trace names through this one.
+    pub trace_visibility: Inside,
+    /// What the RIB may show other domains of this switch, with the membership that it rests on.
+    statement: Option<Host>,
+}
+
+impl Membership {
+    pub fn new(domain: Domain, public: Vec<SocketAddr>, trace_visibility: Inside) -> Self {
+        Self { domain: Some(domain), public, trace_visibility, statement: None }
+    }
+
+    pub fn home(&self) -> Option<Name> {
+        self.domain.as_ref().map(|domain| domain.trust.home())
+    }
+
+    /// As what the peer of a link is admitted by its credentials; if it is not, why.
+    pub fn admit(&self, link: &Link, credentials: Option<&Credentials>) -> Result<Admission, String> {
+        let Some(domain) = &self.domain else { return Ok(Admission::STRANGER) };
+        let admitted = domain.trust.admit(Role::Switch, link.peer(), credentials, unix_seconds());
+        admitted.map_err(|error| error.to_string())
+    }
+
+    /// What the RIB is to be asked before a member that was admitted by an invitation is taken for
+    /// one, by the switch `own`.
+    pub fn question(&self, own: Name, link: &Link, credentials: &Credentials) -> Option<Request> {
+        let domain = self.domain.as_ref()?;
+        let (entity, membership) = (link.peer().name, &credentials.membership);
+        let invite = membership.invite_unverified().ok()??;
+        let is_own = membership.domain.name().is_ok_and(|name| name == domain.trust.home());
+        let is_known = domain.invitations.has_admitted(invite.serial, &entity);
+        (is_own && !is_known).then(|| Request::Admitted {
+            switch: own,
+            entity,
+            membership: Box::new(membership.clone()),
+        })
+    }
+
+    /// The RIB's answer about an invitation.
+    pub fn admit_invited(&mut self, entity: Name, membership: &cert::Membership, now: u64) -> FollowUp {
+        let Some(domain) = &mut self.domain else {
+            return refuse(RefusalCode::Unsupported, "the RIB here is of no domain: configure domain");
+        };
+        let home = domain.trust.home();
+        let cert = match membership.verify(home, domain.trust.revocation(&home), now) {
+            Ok(cert) => cert,
+            Err(error) => return refuse(RefusalCode::NotEntitled, error.to_string()),
+        };
+        let Ok(Some(invite)) = membership.invite_unverified() else {
+            return refuse(RefusalCode::Malformed, "the membership rests on no invitation");
+        };
+        if cert.entity != entity {
+            return refuse(RefusalCode::WrongEntity, format!("the membership is of {}, not of {entity}", cert.entity));
+        }
+        match domain.invitations.admit(&invite, entity, now) {
+            Ok(new) => {
+                domain.changes += u64::from(new);
+                FollowUp::SaveInvitation { new: new.then_some(invite.serial) }
+            }
+            Err(reason) => refuse(RefusalCode::NotEntitled, reason.to_string()),
+        }
+    }
+
+    /// Accepts what a domain has revoked. Whether it is news; none: this switch has no domain.
+    pub fn take_revocation(
+        &mut self,
+        proof: &NameProof,
+        revocation: &Signed<Revocation>,
+    ) -> Option<Result<bool, CertError>> {
+        let domain = self.domain.as_mut()?;
+        let accepted = domain.trust.take_revocation(proof, revocation);
+        Some(accepted.inspect(|is_news| domain.changes += u64::from(*is_news)))
+    }
+
+    /// What the RIB may show other domains of this switch; none: it is a member of no domain. It
+    /// states anew of which domain it is whenever its membership is renewed, and so before the
+    /// statement ends.
+    pub fn statement(&mut self, identity: &Identity) -> Option<Host> {
+        let domain = self.domain.as_ref()?;
+        let membership = &domain.trust.papers().membership;
+        if self.statement.as_ref().is_none_or(|statement| statement.membership != *membership) {
+            let own = domain.trust.own(unix_seconds()).ok()?;
+            let addresses = if own.role == roles::BORDER { self.public.clone() } else { Vec::new() };
+            let (switch, serial) = (identity.name(), unix_nanos());
+            let claims = SwitchStatement { switch, domain: own.domain, addresses, serial, not_after: own.not_after };
+            let statement = issue(identity.key(), &claims).ok()?;
+            self.statement = Some(Host { proof: identity.proof(), statement, membership: membership.clone() });
+        }
+        self.statement.clone()
+    }
+}

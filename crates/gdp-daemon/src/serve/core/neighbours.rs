@@ -1,0 +1,145 @@
+//! The neighbouring switches: which the configuration lists, what a frame to each costs, and which
+//! of them the topology counts as adjacent.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use gdp_core::cert::Adjoining;
+use gdp_core::peer::{Peer, Role};
+use gdp_link::link::Link;
+use gdp_rib::topology::cost::Meter;
+use gdp_wire::table::EGRESS_SET_SIZE;
+use gdp_wire::{LinkRole, Name};
+
+use super::switch::Switch;
+use crate::config::{Neighbour, Via};
+use crate::domain::Relationship;
+
+/// Switches that have links without being listed.
+const MAX_UNLISTED: usize = EGRESS_SET_SIZE as usize;
+
+/// The neighbours of the configuration, and what links to neighbours cost.
+pub struct Neighbours {
+    pub listed: Vec<Neighbour>,
+    /// Measures the cost of links whose cost is not configured.
+    meters: BTreeMap<Name, Meter>,
+}
+
+/// The switches that a switch has links with.
+#[derive(Default, PartialEq, Eq)]
+pub struct Adjacencies {
+    /// Those of its domain, and what a frame to each costs.
+    pub neighbours: BTreeMap<Name, u32>,
+    /// Those of them whose links are all stale.
+    pub silent: BTreeSet<Name>,
+    /// Those of other domains, by domain and switch.
+    pub borders: BTreeMap<(Name, Name), Adjoining>,
+}
+
+impl Neighbours {
+    pub fn new(listed: Vec<Neighbour>) -> Self {
+        Self { listed, meters: BTreeMap::new() }
+    }
+
+    pub fn get(&self, switch: &Name) -> Option<&Neighbour> {
+        self.listed.iter().find(|neighbour| neighbour.place.switch == *switch)
+    }
+
+    /// Whether a switch may have a link where it came in. A neighbour that is listed has its
+    /// address. Any other must have been admitted by a domain (`is_member`: this switch has one).
+    pub fn check(&self, peer: &Peer, via: &Via, switch: &Switch, is_member: bool) -> Result<(), String> {
+        let name = peer.name;
+        match self.get(&name) {
+            Some(neighbour) if neighbour.place.via.same_port(via) => Ok(()),
+            Some(_) => Err(format!("switch {name} is a neighbour elsewhere, not {via}")),
+            None if !is_member => Err(format!("switch {name} is not listed in the neighbours of this one")),
+            None => {
+                let live = switch.links.values().map(|state| state.link.peer());
+                let others: BTreeSet<Name> = live
+                    .filter(|p| p.role == Role::Switch && p.name != name)
+                    .map(|p| p.name)
+                    .filter(|name| self.get(name).is_none())
+                    .collect();
+                if others.len() < MAX_UNLISTED {
+                    return Ok(());
+                }
+                Err(format!("{MAX_UNLISTED} switches that are not listed in the neighbours have links to this one"))
+            }
+        }
+    }
+
+    /// This switch's adjacencies with other switches: those that frames may go by.
+    pub fn adjacencies(&self, switch: &Switch) -> Adjacencies {
+        const SWITCH: u32 = LinkRole::Switch as u32;
+        let live = switch.links.values().filter(|state| switch.has_carrier(state.to));
+        let live = live.map(|state| (true, state.role(), state.link.peer().name, Some(&state.admission.standing)));
+        let stale = switch.stale.iter().filter(|stale| switch.has_carrier(stale.to));
+        let stale = stale.map(|stale| (false, stale.entry.role, stale.peer, stale.standing.as_ref()));
+        let mut all = Adjacencies::default();
+        for (is_live, role, peer, standing) in live.chain(stale) {
+            match standing {
+                Some(Relationship::Border { domain, ours, theirs }) => {
+                    let (domain, cost) = (*domain, self.cost(&peer));
+                    let (transit, ours_transit) = (theirs.transit, ours.transit);
+                    let parent = self.parent_rank(&peer);
+                    let border = Adjoining { domain, switch: peer, cost, transit, ours_transit, parent };
+                    all.borders.insert((domain, peer), border);
+                }
+                _ if role == SWITCH => {
+                    let is_new = all.neighbours.insert(peer, self.cost(&peer)).is_none();
+                    if is_new && !is_live {
+                        all.silent.insert(peer);
+                    }
+                }
+                _ => {}
+            }
+        }
+        all
+    }
+
+    /// What a frame to a neighbouring switch costs.
+    fn cost(&self, switch: &Name) -> u32 {
+        let configured = self.get(switch).and_then(|neighbour| neighbour.cost);
+        configured.unwrap_or_else(|| self.meters.get(switch).map_or(1, Meter::cost))
+    }
+
+    /// The rank of a neighbour's domain among the parents of this one; none if it is no parent.
+    fn parent_rank(&self, switch: &Name) -> Option<u8> {
+        let index = self.listed.iter().position(|n| n.place.switch == *switch && n.parent)?;
+        Some(u8::try_from(index).unwrap_or(u8::MAX))
+    }
+
+    /// A neighbour that an earlier daemon had a link with.
+    pub fn adopt(&mut self, now: Duration, switch: Name) {
+        self.meters.insert(switch, Meter::new(now, None));
+    }
+
+    /// A link to a switch is up.
+    pub fn link_up(&mut self, now: Duration, link: &Link) {
+        self.meters.entry(link.peer().name).or_insert_with(|| Meter::new(now, Some(link.rtt())));
+    }
+
+    /// The first request over a link was answered within this time; whether the neighbour costs
+    /// something else from now on.
+    pub fn answered(&mut self, now: Duration, link: &Link, rtt: Duration) -> bool {
+        self.meters.get_mut(&link.peer().name).is_some_and(|meter| meter.answered(now, rtt))
+    }
+
+    /// Takes a sample of the round-trip time to each neighbour; whether one of them costs something
+    /// else from now on.
+    pub fn measure(&mut self, now: Duration, switch: &Switch) -> bool {
+        let mut changed = false;
+        for (neighbour, meter) in &mut self.meters {
+            let newest = switch.newest_link(neighbour);
+            if let Some(state) = newest.filter(|state| state.link.close_reason().is_none()) {
+                changed |= meter.sample(now, state.link.rtt());
+            }
+        }
+        changed
+    }
+
+    /// Forgets neighbours that have no link: a new link begins with a new measurement.
+    pub fn forget_lost(&mut self, switch: &Switch) {
+        self.meters.retain(|neighbour, _| switch.has_first_lane(neighbour) || switch.stale.keeps(neighbour));
+    }
+}

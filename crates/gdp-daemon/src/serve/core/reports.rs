@@ -1,0 +1,34 @@
+//! This switch's report to the RIB: that it is there, and who is attached to it.
+
+use gdp_proto::control::Request;
+
+use super::Core;
+use super::follow_up::FollowUp;
+use super::relay::onward;
+use super::rib_client::{PendingReport, Report};
+
+impl Core {
+    /// What is to be reported, and over which link; none if it is not due, or there is no way.
+    pub fn report_to_send(&mut self) -> Option<PendingReport> {
+        let (by, run) = self.topology.rib()?;
+        if self.rib_client.report == (Report::Accepted { by, run }) {
+            return None;
+        }
+        let link = self.link_toward(&by).ok()?;
+        self.rib_client.report = Report::Sent;
+        let attached = self.switch.attached.iter().copied().collect();
+        let shown = self.membership.statement(&self.identity).map(Box::new);
+        let (switch, own_bit) = (self.identity.proof(), self.switch.routes.own_bit());
+        let report = Request::Report { switch, attached, own_bit, shown };
+        let follows = self.rib_client.fence.follows();
+        Some(PendingReport { by, run, follows, link, request: onward(by, report) })
+    }
+
+    /// Reports to the RIB here, as other switches do.
+    pub fn report_here(&mut self) -> FollowUp {
+        let attached: Vec<_> = self.switch.attached.iter().copied().collect();
+        let (proof, own_bit) = (self.identity.proof(), self.switch.routes.own_bit());
+        self.rib_client.report = Report::Sent;
+        self.rib_host.report(self.clock.now(), None, &proof, (&attached, own_bit), None)
+    }
+}

@@ -1,0 +1,188 @@
+//! The RIB here and other domains: keeps the RIB and [`gdp_rib::tiers`] informed of each other, and
+//! decides what is sent to other domains' RIBs and to this domain's borders.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use gdp_core::cert::Host;
+use gdp_core::name::NameProof;
+use gdp_core::revocations::Kept;
+use gdp_proto::control::{RefusalCode, Response, TierRequest};
+use gdp_rib::rib::{BorderLink, Now};
+use gdp_rib::tiers::Sent;
+use gdp_rib::topology::Topology;
+use gdp_wire::Name;
+
+use super::RibHost;
+use crate::domain::Domain;
+use crate::serve::core::follow_up::{FederationEffect, FollowUp, refuse};
+use crate::serve::federation::{Federation, Known};
+
+/// How soon a border that did not answer is told again which peerings are wanted of it.
+const RESEND_PEERINGS: Duration = Duration::from_secs(2);
+
+impl RibHost {
+    /// The RIB here speaks with other domains as a member of its own; it knows what they have
+    /// revoked.
+    pub fn federate(&mut self, now: Now, domain: Option<&Domain>, run: u64) {
+        if let (Some(rib), Some(domain)) = (&mut self.rib, domain) {
+            let trust = &domain.trust;
+            let known = trust.revocations().filter_map(|kept| trust.revocation(&kept.proof.name().ok()?));
+            known.for_each(|claims| rib.domain_revoked(now, claims));
+            self.federation = Some(Federation::new(domain.trust.home(), run));
+        }
+    }
+
+    /// Which domains are parents and which have a link with this one, and by which borders they are
+    /// reached.
+    pub fn follow_borders(&mut self, now: Now, topology: &Topology) {
+        let (Some(rib), Some(federation)) = (&mut self.rib, &mut self.federation) else { return };
+        let (mut ways, mut parents) = (BTreeMap::<Name, Vec<BorderLink>>::new(), BTreeSet::new());
+        for (border, adjoining) in topology.borders() {
+            let to_border = topology.paths().costs.get(&border).copied().unwrap_or(0);
+            let cost = u32::try_from(to_border).unwrap_or(u32::MAX).saturating_add(adjoining.cost);
+            ways.entry(adjoining.domain).or_default().push(BorderLink { border, peer: adjoining.switch, cost });
+            parents.extend(adjoining.parent.map(|rank| (rank, border, adjoining.domain)));
+        }
+        federation.tiers.set_adjacent(now, ways.keys().copied().collect());
+        let mut listed: Vec<Name> = Vec::new();
+        for (_, _, domain) in parents {
+            if !listed.contains(&domain) {
+                listed.push(domain);
+            }
+        }
+        // A parent whose links are gone stays one until it is forgotten: the links may come back.
+        let before = federation.tiers.parents().iter().filter(|parent| !ways.contains_key(parent));
+        let lost: Vec<Name> = before.filter(|parent| !listed.contains(parent)).copied().collect();
+        listed.extend(lost);
+        federation.tiers.set_parents(now, listed);
+        rib.set_ways(now, ways);
+    }
+
+    /// Brings RIB and tiers in line with each other. `own`: the statement of this switch, of which
+    /// domain it is.
+    pub fn federation_effects(
+        &mut self,
+        now: Now,
+        domain: Option<&Domain>,
+        own: Option<Host>,
+        topology: &Topology,
+    ) -> Vec<FederationEffect> {
+        let (Some(rib), Some(federation), Some(domain)) = (&mut self.rib, &mut self.federation, domain) else {
+            return Vec::new();
+        };
+        federation.forget_hosts(now, rib);
+        if let Some(own) = own
+            && let Err(error) = federation.show(now, &domain.trust, self.switch, own)
+        {
+            tracing::debug!(%error, "this switch has no membership to show other domains");
+        }
+        federation.follow(now, rib);
+        federation.inform(now, rib);
+        let mut effects = federation.messages(now);
+        federation.want_peerings(now, &domain.trust, |domain, peering| {
+            let mut links = topology.borders().filter(|(_, adjoining)| adjoining.domain == domain);
+            links.any(|(border, adjoining)| (border, adjoining.switch) != (peering.border, peering.peer))
+        });
+        federation.remind_borders(now.clock, |border, peer| {
+            topology.borders().any(|(at, adjoining)| (at, adjoining.switch) == (border, peer))
+        });
+        let run = rib.run();
+        let due = federation.wanted.iter_mut().filter_map(|(border, (wanted, due))| {
+            due.take_if(|due| *due <= now.clock)?;
+            Some(FederationEffect::Peerings { border: *border, run, wanted: wanted.clone() })
+        });
+        effects.extend(due);
+        effects
+    }
+
+    /// Whether a border knows which peerings are wanted of it; if not, it is told again.
+    pub fn peerings_answered(&mut self, now: Now, border: Name, response: Option<Response>) {
+        let wanted = self.federation.as_mut().and_then(|federation| federation.wanted.get_mut(&border));
+        if let (Some((_, due)), None | Some(Response::Refused(_))) = (wanted, response) {
+            due.get_or_insert(now.clock + RESEND_PEERINGS);
+        }
+    }
+
+    /// A message of the RIB of another domain.
+    pub fn tier_request(&mut self, now: Now, domain: Option<&Domain>, from: Name, request: TierRequest) -> FollowUp {
+        let (Some(rib), Some(federation), Some(domain)) = (&self.rib, &mut self.federation, domain) else {
+            return refuse(RefusalCode::Unreachable, format!("switch {} has no RIB of a domain", self.switch));
+        };
+        let known = Known { rib, trust: &domain.trust };
+        let reply = federation.tiers.request(now, from, request, &known);
+        let (revoked, next) = (federation.tiers.take_revoked(), federation.wait(reply, false));
+        let mut is_news = false;
+        for kept in revoked {
+            is_news |= self.take_revoked(now, domain, from, &kept);
+        }
+        match next {
+            FollowUp::Answer(response) if is_news => FollowUp::SaveRevocation(response),
+            next => next,
+        }
+    }
+
+    /// Takes in what the owner of a name has revoked, as the domain `from` said. Whether it did.
+    fn take_revoked(&mut self, now: Now, domain: &Domain, from: Name, kept: &Kept) -> bool {
+        let (Some(rib), Ok(name)) = (&mut self.rib, kept.proof.name()) else { return false };
+        // What domains revoke goes from switch to switch.
+        if domain.trust.knows(&name) {
+            return false;
+        }
+        if let Err(refusal) = rib.revoke_abroad(now, from, kept) {
+            tracing::debug!(%refusal, domain = %format_args!("{from:#}"), "the RIB does not take what was revoked");
+            return false;
+        }
+        self.reconsider(now, Some(domain), name, Some(from));
+        true
+    }
+
+    /// What became of a message to another domain's RIB.
+    pub fn tier_answered(
+        &mut self,
+        now: Now,
+        domain: Option<&Domain>,
+        (to, sent): (Name, Sent),
+        response: Option<Response>,
+    ) {
+        let (Some(rib), Some(federation), Some(domain)) = (&self.rib, &mut self.federation, domain) else { return };
+        let response = match response {
+            Some(Response::Tier(response)) => Some(*response),
+            Some(Response::Refused(refusal)) => {
+                tracing::debug!(%refusal, domain = %format_args!("{to:#}"), "a message to another domain did not arrive");
+                None
+            }
+            _ => None,
+        };
+        federation.tiers.answered(now, to, sent, response, &Known { rib, trust: &domain.trust });
+    }
+
+    /// A switch has reported, and states of which domain it is: if of this one, other domains may
+    /// see it.
+    pub(super) fn switch_stated(&mut self, now: Now, domain: &Domain, proof: &NameProof, statement: Host) {
+        let (Some(federation), Ok(switch)) = (&mut self.federation, proof.name()) else { return };
+        // A border that has begun anew has forgotten what is wanted of it.
+        if let Some((_, due)) = federation.wanted.get_mut(&switch) {
+            *due = Some(now.clock);
+        }
+        if let Err(error) = federation.show(now, &domain.trust, switch, statement) {
+            tracing::warn!(%switch, %error, "what a switch shows the RIB, for other domains, does not hold");
+        }
+    }
+
+    /// An owner of a name, or a domain, has revoked something. `said_by`: the domain that said so,
+    /// if another one did.
+    pub fn reconsider(&mut self, now: Now, domain: Option<&Domain>, about: Name, said_by: Option<Name>) {
+        let (Some(rib), Some(domain)) = (&mut self.rib, domain) else { return };
+        if let Some(claims) = domain.trust.revocation(&about) {
+            rib.domain_revoked(now, claims);
+        }
+        if let Some(federation) = &mut self.federation {
+            federation.tiers.reconsider(now, about, said_by, &Known { rib, trust: &domain.trust });
+            let home = domain.trust.home();
+            if about == home {
+                federation.recheck_hosts(domain.trust.revocation(&home));
+            }
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! This switch's forwarding: the links, the FIB in links, and the data planes that have both.
+
+mod links;
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::time::Instant;
+
+use gdp_core::peer::{GRACEFUL_RESTART_TIME, Role};
+use gdp_dataplane::{PlaneRoute, Planes};
+use gdp_link::link::{Link, LinkIds};
+use gdp_link::port::LinkAddr;
+use gdp_proto::control::{FibPush, MAX_BEYOND, Refusal, RefusalCode, Response, TracedEnd};
+use gdp_wire::{LinkRole, Name};
+
+use super::link_state::LinkState;
+use crate::domain::Relationship;
+use crate::serve::events::{Event, Events};
+use crate::serve::graceful_restart::{GracefulRestart, Kept, StaleLink};
+use crate::serve::refusals::Refusals;
+use crate::serve::routes::{Change, Routes};
+
+/// Routes that are tried in vain whenever there may be room: one may need what another does not.
+const MAX_REFUSALS: usize = 16;
+
+/// The links of this switch, its FIB and its data planes.
+pub struct Switch {
+    pub name: Name,
+    pub planes: Planes,
+    pub routes: Routes,
+    pub links: HashMap<u32, LinkState>,
+    /// Links that the data planes have besides.
+    pub stale: GracefulRestart,
+    /// The link to each peer; to an endpoint, of each lane.
+    peers: BTreeMap<(Name, u8), u32>,
+    /// Endpoints that the RIB has attached here.
+    pub attached: HashSet<Name>,
+    /// Why peers have no link.
+    pub refusals: Refusals,
+    events: Events,
+    /// Interfaces without a carrier, by index.
+    no_carrier: BTreeSet<u32>,
+    /// Routes that the data plane refused, and why it refused the last.
+    pending_routes: (BTreeMap<Name, PlaneRoute>, String),
+    /// Until when the data planes keep the ports and programs that an earlier daemon left.
+    adopted_until: Option<Instant>,
+}
+
+impl Switch {
+    pub fn new(name: Name, planes: Planes, events: Events) -> Self {
+        Self {
+            name,
+            planes,
+            routes: Routes::default(),
+            links: HashMap::new(),
+            stale: GracefulRestart::default(),
+            peers: BTreeMap::new(),
+            attached: HashSet::new(),
+            refusals: Refusals::default(),
+            events,
+            no_carrier: BTreeSet::new(),
+            pending_routes: Default::default(),
+            adopted_until: None,
+        }
+    }
+
+    /// Keeps what an earlier daemon left in the data planes, until peers and RIB have replaced it,
+    /// for a while. The endpoints it had links with count as attached: they attach again when they
+    /// notice. Returns the neighbouring switches.
+    pub fn take_over(&mut self, ids: &LinkIds) -> Vec<Name> {
+        let Some(left) = self.planes.left().cloned() else { return Vec::new() };
+        let until = Instant::now() + GRACEFUL_RESTART_TIME;
+        let (mut links, mut neighbours) = (Vec::new(), Vec::new());
+        for (entry, to) in &left.links {
+            let (Some(role), Some(id)) = (entry.role(), ids.reserve(entry.id)) else { continue };
+            let id = Kept::Adopted { _id: id };
+            links.push((entry.clone(), role));
+            let (peer, lane) = (entry.peer, entry.lane as u8);
+            let (entry, standing) = (entry.clone(), None);
+            self.stale.keep(StaleLink { peer, lane, role, entry, to: *to, until, standing, id });
+            match role {
+                LinkRole::Endpoint => drop(self.attached.insert(peer)),
+                LinkRole::Switch | LinkRole::Border => neighbours.push(peer),
+            }
+        }
+        let changes = self.routes.adopt(&left, &links);
+        self.apply(changes);
+        self.adopted_until = Some(until);
+        let routes = left.routes.len();
+        tracing::info!(
+            links = links.len(),
+            routes,
+            "took over from a daemon that ended without being stopped; its links are held"
+        );
+        neighbours
+    }
+
+    /// Removes stale links whose time is over. Returns endpoints that are no longer attached.
+    pub fn end_stale_links(&mut self, now: Instant) -> Vec<Name> {
+        let lost = self.stale.over(now).into_iter().filter_map(|id| self.release(id)).collect();
+        if self.adopted_until.take_if(|until| *until <= now).is_some() {
+            tracing::info!("nothing is held any longer from the daemon before this one");
+            let mut changes = self.routes.end_any_writer();
+            changes.extend(self.routes.end_held_paths());
+            self.apply(changes);
+            if let Err(error) = self.planes.end_adoption() {
+                tracing::error!(%error, "the data plane keeps something of the daemon before this one");
+            }
+        }
+        lost
+    }
+
+    /// Applies a push of the RIB.
+    pub fn push(&mut self, push: &FibPush) -> Response {
+        match self.routes.push(push) {
+            Ok(changes) => {
+                let (generation, changes_made) = (push.generation, changes.len());
+                tracing::debug!(generation, changes = changes_made, "FIB push");
+                self.events.tell(Event::Routes { generation, changes: changes_made });
+                self.apply(changes);
+                match self.pending_routes() {
+                    None => Response::Done,
+                    // Other refusals make the RIB send the whole again.
+                    Some(reason) => Refusal::new(RefusalCode::Limit, reason).into(),
+                }
+            }
+            Err(error) => Refusal::new(RefusalCode::Malformed, error.to_string()).into(),
+        }
+    }
+
+    /// What the data plane lacks of the FIB, and why.
+    pub fn pending_routes(&self) -> Option<String> {
+        let (names, reason) = &self.pending_routes;
+        (!names.is_empty()).then(|| format!("{} names have no route at switch {}: {reason}", names.len(), self.name))
+    }
+
+    /// Applies changes in the data planes. Routes that find no room are applied when there is some.
+    pub fn apply(&mut self, changes: Vec<Change>) {
+        for change in changes {
+            let result = match change {
+                Change::OwnBit(bit) => self.planes.set_own_bit(bit),
+                Change::Reach { link, bits } => {
+                    let live = self.links.get_mut(&link).map(|state| (&mut state.entry, state.to));
+                    match live.or_else(|| self.stale.get_mut(link).map(|stale| (&mut stale.entry, stale.to))) {
+                        Some((entry, to)) => {
+                            entry.reach = bits;
+                            self.planes.set_link(**entry, to)
+                        }
+                        None => Ok(()),
+                    }
+                }
+                Change::NextHops(next_hops) => self.planes.set_next_hops(&next_hops),
+                Change::Set(name, route) => {
+                    // At once, so that a name that finds no room delays no other.
+                    match self.planes.set_route(name, &route) {
+                        Ok(()) => _ = self.pending_routes.0.remove(&name),
+                        Err(error) => {
+                            self.pending_routes.0.insert(name, route);
+                            self.pending_routes.1 = error.to_string();
+                        }
+                    }
+                    Ok(())
+                }
+                Change::Remove(name) => {
+                    self.pending_routes.0.remove(&name);
+                    self.planes.remove_route(&name)
+                }
+            };
+            if let Err(error) = result {
+                tracing::error!(%error, "the data plane refused a change");
+            }
+        }
+        self.retry_pending_routes();
+    }
+
+    fn retry_pending_routes(&mut self) {
+        let mut refusals = 0;
+        let (planes, (routes, reason)) = (&mut self.planes, &mut self.pending_routes);
+        routes.retain(|name, route| {
+            if refusals == MAX_REFUSALS {
+                return true;
+            }
+            match planes.set_route(*name, route) {
+                Ok(()) => false,
+                Err(error) => {
+                    (refusals, *reason) = (refusals + 1, error.to_string());
+                    true
+                }
+            }
+        });
+        if let Some(reason) = self.pending_routes() {
+            tracing::error!("{reason}");
+        }
+    }
+
+    /// The link to a peer, if it is up; to an endpoint with several, the one that it prefers.
+    pub fn link_to(&self, peer: &Name) -> Option<Link> {
+        let preferred = self.routes.link_to(peer).filter(|id| self.links.contains_key(id));
+        let id = preferred.or_else(|| self.links_of(peer).next())?;
+        self.links.get(&id).map(|state| state.link.clone())
+    }
+
+    /// The link to a border switch of another domain, while it is one.
+    pub fn border_link(&self, peer: &Name, domain: Name) -> Option<Link> {
+        let link = self.link_to(peer)?;
+        (self.domain_of(&link) == Some(domain)).then_some(link)
+    }
+
+    /// The domain whose border is at the other end of a link.
+    pub fn domain_of(&self, link: &Link) -> Option<Name> {
+        self.links.get(&link.local_id())?.domain()
+    }
+
+    /// What the data planes take a link's peer for.
+    pub fn role_on(&self, link: &Link) -> Option<u32> {
+        self.links.get(&link.local_id()).map(LinkState::role)
+    }
+
+    /// The links of an endpoint here.
+    pub fn links_of_endpoint(&self, entity: &Name) -> Vec<Link> {
+        let links = self.links_of(entity).filter_map(|id| Some(self.links.get(&id)?.link.clone()));
+        links.filter(|link| link.peer().role == Role::Endpoint).collect()
+    }
+
+    /// The ids of the links to a peer.
+    pub fn links_of(&self, peer: &Name) -> impl Iterator<Item = u32> {
+        self.peers.range((*peer, 0)..=(*peer, u8::MAX)).map(|(_, id)| *id)
+    }
+
+    /// The newest link of a peer's first lane, the only lane of a switch.
+    pub fn newest_link(&self, peer: &Name) -> Option<&LinkState> {
+        self.peers.get(&(*peer, 0)).and_then(|id| self.links.get(id))
+    }
+
+    pub fn has_first_lane(&self, peer: &Name) -> bool {
+        self.peers.contains_key(&(*peer, 0))
+    }
+
+    /// Peers by the links they are on.
+    pub fn peers_by_link(&self) -> BTreeMap<u32, Name> {
+        let live = self.links.iter().map(|(id, state)| (*id, state.link.peer().name));
+        live.chain(self.stale.iter().map(|stale| (stale.entry.id, stale.peer))).collect()
+    }
+
+    /// What this switch delivers a name to; nothing if it is no egress switch of the name.
+    pub fn end_of(&self, name: &Name) -> TracedEnd {
+        let mut end = TracedEnd::default();
+        let Some(entry) = self.planes.route(name) else { return end };
+        for id in self.planes.readers(&entry) {
+            match self.links.get(&id).map(|state| (&state.admission.standing, state.link.peer().name)) {
+                Some((Relationship::Border { domain, .. }, switch)) if end.beyond.len() < MAX_BEYOND => {
+                    end.beyond.push((*domain, switch));
+                }
+                Some((Relationship::Border { .. }, _)) => {}
+                _ => end.links += 1,
+            }
+        }
+        end
+    }
+
+    /// Whether the interface that frames to an address leave by has a carrier, as far as is known.
+    pub fn has_carrier(&self, to: LinkAddr) -> bool {
+        !matches!(to, LinkAddr::Ethernet { ifindex, .. } if self.no_carrier.contains(&ifindex))
+    }
+
+    /// No frame goes by these interfaces from now on. Whether they are others than before.
+    pub fn set_no_carrier(&mut self, interfaces: BTreeSet<u32>) -> bool {
+        let changed = interfaces != self.no_carrier;
+        self.no_carrier = interfaces;
+        changed
+    }
+}

@@ -1,0 +1,298 @@
+//! The daemon as one of several replicas of its domain's RIB. One of them leads: it alone is the
+//! RIB, as long as its lease at etcd lasts; the others keep a copy of what it stores and stand for
+//! election when it is gone. What entities state is said to be done once it is stored.
+//!
+//! Two do not lead at once as far as anybody can tell: a leader counts its lease from before it
+//! asked for it and shorter than etcd does, looks at that count whenever it touches the RIB, and
+//! etcd takes nothing of it once the key of its term is gone.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::Duration;
+
+use gdp_core::peer::GRACEFUL_RESTART_TIME;
+use gdp_rib::rib::{Item, Limits, RestoreError, Rib, Run, decode_item};
+use gdp_wire::Name;
+use tokio::time::{Instant, sleep, sleep_until, timeout};
+
+use super::core::Core;
+use super::core::rib_host::run_id;
+use super::daemon::Daemon;
+use super::replica::{Replica, Stage};
+use super::term::{Term, within};
+use crate::domain::Used;
+use crate::store::client::EtcdClient;
+use crate::store::{StoreError, items::Change, items::Copy, items::KeySpace, items::Writer};
+
+/// Seconds of a leader's lease.
+const TTL: u64 = 5;
+
+/// So much shorter does the leader itself count it: clocks differ in how fast they run, and what it
+/// last sent is on its way.
+const MARGIN: Duration = Duration::from_secs(1);
+
+/// How often the leader renews it, and the others look whether there is one.
+const BEAT: Duration = Duration::from_millis(800);
+
+/// How long after a failure the next attempt is made.
+const RETRY: Duration = Duration::from_millis(300);
+
+/// What ends by itself is stored within this.
+const SWEEP: Duration = Duration::from_millis(250);
+
+/// What made this replica the leader.
+struct Elected {
+    lease: i64,
+    revision: i64,
+    term: Arc<Term>,
+}
+
+/// Follows what is stored and leads when it is this replica's turn, until the daemon ends, or it is
+/// to [resign](Replica::resign).
+pub async fn run(daemon: Arc<Daemon>) {
+    if let Some(replica) = &daemon.replica {
+        follow_and_lead(&daemon, replica).await;
+        replica.end();
+    }
+}
+
+async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
+    loop {
+        let mut lease = None;
+        let elected = tokio::select! {
+            elected = stand_by(daemon, replica, &mut lease) => Some(elected),
+            () = replica.until(Stage::Resigning) => None,
+        };
+        let error = match elected {
+            Some(Ok((copy, elected))) => lead(daemon, replica, copy, elected).await,
+            not_elected => {
+                // It may have been elected and not know: then it leads no more.
+                if let Some(lease) = lease {
+                    give_up(&mut replica.client(), lease).await;
+                }
+                not_elected.and_then(Result::err)
+            }
+        };
+        // It is to resign.
+        let Some(error) = error else { return };
+        if !matches!(error, StoreError::Compacted) {
+            tracing::warn!(%error, "this replica of the RIB is behind");
+            daemon.core().rib_host.no_rib = Some(error.to_string());
+        }
+        sleep(RETRY).await;
+    }
+}
+
+/// Keeps a copy of what is stored until there is no leader, and this replica is elected. `lease`:
+/// with which it stands, from before it does.
+async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -> Result<(Copy, Elected), StoreError> {
+    let (mut client, place, own) = (replica.client(), &replica.keys, daemon.name);
+    let mut copy = Copy::list(place, &mut client).await?;
+    let mut watch = client.watch(place.prefix(), copy.revision() + 1).await?;
+    loop {
+        let is_led = place.has_leader(&mut client).await?;
+        daemon.core().rib_host.no_rib = (!is_led).then(|| "no replica of it leads; one is about to".into());
+        if !is_led && let Some(elected) = Elected::stand(place, &mut client, &own, lease).await? {
+            let caught_up = async {
+                while copy.revision() < elected.revision {
+                    copy.apply(watch.next().await?)?;
+                }
+                Ok(())
+            };
+            match timeout(MARGIN, caught_up).await {
+                Ok(Ok(())) => return Ok((copy, elected)),
+                Ok(Err(error)) => return Err(error),
+                // Listed anew, it is whole again.
+                Err(_) => return Err(StoreError::Compacted),
+            }
+        }
+        let look = Instant::now() + BEAT;
+        loop {
+            tokio::select! {
+                events = watch.next() => if copy.apply(events?)? { break },
+                () = sleep_until(look) => break,
+            }
+        }
+    }
+}
+
+impl Elected {
+    async fn stand(
+        place: &KeySpace,
+        client: &mut EtcdClient,
+        own: &Name,
+        stands_with: &mut Option<i64>,
+    ) -> Result<Option<Self>, StoreError> {
+        let asked = Instant::now();
+        let lease = client.grant(TTL).await?;
+        *stands_with = Some(lease);
+        let term = Arc::new(Term::new(asked + Duration::from_secs(TTL) - MARGIN));
+        match place.stand(client, own, lease).await? {
+            Some(revision) => Ok(Some(Self { lease, revision, term })),
+            None => {
+                // Another was elected.
+                client.revoke(lease).await?;
+                *stands_with = None;
+                Ok(None)
+            }
+        }
+    }
+
+    /// Renews the lease until it is over all the same.
+    async fn hold(&self, client: &mut EtcdClient) -> StoreError {
+        loop {
+            sleep(BEAT).await;
+            let asked = Instant::now();
+            match client.keep_alive(self.lease).await {
+                Ok(true) => {}
+                Ok(false) => return StoreError::Fenced,
+                Err(error) if self.term.is_over() => return error,
+                Err(error) => {
+                    tracing::warn!(%error, "the lease of the leading RIB was not renewed");
+                    continue;
+                }
+            }
+            if !self.term.extend(asked + Duration::from_secs(TTL) - MARGIN) {
+                return StoreError::Fenced;
+            }
+        }
+    }
+}
+
+/// Is the RIB for a term. Returns why no longer; none: it is to resign.
+async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elected) -> Option<StoreError> {
+    let mut client = replica.client();
+    let work = async {
+        tokio::select! {
+            error = elected.hold(&mut client) => error,
+            error = serve_term(daemon, replica, copy, &elected) => error,
+        }
+    };
+    let error = tokio::select! {
+        error = within(&elected.term, work) => Some(error),
+        () = replica.until(Stage::Resigning) => None,
+    };
+    let why = error.as_ref().map_or_else(|| "this replica resigns".into(), ToString::to_string);
+    {
+        let mut core = daemon.core();
+        // What is not stored of its term never is.
+        elected.term.end(&why);
+        core.end_term();
+    }
+    daemon.topology_changed();
+    give_up(&mut client, elected.lease).await;
+    error
+}
+
+/// So that others need not wait until the lease is over.
+async fn give_up(client: &mut EtcdClient, lease: i64) {
+    if let Err(error) = client.revoke(lease).await {
+        tracing::debug!(%error, "the lease is over only when its time is");
+    }
+}
+
+async fn serve_term(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: &Elected) -> StoreError {
+    let (writer, changed) = match take_over(daemon, replica, copy, elected).await {
+        Ok(taken) => taken,
+        Err(error) => return error,
+    };
+    write(daemon, &elected.term, writer, changed).await
+}
+
+/// Makes the copy the RIB of this daemon. Returns who writes what changes in it, and what of it is
+/// of no use.
+async fn take_over(
+    daemon: &Arc<Daemon>,
+    replica: &Replica,
+    copy: Copy,
+    elected: &Elected,
+) -> Result<(Writer, BTreeSet<Item>), StoreError> {
+    let known = daemon.revocations.known().unwrap_or_else(|error| {
+        tracing::error!(%error, "what is kept here of revocations is of no use; those at etcd count");
+        Vec::new()
+    });
+    let (now, root) = (daemon.core().now(), daemon.name);
+    let run = Run { id: run_id(elected.revision.unsigned_abs()), settling: now.clock + GRACEFUL_RESTART_TIME };
+    // Signatures are verified, perhaps many.
+    let restoring = move || {
+        let mut rib = Rib::new(root, run, Limits::default());
+        rib.open_journal();
+        rib.recall(known);
+        let taken = rib.revocations_taken();
+        let (mut used, mut useless, mut count) = (Vec::new(), BTreeSet::new(), 0);
+        for (item, bytes) in copy.items() {
+            let restored = match item {
+                Item::Invitation(serial) => decode_item::<Used>(bytes).map(|one| {
+                    // Of what is of no use any more, nothing is kept.
+                    if one.serial == *serial && one.until >= now.unix {
+                        used.push(one)
+                    } else {
+                        useless.insert(*item);
+                    }
+                }),
+                item => rib.restore(now, item, bytes),
+            };
+            match restored {
+                Ok(()) => count += 1,
+                Err(error) => {
+                    tracing::debug!(%item, %error, "left out of what was stored");
+                    // A newer replica may lead next.
+                    if !matches!(error, RestoreError::Version(_)) {
+                        useless.insert(*item);
+                    }
+                }
+            }
+        }
+        rib.restored();
+        let changed = rib.take_changed();
+        // What is there as it was read need not be written.
+        let differs = |item: &Item| rib.stored(now, item).as_deref() != copy.get(item);
+        let changed: Vec<Item> = changed.into_iter().filter(differs).collect();
+        useless.extend(changed);
+        (rib, copy, used, useless, taken, count)
+    };
+    let restored = tokio::task::spawn_blocking(restoring).await;
+    let Ok((rib, copy, used, changed, taken, count)) = restored else { return Err(StoreError::Fenced) };
+    {
+        let mut core = daemon.core();
+        daemon.revocations.restart(taken);
+        if let Some(domain) = &mut core.membership.domain {
+            used.into_iter().for_each(|used| domain.invitations.take(used));
+        }
+        core.lead(rib, elected.term.clone());
+    }
+    tracing::info!(items = count, left_out = changed.len(), "this replica leads: the RIB is here");
+    daemon.topology_changed();
+    daemon.report_in_full();
+    daemon.send_effects();
+    Ok((copy.into_writer(replica.client(), elected.revision), changed))
+}
+
+fn unstored(core: &mut Core, changed: &mut BTreeSet<Item>) -> Option<(u64, Vec<Change>)> {
+    core.rib_host.unstored(core.clock.now(), core.membership.domain.as_ref(), changed)
+}
+
+/// Writes what changes, all that have asked meanwhile at once. Returns why it cannot.
+async fn write(daemon: &Daemon, term: &Term, mut writer: Writer, mut changed: BTreeSet<Item>) -> StoreError {
+    loop {
+        let batch = unstored(&mut daemon.core(), &mut changed);
+        let Some((last, batch)) = batch else { return StoreError::Fenced };
+        if batch.is_empty() && !term.is_awaited(last) {
+            term.awaited(SWEEP).await;
+            continue;
+        }
+        match writer.write(&batch).await {
+            Ok(()) => {
+                changed.clear();
+                term.set_writing(false);
+                term.done(last);
+            }
+            Err(error @ (StoreError::Fenced | StoreError::Contended)) => return error,
+            Err(error) => {
+                tracing::warn!(%error, "what has changed in the RIB is not stored");
+                term.failed(last, &error.to_string());
+                sleep(RETRY).await;
+            }
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! The one way in for what entities ask: over their links, or through the admin socket.
+
+use std::sync::Arc;
+
+use gdp_core::name::NameProof;
+use gdp_link::link::Link;
+use gdp_proto::control::{EntityRequest, Response};
+
+use super::core::follow_up::FollowUp;
+use super::daemon::Daemon;
+use super::domain;
+use super::events::Event;
+
+/// By which way a request comes.
+#[derive(Clone, Copy)]
+pub enum Origin<'a> {
+    /// The link of the entity that asks.
+    Link(&'a Link),
+    /// A program at the admin socket, perhaps for an entity.
+    Tool(Option<NameProof>),
+}
+
+/// Answers what an entity asks.
+pub async fn answer(daemon: &Arc<Daemon>, origin: Origin<'_>, request: EntityRequest) -> Response {
+    let (link, entity) = match origin {
+        Origin::Link(link) => (Some(link), Some(link.peer().proof)),
+        Origin::Tool(entity) => (None, entity),
+    };
+    if let Some((proof, revocation)) = domain::domain_revocation(daemon, &request) {
+        return domain::take_revocation(daemon, proof, revocation, link).await;
+    }
+    let attaching = link.filter(|_| matches!(request, EntityRequest::Attach { .. }));
+    let taken_in = daemon.answer(|core| {
+        let next = core.entity_request(entity, link.is_none(), request);
+        if let Some(link) = attaching
+            && !matches!(next, FollowUp::Answer(Response::Refused(_)))
+        {
+            // Before the answer, so that a report in the meantime does not leave it out.
+            core.switch.attached.insert(link.peer().name);
+        }
+        next
+    });
+    let response = taken_in.await;
+    if let (Some(link), Response::Attached { .. }) = (attaching, &response) {
+        let mut core = daemon.core();
+        core.switch.link_ready(link);
+        core.events.tell(Event::Attached { entity: link.peer().name });
+    }
+    response
+}

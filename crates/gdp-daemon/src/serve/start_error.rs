@@ -1,0 +1,53 @@
+//! Why a daemon does not start.
+
+use std::path::PathBuf;
+
+use gdp_core::secret_file::SecretFileError;
+use gdp_dataplane::PlaneError;
+use gdp_link::link::LinkError;
+
+use super::admin::AdminError;
+use super::domain_store::MembershipError;
+use crate::store::StoreError;
+
+/// Why a daemon does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    #[error(transparent)]
+    Identity(#[from] SecretFileError),
+    #[error(transparent)]
+    Membership(#[from] MembershipError),
+    #[error("cannot create the folder {}: {source}", path.display())]
+    Folder { path: PathBuf, source: std::io::Error },
+    #[error(transparent)]
+    Plane(#[from] PlaneError),
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    #[error("cannot ask the kernel for its interfaces: {0}")]
+    Netlink(#[from] rtnetlink::Error),
+    #[error(
+        "this daemon has no interface and no UDP address, so nobody can reach it; name interfaces, or set udp: \
+         0.0.0.0:31415"
+    )]
+    NoPort,
+    #[error(transparent)]
+    Admin(#[from] AdminError),
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl StartError {
+    /// Whether an interface is missing or down.
+    pub(super) fn is_absent(&self) -> bool {
+        matches!(self.os_error(), Some(libc::ENODEV | libc::ENETDOWN))
+    }
+
+    pub(super) fn is_denied(&self) -> bool {
+        matches!(self.os_error(), Some(libc::EPERM | libc::EACCES))
+    }
+
+    fn os_error(&self) -> Option<i32> {
+        let Self::Link(LinkError::Io { source, .. }) = self else { return None };
+        source.raw_os_error()
+    }
+}
