@@ -3,12 +3,11 @@
 use crate::node::frame_size::FrameSize;
 use crate::node::network::NetworkPath;
 use crate::node::shared_entry::SharedEntry;
-use crate::node::state::State;
 use gdp_core::crypto;
 use gdp_link::link::liveness::{Liveness, Pace, Step};
 use gdp_link::link::{Link, LinkKeys};
 use gdp_link::port::{DataSocket, LinkAddr, OutFrame, Port};
-use gdp_proto::control::{Request, Response};
+use gdp_proto::control::{PathCosts, Request, Response};
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{Header, SMALLEST_PATH, hop};
 use std::sync::Arc;
@@ -29,7 +28,7 @@ pub struct Attachment {
     /// What links further on take, as far as it is known.
     pub frame_size: FrameSize,
     /// How the switch was reached when the link was made.
-    pub way: NetworkPath,
+    pub path: NetworkPath,
     pub since: Instant,
     pub count: AtomicU64,
     /// Cookie of the latest answer to an echo.
@@ -39,11 +38,23 @@ pub struct Attachment {
 }
 
 impl Attachment {
-    pub fn new(lane: u8, link: Link, way: NetworkPath, port: &Port) -> Self {
+    pub fn new(lane: u8, link: Link, path: NetworkPath, port: &Port) -> Self {
         let (entry, data, largest) = (SharedEntry::new(link.entry(PORT_USERSPACE)), port.data(), port.mtu() as usize);
         let (count, answer, frame_size) = (AtomicU64::new(0), AtomicU64::new(0), FrameSize::default());
         let reported_costs = AtomicBool::new(false);
-        Self { lane, entry, link, data, largest, frame_size, way, since: Instant::now(), count, answer, reported_costs }
+        Self {
+            lane,
+            entry,
+            link,
+            data,
+            largest,
+            frame_size,
+            path,
+            since: Instant::now(),
+            count,
+            answer,
+            reported_costs,
+        }
     }
 
     /// The count for the next frame: 1 for the first.
@@ -91,20 +102,23 @@ impl Attachment {
         false
     }
 
-    /// Has the switch tell what paths cost, if it does not already. If it does not answer, servers
-    /// are chosen without that, and it is asked again with what is stated next.
-    pub async fn watch_costs(&self, state: &State) {
+    /// Has the switch report what paths cost, and returns that, unless it reports it already. If it
+    /// does not answer, servers are chosen without, and it is asked again with the next statement.
+    pub async fn watch_costs(&self) -> Option<PathCosts> {
         if self.reported_costs.load(Ordering::Relaxed) {
-            return;
+            return None;
         }
         match self.link.request(&Request::WatchCosts).await {
-            // What it has told since is newer.
-            Ok(Response::Costs(costs)) if !self.reported_costs.swap(true, Ordering::Relaxed) => {
-                state.set_costs(self.lane, costs)
+            // What it has reported since is newer.
+            Ok(Response::Costs(costs)) => (!self.reported_costs.swap(true, Ordering::Relaxed)).then_some(costs),
+            Ok(other) => {
+                tracing::debug!(?other, "the switch does not report what paths cost");
+                None
             }
-            Ok(Response::Costs(_)) => {}
-            Ok(other) => tracing::debug!(?other, "the switch does not tell what paths cost"),
-            Err(error) => tracing::debug!(%error, "the switch did not tell what paths cost"),
+            Err(error) => {
+                tracing::debug!(%error, "the switch did not report what paths cost");
+                None
+            }
         }
     }
 

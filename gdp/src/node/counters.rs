@@ -9,10 +9,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use gdp_wire::{Counter, ErrorCode};
 use serde::Serialize;
 
-use super::feedback::Feedback;
-use super::publication::Publication;
-use super::send_path::SendPath;
-use super::subscription_receiver::Shared;
 use gdp_e2e::seal::DropReason;
 use gdp_e2e::transport::{InboundCounters, TopicCounters};
 
@@ -53,19 +49,8 @@ pub struct PublisherCounters {
     /// Those of them that ask for every message, where this publisher offers the newest: ROS calls
     /// that incompatible QoS. They get the newest.
     pub incompatible_readers: usize,
-    /// What the switch said of frames that it refused ([`Feedback::errors`]).
+    /// What the switch said of frames that it refused ([`super::Feedback::errors`]).
     pub refused: BTreeMap<&'static str, u64>,
-}
-
-impl PublisherCounters {
-    pub(super) fn of(publication: &Publication, send_path: &SendPath, feedback: &Feedback) -> Self {
-        Self {
-            topic: publication.counters(send_path),
-            readers: publication.readers(),
-            incompatible_readers: publication.incompatible_readers(),
-            refused: feedback.errors(),
-        }
-    }
 }
 
 /// The counters of a subscription at one moment.
@@ -85,19 +70,6 @@ pub struct SubscriptionCounters {
     pub drops: BTreeMap<&'static str, u64>,
 }
 
-impl SubscriptionCounters {
-    pub(super) fn of(shared: &Shared) -> Self {
-        let counters = &shared.counters;
-        Self {
-            inbound: counters.get(),
-            queue_full: counters.queue_full.load(Ordering::Relaxed),
-            repeats: counters.repeats.load(Ordering::Relaxed),
-            incompatible_writers: shared.incompatible.load(Ordering::Relaxed),
-            drops: counters.drops(),
-        }
-    }
-}
-
 /// A counter that only rises.
 #[derive(Default)]
 pub struct Count(AtomicU64);
@@ -105,6 +77,11 @@ pub struct Count(AtomicU64);
 impl Count {
     pub fn add(&self, more: u64) {
         self.0.fetch_add(more, Ordering::Relaxed);
+    }
+
+    /// Takes over what is counted elsewhere.
+    pub fn set(&self, count: u64) {
+        self.0.store(count, Ordering::Relaxed);
     }
 
     pub fn get(&self) -> u64 {

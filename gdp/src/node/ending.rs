@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use tokio::sync::Notify;
 
-use super::NodeError;
+use super::error::NodeError;
 use gdp_core::cert::CertError;
 
 /// Why a handle is of no more use.
@@ -31,13 +31,13 @@ impl From<Ended> for NodeError {
 #[derive(Default)]
 pub struct Ending {
     why: OnceLock<Ended>,
-    told: Notify,
+    ended: Notify,
 }
 
 impl Ending {
     pub fn end(&self, why: Ended) {
         if self.why.set(why).is_ok() {
-            self.told.notify_waiters();
+            self.ended.notify_waiters();
         }
     }
 
@@ -50,12 +50,12 @@ impl Ending {
         let ending = self.clone();
         async move {
             loop {
-                let mut told = pin!(ending.told.notified());
-                told.as_mut().enable();
+                let mut ended = pin!(ending.ended.notified());
+                ended.as_mut().enable();
                 if let Some(why) = ending.get() {
                     return why.clone();
                 }
-                told.await;
+                ended.await;
             }
         }
     }

@@ -23,32 +23,32 @@ const LOOK: Duration = Duration::from_millis(250);
 pub struct Home {
     trust: Option<Mutex<Trust>>,
     /// For the ports of the node's links.
-    pub shown: CurrentCredentials,
+    pub credentials: CurrentCredentials,
     /// Rises with all that may change a judgement.
     changes: AtomicU64,
 }
 
 impl Home {
     /// Without papers the node takes any switch.
-    pub fn new(identity: &Identity, papers: Option<Credentials>) -> Result<Self, DomainError> {
-        let shown = CurrentCredentials::default();
-        let trust = match papers.map(Arc::new) {
-            Some(papers) => {
-                shown.set(papers.clone());
+    pub fn new(identity: &Identity, shown: Option<Credentials>) -> Result<Self, DomainError> {
+        let credentials = CurrentCredentials::default();
+        let trust = match shown.map(Arc::new) {
+            Some(shown) => {
+                credentials.set(shown.clone());
                 // It is no switch, so nobody is its guest.
-                Some(Mutex::new(Trust::new(identity.name(), papers, true)?))
+                Some(Mutex::new(Trust::new(identity.name(), shown, true)?))
             }
             None => None,
         };
-        Ok(Self { trust, shown, changes: AtomicU64::new(0) })
+        Ok(Self { trust, credentials, changes: AtomicU64::new(0) })
     }
 
     /// Whether the switch at the other end may have the link.
-    pub fn judge(&self, link: &Link) -> Result<Admission, DomainError> {
-        self.judge_by(link, link.papers().as_deref())
+    pub fn admit(&self, link: &Link) -> Result<Admission, DomainError> {
+        self.admit_by(link, link.papers().as_deref())
     }
 
-    fn judge_by(&self, link: &Link, shown: Option<&Credentials>) -> Result<Admission, DomainError> {
+    fn admit_by(&self, link: &Link, shown: Option<&Credentials>) -> Result<Admission, DomainError> {
         match &self.trust {
             Some(trust) => trust.lock().admit(Role::Endpoint, link.peer(), shown, unix_seconds()),
             None => Ok(Admission::STRANGER),
@@ -59,7 +59,7 @@ impl Home {
     pub fn renew(&self, papers: Arc<Credentials>) -> Result<(), DomainError> {
         if let Some(trust) = &self.trust {
             trust.lock().renew(papers.clone(), true)?;
-            self.shown.set(papers);
+            self.credentials.set(papers);
             self.changed();
         }
         Ok(())
@@ -67,7 +67,7 @@ impl Home {
 
     /// The switch shows renewed papers.
     pub fn take_credentials(&self, link: &Link, papers: Credentials) -> Result<(), DomainError> {
-        self.judge_by(link, Some(&papers))?;
+        self.admit_by(link, Some(&papers))?;
         link.set_credentials(Arc::new(papers));
         self.changed();
         Ok(())
@@ -102,7 +102,7 @@ impl Home {
         loop {
             let changes = self.changes.load(Ordering::Relaxed);
             if unix_seconds() > until || changes != seen {
-                match self.judge(link) {
+                match self.admit(link) {
                     Ok(admission) => (until, seen) = (admission.until, changes),
                     Err(error) => return link.close(&error.to_string()),
                 }

@@ -2,42 +2,23 @@
 //! And the ways to those who send them: one publication to the own name of each party of a service,
 //! for requests to it and replies to it alike, whichever service they are about.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use gdp_wire::Name;
 use tokio::sync::watch;
 
-use super::ending::{Ended, Ending};
+use super::ending::Ended;
+use super::error::NodeError;
 use super::options::{PublishOptions, SubscribeOptions};
-use super::publication::Publication;
-use super::request_queue::Tray;
-use super::service_instances::{Instance, PendingCall, ServiceInstances, joint_right};
+use super::service::{Service, Services};
+use super::service_instances::{Instance, PendingCall, joint_right};
 use super::state::State;
-use super::{NodeError, Stated};
+use super::statement::Stated;
 use gdp_e2e::seal::Message;
 use gdp_proto::control::{NameRole, PathCosts};
 use gdp_proto::peers::{Counterpart, PeerEvent};
 use gdp_util::unix_time::unix_seconds;
-
-/// By name, and by what this node is in it.
-pub type Services = HashMap<(Name, NameRole), Service>;
-
-/// A service that this node calls or serves.
-pub struct Service {
-    pub parties: ServiceInstances,
-    pub ending: Arc<Ending>,
-    /// For what it serves, as long as it may.
-    pub tray: Option<Tray>,
-}
-
-impl Service {
-    /// Nothing is called by this any more, and no more requests are taken.
-    pub fn end(&mut self, why: Ended) {
-        self.ending.end(why);
-        self.tray = None;
-    }
-}
 
 impl State {
     /// Takes requests and replies from now on, as long as the node runs.
@@ -50,7 +31,7 @@ impl State {
         let (mut queue, _) = self.listen(own, SubscribeOptions::reliable());
         let state = self.clone();
         tokio::spawn(async move {
-            while let Some(message) = queue.recv(&state).await {
+            while let Some(message) = queue.recv().await {
                 match message.service {
                     Some(service) => state.take_request(service, message),
                     None => state.take_reply(message),
@@ -68,10 +49,10 @@ impl State {
         let now = self.send_path.clock.now();
         let mut services = self.services.lock();
         let served = services.get_mut(&(service, NameRole::Server));
-        let Some(Service { parties, tray: Some(tray), .. }) = served else {
+        let Some(Service { instances, tray: Some(tray), .. }) = served else {
             return self.counters.requests_refused.add(1);
         };
-        if parties.right(&request.writer).is_none() {
+        if instances.right(&request.writer).is_none() {
             let dropped = tray.hold(now, request);
             self.counters.requests_refused.add(dropped as u64);
         } else if !tray.put(request) {
@@ -91,7 +72,7 @@ impl State {
     }
 
     /// Those who call or serve a service are now others. To be called with [`State::counterparts`]
-    /// locked, as all that changes parties.
+    /// locked, as all that changes instances.
     pub(super) fn take_instances(&self, name: Name, role: NameRole, events: &[PeerEvent]) {
         {
             // Until the end: what is sent before the way is open would be for nobody, so none is to
@@ -101,23 +82,23 @@ impl State {
                 PeerEvent::Joined(right) => Some(right.entity),
                 _ => None,
             });
-            let is_here = |entity: &Name| services.values().any(|service| service.parties.is_attached(entity));
+            let is_here = |entity: &Name| services.values().any(|service| service.instances.is_attached(entity));
             let returned: BTreeSet<Name> = joined.filter(|entity| !is_here(entity)).collect();
-            let Some(Service { parties, .. }) = services.get_mut(&(name, role)) else { return };
-            let mut concerned = parties.take(now, &name, events);
-            concerned.extend(parties.sweep(now, unix_seconds()));
+            let Some(Service { instances, .. }) = services.get_mut(&(name, role)) else { return };
+            let mut concerned = instances.take(now, &name, events);
+            concerned.extend(instances.sweep(now, unix_seconds()));
             self.settle(&services, concerned, &returned);
         }
         // Now that there is a way back.
         self.release_requests();
     }
 
-    /// Lets go of parties whose time is over. As [`Self::take_instances`].
+    /// Lets go of instances whose time is over. As [`Self::take_instances`].
     pub(super) fn sweep_instances(&self) {
         let (now, now_unix) = (self.send_path.clock.now(), unix_seconds());
         {
             let mut services = self.services.lock();
-            let gone = services.values_mut().flat_map(|service| service.parties.sweep(now, now_unix)).collect();
+            let gone = services.values_mut().flat_map(|service| service.instances.sweep(now, now_unix)).collect();
             self.settle(&services, gone, &BTreeSet::new());
         }
         self.release_requests();
@@ -128,18 +109,18 @@ impl State {
         let mut services = self.services.lock();
         if let Some(mut service) = services.remove(&(name, stated.role())) {
             service.end(why);
-            self.settle(&services, service.parties.clear(self.send_path.clock.now()), &BTreeSet::new());
+            self.settle(&services, service.instances.clear(self.send_path.clock.now()), &BTreeSet::new());
         }
     }
 
     /// Brings the way to each of these, and who is believed in the inbox, in line with the services
-    /// that they are parties of. `returned`: those that were attached for none of these before.
+    /// that they are instances of. `returned`: those that were attached for none of these before.
     fn settle(&self, services: &Services, entities: BTreeSet<Name>, returned: &BTreeSet<Name>) {
         if entities.is_empty() {
             return;
         }
         for entity in entities {
-            match joint_right(services.values().filter_map(|service| service.parties.right(&entity))) {
+            match joint_right(services.values().filter_map(|service| service.instances.right(&entity))) {
                 Some(right) => self.open_way(right, returned.contains(&entity)),
                 None => self.close_way(entity),
             }
@@ -150,21 +131,21 @@ impl State {
     fn open_way(&self, right: Counterpart, returned: bool) {
         let (entity, own) = (right.entity, self.identity.name());
         let joined = PeerEvent::Joined(right);
-        let known = self.publications.lock().get(&entity).cloned();
+        let known = self.send_path.publications.get(&entity);
         match known {
             Some(publication) => {
                 if returned {
                     // The RIB has forgotten the boxes of a pair that had parted.
-                    publication.store_again();
-                    publication.returned(&self.send_path, &entity);
+                    publication.sealer.store_again();
+                    publication.returned(&entity);
                 }
-                publication.take(&self.send_path, unix_seconds(), [joined.clone()]);
+                publication.take(unix_seconds(), [joined.clone()]);
             }
-            None => match Publication::new(entity, &self.identity, &PublishOptions::reliable(), &self.send_path) {
+            None => match self.publication(entity, &PublishOptions::reliable()) {
                 Ok(publication) => {
                     // Before anybody can send by it.
-                    publication.take(&self.send_path, unix_seconds(), [joined.clone()]);
-                    self.register(Arc::new(publication));
+                    publication.take(unix_seconds(), [joined.clone()]);
+                    self.send_path.publications.insert(Arc::new(publication));
                 }
                 Err(error) => return tracing::error!(party = %entity, %error, "nothing can be sent to it"),
             },
@@ -177,15 +158,15 @@ impl State {
         // Statements are looked at with services locked only where counterparts are as well:
         // `begin` has the two the other way round.
         if !self.is_stated(entity, Stated::Published) {
-            self.unregister(entity);
+            self.send_path.close(&entity);
         }
     }
 
     fn release_requests(&self) {
         let now = self.send_path.clock.now();
-        for Service { parties, tray, .. } in self.services.lock().values_mut() {
+        for Service { instances, tray, .. } in self.services.lock().values_mut() {
             let Some(tray) = tray else { continue };
-            let (released, late) = tray.release(now, |caller| parties.right(caller).is_some());
+            let (released, late) = tray.release(now, |caller| instances.right(caller).is_some());
             self.counters.requests_refused.add(late as u64);
             let full = released.into_iter().filter(|request| !tray.put(request.clone())).count();
             self.counters.queue_full.add(full as u64);
@@ -195,47 +176,51 @@ impl State {
     /// A place at a server of the service: at `one`, or at the one to call next.
     pub(super) fn choose(&self, service: Name, one: Option<&Name>) -> Option<PendingCall> {
         let costs = self.costs();
-        self.services.lock().get(&(service, NameRole::Caller))?.parties.choose(one, |switch| costs.get(switch).copied())
+        self.services
+            .lock()
+            .get(&(service, NameRole::Caller))?
+            .instances
+            .choose(one, |switch| costs.get(switch).copied())
     }
 
     pub(super) fn instances(&self, service: Name) -> Vec<Instance> {
         let (costs, services) = (self.costs(), self.services.lock());
         let called = services.get(&(service, NameRole::Caller));
-        called.map_or_else(Vec::new, |called| called.parties.instances(|switch| costs.get(switch).copied()))
+        called.map_or_else(Vec::new, |called| called.instances.instances(|switch| costs.get(switch).copied()))
     }
 
     pub(super) fn server_changes(&self, service: Name) -> watch::Receiver<()> {
         let services = self.services.lock();
         let called = services.get(&(service, NameRole::Caller));
         // Nothing changes any more about what is not called.
-        called.map_or_else(|| watch::channel(()).1, |called| called.parties.changes())
+        called.map_or_else(|| watch::channel(()).1, |called| called.instances.changes())
     }
 
     pub(super) fn servers(&self, service: Name) -> usize {
-        self.services.lock().get(&(service, NameRole::Caller)).map_or(0, |called| called.parties.attached_count())
+        self.services.lock().get(&(service, NameRole::Caller)).map_or(0, |called| called.instances.attached_count())
     }
 
     /// Has the keys of what is sent to the first that would be called stored, so that it has them
     /// before the first call.
     pub(super) async fn store_first_boxes(&self, service: Name) -> Result<(), NodeError> {
         let first = self.instances(service).first().map(|instance| instance.name);
-        let publication = first.and_then(|first| self.publications.lock().get(&first).cloned());
+        let publication = first.and_then(|first| self.send_path.publications.get(&first));
         if let Some(publication) = publication {
-            self.store_boxes(&*self.attached().await?, &publication).await;
+            self.store_boxes(&*self.send_path.links.attached().await?, &publication).await;
         }
         Ok(())
     }
 
     /// What paths cost from the switch of the main link, as it last said.
     fn costs(&self) -> Arc<PathCosts> {
-        let main = self.send_path.ways().borrow().main;
+        let main = self.send_path.links.main();
         self.costs.lock().get(main).cloned().unwrap_or_default()
     }
 
     /// What paths cost from the switch of a link is now this.
     pub(super) fn set_costs(&self, lane: u8, costs: PathCosts) {
-        if let Some(held) = self.costs.lock().get_mut(usize::from(lane)) {
-            *held = Arc::new(costs);
+        if let Some(known) = self.costs.lock().get_mut(usize::from(lane)) {
+            *known = Arc::new(costs);
         }
     }
 }

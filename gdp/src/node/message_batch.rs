@@ -7,7 +7,7 @@ use gdp_e2e::seal::{Draft, Encoding, MAX_ORIGIN};
 
 /// Since the last time a topic sealed. A message that comes later than that is sealed by itself, at
 /// once, if there is nothing to wait for; one that comes sooner waits as long, for company.
-pub const GATHERING: u64 = 100_000;
+pub const BATCH_WINDOW: u64 = 100_000;
 
 /// Small messages of all topics of a node together are signed so much apart, because each costs
 /// every reader the time of many messages; so many may come upon one another; and none waits longer

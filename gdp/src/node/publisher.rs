@@ -1,6 +1,5 @@
 //! The application's sending end of a name.
 
-use std::collections::BTreeMap;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,26 +8,18 @@ use gdp_wire::Name;
 
 use super::counters::{Meter, PublisherCounters};
 use super::ending::Ended;
-use super::publication::{Publication, Pushed};
+use super::error::{NodeError, Unflushed};
+use super::feedback::Feedback;
+use super::handle::Handle;
+use super::publication::Publication;
+use super::sealer::Pushed;
 use super::send_path::SendPath;
-use super::state::Statement;
-use super::{Feedback, Handle, NodeError, Stated};
+use super::statement::{Stated, Statement};
 use gdp_core::cert::{AdCert, Issued};
 use gdp_e2e::seal::{Draft, Encoding};
 
 /// How often it is looked whether everything has gone.
 const LOOK: Duration = Duration::from_millis(2);
-
-/// What was not done in time: see [`Publisher::flush`].
-#[derive(Clone, Debug, Default, PartialEq, Eq, thiserror::Error)]
-#[error("{unsent} messages have not gone in time, and {} readers have not acknowledged all that \
-         have", unacknowledged.len())]
-pub struct Unflushed {
-    /// Messages that have not gone from this host.
-    pub unsent: u64,
-    /// Readers of a reliable name that are live, and how many messages each has not acknowledged.
-    pub unacknowledged: BTreeMap<Name, u64>,
-}
 
 /// Sends messages to a name. Dropping it withdraws the name; what has not gone yet is lost, and
 /// nothing is repaired any more: see [`Self::close`].
@@ -60,14 +51,13 @@ impl Publisher {
 
     /// What became of messages and frames so far.
     pub fn counters(&self) -> PublisherCounters {
-        PublisherCounters::of(&self.publication, &self.node.state.send_path, &self.feedback)
+        counters(&self.publication, &self.feedback)
     }
 
     /// The same at any time, from any task.
     pub fn meter(&self) -> Meter<PublisherCounters> {
-        let (publication, send_path, feedback) =
-            (self.publication.clone(), self.node.state.send_path.clone(), self.feedback.clone());
-        Meter::new(move || PublisherCounters::of(&publication, &send_path, &feedback))
+        let (publication, feedback) = (self.publication.clone(), self.feedback.clone());
+        Meter::new(move || counters(&publication, &feedback))
     }
 
     /// Waits until nothing can be sent any more, and says why.
@@ -89,14 +79,14 @@ impl Publisher {
     pub async fn flush(&mut self, patience: Duration) -> Result<(), NodeError> {
         let (publication, send_path) = (&self.publication, &self.node.state.send_path);
         let deadline = tokio::time::Instant::now() + patience;
-        publication.finish(send_path);
+        send_path.finish(publication);
         loop {
-            publication.check()?;
-            let unfinished = publication.unfinished(send_path);
+            publication.sealer.check()?;
+            let unfinished = publication.unfinished();
             if unfinished == Unflushed::default() {
                 return Ok(());
             }
-            publication.check_link(send_path)?;
+            send_path.check_link(publication)?;
             if tokio::time::Instant::now() >= deadline {
                 return Err(unfinished.into());
             }
@@ -131,9 +121,9 @@ impl Publisher {
         loop {
             let mut room = pin!(self.publication.room.notified());
             room.as_mut().enable();
-            self.publication.check()?;
-            self.publication.check_link(send_path)?;
-            if send_path.uplink.lock().has_turn(self.publication.topic) {
+            self.publication.sealer.check()?;
+            send_path.check_link(&self.publication)?;
+            if send_path.scheduler.uplink().has_turn(self.publication.topic()) {
                 return Ok(());
             }
             room.await;
@@ -153,25 +143,25 @@ impl Publisher {
     /// Sends a message about the name, now and to every reader that comes later, before what is
     /// latched; in place of the one that was pinned before. Readers may get it several times.
     pub fn pin(&self, encoding: Encoding, body: &[u8]) {
-        self.publication.pin(&self.node.state.send_path, encoding, body);
+        self.publication.sealer.pin(encoding, body);
     }
 
     /// Sends a message about the name to those who read it now. It is not latched.
     pub fn mention(&self, encoding: Encoding, body: &[u8]) {
-        self.publication.mention(&self.node.state.send_path, encoding, body);
+        self.publication.sealer.mention(encoding, body);
     }
 
     /// Latches the last `most` messages of this origin, whatever
     /// [`PublishOptions::latched`](super::PublishOptions::latched) says of the others; until it is
     /// [forgotten](Self::forget).
     pub fn latch(&self, origin: &[u8], most: usize) {
-        self.publication.limit_latched(origin, most);
+        self.publication.sealer.limit_latched(origin, most);
     }
 
     /// Sends readers that come later nothing more of what was
     /// [latched](super::PublishOptions::latched) with this origin.
     pub fn forget(&self, origin: &[u8]) {
-        self.publication.forget(&self.node.state.send_path, origin);
+        self.publication.sealer.forget(origin);
     }
 
     async fn try_send(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
@@ -179,23 +169,32 @@ impl Publisher {
     }
 }
 
-/// Seals messages and sends them; waits for room if it must. `begun` is told the sequence of the
+fn counters(publication: &Publication, feedback: &Feedback) -> PublisherCounters {
+    PublisherCounters {
+        topic: publication.counters(),
+        readers: publication.readers(),
+        incompatible_readers: publication.incompatible_readers(),
+        refused: feedback.errors(),
+    }
+}
+
+/// Seals messages and sends them; waits for room if it must. `begun` gets the sequence of the
 /// first before anything goes.
-pub(super) async fn send_through(
+pub async fn send_through(
     publication: &Publication,
     send_path: &SendPath,
     messages: &[Draft<'_>],
     begun: impl FnOnce(u64),
 ) -> Result<u64, NodeError> {
-    publication.check_link(send_path)?;
+    send_path.check_link(publication)?;
     let mut begun = Some(begun);
     loop {
         // One that was cancelled may be waiting still.
         until_taken(publication, send_path).await?;
-        let Some((first, pushed)) = publication.push(send_path, messages, &mut begun)? else { continue };
+        let Some((first, pushed)) = publication.sealer.push(messages, &mut begun)? else { continue };
         match pushed {
-            Pushed::MessageBatch(None) => {}
-            Pushed::MessageBatch(Some(until)) => send_path.gather(publication.topic, until),
+            Pushed::Batched(None) => {}
+            Pushed::Batched(Some(until)) => send_path.scheduler.batch_until(publication.topic(), until),
             Pushed::Taken => send_path.send(),
             Pushed::Waits => {
                 send_path.send();
@@ -211,10 +210,10 @@ async fn until_taken(publication: &Publication, send_path: &SendPath) -> Result<
     loop {
         let mut room = pin!(publication.room.notified());
         room.as_mut().enable();
-        if let Err(NodeError::Closed) = send_path.sending_on() {
+        if let Err(NodeError::Closed) = send_path.links.sending_on() {
             return Err(NodeError::Closed);
         }
-        if let Pushed::Taken = publication.push_waiting(send_path)? {
+        if let Pushed::Taken = publication.sealer.push_waiting()? {
             return Ok(());
         }
         send_path.send();
@@ -224,7 +223,7 @@ async fn until_taken(publication: &Publication, send_path: &SendPath) -> Result<
 
 impl Drop for Publisher {
     fn drop(&mut self) {
-        self.publication.finish(&self.node.state.send_path);
+        self.node.state.send_path.finish(&self.publication);
         self.node.state.withdraw(self.publication.name, Stated::Published);
     }
 }

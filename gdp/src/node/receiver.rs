@@ -10,14 +10,14 @@ use gdp_wire::replay::{self, Window};
 use gdp_wire::{Counter, ErrorCode, FrameType, Header, Name, forward};
 use zerocopy::FromBytes;
 
+use super::attachment::Attachment;
+use super::command::Command;
 use super::counters::Counters;
+use super::early_frames::EarlyFrames;
 use super::feedback::Feedbacks;
-use super::held::Held;
-use super::publication::Publication;
 use super::send_path::SendPath;
 use super::shared_entry::SharedEntry;
 use super::subscription_receiver::{Change, SubscriptionReceiver, Verdict};
-use crate::node::attachment::Attachment;
 use gdp_core::peer::MAX_LANES;
 use gdp_e2e::feedback_wire::Feedback;
 use gdp_e2e::keys::PairError;
@@ -33,40 +33,6 @@ const TICK: Duration = Duration::from_millis(100);
 const ECN: u8 = 0b11;
 const CONGESTED: u8 = 0b11;
 
-/// What the rest of the node tells the thread.
-pub enum Command {
-    /// Frames now come on this link, which is new.
-    Attach {
-        attachment: Arc<Attachment>,
-        /// A link that this one replaces, and until when the switch may still send on it.
-        held: Option<(Arc<Attachment>, Instant)>,
-    },
-    Subscribe {
-        name: Name,
-        intake: Box<SubscriptionReceiver>,
-    },
-    Unsubscribe {
-        name: Name,
-    },
-    /// What the reader of the name is to believe.
-    Change {
-        name: Name,
-        changes: Vec<Change>,
-    },
-    /// The application has made room.
-    Resume {
-        name: Name,
-    },
-    Publish {
-        publication: Arc<Publication>,
-    },
-    Unpublish {
-        name: Name,
-    },
-    /// The node is closed: end, and with it all subscriptions.
-    Stop,
-}
-
 pub struct Receiver {
     pub commands: mpsc::Receiver<Command>,
     pub send_path: Arc<SendPath>,
@@ -76,7 +42,7 @@ pub struct Receiver {
 impl Receiver {
     /// Runs until it is told to stop, or nobody can tell it any more.
     pub fn run(self) {
-        let mut intakes = Intakes::new(self.send_path, self.feedback);
+        let mut subscriptions = Subscriptions::new(self.send_path, self.feedback);
         // By lane.
         let mut attached: [Option<Socket>; MAX_LANES] = Default::default();
         let mut batch = None;
@@ -92,28 +58,24 @@ impl Receiver {
                     }),
                 };
                 match command {
-                    Ok(Command::Attach { attachment, held }) => {
+                    Ok(Command::Attach { attachment, stale }) => {
                         let place = &mut attached[usize::from(attachment.lane)];
                         let earlier = place.take().map(|socket| socket.links);
-                        let held = held.map(|(silent, until)| (Ingress::of(&silent), until));
-                        let links = Links::after(earlier, Ingress::of(&attachment), held);
+                        let stale = stale.map(|(silent, until)| (Ingress::of(&silent), until));
+                        let links = Ingresses::after(earlier, Ingress::of(&attachment), stale);
                         *place = Some(Socket { data: attachment.data.clone(), largest: attachment.largest, links });
                     }
-                    Ok(Command::Subscribe { name, intake }) => drop(intakes.intakes.insert(name, intake)),
-                    Ok(Command::Unsubscribe { name }) => intakes.remove(&name),
-                    Ok(Command::Change { name, changes }) => intakes.change(name, changes),
-                    Ok(Command::Resume { name }) => intakes.poll(&name),
-                    Ok(Command::Publish { publication }) => {
-                        intakes.publications.insert(publication.name, publication);
-                    }
-                    Ok(Command::Unpublish { name }) => drop(intakes.publications.remove(&name)),
+                    Ok(Command::Subscribe { name, receiver }) => drop(subscriptions.receivers.insert(name, receiver)),
+                    Ok(Command::Unsubscribe { name }) => subscriptions.remove(&name),
+                    Ok(Command::Change { name, changes }) => subscriptions.change(name, changes),
+                    Ok(Command::Resume { name }) => subscriptions.poll(&name),
                     Err(mpsc::TryRecvError::Empty) => break,
                     Ok(Command::Stop) | Err(mpsc::TryRecvError::Disconnected) => return,
                 }
             }
-            intakes.tick();
+            subscriptions.tick();
             let mut received = false;
-            intakes.is_amid = false;
+            subscriptions.is_amid = false;
             for place in &mut attached {
                 let Some(Socket { data, largest, links }) = place else { continue };
                 let batch = batch.get_or_insert_with(|| RecvBatch::new(*largest));
@@ -125,7 +87,7 @@ impl Receiver {
                     Ok(_) => {
                         received = true;
                         links.refresh();
-                        intakes.take(batch, links);
+                        subscriptions.take(batch, links);
                     }
                     Err(error) => {
                         // The link is about to be lost as well; the next one brings its socket.
@@ -135,7 +97,7 @@ impl Receiver {
                 }
             }
             if received {
-                rest.came(intakes.is_amid);
+                rest.on_frames(subscriptions.is_amid);
             } else if rest.is_near() {
                 std::hint::spin_loop();
                 continue;
@@ -143,8 +105,11 @@ impl Receiver {
             let mut sockets = attached.iter().flatten().map(|socket| &*socket.data);
             if !received && sockets.clone().next().is_some() {
                 let waited = match (sockets.next(), sockets.next()) {
-                    (Some(only), None) => only.wait_readable(intakes.idle()).map(drop),
-                    _ => DataSocket::wait_any(attached.iter().flatten().map(|socket| &*socket.data), intakes.idle()),
+                    (Some(only), None) => only.wait_readable(subscriptions.idle()).map(drop),
+                    _ => DataSocket::wait_any(
+                        attached.iter().flatten().map(|socket| &*socket.data),
+                        subscriptions.idle(),
+                    ),
                 };
                 if waited.is_err() {
                     attached = Default::default();
@@ -154,7 +119,7 @@ impl Receiver {
             if Instant::now() >= next_tick {
                 next_tick = Instant::now() + TICK;
                 let all = attached.iter_mut().flatten();
-                all.for_each(|socket| socket.links.held.retain(|(_, until)| Instant::now() < *until));
+                all.for_each(|socket| socket.links.stale.retain(|(_, until)| Instant::now() < *until));
             }
         }
     }
@@ -177,7 +142,7 @@ impl Rest {
     const MOST: i8 = 4;
 
     /// Frames came. `is_amid`: they did not end all messages.
-    fn came(&mut self, is_amid: bool) {
+    fn on_frames(&mut self, is_amid: bool) {
         if self.since.take().is_some() {
             self.hit_score = (self.hit_score + 1).clamp(0, Self::MOST);
         }
@@ -203,30 +168,30 @@ struct Socket {
     data: Arc<DataSocket>,
     /// Bytes of the largest frame.
     largest: usize,
-    links: Links,
+    links: Ingresses,
 }
 
 /// The links that frames may come on.
-struct Links {
+struct Ingresses {
     current: Ingress,
     /// Those that fell silent, and until when each is kept. A few: one is added each time the
     /// switch comes back.
-    held: Vec<(Ingress, Instant)>,
+    stale: Vec<(Ingress, Instant)>,
 }
 
-impl Links {
+impl Ingresses {
     fn new(current: Ingress) -> Self {
-        Self { current, held: Vec::new() }
+        Self { current, stale: Vec::new() }
     }
 
-    /// A new link; `held` is the one that fell silent, which goes on as it was among `earlier`
+    /// A new link; `stale` is the one that fell silent, which goes on as it was among `earlier`
     /// ones. The current one of these may be another, that never came into service.
-    fn after(earlier: Option<Self>, new: Ingress, held: Option<(Ingress, Instant)>) -> Self {
+    fn after(earlier: Option<Self>, new: Ingress, stale: Option<(Ingress, Instant)>) -> Self {
         let mut links = Self::new(new);
-        let Some((silent, until)) = held else { return links };
+        let Some((silent, until)) = stale else { return links };
         let mut before = Vec::new();
         if let Some(earlier) = earlier {
-            before = earlier.held;
+            before = earlier.stale;
             if earlier.current.entry.id == silent.entry.id {
                 before.push((earlier.current, until));
             }
@@ -234,21 +199,21 @@ impl Links {
         if before.iter().all(|(link, _)| link.entry.id != silent.entry.id) {
             before.push((silent, until));
         }
-        links.held = before;
+        links.stale = before;
         links
     }
 
     /// Meets the keys that were put before; to be called after frames were received.
     fn refresh(&mut self) {
-        let held = self.held.iter_mut().map(|(link, _)| link);
-        held.chain([&mut self.current]).for_each(|link| link.entry = link.shared.get());
+        let stale = self.stale.iter_mut().map(|(link, _)| link);
+        stale.chain([&mut self.current]).for_each(|link| link.entry = link.shared.get());
     }
 
     /// The link a frame says it is on; the current one for a frame that is on none, to be refused
     /// by it.
     fn of(&self, header: &Header) -> &Ingress {
-        let held = self.held.iter().map(|(link, _)| link).find(|link| link.entry.id == header.link_id());
-        held.unwrap_or(&self.current)
+        let stale = self.stale.iter().map(|(link, _)| link).find(|link| link.entry.id == header.link_id());
+        stale.unwrap_or(&self.current)
     }
 }
 
@@ -307,29 +272,27 @@ impl Ingress {
     }
 }
 
-struct Intakes {
+struct Subscriptions {
     send_path: Arc<SendPath>,
     feedback: Arc<Feedbacks>,
-    intakes: HashMap<Name, Box<SubscriptionReceiver>>,
-    publications: HashMap<Name, Arc<Publication>>,
+    receivers: HashMap<Name, Box<SubscriptionReceiver>>,
     /// Frames that came too early.
-    held: Held,
-    /// When intakes have something to do.
+    early: EarlyFrames,
+    /// When subscriptions have something to do.
     timers: BTreeSet<(u64, Name)>,
-    /// Intakes that something came for in the batch at hand.
+    /// Subscriptions that something came for in the batch at hand.
     touched: Vec<Name>,
     /// Whether the rest of a message is to come, of which something came of late.
     is_amid: bool,
 }
 
-impl Intakes {
+impl Subscriptions {
     fn new(send_path: Arc<SendPath>, feedback: Arc<Feedbacks>) -> Self {
         Self {
             send_path,
             feedback,
-            intakes: HashMap::new(),
-            publications: HashMap::new(),
-            held: Held::default(),
+            receivers: HashMap::new(),
+            early: EarlyFrames::default(),
             timers: BTreeSet::new(),
             touched: Vec::new(),
             is_amid: false,
@@ -337,7 +300,7 @@ impl Intakes {
     }
 
     fn remove(&mut self, name: &Name) {
-        if let Some(at) = self.intakes.remove(name).and_then(|intake| intake.timer) {
+        if let Some(at) = self.receivers.remove(name).and_then(|receiver| receiver.timer) {
             self.timers.remove(&(at, *name));
         }
     }
@@ -345,8 +308,8 @@ impl Intakes {
     fn change(&mut self, name: Name, changes: Vec<Change>) {
         let now = self.send_path.clock.now();
         for change in changes {
-            let Some(intake) = self.intakes.get_mut(&name) else { return };
-            if let Some(writer) = intake.change(now, change) {
+            let Some(receiver) = self.receivers.get_mut(&name) else { return };
+            if let Some(writer) = receiver.change(now, change) {
                 self.release(&name, &writer);
             }
         }
@@ -356,16 +319,16 @@ impl Intakes {
     /// Looks again at what came too early from a writer.
     fn release(&mut self, name: &Name, writer: &Name) {
         let now = self.send_path.clock.moment();
-        let Some(intake) = self.intakes.get_mut(name) else { return };
-        for frame in self.held.release(name, writer) {
-            match intake.push(now, frame.source, &frame.payload, frame.marked, &self.send_path.counters) {
+        let Some(receiver) = self.receivers.get_mut(name) else { return };
+        for frame in self.early.release(name, writer) {
+            match receiver.push(now, frame.source, &frame.payload, frame.marked, &self.send_path.counters) {
                 Verdict::Done => {}
-                Verdict::Early(reason, times) => self.held.hold_again(frame, (reason, times)),
+                Verdict::Early(reason, times) => self.early.keep_again(frame, (reason, times)),
             }
         }
     }
 
-    fn take(&mut self, batch: &mut RecvBatch, links: &Links) {
+    fn take(&mut self, batch: &mut RecvBatch, links: &Ingresses) {
         let now = self.send_path.clock.moment();
         let counters = self.send_path.counters.clone();
         counters.frames_received.add(batch.len() as u64);
@@ -391,22 +354,22 @@ impl Intakes {
             let marked = congested || header.flags & ECN == CONGESTED;
             // What comes for this node's own name is what counterparts tell it, or segments:
             // requests and replies.
-            if name == self.send_path.name() && payload.first() != Some(&SEGMENT_VERSION) {
+            if name == self.send_path.links.name() && payload.first() != Some(&SEGMENT_VERSION) {
                 self.hear(source, payload, &counters);
                 continue;
             }
-            let Some(intake) = self.intakes.get_mut(&name) else {
+            let Some(receiver) = self.receivers.get_mut(&name) else {
                 counters.not_subscribed.add(1);
                 continue;
             };
-            let verdict = match intake.knows(&source) {
-                true => intake.push(now, source, payload, marked, &counters),
+            let verdict = match receiver.knows(&source) {
+                true => receiver.push(now, source, payload, marked, &counters),
                 false => Verdict::Early(DropReason::UnknownWriter, 1),
             };
             if let Verdict::Early(reason, times) = verdict
-                && !self.held.hold((name, source), payload, marked, (reason, times))
+                && !self.early.keep((name, source), payload, marked, (reason, times))
             {
-                intake.count_early(reason, times, &counters);
+                receiver.count_early(reason, times, &counters);
             }
             if self.touched.last() != Some(&name) && !self.touched.contains(&name) {
                 self.touched.push(name);
@@ -414,13 +377,13 @@ impl Intakes {
         }
         while let Some(name) = self.touched.pop() {
             self.poll(&name);
-            self.is_amid |= self.intakes.get(&name).is_some_and(|intake| intake.is_amid());
+            self.is_amid |= self.receivers.get(&name).is_some_and(|receiver| receiver.is_amid());
         }
     }
 
     /// Takes a frame to this node's own name: what a counterpart tells it alone.
     fn hear(&mut self, source: Name, payload: &[u8], counters: &Counters) {
-        let feedback = match self.send_path.hear(&source, payload) {
+        let feedback = match self.send_path.pairs.open(&source, payload) {
             Some(Ok(feedback)) => feedback,
             None => return counters.feedback_unknown.add(1),
             Some(Err(PairError::Forged | PairError::Crypto(_))) => return counters.feedback_forged.add(1),
@@ -431,22 +394,21 @@ impl Intakes {
         let (name, now) = (feedback.name(), self.send_path.clock.now());
         match &feedback {
             Feedback::Hello { challenge, wants, .. } => {
-                let publication = self.publications.get(&name);
-                let welcome = publication.and_then(|it| it.welcome(&self.send_path, &source, *challenge, *wants));
+                let publication = self.send_path.publications.get(&name);
+                let welcome = publication.and_then(|it| it.welcome(&source, *challenge, *wants));
                 if let Some(welcome) = welcome {
                     self.send_path.tell(&source, &welcome);
                     self.send_path.upkeep.notify_one();
                 }
             }
             Feedback::Report { .. } | Feedback::Nack { .. } => {
-                if let Some(publication) = self.publications.get(&name) {
-                    self.send_path.uplink.lock().feedback(now, publication.topic, source, &feedback);
-                    self.send_path.settle();
+                if let Some(publication) = self.send_path.publications.get(&name) {
+                    self.send_path.scheduler.feedback(now, publication.topic(), source, &feedback);
                 }
             }
             Feedback::Welcome { .. } | Feedback::Gone { .. } => {
-                let Some(intake) = self.intakes.get_mut(&name) else { return };
-                if intake.hear(now, &source, &feedback) {
+                let Some(receiver) = self.receivers.get_mut(&name) else { return };
+                if receiver.hear(now, &source, &feedback) {
                     self.release(&name, &source);
                 }
                 self.poll(&name);
@@ -454,13 +416,13 @@ impl Intakes {
         }
     }
 
-    /// Has an intake do what is due, and notes when it wants to be asked again.
+    /// Has a receiver do what is due, and notes when it wants to be asked again.
     fn poll(&mut self, name: &Name) {
-        let Some(intake) = self.intakes.get_mut(name) else { return };
+        let Some(receiver) = self.receivers.get_mut(name) else { return };
         let send_path = &self.send_path;
-        intake.poll(send_path.clock.now(), &send_path.counters, |writer, feedback| send_path.tell(writer, feedback));
-        let next = intake.next_wake();
-        let before = std::mem::replace(&mut intake.timer, next);
+        receiver.poll(send_path.clock.now(), &send_path.counters, |writer, feedback| send_path.tell(writer, feedback));
+        let next = receiver.next_wake();
+        let before = std::mem::replace(&mut receiver.timer, next);
         if before != next {
             before.map(|at| self.timers.remove(&(at, *name)));
             next.map(|at| self.timers.insert((at, *name)));
@@ -472,9 +434,9 @@ impl Intakes {
         while let Some((_, name)) = self.timers.first().copied().filter(|(at, _)| *at <= now) {
             self.poll(&name);
         }
-        while let Some((name, (reason, times))) = self.held.next_expired() {
-            match self.intakes.get(&name) {
-                Some(intake) => intake.count_early(reason, times, &self.send_path.counters),
+        while let Some((name, (reason, times))) = self.early.next_expired() {
+            match self.receivers.get(&name) {
+                Some(receiver) => receiver.count_early(reason, times, &self.send_path.counters),
                 None => self.send_path.counters.dropped[reason as usize].add(times),
             }
         }

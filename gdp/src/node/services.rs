@@ -10,11 +10,14 @@ use gdp_wire::Name;
 use tokio::sync::{oneshot, watch};
 
 use super::ending::{Ended, Ending};
+use super::error::NodeError;
+use super::handle::Handle;
 use super::publisher::send_through;
 use super::request_queue::RequestQueue;
+use super::service::PendingReply;
 use super::service_instances::{Instance, PendingCall};
-use super::state::{State, Statement};
-use super::{Handle, NodeError, Stated};
+use super::state::State;
+use super::statement::{Stated, Statement};
 use gdp_core::cert::{AdCert, Issued, Reading};
 use gdp_e2e::seal::{Draft, Encoding, Message, MessageId};
 
@@ -25,13 +28,13 @@ const MAX_CALLS: usize = 4096;
 pub struct Server {
     node: Arc<Handle>,
     name: Name,
-    desk: RequestQueue,
+    requests: RequestQueue,
     ending: Arc<Ending>,
 }
 
 impl Server {
-    pub(super) fn new(node: Arc<Handle>, name: Name, desk: RequestQueue, ending: Arc<Ending>) -> Self {
-        Self { node, name, desk, ending }
+    pub(super) fn new(node: Arc<Handle>, name: Name, requests: RequestQueue, ending: Arc<Ending>) -> Self {
+        Self { node, name, requests, ending }
     }
 
     /// Waits until nothing is served any more, and says why.
@@ -52,7 +55,7 @@ impl Server {
     /// The next call; `None` once the node is closed, or the certificate holds no more. Safe to
     /// cancel. Some thousands wait here; more are dropped and counted, and never answered.
     pub async fn recv(&mut self) -> Option<Call> {
-        let request = self.desk.recv().await?;
+        let request = self.requests.recv().await?;
         Some(Call { node: self.node.clone(), request })
     }
 }
@@ -88,7 +91,7 @@ impl Call {
         let state = &self.node.state;
         let Message { session, sequence, writer, .. } = self.request;
         let gone = || NodeError::Detached(format!("the caller {writer:#} is gone"));
-        let publication = state.publications.lock().get(&writer).cloned().ok_or_else(gone)?;
+        let publication = state.send_path.publications.get(&writer).ok_or_else(gone)?;
         let in_reply_to = Some(MessageId { session, sequence });
         let draft = Draft { in_reply_to, ..Draft::new(encoding, body) };
         send_through(&publication, &state.send_path, &[draft], |_| {}).await.map(drop)
@@ -100,13 +103,6 @@ pub struct Client {
     node: Arc<Handle>,
     name: Name,
     ending: Arc<Ending>,
-}
-
-/// A call that waits for its reply.
-pub struct Pending {
-    /// Who may give it.
-    pub instance: Name,
-    pub reply: oneshot::Sender<Message>,
 }
 
 impl Client {
@@ -152,35 +148,35 @@ impl Client {
     /// is not attached any more before it replies, this fails at once: a request is never sent
     /// again to another server, for it may have been carried out.
     pub async fn call(&self, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
-        let place = self.node.state.choose(self.name, None).ok_or(NodeError::NoServer(self.name))?;
-        self.call_there(place, encoding, body).await
+        let pending = self.node.state.choose(self.name, None).ok_or(NodeError::NoServer(self.name))?;
+        self.call_there(pending, encoding, body).await
     }
 
     /// As [`Self::call`], of this server whichever is nearest: what was begun at one is continued
     /// there. Its name is the [writer](Message::writer) of an earlier reply.
     pub async fn call_at(&self, instance: Name, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
         let absent = NodeError::NoInstance { service: self.name, instance };
-        let place = self.node.state.choose(self.name, Some(&instance)).ok_or(absent)?;
-        self.call_there(place, encoding, body).await
+        let pending = self.node.state.choose(self.name, Some(&instance)).ok_or(absent)?;
+        self.call_there(pending, encoding, body).await
     }
 
-    async fn call_there(&self, place: PendingCall, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
-        let (state, service, instance) = (&self.node.state, self.name, place.instance);
+    async fn call_there(&self, pending: PendingCall, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
+        let (state, service, instance) = (&self.node.state, self.name, pending.instance);
         let left = || NodeError::InstanceLeft { service, instance };
         // There is no way to one that has only just come, and none any more to one that has left.
-        let absent = || if place.has_left() { left() } else { NodeError::NoInstance { service, instance } };
-        let publication = state.publications.lock().get(&instance).cloned().ok_or_else(absent)?;
+        let absent = || if pending.has_left() { left() } else { NodeError::NoInstance { service, instance } };
+        let publication = state.send_path.publications.get(&instance).ok_or_else(absent)?;
         let waiting = state.calls.lock().len();
         if waiting >= MAX_CALLS {
             return Err(NodeError::TooManyCalls(waiting));
         }
-        let session = publication.session;
+        let session = publication.sealer.session;
         let (reply, replied) = oneshot::channel();
-        let mut guard = Waiting { state, id: None };
+        let mut guard = CallGuard { state, id: None };
         let begun = |sequence| {
             let id = MessageId { session, sequence };
             guard.id = Some(id);
-            state.calls.lock().insert(id, Pending { instance, reply });
+            state.calls.lock().insert(id, PendingReply { instance, reply });
         };
         let draft = Draft { service: Some(service), ..Draft::new(encoding, body) };
         let drafts = [draft];
@@ -191,8 +187,8 @@ impl Client {
         tokio::select! {
             // A reply that is here counts, whatever became of the server since.
             biased;
-            result = exchange => result.map_err(|error| if place.has_left() { left() } else { error }),
-            () = place.left() => Err(left()),
+            result = exchange => result.map_err(|error| if pending.has_left() { left() } else { error }),
+            () = pending.left() => Err(left()),
             why = self.ending.wait() => Err(why.into()),
         }
     }
@@ -205,12 +201,12 @@ impl Drop for Client {
 }
 
 /// Nobody waits any more once this is dropped.
-struct Waiting<'a> {
+struct CallGuard<'a> {
     state: &'a State,
     id: Option<MessageId>,
 }
 
-impl Drop for Waiting<'_> {
+impl Drop for CallGuard<'_> {
     fn drop(&mut self) {
         self.id.map(|id| self.state.calls.lock().remove(&id));
     }

@@ -1,42 +1,16 @@
 //! The application's receiving end of a name.
 
-use std::sync::Arc;
-use std::sync::atomic::Ordering;
-
 use gdp_wire::Name;
-use tokio::sync::mpsc;
+use std::sync::Arc;
 
 use super::counters::{Meter, SubscriptionCounters};
 use super::ending::{Ended, Ending};
-use super::receiver::Command;
-use super::state::{State, Statement};
-use super::subscription_receiver::Shared;
-use super::{Handle, NodeError, Stated};
+use super::error::NodeError;
+use super::handle::Handle;
+use super::queue::Queue;
+use super::statement::{Stated, Statement};
 use gdp_core::cert::Reading;
 use gdp_e2e::seal::Message;
-
-/// Verified messages from the receiving thread.
-pub struct Queue {
-    pub name: Name,
-    receiver: mpsc::Receiver<Message>,
-    shared: Arc<Shared>,
-}
-
-impl Queue {
-    pub fn new(name: Name, receiver: mpsc::Receiver<Message>, shared: Arc<Shared>) -> Self {
-        Self { name, receiver, shared }
-    }
-
-    /// The next; `None` once there are no more. Safe to cancel.
-    pub async fn recv(&mut self, state: &State) -> Option<Message> {
-        let message = self.receiver.recv().await?;
-        self.shared.queued_bytes.fetch_sub(message.body.len(), Ordering::Relaxed);
-        if self.shared.stalled.load(Ordering::Relaxed) && self.receiver.len() <= self.receiver.max_capacity() / 2 {
-            state.command(Command::Resume { name: self.name });
-        }
-        Some(message)
-    }
-}
 
 /// Receives the verified messages of a name. Dropping it ends the subscription.
 pub struct Subscription {
@@ -57,7 +31,7 @@ impl Subscription {
     /// The next message; `None` once the node is closed, or the grant holds no more
     /// ([`Self::ended`]). Safe to cancel.
     pub async fn recv(&mut self) -> Option<Message> {
-        self.queue.recv(&self.node.state).await
+        self.queue.recv().await
     }
 
     /// Waits until nothing is received any more, and says why.
@@ -75,13 +49,13 @@ impl Subscription {
 
     /// What became of messages and segments so far.
     pub fn counters(&self) -> SubscriptionCounters {
-        SubscriptionCounters::of(&self.queue.shared)
+        self.queue.shared.counters()
     }
 
     /// The same at any time, from any task.
     pub fn meter(&self) -> Meter<SubscriptionCounters> {
         let shared = self.queue.shared.clone();
-        Meter::new(move || SubscriptionCounters::of(&shared))
+        Meter::new(move || shared.counters())
     }
 }
 

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use gdp_wire::Name;
 use tokio::sync::mpsc;
 
-use super::counters::Counters;
+use super::counters::{Counters, SubscriptionCounters};
 use super::greeting::Greeting;
 use super::options::SubscribeOptions;
 use gdp_core::crypto::Backend;
@@ -59,6 +59,19 @@ pub struct Shared {
     /// Writers that offer less than the reader asks for.
     pub incompatible: AtomicUsize,
     pub counters: ReadCounters,
+}
+
+impl Shared {
+    pub fn counters(&self) -> SubscriptionCounters {
+        let counters = &self.counters;
+        SubscriptionCounters {
+            inbound: counters.get(),
+            queue_full: counters.queue_full.load(Ordering::Relaxed),
+            repeats: counters.repeats.load(Ordering::Relaxed),
+            incompatible_writers: self.incompatible.load(Ordering::Relaxed),
+            drops: counters.drops(),
+        }
+    }
 }
 
 /// What became of a name's messages at this reader. Those that the writers began since each was

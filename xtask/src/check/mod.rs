@@ -39,8 +39,8 @@ pub fn run(options: Options) -> Result<()> {
     let product: HashMap<PathBuf, SourceFile> =
         sources::product()?.into_iter().map(|source| (source.path.clone(), source)).collect();
     let rules = [
-        Rule { name: "files of one crate import each other in a circle", limit: 1, findings: circles(&product) },
-        Rule { name: "a product file has more than 500 lines", limit: 6, findings: lines::long_files(&product) },
+        Rule { name: "files of one crate import each other in a circle", limit: 0, findings: circles(&product) },
+        Rule { name: "a product file has more than 500 lines", limit: 2, findings: lines::long_files(&product) },
         Rule { name: "test code lies in a product's src", limit: 0, findings: lines::tests_in_product(&product) },
         Rule {
             name: "a line is too wide (code 120, comments and documents 100)",
@@ -55,12 +55,12 @@ pub fn run(options: Options) -> Result<()> {
         Rule { name: "a document's sentence has more than 25 words", limit: 0, findings: prose::documents()? },
         Rule {
             name: "a type name is defined more than three times",
-            limit: 40,
+            limit: 22,
             findings: names::repeated_types(&product),
         },
         Rule {
             name: "a word of the list that may not come back",
-            limit: 238,
+            limit: 149,
             findings: names::retired_words(&product),
         },
         Rule { name: "the facade shows more than 60 items", limit: 0, findings: facade::findings(&product) },

@@ -111,7 +111,7 @@ async fn who_may_call_one_service_does_not_call_another_of_the_same_server() {
     let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
     let (mut server, mut guarded_server) = (open.serve(&robot).await, guarded.serve(&robot).await);
     let client = open.client(&cloud).await;
-    let publication = cloud.0.state.publications.lock().get(&robot.name()).cloned().unwrap();
+    let publication = cloud.0.state.send_path.publications.get(&robot.name()).unwrap();
     let forge = async |service: Name| {
         let draft = Draft { service: Some(service), ..Draft::new(Encoding::Bytes, b"open up") };
         publisher::send_through(&publication, &cloud.0.state.send_path, &[draft], |_| {}).await.unwrap()
@@ -146,7 +146,7 @@ async fn two_that_call_each_other_share_one_way_for_as_long_as_either_does() {
         echo(&mut at_cloud)
     );
     assert_eq!((&both.0.unwrap().body[..], &both.1.unwrap().body[..]), (&b"up"[..], &b"down"[..]));
-    let has_way = |node: &Node, to: &Node| node.0.state.publications.lock().contains_key(&to.name());
+    let has_way = |node: &Node, to: &Node| node.0.state.send_path.publications.get(&to.name()).is_some();
     drop((from_robot, at_cloud));
     let (reply, ()) = tokio::join!(soon(from_cloud.call(Encoding::Bytes, b"still")), echo(&mut at_robot));
     assert_eq!(&reply.unwrap().body[..], b"still");

@@ -207,7 +207,8 @@ async fn copies_that_wait_for_a_link_that_is_lost_are_counted() {
 async fn nothing_is_left_of_the_links_of_a_node_that_is_closed() {
     let fabric = Fabric::start().await;
     let robot = fabric.node_by("proxy", [None, None]).await;
-    let attachments = robot.0.state.send_path.lanes().iter().map(|lane| lane.status().attachment().cloned().unwrap());
+    let links = &robot.0.state.send_path.links;
+    let attachments = (0..2).map(|lane| links.connection(lane).attachment().cloned().unwrap());
     let sockets: Vec<_> = attachments.map(|attachment| Arc::downgrade(&attachment.data)).collect();
     robot.close().await;
     let links = robot.links();
@@ -222,21 +223,20 @@ async fn frames_are_as_small_as_another_link_takes_only_if_they_may_go_by_it() {
     let (send_path, owner) = (&robot.0.state.send_path, Owner::new("/scan"));
     let mut publisher = Owner::new("/image").publish(&robot).await.unwrap();
     let small = usize::from(SMALLEST_PATH) - Header::LEN;
-    let frames_of_main =
-        |send_path: &super::super::send_path::SendPath| send_path.attached_now().unwrap().max_payload();
-    eventually("the main link takes large frames", || frames_of_main(send_path) > small).await;
+    eventually("the main link takes large frames", || send_path.links.attached_now().unwrap().max_payload() > small)
+        .await;
     // It begins anew with small ones.
     fabric.end_link(&robot, 1);
     eventually("the other is back", || robot.counters().links == 3 && robot.links()[1].state == LinkState::Up).await;
     publisher.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
-    assert!(send_path.uplink.lock().max_payload() > small);
+    assert!(send_path.scheduler.uplink().max_payload() > small);
     let options = PublishOptions { duplicate: true, ..PublishOptions::reliable() };
     let mut doubled = owner.publish_as(&robot, options).await.unwrap();
     doubled.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
-    assert_eq!(send_path.uplink.lock().max_payload(), small);
+    assert_eq!(send_path.scheduler.uplink().max_payload(), small);
     drop(doubled);
     publisher.send(Encoding::Bytes, &[1; 5000]).await.unwrap();
-    assert!(send_path.uplink.lock().max_payload() > small);
+    assert!(send_path.scheduler.uplink().max_payload() > small);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -14,8 +14,11 @@ use gdp_wire::Header;
 
 use self::fabric::{Fabric, Owner, TIMEOUT, eventually};
 use super::*;
+use gdp_core::cert::CertError;
 use gdp_core::crypto::Backend;
+use gdp_core::identity::Identity;
 use gdp_core::keys::EpochKey;
+use gdp_core::link_target::LinkTarget;
 use gdp_util::unix_time::unix_nanos;
 
 use gdp_e2e::seal::{Encoding, Limits, Reader, Segments, Writer};
@@ -63,8 +66,8 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
     let mut writer = Writer::new(card.name(), rogue.name(), key, Backend::default()).unwrap();
     writer.set_epoch(1, &EpochKey::generate().unwrap()).unwrap();
     writer.seal(unix_nanos(), Encoding::Bytes, b"forged", 1000, &mut segments).unwrap();
-    let attachment = rogue.0.state.attached_now().unwrap();
-    rogue.0.state.send_path.send_one_on(&attachment, card.name(), segments.iter().next().unwrap());
+    let attachment = rogue.0.state.send_path.links.attached_now().unwrap();
+    rogue.0.state.send_path.links.send_one_on(&attachment, card.name(), segments.iter().next().unwrap());
     fabric.tell(card.name()).await;
     eventually("the forger's frame is dropped", || cloud.counters().drops.contains_key("seal_unknown_writer")).await;
 
@@ -350,9 +353,9 @@ async fn recorded_messages_of_yesterday_are_not_read_by_a_restarted_reader() {
     fabric.tell(name).await;
     publisher.send(Encoding::Bytes, b"stop").await.unwrap();
     assert_eq!(&recv(&mut subscription).await.body[..], b"stop");
-    let attachment = robot.0.state.attached_now().unwrap();
+    let attachment = robot.0.state.send_path.links.attached_now().unwrap();
     let tape = recorded.lock().clone();
-    tape.iter().for_each(|payload| robot.0.state.send_path.send_one_on(&attachment, name, payload));
+    tape.iter().for_each(|payload| robot.0.state.send_path.links.send_one_on(&attachment, name, payload));
     eventually("all are refused", || {
         let drops = cloud.counters().drops;
         ["seal_stale", "seal_duplicate"].into_iter().filter_map(|reason| drops.get(reason)).sum::<u64>() >= 2

@@ -6,7 +6,7 @@ use gdp_e2e::feedback_wire::Wants;
 #[test]
 fn counterparts_are_kept_as_long_as_a_name_needs_them() {
     let (own, peer) = (Identity::generate("proxy").unwrap(), Identity::generate("proxy").unwrap());
-    let (mut pairs, mut theirs) = (Pairs::new(own.clone()), Pairs::new(peer.clone()));
+    let (pairs, theirs) = (Pairs::new(own.clone()), Pairs::new(peer.clone()));
     let hello = Feedback::Hello { name: own.name(), challenge: [1; 16], wants: Wants::Every };
     let mut payload = Vec::new();
     assert!(pairs.seal(&peer.name(), &hello, &mut payload).is_none());
@@ -17,8 +17,8 @@ fn counterparts_are_kept_as_long_as_a_name_needs_them() {
     assert_eq!(theirs.open(&own.name(), &payload), Some(Ok(hello)));
     assert_eq!(theirs.open(&own.name(), &payload), Some(Err(PairError::Replayed)));
     pairs.part(&peer.name());
-    assert!(pairs.peers.contains_key(&peer.name()));
+    assert!(pairs.counterparts.lock().contains_key(&peer.name()));
     pairs.part(&peer.name());
     pairs.part(&peer.name());
-    assert!(pairs.peers.is_empty());
+    assert!(pairs.counterparts.lock().is_empty());
 }

@@ -128,7 +128,7 @@ async fn counters_are_read_from_anywhere_and_outlive_what_they_count() {
     let (sent, received, node) = (publisher.meter(), subscription.meter(), robot.meter());
     publisher.send(Encoding::Bytes, b"one").await.unwrap();
     recv(&mut subscription).await;
-    assert!(robot.0.state.send_path.send_one(owner.name(), &[7; 40], false));
+    assert!(robot.0.state.send_path.links.send_one(owner.name(), &[7; 40], false));
     let seen = received.clone();
     let counted = tokio::spawn(async move {
         let dropped = || seen.read().drops.get("seal_truncated").copied();

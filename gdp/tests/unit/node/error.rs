@@ -1,4 +1,4 @@
-//! Unit tests of `node::supervisor`.
+//! Unit tests of `node::error`.
 
 use super::*;
 use std::io::{Error, ErrorKind};

@@ -1,5 +1,5 @@
 //! Frames that came too early: from a writer that is not known yet, under a key that is not here
-//! yet, of a session that the writer has yet to confirm_session for. A writer begins as soon as its
+//! yet, of a session that the writer has yet to confirm. A writer begins as soon as its
 //! switch lets it, which can be before its readers were told of it: what it sends until then waits
 //! here, for a moment and within a fixed amount of memory.
 
@@ -20,7 +20,7 @@ const MAX_BYTES: usize = 2 << 20;
 const OVERHEAD: usize = 128;
 
 #[derive(Default)]
-pub struct Held {
+pub struct EarlyFrames {
     /// The oldest first.
     frames: VecDeque<PendingFrame>,
     bytes: usize,
@@ -42,9 +42,9 @@ impl PendingFrame {
     }
 }
 
-impl Held {
+impl EarlyFrames {
     /// Keeps a copy of the payload; `false` if there is no room.
-    pub fn hold(&mut self, (name, source): (Name, Name), payload: &[u8], marked: bool, why: (DropReason, u64)) -> bool {
+    pub fn keep(&mut self, (name, source): (Name, Name), payload: &[u8], marked: bool, why: (DropReason, u64)) -> bool {
         if self.bytes + payload.len() + OVERHEAD > MAX_BYTES {
             return false;
         }
@@ -56,7 +56,7 @@ impl Held {
 
     /// One that was released, and is still too early, for another reason perhaps; as long as it has
     /// waited in all counts.
-    pub fn hold_again(&mut self, frame: PendingFrame, why: (DropReason, u64)) {
+    pub fn keep_again(&mut self, frame: PendingFrame, why: (DropReason, u64)) {
         self.bytes += frame.cost();
         let at = self.frames.partition_point(|other| other.since <= frame.since);
         self.frames.insert(at, PendingFrame { why, ..frame });
@@ -64,10 +64,10 @@ impl Held {
 
     /// The frames of a source for `name`, in the order of their arrival.
     pub fn release(&mut self, name: &Name, source: &Name) -> Vec<PendingFrame> {
-        let (released, kept): (Vec<_>, Vec<_>) =
+        let (released, left): (Vec<_>, Vec<_>) =
             self.frames.drain(..).partition(|frame| frame.name == *name && frame.source == *source);
         self.bytes -= released.iter().map(PendingFrame::cost).sum::<usize>();
-        self.frames = kept.into();
+        self.frames = left.into();
         released
     }
 
@@ -81,5 +81,5 @@ impl Held {
 }
 
 #[cfg(test)]
-#[path = "../../tests/unit/node/held.rs"]
+#[path = "../../tests/unit/node/early_frames.rs"]
 mod tests;

@@ -8,13 +8,13 @@ use gdp_wire::Name;
 use tokio::sync::Notify;
 use tokio::time::Instant;
 
-use super::NodeError;
+use super::attachment::Attachment;
+use super::command::{Command, RibUpdate};
+use super::error::NodeError;
 use super::publication::Publication;
 use super::reading::{Effect, Reading};
-use super::receiver::Command;
-use super::state::{State, ask};
-use super::supervisor::Event;
-use crate::node::attachment::Attachment;
+use super::registration::ask;
+use super::state::State;
 use gdp_core::cert::Revocation;
 use gdp_proto::control::{EntityRequest, NameRole, Peers, RefusalCode, Response};
 use gdp_proto::peers::{OutOfStep, PeerEvent};
@@ -40,7 +40,7 @@ impl State {
                     match event {
                         PeerEvent::RibIsBehind(revocation) => {
                             let revocation = revocation.clone();
-                            let _ = self.events.send(Event::Revoke { proof, revocation });
+                            let _ = self.rib_updates.send(RibUpdate::Revoke { proof, revocation });
                         }
                         PeerEvent::Revoked(claims) => {
                             let signed = counterparts.signed_revocation().cloned();
@@ -79,8 +79,8 @@ impl State {
         match role {
             NameRole::Server | NameRole::Caller => self.take_instances(name, role, &events),
             NameRole::Publisher => {
-                if let Some(publication) = self.publications.lock().get(&name) {
-                    publication.take(&self.send_path, unix_seconds(), events);
+                if let Some(publication) = self.send_path.publications.get(&name) {
+                    publication.take(unix_seconds(), events);
                     self.send_path.upkeep.notify_one();
                 }
             }
@@ -115,12 +115,12 @@ impl State {
         for effect in effects {
             match effect {
                 Effect::Change(change) => changes.push(change),
-                Effect::Introduce(writer, box_key) => self.send_path.pairs.lock().introduce(writer, box_key),
-                Effect::Part(writer) => self.send_path.pairs.lock().part(&writer),
+                Effect::Introduce(writer, box_key) => self.send_path.pairs.introduce(writer, box_key),
+                Effect::Part(writer) => self.send_path.pairs.part(&writer),
             }
         }
         if !changes.is_empty() {
-            self.command(Command::Change { name, changes });
+            self.commands.send(Command::Change { name, changes });
         }
     }
 
@@ -141,10 +141,10 @@ impl State {
                 let state = self.clone();
                 let _ = tokio::task::spawn_blocking(move || state.revoked.save()).await;
             }
-            let publications: Vec<_> = self.publications.lock().values().cloned().collect();
-            publications.iter().for_each(|publication| publication.latch(&self.send_path));
+            let publications = self.send_path.publications.all();
+            publications.iter().for_each(|publication| publication.latch());
             boxes.notify_one();
-            let next = publications.iter().map(|publication| publication.boxes_at()).min().unwrap_or(u64::MAX);
+            let next = publications.iter().map(|publication| publication.sealer.boxes_at()).min().unwrap_or(u64::MAX);
             let pause = Duration::from_nanos(next.saturating_sub(unix_nanos())).clamp(LOOK / 20, LOOK);
             tokio::select! {
                 () = self.send_path.upkeep.notified() => {}
@@ -157,9 +157,9 @@ impl State {
     async fn store_all_boxes(&self, due: &Notify) {
         loop {
             due.notified().await;
-            let publications: Vec<_> = self.publications.lock().values().cloned().collect();
+            let publications = self.send_path.publications.all();
             for publication in &publications {
-                if let Ok(attachment) = self.attached_now() {
+                if let Ok(attachment) = self.send_path.links.attached_now() {
                     self.store_boxes(&attachment, publication).await;
                 }
             }
@@ -181,7 +181,7 @@ impl State {
         for (name, stated, error) in self.expired(now) {
             self.end(name, stated.role(), error);
         }
-        self.publications.lock().values().for_each(|publication| publication.expire(&self.send_path, now));
+        self.send_path.publications.all().iter().for_each(|publication| publication.expire(now));
         for (name, reading) in self.readings.lock().iter_mut() {
             self.carry_out(*name, reading.expire(unix_nanos()));
         }
@@ -191,7 +191,7 @@ impl State {
     pub async fn store_boxes(&self, attachment: &Attachment, publication: &Arc<Publication>) {
         let _turn = publication.boxing.lock().await;
         loop {
-            let boxes = match publication.boxes() {
+            let boxes = match publication.sealer.boxes() {
                 Ok(Some(boxes)) => boxes,
                 Ok(None) => return,
                 Err(error) => {
@@ -201,7 +201,7 @@ impl State {
             let request = EntityRequest::KeyBoxes { boxes: boxes.boxes.clone() };
             let error = match ask(attachment, request).await {
                 Ok(Response::Done) => {
-                    publication.boxes_stored(&boxes);
+                    publication.sealer.boxes_stored(&boxes);
                     continue;
                 }
                 Ok(_) => NodeError::Protocol("to key boxes"),
@@ -209,11 +209,11 @@ impl State {
             };
             if !error.may_pass() {
                 tracing::warn!(name = %publication.name, %error, "the RIB does not take keys for readers");
-                publication.boxes_refused();
+                publication.sealer.boxes_refused();
             } else {
                 tracing::debug!(name = %publication.name, %error, "key boxes could not be stored");
                 let no_room = matches!(&error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Limit);
-                publication.boxes_failed(boxes, no_room);
+                publication.sealer.boxes_failed(boxes, no_room);
             }
             return;
         }

@@ -1,0 +1,130 @@
+//! What goes on over one link as long as it lives: statements are renewed, and silence of the
+//! switch is noticed.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use gdp_wire::Header;
+use tokio::time::{Instant, sleep, sleep_until};
+
+use super::attachment::Attachment;
+use super::choice::Pulse;
+use super::network::{Network, NetworkPath};
+use super::pause::{BACKOFF, wait};
+use super::send_path::SendPath;
+use super::state::{LIFETIME, State};
+use gdp_core::crypto;
+use gdp_link::port::{LinkAddr, Port};
+use gdp_proto::control::Request;
+
+/// How long a switch on the same host may take to answer the first frame. Also any over UDP, once
+/// this machine is in another network, and four round trips.
+pub const ANSWER: Duration = Duration::from_millis(500);
+
+/// The same of a switch on a cable.
+const ANSWER_ON_CABLE: Duration = Duration::from_millis(100);
+
+/// How often certificates and statements with a lifetime of [`LIFETIME`] are renewed.
+const RENEWAL: Duration = Duration::from_secs(LIFETIME as u64 / 3);
+
+/// Between two echoes, or a round trip if that is longer: on the main link, and on others.
+const MAIN_ECHOES: Duration = Duration::from_millis(100);
+const OTHER_ECHOES: Duration = Duration::from_millis(500);
+
+/// States what stands, again when something was refused that time may mend or a withdrawal took it
+/// along, and in time before it runs out.
+pub async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
+    let mut backoff = BACKOFF;
+    let mut renewal = Instant::now() + RENEWAL;
+    let (links, mut preferred) = (&state.send_path.links, None);
+    loop {
+        let turn = links.main_turn(&attachment);
+        if turn.is_some() && turn != preferred {
+            if !prefer(&state, &attachment).await {
+                wait(&mut backoff).await;
+                continue;
+            }
+            preferred = turn;
+        }
+        if !state.state_all(&attachment).await {
+            wait(&mut backoff).await;
+            continue;
+        }
+        backoff = BACKOFF;
+        tokio::select! {
+            () = links.slot(&attachment).unstated.notified() => {}
+            () = sleep_until(renewal) => {
+                renewal = Instant::now() + RENEWAL;
+                if let Err(error) = state.attach(&attachment).await {
+                    tracing::warn!(%error, "could not renew the attachment");
+                }
+            }
+        }
+    }
+}
+
+/// The switch, if another link leads there as well, is to send on this one what is to come on one.
+/// Whether it heard that.
+async fn prefer(state: &State, attachment: &Attachment) -> bool {
+    if state.send_path.links.slots().len() == 1 {
+        return true;
+    }
+    let answer = attachment.link.request(&Request::Ready).await;
+    answer.inspect_err(|error| tracing::debug!(%error, "the switch did not hear that this is the main link")).is_ok()
+}
+
+/// Finds out whether the switch answers, so that another link is used at once when it does not, as
+/// long as this one is up.
+pub async fn watch_silence(send_path: Arc<SendPath>, attachment: Arc<Attachment>) {
+    let mut pulse = Pulse::default();
+    loop {
+        let cookie = crypto::random().map_or(0, u64::from_le_bytes);
+        let is_silent = pulse.beat(attachment.answer.load(Ordering::Relaxed), cookie);
+        attachment.send(Header::echo(cookie));
+        send_path.set_silent(attachment.lane.into(), is_silent);
+        let pause = if send_path.links.is_main(&attachment) { MAIN_ECHOES } else { OTHER_ECHOES };
+        sleep(pause.max(attachment.link.rtt())).await;
+    }
+}
+
+/// Has other links used once the switch is reached in another way than when the link was made,
+/// until it answers again. If it is reached but does not answer, the link ends.
+pub async fn watch_moves(
+    send_path: Arc<SendPath>,
+    network: Arc<Network>,
+    port: Arc<Port>,
+    through: Option<u32>,
+    attachment: Arc<Attachment>,
+) {
+    let (lane, link) = (usize::from(attachment.lane), &attachment.link);
+    let timeout = match link.addr() {
+        LinkAddr::Udp(_) => ANSWER,
+        LinkAddr::Ethernet { .. } => ANSWER_ON_CABLE,
+    };
+    let mut path = attachment.path.clone();
+    loop {
+        path = network.until_other(link.addr(), through, &path).await;
+        send_path.set_moved(lane, true);
+        let answered = async {
+            if path == NetworkPath::Nowhere {
+                // Wi-Fi may be back in a moment.
+                std::future::pending::<()>().await;
+            }
+            if let Err(error) = port.show_address() {
+                tracing::debug!(%error, "the switch is not shown the new address");
+            }
+            attachment.is_answered(timeout + 4 * link.rtt()).await
+        };
+        tokio::select! {
+            answered = answered => {
+                if !answered {
+                    return link.close("this machine is in another network, from which the switch does not answer");
+                }
+                send_path.set_moved(lane, false);
+            }
+            // From the top, with what is true by then.
+            _ = network.until_other(link.addr(), through, &path) => {}
+        }
+    }
+}

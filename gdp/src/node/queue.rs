@@ -1,0 +1,35 @@
+//! The queue of verified messages between the receiving thread and a handle.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use gdp_wire::Name;
+use tokio::sync::mpsc;
+
+use super::command::{Command, Commands};
+use super::subscription_receiver::Shared;
+use gdp_e2e::seal::Message;
+
+/// Verified messages from the receiving thread.
+pub struct Queue {
+    pub name: Name,
+    pub shared: Arc<Shared>,
+    commands: Commands,
+    receiver: mpsc::Receiver<Message>,
+}
+
+impl Queue {
+    pub fn new(name: Name, receiver: mpsc::Receiver<Message>, shared: Arc<Shared>, commands: Commands) -> Self {
+        Self { name, shared, commands, receiver }
+    }
+
+    /// The next; `None` once there are no more. Safe to cancel.
+    pub async fn recv(&mut self) -> Option<Message> {
+        let message = self.receiver.recv().await?;
+        self.shared.queued_bytes.fetch_sub(message.body.len(), Ordering::Relaxed);
+        if self.shared.stalled.load(Ordering::Relaxed) && self.receiver.len() <= self.receiver.max_capacity() / 2 {
+            self.commands.send(Command::Resume { name: self.name });
+        }
+        Some(message)
+    }
+}

@@ -1,0 +1,103 @@
+//! A statement of this node about a name: that it publishes, reads, serves or calls it, and by
+//! which right.
+
+use gdp_wire::Name;
+
+use gdp_core::cert::{AdCert, CertError, Issued, Reading as Grant, Revocation};
+use gdp_core::name::NameProof;
+use gdp_proto::control::NameRole;
+
+/// What a node can state about a name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Stated {
+    Published,
+    Subscribed,
+    Served,
+    Called,
+}
+
+impl Stated {
+    pub const ALL: [Self; 4] = [Self::Published, Self::Subscribed, Self::Served, Self::Called];
+
+    pub fn role(self) -> NameRole {
+        match self {
+            Self::Published => NameRole::Publisher,
+            Self::Subscribed => NameRole::Subscriber,
+            Self::Served => NameRole::Server,
+            Self::Called => NameRole::Caller,
+        }
+    }
+
+    /// Whether it concerns what the node sends, which may go by any of its links: to the name, or
+    /// to those who serve it.
+    pub fn sends(self) -> bool {
+        matches!(self, Self::Published | Self::Called)
+    }
+
+    pub fn of(role: NameRole) -> Self {
+        match role {
+            NameRole::Publisher => Self::Published,
+            NameRole::Subscriber => Self::Subscribed,
+            NameRole::Server => Self::Served,
+            NameRole::Caller => Self::Called,
+        }
+    }
+}
+
+impl std::fmt::Display for Stated {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Published => "published",
+            Self::Subscribed => "subscribed to",
+            Self::Served => "served",
+            Self::Called => "called",
+        })
+    }
+}
+
+/// The right to a name, as it is shown to the RIB.
+#[derive(Clone, PartialEq, Eq)]
+pub enum Statement {
+    /// Publishes or serves.
+    Write { proof: NameProof, ad_cert: Issued<AdCert> },
+    /// Subscribes or calls.
+    Read { proof: NameProof, grant: Grant },
+}
+
+/// A statement that the application wants to stand.
+pub struct Advertisement {
+    pub statement: Statement,
+    /// When the right ends, in Unix seconds.
+    pub not_after: u64,
+    /// It comes and goes by two links.
+    pub duplicate: bool,
+    /// Lanes on whose present link it was stated, as a bit each.
+    pub done: u8,
+    /// The right has ended.
+    pub over: bool,
+}
+
+impl Statement {
+    /// The name it is about and when the right ends (Unix seconds), if it holds for this entity.
+    pub fn verify(&self, entity: Name, revocation: Option<&Revocation>, now: u64) -> Result<(Name, u64), CertError> {
+        match self {
+            Self::Write { proof, ad_cert } => {
+                let claims = ad_cert.verify(proof, revocation, now)?;
+                if claims.entity != entity {
+                    return Err(CertError::WrongEntity { expected: entity, got: claims.entity });
+                }
+                Ok((claims.name, claims.not_after))
+            }
+            Self::Read { proof, grant } => {
+                let claims = grant.verify(proof, entity, revocation, now)?;
+                Ok((claims.name, claims.not_after))
+            }
+        }
+    }
+
+    pub fn proof(&self) -> &NameProof {
+        match self {
+            Self::Write { proof, .. } | Self::Read { proof, .. } => proof,
+        }
+    }
+}
