@@ -1,5 +1,5 @@
-//! A topic's certificate, which may be replaced while the proxy runs: read again when its file
-//! changes, until what it holds is in force.
+//! The certificate file of a topic. The proxy reads it again when it changes, until the new
+//! certificate is in force.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};

@@ -1,5 +1,5 @@
-//! A topic's quality of service as the fabric takes it: what the name's publisher keeps, and what
-//! its reader waits for.
+//! Maps the quality of service of a topic to the fabric: the history of the name's publisher, and
+//! the delivery that its reader waits for.
 
 use gdp::{Overflow, PublishOptions, Reliability, SubscribeOptions, Wants};
 

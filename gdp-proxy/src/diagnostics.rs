@@ -1,4 +1,5 @@
-//! What ROS tools show of the proxy: `/diagnostics`, with a status for each topic and direction.
+//! Publishes the proxy's status to ROS tools on `/diagnostics`: one status for each topic and
+//! direction.
 
 use std::collections::HashMap;
 use std::time::Duration;

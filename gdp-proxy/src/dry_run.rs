@@ -1,4 +1,5 @@
-//! What would be exposed: the ROS graphs are looked at for a while, the fabric is not touched.
+//! Prints what would be exposed. The proxy observes the ROS graphs for a while and does not attach
+//! to the fabric.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;

@@ -1,4 +1,4 @@
-//! The `gdp-proxy` program: arguments, logging and signals. What it does is in the library.
+//! The `gdp-proxy` program: arguments, logging and signals. The library does the work.
 // They panic where stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 

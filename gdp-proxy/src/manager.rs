@@ -1,5 +1,5 @@
-//! What is wanted beside what runs: begins what is wanted and does not run, ends what is not wanted
-//! any more, and leaves alone what is wanted as it is.
+//! Reconciles the wanted plans with the running ones. The manager begins new plans, ends unwanted
+//! ones, and leaves unchanged ones alone.
 //!
 //! A [`Plan`] says what is to run and where; a [`Work`] is what runs then, as a task. In one place
 //! runs one work at a time: another one begins there when the one before has ended. What fails is

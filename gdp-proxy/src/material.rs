@@ -1,6 +1,6 @@
-//! The files that a configuration names: identity, name cards, certificates. Read at start
-//! (certificates also when they change: `cert_file`), and checked against each other here, so that
-//! a mistake is said with the key of the configuration it is under, and not as a refusal from a RIB
+//! Loads the files that a configuration names: identity, name cards, certificates. The proxy reads
+//! them at start, and certificates again when they change (`cert_file`). It checks them against
+//! each other. So an error names the key of the configuration, and is not a refusal from a RIB
 //! three hops away. The RIB verifies everything again.
 
 pub use crate::material_error::{MaterialError, with_path};

@@ -1,4 +1,4 @@
-//! Why keys, certificates and cards of a route cannot be used.
+//! Errors of the keys, certificates and cards of a route.
 
 use std::fmt::Display;
 use std::path::Path;

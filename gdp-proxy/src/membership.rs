@@ -1,5 +1,5 @@
-//! The proxy's membership of a trust domain: read again when its files change, and shown to the
-//! switches without new links.
+//! The proxy's membership of a trust domain. The proxy reads its files again when they change, and
+//! presents it to the switches over the links that exist.
 
 use gdp::Node;
 use gdp_core::domain::CredentialFiles;

@@ -1,4 +1,4 @@
-//! What takes long enough to keep a worker thread from others that wait for it.
+//! Runs long work outside of the worker threads, so that other tasks do not wait for it.
 
 use tokio::runtime::{Handle, RuntimeFlavor};
 

@@ -1,5 +1,5 @@
-//! Puts the halves together: joins the ROS graphs, attaches to the switch, runs a route per topic
-//! and direction, shows counters, and leaves both sides properly.
+//! Assembles the proxy. It joins the ROS graphs, attaches to the switch, runs a route for each
+//! topic and direction, and writes statistics. It leaves both sides in order.
 
 use std::sync::Arc;
 use std::time::Duration;

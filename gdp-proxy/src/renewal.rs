@@ -1,5 +1,5 @@
-//! Where another certificate for a topic comes from while the proxy runs: from its file, or from
-//! whoever issues or learns it here.
+//! Sources of renewed certificates of a running topic: a file, or the part of the proxy that issues
+//! or learns them.
 
 use std::fmt::Display;
 

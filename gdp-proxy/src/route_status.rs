@@ -1,5 +1,5 @@
-//! What everything that crosses has in common, topics as well as services, actions and catalogs:
-//! the right that it rests on, how far it has come, and why it ends.
+//! State that topics, services, actions and catalogs share: the right of the route, its progress,
+//! and why it ends.
 
 use std::fmt::Display;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};

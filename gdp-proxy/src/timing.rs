@@ -1,4 +1,4 @@
-//! How long a stage of a message's way takes: percentiles of the latest messages, for the
+//! Measures how long a stage of a message's path takes: percentiles of the latest messages, for the
 //! statistics.
 
 use std::time::Duration;

@@ -1,5 +1,5 @@
-//! Carries by turns what only one proxy of a graph carries at a time, as
-//! [`peer_proxies`](crate::peer_proxies) says.
+//! Runs a route only while this proxy is the active one of its graph, as
+//! [`peer_proxies`](crate::peer_proxies) decides.
 
 use std::pin::Pin;
 use std::time::{Duration, Instant};

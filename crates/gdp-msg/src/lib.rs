@@ -1,6 +1,6 @@
-//! ROS messages of any type, without generated code: their definitions, their hashes, and
-//! transcoding between CDR, ROS 1 serialization and JSON at run time. No I/O but for loading files,
-//! no async, nothing of the Global Data Plane.
+//! ROS messages of any type, without generated code: definitions, hashes, and transcoding between
+//! CDR, ROS 1 serialization and JSON at run time. The only I/O is loading files. The crate is
+//! synchronous, and depends on nothing of the Global Data Plane.
 //!
 //! A bridge learns what a type looks like from text: a ROS 1 connection header, a `.msg` file in a
 //! share folder, a file that the user gives, or [`Registry::embedded`], which has the common

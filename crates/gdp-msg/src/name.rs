@@ -1,4 +1,4 @@
-//! Names of types, in all the ways in which ROS 1, ROS 2 and DDS write them.
+//! Names of types, in the spellings of ROS 1, ROS 2 and DDS.
 
 use std::fmt;
 

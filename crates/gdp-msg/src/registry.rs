@@ -1,4 +1,4 @@
-//! All definitions that are known, by dialect and name.
+//! The registry of known definitions, by dialect and name.
 
 use std::collections::HashMap;
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! One message with all that it consists of: what is needed to read and write it, and nothing else.
+//! A resolved message: the definition with all nested types. It has exactly the information that
+//! reading and writing need.
 
 use std::collections::HashMap;
 use std::sync::Arc;

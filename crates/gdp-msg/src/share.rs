@@ -1,5 +1,5 @@
-//! Definitions from where ROS installs them: `share/PACKAGE/msg/*.msg`, and likewise `srv` and
-//! `action`, in both distributions' trees.
+//! Loads definitions from the folders that ROS installs: `share/PACKAGE/msg/*.msg`, and likewise
+//! `srv` and `action`, for both generations of ROS.
 
 use std::fs::File;
 use std::io::{self, Read};

@@ -1,4 +1,4 @@
-//! A type of one dialect as the other has it, for types that nobody has defined there.
+//! Translates a type of one dialect to the other, for types that the other dialect does not define.
 
 use std::sync::Arc;
 

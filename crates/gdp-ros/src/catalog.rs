@@ -1,5 +1,5 @@
-//! The list of names that a proxy exposes by itself: what each stands for, and who may read it. It
-//! goes sealed, under a name of its own, to those who may read that name; so nobody else learns
+//! The catalog of a proxy: the names that it exposes, the meaning of each, and its readers. A
+//! catalog is published sealed under a name of its own. Only entities that may read that name learn
 //! what a robot has.
 //!
 //! A catalog lists names of the owner of its own name and no others: an entry has no owner key, so

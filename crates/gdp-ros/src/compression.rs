@@ -1,6 +1,6 @@
-//! Bodies that travel compressed. That they are is said by the number of the encoding, so every
-//! reader undoes it, whatever it is configured to do, and one that does not know it refuses them by
-//! that number.
+//! Compressed bodies. The number of the encoding says that a body is compressed. So every reader
+//! decompresses it, whatever its configuration. A reader that does not know the number refuses the
+//! body by it.
 
 use std::io;
 

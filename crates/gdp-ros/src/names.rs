@@ -1,4 +1,4 @@
-//! Which texts name topics, services, actions and types in ROS 2 (design.ros2.org, "Topic and
+//! Checks the names of topics, services, actions and types in ROS 2 (design.ros2.org, "Topic and
 //! Service name mapping to DDS").
 //!
 //! They come from users, cards and the network. Nothing that is not a ROS name may get further.

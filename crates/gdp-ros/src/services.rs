@@ -1,4 +1,4 @@
-//! Types of services, as [`types`](crate::types) has those of messages: what is known of them, and
+//! Types of services, as [`types`](crate::types) has those of messages: their definitions, and
 //! converters for both of their messages.
 
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Message types: what is known of them, and converters from one form to another.
+//! Message types: their definitions, and converters from one form to another.
 
 use std::path::Path;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Taking connections, as both servers of a node do it.
+//! Accepts connections, for both servers of a node.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! Where a node finds its master and is found itself, and how much it takes.
+//! The configuration of a node: the address of its master, its own address, and its limits.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::time::Duration;

@@ -1,5 +1,5 @@
-//! What is there at a master: topics with their types, who publishes and subscribes, and services;
-//! and what changes about it.
+//! The graph of a master: topics with types, publishers and subscribers, and services; and the
+//! changes of it.
 //!
 //! A master tells nobody of changes but those who publish or subscribe themselves, so its state is
 //! asked for from time to time, as ROS tools do. It does not know the types of services:

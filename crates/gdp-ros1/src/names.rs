@@ -1,4 +1,4 @@
-//! Graph resource names: what a valid one is, and what it is in full. <https://wiki.ros.org/Names>
+//! Graph resource names: validation, and resolution to a global name. <https://wiki.ros.org/Names>
 //!
 //! Remappings are not known here: whoever uses this crate applies them before.
 

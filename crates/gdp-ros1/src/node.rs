@@ -1,4 +1,4 @@
-//! A node at one master, and the handles of what it publishes, subscribes to and serves.
+//! A node at one master, and the handles of its publications, subscriptions and services.
 
 use std::collections::HashMap;
 use std::io;

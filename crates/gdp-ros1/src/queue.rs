@@ -1,5 +1,5 @@
-//! A queue between a writer that must not wait and one reader that may be slow: full, it loses its
-//! oldest, and counts them.
+//! A bounded queue between a writer that must not wait and one reader that may be slow. A full
+//! queue drops its oldest item and counts it.
 
 use std::collections::VecDeque;
 

@@ -1,5 +1,6 @@
-//! What keeps the master informed: registers and unregisters what is asked for, looks regularly
-//! whether the master still knows it, and takes what it says of the graph along.
+//! Keeps the registrations of a node at its master in force. It registers and unregisters, checks
+//! regularly whether the master still knows the node, and reads the master's graph in the same
+//! round.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

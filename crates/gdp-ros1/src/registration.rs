@@ -1,5 +1,5 @@
-//! What the master is to know of this node, without I/O: what was asked for, what it has taken,
-//! what it has forgotten.
+//! The registrations of a node without I/O: those that the node wants, those that the master has
+//! accepted, and those that it has forgotten.
 
 use std::collections::{BTreeMap, BTreeSet};
 

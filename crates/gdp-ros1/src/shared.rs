@@ -1,4 +1,4 @@
-//! What the tasks and handles of one node have in common.
+//! State that the tasks and handles of one node share.
 
 use std::collections::HashMap;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! What the daemon, the proxy and the command line share, and what knows nothing of GDP.
+//! Helpers that the daemon, the proxy and the command line share. They know nothing of GDP.
 //!
 //! - [`backoff`]: delays between attempts
 //! - [`escape`]: text of strangers, without the characters that a terminal obeys

@@ -1,5 +1,5 @@
-//! What of a graph is exposed, and for how long: as the configuration says, while somebody
-//! publishes or serves it and a little longer.
+//! Selects what of a graph is exposed. The configuration names it, and it stays exposed while a
+//! node publishes or serves it and a little longer.
 
 use std::collections::BTreeMap;
 use std::fmt;

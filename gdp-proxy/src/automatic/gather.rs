@@ -1,5 +1,5 @@
-//! The plans of routes as they come together: each place and each name once, as many as a proxy
-//! has, with rights that stay up to date.
+//! Collects the plans of routes: each key and each name once, and at most as many as a proxy has.
+//! Their rights stay up to date.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

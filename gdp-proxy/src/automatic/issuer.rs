@@ -1,5 +1,4 @@
-//! The names of what is exposed, and the certificates for them: made here, with the key of their
-//! owner.
+//! Makes the cards of exposed names, and issues their certificates with the key of the owner.
 //!
 //! A name follows from what it is of, its type and what else the configuration says of it, so it is
 //! the same whenever the proxy runs; and from a secret that follows from the owner's key, so nobody

@@ -1,4 +1,4 @@
-//! A catalog on its way: published for others, or read. Each is a task, as routes are.
+//! Publishes a catalog, or reads one. Each is a task, as routes are.
 
 use std::convert::Infallible;
 use std::sync::Arc;

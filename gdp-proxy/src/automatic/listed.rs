@@ -1,4 +1,4 @@
-//! What catalogs list, as far as this proxy may read it.
+//! The entries of remote catalogs that this proxy may read.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;

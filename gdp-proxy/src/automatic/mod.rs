@@ -1,6 +1,6 @@
-//! Topics, services and actions that cross without being listed: what of a graph matches the
-//! patterns of `expose` goes out, and what of a catalog matches those of `import` comes in, each
-//! for as long as it is there.
+//! Topics, services and actions that cross without a section of their own. Those of a graph that
+//! match the patterns of `expose` go out. Those of a catalog that match the patterns of `import`
+//! come in. Each crosses for as long as it exists.
 //!
 //! [`choice`] says which, [`issuer`] makes their names and certificates, [`listed`] reads catalogs:
 //! none of these waits or sends. [`link`] carries a catalog. Here they are put together, into plans

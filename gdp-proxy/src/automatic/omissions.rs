@@ -1,5 +1,4 @@
-//! What matches a pattern and is not carried, and what the log says of it: one line for a reason,
-//! not one for a name.
+//! Logs what matches a pattern and is not carried: one line for each reason, not one for each name.
 //!
 //! A ROS graph may have any number of names, and they may come and go all the time. Each reason is
 //! logged at once when there is news, then at most once in [`PERIOD`]; what comes in between is in

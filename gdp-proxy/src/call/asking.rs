@@ -1,4 +1,4 @@
-//! Questions to servers elsewhere: what they serve, calls, and what happens to goals.
+//! Requests to remote servers: descriptions, calls, and events of goals.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! The local servers behind a name that is called from elsewhere.
+//! The local servers behind a name that remote clients call.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! What became of calls, for the statistics.
+//! Counts the outcomes of calls, for the statistics.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};

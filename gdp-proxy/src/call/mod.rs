@@ -1,6 +1,6 @@
-//! One service or action in one direction, as `route` has topics: servers here that are called from
-//! elsewhere ([`outward`]), or servers elsewhere that are called from here ([`inward`]). Each is a
-//! task of its own; a call waits for its answer in it and holds up nobody.
+//! One service or action in one direction: local servers for remote clients ([`outward`]), or
+//! remote servers for local clients ([`inward`]). Each is a task of its own. A call waits for its
+//! answer within the task and blocks nobody.
 //!
 //! Neither side ends a call by itself, however long it takes: it ends with its answer, with its
 //! server, or when the client gives it up or is there no more. Of several proxies in one graph one

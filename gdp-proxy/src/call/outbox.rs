@@ -1,5 +1,4 @@
-//! What servers elsewhere say of goals, until it is published here: in order, and no more than may
-//! wait.
+//! Queues events of remote goals until the proxy publishes them here: in order, and bounded.
 
 use std::collections::VecDeque;
 

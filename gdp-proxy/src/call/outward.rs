@@ -1,4 +1,4 @@
-//! Servers here, for clients elsewhere. The name is served only while there is a local server.
+//! Local servers for remote clients. The proxy serves the name only while there is a local server.
 
 use std::pin::{Pin, pin};
 

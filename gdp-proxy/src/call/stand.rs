@@ -1,5 +1,5 @@
-//! What stands in the local graph for servers elsewhere: the server of a service, or what an
-//! action's server has.
+//! The proxy's own server in the local graph, on behalf of remote servers: of a service or of an
+//! action.
 
 use gdp_util::unix_time::unix_nanos;
 

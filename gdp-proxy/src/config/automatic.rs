@@ -1,5 +1,5 @@
-//! What crosses by itself: topics, services and actions here that match a pattern (`expose`), and
-//! those elsewhere that a catalog lists (`import`).
+//! The sections `expose` and `import`: patterns of local topics, services and actions, and patterns
+//! of those that remote catalogs list.
 
 use std::collections::BTreeMap;
 use std::fmt;

@@ -1,4 +1,4 @@
-//! What is said of one service or action.
+//! The configuration of one service or action.
 
 pub use crate::config::call_kind::What;
 use std::path::PathBuf;

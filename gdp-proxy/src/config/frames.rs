@@ -1,4 +1,4 @@
-//! What goes in front of the names of coordinate frames.
+//! The prefix of coordinate frame names.
 
 use schemars::JsonSchema;
 use serde::Deserialize;

@@ -1,4 +1,4 @@
-//! What the file says about the relay: `relay: true`, or a mapping with what differs from that.
+//! The section `relay`: `true`, or a mapping with the settings that differ from the default.
 
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr};

@@ -1,5 +1,5 @@
-//! The configuration file as a JSON Schema, for editors: what keys there are, and what they mean.
-//! What it cannot say is checked when the file is read.
+//! The JSON Schema of the configuration file, for editors. The parser checks what a schema cannot
+//! express.
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema, schema_for};
 

@@ -1,4 +1,4 @@
-//! The kinds of what a ROS graph has by name.
+//! The kinds of named entities of a ROS graph.
 
 use super::What;
 use crate::ros2::{TopicName, TypeName};

@@ -1,4 +1,4 @@
-//! What is said of one topic.
+//! The configuration of one topic.
 
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};

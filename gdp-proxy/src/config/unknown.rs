@@ -1,5 +1,4 @@
-//! What is said of a file that is not understood: for a key or a word that is not known, the one
-//! that was probably meant.
+//! Errors for unknown keys and words of a file, with the closest known one.
 
 use serde_saphyr::Error;
 

@@ -1,4 +1,4 @@
-//! What a ROS graph says to the routes, and why it refuses them.
+//! Events that a ROS graph sends to the routes, and its errors.
 
 use crate::ros2::RosError;
 use bytes::Bytes;

@@ -1,5 +1,5 @@
-//! What others publish and serve in a ROS graph, for whoever chooses among it. What proxies have
-//! there is not in it.
+//! Observes what other nodes publish and serve in a ROS graph. It leaves out what proxies have
+//! there.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

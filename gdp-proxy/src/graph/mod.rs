@@ -1,6 +1,6 @@
-//! What the routes see of a ROS graph, of either version: publishers of a topic that come and go,
-//! their messages, and writers that stand for publishers elsewhere. A message is in the graph's own
-//! encoding, and nothing here looks into it.
+//! A ROS graph as the routes see it, of either generation: publishers of a topic, their messages,
+//! and writers on behalf of remote publishers. A message is in the graph's own encoding, and this
+//! module does not parse it.
 
 mod event;
 mod graph_observer;

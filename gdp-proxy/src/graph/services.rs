@@ -1,5 +1,5 @@
-//! Services of a ROS graph, of either version: local servers that come and go, calls of them, and
-//! servers that stand for ones elsewhere. Requests and responses are in the graph's own encoding.
+//! Services of a ROS graph, of either generation: local servers, calls of them, and servers on
+//! behalf of remote ones. Requests and responses are in the graph's own encoding.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! Tells the other proxies in a graph, and hears what they tell.
+//! Sends the claims of this proxy to the other proxies of a graph, and receives theirs.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

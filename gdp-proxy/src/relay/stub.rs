@@ -1,5 +1,4 @@
-//! What stands in for the relay in a proxy that is built without it: a configuration with a relay
-//! is refused.
+//! The stub of a proxy that is built without the relay: it refuses a configuration with one.
 
 use std::convert::Infallible;
 

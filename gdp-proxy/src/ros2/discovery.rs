@@ -1,5 +1,5 @@
-//! What other participants of the domain announce: the types of topics, and why an endpoint does
-//! not match ours.
+//! Reads what other participants of the domain announce: the types of topics, and why an endpoint
+//! does not match ours.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Weak};

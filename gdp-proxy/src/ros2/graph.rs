@@ -1,5 +1,5 @@
-//! Who publishes, subscribes to, serves and calls what in a DDS domain: what its discovery shows,
-//! in the words of ROS.
+//! The graph of a DDS domain in the words of ROS: publishers, subscribers, servers and clients,
+//! from discovery.
 //!
 //! A [`Graph`] is made anew from the participant's tables whenever something changes, so nothing
 //! can be missed or kept too long. The proxy's own endpoints are not in it.

@@ -1,5 +1,5 @@
-//! How ROS 2 names topics and types, and what DDS sees of them (design.ros2.org, "Topic and Service
-//! name mapping to DDS").
+//! Maps names of topics and types between ROS 2 and DDS (design.ros2.org, "Topic and Service name
+//! mapping to DDS").
 //!
 //! Both kinds of text come from a user's file or from the network. What [`gdp_ros::names`] refuses
 //! does not get past here.

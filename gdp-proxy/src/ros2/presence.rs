@@ -1,4 +1,4 @@
-//! What the proxies in a DDS domain tell one another: a CDR string on a topic that is none of ROS.
+//! The channel between the proxies of a DDS domain: a CDR string on a topic outside of ROS.
 
 use super::{RawReader, RawSample, RawWriter, Representation};
 use crate::peer_proxies::Voice;

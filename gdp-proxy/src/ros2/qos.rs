@@ -1,4 +1,4 @@
-//! Quality of service as the configuration states it, and as DDS takes it.
+//! Quality of service, from the configuration to DDS.
 
 use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 use schemars::JsonSchema;

@@ -1,4 +1,4 @@
-//! How far nodes of ROS 2 look for one another, as the environment says it.
+//! The range of ROS 2 discovery, from the environment.
 
 /// Where others are found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

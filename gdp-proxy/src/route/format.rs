@@ -1,4 +1,4 @@
-//! How messages of a graph become what travels, and what travels messages of a graph.
+//! Converts messages between the form of a graph and the form that travels.
 
 use std::sync::Arc;
 

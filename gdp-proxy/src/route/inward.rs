@@ -1,5 +1,5 @@
-//! From the fabric into a ROS graph: each publisher elsewhere has a writer here, for as long as it
-//! is there.
+//! Carries a topic from the fabric into a ROS graph. Each remote publisher has a writer here, for
+//! as long as it exists.
 
 use std::convert::Infallible;
 use std::time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! What stands in the graph for one publisher elsewhere.
+//! The local writer on behalf of one remote publisher.
 
 use std::collections::VecDeque;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! The counterparts of all publishers elsewhere, for one topic.
+//! The local writers on behalf of all remote publishers of one topic.
 
 use std::collections::{HashMap, VecDeque};
 use std::time::{Duration, Instant};

@@ -1,7 +1,7 @@
-//! One topic in one direction. Each route is a task of its own, and what is [`large`](crate::large)
-//! keeps no thread from the others; within it a message goes straight from one side to the other,
-//! without a queue or a wake-up in between. A topic whose right has ended is asked for again and
-//! again, and the others go on.
+//! One topic in one direction. Each route is a task of its own; [`offload`](crate::offload) keeps
+//! long work from blocking the others. Within a route a message goes straight from one side to the
+//! other, without a queue or a wake-up in between. A route whose right has ended asks again and
+//! again, and the other routes go on.
 
 mod format;
 mod inward;

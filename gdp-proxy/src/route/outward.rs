@@ -1,4 +1,4 @@
-//! From a ROS graph into the fabric.
+//! Carries a topic from a ROS graph into the fabric.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::convert::Infallible;

@@ -1,6 +1,5 @@
-//! What a new writer is given first waits until subscribers have found it: they do so within
-//! milliseconds of its making, or seconds where the machine is busy, and a publisher of a single
-//! message has gone by then.
+//! Queues the first messages of a new writer until subscribers have matched it. Matching takes
+//! milliseconds, or seconds on a busy machine. The publisher of a single message has left by then.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};

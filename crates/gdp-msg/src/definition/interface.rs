@@ -1,5 +1,5 @@
-//! What files are made into: a `.msg` is one message, a `.srv` and an `.action` are several, which
-//! nodes exchange.
+//! Resolves interface files to messages: a `.msg` is one message; a `.srv` and an `.action` are
+//! several, which nodes exchange.
 
 use super::{Base, Count, Definition, DefinitionError, Field, Problem, Scalar, parse};
 use crate::dialect::Dialect;

@@ -1,4 +1,4 @@
-//! One `.msg` text, line by line: a field, a constant, or nothing.
+//! Parses one line of a `.msg` text: a field, a constant, or nothing.
 //!
 //! The rules are those of the compilers that the text was written for: `genmsg` (ROS 1) and
 //! `rosidl_adapter` (ROS 2). They differ in where a comment begins and in what a bare `Header` is.

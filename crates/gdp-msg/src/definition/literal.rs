@@ -1,5 +1,5 @@
-//! Values of constants and defaults: whether a text is one. They are kept as text, which is what
-//! hashes and tools need.
+//! Checks the literals of constants and defaults. Definitions keep them as text, since hashes and
+//! tools need the text.
 
 use super::{Base, Count, Scalar};
 use crate::dialect::Dialect;

@@ -1,4 +1,4 @@
-//! What a `.msg` file says, of either dialect, and what `.srv` and `.action` files are made into.
+//! Parses interface definitions of both dialects: `.msg`, `.srv` and `.action`.
 
 mod interface;
 mod line;

@@ -1,4 +1,4 @@
-//! Definitions as text again, without comments: what [`super::parse`] reads as the same.
+//! Prints definitions as text without comments; [`super::parse`] reads the same definition from it.
 
 use std::fmt::{self, Write};
 

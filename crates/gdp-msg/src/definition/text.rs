@@ -1,5 +1,6 @@
-//! Texts of several definitions: what a ROS 1 connection header, a bag and MCAP's `ros2msg` carry.
-//! The type itself first, then each type that it uses behind a line of `=` and `MSG: package/Type`.
+//! Parses texts of several definitions, as ROS 1 connection headers, bags and MCAP's `ros2msg`
+//! carry them. The type itself comes first. Each type that it uses follows a line of `=` and `MSG:
+//! package/Type`.
 
 use super::{Definition, DefinitionError, MAX_TEXT, Problem, parse};
 use crate::dialect::Dialect;

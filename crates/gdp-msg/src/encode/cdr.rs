@@ -1,7 +1,7 @@
-//! Classic CDR (XCDR1) as ROS 2's vendors write it: scalars aligned to their size, counted from
-//! behind the encapsulation; texts with a terminating zero that their length counts; of wide texts
-//! UTF-16 code units in four bytes each, without a terminator (Fast CDR and `rmw_cyclonedds`
-//! agree); one byte for a message without fields.
+//! Classic CDR (XCDR1) as the vendors of ROS 2 write it. Scalars are aligned to their size, counted
+//! from behind the encapsulation. The length of a string includes its terminating zero. A wide
+//! string has four bytes for each UTF-16 code unit and no terminator (Fast CDR and `rmw_cyclonedds`
+//! agree). A message without fields is one byte.
 
 use super::input::Input;
 use super::output::Output;

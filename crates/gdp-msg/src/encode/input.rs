@@ -1,4 +1,4 @@
-//! Bytes that are read from the front, checked against what is left before anything is believed.
+//! A cursor over bytes. Each read is checked against the bytes that are left.
 
 use super::{Fault, Result};
 use crate::definition::Scalar;

@@ -1,6 +1,6 @@
-//! The encodings: each reads and writes one value after the other, as a program of
-//! [`crate::mapping`] asks for them. None of them knows types, and none builds values: what is read
-//! goes straight to whoever writes.
+//! The encodings. Each reads and writes one value after the other, as a program of
+//! [`crate::mapping`] asks for them. No encoding knows types or builds values: each value goes from
+//! the source straight to the sink.
 
 pub(crate) mod cdr;
 pub(crate) mod input;

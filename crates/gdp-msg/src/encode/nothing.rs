@@ -1,5 +1,5 @@
-//! The source of fields that only the receiving type has, and the sink of those that only the
-//! sending one has.
+//! The source of fields that only the target type has, and the sink of fields that only the source
+//! type has.
 
 use super::{Block, Result, Sink, Source};
 use crate::definition::{Count, Scalar};

@@ -1,4 +1,4 @@
-//! Bytes that are written behind one another, up to a limit.
+//! An output buffer of bytes with a size limit.
 
 use super::{Block, Fault, Result};
 use crate::definition::Scalar;

@@ -1,4 +1,4 @@
-//! What ROS compares to find out whether two nodes mean the same type.
+//! Type hashes: ROS compares them to find out whether two nodes mean the same type.
 
 mod md5sum;
 mod rihs01;

@@ -1,4 +1,4 @@
-//! Makes a program of two schemas.
+//! Compiles two schemas to a program.
 
 use super::pair::{Step, Unpaired, pair};
 use super::program::{FieldPath, Op, Program, Text};

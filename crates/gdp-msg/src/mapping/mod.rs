@@ -1,5 +1,5 @@
-//! From one type and encoding to another: what is worked out once ([`Mapping::new`]), and what is
-//! then done with every message ([`Mapping::transcode`]).
+//! Transcodes from one type and encoding to another. [`Mapping::new`] compiles a program once;
+//! [`Mapping::transcode`] runs it for each message.
 
 mod compile;
 mod options;

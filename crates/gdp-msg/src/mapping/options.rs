@@ -1,4 +1,4 @@
-//! The limits of a message, and the fields that only one type has.
+//! Options of a mapping: the limits of a message, and the policy for fields that only one type has.
 
 use std::fmt;
 

@@ -1,4 +1,4 @@
-//! Which field of one message is which field of another.
+//! Pairs each field of one message with the same field of another.
 
 use crate::definition::{Base, Count, Definition, Field};
 use crate::dialect::Dialect;

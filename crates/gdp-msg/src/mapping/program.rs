@@ -1,4 +1,4 @@
-//! What is done with a message, as a flat list of steps.
+//! The program of a mapping: a flat list of steps.
 
 use std::fmt::Write;
 

@@ -1,4 +1,4 @@
-//! Does with a message what a program says.
+//! Runs the program of a mapping on one message.
 
 use super::program::{Op, Program, Text};
 use crate::definition::{Count, Scalar};

@@ -1,4 +1,4 @@
-//! The statuses of goals at several servers, as one list.
+//! Merges the statuses of goals at several servers to one list.
 
 use std::collections::BTreeMap;
 use std::time::Instant;

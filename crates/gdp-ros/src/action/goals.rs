@@ -1,4 +1,4 @@
-//! Whose each goal is, as long as anybody may ask for it.
+//! Remembers the owner of each goal, for as long as a client may ask for the result.
 
 use std::collections::HashMap;
 use std::time::Instant;

@@ -1,4 +1,4 @@
-//! What is to be told to each of those who sent goals, until they have it.
+//! Queues the events of goals for each client that sent one, until the client has received them.
 
 use std::collections::{HashMap, VecDeque};
 use std::time::Instant;

@@ -1,6 +1,6 @@
-//! What proxies keep of the goals of an action: [`Goals`] remembers whose each is, [`Log`] what is
-//! to be told to those who sent them, and [`Board`] shows what several servers say as if they were
-//! one. [`cdr`] reads the few messages of actions that all actions share.
+//! State that proxies keep about the goals of an action. [`Goals`] remembers the owner of each
+//! goal. [`Log`] queues events for the owners. [`Board`] merges the statuses of several servers.
+//! [`cdr`] reads and writes the messages that all actions share.
 
 mod board;
 pub mod cdr;

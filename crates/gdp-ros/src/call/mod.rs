@@ -1,5 +1,5 @@
-//! What proxies say to each other about a service or an action: requests and replies between one
-//! that calls and one that serves, sealed for the two alone (`gdp::Client`, `Server`).
+//! The messages between proxies about a service or an action: requests and replies between one
+//! client and one server, sealed for these two (`gdp::Client`, `Server`).
 //!
 //! One who calls first asks to have the service described; a call then goes in the terms of the
 //! server's ROS graph, and the caller's proxy converts if its own graph is of the other ROS

@@ -1,5 +1,5 @@
-//! The side that is told: which publishers the writers of a name have, and what is held back until
-//! that is known.
+//! The receiving side of rosters: it knows the publishers that each writer of a name has, and holds
+//! messages back until their publisher is known.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;

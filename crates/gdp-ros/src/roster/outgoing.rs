@@ -1,5 +1,5 @@
-//! The side that tells: numbers the publishers of a topic in a ROS graph, and says when a roster is
-//! to be sent.
+//! The sending side of rosters: it numbers the publishers of a topic in a ROS graph, and decides
+//! when a roster is sent.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};

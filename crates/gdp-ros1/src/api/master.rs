@@ -1,4 +1,4 @@
-//! What a node asks its master. <https://wiki.ros.org/ROS/Master_API>
+//! The calls of a node to its master. <https://wiki.ros.org/ROS/Master_API>
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
-//! The slave API as a server: HTTP/1.1, bounded in connections, bytes and time. What the calls mean
-//! is the caller's.
+//! The server of the slave API: HTTP/1.1, bounded in connections, bytes and time. The caller
+//! interprets the requests.
 
 use std::convert::Infallible;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! What masters, other nodes and tools ask a node, without I/O.
+//! The slave API without I/O: the calls that masters, other nodes and tools make to a node.
 //! <https://wiki.ros.org/ROS/Slave_API>
 
 use super::RpcError;

@@ -1,4 +1,4 @@
-//! Calls of services of others, without knowing their types before.
+//! Calls services of other nodes. The types need not be known before.
 
 use std::time::Duration;
 

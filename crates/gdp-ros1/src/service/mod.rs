@@ -1,4 +1,4 @@
-//! Services: what this node serves, and calls of others.
+//! Services: those that this node serves, and calls of others.
 
 pub mod client;
 pub mod server;

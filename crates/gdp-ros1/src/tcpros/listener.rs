@@ -1,4 +1,4 @@
-//! Where others connect to this node, for its topics and its services: the header says what for.
+//! Accepts the connections of other nodes to topics and services; the connection header says which.
 
 use std::sync::Arc;
 use std::time::Duration;

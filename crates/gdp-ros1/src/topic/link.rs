@@ -1,4 +1,5 @@
-//! One connection to a publisher: asked where, connected, and read until it ends.
+//! One connection to a publisher. It asks for the publisher's address, connects, and reads until
+//! the connection ends.
 
 use std::sync::Arc;
 use std::time::Duration;

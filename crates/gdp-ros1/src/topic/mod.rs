@@ -1,4 +1,4 @@
-//! Topics: what this node publishes, and what it subscribes to.
+//! Topics: publications and subscriptions of this node.
 
 pub mod link;
 mod message;

@@ -1,5 +1,5 @@
-//! A topic that this node publishes: who is connected, what waits for each, and the last message if
-//! it latches.
+//! A topic that this node publishes: its connected subscribers, a queue for each, and the last
+//! message if it latches.
 
 use std::collections::HashMap;
 use std::sync::Arc;

@@ -1,5 +1,5 @@
-//! Which publishers of a topic to be connected to, without I/O: what the master lists, what was
-//! reached, when to try again.
+//! Selects the publishers of a topic to connect to, without I/O. It knows the master's list, the
+//! state of each connection, and the time of the next attempt.
 //!
 //! What the master lists is not believed in one case. A master that was started anew knows only who
 //! has registered since, and most ROS 1 nodes never register twice: their connections are fine all

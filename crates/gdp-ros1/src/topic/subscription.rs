@@ -1,5 +1,5 @@
-//! A topic that this node subscribes to: connections to all who publish it, and one queue of what
-//! they say.
+//! A topic that this node subscribes to: a connection to each publisher, and one queue for all
+//! messages.
 
 pub use crate::topic::message::{Message, PublisherInfo};
 use std::collections::{BTreeMap, HashMap};

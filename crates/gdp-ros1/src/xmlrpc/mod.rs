@@ -1,4 +1,4 @@
-//! XML-RPC as ROS 1 uses it, without I/O: what is called, what is answered, and both as XML.
+//! XML-RPC as ROS 1 uses it, without I/O: calls and responses, and both as XML.
 //! <http://xmlrpc.com/spec.md>
 //!
 //! Only what occurs in the master and slave API: integers, booleans, strings, arrays, and

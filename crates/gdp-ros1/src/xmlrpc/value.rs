@@ -1,4 +1,4 @@
-//! The values that calls and answers are made of, and taking them apart.
+//! The values of calls and responses, and accessors for them.
 
 /// A value of XML-RPC.
 #[derive(Clone, Debug, PartialEq, Eq)]

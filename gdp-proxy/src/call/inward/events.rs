@@ -1,4 +1,4 @@
-//! What a service or an action of another place asks here.
+//! Follows the events of a remote service or action.
 
 use crate::call::asking::{Described, Known, News};
 use futures::stream::FuturesUnordered;

@@ -1,5 +1,5 @@
-//! Servers elsewhere, for clients here. A server stands for them in the graph only while at least
-//! one of them is attached.
+//! Remote servers for local clients. The proxy offers a server in the graph only while at least one
+//! remote server is attached.
 
 mod events;
 mod requests;

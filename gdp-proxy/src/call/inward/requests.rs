@@ -1,4 +1,4 @@
-//! What clients here ask, and whom.
+//! Forwards the requests of local clients to a remote server.
 
 use std::sync::Arc;
 use std::time::Instant;

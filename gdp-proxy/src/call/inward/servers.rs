@@ -1,4 +1,4 @@
-//! Which servers elsewhere there are, and which of them can be called.
+//! Tracks the remote servers of a name, and which of them can be called.
 
 use std::pin::Pin;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! A route of calls from another place, with its tasks.
+//! The state of a route of calls to remote servers, and its tasks.
 
 use crate::call::Way;
 use crate::call::asking::Known;

@@ -1,4 +1,4 @@
-//! The side that asks.
+//! The client of a DDS service.
 
 use std::collections::HashMap;
 use std::sync::Arc;

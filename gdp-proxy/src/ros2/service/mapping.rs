@@ -1,4 +1,4 @@
-//! How the two families of DDS services say which request a reply answers.
+//! The two mappings of request identity of DDS services: how a reply names its request.
 
 use bytes::{BufMut, Bytes, BytesMut};
 use rustdds::rpc::SampleIdentity;

@@ -1,4 +1,4 @@
-//! The side that answers.
+//! The server of a DDS service.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;

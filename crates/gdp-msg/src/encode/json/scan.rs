@@ -1,4 +1,4 @@
-//! Tokens of JSON (RFC 8259), without values of it.
+//! A scanner for tokens of JSON (RFC 8259). It builds no values.
 
 use crate::encode::{Fault, Result};
 

@@ -1,6 +1,5 @@
-//! Reads JSON. Fields in the order of the definition, which is how everybody writes them, are read
-//! as they come; for others the object is passed over once, to find out where each field's value
-//! is.
+//! Reads JSON. Fields in the order of the definition, which is the usual order, are read as they
+//! come. For other objects a first pass finds the position of each field's value.
 
 use base64ct::{Base64, Encoding as _};
 
