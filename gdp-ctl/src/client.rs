@@ -5,8 +5,9 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use gdp_proto::admin::{MAX_REPLY, Reply, Request, VERSION, check_version};
-use gdp_proto::control::Response;
+use gdp_proto::admin::error::{ErrorCode, ErrorReply};
+use gdp_proto::admin::event::TimedEvent;
+use gdp_proto::admin::{MAX_REPLY, Reply, Request, VERSION, Versioned, check_version};
 use serde_json::Value;
 
 /// A daemon that takes longer than this is not well.
@@ -26,8 +27,20 @@ pub enum ClientError {
     Broken(std::io::Error),
     #[error("the daemon gave an answer that this program does not understand: {0}")]
     Malformed(String),
-    #[error("refused ({code}): {reason}")]
-    Refused { code: String, reason: String },
+    #[error("refused ({}): {}", .0.code, .0.message())]
+    Refused(ErrorReply),
+}
+
+impl ClientError {
+    pub fn code(&self) -> ErrorCode {
+        match self {
+            Self::NoDaemon { .. } => ErrorCode::NoDaemon,
+            Self::NotAllowed(_) => ErrorCode::NotAllowed,
+            Self::Broken(_) => ErrorCode::Disconnected,
+            Self::Malformed(_) => ErrorCode::Malformed,
+            Self::Refused(failure) => failure.code,
+        }
+    }
 }
 
 /// A connection to the daemon.
@@ -46,12 +59,16 @@ impl Client {
         Ok(Self { stream: BufReader::new(stream) })
     }
 
-    /// Asks, and turns a refusal into an error.
-    pub fn ask(&mut self, request: &Request) -> Result<Reply, ClientError> {
-        let malformed = |error: serde_json::Error| ClientError::Malformed(error.to_string());
-        let mut value = serde_json::to_value(request).map_err(malformed)?;
-        value["v"] = VERSION.into();
-        self.stream.get_mut().write_all(format!("{value}\n").as_bytes()).map_err(ClientError::Broken)?;
+    /// Asks; the reply's type says which one is expected. A refusal is an error.
+    pub fn ask<T: TryFrom<Reply>>(&mut self, request: &Request) -> Result<T, ClientError> {
+        let reply = self.exchange(request)?;
+        T::try_from(reply).map_err(|_| ClientError::Malformed("another kind of reply".into()))
+    }
+
+    fn exchange(&mut self, request: &Request) -> Result<Reply, ClientError> {
+        let request = serde_json::to_string(&Versioned { v: VERSION, value: request });
+        let line = request.map_err(|error| ClientError::Malformed(error.to_string()))? + "\n";
+        self.stream.get_mut().write_all(line.as_bytes()).map_err(ClientError::Broken)?;
         self.reply()?.ok_or_else(|| ClientError::Broken(std::io::ErrorKind::UnexpectedEof.into()))
     }
 
@@ -69,48 +86,31 @@ impl Client {
         let mut value: Value = serde_json::from_str(&line).map_err(malformed)?;
         check_version(&mut value).map_err(ClientError::Malformed)?;
         match serde_json::from_value(value).map_err(malformed)? {
-            Reply::Error { code, reason } => Err(ClientError::Refused { code, reason }),
+            Reply::Error(failure) => Err(ClientError::Refused(failure)),
             reply => Ok(Some(reply)),
         }
     }
 
-    /// Asks to be told what happens from now on.
-    pub fn monitor(mut self) -> Result<Happenings, ClientError> {
-        self.ask_value(&Request::Monitor)?;
+    /// Asks for what happens from now on.
+    pub fn monitor(mut self) -> Result<Events, ClientError> {
+        self.exchange(&Request::Monitor)?;
         // It may be quiet for long.
         self.stream.get_mut().set_read_timeout(None).map_err(ClientError::Broken)?;
-        Ok(Happenings(self))
-    }
-
-    /// Asks for a JSON value.
-    pub fn ask_value(&mut self, request: &Request) -> Result<Value, ClientError> {
-        match self.ask(request)? {
-            Reply::Ok(value) => Ok(value),
-            _ => Err(ClientError::Malformed("another kind of reply".into())),
-        }
-    }
-
-    /// Asks for what the RIB says.
-    pub fn ask_control(&mut self, request: &Request) -> Result<Response, ClientError> {
-        match self.ask(request)? {
-            Reply::Control(response) => Ok(response),
-            _ => Err(ClientError::Malformed("another kind of reply".into())),
-        }
+        Ok(Events(self))
     }
 }
 
-/// What happens at the daemon.
-pub struct Happenings(Client);
+/// What happens at the daemon's switch.
+pub struct Events(Client);
 
-impl Iterator for Happenings {
-    type Item = Result<Value, ClientError>;
+impl Iterator for Events {
+    type Item = Result<TimedEvent, ClientError>;
 
-    /// Waits for the next [`Event`](gdp_daemon::serve::events::Event); none once the daemon has
-    /// ended.
+    /// Waits for the next event; none once the daemon has ended.
     fn next(&mut self) -> Option<Self::Item> {
-        self.0.reply().transpose().map(|reply| match reply? {
-            Reply::Ok(event) => Ok(event),
-            _ => Err(ClientError::Malformed("another kind of reply".into())),
-        })
+        self.0
+            .reply()
+            .transpose()
+            .map(|reply| reply?.try_into().map_err(|_| ClientError::Malformed("another kind of reply".into())))
     }
 }

@@ -34,6 +34,7 @@ pub mod process;
 pub mod programs;
 pub mod replicas;
 pub mod ring;
+pub mod schema;
 pub mod tools;
 pub mod wait;
 pub mod wire;

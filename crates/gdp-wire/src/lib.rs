@@ -7,6 +7,9 @@
 //! own.
 #![cfg_attr(not(test), no_std)]
 
+#[cfg(feature = "schemars")]
+extern crate alloc;
+
 pub mod counter;
 pub mod fetch;
 pub mod flat;

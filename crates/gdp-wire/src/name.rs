@@ -160,6 +160,17 @@ mod serde_impls {
     }
 }
 
+#[cfg(feature = "schemars")]
+impl schemars::JsonSchema for Name {
+    fn schema_name() -> alloc::borrow::Cow<'static, str> {
+        "Name".into()
+    }
+
+    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        schemars::json_schema!({"type": "string", "pattern": "^[0-9a-f]{64}$"})
+    }
+}
+
 #[cfg(test)]
 #[path = "../tests/unit/name.rs"]
 mod tests;

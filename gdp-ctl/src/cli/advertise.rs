@@ -10,7 +10,8 @@ use gdp_core::cert::{AdCert, Advert, AdvertOp, Issued, Mode, RtCert, Signed, iss
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::name::Name;
 use gdp_proto::control::{EntityRequest, Response};
-use serde_json::json;
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use super::credential_file::CredentialFile;
 use super::key::Kind;
@@ -18,6 +19,7 @@ use crate::cli::context::Context;
 use crate::cli::issuing::{parse_seconds, serial_now, validity};
 use crate::client::Client;
 use gdp_proto::admin::Request;
+use gdp_proto::admin::status::HelloReply;
 use gdp_util::unix_time::unix_seconds;
 
 /// What the switch is allowed to carry for a statement that a tool makes.
@@ -58,6 +60,17 @@ struct Entity {
     kind: Kind,
 }
 
+/// What `gdp-ctl advertise` and `withdraw` show.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct AdvertiseOutput {
+    name: Name,
+    entity: Name,
+    switch: Name,
+    /// In seconds; only of an advertisement.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lifetime: Option<u32>,
+}
+
 pub fn advertise(options: &Options, context: &Context) -> anyhow::Result<()> {
     let card = NameCard::load(&options.card)?;
     let entity = options.entity.load()?;
@@ -65,10 +78,8 @@ pub fn advertise(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut session = Session::begin(&entity, context)?;
     let advert = session.statement(&entity, AdvertOp::Publish, card.name(), options.lifetime)?;
     session.ask(&entity, EntityRequest::Advertise { proof: card.proof(), ad_cert, advert, everywhere: false })?;
-    let value = json!({
-        "name": card.name(), "entity": entity.name(), "switch": session.switch, "lifetime": options.lifetime,
-    });
-    context.output.print(value, || {
+    let output = session.output(&card, &entity, Some(options.lifetime));
+    context.output.print(&output, || {
         let switch = session.switch;
         [format!(
             "{:#} is advertised by {:#} at switch {switch:#} for {} s",
@@ -85,8 +96,8 @@ pub fn withdraw(options: &WithdrawOptions, context: &Context) -> anyhow::Result<
     let mut session = Session::begin(&entity, context)?;
     let advert = session.statement(&entity, AdvertOp::Withdraw, card.name(), 1)?;
     session.ask(&entity, EntityRequest::Withdraw { advert })?;
-    let value = json!({"name": card.name(), "entity": entity.name(), "switch": session.switch});
-    context.output.print(value, || [format!("{:#} is withdrawn by {:#}", card.name(), entity.name())])
+    let output = session.output(&card, &entity, None);
+    context.output.print(&output, || [format!("{:#} is withdrawn by {:#}", card.name(), entity.name())])
 }
 
 impl Entity {
@@ -151,14 +162,17 @@ struct Session {
 impl Session {
     fn begin(entity: &Identity, context: &Context) -> anyhow::Result<Self> {
         let mut client = context.client()?;
-        let status = client.ask_value(&Request::Status)?;
-        let switch = status["name"].as_str().and_then(|name| name.parse().ok()).context("the daemon tells no name")?;
+        let HelloReply { name: switch, .. } = client.ask(&Request::Hello)?;
         let claims = RtCert { entity: entity.name(), switch, not_after: unix_seconds() + ROUTE_SECONDS };
         let request = EntityRequest::Attach { rt_cert: issue(entity.key(), &claims)?, resumes: true, lane: 0 };
-        match client.ask_control(&Request::Entity { entity: Some(entity.proof()), request: request.into() })? {
+        match client.ask(&Request::Entity { entity: Some(entity.proof()), request: request.into() })? {
             Response::Attached { serial } => Ok(Self { client, switch, serial }),
             _ => bail!("the RIB answered another question"),
         }
+    }
+
+    fn output(&self, card: &NameCard, entity: &Identity, lifetime: Option<u32>) -> AdvertiseOutput {
+        AdvertiseOutput { name: card.name(), entity: entity.name(), switch: self.switch, lifetime }
     }
 
     fn statement(
@@ -175,6 +189,6 @@ impl Session {
     }
 
     fn ask(&mut self, entity: &Identity, request: EntityRequest) -> anyhow::Result<Response> {
-        Ok(self.client.ask_control(&Request::Entity { entity: Some(entity.proof()), request: request.into() })?)
+        Ok(self.client.ask(&Request::Entity { entity: Some(entity.proof()), request: request.into() })?)
     }
 }

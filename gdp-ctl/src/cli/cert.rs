@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Subcommand;
-use serde_json::json;
 
-use super::credential_file::CredentialFile;
+use super::credential_file::{ClaimMap, CredentialFile};
 use super::issuance_log::IssuanceLog;
 use crate::cli::context::Context;
 use gdp_util::unix_time::unix_seconds;
@@ -32,32 +31,37 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
 /// What `cert show` and `domain show` print of a certificate.
 pub fn show(file: &Path, card: Option<&Path>, context: &Context) -> anyhow::Result<()> {
     let paper = CredentialFile::load(file)?;
-    let mut value = paper.describe().with_context(|| file.display().to_string())?;
-    value["verified"] = json!(match card.map(IssuanceLog::open).transpose()? {
+    let mut output = paper.describe().with_context(|| file.display().to_string())?;
+    output.verified = match card.map(IssuanceLog::open).transpose()? {
         Some(books) => {
             let (_, revocation) = books.revocation()?.unzip();
             let verdict = paper.verify(books.card(), revocation.as_ref(), unix_seconds());
             verdict.with_context(|| file.display().to_string())?
         }
         None => false,
-    });
-    context.output.print(value.clone(), || {
-        let mut lines = vec![format!("kind        {}", value["kind"].as_str().unwrap_or_default())];
-        for part in ["claims", "delegation", "member", "invite"] {
-            if part != "claims" && !value[part].is_null() {
-                lines.push(format!("by the {part}:"));
-            }
-            for (key, claim) in value[part].as_object().into_iter().flatten() {
-                let claim = claim.as_str().map_or_else(|| claim.to_string(), str::to_owned);
-                lines.push(format!("{key:<10}  {claim}"));
-            }
+    };
+    context.output.print(&output, || {
+        let mut lines = vec![format!("kind        {}", output.kind)];
+        lines.extend(describe(&output.claims));
+        let others = [("delegation", &output.delegation), ("member", &output.member), ("invite", &output.invite)];
+        for (part, claims) in others {
+            let Some(claims) = claims else { continue };
+            lines.push(format!("by the {part}:"));
+            lines.extend(describe(claims));
         }
-        let verdict = match (value["verified"] == true, card) {
+        let verdict = match (output.verified, card) {
             (true, _) => "the owner of the name, or the domain, stands behind it now",
             (false, Some(_)) => "not verified: neither an owner nor a domain signs this",
             (false, None) => "not verified: give --card",
         };
         lines.push(verdict.to_owned());
         lines
+    })
+}
+
+fn describe(claims: &ClaimMap) -> impl Iterator<Item = String> {
+    claims.iter().map(|(key, claim)| {
+        let claim = claim.as_str().map_or_else(|| claim.to_string(), str::to_owned);
+        format!("{key:<10}  {claim}")
     })
 }

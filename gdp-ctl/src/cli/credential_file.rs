@@ -1,7 +1,7 @@
 //! What a certificate file may hold, for the commands that show, use or revoke one.
 
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use gdp_core::card::NameCard;
@@ -10,7 +10,58 @@ use gdp_core::cert::{
     Reading, Revocation, RtCert, Signed,
 };
 use gdp_wire::Name;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+/// What a certificate states, by kind: see "Certificates" in docs/wire-format.md.
+pub type ClaimMap = Map<String, Value>;
+
+/// What a certificate states and what it rests on.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct CertificateOutput {
+    /// `AdCert`, `ReadGrant`, `Delegation` …
+    pub kind: &'static str,
+    pub claims: ClaimMap,
+    pub delegation: Option<ClaimMap>,
+    /// The membership of a reader.
+    pub member: Option<ClaimMap>,
+    /// What a membership rests on.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub invite: Option<ClaimMap>,
+    /// The owner of the name, or the domain, stands behind it now.
+    pub verified: bool,
+}
+
+/// What a command that issues a certificate shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct IssuedOutput {
+    pub kind: &'static str,
+    pub claims: ClaimMap,
+    /// As text, because JavaScript and jq round such numbers.
+    pub serial: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
+    /// Of an invitation: the line to give to the new member.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub token: Option<String>,
+}
+
+impl IssuedOutput {
+    /// Of a certificate in a file.
+    pub fn new<T: Claims>(claims: &T, serial: u64, file: &Path) -> Self {
+        let (serial, file) = (serial.to_string(), Some(file.to_path_buf()));
+        Self { kind: T::KIND, claims: claim_map(claims), serial, file, token: None }
+    }
+}
+
+pub fn claim_map<T: Claims>(claims: &T) -> ClaimMap {
+    match serde_json::to_value(claims) {
+        Ok(Value::Object(claims)) => claims,
+        // All claims are structs of what JSON knows.
+        _ => ClaimMap::new(),
+    }
+}
 
 pub enum CredentialFile {
     Ad(Issued<AdCert>),
@@ -48,7 +99,7 @@ impl CredentialFile {
     }
 
     /// The kind of certificate, what it says and what it rests on; believed by nobody.
-    pub fn describe(&self) -> Result<Value, CertError> {
+    pub fn describe(&self) -> Result<CertificateOutput, CertError> {
         match self {
             Self::Ad(issued) => described(&issued.cert, issued.delegation.as_ref(), None),
             Self::Read(Reading { grant, member }) => {
@@ -57,9 +108,8 @@ impl CredentialFile {
             Self::Delegation(signed) => described(signed, None, None),
             Self::Revocation(signed) => described(signed, None, None),
             Self::Member(member) => {
-                let mut value = described(&member.cert, None, None)?;
-                value["invite"] = json!(member.invite_unverified()?);
-                Ok(value)
+                let invite = member.invite_unverified()?.as_ref().map(claim_map);
+                Ok(CertificateOutput { invite, ..described(&member.cert, None, None)? })
             }
             Self::Peer(signed) => described(signed, None, None),
             Self::Route(signed) => described(signed, None, None),
@@ -134,11 +184,13 @@ fn described<T: Claims>(
     signed: &Signed<T>,
     delegation: Option<&Signed<Delegation>>,
     member: Option<&Membership>,
-) -> Result<Value, CertError> {
-    Ok(json!({
-        "kind": T::KIND,
-        "claims": signed.claims_unverified()?,
-        "delegation": delegation.map(Signed::claims_unverified).transpose()?,
-        "member": member.map(|member| member.cert.claims_unverified()).transpose()?,
-    }))
+) -> Result<CertificateOutput, CertError> {
+    Ok(CertificateOutput {
+        kind: T::KIND,
+        claims: claim_map(&signed.claims_unverified()?),
+        delegation: delegation.map(Signed::claims_unverified).transpose()?.as_ref().map(claim_map),
+        member: member.map(|member| member.cert.claims_unverified()).transpose()?.as_ref().map(claim_map),
+        invite: None,
+        verified: false,
+    })
 }

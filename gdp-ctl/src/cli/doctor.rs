@@ -3,10 +3,11 @@
 
 use std::path::PathBuf;
 
-use anyhow::bail;
 use clap::Args;
-use serde_json::json;
+use schemars::JsonSchema;
+use serde::Serialize;
 
+use super::output::Shown;
 use crate::cli::context::Context;
 use gdp_daemon::config::Config;
 use gdp_daemon::doctor;
@@ -25,6 +26,14 @@ pub struct Options {
     ebpf_object: Option<PathBuf>,
 }
 
+/// What `gdp-ctl doctor` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct DoctorOutput {
+    /// No check has failed.
+    ok: bool,
+    findings: Vec<Finding>,
+}
+
 pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     let mut config = match &options.config {
         Some(path) => Config::load(path)?,
@@ -39,13 +48,12 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     config.ebpf_object = options.ebpf_object.or(config.ebpf_object);
     let findings = doctor::examine(&doctor::gather::facts(&config));
     let failed = findings.iter().filter(|finding| finding.level == Level::Failed).count();
-    context.output.print(json!({"ok": failed == 0, "findings": findings}), || {
-        findings.iter().flat_map(lines).collect::<Vec<_>>()
-    })?;
-    if failed > 0 {
-        bail!("{failed} of {} checks failed", findings.len());
+    let output = DoctorOutput { ok: failed == 0, findings };
+    context.output.print(&output, || output.findings.iter().flat_map(lines).collect::<Vec<_>>())?;
+    match failed {
+        0 => Ok(()),
+        _ => Err(Shown(format!("{failed} of {} checks failed", output.findings.len())).into()),
     }
-    Ok(())
 }
 
 fn lines(finding: &Finding) -> Vec<String> {

@@ -1,10 +1,13 @@
 //! `gdp-ctl key`: private keys of owners and entities.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::{Subcommand, ValueEnum};
 use gdp_core::identity::{Identity, SigningKey};
-use serde_json::{Map, json};
+use gdp_wire::Name;
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use crate::cli::context::Context;
 
@@ -45,6 +48,30 @@ impl Kind {
     }
 }
 
+/// What `gdp-ctl key generate` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct NewKeyOutput {
+    file: PathBuf,
+    /// What the entity is.
+    kind: &'static str,
+    /// Of the entity.
+    name: Name,
+    /// 66 hex digits.
+    public_key: String,
+}
+
+/// What `gdp-ctl key show` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct KeyOutput {
+    /// 66 hex digits.
+    public_key: String,
+    /// The entities that the key makes, by kind.
+    names: BTreeMap<&'static str, Name>,
+    /// Of the entity of this kind, if only one was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<Name>,
+}
+
 pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::Generate { file, kind } => {
@@ -52,22 +79,18 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
             key.save_new(&file)?;
             let public_key = key.verify_key().to_string();
             let name = Identity::new(key, kind.as_str()).name();
-            let value = json!({"file": file, "kind": kind.as_str(), "name": name, "public_key": public_key});
-            context.output.print(value, || [name.to_string()])
+            let output = NewKeyOutput { file, kind: kind.as_str(), name, public_key };
+            context.output.print(&output, || [name.to_string()])
         }
         Command::Show { file, kind } => {
             let key = SigningKey::load(&file)?;
             let kinds = kind.map_or_else(|| Kind::value_variants().to_vec(), |kind| vec![kind]);
             let name = |kind: Kind| Identity::new(key.clone(), kind.as_str()).name();
-            let names: Map<_, _> = kinds.iter().map(|k| (k.as_str().into(), name(*k).to_string().into())).collect();
-            let public_key = key.verify_key().to_string();
-            let mut value = json!({"public_key": public_key, "names": names});
-            if let Some(kind) = kind {
-                value["name"] = name(kind).to_string().into();
-            }
-            context.output.print(value, || {
+            let names = kinds.iter().map(|kind| (kind.as_str(), name(*kind))).collect();
+            let output = KeyOutput { public_key: key.verify_key().to_string(), names, name: kind.map(name) };
+            context.output.print(&output, || {
                 let names = kinds.iter().map(|k| format!("as {:<8} {}", k.as_str(), name(*k)));
-                std::iter::once(format!("public key  {public_key}")).chain(names).collect::<Vec<_>>()
+                std::iter::once(format!("public key  {}", output.public_key)).chain(names).collect::<Vec<_>>()
             })
         }
     }

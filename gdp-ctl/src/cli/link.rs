@@ -1,11 +1,11 @@
 //! `gdp-ctl link list`: the daemon's live links.
 
-use clap::Subcommand;
-use serde_json::Value;
-
-use super::output::{short, table};
+use super::output::{or_dash, table};
 use crate::cli::context::Context;
+use clap::Subcommand;
 use gdp_proto::admin::Request;
+use gdp_proto::admin::links::{Counts, LinkStatus, LinksReply};
+use gdp_proto::admin::words::PeerRelationship;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
@@ -16,46 +16,12 @@ pub enum Command {
 
 pub fn run(command: &Command, context: &Context) -> anyhow::Result<()> {
     let Command::List = command;
-    let reply = context.client()?.ask_value(&Request::Links)?;
-    context.output.print(reply.clone(), || describe(&reply))
+    let reply = context.client()?.ask(&Request::Links)?;
+    context.output.print(&reply, || describe(&reply))
 }
 
-fn describe(reply: &Value) -> Vec<String> {
-    let rows: Vec<_> = reply["links"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .map(|link| {
-            let text = |key: &str| link[key].as_str().unwrap_or_default().to_owned();
-            let id = format!("{:#x}", link["id"].as_u64().unwrap_or_default());
-            let age = duration(link["age_s"].as_u64().unwrap_or_default());
-            let (mtu, rtt) = (link["mtu"].to_string(), format!("{} µs", link["rtt_us"]));
-            let (taken, dropped) = arrivals(&link["arrivals"]);
-            let role = match text("standing").as_str() {
-                "" | "stranger" | "border" => text("role"),
-                standing => format!("{} ({standing})", text("role")),
-            };
-            let via = if link["carrier"] == false { format!("{} (no carrier)", text("via")) } else { text("via") };
-            let place = [role, via, text("address")];
-            let [role, via, address] = place;
-            let cost = link["cost"].as_u64().map_or_else(|| "–".to_owned(), |cost| cost.to_string());
-            [
-                id,
-                short(&link["peer"]),
-                role,
-                via,
-                address,
-                mtu,
-                rtt,
-                cost,
-                age,
-                text("plane"),
-                link["sent"].to_string(),
-                taken,
-                dropped,
-            ]
-        })
-        .collect();
+fn describe(reply: &LinksReply) -> Vec<String> {
+    let rows: Vec<_> = reply.links.iter().map(row).collect();
     table(
         [
             "id",
@@ -76,13 +42,33 @@ fn describe(reply: &Value) -> Vec<String> {
     )
 }
 
+fn row(link: &LinkStatus) -> [String; 13] {
+    let (taken, dropped) = link.arrivals.as_ref().map(arrivals).unwrap_or_default();
+    let role = match link.relationship {
+        PeerRelationship::Stranger | PeerRelationship::Border => link.role.to_string(),
+        relationship => format!("{} ({relationship})", link.role),
+    };
+    [
+        format!("{:#x}", link.id),
+        format!("{:#}", link.peer),
+        role,
+        if link.carrier { link.via.clone() } else { format!("{} (no carrier)", link.via) },
+        link.address.clone(),
+        link.mtu.to_string(),
+        format!("{} µs", link.rtt_us),
+        or_dash(link.cost),
+        duration(link.age_s),
+        link.plane.clone(),
+        link.sent.to_string(),
+        taken,
+        dropped,
+    ]
+}
+
 /// Frames that came in on a link, and how many of them were dropped, by reason.
-fn arrivals(counts: &Value) -> (String, String) {
-    let counts = || counts.as_object().into_iter().flatten();
-    let taken: u64 = counts().filter_map(|(_, frames)| frames.as_u64()).sum();
-    let dropped: Vec<_> =
-        counts().filter_map(|(name, n)| Some(format!("{} {n}", name.strip_prefix("drop_")?))).collect();
-    (taken.to_string(), dropped.join(", "))
+fn arrivals(counts: &Counts) -> (String, String) {
+    let dropped = counts.iter().filter_map(|(name, n)| Some(format!("{} {n}", name.strip_prefix("drop_")?)));
+    (counts.values().sum::<u64>().to_string(), dropped.collect::<Vec<_>>().join(", "))
 }
 
 /// In the two largest units, as `3h 20m`.

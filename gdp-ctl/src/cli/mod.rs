@@ -24,6 +24,7 @@ mod peer;
 mod ping;
 mod query;
 mod revocation;
+mod schema;
 mod serve;
 mod service;
 mod status;
@@ -35,13 +36,16 @@ mod xdp;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
-use gdp_util::terminal::note;
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser, Subcommand};
+use gdp_proto::admin::error::{ErrorCode, ErrorReply};
+use gdp_util::escape::Escaped;
+use gdp_util::terminal::{self, note};
 
 use crate::client::ClientError;
 use context::Context;
 use gdp_dataplane::object;
-use output::Output;
+use output::{FailureOutput, Output, join_causes};
 
 const VERSION: &str = if object::is_embedded() {
     concat!(env!("CARGO_PKG_VERSION"), " (with XDP)")
@@ -54,17 +58,21 @@ const VERSION: &str = if object::is_embedded() {
 #[command(
     name = "gdp-ctl",
     version = VERSION,
+    arg_required_else_help = true,
     after_help = "Exit status: 0 done, 1 failed or refused, 2 wrong usage, 3 no daemon answers."
 )]
 pub struct Cli {
     /// Admin socket of the daemon.
     #[arg(long, global = true, env = "GDP_SOCKET", value_name = "PATH")]
     socket: Option<PathBuf>,
-    /// Print JSON.
+    /// Print JSON: an object with a version `v`, or one a line. Of a failure, `{"v":1,"error":…}`.
     #[arg(short, long, global = true)]
     json: bool,
+    /// Print the JSON Schema of what each command prints with `-j`, then end.
+    #[arg(long)]
+    schema: bool,
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -134,36 +142,50 @@ pub fn main() -> ExitCode {
     gdp_util::panics::end_process();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(error) => return wrong_usage(&error),
+        Err(error) => {
+            // Of arguments that would forge a line, the message that quotes them escaped.
+            let escaped = std::env::args_os().map(|argument| Escaped(argument.to_string_lossy()).to_string());
+            return wrong_usage(&Cli::try_parse_from(escaped).err().unwrap_or(error));
+        }
     };
     let context = Context { socket: cli.socket, output: Output { json: cli.json } };
-    match run(cli.command, &context) {
+    let done = match cli.command {
+        _ if cli.schema => print_schema(),
+        Some(command) => run(command, &context),
+        None => return wrong_usage(&Cli::command().error(ErrorKind::MissingSubcommand, "a command is required")),
+    };
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            note(format_args!("gdp-ctl: {}", chain(&error)));
+            note(format_args!("gdp-ctl: {}", join_causes(error.chain().map(ToString::to_string))));
+            // Where stdout cannot be written, the line on stderr has to do.
+            let _ = context.output.print_failure(&error);
             let no_daemon = matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. }));
             ExitCode::from(if no_daemon { 3 } else { 1 })
         }
     }
 }
 
+fn print_schema() -> anyhow::Result<()> {
+    Ok(terminal::print_json(&serde_json::to_string_pretty(&schema::schema())?)?)
+}
+
 /// Prints help and version as clap does, and errors, which quote what was given, escaped.
 fn wrong_usage(error: &clap::Error) -> ExitCode {
     if error.use_stderr() {
-        error.render().to_string().lines().for_each(note);
+        let text = error.render().to_string();
+        text.lines().for_each(note);
+        let output = Output { json: std::env::args().any(|argument| argument == "-j" || argument == "--json") };
+        let reason = text.split("\n\n").next().unwrap_or_default().trim_start_matches("error: ").to_owned();
+        let remedy = Some("see the usage: add --help".to_owned());
+        let failure = ErrorReply { code: ErrorCode::Usage, reason, remedy };
+        if output.json && output.print(&FailureOutput { error: failure }, || None).is_err() {
+            return ExitCode::FAILURE;
+        }
     } else if error.print().is_err() {
         return ExitCode::FAILURE;
     }
     ExitCode::from(if error.use_stderr() { 2 } else { 0 })
-}
-
-/// An error with its causes, those that it does not name itself.
-fn chain(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
-        "" => cause,
-        said if said.contains(&cause) => text,
-        _ => format!("{text}: {cause}"),
-    })
 }
 
 fn run(command: Command, context: &Context) -> anyhow::Result<()> {

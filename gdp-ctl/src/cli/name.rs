@@ -7,11 +7,12 @@ use clap::{Subcommand, ValueEnum};
 use gdp_core::card::NameCard;
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_core::name;
-use gdp_core::name::Metadata;
+use gdp_core::name::{Metadata, Name};
 use gdp_ros::names::{check_topic, check_type};
 use gdp_util::escape::is_control;
 use gdp_util::terminal::note;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use crate::cli::context::Context;
 
@@ -115,6 +116,20 @@ impl CardKind {
     }
 }
 
+/// What the commands on name cards show.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct CardOutput {
+    name: Name,
+    /// 66 hex digits.
+    owner_key: String,
+    /// Of the metadata: 64 hex digits.
+    digest: String,
+    metadata: Metadata,
+    /// Of a new card.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    file: Option<PathBuf>,
+}
+
 pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
         Command::Create { owner, topic, type_name, kind, nonce, meta, output } => {
@@ -128,22 +143,21 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
             let card = NameCard::create(public_key(&owner)?, kind.as_str(), &topic, type_name, nonce)?;
             let card = NameCard::new(*card.owner_key(), with_meta(card.metadata().clone(), &meta)?)?;
             card.save_new(&output)?;
-            let mut value = describe(&card);
-            value["file"] = json!(output);
-            context.output.print(value, || [card.name().to_string()])
+            let shown = CardOutput { file: Some(output), ..CardOutput::new(&card) };
+            context.output.print(&shown, || [card.name().to_string()])
         }
         Command::Derive { card: Some(path), .. } => {
             let card = NameCard::load(&path)?;
-            context.output.print(describe(&card), || [card.name().to_string()])
+            context.output.print(&CardOutput::new(&card), || [card.name().to_string()])
         }
         Command::Derive { card: None, owner, meta } => {
             let owner = public_key(&owner.unwrap_or_default())?;
             let card = NameCard::new(owner, with_meta(Metadata::new(), &meta)?)?;
-            context.output.print(describe(&card), || [card.name().to_string()])
+            context.output.print(&CardOutput::new(&card), || [card.name().to_string()])
         }
         Command::Show { card } => {
             let card = NameCard::load(&card)?;
-            context.output.print(describe(&card), || {
+            context.output.print(&CardOutput::new(&card), || {
                 let own = [format!("name        {}", card.name()), format!("owner key   {}", card.owner_key())];
                 let metadata = card.metadata().iter().map(|(key, value)| format!("{key:<10}  {value}"));
                 own.into_iter().chain(metadata).collect::<Vec<_>>()
@@ -162,13 +176,16 @@ fn with_meta(mut metadata: Metadata, meta: &[String]) -> anyhow::Result<Metadata
     Ok(metadata)
 }
 
-fn describe(card: &NameCard) -> Value {
-    json!({
-        "name": card.name(),
-        "owner_key": card.owner_key(),
-        "digest": hex::encode(name::inner_digest(card.metadata())),
-        "metadata": card.metadata(),
-    })
+impl CardOutput {
+    fn new(card: &NameCard) -> Self {
+        Self {
+            name: card.name(),
+            owner_key: card.owner_key().to_string(),
+            digest: hex::encode(name::inner_digest(card.metadata())),
+            metadata: card.metadata().clone(),
+            file: None,
+        }
+    }
 }
 
 /// A public key in hex, or that of a private key file.

@@ -120,7 +120,7 @@ pub async fn listen(fabric: &Fabric, card: &NameCard, options: SubscribeOptions)
 /// Says once, a moment after the start, if nobody publishes; never returns.
 pub async fn tell_if_silent<T>(fabric: &Fabric, card: &NameCard) -> anyhow::Result<T> {
     tokio::time::sleep(TIMEOUT).await;
-    if fabric.parties(card).await?.writers.is_empty() {
+    if fabric.entities(card).await?.writers.is_empty() {
         note(format_args!("WARNING: topic [{}] does not appear to be published yet", called(card)));
     }
     std::future::pending().await

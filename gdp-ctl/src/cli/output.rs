@@ -7,29 +7,75 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 use anyhow::Context;
+use gdp_proto::admin::Versioned;
+use gdp_proto::admin::error::{ErrorCode, ErrorReply};
 use gdp_util::escape::Escaped;
 use gdp_util::terminal;
-use serde_json::Value;
+use gdp_wire::Name;
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use crate::client::ClientError;
+
+/// A failure that what was printed shows already, so that `-j` prints no object for it.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct Shown(pub String);
+
+/// What `-j` prints of a command that fails.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct FailureOutput {
+    pub error: ErrorReply,
+}
+
+/// The version of what `-j` prints.
+pub const VERSION: u64 = 1;
 
 pub struct Output {
     pub json: bool,
 }
 
 impl Output {
-    /// Prints `value`, an object, with `"v": 1`; or, without `-j`, the `lines`. Each is escaped as
-    /// a whole, so that a line feed in a text does not make another line.
-    pub fn print<L>(&self, mut value: Value, lines: impl FnOnce() -> L) -> anyhow::Result<()>
+    /// Prints `value`, an object, with the version of its form; or, without `-j`, the `lines`. Each
+    /// is escaped as a whole, so that a line feed in a text does not make another line.
+    pub fn print<T, L>(&self, value: &T, lines: impl FnOnce() -> L) -> anyhow::Result<()>
     where
+        T: Serialize + JsonSchema,
         L: IntoIterator<Item = String>,
     {
         let printed = if self.json {
-            value["v"] = 1.into();
-            terminal::print_json(&value.to_string())
+            terminal::print_json(&serde_json::to_string(&Versioned { v: VERSION, value })?)
         } else {
             terminal::print(lines())
         };
         printed.context("cannot write to stdout")
     }
+
+    /// With `-j`, prints why the command failed, unless its output shows that.
+    pub fn print_failure(&self, error: &anyhow::Error) -> anyhow::Result<()> {
+        if !self.json || error.is::<Shown>() {
+            return Ok(());
+        }
+        let code = error.downcast_ref().map_or(ErrorCode::Failed, ClientError::code);
+        let causes: Vec<_> = error.chain().map(|cause| ErrorReply::new(code, &cause.to_string())).collect();
+        let remedy = causes.iter().find_map(|cause| cause.remedy.clone());
+        let reason = join_causes(causes.into_iter().map(|cause| cause.reason));
+        self.print(&FailureOutput { error: ErrorReply { code, reason, remedy } }, || None)
+    }
+
+    /// Prints a line for people, which `-j` leaves out.
+    pub fn tell(&self, line: impl FnOnce() -> String) -> anyhow::Result<()> {
+        if self.json { Ok(()) } else { terminal::print([line()]).context("cannot write to stdout") }
+    }
+}
+
+/// An error's causes on one line, without those that another one names.
+pub fn join_causes(causes: impl Iterator<Item = String>) -> String {
+    causes.fold(String::new(), |text, cause| match text.as_str() {
+        "" => cause,
+        said if said.contains(&cause) => text,
+        _ => format!("{text}: {cause}"),
+    })
 }
 
 /// Writes a new file that others may read; an existing one is never overwritten.
@@ -63,10 +109,12 @@ pub fn lines_of(text: &str) -> Vec<String> {
     text.trim_end().lines().map(str::to_owned).collect()
 }
 
-/// A name in a JSON value, in its short form.
-pub fn short(value: &Value) -> String {
-    match value.as_str() {
-        Some(text) => text.parse::<gdp_wire::Name>().map_or_else(|_| text.to_owned(), |name| format!("{name:#}")),
-        None => String::new(),
-    }
+/// Names in their short form.
+pub fn short<'a>(names: impl IntoIterator<Item = &'a Name>) -> String {
+    names.into_iter().map(|name| format!("{name:#}")).collect::<Vec<_>>().join(" ")
+}
+
+/// A value, or a dash where there is none.
+pub fn or_dash<T: ToString>(value: Option<T>) -> String {
+    value.map_or_else(|| "–".to_owned(), |value| value.to_string())
 }

@@ -1,11 +1,11 @@
 //! `gdp-ctl peer list`: whom the daemon's switch has, or should have, links with.
 
-use clap::Subcommand;
-use serde_json::Value;
-
-use super::output::{short, table};
+use super::output::{or_dash, table};
 use crate::cli::context::Context;
+use clap::Subcommand;
 use gdp_proto::admin::Request;
+use gdp_proto::admin::links::PeersReply;
+use gdp_proto::admin::words::PeerLink;
 use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Subcommand)]
@@ -17,44 +17,34 @@ pub enum Command {
 
 pub fn run(command: &Command, context: &Context) -> anyhow::Result<()> {
     let Command::List = command;
-    let reply = context.client()?.ask_value(&Request::Peers)?;
-    context.output.print(reply.clone(), || describe(&reply))
+    let reply = context.client()?.ask(&Request::Peers)?;
+    context.output.print(&reply, || describe(&reply))
 }
 
-fn describe(reply: &Value) -> Vec<String> {
+fn describe(reply: &PeersReply) -> Vec<String> {
     let now = unix_seconds();
-    let rows: Vec<_> = reply["peers"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .map(|peer| {
-            let text = |key: &str| peer[key].as_str().unwrap_or("–").to_owned();
-            let domain = match &peer["domain"] {
-                Value::Null => "–".to_owned(),
-                domain if *domain == reply["domain"] => "own".to_owned(),
-                domain => short(domain),
-            };
-            let until = match peer["until"].as_u64() {
-                Some(until) => format!("{} s", until.saturating_sub(now)),
-                None => "–".to_owned(),
-            };
-            let why = match (peer["link"] == "up", peer["reason"].as_str()) {
-                (false, Some(reason)) => format!("{reason} ({} s ago)", peer["reason_age_s"]),
-                _ => String::new(),
-            };
-            [
-                short(&peer["peer"]),
-                domain,
-                text("standing"),
-                text("rights_given"),
-                text("rights_held"),
-                until,
-                text("link"),
-                text("via"),
-                why,
-            ]
-        })
-        .collect();
+    let rows = reply.peers.iter().map(|peer| {
+        let domain = match peer.domain {
+            domain if domain.is_some() && domain == reply.domain => "own".to_owned(),
+            domain => or_dash(domain.map(|domain| format!("{domain:#}"))),
+        };
+        let why = match (&peer.reason, peer.reason_age_s) {
+            (Some(reason), Some(age)) if peer.link != PeerLink::Up => format!("{reason} ({age} s ago)"),
+            _ => String::new(),
+        };
+        [
+            format!("{:#}", peer.peer),
+            domain,
+            or_dash(peer.relationship),
+            or_dash(peer.rights_granted.as_ref()),
+            or_dash(peer.rights_received.as_ref()),
+            or_dash(peer.until.map(|until| format!("{} s", until.saturating_sub(now)))),
+            peer.link.to_string(),
+            or_dash(peer.via.as_ref()),
+            why,
+        ]
+    });
+    let rows: Vec<_> = rows.collect();
     table(
         ["peer", "domain", "standing", "may do here", "lets us", "ends in", "link", "via", "why there is no link"],
         &rows,

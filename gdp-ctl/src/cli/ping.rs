@@ -2,17 +2,18 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::bail;
 use clap::Args;
 use gdp_wire::Name;
 use gdp_wire::header::INITIAL_HOP_LIMIT;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
 
-use super::name_location::{self, NameLocation, millis};
-use super::output::short;
+use super::name_location::{self, millis};
+use super::output::Shown;
 use crate::cli::context::Context;
-use crate::client::Client;
+use crate::client::{Client, ClientError};
 use gdp_proto::admin::Request;
+use gdp_proto::admin::trace::{EchoReply, LocateReply, PathEnd, ProbeReply};
 
 /// Ask whether a name answers, once a second.
 ///
@@ -40,32 +41,54 @@ fn parse_interval(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| format!("{text:?} is not a number of seconds from 0.02 to 3600"))
 }
 
+/// What `gdp-ctl ping` prints: a line for each answer, and the statistics.
+#[derive(Debug, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum PingOutput {
+    Answer {
+        seq: u64,
+        /// Who was asked.
+        from: Name,
+        /// None: no answer.
+        rtt_us: Option<u64>,
+        /// What that switch delivers the name to.
+        end: Option<PathEnd>,
+    },
+    Statistics {
+        name: Name,
+        sent: u64,
+        received: usize,
+        loss_percent: f64,
+        min_us: Option<u64>,
+        avg_us: Option<u64>,
+        max_us: Option<u64>,
+    },
+}
+
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut client = context.client()?;
-    let place = name_location::find(&options.what, &mut client)?;
-    if !context.output.json {
-        context.output.print(json!({}), || [format!("PING {:#} {}", place.name, how(&place))])?;
-    }
+    let location = name_location::find(&options.what, &mut client)?;
+    context.output.tell(|| format!("PING {:#} {}", location.name, how(&location)))?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let mut tally = Tally::default();
     for seq in 1..=options.count.unwrap_or(u64::MAX) {
         let begun = Instant::now();
-        for target in targets(&place) {
-            let answer = ask(&place, target, &mut client)?;
-            tally.add(answer["rtt_us"].as_u64());
-            let mut line = json!({"seq": seq, "from": target});
-            for key in ["rtt_us", "end"] {
-                line[key] = answer[key].clone();
-            }
-            context.output.print(line.clone(), || [describe(&line)])?;
+        for from in targets(&location) {
+            let (rtt_us, end) = ask(&location, from, &mut client)?;
+            tally.add(rtt_us);
+            let line = describe(seq, from, rtt_us, end.as_ref());
+            context.output.print(&PingOutput::Answer { seq, from: *from, rtt_us, end }, || [line])?;
         }
         let rest = Duration::from_secs_f64(options.interval).saturating_sub(begun.elapsed());
         if Some(seq) == options.count || runtime.block_on(interrupted(rest))? {
             break;
         }
     }
-    context.output.print(tally.value(&place.name), || tally.lines(&place.name))?;
-    if tally.times.is_empty() { bail!("nothing answered for {:#}", place.name) } else { Ok(()) }
+    context.output.print(&tally.statistics(location.name), || tally.lines(&location.name))?;
+    match tally.times.is_empty() {
+        true => Err(Shown(format!("nothing answered for {:#}", location.name)).into()),
+        false => Ok(()),
+    }
 }
 
 /// Whether ^C comes before the time is over.
@@ -76,39 +99,43 @@ async fn interrupted(rest: Duration) -> std::io::Result<bool> {
     }
 }
 
-fn how(place: &NameLocation) -> String {
-    match place.egress.len() {
-        _ if place.is_near => "by echoes on its link".into(),
+fn how(location: &LocateReply) -> String {
+    match location.egress.len() {
+        _ if location.near => "by echoes on its link".into(),
         1 => "by probes to its switch".into(),
         n => format!("by probes to {n} switches"),
     }
 }
 
 /// Whom to ask each time.
-fn targets(place: &NameLocation) -> &[Name] {
-    if place.is_near { std::slice::from_ref(&place.name) } else { &place.egress }
+fn targets(location: &LocateReply) -> &[Name] {
+    if location.near { std::slice::from_ref(&location.name) } else { &location.egress }
 }
 
-fn ask(place: &NameLocation, target: &Name, client: &mut Client) -> anyhow::Result<Value> {
-    if place.is_near {
-        return Ok(client.ask_value(&Request::Echo { peer: place.name })?);
+/// The time to the target and back, and what it delivers the name to; none if nothing answers.
+fn ask(
+    location: &LocateReply,
+    target: &Name,
+    client: &mut Client,
+) -> Result<(Option<u64>, Option<PathEnd>), ClientError> {
+    if location.near {
+        let EchoReply { rtt_us } = client.ask(&Request::Echo { peer: location.name })?;
+        return Ok((rtt_us, None));
     }
-    if *target == place.own {
-        return Ok(json!({"rtt_us": 0, "end": place.end}));
+    if *target == location.own {
+        return Ok((Some(0), Some(location.end.clone())));
     }
-    let answer = client.ask_value(&Request::Probe { name: place.name, switch: *target, hops: INITIAL_HOP_LIMIT })?;
+    let probe = Request::Probe { name: location.name, switch: *target, hops: INITIAL_HOP_LIMIT };
+    let ProbeReply { rtt_us, end, .. } = client.ask(&probe)?;
     // A switch before the end has no end to tell of.
-    Ok(if answer["end"].is_null() { json!({}) } else { answer })
+    Ok((rtt_us.filter(|_| end.is_some()), end))
 }
 
-fn describe(line: &Value) -> String {
-    let links = match line["end"]["links"].as_u64() {
-        Some(links) => format!(" links={links}"),
-        None => String::new(),
-    };
-    match line["rtt_us"].as_u64() {
-        Some(rtt) => format!("{}: seq={}{links} time={}", short(&line["from"]), line["seq"], millis(rtt)),
-        None => format!("{}: seq={} no answer", short(&line["from"]), line["seq"]),
+fn describe(seq: u64, from: &Name, rtt_us: Option<u64>, end: Option<&PathEnd>) -> String {
+    let links = end.map_or_else(String::new, |end| format!(" links={}", end.links));
+    match rtt_us {
+        Some(rtt) => format!("{from:#}: seq={seq}{links} time={}", millis(rtt)),
+        None => format!("{from:#}: seq={seq} no answer"),
     }
 }
 
@@ -136,13 +163,10 @@ impl Tally {
         Some([*min, self.times.iter().sum::<u64>() / self.times.len() as u64, *max])
     }
 
-    fn value(&self, name: &Name) -> Value {
-        let times = self.times();
-        let time = |at: usize| times.map(|times| times[at]);
-        json!({
-            "name": name, "sent": self.sent, "received": self.times.len(), "loss_percent": self.loss(),
-            "min_us": time(0), "avg_us": time(1), "max_us": time(2),
-        })
+    fn statistics(&self, name: Name) -> PingOutput {
+        let [min_us, avg_us, max_us] = self.times().map_or([None; 3], |times| times.map(Some));
+        let (sent, received, loss_percent) = (self.sent, self.times.len(), self.loss());
+        PingOutput::Statistics { name, sent, received, loss_percent, min_us, avg_us, max_us }
     }
 
     fn lines(&self, name: &Name) -> Vec<String> {

@@ -6,12 +6,15 @@ use std::path::Path;
 use anyhow::{Context as _, bail};
 use clap::Args;
 use gdp_core::card::NameCard;
+use gdp_core::cert::CertError;
 use gdp_core::name::NamePrefix;
 use gdp_proto::control::{EntityRequest, Record, Response};
 use gdp_util::terminal::note;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
 
-use super::output;
+use super::dump::{RECORD_COLUMNS, RecordOutput};
+use super::output::table;
 use crate::cli::context::Context;
 use crate::client::Client;
 use gdp_proto::admin::Request;
@@ -27,6 +30,30 @@ pub struct Options {
     what: String,
 }
 
+/// What `gdp-ctl query` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct QueryOutput {
+    records: Vec<VerifiedRecord>,
+    /// There are more.
+    truncated: bool,
+}
+
+/// An entity's part in a name, whose certificates were verified here.
+#[derive(Debug, Serialize, JsonSchema)]
+struct VerifiedRecord {
+    #[serde(flatten)]
+    record: RecordOutput,
+    /// Always true.
+    verified: bool,
+}
+
+impl VerifiedRecord {
+    fn new(record: &Record, now: u64) -> Result<Self, CertError> {
+        record.verify(None, now)?;
+        Ok(Self { record: RecordOutput::new(record)?, verified: true })
+    }
+}
+
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let prefix = prefix(&options.what)?;
     let (records, truncated) = ask(&mut context.client()?, &prefix)?;
@@ -34,28 +61,21 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         bail!("nobody publishes, reads, serves or calls {prefix}");
     }
     let now = unix_seconds();
-    let mut rows = Vec::new();
-    let mut values = Vec::new();
+    let mut verified = Vec::new();
     for record in &records {
         if !prefix.matches(&record.name) {
             bail!("the answer contains {}, which was not asked for: the RIB is faulty or lies", record.name);
         }
-        let value = describe(record, now)
+        let record = VerifiedRecord::new(record, now)
             .with_context(|| format!("the RIB's record of {} does not verify: it is faulty or lies", record.name))?;
-        rows.push([
-            format!("{:#}", record.name),
-            value["role"].as_str().unwrap_or_default().to_owned(),
-            output::short(&value["entity"]),
-            output::short(&value["switch"]),
-            format!("{} s", record.expires_in),
-        ]);
-        values.push(value);
+        verified.push(record);
     }
     if truncated {
         note("gdp-ctl: there are more; ask with more digits of the name");
     }
-    context.output.print(json!({"records": values, "truncated": truncated}), || {
-        output::table(["name", "role", "entity", "switch", "expires in"], &rows)
+    let output = QueryOutput { records: verified, truncated };
+    context.output.print(&output, || {
+        table(RECORD_COLUMNS, &output.records.iter().map(|verified| verified.record.row()).collect::<Vec<_>>())
     })
 }
 
@@ -66,7 +86,7 @@ fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>,
         let after = records.last().map(Record::place).transpose()?;
         let request = EntityRequest::Query { prefix: prefix.clone(), after };
         let Response::Records { records: page, truncated } =
-            client.ask_control(&Request::Entity { entity: None, request: request.into() })?
+            client.ask(&Request::Entity { entity: None, request: request.into() })?
         else {
             bail!("the RIB answered another question");
         };
@@ -80,15 +100,6 @@ fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>,
             return Ok((records, truncated));
         }
     }
-}
-
-fn describe(record: &Record, now: u64) -> Result<Value, gdp_core::cert::CertError> {
-    let entity = record.verify(None, now)?.entity;
-    let role = record.role()?.to_string();
-    Ok(json!({
-        "name": record.name, "role": role, "entity": entity, "switch": record.switch,
-        "expires_in": record.expires_in, "verified": true,
-    }))
 }
 
 /// A card file, else digits of a name.

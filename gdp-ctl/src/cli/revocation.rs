@@ -1,25 +1,26 @@
 //! What `gdp-ctl grant revoke` and `gdp-ctl domain revoke` share: the next revocation of a name,
 //! and telling the fabric.
 
+use std::path::PathBuf;
+
 use anyhow::{Context as _, bail};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{MAX_REVOKED, Revocation, Signed};
 use gdp_proto::control::{EntityRequest, Response};
 use gdp_util::terminal::note;
 use gdp_wire::Name;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use super::issuance_log::{Entry, IssuanceLog};
 use crate::cli::context::Context;
 use crate::cli::issuing::serial_now;
 use crate::client::ClientError;
 use gdp_proto::admin::Request;
+use gdp_proto::admin::error::ErrorCode;
 
 /// Seconds that an expired certificate stays listed: a clock may be so much behind.
 const CLOCKS_DIFFER: u64 = 86400;
-
-/// The code of a refusal to go back to an earlier revocation.
-const OLD_NUMBER: &str = "ReplayedSerial";
 
 /// Sends the newest revocation of the books' name to the daemon, and prints what became of it.
 /// `anew`: it was made now, so it is worth something though no daemon answers; `again` is the
@@ -46,25 +47,46 @@ pub fn publish(
             false
         }
         Err(error) => {
-            let rolled_back =
-                matches!(error.downcast_ref(), Some(ClientError::Refused { code, .. }) if code == OLD_NUMBER);
+            let refused = error.downcast_ref().map(ClientError::code);
+            let rolled_back = refused == Some(ErrorCode::ReplayedSerial);
             let remedy = if rolled_back { "; if newer files have been lost, take all back with --all" } else { "" };
             return Err(error.context(format!("{} is kept, but not published{remedy}", file.display())));
         }
     };
-    let mut value = describe_revocation(claims);
-    value["name"] = books.card().name().to_string().into();
-    value["file"] = file.display().to_string().into();
-    value["published"] = published.into();
-    context.output.print(value, || {
+    let revocation = RevocationOutput::new(claims);
+    let output = RevokeOutput { revocation, name: books.card().name(), file: file.clone(), published };
+    context.output.print(&output, || {
         let told = if published { "published" } else { "not published" };
         [format!("revocation {} of {:#}, {told}: {}", claims.number, claims.name, file.display())]
     })
 }
 
-pub fn describe_revocation(revocation: &Revocation) -> Value {
-    let revoked: Vec<String> = revocation.revoked.iter().map(u64::to_string).collect();
-    json!({"number": revocation.number, "floor": revocation.floor.to_string(), "revoked": revoked})
+/// A revocation. Serials are text, because JavaScript and jq round such numbers.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct RevocationOutput {
+    number: u64,
+    /// All certificates with a lower serial are revoked.
+    floor: String,
+    /// And these.
+    revoked: Vec<String>,
+}
+
+impl RevocationOutput {
+    pub fn new(revocation: &Revocation) -> Self {
+        let revoked = revocation.revoked.iter().map(u64::to_string).collect();
+        Self { number: revocation.number, floor: revocation.floor.to_string(), revoked }
+    }
+}
+
+/// What `gdp-ctl grant revoke` and `gdp-ctl domain revoke` show.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct RevokeOutput {
+    #[serde(flatten)]
+    revocation: RevocationOutput,
+    name: Name,
+    file: PathBuf,
+    /// A RIB has it.
+    published: bool,
 }
 
 /// The revocation that follows `known`. With a new `floor` nothing that was said before matters, so
@@ -116,7 +138,7 @@ pub fn next_serial<E: Entry>(issued: &[E], revocation: Option<&Revocation>) -> a
 
 fn send(card: &NameCard, revocation: Signed<Revocation>, context: &Context) -> anyhow::Result<()> {
     let request = EntityRequest::Revoke { proof: card.proof(), revocation };
-    match context.client()?.ask_control(&Request::Entity { entity: None, request: request.into() })? {
+    match context.client()?.ask(&Request::Entity { entity: None, request: request.into() })? {
         Response::Done => Ok(()),
         _ => bail!("the RIB answered another question"),
     }

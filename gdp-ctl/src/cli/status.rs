@@ -1,133 +1,118 @@
 //! `gdp-ctl status`: the daemon as it sees itself.
 
-use serde_json::Value;
-
 use super::output::{short, table};
 use crate::cli::context::Context;
 use gdp_proto::admin::Request;
+use gdp_proto::admin::links::Counts;
+use gdp_proto::admin::status::{StatusReply, TierStatus, Warning};
 
 pub fn run(context: &Context) -> anyhow::Result<()> {
-    let status = context.client()?.ask_value(&Request::Status)?;
-    context.output.print(status.clone(), || describe(&status))
+    let status: Box<StatusReply> = context.client()?.ask(&Request::Status)?;
+    context.output.print(&status, || describe(&status))
 }
 
-fn describe(status: &Value) -> Vec<String> {
-    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
-    let items = |value: &Value| value.as_array().cloned().unwrap_or_default();
+fn describe(status: &StatusReply) -> Vec<String> {
     let mut lines = vec![
-        format!("switch      {}", text(&status["name"])),
-        format!("data plane  {}: {}", text(&status["data_plane"]), text(&status["data_plane_reason"])),
+        format!("switch      {}", status.name),
+        format!("data plane  {}: {}", status.data_plane, status.data_plane_reason),
     ];
-    let control = &status["control"];
-    lines.push(match (&status["rib"], control["reason"].as_str()) {
-        (Value::Object(rib), _) => format!("RIB         here: {} names, {} switches", rib["names"], rib["switches"]),
-        (_, None) => format!("RIB         at {}, through {}", short(&control["rib"]), short(&control["next"])),
+    let control = &status.control;
+    lines.push(match (&status.rib, &control.reason) {
+        (Some(rib), _) => format!("RIB         here: {} names, {} switches", rib.names, rib.switches),
+        (_, None) => format!("RIB         at {}, through {}", short(&control.rib), short(&control.next)),
         (_, Some(reason)) => format!("RIB         not reached: {reason}"),
     });
-    if let Some(fenced) = control["fenced"].as_u64().filter(|fenced| *fenced > 0) {
-        lines.push(format!("            {fenced} pushes refused of a RIB whose term was over"));
+    if control.fenced > 0 {
+        lines.push(format!("            {} pushes refused of a RIB whose term was over", control.fenced));
     }
-    for tier in items(&status["tiers"]) {
-        let refused: u64 =
-            tier["refused"].as_object().into_iter().flatten().filter_map(|(_, count)| count.as_u64()).sum();
-        lines.push(format!(
-            "domain      {} {}: {}, {} entries in, {} out, {refused} refused{}",
-            text(&tier["kind"]),
-            short(&tier["domain"]),
-            text(&tier["state"]),
-            tier["entries_in"],
-            tier["entries_out"],
-            tier["reason"].as_str().map(|reason| format!(": {reason}")).unwrap_or_default()
-        ));
-    }
-    lines.push(format!("FIB         {} names, generation {}", status["fib"]["names"], status["fib"]["generation"]));
-    let links: Vec<_> = items(&status["links"])
-        .iter()
-        .map(|link| {
-            let rtt = format!("{} µs", link["rtt_us"]);
-            [
-                short(&link["peer"]),
-                text(&link["role"]),
-                text(&link["via"]),
-                text(&link["address"]),
-                link["mtu"].to_string(),
-                rtt,
-            ]
-        })
-        .collect();
+    lines.extend(status.tiers.iter().flatten().map(describe_tier));
+    lines.push(format!("FIB         {} names, generation {}", status.fib.names, status.fib.generation));
+    let links = status.links.iter().map(|link| {
+        [
+            format!("{:#}", link.peer),
+            link.role.to_string(),
+            link.via.clone(),
+            link.address.clone(),
+            link.mtu.to_string(),
+            format!("{} µs", link.rtt_us),
+        ]
+    });
     lines.push(String::new());
-    lines.extend(table(["link to", "role", "via", "address", "MTU", "RTT"], &links));
-    for link in items(&status["links_held"]) {
-        lines.push(format!("holding an earlier link of {} {}", text(&link["role"]), short(&link["peer"])));
+    lines.extend(table(["link to", "role", "via", "address", "MTU", "RTT"], &links.collect::<Vec<_>>()));
+    let in_grace = &status.links_in_grace;
+    lines.extend(in_grace.iter().map(|link| format!("holding an earlier link of {} {:#}", link.role, link.peer)));
+    let refused = status.links.iter().map(|link| (&link.peer, &link.errors_received));
+    for (peer, errors) in refused.chain(in_grace.iter().map(|link| (&link.peer, &link.errors_received))) {
+        let line = |(code, count)| format!("{peer:#} refused frames of this switch: {count} × {code}");
+        lines.extend(errors.iter().map(line));
     }
-    for link in items(&status["links"]).into_iter().chain(items(&status["links_held"])) {
-        for (code, count) in link["errors_received"].as_object().into_iter().flatten() {
-            lines.push(format!("{} refused frames of this switch: {count} × {code}", short(&link["peer"])));
-        }
-    }
-    let handshakes = &status["handshakes"];
-    if handshakes.as_object().into_iter().flatten().any(|(_, count)| *count != 0) {
+    let handshakes = &status.handshakes;
+    if handshakes.challenged + handshakes.refused + handshakes.displaced + handshakes.failed > 0 {
         lines.push(format!(
             "handshakes of peers: {} had to prove an address, {} refused, {} gave way to newer ones, {} failed",
-            handshakes["challenged"], handshakes["refused"], handshakes["displaced"], handshakes["failed"]
+            handshakes.challenged, handshakes.refused, handshakes.displaced, handshakes.failed
         ));
     }
-    let counted = status["counters_by_plane"].as_object().into_iter().flatten();
-    let has_dpdk = !status["counters_by_plane"]["forwarded"]["dpdk"].is_null();
-    let first = if has_dpdk { "dpdk" } else { "kernel" };
-    let counters: Vec<_> = counted
-        .map(|(name, planes)| (name, planes[first].as_u64().unwrap_or(0), planes["userspace"].as_u64().unwrap_or(0)))
-        .filter(|(_, first, userspace)| *first != 0 || *userspace != 0)
-        .map(|(name, first, userspace)| [name.clone(), first.to_string(), userspace.to_string()])
-        .collect();
-    if !counters.is_empty() {
-        lines.push(String::new());
-        lines.extend(table(["frames", first, "userspace"], &counters));
-    }
-    let busiest: Vec<_> =
-        items(&status["busiest"]).iter().map(|name| [short(&name["name"]), name["frames"].to_string()]).collect();
-    if !busiest.is_empty() {
-        lines.push(String::new());
-        lines.extend(table(["busiest names", "frames, about"], &busiest));
-    }
-    for interface in items(&status["interfaces"]).iter().filter(|interface| interface["redirect_lost"] != 0) {
-        let (lost, name) = (&interface["redirect_lost"], text(&interface["interface"]));
+    lines.extend(describe_counters(status));
+    let busiest = status.busiest.iter().map(|busy| [format!("{:#}", busy.name), busy.frames.to_string()]);
+    lines.extend(section(["busiest names", "frames, about"], &busiest.collect::<Vec<_>>()));
+    for interface in status.interfaces.iter().filter(|interface| interface.redirect_lost > 0) {
+        let (lost, name) = (interface.redirect_lost, &interface.interface);
         lines.push(format!(
             "{lost} frames lost that {name} did not take; `gdp-ctl doctor --interface {name}` looks for the cause"
         ));
     }
-    for interface in items(&status["interfaces"]) {
-        let (device, name) = (&interface["device"], text(&interface["interface"]));
-        for (counter, what) in [("missed", "arrived and were lost in"), ("failed", "were not sent by")] {
-            if let Some(count) = device[counter].as_u64().filter(|count| *count > 0) {
-                lines.push(format!("{count} packets {what} the device of {name}"));
-            }
-        }
+    for interface in &status.interfaces {
+        let Some(device) = &interface.device else { continue };
+        let lost = [(device.missed, "arrived and were lost in"), (device.failed, "were not sent by")];
+        let line = |(count, what)| format!("{count} packets {what} the device of {}", interface.interface);
+        lines.extend(lost.into_iter().filter(|(count, _)| *count > 0).map(line));
     }
-    for warning in items(&status["warnings"]) {
-        lines.push(describe_warning(&warning));
-    }
-    for error in items(&status["errors"]) {
-        lines.push(format!("error: {}", text(&error)));
-    }
+    lines.extend(status.warnings.iter().map(describe_warning));
+    lines.extend(status.errors.iter().map(|error| format!("error: {error}")));
     lines
 }
 
-fn describe_warning(warning: &Value) -> String {
-    let names = warning["names"].as_array().map_or(&[][..], Vec::as_slice);
-    match warning["kind"].as_str() {
-        Some("silent") => format!(
-            "warning: {} may send to {} names that somebody takes, and no frame of it has come for {} s",
-            short(&warning["entity"]),
-            warning["names"],
-            warning["for_s"]
+fn describe_tier(tier: &TierStatus) -> String {
+    format!(
+        "domain      {} {:#}: {}, {} entries in, {} out, {} refused{}",
+        tier.kind,
+        tier.domain,
+        tier.state,
+        tier.entries_in,
+        tier.entries_out,
+        tier.refused.values().sum::<u64>(),
+        tier.reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default()
+    )
+}
+
+/// The counters that count something, by data plane.
+fn describe_counters(status: &StatusReply) -> Vec<String> {
+    let has_dpdk = status.counters_by_plane.values().any(|planes| planes.contains_key("dpdk"));
+    let first = if has_dpdk { "dpdk" } else { "kernel" };
+    let of = |planes: &Counts, plane: &str| planes.get(plane).copied().unwrap_or_default();
+    let rows = status.counters_by_plane.iter().filter(|(_, planes)| planes.values().any(|frames| *frames > 0));
+    let row = |(name, planes): (&String, &Counts)| {
+        [name.clone(), of(planes, first).to_string(), of(planes, "userspace").to_string()]
+    };
+    section(["frames", first, "userspace"], &rows.map(row).collect::<Vec<_>>())
+}
+
+/// A table behind an empty line, if it has rows.
+fn section<const N: usize>(heading: [&str; N], rows: &[[String; N]]) -> Vec<String> {
+    if rows.is_empty() { Vec::new() } else { [vec![String::new()], table(heading, rows)].concat() }
+}
+
+fn describe_warning(warning: &Warning) -> String {
+    match warning {
+        Warning::Silent { entity, names, for_s } => format!(
+            "warning: {entity:#} may send to {names} names that somebody takes, and no frame of it has come for \
+             {for_s} s"
         ),
-        Some("unserved") => format!(
-            "warning: {} names are read or called, and nobody publishes or serves them: {}{}",
-            warning["count"],
-            names.iter().map(short).collect::<Vec<_>>().join(" "),
-            if warning["count"].as_u64() > Some(names.len() as u64) { " …" } else { "" }
+        Warning::NotServed { count, names } => format!(
+            "warning: {count} names are read or called, and nobody publishes or serves them: {}{}",
+            short(names),
+            if *count > names.len() { " …" } else { "" }
         ),
-        _ => format!("warning: {warning}"),
     }
 }

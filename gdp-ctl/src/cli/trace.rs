@@ -3,13 +3,16 @@
 use clap::Args;
 use gdp_proto::control::MAX_PATH;
 use gdp_wire::Name;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
 
-use super::name_location::{self, NameLocation, millis};
-use super::output::short;
+use super::name_location::{self, millis};
+use super::output::Shown;
 use crate::cli::context::Context;
-use crate::client::Client;
+use crate::client::{Client, ClientError};
 use gdp_proto::admin::Request;
+use gdp_proto::admin::trace::{BeyondReply, DomainHop, InsideHop, LocateReply, PathEnd, ProbeReply};
+use gdp_proto::admin::words::Outcome;
 
 /// Probes for one hop, until one is answered.
 const TRIES: usize = 3;
@@ -37,63 +40,96 @@ pub struct Options {
     max_hops: u8,
 }
 
+/// What `gdp-ctl trace` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct TraceOutput {
+    name: Name,
+    /// One to each egress switch of the name.
+    paths: Vec<TracePath>,
+}
+
+/// The path to an egress switch, and on into other domains.
+#[derive(Debug, Serialize, JsonSchema)]
+struct TracePath {
+    egress: Name,
+    /// All of it has answered.
+    reached: bool,
+    hops: Vec<TraceHop>,
+    domains: Vec<DomainHop>,
+}
+
+/// A switch of this domain on the path.
+#[derive(Debug, Serialize, JsonSchema)]
+struct TraceHop {
+    /// Switches from the daemon's.
+    hop: u8,
+    /// None: no answer.
+    switch: Option<Name>,
+    rtt_us: Option<u64>,
+    /// None if the switch is not an egress switch of the name.
+    end: Option<PathEnd>,
+}
+
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut client = context.client()?;
-    let place = name_location::find(&options.what, &mut client)?;
+    let location = name_location::find(&options.what, &mut client)?;
     let mut paths = Vec::new();
-    if place.egress.is_empty() {
+    if location.egress.is_empty() {
         // An endpoint whose link is here, and to which nobody here may send.
-        paths.push(json!({"egress": place.own, "reached": true, "hops": [own(&place)], "domains": []}));
+        let (egress, hops) = (location.own, vec![own(&location)]);
+        paths.push(TracePath { egress, reached: true, hops, domains: Vec::new() });
     }
-    for egress in &place.egress {
-        paths.push(follow(&place, *egress, options.max_hops, &mut client)?);
+    for egress in &location.egress {
+        paths.push(follow(&location, *egress, options.max_hops, &mut client)?);
     }
-    let reached = paths.iter().all(|path| path["reached"] == true);
-    context.output.print(json!({"name": place.name, "paths": paths}), || describe(&place.name, &paths))?;
-    if reached {
-        Ok(())
-    } else {
-        anyhow::bail!("the probes did not get to every switch where {:#} is, or a domain does not tell", place.name)
+    let output = TraceOutput { name: location.name, paths };
+    context.output.print(&output, || describe(&output))?;
+    if output.paths.iter().all(|path| path.reached) {
+        return Ok(());
     }
+    let name = output.name;
+    Err(Shown(format!("the probes did not get to every switch where {name:#} is, or a domain does not tell")).into())
 }
 
 /// The path to one egress switch.
-fn follow(place: &NameLocation, egress: Name, max_hops: u8, client: &mut Client) -> anyhow::Result<Value> {
-    let mut hops = vec![own(place)];
-    let (mut reached, mut silent) = (egress == place.own, 0);
+fn follow(location: &LocateReply, egress: Name, max_hops: u8, client: &mut Client) -> Result<TracePath, ClientError> {
+    let mut hops = vec![own(location)];
+    let (mut reached, mut silent) = (egress == location.own, 0);
     for hop in 1..=max_hops {
         if reached || silent == SILENT {
             break;
         }
-        let answer = ask(&Request::Probe { name: place.name, switch: egress, hops: hop }, client)?;
-        reached = !answer["end"].is_null();
-        silent = if answer["switch"].is_null() { silent + 1 } else { 0 };
-        hops.push(json!({
-            "hop": hop, "switch": answer["switch"], "rtt_us": answer["rtt_us"], "end": answer["end"],
-        }));
+        let probe = Request::Probe { name: location.name, switch: egress, hops: hop };
+        let ProbeReply { switch, rtt_us, end } = ask(&probe, client)?;
+        reached = end.is_some();
+        silent = if switch.is_none() { silent + 1 } else { 0 };
+        hops.push(TraceHop { hop, switch, rtt_us, end });
     }
-    let domains = beyond(place.name, egress, hops.last(), client)?;
-    reached &= domains.iter().all(|domain| domain["outcome"] == "traced" && domain["inside"]["rtt_us"].is_u64());
-    Ok(json!({"egress": egress, "reached": reached, "hops": hops, "domains": domains}))
+    let domains = beyond(location.name, egress, hops.last(), client)?;
+    reached &= domains.iter().all(|domain| domain.inside.as_ref().is_some_and(|inside| inside.rtt_us.is_some()));
+    Ok(TracePath { egress, reached, hops, domains })
 }
 
 /// The domains that the name leaves for at the last switch of a path, and those behind them.
-fn beyond(name: Name, border: Name, last: Option<&Value>, client: &mut Client) -> anyhow::Result<Vec<Value>> {
+fn beyond(
+    name: Name,
+    border: Name,
+    last: Option<&TraceHop>,
+    client: &mut Client,
+) -> Result<Vec<DomainHop>, ClientError> {
     let mut domains = Vec::new();
-    for beyond in last.and_then(|last| last["end"]["beyond"].as_array()).into_iter().flatten() {
-        let (domain, peer) = (serde_json::from_value(beyond["domain"].clone())?, &beyond["switch"]);
-        let peer = serde_json::from_value(peer.clone())?;
-        let answer = client.ask_value(&Request::Beyond { name, border, domain, peer })?;
-        domains.extend(answer["domains"].as_array().into_iter().flatten().cloned());
+    for beyond in last.and_then(|last| last.end.as_ref()).into_iter().flat_map(|end| &end.beyond) {
+        let request = Request::Beyond { name, border, domain: beyond.domain, peer: beyond.switch };
+        domains.extend(client.ask::<BeyondReply>(&request)?.domains);
     }
     Ok(domains)
 }
 
-fn ask(probe: &Request, client: &mut Client) -> anyhow::Result<Value> {
-    let mut answer = Value::Null;
+fn ask(probe: &Request, client: &mut Client) -> Result<ProbeReply, ClientError> {
+    let mut answer = ProbeReply::default();
     for _ in 0..TRIES {
-        answer = client.ask_value(probe)?;
-        if !answer["switch"].is_null() {
+        answer = client.ask(probe)?;
+        if answer.switch.is_some() {
             break;
         }
     }
@@ -101,76 +137,71 @@ fn ask(probe: &Request, client: &mut Client) -> anyhow::Result<Value> {
 }
 
 /// The daemon's switch is the first on every path.
-fn own(place: &NameLocation) -> Value {
-    let is_end = place.egress.is_empty() || place.egress.contains(&place.own);
-    let end = if is_end { place.end.clone() } else { Value::Null };
-    json!({"hop": 0, "switch": place.own, "rtt_us": 0, "end": end})
+fn own(location: &LocateReply) -> TraceHop {
+    let is_end = location.egress.is_empty() || location.egress.contains(&location.own);
+    TraceHop { hop: 0, switch: Some(location.own), rtt_us: Some(0), end: is_end.then(|| location.end.clone()) }
 }
 
-fn describe(name: &Name, paths: &[Value]) -> Vec<String> {
+fn describe(TraceOutput { name, paths }: &TraceOutput) -> Vec<String> {
     let mut lines = vec![format!("trace to {name}")];
     for path in paths {
         if paths.len() > 1 {
-            lines.push(format!("toward switch {}", short(&path["egress"])));
+            lines.push(format!("toward switch {:#}", path.egress));
         }
-        for hop in path["hops"].as_array().into_iter().flatten() {
-            let number = hop["hop"].as_u64().unwrap_or_default();
-            let (who, time) = match hop["rtt_us"].as_u64() {
-                Some(_) if number == 0 => (short(&hop["switch"]), "this switch".into()),
-                Some(rtt) => (short(&hop["switch"]), millis(rtt)),
-                None => ("*".into(), "no answer".into()),
-            };
-            lines.push(format!("{number:2}  {who:11}  {time}{}", end(&hop["end"])));
+        for TraceHop { hop, switch, rtt_us, end } in &path.hops {
+            let time = if *hop == 0 { "this switch".into() } else { time(*rtt_us, "no answer") };
+            lines.push(format!("{hop:2}  {:11}  {time}{}", who(*switch), describe_end(end.as_ref())));
         }
-        if path["hops"].as_array().and_then(|hops| hops.last()).is_none_or(|last| last["end"].is_null()) {
+        if path.hops.last().is_none_or(|last| last.end.is_none()) {
             lines.push("    nothing further on answers".into());
         }
-        path["domains"].as_array().into_iter().flatten().for_each(|domain| cross(domain, &mut lines));
+        path.domains.iter().for_each(|domain| cross(domain, &mut lines));
     }
     lines
 }
 
 /// A domain: where it is entered, and what is inside.
-fn cross(domain: &Value, lines: &mut Vec<String>) {
-    let indent = " ".repeat(4 * domain["depth"].as_u64().unwrap_or(1).min(MAX_PATH as u64) as usize);
-    let name = short(&domain["domain"]);
-    let time = domain["rtt_us"].as_u64().map_or_else(|| "no answer to echoes".into(), millis);
-    lines.push(format!("{indent}domain {name}  by its switch {}  {time}", short(&domain["switch"])));
-    let why_not = match domain["outcome"].as_str().unwrap_or_default() {
-        "traced" => None,
-        "refused" => Some(format!("not traced: {}", domain["reason"].as_str().unwrap_or_default())),
-        "loop" => Some("not traced: the name has crossed this domain before".into()),
-        "too_far" => Some(format!("not traced: the name has crossed {MAX_PATH} domains already")),
-        _ => Some("its border does not say what is behind it: no answer in time".into()),
+fn cross(domain: &DomainHop, lines: &mut Vec<String>) {
+    let indent = " ".repeat(4 * usize::from(domain.depth).min(MAX_PATH));
+    let (name, entered) = (format!("{:#}", domain.domain), time(domain.rtt_us, "no answer to echoes"));
+    lines.push(format!("{indent}domain {name}  by its switch {:#}  {entered}", domain.switch));
+    let why_not = match domain.outcome {
+        Outcome::Traced => None,
+        Outcome::Refused => Some(format!("not traced: {}", domain.reason.as_deref().unwrap_or_default())),
+        Outcome::Loop => Some("not traced: the name has crossed this domain before".into()),
+        Outcome::TooFar => Some(format!("not traced: the name has crossed {MAX_PATH} domains already")),
+        Outcome::Unanswered => Some("its border does not say what is behind it: no answer in time".into()),
     };
-    if let Some(why_not) = why_not {
-        lines.push(format!("{indent}  {why_not}"));
-        return;
-    }
-    let inside = &domain["inside"];
-    let time = inside["rtt_us"].as_u64().map_or_else(|| "no answer from all of it".into(), millis);
-    match inside["hops"].as_array() {
+    lines.extend(why_not.map(|why_not| format!("{indent}  {why_not}")));
+    let Some(inside) = &domain.inside else { return };
+    let whole = time(inside.rtt_us, "no answer from all of it");
+    let end = describe_end(Some(&PathEnd { links: inside.links, beyond: Vec::new() }));
+    match &inside.hops {
         Some(hops) => {
-            for hop in hops {
-                let time = hop["rtt_us"].as_u64().map_or_else(|| "no answer".into(), millis);
-                let who = if hop["switch"].is_null() { "*".into() } else { short(&hop["switch"]) };
-                lines.push(format!("{indent}  {:2}  {who:11}  {time}", hop["hop"].as_u64().unwrap_or_default()));
-            }
-            lines.push(format!("{indent}  inside of domain {name}  {time}{}", end(inside)));
+            let line = |hop: &InsideHop| {
+                format!("{indent}  {:2}  {:11}  {}", hop.hop, who(hop.switch), time(hop.rtt_us, "no answer"))
+            };
+            lines.extend(hops.iter().map(line));
+            lines.push(format!("{indent}  inside of domain {name}  {whole}{end}"));
         }
-        None => lines.push(format!("{indent}  … inside of domain {name} (masked)  {time}{}", end(inside))),
+        None => lines.push(format!("{indent}  … inside of domain {name} (masked)  {whole}{end}")),
     }
 }
 
+fn who(switch: Option<Name>) -> String {
+    switch.map_or_else(|| "*".to_owned(), |switch| format!("{switch:#}"))
+}
+
+fn time(rtt_us: Option<u64>, none: &str) -> String {
+    rtt_us.map_or_else(|| none.to_owned(), millis)
+}
+
 /// What the last switch, or a domain, delivers to.
-fn end(end: &Value) -> String {
-    let mut text = match end["links"].as_u64() {
-        None => return String::new(),
-        Some(1) => "  → 1 local link".to_owned(),
-        Some(links) => format!("  → {links} local links"),
-    };
-    for beyond in end["beyond"].as_array().into_iter().flatten() {
-        text += &format!(", domain {} by its switch {}", short(&beyond["domain"]), short(&beyond["switch"]));
+fn describe_end(end: Option<&PathEnd>) -> String {
+    let Some(PathEnd { links, beyond }) = end else { return String::new() };
+    let mut text = format!("  → {links} local {}", if *links == 1 { "link" } else { "links" });
+    for beyond in beyond {
+        text += &format!(", domain {:#} by its switch {:#}", beyond.domain, beyond.switch);
     }
     text
 }

@@ -1,14 +1,16 @@
 //! `gdp-ctl xdp stats` and `xdp detach`: what daemons have left in the kernel, running ones or not.
 //! Works without a daemon, as root; reads and removes the pinned files itself.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use anyhow::{Context as _, bail};
+use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use gdp_wire::table::ABI;
-use serde_json::{Map, Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
 
-use super::output::table;
+use super::output::{Shown, table};
 use crate::cli::context::Context;
 use gdp_dataplane::pins::{self, BPFFS, Found, Pins, PinsError};
 use gdp_dataplane::{host_pair, kernel};
@@ -42,14 +44,15 @@ pub fn run(command: &Command, context: &Context) -> anyhow::Result<()> {
 
 fn stats(options: &Options, context: &Context) -> anyhow::Result<()> {
     let switches = options.find()?.iter().map(describe).collect::<anyhow::Result<Vec<_>>>()?;
-    context.output.print(json!({"switches": switches}), || match switches.as_slice() {
+    let output = StatsOutput { switches };
+    context.output.print(&output, || match output.switches.as_slice() {
         [] => vec!["nothing of GDP is in the kernel".to_owned()],
         all => all.iter().map(print).collect::<Vec<_>>().join(&String::new()),
     })
 }
 
 fn detach(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let (mut detached, mut running) = (Vec::new(), Vec::new());
+    let mut output = DetachOutput::default();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     for found in options.find()? {
         match Pins::of(&found) {
@@ -58,20 +61,20 @@ fn detach(options: &Options, context: &Context) -> anyhow::Result<()> {
                 if found.is_of_this_namespace() {
                     runtime.block_on(host_pair::remove(&found.switch))?;
                 }
-                detached.push(found.folder.display().to_string());
+                output.detached.push(found.folder.display().to_string());
             }
-            Err(PinsError::InUse(folder)) => running.push(folder.display().to_string()),
+            Err(PinsError::InUse(folder)) => output.running.push(folder.display().to_string()),
             Err(error) => return Err(error.into()),
         }
     }
-    context.output.print(json!({"detached": detached, "running": running}), || match detached.as_slice() {
+    context.output.print(&output, || match output.detached.as_slice() {
         [] => vec!["nothing to detach".to_owned()],
         folders => folders.iter().map(|folder| format!("detached {folder}")).collect(),
     })?;
-    if !running.is_empty() {
-        bail!("a daemon runs with {}: stop it, which detaches it as well", running.join(", "));
+    match output.running.as_slice() {
+        [] => Ok(()),
+        all => Err(Shown(format!("a daemon runs with {}: stop it, which detaches it as well", all.join(", "))).into()),
     }
-    Ok(())
 }
 
 impl Options {
@@ -83,56 +86,99 @@ impl Options {
     }
 }
 
-fn describe(found: &Found) -> anyhow::Result<Value> {
-    let programs = found.links().into_iter().map(|(ifindex, mode)| json!({"ifindex": ifindex, "mode": mode.as_str()}));
-    let mut value = json!({
-        "switch": found.switch,
-        "namespace": found.namespace,
-        "abi": found.abi,
-        "folder": found.folder,
-        "programs": programs.collect::<Vec<_>>(),
-        "daemon": matches!(Pins::of(found), Err(PinsError::InUse(_))),
-    });
-    // What the maps of another version mean is not known here.
-    if found.abi == ABI {
-        let stats = kernel::pinned_stats(&found.folder)
-            .with_context(|| format!("cannot read the maps in {}", found.folder.display()))?;
-        value["links"] = stats.links.into();
-        value["names"] = stats.names.into();
-        let counters = stats.counters.iter().map(|(counter, count)| (counter.as_str().to_owned(), (*count).into()));
-        let losses = stats.losses.iter().map(|(ifindex, lost)| (ifindex.to_string(), (*lost).into()));
-        value["redirect_lost"] = Value::Object(losses.collect::<Map<_, _>>());
-        value["counters"] = Value::Object(counters.collect::<Map<_, _>>());
-    }
-    Ok(value)
+/// What `gdp-ctl xdp stats` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct StatsOutput {
+    switches: Vec<PinnedOutput>,
 }
 
-fn print(switch: &Value) -> Vec<String> {
-    let text = |key: &str| switch[key].as_str().unwrap_or_default().to_owned();
-    let programs = switch["programs"].as_array().into_iter().flatten();
-    let programs: Vec<_> =
-        programs.map(|p| format!("{} ({})", p["ifindex"], p["mode"].as_str().unwrap_or_default())).collect();
-    let daemon = if switch["daemon"] == true { "running" } else { "none: forwards by what the last one left" };
+/// What `gdp-ctl xdp detach` shows: folders of pins.
+#[derive(Debug, Default, Serialize, JsonSchema)]
+pub struct DetachOutput {
+    detached: Vec<String>,
+    /// A daemon runs with these.
+    running: Vec<String>,
+}
+
+/// What a daemon has in the kernel.
+#[derive(Debug, Serialize, JsonSchema)]
+struct PinnedOutput {
+    /// First digits of its name.
+    switch: String,
+    /// Inode number of the network namespace.
+    namespace: u64,
+    /// The version of the maps.
+    abi: u32,
+    folder: PathBuf,
+    programs: Vec<ProgramOutput>,
+    /// A daemon runs with them.
+    daemon: bool,
+    /// Only of maps of this program's version.
+    #[serde(flatten)]
+    maps: Option<MapsOutput>,
+}
+
+/// An attached XDP program.
+#[derive(Debug, Serialize, JsonSchema)]
+struct ProgramOutput {
+    ifindex: u32,
+    /// `xdp-native` or `xdp-generic`.
+    mode: &'static str,
+}
+
+/// What the maps of a data plane hold.
+#[derive(Debug, Serialize, JsonSchema)]
+struct MapsOutput {
+    links: usize,
+    names: usize,
+    /// Frames that an interface did not take after a redirect, by its index.
+    redirect_lost: BTreeMap<String, u64>,
+    /// Frames by counter.
+    counters: BTreeMap<String, u64>,
+}
+
+fn describe(found: &Found) -> anyhow::Result<PinnedOutput> {
+    let programs = found.links().into_iter().map(|(ifindex, mode)| ProgramOutput { ifindex, mode: mode.as_str() });
+    // What the maps of another version mean is not known here.
+    let maps = (found.abi == ABI).then(|| {
+        let stats = kernel::pinned_stats(&found.folder)
+            .with_context(|| format!("cannot read the maps in {}", found.folder.display()))?;
+        anyhow::Ok(MapsOutput {
+            links: stats.links,
+            names: stats.names,
+            redirect_lost: stats.losses.iter().map(|(ifindex, lost)| (ifindex.to_string(), *lost)).collect(),
+            counters: stats.counters.iter().map(|(counter, count)| (counter.as_str().to_owned(), *count)).collect(),
+        })
+    });
+    Ok(PinnedOutput {
+        switch: found.switch.clone(),
+        namespace: found.namespace,
+        abi: found.abi,
+        folder: found.folder.clone(),
+        programs: programs.collect(),
+        daemon: matches!(Pins::of(found), Err(PinsError::InUse(_))),
+        maps: maps.transpose()?,
+    })
+}
+
+fn print(switch: &PinnedOutput) -> Vec<String> {
+    let programs: Vec<_> = switch.programs.iter().map(|p| format!("{} ({})", p.ifindex, p.mode)).collect();
+    let daemon = if switch.daemon { "running" } else { "none: forwards by what the last one left" };
     let mut lines = vec![
-        format!("switch      {}…, network namespace {}", text("switch"), switch["namespace"]),
-        format!("folder      {}", text("folder")),
+        format!("switch      {}…, network namespace {}", switch.switch, switch.namespace),
+        format!("folder      {}", switch.folder.display()),
         format!("daemon      {daemon}"),
         format!("interfaces  {}", programs.join(", ")),
     ];
-    let Some(counters) = switch["counters"].as_object() else {
-        lines.push(format!("maps        of version {}, this program reads {ABI}", switch["abi"]));
+    let Some(maps) = &switch.maps else {
+        lines.push(format!("maps        of version {}, this program reads {ABI}", switch.abi));
         return lines;
     };
-    lines.push(format!("holds       {} links, {} names", switch["links"], switch["names"]));
-    let lost = switch["redirect_lost"].as_object().into_iter().flatten().filter(|(_, lost)| **lost != 0);
-    for (ifindex, lost) in lost {
+    lines.push(format!("holds       {} links, {} names", maps.links, maps.names));
+    for (ifindex, lost) in maps.redirect_lost.iter().filter(|(_, lost)| **lost != 0) {
         lines.push(format!("lost        {lost} frames that interface {ifindex} did not take"));
     }
-    let rows: Vec<_> = counters
-        .iter()
-        .filter(|(_, count)| **count != 0)
-        .map(|(name, count)| [name.clone(), count.to_string()])
-        .collect();
-    lines.extend(table(["frames", "kernel"], &rows));
+    let counted = maps.counters.iter().filter(|(_, count)| **count != 0);
+    lines.extend(table(["frames", "kernel"], &counted.map(|(n, c)| [n.clone(), c.to_string()]).collect::<Vec<_>>()));
     lines
 }

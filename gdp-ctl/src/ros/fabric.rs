@@ -1,6 +1,6 @@
 //! The node of the fabric that a command is, with the user's key, and what it asks the RIB.
 
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -14,6 +14,7 @@ use gdp_wire::Name;
 use super::keyring::Keyring;
 use crate::client::Client;
 use gdp_proto::admin::Request;
+use gdp_proto::admin::status::HelloReply;
 
 /// Records of one name that are counted.
 const MAX_RECORDS: usize = 100_000;
@@ -26,7 +27,7 @@ pub struct Fabric {
 
 /// Who publishes and reads a name, or serves and calls it, as the RIB shows it.
 #[derive(Debug, Default)]
-pub struct Parties {
+pub struct Entities {
     /// Publishers or servers.
     pub writers: Vec<Name>,
     /// Subscribers or callers.
@@ -59,15 +60,15 @@ impl Fabric {
     }
 
     /// Without this node itself.
-    pub async fn parties(&self, card: &NameCard) -> anyhow::Result<Parties> {
-        let (name, mut parties, mut after, mut seen) = (card.name(), Parties::default(), None, 0);
+    pub async fn entities(&self, card: &NameCard) -> anyhow::Result<Entities> {
+        let (name, mut entities, mut after, mut seen) = (card.name(), Entities::default(), None, 0);
         loop {
             let (records, truncated) = self.node.query(name.into(), after).await?;
             for record in &records {
                 let (role, entity) = role(record)?;
                 let side = match role {
-                    NameRole::Publisher | NameRole::Server => &mut parties.writers,
-                    NameRole::Subscriber | NameRole::Caller => &mut parties.readers,
+                    NameRole::Publisher | NameRole::Server => &mut entities.writers,
+                    NameRole::Subscriber | NameRole::Caller => &mut entities.readers,
                 };
                 if entity != self.node.name() && !side.contains(&entity) {
                     side.push(entity);
@@ -76,7 +77,7 @@ impl Fabric {
             seen += records.len();
             after = records.last().map(Record::place).transpose()?;
             if !truncated || after.is_none() || seen >= MAX_RECORDS {
-                return Ok(parties);
+                return Ok(entities);
             }
         }
     }
@@ -88,9 +89,8 @@ fn role(record: &Record) -> anyhow::Result<(NameRole, Name)> {
 
 /// Where the local daemon takes links over UDP.
 pub fn local_switch(client: &mut Client) -> anyhow::Result<LinkTarget> {
-    let status = client.ask_value(&Request::Status)?;
-    let addr = status["udp"].as_str().and_then(|text| text.parse::<SocketAddr>().ok());
-    let Some(mut addr) = addr else {
+    let HelloReply { udp, .. } = client.ask(&Request::Hello)?;
+    let Some(mut addr) = udp else {
         bail!(
             "the daemon of this machine takes no links over UDP; say where a switch is with --switch, as \
              eth://INTERFACE"

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use crate::switch::TIMEOUT;
 use crate::user::User;
 use gdp_tests::process::terminate;
+use serde_json::Value;
 
 #[test]
 fn keys_cards_and_certificates_are_made_without_a_daemon() {
@@ -151,6 +152,35 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         }
         assert!(error.matches("os error").count() <= 1, "{arguments:?}: says it twice: {error}");
     }
+}
+
+#[test]
+fn a_failure_is_an_object_for_programs() {
+    let user = User::new();
+    let none = user.failure(3, &["status"]);
+    assert_eq!(none["code"], "NoDaemon");
+    assert!(none["reason"].as_str().unwrap().contains("no daemon answers at"), "{none}");
+    assert!(none["remedy"].as_str().unwrap().starts_with("start one with `gdp-ctl serve`"), "{none}");
+    let missing = user.failure(1, &["key", "show", "none.pem"]);
+    assert_eq!((&missing["code"], &missing["remedy"]), (&"Failed".into(), &Value::Null));
+    let usage = user.failure(2, &["frobnicate"]);
+    assert!(usage["code"] == "Usage" && usage["reason"].as_str().unwrap().contains("frobnicate"), "{usage}");
+
+    let _daemon = Daemon::start(&user);
+    let unknown = user.failure(1, &["trace", &"9".repeat(64)]);
+    assert!(unknown["remedy"].as_str().unwrap().contains("ask at a switch"), "{unknown}");
+    user.json(&["key", "generate", "owner.pem", "--kind", "owner"]);
+    user.card("/chatter");
+    user.json(&["advertise", "chatter.card", "--key", "owner.pem", "--kind", "owner"]);
+    user.json(&["withdraw", "chatter.card", "--key", "owner.pem", "--kind", "owner"]);
+    let refused = user.failure(1, &["withdraw", "chatter.card", "--key", "owner.pem", "--kind", "owner"]);
+    assert_eq!(refused["code"], "NotFound", "{refused}");
+}
+
+#[test]
+fn the_published_schema_is_printed() {
+    let printed: Value = serde_json::from_str(&User::new().text(&["--schema"])).unwrap();
+    assert!(printed["properties"]["topic echo"]["properties"]["v"]["const"] == 1, "{printed:#}");
 }
 
 #[test]

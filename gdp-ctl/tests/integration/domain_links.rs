@@ -355,7 +355,7 @@ impl Domain {
         let socket = place.file("switch.sock");
         tokio::task::block_in_place(|| {
             let mut client = Client::connect(&socket).unwrap();
-            let asked = client.ask_control(&Request::Entity { entity: None, request: request.into() });
+            let asked = client.ask::<Response>(&Request::Entity { entity: None, request: request.into() });
             asked.map(|response| assert!(matches!(response, Response::Done))).map_err(|error| error.to_string())
         })
     }

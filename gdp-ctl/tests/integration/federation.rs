@@ -297,7 +297,7 @@ fn ask(place: &Place, request: EntityRequest) -> Response {
     let socket = place.file("switch.sock");
     tokio::task::block_in_place(|| {
         let mut client = Client::connect(&socket).unwrap();
-        client.ask_control(&Request::Entity { entity: None, request: request.into() }).unwrap()
+        client.ask(&Request::Entity { entity: None, request: request.into() }).unwrap()
     })
 }
 

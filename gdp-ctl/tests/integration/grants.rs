@@ -129,8 +129,7 @@ fn a_revocation_is_published_where_a_daemon_answers() {
     let proof = card.proof();
     let daemon = std::thread::spawn(move || {
         let refusal = Refusal::new(RefusalCode::ReplayedSerial, "rolled back: revocation 1 does not replace 5");
-        let code = serde_json::to_value(refusal.code).unwrap().as_str().unwrap().to_owned();
-        let answers = [Reply::Control(Response::Done), Reply::Error { code, reason: refusal.reason }];
+        let answers = [Reply::Control(Response::Done), Reply::Error(refusal.into())];
         answers.map(|answer| {
             let (stream, _) = listener.accept().unwrap();
             let mut line = Vec::new();

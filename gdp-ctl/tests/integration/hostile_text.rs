@@ -65,6 +65,8 @@ fn a_hostile_card_is_shown_as_text() {
         &["query", &topic],
         &["name", "show", HOSTILE],
         &["-j", "name", "derive", &topic],
+        &["-j", "name", "show", HOSTILE],
+        &["-j", "name", "show", &topic, HOSTILE],
     ] {
         printed(&user, arguments);
     }

@@ -20,6 +20,7 @@ mod ports;
 mod probes;
 #[cfg(feature = "etcd")]
 mod replicas;
+mod replies;
 #[cfg(feature = "etcd")]
 mod resigning;
 mod revocations;

@@ -6,6 +6,7 @@ use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
 use crate::switch::{Chain, config, wait};
+use crate::user::expect_described;
 use gdp_core::identity::Identity;
 use gdp_daemon::serve::{Running, start};
 use gdp_link::port::{LinkAddr, Port, PortConfig};
@@ -103,6 +104,7 @@ async fn what_happens_is_told_and_peers_say_why_there_is_no_link() {
         while let Ok(Ok(Some(line))) = tokio::time::timeout(Duration::from_millis(300), events.next_line()).await {
             let event: Value = serde_json::from_str(&line).unwrap();
             assert!(event["v"] == 1 && event["at"].is_u64(), "{event}");
+            expect_described(&["monitor"], &event);
             if event["event"] == "link_down" || event["event"] == "link_up" {
                 assert_eq!(event["peer"], second, "{event}");
             }
@@ -175,6 +177,8 @@ impl Chain<'_> {
         let output = self.run(i, &[&["-j"], arguments].concat()).await;
         assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
         let text = String::from_utf8(output.stdout).unwrap();
-        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+        let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        lines.iter().for_each(|line| expect_described(arguments, line));
+        lines
     }
 }

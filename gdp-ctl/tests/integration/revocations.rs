@@ -132,5 +132,5 @@ async fn ask(config: &Config, request: EntityRequest) -> Response {
 fn try_ask(socket: &Path, request: EntityRequest) -> Result<Response, String> {
     let mut client = Client::connect(socket).map_err(|error| error.to_string())?;
     let request = Request::Entity { entity: None, request: request.into() };
-    client.ask_control(&request).map_err(|error| error.to_string())
+    client.ask(&request).map_err(|error| error.to_string())
 }

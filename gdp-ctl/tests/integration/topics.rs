@@ -18,7 +18,7 @@ use serde_json::Value;
 
 use crate::owner::Owner;
 use crate::switch::{TIMEOUT, config, wait};
-use crate::user::User;
+use crate::user::{User, expect_described};
 
 const OFFER: Offer =
     Offer { reliable: true, transient_local: false, depth: 7, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
@@ -102,6 +102,7 @@ async fn what_travels_compressed_is_shown_as_it_was() {
     assert_eq!((&raw["encoding"], raw["raw"].as_str().unwrap().len()), (&2.into(), length.div_ceil(3) * 4));
     let mut following = site.follow(&["-j", "topic", "bw", "/chatter"]);
     let line: Value = serde_json::from_str(following.until("min_bytes").lines().last().unwrap()).unwrap();
+    expect_described(&["topic", "bw"], &line);
     assert_eq!((&line["min_bytes"], &line["max_bytes"]), (&length.into(), &length.into()));
     following.interrupt();
     talking.abort();
@@ -274,7 +275,7 @@ impl Site {
     async fn json(&self, arguments: &[&str]) -> Value {
         let text = self.text(&[&["-j"], arguments].concat()).await;
         let value: Value = serde_json::from_str(&text).unwrap_or_else(|error| panic!("{arguments:?}: {error}: {text}"));
-        assert_eq!(value["v"], 1, "{arguments:?}");
+        expect_described(arguments, &value);
         value
     }
 

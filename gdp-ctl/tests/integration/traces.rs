@@ -11,6 +11,7 @@ use gdp_daemon::serve::Running;
 use gdp_link::link::{Link, LinkIds};
 use gdp_link::port::{LinkAddr, Port, PortConfig};
 use gdp_proto::admin;
+use gdp_proto::admin::trace::BeyondReply;
 use gdp_proto::control::{Crossing, Refusal, RefusalCode, Request, Response, TraceLeg, TraceOn, TracedDomain};
 use gdp_wire::Name;
 use serde_json::Value;
@@ -116,9 +117,9 @@ impl Borders {
         let request =
             admin::Request::Beyond { name: Name::from_bytes([7; 32]), border: self.running.name(), domain, peer };
         let socket = self.inner.file("switch.sock");
-        let asked = move || gdp_ctl::client::Client::connect(&socket).unwrap().ask_value(&request).unwrap();
-        let answer = tokio::task::spawn_blocking(asked).await.unwrap();
-        assert_eq!(answer["domains"].as_array().map(Vec::len), Some(1), "{answer}");
-        answer["domains"][0].clone()
+        let asked = move || gdp_ctl::client::Client::connect(&socket).unwrap().ask(&request).unwrap();
+        let BeyondReply { domains } = tokio::task::spawn_blocking(asked).await.unwrap();
+        assert_eq!(domains.len(), 1, "{domains:?}");
+        serde_json::to_value(&domains[0]).unwrap()
     }
 }

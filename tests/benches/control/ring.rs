@@ -8,10 +8,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::ScopedJoinHandle;
 use std::time::{Duration, Instant, SystemTime};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use gdp_core::identity::Identity;
 use gdp_ctl::client::Client;
 use gdp_proto::admin::Request;
+use gdp_proto::admin::status::StatusReply;
 use gdp_proto::control::{EntityRequest, Response};
 use gdp_tests::Tools;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
@@ -120,7 +121,7 @@ fn side(
             let serial = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH)?.as_nanos() as u64;
             for (serial, number) in (serial..).zip(numbers) {
                 let request = Box::new(request(number, &entity, serial)?);
-                let said = client.ask_control(&Request::Entity { entity: Some(entity.proof()), request })?;
+                let said = client.ask::<Response>(&Request::Entity { entity: Some(entity.proof()), request })?;
                 ensure!(matches!(said, Response::Peers(_)), "{said:?}");
             }
         }
@@ -148,9 +149,8 @@ fn reconcile(ring: &mut Ring, rounds: usize, names: usize) -> Result<Vec<f64>> {
         let socket = ring.switches[CLOUD_AT].socket().to_owned();
         let holds = || {
             let Ok(mut client) = Client::connect(&socket) else { return Ok(None) };
-            let status = client.ask_value(&Request::Status)?;
-            let Some(generation) = status["fib"]["generation"].as_u64() else { bail!("no generation in the status") };
-            Ok((generation >= before + pushes).then_some(()))
+            let status: Box<StatusReply> = client.ask(&Request::Status)?;
+            Ok((status.fib.generation >= before + pushes).then_some(()))
         };
         wait_for("all names", 3 * TIMEOUT, holds).with_context(|| ring.report())?;
         times.push(begin.elapsed().as_secs_f64() * 1000.0);

@@ -91,7 +91,7 @@ fn serials(replicas: &Replicas) -> Result<Serials> {
     for name in names {
         let name: Name = name.parse()?;
         let request = EntityRequest::Query { prefix: name.into(), after: None };
-        let asked = client.ask_control(&Request::Entity { entity: None, request: request.into() })?;
+        let asked = client.ask::<Response>(&Request::Entity { entity: None, request: request.into() })?;
         let Response::Records { records, .. } = asked else { bail!("{asked:?}") };
         for Record { name, entity, advert, .. } in &records {
             let said = advert.claims_unverified()?;

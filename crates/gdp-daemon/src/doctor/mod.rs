@@ -9,6 +9,7 @@ pub mod facts;
 pub mod gather;
 
 use gdp_wire::table::ABI;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use facts::{
@@ -32,7 +33,7 @@ const ENCAPSULATION: u32 = 40 + 8 + 4;
 /// 2025-01-01 and 2100-01-01.
 const SANE: std::ops::Range<u64> = 1_735_689_600..4_102_444_800;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
     Ok,
@@ -51,7 +52,7 @@ impl Level {
 }
 
 /// The outcome of one check.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Finding {
     pub check: &'static str,
     /// The interface it is about, if it is about one.

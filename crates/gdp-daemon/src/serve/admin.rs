@@ -6,15 +6,20 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use gdp_proto::admin::error::{ErrorCode, ErrorReply};
+use gdp_proto::admin::links::LinksReply;
+use gdp_proto::admin::trace::{
+    Beyond, BeyondReply, DomainHop, DomainInside, EchoReply, InsideHop, LocateReply, PathEnd, ProbeReply,
+};
+use gdp_proto::admin::words::Outcome;
 use gdp_proto::control::{Crossing, Response, TracedDomain, TracedEnd, TracedSwitch};
-use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
-use super::core::probes::{Location, ProbeError};
+use super::core::probes::Location;
 use super::daemon::Daemon;
 use super::entity_requests::{self, Origin};
 use super::events::Listener;
@@ -112,11 +117,11 @@ async fn serve(daemon: &Arc<Daemon>, stream: UnixStream) -> std::io::Result<()> 
         let reply = match request {
             Ok(Request::Monitor) => {
                 let listener = daemon.core().events.listen();
-                writer.write_all(reply_line(&Reply::Ok(json!({}))).as_bytes()).await?;
+                writer.write_all(reply_line(&Reply::Monitoring).as_bytes()).await?;
                 return monitor(listener, reader, writer).await;
             }
             Ok(request) => answer(daemon, request).await,
-            Err(reason) => Reply::Error { code: "malformed".into(), reason },
+            Err(reason) => malformed(&reason),
         };
         timeout(IDLE, writer.write_all(reply_line(&reply).as_bytes())).await??;
         if too_long {
@@ -134,7 +139,7 @@ async fn monitor(
 ) -> std::io::Result<()> {
     let tell = async {
         while let Some(event) = events.next().await {
-            writer.write_all(reply_line(&Reply::Ok(event)).as_bytes()).await?;
+            writer.write_all(reply_line(&Reply::Event(event)).as_bytes()).await?;
         }
         Ok(())
     };
@@ -146,91 +151,79 @@ async fn monitor(
 
 async fn answer(daemon: &Arc<Daemon>, request: Request) -> Reply {
     match request {
-        Request::Monitor => {
-            Reply::Error { code: "malformed".into(), reason: "events have a connection of their own".into() }
-        }
-        Request::Peers => {
-            let core = daemon.core();
-            Reply::Ok(json!({"domain": core.membership.home(), "peers": status::peers(&core)}))
-        }
+        Request::Monitor => malformed("events have a connection of their own"),
+        Request::Hello => status::hello(daemon).into(),
+        Request::Status => Reply::Status(Box::new(status::status(daemon).await)),
+        Request::Links => LinksReply { links: status::links(&daemon.core()) }.into(),
+        Request::Peers => status::peers(&daemon.core()).into(),
+        Request::Topology => status::topology(daemon).into(),
+        Request::Fib { after } => or_failure(status::fib(daemon, after, PAGE)),
+        Request::Rib { after } => or_failure(status::rib(daemon, after, PAGE)),
         Request::Locate { what } => {
             let core = daemon.core();
-            probed(core.locate(&what).map(|Location { name, is_near, egress }| {
-                json!({
-                    "name": name, "own": core.name(), "near": is_near, "egress": egress,
-                    "end": ended(&core.switch.end_of(&name)),
-                })
+            or_failure(core.locate(&what).map(|Location { name, is_near, egress }| LocateReply {
+                name,
+                own: core.name(),
+                near: is_near,
+                egress,
+                end: path_end(&core.switch.end_of(&name)),
             }))
         }
-        Request::Echo { peer } => probed(daemon.echo(peer).await.map(|time| json!({"rtt_us": time.map(micros)}))),
+        Request::Echo { peer } => {
+            or_failure(daemon.echo(peer).await.map(|time| EchoReply { rtt_us: time.map(micros) }))
+        }
         Request::Probe { name, switch, hops } => {
-            probed(daemon.probe(None, name, switch, hops).await.map(|hop| match hop {
+            or_failure(daemon.probe(None, name, switch, hops).await.map(|hop| match hop {
                 Some(Hop { switch, end, time }) => {
-                    json!({"switch": switch, "rtt_us": micros(time), "end": end.as_ref().map(ended)})
+                    ProbeReply { switch: Some(switch), rtt_us: Some(micros(time)), end: end.as_ref().map(path_end) }
                 }
-                None => json!({"switch": null, "rtt_us": null, "end": null}),
+                None => ProbeReply::default(),
             }))
         }
         Request::Beyond { name, border, domain, peer } => {
             let domains = daemon.trace_beyond(name, border, (domain, peer)).await;
-            Reply::Ok(json!({"domains": domains.iter().map(crossed).collect::<Vec<_>>()}))
+            BeyondReply { domains: domains.into_iter().map(domain_hop).collect() }.into()
         }
-        Request::Status => Reply::Ok(status::status(daemon).await),
-        Request::Links => Reply::Ok(json!({"links": status::links(&daemon.core())})),
-        Request::Topology => Reply::Ok(status::topology(daemon)),
-        Request::Fib { after } => page(status::fib(daemon, after, PAGE)),
-        Request::Rib { after } => page(status::rib(daemon, after, PAGE)),
         Request::Entity { entity, request } => {
             match entity_requests::answer(daemon, Origin::Tool(entity), *request).await {
-                Response::Refused(refusal) => {
-                    let code = serde_json::to_value(refusal.code).ok();
-                    let code = code.as_ref().and_then(Value::as_str).unwrap_or("Refused").to_owned();
-                    Reply::Error { code, reason: refusal.reason }
-                }
+                Response::Refused(refusal) => Reply::Error(refusal.into()),
                 response => Reply::Control(response),
             }
         }
     }
 }
 
-/// What a name is delivered to at its egress switch.
-fn ended(end: &TracedEnd) -> Value {
-    let beyond: Vec<_> =
-        end.beyond.iter().map(|(domain, switch)| json!({"domain": domain, "switch": switch})).collect();
-    json!({"links": end.links, "beyond": beyond})
+fn path_end(end: &TracedEnd) -> PathEnd {
+    let beyond = end.beyond.iter().map(|&(domain, switch)| Beyond { domain, switch });
+    PathEnd { links: end.links, beyond: beyond.collect() }
 }
 
-/// A domain that a name crosses.
-fn crossed(TracedDomain { depth, domain, entry, rtt_us, crossing }: &TracedDomain) -> Value {
-    let (outcome, reason) = match crossing {
-        Crossing::Traced { .. } => ("traced", None),
-        Crossing::Unanswered => ("unanswered", None),
-        Crossing::Refused { reason } => ("refused", Some(reason)),
-        Crossing::Loop => ("loop", None),
-        Crossing::TooFar => ("too_far", None),
+fn domain_hop(TracedDomain { depth, domain, entry, rtt_us, crossing }: TracedDomain) -> DomainHop {
+    let (outcome, reason, inside) = match crossing {
+        Crossing::Traced { links, time_us, switches } => {
+            let hop = |TracedSwitch { hop, switch, rtt_us }| InsideHop { hop, switch, rtt_us };
+            let hops = switches.map(|switches| switches.into_iter().map(hop).collect());
+            (Outcome::Traced, None, Some(DomainInside { links, rtt_us: time_us, hops }))
+        }
+        Crossing::Unanswered => (Outcome::Unanswered, None, None),
+        Crossing::Refused { reason } => (Outcome::Refused, Some(reason), None),
+        Crossing::Loop => (Outcome::Loop, None, None),
+        Crossing::TooFar => (Outcome::TooFar, None, None),
     };
-    let mut value = json!({
-        "depth": depth, "domain": domain, "switch": entry, "rtt_us": rtt_us, "outcome": outcome, "reason": reason,
-    });
-    if let Crossing::Traced { links, time_us, switches } = crossing {
-        let hop = |at: &TracedSwitch| json!({"hop": at.hop, "switch": at.switch, "rtt_us": at.rtt_us});
-        let hops = switches.as_ref().map(|switches| switches.iter().map(hop).collect::<Vec<_>>());
-        value["inside"] = json!({"links": links, "rtt_us": time_us, "hops": hops});
-    }
-    value
+    DomainHop { depth, domain, switch: entry, rtt_us, outcome, reason, inside }
 }
 
 fn micros(time: Duration) -> u64 {
     time.as_micros() as u64
 }
 
-fn probed(result: Result<Value, ProbeError>) -> Reply {
-    page(result.map_err(|error| error.to_string()))
+fn or_failure<R: Into<Reply>, E: ToString>(result: Result<R, E>) -> Reply {
+    match result {
+        Ok(reply) => reply.into(),
+        Err(error) => Reply::Error(ErrorReply::new(ErrorCode::Failed, &error.to_string())),
+    }
 }
 
-fn page(result: Result<Value, String>) -> Reply {
-    match result {
-        Ok(value) => Reply::Ok(value),
-        Err(reason) => Reply::Error { code: "failed".into(), reason },
-    }
+fn malformed(reason: &str) -> Reply {
+    Reply::Error(ErrorReply::new(ErrorCode::Malformed, reason))
 }

@@ -10,9 +10,10 @@ use gdp_core::cert::{CertError, Host, Locator, MAX_LOCATED, MAX_LOCATOR, Revocat
 use gdp_core::domain::Trust;
 use gdp_core::keys::KeyBox;
 use gdp_core::revocations::Kept;
+use gdp_proto::admin::status::TierStatus;
+use gdp_proto::admin::words::{TierKind, TierState};
 use gdp_proto::control::{RecordKey, Refusal, RefusalCode, Response, TierEntry, TierKey, TierResponse};
 use gdp_wire::Name;
-use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
 use super::core::follow_up::{FederationEffect, FollowUp};
@@ -339,20 +340,23 @@ impl Federation {
     }
 
     /// What `gdp-ctl status` shows of the neighbouring domains.
-    pub fn status(&self) -> Vec<Value> {
-        let neighbours = self.tiers.neighbours();
-        let shown = neighbours.map(|neighbour| {
+    pub fn status(&self) -> Vec<TierStatus> {
+        let shown = self.tiers.neighbours().map(|neighbour| {
             let (state, reason) = match neighbour.standing {
-                tiers::SessionState::Waiting => ("waiting", neighbour.lacking),
-                tiers::SessionState::Up => ("up", neighbour.lacking),
-                tiers::SessionState::Lost(_) => ("lost", None),
-                tiers::SessionState::Refused { reason, .. } => ("refused", Some(reason)),
+                tiers::SessionState::Waiting => (TierState::Waiting, neighbour.lacking),
+                tiers::SessionState::Up => (TierState::Up, neighbour.lacking),
+                tiers::SessionState::Lost(_) => (TierState::Lost, None),
+                tiers::SessionState::Refused { reason, .. } => (TierState::Refused, Some(reason)),
             };
-            json!({
-                "domain": neighbour.domain, "kind": if neighbour.kind.is_parent() { "parent" } else { "child" },
-                "state": state, "reason": reason, "entries_in": neighbour.entries_in,
-                "entries_out": neighbour.entries_out, "refused": neighbour.refused,
-            })
+            TierStatus {
+                domain: neighbour.domain,
+                kind: if neighbour.kind.is_parent() { TierKind::Parent } else { TierKind::Child },
+                state,
+                reason,
+                entries_in: neighbour.entries_in,
+                entries_out: neighbour.entries_out,
+                refused: neighbour.refused.into_iter().map(|(why, count)| (why.to_owned(), count)).collect(),
+            }
         });
         shown.collect()
     }

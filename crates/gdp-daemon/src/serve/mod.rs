@@ -185,9 +185,9 @@ impl Running {
         &self.ready
     }
 
-    /// What `gdp-ctl status` shows.
+    /// What `gdp-ctl status -j` shows.
     pub async fn status(&self) -> serde_json::Value {
-        status::status(&self.daemon).await
+        serde_json::to_value(status::status(&self.daemon).await).unwrap_or_default()
     }
 
     /// Whether the kernel forwards on if this process ends without [`Self::stop`].

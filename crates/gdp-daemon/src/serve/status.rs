@@ -1,15 +1,21 @@
-//! What the daemon tells people and programs of itself, as JSON.
+//! What the daemon reports of itself: replies to commands.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::time::Duration;
 
 use gdp_core::cert::{Adjoining, LinkState};
 use gdp_core::peer::Role;
 use gdp_link::port::HandshakeCounts;
+use gdp_proto::admin::links::{Counts, GraceLink, KeyGenerations, LinkStatus, PeerStatus, PeersReply};
+use gdp_proto::admin::status::{
+    BusyName, ControlStatus, DeviceStatus, DomainRevocation, DomainStatus, FibStatus, Handshakes, HelloReply,
+    InterfaceStatus, Reached, RibStatus, StatusReply,
+};
+use gdp_proto::admin::tables::{FibReply, FibRoute, RibReply, RibSwitch};
+use gdp_proto::admin::topology::{Adjacency, BorderAdjacency, SwitchState, TopologyReply};
+use gdp_proto::admin::words::PeerLink;
 use gdp_proto::control::RecordKey;
 use gdp_wire::{Counter, ErrorCode, FibEntry, Name};
-use serde_json::{Map, Value, json};
 
 use super::core::Core;
 use super::core::link_state::{LinkState as LiveLink, link_role};
@@ -18,15 +24,20 @@ use super::daemon::Daemon;
 use super::federation::Federation;
 use super::{interfaces, warnings};
 use crate::domain::{Domain, Relationship};
-use gdp_dataplane::host_pair;
+use gdp_dataplane::{PlaneError, host_pair};
 use gdp_util::unix_time::unix_seconds;
 
 /// Names that the status shows as the busiest.
 const BUSIEST: usize = 10;
 
+/// Which switch this is.
+pub fn hello(daemon: &Daemon) -> HelloReply {
+    HelloReply { name: daemon.core().name(), udp: daemon.udp.get().copied() }
+}
+
 /// `gdp-ctl status`.
-pub async fn status(daemon: &Arc<Daemon>) -> Value {
-    let interfaces = interfaces::list().await.unwrap_or_default();
+pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
+    let found = interfaces::list().await.unwrap_or_default();
     let core = daemon.core();
     let over_udp = core.switch.links.iter().filter(|(_, state)| matches!(state.via, crate::config::Via::Udp(_)));
     let udp_links = over_udp.filter(|(id, _)| !core.switch.planes.first_plane_sends_on(**id)).count();
@@ -36,30 +47,32 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
         Err(reason) => (Default::default(), vec![reason]),
     };
     let devices = core.switch.planes.dpdk_devices();
-    let used: Vec<Value> = report
-        .iter()
-        .map(|plane| {
-            let info = interfaces.iter().find(|i| i.name == plane.interface);
-            let device = devices.get(&plane.interface).map(|counted| {
-                json!({
-                    "received": counted.received, "sent": counted.sent,
-                    "missed": counted.missed, "failed": counted.failed,
-                })
-            });
-            json!({
-                "interface": plane.interface, "data_plane": plane.kind, "reason": plane.reason,
-                "redirect_lost": losses.get(&plane.interface).copied().unwrap_or(0), "device": device,
-                "mtu": info.map(|i| i.mtu), "addresses": info.map(|i| &i.addresses), "stations": info.map(|i| &i.stations),
-            })
-        })
-        .collect();
-    let (mut counters, mut by_plane) = (Map::new(), Map::new());
+    let used = report.iter().map(|plane| {
+        let info = found.iter().find(|i| i.name == plane.interface);
+        InterfaceStatus {
+            interface: plane.interface.clone(),
+            data_plane: plane.kind.into(),
+            reason: plane.reason.clone(),
+            redirect_lost: losses.get(&plane.interface).copied().unwrap_or(0),
+            device: devices.get(&plane.interface).map(|counted| DeviceStatus {
+                received: counted.received,
+                sent: counted.sent,
+                missed: counted.missed,
+                failed: counted.failed,
+            }),
+            mtu: info.map(|i| i.mtu),
+            addresses: info.map(|i| i.addresses.clone()),
+            stations: info.map(|i| i.stations.clone()),
+        }
+    });
+    let interfaces = used.collect();
+    let (mut counters, mut counters_by_plane) = (Counts::new(), BTreeMap::new());
     match core.switch.planes.counters() {
         Ok(counted) => {
             for (counter, first, userspace) in counted {
-                counters.insert(counter.as_str().into(), (first + userspace).into());
-                let planes = json!({core.switch.planes.first_plane(): first, "userspace": userspace});
-                by_plane.insert(counter.as_str().into(), planes);
+                counters.insert(counter.as_str().into(), first + userspace);
+                let planes = [(core.switch.planes.first_plane().into(), first), ("userspace".into(), userspace)];
+                counters_by_plane.insert(counter.as_str().into(), planes.into());
             }
         }
         Err(error) => errors.push(error.to_string()),
@@ -72,103 +85,110 @@ pub async fn status(daemon: &Arc<Daemon>) -> Value {
     errors.extend(core.rib_host.no_rib.iter().map(|why| format!("the RIB of this replica: {why}")));
     // What the host itself has made is no interface that anybody asked about.
     let outward: Vec<_> = report.into_iter().filter(|plane| !host_pair::is_end(&plane.interface)).collect();
-    let (data_plane, reason) = summary(&outward, udp_links);
-    json!({
-        "v": 1,
-        "name": core.name(),
-        "data_plane": data_plane,
-        "data_plane_reason": reason,
-        "interfaces": used,
-        "dpdk_processor_time_us": core.switch.planes.dpdk_processor_time().iter().map(Duration::as_micros).collect::<Vec<_>>(),
-        "udp": daemon.udp.get(),
-        "links": links(&core),
-        "links_held": links_held(&core),
-        "handshakes": handshakes(daemon.port_config.handshakes.read()),
-        "counters": counters,
-        "counters_by_plane": by_plane,
-        "busiest": busiest.iter().map(|(name, frames)| json!({"name": name, "frames": frames})).collect::<Vec<_>>(),
-        "fib": {"names": core.switch.routes.len(), "generation": core.switch.routes.generation(), "own_bit": core.switch.routes.own_bit()},
-        "topology": {"switches": core.topology.states().count(), "reached": core.topology.paths().costs.len()},
-        "rib": core.rib_host.rib.as_ref().map(|rib| json!({"names": rib.name_count(), "switches": rib.switches().count()})),
-        "domain": core.membership.domain.as_ref().map(domain),
-        "control": control(&core),
-        "tiers": core.rib_host.federation.as_ref().map(Federation::status),
-        "warnings": warnings::warnings(&core),
-        "errors": errors,
-    })
+    let (data_plane, data_plane_reason) = summary(&outward, udp_links);
+    let dpdk_processor_time = core.switch.planes.dpdk_processor_time();
+    StatusReply {
+        name: core.name(),
+        data_plane: data_plane.into(),
+        data_plane_reason,
+        interfaces,
+        dpdk_processor_time_us: dpdk_processor_time.iter().map(|time| time.as_micros() as u64).collect(),
+        udp: daemon.udp.get().copied(),
+        links: links(&core),
+        links_in_grace: links_in_grace(&core),
+        handshakes: handshakes(daemon.port_config.handshakes.read()),
+        counters,
+        counters_by_plane,
+        busiest: busiest.into_iter().map(|(name, frames)| BusyName { name, frames }).collect(),
+        fib: FibStatus {
+            names: core.switch.routes.len(),
+            generation: core.switch.routes.generation(),
+            own_bit: core.switch.routes.own_bit(),
+        },
+        topology: Reached { switches: core.topology.states().count(), reached: core.topology.paths().costs.len() },
+        rib: core
+            .rib_host
+            .rib
+            .as_ref()
+            .map(|rib| RibStatus { names: rib.name_count(), switches: rib.switches().count() }),
+        domain: core.membership.domain.as_ref().map(domain),
+        control: control(&core),
+        tiers: core.rib_host.federation.as_ref().map(Federation::status),
+        warnings: warnings::warnings(&core),
+        errors,
+    }
 }
 
 /// Of peers that dialled and got no link.
-fn handshakes(counts: HandshakeCounts) -> Value {
+fn handshakes(counts: HandshakeCounts) -> Handshakes {
     let HandshakeCounts { challenged, refused, displaced, failed } = counts;
-    json!({"challenged": challenged, "refused": refused, "displaced": displaced, "failed": failed})
+    Handshakes { challenged, refused, displaced, failed }
 }
 
 /// Where the RIB is, which neighbour leads there, and whether it is to be asked; if not, why.
-/// `fenced`: how often something was refused that a RIB said whose term was over.
-fn control(core: &Core) -> Value {
+fn control(core: &Core) -> ControlStatus {
     let rib = core.topology.rib().map(|(rib, _)| rib);
     let problem = core.rib_at().err().filter(|_| core.rib_host.rib.is_none());
-    json!({
-        "rib": rib,
-        "next": rib.and_then(|rib| core.topology.paths().next.get(&rib)),
-        "fenced": core.rib_client.fence.refused(),
-        "ready": problem.is_none(),
-        "reason": problem.map(|refusal| refusal.reason),
-    })
+    ControlStatus {
+        rib,
+        next: rib.and_then(|rib| core.topology.paths().next.get(&rib).copied()),
+        fenced: core.rib_client.fence.refused(),
+        ready: problem.is_none(),
+        reason: problem.map(|refusal| refusal.reason),
+    }
 }
 
 /// `gdp-ctl link list`: every live link, by id.
-pub fn links(core: &Core) -> Vec<Value> {
+pub fn links(core: &Core) -> Vec<LinkStatus> {
     let mut links: Vec<_> = core.switch.links.values().collect();
     links.sort_by_key(|state| state.link.local_id());
     let Adjacencies { neighbours: mut costs, borders, .. } = core.neighbours.adjacencies(&core.switch);
     costs.extend(borders.into_values().map(|border| (border.switch, border.cost)));
-    links
-        .into_iter()
-        .map(|state| {
-            let (link, peer) = (&state.link, state.link.peer());
-            let (rx_keys, tx_keys) = link.key_generations();
-            json!({
-                "peer": peer.name,
-                "role": link_role(state.role()),
-                "lane": peer.lane,
-                "standing": state.admission.standing.as_str(),
-                "domain": foreign(&state.admission.standing),
-                "admitted_until": (state.admission.until < u64::MAX).then_some(state.admission.until),
-                "via": state.via.to_string(),
-                "address": link.addr().to_string(),
-                "id": link.local_id(),
-                "mtu": link.mtu(),
-                "key_generations": {"rx": rx_keys, "tx": tx_keys},
-                "cost": costs.get(&peer.name),
-                "rtt_us": link.rtt().as_micros() as u64,
-                "age_s": state.since.elapsed().as_secs(),
-                "errors_received": errors_received(core, link.local_id()),
-                "arrivals": arrivals(core, link.local_id()),
-                "traces_refused": state.traces.refused(),
-                "sent": core.switch.planes.frames_sent(link.local_id()),
-                "carrier": core.switch.has_carrier(state.to),
-                "plane": if core.switch.planes.first_plane_sends_on(link.local_id()) { core.switch.planes.first_plane() } else { "userspace" },
-            })
-        })
-        .collect()
+    let status = |state: &LiveLink| {
+        let (link, peer, id) = (&state.link, state.link.peer(), state.link.local_id());
+        let (rx, tx) = link.key_generations();
+        let plane =
+            if core.switch.planes.first_plane_sends_on(id) { core.switch.planes.first_plane() } else { "userspace" };
+        LinkStatus {
+            peer: peer.name,
+            role: link_role(state.role()),
+            lane: peer.lane,
+            relationship: (&state.admission.standing).into(),
+            domain: foreign(&state.admission.standing),
+            admitted_until: (state.admission.until < u64::MAX).then_some(state.admission.until),
+            via: state.via.to_string(),
+            address: link.addr().to_string(),
+            id,
+            mtu: link.mtu(),
+            key_generations: KeyGenerations { rx, tx },
+            cost: costs.get(&peer.name).copied(),
+            rtt_us: link.rtt().as_micros() as u64,
+            age_s: state.since.elapsed().as_secs(),
+            errors_received: errors_received(core, id),
+            arrivals: arrivals(core, id),
+            traces_refused: state.traces.refused(),
+            sent: core.switch.planes.frames_sent(id),
+            carrier: core.switch.has_carrier(state.to),
+            plane: plane.into(),
+        }
+    };
+    links.into_iter().map(status).collect()
 }
 
 /// `gdp-ctl peer list`: the neighbours of the configuration, the other switches and domains that
 /// links lead to, and whoever was refused a link lately; by name. A peer with a link is not
 /// refused.
-pub fn peers(core: &Core) -> Vec<Value> {
+pub fn peers(core: &Core) -> PeersReply {
     let listed = core.neighbours.listed.iter().map(|neighbour| neighbour.place.switch);
     let is_peer =
         |state: &&LiveLink| state.link.peer().role == Role::Switch || foreign(&state.admission.standing).is_some();
     let linked = core.switch.links.values().filter(is_peer).map(|state| state.link.peer().name);
     let refused = core.switch.refusals.iter().map(|(peer, _)| *peer);
     let all: BTreeSet<Name> = listed.chain(linked).chain(refused).collect();
-    all.into_iter().map(|peer| self::peer(core, peer)).collect()
+    PeersReply { domain: core.membership.home(), peers: all.into_iter().map(|peer| self::peer(core, peer)).collect() }
 }
 
-fn peer(core: &Core, name: Name) -> Value {
+fn peer(core: &Core, name: Name) -> PeerStatus {
     let neighbour = core.neighbours.get(&name);
     let link = core.switch.link_to(&name);
     let state = link.as_ref().and_then(|link| core.switch.links.get(&link.local_id()));
@@ -178,110 +198,92 @@ fn peer(core: &Core, name: Name) -> Value {
         _ => (None, None),
     };
     let refused = core.switch.refusals.iter().find(|(peer, _)| **peer == name).map(|(_, refused)| refused);
-    json!({
-        "peer": name,
-        "listed": neighbour.is_some(),
-        "role": state.map(|state| link_role(state.role())),
-        "domain": match standing {
+    PeerStatus {
+        peer: name,
+        listed: neighbour.is_some(),
+        role: state.map(|state| link_role(state.role())),
+        domain: match standing {
             Some(Relationship::Member { .. }) => core.membership.home(),
             Some(standing) => foreign(standing),
             None => None,
         },
-        "standing": standing.map(Relationship::as_str),
-        "rights_given": ours,
-        "rights_held": theirs,
-        "until": state.map(|state| state.admission.until).filter(|until| *until < u64::MAX),
-        "link": match state {
-            Some(_) => "up",
-            None if core.switch.stale.keeps(&name) => "held",
-            None => "down",
+        relationship: standing.map(Into::into),
+        rights_granted: ours,
+        rights_received: theirs,
+        until: state.map(|state| state.admission.until).filter(|until| *until < u64::MAX),
+        link: match state {
+            Some(_) => PeerLink::Up,
+            None if core.switch.stale.keeps(&name) => PeerLink::Grace,
+            None => PeerLink::Down,
         },
-        "via": state.map(|state| state.via.to_string()).or_else(|| neighbour.map(|n| n.place.via.to_string())),
-        "reason": refused.map(|refused| &refused.reason),
-        "reason_age_s": refused.map(|refused| refused.at.elapsed().as_secs()),
-    })
-}
-
-/// Links whose peers fell silent or have a newer one, or that an earlier daemon left; by id.
-fn links_held(core: &Core) -> Vec<Value> {
-    let mut held: Vec<_> = core.switch.stale.iter().collect();
-    held.sort_by_key(|link| link.entry.id);
-    held.into_iter()
-        .map(|link| {
-            json!({
-                "peer": link.peer,
-                "role": link_role(link.entry.role),
-                "address": link.to.to_string(),
-                "id": link.entry.id,
-                "errors_received": errors_received(core, link.entry.id),
-            })
-        })
-        .collect()
-}
-
-/// What became of the frames that came in on a link; counters without any are left out.
-fn arrivals(core: &Core, link: u32) -> Value {
-    match core.switch.planes.arrivals(link) {
-        Ok(counts) => {
-            let counts = Counter::ALL.iter().zip(counts).filter(|(_, frames)| *frames > 0);
-            counts
-                .map(|(counter, frames)| (counter.as_str().to_owned(), Value::from(frames)))
-                .collect::<Map<_, _>>()
-                .into()
-        }
-        Err(error) => error.to_string().into(),
+        via: state.map(|state| state.via.to_string()).or_else(|| neighbour.map(|n| n.place.via.to_string())),
+        reason: refused.map(|refused| refused.reason.clone()),
+        reason_age_s: refused.map(|refused| refused.at.elapsed().as_secs()),
     }
 }
 
+/// Links whose peers fell silent or have a newer one, or that an earlier daemon left; by id.
+fn links_in_grace(core: &Core) -> Vec<GraceLink> {
+    let mut links: Vec<_> = core.switch.stale.iter().collect();
+    links.sort_by_key(|link| link.entry.id);
+    let status = links.into_iter().map(|link| GraceLink {
+        peer: link.peer,
+        role: link_role(link.entry.role),
+        address: link.to.to_string(),
+        id: link.entry.id,
+        errors_received: errors_received(core, link.entry.id),
+    });
+    status.collect()
+}
+
+/// What became of the frames that came in on a link; counters without any are left out.
+fn arrivals(core: &Core, link: u32) -> Option<Counts> {
+    let counts = core.switch.planes.arrivals(link).ok()?;
+    let counts = Counter::ALL.iter().zip(counts).filter(|(_, frames)| *frames > 0);
+    Some(counts.map(|(counter, frames)| (counter.as_str().to_owned(), frames)).collect())
+}
+
 /// `gdp-ctl topology`: all that this switch knows of the domain's switches, and how it gets there.
-pub fn topology(daemon: &Daemon) -> Value {
+pub fn topology(daemon: &Daemon) -> TopologyReply {
     let core = daemon.core();
     let paths = core.topology.paths();
-    let switches: Vec<Value> = core
-        .topology
-        .states()
-        .map(|state| {
-            let switch = &state.switch;
-            json!({
-                "switch": switch,
-                "bit": paths.bit(switch),
-                "cost": paths.costs.get(switch),
-                "next": paths.next.get(switch),
-                "run": state.run,
-                "number": state.number,
-                "neighbours": neighbours(state),
-                "rib": state.rib,
-                "borders": state.borders.iter().map(border).collect::<Vec<_>>(),
-            })
-        })
-        .collect();
-    let home = core.membership.home();
-    json!({"own": core.name(), "domain": home, "switches": switches})
+    let switches = core.topology.states().map(|state| SwitchState {
+        switch: state.switch,
+        bit: paths.bit(&state.switch),
+        cost: paths.costs.get(&state.switch).copied(),
+        next: paths.next.get(&state.switch).copied(),
+        run: state.run,
+        number: state.number,
+        neighbours: neighbours(state),
+        rib: state.rib,
+        borders: state.borders.iter().map(border).collect(),
+    });
+    TopologyReply { own: core.name(), domain: core.membership.home(), switches: switches.collect() }
 }
 
 /// What a switch states of its neighbours.
-fn neighbours(state: &LinkState) -> Vec<Value> {
+fn neighbours(state: &LinkState) -> Vec<Adjacency> {
     let is_silent = |index: usize| state.silent & 1 << index != 0;
     let near = state.neighbours.iter().enumerate();
-    near.map(|(i, (switch, cost))| json!({"switch": switch, "cost": cost, "silent": is_silent(i)})).collect()
+    near.map(|(i, (switch, cost))| Adjacency { switch: *switch, cost: *cost, silent: is_silent(i) }).collect()
 }
 
-fn border(Adjoining { domain, switch, cost, transit, ours_transit, parent }: &Adjoining) -> Value {
-    json!({"domain": domain, "switch": switch, "cost": cost, "transit": transit, "ours_transit": ours_transit, "parent": parent})
+fn border(&Adjoining { domain, switch, cost, transit, ours_transit, parent }: &Adjoining) -> BorderAdjacency {
+    BorderAdjacency { domain, switch, cost, transit, ours_transit, parent }
 }
 
-fn domain(domain: &Domain) -> Value {
+fn domain(domain: &Domain) -> DomainStatus {
     let own = domain.trust.own(unix_seconds());
-    let revocations: Vec<_> = domain.trust.revocations().filter_map(|kept| kept.verify().ok()).collect();
-    json!({
-        "name": domain.trust.home(),
-        "role": own.as_ref().ok().map(|cert| &cert.role),
-        "not_after": own.as_ref().ok().map(|cert| cert.not_after),
-        "error": own.as_ref().err().map(ToString::to_string),
-        "members_only": domain.trust.members_only(),
-        "invitations_used": domain.invitations.all().count(),
-        "revocations": revocations.iter().map(|r| json!({"domain": r.name, "number": r.number})).collect::<Vec<_>>(),
-    })
+    let revocations = domain.trust.revocations().filter_map(|kept| kept.verify().ok());
+    DomainStatus {
+        name: domain.trust.home(),
+        role: own.as_ref().ok().map(|cert| cert.role.clone()),
+        not_after: own.as_ref().ok().map(|cert| cert.not_after),
+        error: own.as_ref().err().map(ToString::to_string),
+        members_only: domain.trust.members_only(),
+        invitations_used: domain.invitations.all().count(),
+        revocations: revocations.map(|r| DomainRevocation { domain: r.name, number: r.number }).collect(),
+    }
 }
 
 /// The domain of a peer that is of another than this switch.
@@ -295,9 +297,9 @@ fn foreign(standing: &Relationship) -> Option<Name> {
 }
 
 /// What a neighbour refused of what this switch sent it, by code.
-fn errors_received(core: &Core, link: u32) -> Map<String, Value> {
+fn errors_received(core: &Core, link: u32) -> Counts {
     let errors = ErrorCode::ALL.iter().zip(core.switch.planes.notices().errors(link));
-    errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count.into())).collect()
+    errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count)).collect()
 }
 
 /// One word for all interfaces, and why. `udp_links`: those over UDP that the kernel does not send
@@ -324,30 +326,29 @@ fn summary(report: &[gdp_dataplane::InterfacePlane], udp_links: usize) -> (&'sta
 
 /// One page of `gdp-ctl fib dump`: at most `limit` names behind `after`, and whether there are
 /// more.
-pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<Value, String> {
+pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<FibReply, PlaneError> {
     let core = daemon.core();
-    let (routes, more) = core.switch.planes.routes_behind(after, limit).map_err(|error| error.to_string())?;
+    let (routes, more) = core.switch.planes.routes_behind(after, limit)?;
     let peers = core.switch.peers_by_link();
-    let page: Vec<Value> = routes.iter().map(|(name, entry)| route(&core, &peers, name, entry)).collect();
-    Ok(json!({"routes": page, "more": more}))
+    Ok(FibReply { routes: routes.iter().map(|(name, entry)| route(&core, &peers, name, entry)).collect(), more })
 }
 
-fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> Value {
+fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry) -> FibRoute {
     let own = core.switch.routes.own_bit().map_or(0, |bit| 1u64 << bit);
-    let names = |links: Vec<u32>| links.iter().filter_map(|link| peers.get(link)).copied().collect::<Vec<_>>();
-    json!({
-        "name": name,
-        "egress_bits": format!("{:#x}", entry.egress_bits),
-        "own": entry.egress_bits & own != 0,
-        "toward": core.switch.routes.neighbours_toward(entry.egress_bits & !own),
-        "readers": names(core.switch.planes.readers(entry)),
-        "writers": names(core.switch.planes.writers(name)),
-        "group": entry.group,
-    })
+    let names = |links: Vec<u32>| links.iter().filter_map(|link| peers.get(link)).copied().collect();
+    FibRoute {
+        name: *name,
+        egress_bits: format!("{:#x}", entry.egress_bits),
+        own: entry.egress_bits & own != 0,
+        toward: core.switch.routes.neighbours_toward(entry.egress_bits & !own),
+        readers: names(core.switch.planes.readers(entry)),
+        writers: names(core.switch.planes.writers(name)),
+        group: entry.group,
+    }
 }
 
 /// One page of `gdp-ctl rib dump`, or why there is none.
-pub fn rib(daemon: &Daemon, after: Option<RecordKey>, limit: usize) -> Result<Value, String> {
+pub fn rib(daemon: &Daemon, after: Option<RecordKey>, limit: usize) -> Result<RibReply, String> {
     let core = daemon.core();
     let Some(rib) = &core.rib_host.rib else {
         let at = match core.topology.rib() {
@@ -357,13 +358,9 @@ pub fn rib(daemon: &Daemon, after: Option<RecordKey>, limit: usize) -> Result<Va
         return Err(format!("this daemon is not the RIB, {at}: run `gdp-ctl rib dump` on the RIB's host"));
     };
     let (records, more) = rib.records(core.now(), after, limit);
-    let switches: Vec<Value> = rib
-        .switches()
-        .map(|(name, bit, attached)| {
-            let stated = core.topology.states().find(|state| state.switch == name);
-            let neighbours = stated.map_or_else(Vec::new, neighbours);
-            json!({"switch": name, "bit": bit, "neighbours": neighbours, "attached": attached})
-        })
-        .collect();
-    Ok(json!({"records": records, "switches": switches, "more": more}))
+    let switches = rib.switches().map(|(switch, bit, attached)| {
+        let stated = core.topology.states().find(|state| state.switch == switch);
+        RibSwitch { switch, bit, neighbours: stated.map_or_else(Vec::new, neighbours), attached }
+    });
+    Ok(RibReply { records, switches: switches.collect(), more })
 }

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp_core::peer::Role;
+use gdp_proto::admin::status::Warning;
 use gdp_wire::{Counter, Name};
-use serde_json::{Value, json};
 
 use super::core::Core;
 
@@ -17,13 +17,13 @@ const SILENT: Duration = Duration::from_secs(10);
 /// Names that one warning shows.
 const NAMES: usize = 10;
 
-pub fn warnings(core: &Core) -> Vec<Value> {
+pub fn warnings(core: &Core) -> Vec<Warning> {
     silent(core).into_iter().chain(unserved(core)).collect()
 }
 
 /// Endpoints that may send to names that somebody takes, and of which no frame was taken on any
 /// link they have now. Counted exactly, on links: frames are not counted by name.
-fn silent(core: &Core) -> Vec<Value> {
+fn silent(core: &Core) -> Vec<Warning> {
     let mut quiet = BTreeMap::<Name, Duration>::new();
     let mut heard = BTreeSet::new();
     for (id, state) in core.switch.links.iter().filter(|(_, state)| state.link.peer().role == Role::Endpoint) {
@@ -40,13 +40,13 @@ fn silent(core: &Core) -> Vec<Value> {
     quiet.retain(|peer, _| !heard.contains(peer));
     let warn = |(entity, age): (Name, Duration)| {
         let names = core.switch.routes.leading_from(&entity);
-        (names > 0).then(|| json!({"kind": "silent", "entity": entity, "names": names, "for_s": age.as_secs()}))
+        (names > 0).then_some(Warning::Silent { entity, names, for_s: age.as_secs() })
     };
     quiet.into_iter().filter_map(warn).collect()
 }
 
 /// Names that are read or called, and nobody publishes or serves; as far as the RIB here knows.
-fn unserved(core: &Core) -> Option<Value> {
+fn unserved(core: &Core) -> Option<Warning> {
     let (count, names) = core.rib_host.rib.as_ref()?.unserved();
-    (count > 0).then(|| json!({"kind": "unserved", "count": count, "names": names.take(NAMES).collect::<Vec<_>>()}))
+    (count > 0).then(|| Warning::NotServed { count, names: names.take(NAMES).collect() })
 }

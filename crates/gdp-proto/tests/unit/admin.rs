@@ -12,7 +12,7 @@ fn requests_and_replies_survive_their_line() {
         assert_eq!(format!("{parsed:?}"), format!("{request:?}"));
     }
     let line = reply_line(&Reply::Control(Response::Attached { serial: 9 }));
-    assert_eq!(line, "{\"control\":{\"Attached\":{\"serial\":9}},\"v\":1}\n");
+    assert_eq!(line, "{\"v\":1,\"control\":{\"Attached\":{\"serial\":9}}}\n");
 }
 
 #[test]

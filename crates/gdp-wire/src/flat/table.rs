@@ -57,7 +57,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     pub fn adopt(memory: M) -> Result<Self, NotATable> {
         let mask = mask_for(memory.as_ref())?;
         let header = memory.as_ref();
-        if header[MASK].load(Ordering::Acquire) != mask.into() {
+        if header[MASK].load(Ordering::Acquire) != u64::from(mask) {
             return Err(NotATable);
         }
         let key = [KEY, KEY + 1].map(|word| header[word].load(Ordering::Relaxed));

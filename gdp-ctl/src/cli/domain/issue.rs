@@ -11,8 +11,10 @@ use gdp_core::domain::Token;
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::link_target::LinkTarget;
 use gdp_wire::Name;
-use serde_json::json;
+use schemars::JsonSchema;
+use serde::Serialize;
 
+use super::super::credential_file::{IssuedOutput, claim_map};
 use super::super::output;
 use super::ledger::{Issue, To};
 use crate::cli::context::Context;
@@ -102,6 +104,14 @@ pub struct PeerOptions {
     output: PathBuf,
 }
 
+/// What `gdp-ctl domain init` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct InitOutput {
+    name: Name,
+    key: PathBuf,
+    card: PathBuf,
+}
+
 pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
     let folder = &options.output;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
@@ -113,7 +123,7 @@ pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
     let card = NameCard::new(identity.key().verify_key(), identity.metadata().clone())?;
     output::write_new(&card_file, &card.to_json())?;
     let name = identity.name();
-    context.output.print(json!({"name": name, "key": key_file, "card": card_file}), || [name.to_string()])
+    context.output.print(&InitOutput { name, key: key_file, card: card_file }, || [name.to_string()])
 }
 
 pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
@@ -128,10 +138,9 @@ pub fn admit(options: &AdmitOptions, context: &Context) -> anyhow::Result<()> {
     let to = To::Member { entity, role };
     authority.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
     output::write_new(&options.output, &membership.to_pem())?;
-    let value = json!({
-        "kind": MemberCert::KIND, "claims": claims, "serial": serial.to_string(), "file": options.output,
-    });
-    context.output.print(value, || [options.output.display().to_string()])
+    context
+        .output
+        .print(&IssuedOutput::new(&claims, serial, &options.output), || [options.output.display().to_string()])
 }
 
 pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> {
@@ -154,10 +163,9 @@ pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> 
     let to = To::Invited { role };
     authority.remember(Issue { serial, to, not_before, not_after, ends: member_until, file: None })?;
     let line = token.to_line();
-    let value = json!({
-        "kind": Invite::KIND, "claims": claims, "serial": serial.to_string(), "token": *line,
-    });
-    context.output.print(value, || [line.to_string()])
+    let (kind, claims, serial) = (Invite::KIND, claim_map(&claims), serial.to_string());
+    let output = IssuedOutput { kind, claims, serial, file: None, token: Some(line.to_string()) };
+    context.output.print(&output, || [line.to_string()])
 }
 
 pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
@@ -172,10 +180,9 @@ pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
     let to = To::Peer { domain: peer, rights };
     authority.remember(Issue { serial, to, not_before, not_after, ends: not_after, file: Some(file) })?;
     output::write_new(&options.output, &signed.to_pem())?;
-    let value = json!({
-        "kind": PeerCert::KIND, "claims": claims, "serial": serial.to_string(), "file": options.output,
-    });
-    context.output.print(value, || [options.output.display().to_string()])
+    context
+        .output
+        .print(&IssuedOutput::new(&claims, serial, &options.output), || [options.output.display().to_string()])
 }
 
 /// Whether a daemon's configuration can say this.

@@ -14,8 +14,9 @@ use gdp_core::link_target::LinkTarget;
 use gdp_core::name;
 use gdp_core::name::Metadata;
 use gdp_util::escape::escape_json;
+use gdp_wire::Name;
+use schemars::JsonSchema;
 use serde::Serialize;
-use serde_json::json;
 
 use super::super::output;
 use super::issue::is_place;
@@ -37,6 +38,21 @@ pub struct Options {
     /// --identity is given.
     #[arg(short, long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
+}
+
+/// What `gdp-ctl domain join` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct JoinOutput {
+    name: Name,
+    domain: Name,
+    role: String,
+    /// When the membership ends, in Unix seconds.
+    not_after: u64,
+    /// The private key.
+    identity: PathBuf,
+    card: PathBuf,
+    membership: PathBuf,
+    config: PathBuf,
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
@@ -67,17 +83,23 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     output::write_new(&card_file, &card.to_json())?;
     output::write_new(&membership_file, &membership.to_pem())?;
     output::write_new(&config_file, &config)?;
-    let value = json!({
-        "name": identity.name(), "domain": invite.domain, "role": invite.role, "not_after": invite.member_until,
-        "identity": identity_file, "card": card_file, "membership": membership_file, "config": config_file,
-    });
-    context.output.print(value, || {
+    let output = JoinOutput {
+        name: identity.name(),
+        domain: invite.domain,
+        role: invite.role,
+        not_after: invite.member_until,
+        identity: identity_file.into(),
+        card: card_file,
+        membership: membership_file,
+        config: config_file,
+    };
+    context.output.print(&output, || {
         [format!(
             "{} is {} of {:#}: {} (to be completed, if it is a proxy's, with its topics)",
-            identity.name(),
-            invite.role,
-            invite.domain,
-            config_file.display()
+            output.name,
+            output.role,
+            output.domain,
+            output.config.display()
         )]
     })
 }
@@ -127,7 +149,7 @@ fn proxy(token: &Token, identity: &Path) -> String {
 
 /// A text in double quotes, which YAML reads as JSON does.
 fn quoted(text: impl Serialize) -> String {
-    escape_json(&json!(text).to_string()).into_owned()
+    escape_json(&serde_json::json!(text).to_string()).into_owned()
 }
 
 fn domain() -> &'static str {

@@ -1,11 +1,12 @@
 //! What the ledger beside a domain's card remembers of each certificate.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use gdp_core::cert::{Claims, Invite, MemberCert, PeerCert, PeerRights, Revocation};
 use gdp_wire::Name;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 
 use super::super::issuance_log;
 
@@ -23,12 +24,21 @@ pub struct Issue {
     pub file: Option<PathBuf>,
 }
 
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum To {
-    Member { entity: Name, role: String },
-    Invited { role: String },
-    Peer { domain: Name, rights: PeerRights },
+    Member {
+        entity: Name,
+        role: String,
+    },
+    Invited {
+        role: String,
+    },
+    Peer {
+        domain: Name,
+        #[schemars(with = "BTreeMap<String, bool>")]
+        rights: PeerRights,
+    },
 }
 
 impl issuance_log::Entry for Issue {
@@ -77,12 +87,23 @@ impl Issue {
         }
     }
 
-    pub fn describe(&self, state: &str) -> Value {
-        json!({
-            // JavaScript and jq do not count that far.
-            "serial": self.serial.to_string(),
-            "kind": self.kind(), "to": self.to, "not_before": self.not_before, "not_after": self.not_after,
-            "file": self.file, "state": state,
-        })
+    pub fn describe(&self, state: &'static str) -> IssueOutput {
+        let Self { serial, to, not_before, not_after, file, .. } = self.clone();
+        IssueOutput { serial: serial.to_string(), kind: self.kind(), to, not_before, not_after, file, state }
     }
+}
+
+/// A certificate of the domain, as `gdp-ctl domain show` shows it.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct IssueOutput {
+    /// As text, because JavaScript and jq round such numbers.
+    serial: String,
+    kind: &'static str,
+    to: To,
+    not_before: u64,
+    not_after: u64,
+    /// None of an invitation.
+    file: Option<PathBuf>,
+    /// `valid`, `not yet`, `expired` or `revoked`.
+    state: &'static str,
 }

@@ -13,6 +13,10 @@ use clap::Subcommand;
 
 use crate::cli::context::Context;
 
+pub use issue::InitOutput;
+pub use join::JoinOutput;
+pub use show::{DomainOutput, InvitationOutput};
+
 const OFF_THE_SWITCHES: &str = "The domain's key is never needed on a switch, a RIB or a robot: run this where the \
                                 key is kept, and \
                                 take the file to the member.";

@@ -4,14 +4,18 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use gdp_core::card::NameCard;
+use gdp_core::cert::{Claims, Invite};
 use gdp_core::domain::Token;
-use serde_json::{Value, json};
+use gdp_wire::Name;
+use schemars::JsonSchema;
+use serde::Serialize;
 
+use super::super::credential_file::{ClaimMap, claim_map};
 use super::super::issuance_log::IssuanceLog;
-use super::super::revocation::describe_revocation;
+use super::super::revocation::RevocationOutput;
 use super::super::{cert, output};
 use super::join::read_token;
-use super::ledger::Issue;
+use super::ledger::{Issue, IssueOutput};
 use crate::cli::context::Context;
 use gdp_util::unix_time::unix_seconds;
 
@@ -23,6 +27,30 @@ pub struct Options {
     /// Of a certificate: the card of the domain. If there is a revocation beside it, that counts.
     #[arg(long, value_name = "FILE")]
     card: Option<PathBuf>,
+}
+
+/// What `gdp-ctl domain show` shows of an invitation.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct InvitationOutput {
+    kind: &'static str,
+    claims: ClaimMap,
+    /// As text, because JavaScript and jq round such numbers.
+    serial: String,
+    /// Where the new member is to dial.
+    at: String,
+    /// The switch there.
+    switch: Option<Name>,
+}
+
+/// What `gdp-ctl domain show` shows of a domain.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct DomainOutput {
+    name: Name,
+    /// 66 hex digits.
+    public_key: String,
+    issued: Vec<IssueOutput>,
+    /// The newest one of the domain.
+    revocation: Option<RevocationOutput>,
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
@@ -38,11 +66,14 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 
 fn token(token: &Token, context: &Context) -> anyhow::Result<()> {
     let invite = token.invite()?;
-    let value = json!({
-        "kind": "Invite", "claims": invite, "serial": invite.serial.to_string(),
-        "at": token.at().to_string(), "switch": token.switch(),
-    });
-    context.output.print(value, || {
+    let output = InvitationOutput {
+        kind: Invite::KIND,
+        claims: claim_map(&invite),
+        serial: invite.serial.to_string(),
+        at: token.at().to_string(),
+        switch: token.switch(),
+    };
+    context.output.print(&output, || {
         let switch = token.switch().map_or("any".to_owned(), |switch| switch.to_string());
         [
             "kind        Invite".to_owned(),
@@ -62,13 +93,13 @@ fn domain(card: &Path, context: &Context) -> anyhow::Result<()> {
     let (issued, (_, revocation), now) = (books.ledger::<Issue>()?, books.revocation()?.unzip(), unix_seconds());
     let state = |issue: &Issue| issue.state(revocation.as_ref(), now);
     let name = books.card().name();
-    let value = json!({
-        "name": name,
-        "public_key": books.card().owner_key().to_string(),
-        "issued": issued.iter().map(|issue| issue.describe(state(issue))).collect::<Vec<Value>>(),
-        "revocation": revocation.as_ref().map(describe_revocation),
-    });
-    context.output.print(value, || {
+    let output = DomainOutput {
+        name,
+        public_key: books.card().owner_key().to_string(),
+        issued: issued.iter().map(|issue| issue.describe(state(issue))).collect(),
+        revocation: revocation.as_ref().map(RevocationOutput::new),
+    };
+    context.output.print(&output, || {
         let row = |issue: &Issue| {
             let holder = issue.holder().map_or("who has the line".to_owned(), |holder| format!("{holder:#}"));
             let file = issue.file.as_ref().map_or(String::new(), |file| file.display().to_string());

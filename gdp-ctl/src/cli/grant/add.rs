@@ -1,6 +1,6 @@
 //! `gdp-ctl grant add`: a certificate for one entity, one role or one delegate.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use clap::{ArgGroup, Args, ValueEnum};
@@ -10,8 +10,8 @@ use gdp_core::cert::{
 };
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_wire::Name;
-use serde_json::json;
 
+use super::super::credential_file::IssuedOutput;
 use super::super::issuance_log::IssuanceLog;
 use super::super::output;
 use super::super::revocation::next_serial;
@@ -91,17 +91,17 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     let issuer = Issuer::open(&options, &books)?;
     let (name, serial, Validity { not_before, not_after }) = (issuer.card.name(), issuer.serial, issuer.validity);
     let (publish, read) = (options.publish, options.read);
-    let (to, (text, mut value)) = match (options.delegate, options.entity, &options.role, options.domain) {
+    let (to, (text, output)) = match (options.delegate, options.entity, &options.role, options.domain) {
         (Some(delegate), ..) => {
             let claims = Delegation { name, delegate, publish, read, serial, not_before, not_after };
             let signed = issue(&issuer.key, &claims)?;
-            (Holder::Delegate(delegate), (signed.to_pem(), json!({"kind": Delegation::KIND, "claims": claims})))
+            (Holder::Delegate(delegate), (signed.to_pem(), IssuedOutput::new(&claims, serial, &options.output)))
         }
         (None, Some(_), ..) if publish && read => bail!("one certificate is for --publish or for --read; make two"),
         (None, Some(entity), ..) if publish => {
             let (mode, scope) = (options.mode.into(), options.scope);
             let claims = AdCert { name, entity, mode, scope, serial, not_before, not_after };
-            (Holder::Entity(entity), issuer.issue(&claims)?)
+            (Holder::Entity(entity), issuer.issue(&claims, &options.output)?)
         }
         (None, entity, role, domain) => {
             let to = match (entity, role, domain) {
@@ -110,7 +110,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
                 _ => bail!("--entity, --role with --domain, or --delegate says to whom"),
             };
             let claims = ReadGrant { name, to: to.clone(), serial, not_before, not_after };
-            (to.into(), issuer.issue(&claims)?)
+            (to.into(), issuer.issue(&claims, &options.output)?)
         }
     };
     // Remembered first: what is not known to be granted would not be revoked.
@@ -119,9 +119,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     grants.push(Grant { serial, publish, read, to, not_before, not_after, file });
     books.keep_ledger(grants)?;
     output::write_new(&options.output, &text)?;
-    value["file"] = json!(options.output);
-    value["serial"] = serial.to_string().into();
-    context.output.print(value, || [options.output.display().to_string()])
+    context.output.print(&output, || [options.output.display().to_string()])
 }
 
 /// Who signs, and what all that is issued now has in common.
@@ -169,9 +167,9 @@ impl<'b> Issuer<'b> {
     }
 
     /// The text of a certificate and what it says; refused if whoever gets it would refuse it.
-    fn issue<T: AboutName>(&self, claims: &T) -> anyhow::Result<(String, serde_json::Value)> {
+    fn issue<T: AboutName>(&self, claims: &T, file: &Path) -> anyhow::Result<(String, IssuedOutput)> {
         let issued = Issued { cert: issue(&self.key, claims)?, delegation: self.delegation.clone() };
         issued.verify(&self.card.proof(), self.revocation.as_ref(), unix_seconds())?;
-        Ok((issued.to_pem(), json!({"kind": T::KIND, "claims": claims})))
+        Ok((issued.to_pem(), IssuedOutput::new(claims, self.serial, file)))
     }
 }

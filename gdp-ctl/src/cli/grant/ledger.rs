@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use gdp_core::cert::Grantee;
 use gdp_core::identity::VerifyKey;
 use gdp_wire::Name;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::issuance_log;
@@ -38,12 +39,12 @@ impl issuance_log::Entry for Grant {
 }
 
 /// Whom a certificate was issued to.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Holder {
     Entity(Name),
     Role { domain: Name, role: String },
-    Delegate(VerifyKey),
+    Delegate(#[schemars(with = "String")] VerifyKey),
 }
 
 impl From<Grantee> for Holder {

@@ -4,11 +4,13 @@ use std::path::PathBuf;
 
 use clap::Args;
 use gdp_core::cert::{AdCert, Claims, Delegation, ReadGrant, Revocation};
-use serde_json::{Value, json};
+use gdp_wire::Name;
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use super::super::issuance_log::IssuanceLog;
 use super::super::output;
-use super::super::revocation::describe_revocation;
+use super::super::revocation::RevocationOutput;
 use super::ledger::{Grant, Holder};
 use crate::cli::context::Context;
 use gdp_util::unix_time::unix_seconds;
@@ -24,12 +26,12 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let (grants, (_, revocation)) = (books.ledger::<Grant>()?, books.revocation()?.unzip());
     let now = unix_seconds();
     let state = |grant: &Grant| state(grant, revocation.as_ref(), now);
-    let value = json!({
-        "name": books.card().name(),
-        "grants": grants.iter().map(|grant| describe(grant, state(grant))).collect::<Vec<_>>(),
-        "revocation": revocation.as_ref().map(describe_revocation),
-    });
-    context.output.print(value, || {
+    let output = GrantsOutput {
+        name: books.card().name(),
+        grants: grants.iter().map(|grant| GrantOutput::new(grant, state(grant))).collect(),
+        revocation: revocation.as_ref().map(RevocationOutput::new),
+    };
+    context.output.print(&output, || {
         let row = |grant: &Grant| {
             let left = match grant.not_after.saturating_sub(now) {
                 days @ 86400.. => format!("{} d", days / 86400),
@@ -45,13 +47,35 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     })
 }
 
-fn describe(grant: &Grant, state: &str) -> Value {
-    json!({
-        // JavaScript and jq do not count that far.
-        "serial": grant.serial.to_string(),
-        "publish": grant.publish, "read": grant.read, "to": grant.to,
-        "not_before": grant.not_before, "not_after": grant.not_after, "file": grant.file, "state": state,
-    })
+/// What `gdp-ctl grant list` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct GrantsOutput {
+    name: Name,
+    grants: Vec<GrantOutput>,
+    /// The newest one of the name.
+    revocation: Option<RevocationOutput>,
+}
+
+/// A certificate that was issued from here.
+#[derive(Debug, Serialize, JsonSchema)]
+struct GrantOutput {
+    /// As text, because JavaScript and jq round such numbers.
+    serial: String,
+    publish: bool,
+    read: bool,
+    to: Holder,
+    not_before: u64,
+    not_after: u64,
+    file: PathBuf,
+    /// `valid`, `not yet`, `expired` or `revoked`.
+    state: &'static str,
+}
+
+impl GrantOutput {
+    fn new(grant: &Grant, state: &'static str) -> Self {
+        let Grant { serial, publish, read, to, not_before, not_after, file } = grant.clone();
+        Self { serial: serial.to_string(), publish, read, to, not_before, not_after, file, state }
+    }
 }
 
 fn state(grant: &Grant, revocation: Option<&Revocation>, now: u64) -> &'static str {

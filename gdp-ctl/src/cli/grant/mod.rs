@@ -10,6 +10,8 @@ use clap::Subcommand;
 
 use crate::cli::context::Context;
 
+pub use list::GrantsOutput;
+
 const OFF_THE_ROBOT: &str = "The owner's key is never needed on a robot, nor on any machine that publishes, reads or \
                              forwards: run this where the key is kept, and take the certificate file and the name card \
                              to the robot.";

@@ -12,7 +12,9 @@ use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
 use gdp_ros::call::{CALL, Description, Epoch, Part, Reply, Request};
 use gdp_util::terminal::note;
 use gdp_wire::Name;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::Value;
 
 use super::super::node::{Definitions, NodeOptions, unless_interrupted};
 use crate::cli::context::Context;
@@ -47,6 +49,16 @@ pub struct Options {
     node: NodeOptions,
 }
 
+/// What `gdp-ctl service call` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct CallOutput {
+    /// The ROS name.
+    service: String,
+    name: Name,
+    server: Name,
+    response: Value,
+}
+
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let (keyring, types) = (options.node.keyring()?, options.definitions.load()?);
     let card = keyring.find(&options.what, "service")?;
@@ -58,17 +70,15 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         server.check(&wanted, &card)?;
         let [request, response] = types.service_schemas(&server.description)?.map(Half::new);
         let json = fill(&request.schema, &given, (unix_time().as_secs(), unix_time().subsec_nanos()))?;
-        if !context.output.json {
-            let text = request.text(&json)?;
-            context.output.print(json!({}), || [format!("requester: making request: {text}")])?;
-        }
+        let text = request.text(&json)?;
+        context.output.tell(|| format!("requester: making request: {text}"))?;
         let native = server.description.kind.dialect.native();
         let answer = server.call(&client, request.encode(&json, native)?).await?;
         let answer = response.decode(&answer, native)?;
         let text = response.text(&answer)?;
-        let value =
-            json!({"service": called(&card), "name": card.name(), "server": server.instance, "response": answer});
-        context.output.print(value, || [String::new(), "response:".into(), text])
+        let (service, name) = (called(&card).to_owned(), card.name());
+        let output = CallOutput { service, name, server: server.instance, response: answer };
+        context.output.print(&output, || [String::new(), "response:".into(), text])
     };
     options.node.with_fabric(keyring, context, async |fabric| unless_interrupted(ask(fabric)).await).map(drop)
 }

@@ -4,6 +4,8 @@ mod call;
 
 use clap::Subcommand;
 
+pub use call::CallOutput;
+
 use super::topic::{ListOptions, list};
 use crate::cli::context::Context;
 

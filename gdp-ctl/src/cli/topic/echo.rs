@@ -9,7 +9,10 @@ use gdp::SubscribeOptions;
 use gdp_core::card::NameCard;
 use gdp_ros::compression::unpacked;
 use gdp_util::terminal::note;
-use serde_json::json;
+use gdp_wire::Name;
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::Value;
 
 use super::super::node::{Definitions, NodeOptions, listen, parse_positive, tell_if_silent, unless_interrupted};
 use super::super::output::lines_of;
@@ -115,6 +118,29 @@ async fn print_all(
     bail!("{} may not be read any more by {:#}", called(card), fabric.node.name())
 }
 
+/// What `gdp-ctl topic echo` prints of each message.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct EchoOutput {
+    /// The ROS name.
+    topic: String,
+    name: Name,
+    /// The ROS type.
+    r#type: String,
+    writer: Name,
+    sequence: u64,
+    /// When it was sent, in Unix time.
+    timestamp_ns: u64,
+    /// With `--raw`: the number of the encoding.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    encoding: Option<u16>,
+    /// With `--raw`: base64.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    raw: Option<String>,
+    /// Otherwise, the message or the chosen field.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    message: Option<Value>,
+}
+
 enum Failed {
     Message(anyhow::Error),
     Output(anyhow::Error),
@@ -128,28 +154,35 @@ fn print(
     heard: &Heard,
 ) -> Result<(), Failed> {
     let message = &heard.message;
-    let mut value = json!({
-        "topic": called(card), "name": message.name, "type": heard.kind.name, "writer": message.writer,
-        "sequence": message.sequence, "timestamp_ns": message.timestamp_ns,
-    });
+    let mut output = EchoOutput {
+        topic: called(card).to_owned(),
+        name: message.name,
+        r#type: heard.kind.name.clone(),
+        writer: message.writer,
+        sequence: message.sequence,
+        timestamp_ns: message.timestamp_ns,
+        encoding: None,
+        raw: None,
+        message: None,
+    };
     if options.raw {
         let unpacked = unpacked(message.encoding, message.body.clone());
         let (encoding, body) = unpacked.map_err(|error| Failed::Message(error.into()))?;
-        value["encoding"] = u16::from(encoding).into();
-        value["raw"] = Base64::encode_string(&body).into();
+        output.encoding = Some(encoding.into());
+        output.raw = Some(Base64::encode_string(&body));
         let text = || [python::bytes(&body), "---".to_owned()];
-        return context.output.print(value, text).map_err(Failed::Output);
+        return context.output.print(&output, text).map_err(Failed::Output);
     }
     let decoded = decoder.decode(heard).map_err(|error| Failed::Message(error.into()))?;
     let path = options.field.as_ref().map_or(&[][..], |path| &path.0);
     // A field that is not there is not there in any message.
     let view = View::of(decoded.schema, decoded.root, &decoded.value);
     let view = view.at(path).map_err(|error| Failed::Output(error.into()))?;
-    value["message"] = view.value.clone();
+    output.message = Some(view.value.clone());
     let length = if options.full_length { usize::MAX } else { options.truncate_length };
     let limits = Limits { length, no_arrays: options.no_arr, no_texts: options.no_str };
     let text = shown(&view, &limits).map_err(Failed::Message)?;
-    context.output.print(value, || lines_of(&format!("{text}---"))).map_err(Failed::Output)
+    context.output.print(&output, || lines_of(&format!("{text}---"))).map_err(Failed::Output)
 }
 
 /// A message as YAML; of what is none, its value as Python prints it.

@@ -7,12 +7,13 @@ use gdp::SubscribeOptions;
 use gdp_core::card::NameCard;
 use gdp_ros::roster::{Dialect, Kind, Offer};
 use gdp_wire::Name;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use super::super::node::{NodeOptions, listen, unless_interrupted};
 use crate::cli::context::Context;
 use crate::ros::keyring::called;
-use crate::ros::{fabric::Fabric, fabric::Parties, feed::Feed, feed::Publisher};
+use crate::ros::{fabric::Entities, fabric::Fabric, feed::Feed, feed::Publisher};
 
 /// For what the writers say of their publishers.
 const TIMEOUT: Duration = Duration::from_secs(3);
@@ -29,9 +30,43 @@ pub struct Options {
     node: NodeOptions,
 }
 
+/// What `gdp-ctl topic info` shows.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct InfoOutput {
+    /// The ROS name.
+    topic: String,
+    name: Name,
+    /// The ROS type; if publishers differ, a list of all.
+    r#type: String,
+    publishers: Vec<PublisherOutput>,
+    writers: Vec<Name>,
+    /// Writers that say nothing of ROS publishers.
+    writers_without_publishers: Vec<Name>,
+    subscribers: Vec<Name>,
+}
+
+/// A ROS publisher behind a writer, and what it offers. Times of 0 are infinite.
+#[derive(Debug, Serialize, JsonSchema)]
+struct PublisherOutput {
+    writer: Name,
+    /// Of the publisher at its writer.
+    number: u32,
+    r#type: String,
+    type_hash: String,
+    #[schemars(with = "String")]
+    dialect: Dialect,
+    reliability: &'static str,
+    durability: &'static str,
+    history: &'static str,
+    depth: u32,
+    deadline_ns: u64,
+    lifespan_ns: u64,
+    liveliness_lease_ns: u64,
+}
+
 /// What is known of a topic.
 struct Info {
-    parties: Parties,
+    entities: Entities,
     /// Of the ROS publishers behind the writers, each with its writer and its number.
     publishers: Vec<((Name, u32), Publisher)>,
     /// Writers that say nothing of publishers.
@@ -43,23 +78,23 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let card = keyring.find(&options.what, "topic")?;
     let gather = async |fabric: &Fabric| unless_interrupted(gather(fabric, &card)).await;
     let Some(info) = options.node.with_fabric(keyring, context, gather)? else { return Ok(()) };
-    context.output.print(value(&card, &info), || lines(&card, &info, options.verbose))
+    context.output.print(&InfoOutput::new(&card, &info), || lines(&card, &info, options.verbose))
 }
 
 async fn gather(fabric: &Fabric, card: &NameCard) -> anyhow::Result<Info> {
     let mut feed = listen(fabric, card, SubscribeOptions::best_effort()).await?;
-    let (parties, deadline) = (fabric.parties(card).await?, Instant::now() + TIMEOUT);
+    let (entities, deadline) = (fabric.entities(card).await?, Instant::now() + TIMEOUT);
     let heard = |feed: &Feed| feed.publishers().keys().map(|(writer, _)| *writer).collect::<Vec<_>>();
-    while parties.writers.iter().any(|writer| !heard(&feed).contains(writer)) {
+    while entities.writers.iter().any(|writer| !heard(&feed).contains(writer)) {
         let step = tokio::time::timeout(deadline.saturating_duration_since(Instant::now()), feed.step()).await;
         if !matches!(step, Ok(Some(()))) {
             break;
         }
     }
     let heard = heard(&feed);
-    let silent = parties.writers.iter().filter(|writer| !heard.contains(writer)).copied().collect();
+    let silent = entities.writers.iter().filter(|writer| !heard.contains(writer)).copied().collect();
     let publishers = feed.publishers().iter().map(|(key, publisher)| (*key, publisher.clone())).collect();
-    Ok(Info { parties, publishers, silent })
+    Ok(Info { entities, publishers, silent })
 }
 
 fn kind(card: &NameCard, info: &Info) -> String {
@@ -74,22 +109,38 @@ fn kind(card: &NameCard, info: &Info) -> String {
     }
 }
 
-fn value(card: &NameCard, info: &Info) -> Value {
-    let publisher = |((writer, number), publisher): &((Name, u32), Publisher)| {
+impl InfoOutput {
+    fn new(card: &NameCard, info: &Info) -> Self {
+        Self {
+            topic: called(card).to_owned(),
+            name: card.name(),
+            r#type: kind(card, info),
+            publishers: info.publishers.iter().map(PublisherOutput::new).collect(),
+            writers: info.entities.writers.clone(),
+            writers_without_publishers: info.silent.clone(),
+            subscribers: info.entities.readers.clone(),
+        }
+    }
+}
+
+impl PublisherOutput {
+    fn new(((writer, number), publisher): &((Name, u32), Publisher)) -> Self {
         let Offer { reliable, transient_local, depth, deadline_ns, lifespan_ns, liveliness_ns } = publisher.offers;
-        json!({
-            "writer": writer, "number": number, "type": publisher.kind.name, "type_hash": hash(&publisher.kind),
-            "dialect": publisher.kind.dialect, "reliability": if reliable { "reliable" } else { "best_effort" },
-            "durability": if transient_local { "transient_local" } else { "volatile" },
-            "history": if depth == 0 { "keep_all" } else { "keep_last" }, "depth": depth,
-            "deadline_ns": deadline_ns, "lifespan_ns": lifespan_ns, "liveliness_lease_ns": liveliness_ns,
-        })
-    };
-    json!({
-        "topic": called(card), "name": card.name(), "type": kind(card, info),
-        "publishers": info.publishers.iter().map(publisher).collect::<Vec<_>>(),
-        "writers": info.parties.writers, "writers_without_publishers": info.silent, "subscribers": info.parties.readers,
-    })
+        Self {
+            writer: *writer,
+            number: *number,
+            r#type: publisher.kind.name.clone(),
+            type_hash: hash(&publisher.kind),
+            dialect: publisher.kind.dialect,
+            reliability: if reliable { "reliable" } else { "best_effort" },
+            durability: if transient_local { "transient_local" } else { "volatile" },
+            history: if depth == 0 { "keep_all" } else { "keep_last" },
+            depth,
+            deadline_ns,
+            lifespan_ns,
+            liveliness_lease_ns: liveliness_ns,
+        }
+    }
 }
 
 /// The layout of ros2cli. Names of nodes stay with their graphs; the GID is the writer's name, and
@@ -101,7 +152,7 @@ fn lines(card: &NameCard, info: &Info, verbose: bool) -> Vec<String> {
         publishers.push(endpoint("PUBLISHER", &gid, Some(publisher), card));
     }
     publishers.extend(info.silent.iter().map(|writer| endpoint("PUBLISHER", writer.as_bytes(), None, card)));
-    let readers = info.parties.readers.iter();
+    let readers = info.entities.readers.iter();
     let subscriptions: Vec<_> = readers.map(|reader| endpoint("SUBSCRIPTION", reader.as_bytes(), None, card)).collect();
 
     let mut parts = vec![vec![format!("Type: {}", kind(card, info))]];

@@ -4,12 +4,13 @@
 use clap::Args;
 use gdp_core::card::NameCard;
 use gdp_wire::Name;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use super::super::node::{NodeOptions, unless_interrupted};
 use crate::cli::context::Context;
+use crate::ros::fabric::{Entities, Fabric};
 use crate::ros::keyring::called;
-use crate::ros::{fabric::Fabric, fabric::Parties};
 
 #[derive(Debug, Args)]
 pub struct ListOptions {
@@ -26,26 +27,42 @@ pub struct ListOptions {
     node: NodeOptions,
 }
 
-struct Entry {
-    topic: String,
-    kind: String,
-    name: Name,
-    parties: Option<Parties>,
+/// What the `list` commands show.
+#[derive(Debug, Serialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ListOutput {
+    Topics(Vec<ListEntry>),
+    Services(Vec<ListEntry>),
+    Actions(Vec<ListEntry>),
+    /// Only how many there are.
+    Count(usize),
 }
 
-impl Entry {
-    fn new(card: &NameCard, parties: Option<Parties>) -> Self {
-        let kind = card.get("type").unwrap_or_default().to_owned();
-        Self { topic: called(card).to_owned(), kind, name: card.name(), parties }
-    }
+/// A card of the keyring.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct ListEntry {
+    /// The ROS name.
+    topic: String,
+    /// The ROS type.
+    r#type: String,
+    name: Name,
+    /// Only if the RIB was asked.
+    #[serde(flatten)]
+    entities: Option<Sides>,
+}
 
-    fn value(&self, [writers, readers]: [&str; 2]) -> Value {
-        let mut value = json!({"topic": self.topic, "type": self.kind, "name": self.name});
-        if let Some(parties) = &self.parties {
-            value[writers] = json!(parties.writers);
-            value[readers] = json!(parties.readers);
-        }
-        value
+/// Who is at a name.
+#[derive(Debug, Serialize, JsonSchema)]
+#[serde(untagged)]
+enum Sides {
+    Topic { publishers: Vec<Name>, subscribers: Vec<Name> },
+    Service { servers: Vec<Name>, clients: Vec<Name> },
+}
+
+impl ListEntry {
+    fn new(card: &NameCard, entities: Option<Sides>) -> Self {
+        let r#type = card.get("type").unwrap_or_default().to_owned();
+        Self { topic: called(card).to_owned(), r#type, name: card.name(), entities }
     }
 }
 
@@ -54,12 +71,17 @@ pub fn list(kind: &str, options: &ListOptions, context: &Context) -> anyhow::Res
     let keyring = options.node.keyring()?;
     let mut cards: Vec<NameCard> = keyring.cards(kind).cloned().collect();
     cards.sort_by_key(|card| (called(card).to_owned(), card.name()));
-    let mut entries: Vec<Entry> = cards.iter().map(|card| Entry::new(card, None)).collect();
+    let mut entries: Vec<ListEntry> = cards.iter().map(|card| ListEntry::new(card, None)).collect();
     if options.verbose || (context.output.json && !options.count) {
         let ask = async |fabric: &Fabric| {
             let mut entries = Vec::new();
             for card in &cards {
-                entries.push(Entry::new(card, Some(fabric.parties(card).await?)));
+                let Entities { writers, readers } = fabric.entities(card).await?;
+                let sides = match kind {
+                    "topic" => Sides::Topic { publishers: writers, subscribers: readers },
+                    _ => Sides::Service { servers: writers, clients: readers },
+                };
+                entries.push(ListEntry::new(card, Some(sides)));
             }
             Ok(entries)
         };
@@ -67,32 +89,38 @@ pub fn list(kind: &str, options: &ListOptions, context: &Context) -> anyhow::Res
         let Some(asked) = asked? else { return Ok(()) };
         entries = asked;
     }
-    let sides = if kind == "topic" { ["publishers", "subscribers"] } else { ["servers", "clients"] };
-    let value = match options.count {
-        true => json!({"count": entries.len()}),
-        false => json!({format!("{kind}s"): entries.iter().map(|entry| entry.value(sides)).collect::<Vec<_>>()}),
-    };
-    context.output.print(value, || match options {
+    let lines = match options {
         ListOptions { count: true, .. } => vec![entries.len().to_string()],
-        ListOptions { verbose: true, .. } => verbose(kind, &entries, sides),
+        ListOptions { verbose: true, .. } => verbose(kind, &entries),
         _ => entries.iter().map(|entry| line(entry, options.show_types)).collect(),
-    })
+    };
+    let output = match kind {
+        _ if options.count => ListOutput::Count(entries.len()),
+        "topic" => ListOutput::Topics(entries),
+        "service" => ListOutput::Services(entries),
+        _ => ListOutput::Actions(entries),
+    };
+    context.output.print(&output, || lines)
 }
 
-fn line(entry: &Entry, with_type: bool) -> String {
-    if with_type { format!("{} [{}]", entry.topic, entry.kind) } else { entry.topic.clone() }
+fn line(entry: &ListEntry, with_type: bool) -> String {
+    if with_type { format!("{} [{}]", entry.topic, entry.r#type) } else { entry.topic.clone() }
 }
 
-fn verbose(kind: &str, entries: &[Entry], [writers, readers]: [&str; 2]) -> Vec<String> {
-    let heading = if kind == "topic" { ["Published", "Subscribed"] } else { ["Served", "Called"] };
-    let part = |heading: &str, what: &str, count: &dyn Fn(&Parties) -> usize| {
-        let shown = entries.iter().filter_map(|entry| Some((entry, entry.parties.as_ref().map(count)?)));
-        let lines = shown.filter(|(_, count)| *count > 0).map(|(entry, count)| {
-            let what = if count == 1 { what.trim_end_matches('s') } else { what };
-            format!(" * {} [{}] {count} {what}", entry.topic, entry.kind)
+fn verbose(kind: &str, entries: &[ListEntry]) -> Vec<String> {
+    let titles = match kind {
+        "topic" => [("Published", "publisher"), ("Subscribed", "subscriber")],
+        _ => [("Served", "server"), ("Called", "client")],
+    };
+    let part = |(heading, what): (&str, &str), side: usize| {
+        let lines = entries.iter().filter_map(|entry| {
+            let (Sides::Topic { publishers: writers, subscribers: readers }
+            | Sides::Service { servers: writers, clients: readers }) = entry.entities.as_ref()?;
+            let count = [writers.len(), readers.len()][side];
+            let plural = if count == 1 { "" } else { "s" };
+            (count > 0).then(|| format!(" * {} [{}] {count} {what}{plural}", entry.topic, entry.r#type))
         });
         std::iter::once(format!("{heading} {kind}s:")).chain(lines).collect::<Vec<_>>()
     };
-    let published = part(heading[0], writers, &|parties| parties.writers.len());
-    [published, part(heading[1], readers, &|parties| parties.readers.len())].join(&String::new())
+    [part(titles[0], 0), part(titles[1], 1)].join(&String::new())
 }

@@ -11,7 +11,9 @@ use gdp_e2e::seal::Message;
 use gdp_ros::compression::unpacked;
 use gdp_ros::roster::ROSTER;
 use gdp_util::terminal::note;
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::Value;
 
 use super::super::node::{Definitions, NodeOptions, listen, subscribe, tell_if_silent, unless_interrupted};
 use super::super::output::lines_of;
@@ -54,6 +56,47 @@ impl Options {
     }
 }
 
+/// Times between messages, or their delays.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct TimesOutput {
+    mean_s: f64,
+    min_s: f64,
+    max_s: f64,
+    std_dev_s: f64,
+    /// Of so many.
+    window: usize,
+}
+
+/// What `gdp-ctl topic hz` prints each second.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct RateOutput {
+    rate_hz: f64,
+    #[serde(flatten)]
+    times: TimesOutput,
+}
+
+/// What `gdp-ctl topic bw` prints each second.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct BandwidthOutput {
+    bytes_per_s: f64,
+    /// Of so many.
+    messages: usize,
+    mean_bytes: f64,
+    min_bytes: usize,
+    max_bytes: usize,
+}
+
+/// What `gdp-ctl topic delay` prints each second.
+#[derive(Debug, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum DelayOutput {
+    Times(TimesOutput),
+    /// No message came.
+    None {
+        window: usize,
+    },
+}
+
 pub fn hz(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut intervals = Intervals::new(options.window(TIMES));
     measure(options, context, |figure| match figure {
@@ -64,18 +107,15 @@ pub fn hz(options: &Options, context: &Context) -> anyhow::Result<()> {
         Figure::Show(_) => {
             let Some(spread) = intervals.spread() else { return Ok(()) };
             let rate = if spread.mean > 0.0 { 1e9 / spread.mean } else { 0.0 };
-            let mut value = figures(&spread);
-            value["rate_hz"] = rate.into();
-            context.output.print(value, || [format!("average rate: {rate:.3}"), spread.text()])
+            let output = RateOutput { rate_hz: rate, times: TimesOutput::new(&spread) };
+            context.output.print(&output, || [format!("average rate: {rate:.3}"), spread.text()])
         }
     })
 }
 
 pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut sizes = Sizes::new(options.window(SIZES));
-    if !context.output.json {
-        context.output.print(json!({}), || [format!("Subscribed to [{}]", options.what)])?;
-    }
+    context.output.tell(|| format!("Subscribed to [{}]", options.what))?;
     measure(options, context, |figure| match figure {
         Figure::Arrivals(at, message) => {
             match unpacked(message.encoding, message.body.clone()) {
@@ -86,11 +126,14 @@ pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
         }
         Figure::Show(at) => {
             let Some(shown) = sizes.bandwidth(at) else { return Ok(()) };
-            let value = json!({
-                "bytes_per_s": shown.bytes_per_s, "messages": shown.count, "mean_bytes": shown.mean, "min_bytes": shown.min,
-                "max_bytes": shown.max,
-            });
-            context.output.print(value, || lines_of(&shown.text()))
+            let output = BandwidthOutput {
+                bytes_per_s: shown.bytes_per_s,
+                messages: shown.count,
+                mean_bytes: shown.mean,
+                min_bytes: shown.min,
+                max_bytes: shown.max,
+            };
+            context.output.print(&output, || lines_of(&shown.text()))
         }
     })
 }
@@ -167,10 +210,13 @@ fn show_delays(delays: &mut Delays, context: &Context) -> anyhow::Result<()> {
         return Ok(());
     }
     let Some(spread) = delays.spread() else {
-        return context.output.print(json!({"window": 0}), || ["no new messages".to_owned()]);
+        let none = DelayOutput::None { window: 0 };
+        return context.output.print(&none, || ["no new messages".to_owned()]);
     };
-    let (mean, value) = (seconds(spread.mean), figures(&spread));
-    context.output.print(value, || [format!("average delay: {mean:.3}"), spread.text()])
+    let mean = seconds(spread.mean);
+    context
+        .output
+        .print(&DelayOutput::Times(TimesOutput::new(&spread)), || [format!("average delay: {mean:.3}"), spread.text()])
 }
 
 /// Nanoseconds since 1970, by the header of a message.
@@ -181,11 +227,16 @@ fn stamp(message: &Value) -> Option<i128> {
     Some(part(["sec", "secs"])? * 1_000_000_000 + part(["nanosec", "nsecs"])?)
 }
 
-fn figures(spread: &Spread) -> Value {
-    json!({
-        "mean_s": seconds(spread.mean), "min_s": seconds(spread.min as f64), "max_s": seconds(spread.max as f64),
-        "std_dev_s": seconds(spread.deviation), "window": spread.count,
-    })
+impl TimesOutput {
+    fn new(spread: &Spread) -> Self {
+        Self {
+            mean_s: seconds(spread.mean),
+            min_s: seconds(spread.min as f64),
+            max_s: seconds(spread.max as f64),
+            std_dev_s: seconds(spread.deviation),
+            window: spread.count,
+        }
+    }
 }
 
 fn run(

@@ -11,7 +11,11 @@ use clap::Subcommand;
 
 use crate::cli::context::Context;
 
-pub use list::{ListOptions, list};
+pub use echo::EchoOutput;
+pub use info::InfoOutput;
+pub use list::{ListOptions, ListOutput, list};
+pub use measure::{BandwidthOutput, DelayOutput, RateOutput};
+pub use publish::PublishOutput;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {

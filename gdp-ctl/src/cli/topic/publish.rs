@@ -11,7 +11,8 @@ use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
 use gdp_ros::roster::{self, Announcement, Dialect, Kind, Offer, Outgoing, ROSTER};
 use gdp_ros::types::{Types, sealed};
 use gdp_util::terminal::note;
-use serde_json::json;
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use super::super::node::{Definitions, NodeOptions, parse_positive};
 use crate::cli::context::Context;
@@ -84,6 +85,13 @@ enum Reliable {
 enum Durable {
     Volatile,
     TransientLocal,
+}
+
+/// What `gdp-ctl topic pub` prints of each message.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct PublishOutput {
+    count: u64,
+    message: serde_json::Value,
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
@@ -207,9 +215,7 @@ impl Source {
         self.wait(options.wait_matching_subscriptions.unwrap_or(times.is_some().into())).await?;
         let mut due = tokio::time::interval(Duration::from_secs_f64(1.0 / options.rate));
         let mut look = tokio::time::interval(LOOK);
-        if !context.output.json {
-            context.output.print(json!({}), || ["publisher: beginning loop".to_owned()])?;
-        }
+        context.output.tell(|| "publisher: beginning loop".to_owned())?;
         let mut count = 0;
         while times.is_none_or(|times| count < times) {
             tokio::select! {
@@ -218,8 +224,8 @@ impl Source {
                     let made = maker.make()?;
                     let draft = Draft { origin: &self.origin, ..Draft::new(sealed(Encoding::Cdr), &made.body) };
                     self.publisher.send_batch(&[draft]).await?;
-                    let value = json!({"count": count, "message": made.json});
-                    context.output.print(value, || [format!("publishing #{count}: {}", made.text)])?;
+                    let output = PublishOutput { count, message: made.json };
+                    context.output.print(&output, || [format!("publishing #{count}: {}", made.text)])?;
                 }
                 _ = look.tick() => self.announce()?,
             }

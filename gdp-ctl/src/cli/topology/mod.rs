@@ -8,13 +8,14 @@ use std::collections::BTreeMap;
 
 use clap::Args;
 use gdp_proto::control::Record;
-use serde_json::Value;
+use gdp_wire::Name;
 
-use self::links::{near, switches};
-use super::output::{lines_of, short, table};
+use super::output::{lines_of, or_dash, table};
 use crate::cli::context::Context;
 use crate::client::Client;
 use gdp_proto::admin::Request;
+use gdp_proto::admin::tables::RibReply;
+use gdp_proto::admin::topology::{Adjacency, TopologyReply};
 
 /// Records that are looked through for the names at each switch. A label has at most 8 names.
 const MOST_RECORDS: usize = 10_000;
@@ -32,46 +33,44 @@ pub struct Options {
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut client = context.client()?;
-    let reply = client.ask_value(&Request::Topology)?;
+    let reply = client.ask(&Request::Topology)?;
     let names = if options.names { names(&mut client)? } else { BTreeMap::new() };
-    context
-        .output
-        .print(reply.clone(), || if options.dot { lines_of(&dot::dot(&reply, &names)) } else { describe(&reply) })
+    context.output.print(&reply, || if options.dot { lines_of(&dot::dot(&reply, &names)) } else { describe(&reply) })
 }
 
 /// What the RIB's records say of each switch: names, and the roles of entities for them.
-fn names(client: &mut Client) -> anyhow::Result<BTreeMap<String, Vec<String>>> {
-    let (mut names, mut after, mut seen) = (BTreeMap::<String, Vec<String>>::new(), None, 0);
+fn names(client: &mut Client) -> anyhow::Result<BTreeMap<Name, Vec<String>>> {
+    let (mut names, mut after, mut seen) = (BTreeMap::<Name, Vec<String>>::new(), None, 0);
     loop {
-        let page = client.ask_value(&Request::Rib { after })?;
-        let records: Vec<Record> = serde_json::from_value(page["records"].clone())?;
+        let RibReply { records, more, .. } = client.ask(&Request::Rib { after })?;
         seen += records.len();
         for record in &records {
             let line = format!("{:#} {}", record.name, record.role()?);
-            names.entry(record.switch.to_string()).or_default().push(line);
+            names.entry(record.switch).or_default().push(line);
         }
         after = records.last().map(Record::place).transpose()?;
-        if page["more"] != true || after.is_none() || seen >= MOST_RECORDS {
+        if !more || after.is_none() || seen >= MOST_RECORDS {
             return Ok(names);
         }
     }
 }
 
-fn describe(reply: &Value) -> Vec<String> {
-    let or_none = |value: &Value| if value.is_null() { "–".to_owned() } else { value.to_string() };
-    let rows: Vec<_> = switches(reply)
-        .map(|switch| {
-            let near = near(switch).map(|n| format!("{} ({})", short(&n["switch"]), n["cost"]));
-            let next = match &switch["next"] {
-                Value::Null if switch["switch"] == reply["own"] => "this one".to_owned(),
-                Value::Null => "–".to_owned(),
-                next => short(next),
-            };
-            let near = near.collect::<Vec<_>>().join(" ");
-            [short(&switch["switch"]), or_none(&switch["bit"]), next, or_none(&switch["cost"]), near]
-        })
-        .collect();
-    table(["switch", "bit", "by way of", "cost of the path", "neighbours (cost)"], &rows)
+fn describe(reply: &TopologyReply) -> Vec<String> {
+    let rows = reply.switches.iter().map(|switch| {
+        let next = match switch.next {
+            None if switch.switch == reply.own => "this one".to_owned(),
+            next => or_dash(next.map(|next| format!("{next:#}"))),
+        };
+        let near = neighbours(&switch.neighbours);
+        [format!("{:#}", switch.switch), or_dash(switch.bit), next, or_dash(switch.cost), near]
+    });
+    table(["switch", "bit", "by way of", "cost of the path", "neighbours (cost)"], &rows.collect::<Vec<_>>())
+}
+
+/// Neighbours with their costs.
+pub fn neighbours(adjacencies: &[Adjacency]) -> String {
+    let near = adjacencies.iter().map(|n| format!("{:#} ({})", n.switch, n.cost));
+    near.collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]

@@ -3,7 +3,18 @@
 use std::process::{Command, Output};
 
 use gdp_tests::programs::own;
+use gdp_tests::schema::problems;
 use serde_json::Value;
+
+/// Checks what a command printed with `-j` against its published schema.
+pub fn expect_described(arguments: &[&str], value: &Value) {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/gdp-ctl.schema.json");
+    let schema = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+    let known = |verb: &String| Value::pointer(&schema, &format!("/properties/{verb}")).is_some();
+    let verb = [2, 1].map(|words| arguments[..words.min(arguments.len())].join(" ")).into_iter().find(known);
+    let verb = verb.unwrap_or_else(|| panic!("{arguments:?} has no schema"));
+    assert_eq!(problems(&schema, &format!("/properties/{verb}"), value), [""; 0], "{arguments:?}: {value}");
+}
 
 /// A folder, and commands run in it.
 pub struct User {
@@ -39,8 +50,18 @@ impl User {
     pub fn json(&self, arguments: &[&str]) -> Value {
         let text = self.text(&[&["-j"], arguments].concat());
         let value: Value = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{arguments:?}: {e}: {text}"));
-        assert_eq!(value["v"], 1, "{arguments:?}");
+        expect_described(arguments, &value);
         value
+    }
+
+    /// What a command that fails with this status prints of it with `-j`.
+    pub fn failure(&self, status: i32, arguments: &[&str]) -> Value {
+        let output = self.run(&[&["-j"], arguments].concat());
+        assert_eq!(output.status.code(), Some(status), "{arguments:?}: {output:?}");
+        assert!(!output.stderr.is_empty(), "{arguments:?}: people are told too");
+        let value: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {output:?}"));
+        expect_described(&["error"], &value);
+        value["error"].clone()
     }
 
     /// What a command that fails with this status says of it.

@@ -4,9 +4,9 @@ use super::{arrivals, duration};
 
 #[test]
 fn drops_are_named() {
-    let counts = serde_json::json!({"forwarded": 7, "drop_bad_tag": 2, "drop_replayed": 1});
-    assert_eq!(arrivals(&counts), ("10".into(), "bad_tag 2, replayed 1".into()));
-    assert_eq!(arrivals(&serde_json::json!({})), ("0".into(), String::new()));
+    let counts = [("forwarded", 7), ("drop_bad_tag", 2), ("drop_replayed", 1)].map(|(name, n)| (name.to_owned(), n));
+    assert_eq!(arrivals(&counts.into()), ("10".into(), "bad_tag 2, replayed 1".into()));
+    assert_eq!(arrivals(&[].into()), ("0".into(), String::new()));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Unit tests of `cli::trace`.
 
 use super::*;
+use serde_json::{Value, json};
 
 #[test]
 fn a_path_is_told_hop_by_hop() {
@@ -14,20 +15,21 @@ fn a_path_is_told_hop_by_hop() {
         })
     };
     let hops = json!([{"hop": 1, "switch": name(5), "rtt_us": 700}, {"hop": 2, "switch": null, "rtt_us": null}]);
-    let domains = [
+    let domains = json!([
         domain(1, "traced", json!({"links": 0, "rtt_us": 500, "hops": null})),
         domain(2, "traced", json!({"links": 2, "rtt_us": null, "hops": hops})),
         domain(3, "unanswered", Value::Null),
         domain(3, "refused", Value::Null),
         domain(3, "loop", Value::Null),
         domain(3, "too_far", Value::Null),
-    ];
-    let paths = [json!({"egress": name(3), "reached": true, "hops": [
-        {"hop": 0, "switch": name(1), "rtt_us": 0, "end": null},
-        {"hop": 1, "switch": null, "rtt_us": null, "end": null},
-        {"hop": 2, "switch": name(3), "rtt_us": 1234, "end": {"links": 1, "beyond": beyond}},
-    ], "domains": domains})];
-    let lines = describe(&name(7), &paths);
+    ]);
+    let hop = |hop, switch, rtt_us, end| TraceHop { hop, switch, rtt_us, end };
+    let end = serde_json::from_value(json!({"links": 1, "beyond": beyond})).unwrap();
+    let hops =
+        vec![hop(0, Some(name(1)), Some(0), None), hop(1, None, None, None), hop(2, Some(name(3)), Some(1234), end)];
+    let domains = serde_json::from_value(domains).unwrap();
+    let paths = vec![TracePath { egress: name(3), reached: true, hops, domains }];
+    let lines = describe(&TraceOutput { name: name(7), paths });
     let lines: Vec<_> = lines.iter().map(|line| line.split_whitespace().collect::<Vec<_>>().join(" ")).collect();
     assert_eq!(lines[1], format!("0 {:#} this switch", name(1)));
     assert_eq!(lines[2], "1 * no answer");

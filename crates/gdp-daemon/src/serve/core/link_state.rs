@@ -5,6 +5,7 @@ use std::time::Instant;
 use gdp_core::peer::Role;
 use gdp_link::link::{KeyedEntry, Link};
 use gdp_link::port::LinkAddr;
+use gdp_proto::admin::words::PeerRole;
 use gdp_rib::crossing::Allowance;
 use gdp_wire::{LinkEntry, LinkRole, Name};
 
@@ -57,10 +58,10 @@ pub fn flags_of(admission: &Admission) -> u16 {
 }
 
 /// As the data planes know a peer.
-pub fn link_role(role: u32) -> &'static str {
+pub fn link_role(role: u32) -> PeerRole {
     match role {
-        _ if role == LinkRole::Endpoint as u32 => "endpoint",
-        _ if role == LinkRole::Border as u32 => "border",
-        _ => "switch",
+        _ if role == LinkRole::Endpoint as u32 => PeerRole::Endpoint,
+        _ if role == LinkRole::Border as u32 => PeerRole::Border,
+        _ => PeerRole::Switch,
     }
 }

@@ -1,6 +1,7 @@
 //! Unit tests of `serve::events`.
 
 use super::*;
+use gdp_wire::Name;
 
 #[tokio::test]
 async fn a_slow_listener_is_told_how_much_it_missed() {
@@ -12,9 +13,9 @@ async fn a_slow_listener_is_told_how_much_it_missed() {
         events.tell(Event::Routes { generation: 1, changes });
     }
     let missed = listener.next().await.unwrap();
-    assert_eq!((&missed["event"], &missed["events"]), (&"missed".into(), &3.into()));
+    assert_eq!(missed.event, Event::Missed { events: 3 });
     let next = listener.next().await.unwrap();
-    assert_eq!((&next["event"], &next["changes"]), (&"routes".into(), &3.into()), "and goes on with the oldest");
+    assert_eq!(next.event, Event::Routes { generation: 1, changes: 3 }, "and goes on with the oldest");
     drop(events);
     for _ in 0..MAX_WAITING - 1 {
         assert!(listener.next().await.is_some());

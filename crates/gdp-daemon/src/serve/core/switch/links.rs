@@ -47,7 +47,7 @@ impl Switch {
         self.events.tell(Event::LinkUp {
             peer,
             role: link_role(entry.role),
-            standing: admission.standing.as_str(),
+            relationship: (&admission.standing).into(),
             via: via.to_string(),
             address: to.to_string(),
         });

@@ -1,0 +1,38 @@
+//! Unit tests of `cli::schema`.
+
+use clap::CommandFactory;
+use std::collections::BTreeSet;
+
+use super::super::Cli;
+use super::*;
+
+#[test]
+fn the_published_schema_is_this_one() {
+    let published = include_str!("../../../../docs/gdp-ctl.schema.json");
+    let schema: Value = schema().into();
+    assert!(
+        serde_json::from_str::<Value>(published).unwrap() == schema,
+        "write it again: gdp-ctl --schema > docs/gdp-ctl.schema.json"
+    );
+}
+
+#[test]
+fn every_command_that_prints_has_a_schema() {
+    let verbs: BTreeSet<_> = leaves(&Cli::command(), "").into_iter().filter(|verb| verb != "serve").collect();
+    let described = OUTPUTS.iter().map(|(verb, _)| (*verb).to_owned()).filter(|verb| verb != "error");
+    assert_eq!(described.collect::<BTreeSet<_>>(), verbs);
+}
+
+/// The commands that have no further ones, by what a user types.
+fn leaves(command: &clap::Command, typed: &str) -> Vec<String> {
+    let mut leaves = Vec::new();
+    for inner in command.get_subcommands() {
+        let typed = format!("{typed} {}", inner.get_name()).trim_start().to_owned();
+        if inner.has_subcommands() {
+            leaves.extend(self::leaves(inner, &typed));
+        } else {
+            leaves.push(typed);
+        }
+    }
+    leaves
+}
