@@ -1,5 +1,5 @@
 //! One interface as the kernel describes it: state, driver, offloads, and the XDP program on it,
-//! whoever's. Only asks. For [`super::Planes`], which says whose program is in its way, and for
+//! whoever's. Only asks. For [`crate::Planes`], which says whose program is in its way, and for
 //! `gdp-ctl doctor`.
 
 use std::collections::{HashMap, HashSet};

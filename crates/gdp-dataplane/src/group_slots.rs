@@ -11,15 +11,15 @@ pub struct Member {
     pub interface: u32,
 }
 
-/// The places of a group.
+/// The slots of a group.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GroupSlots {
-    by_interface: BTreeMap<u32, Vec<Place>>,
+    by_interface: BTreeMap<u32, Vec<Slot>>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Place {
-    /// In the device map; which of an interface's keys belongs to which of its places does not
+struct Slot {
+    /// In the device map; which of an interface's keys belongs to which of its slots does not
     /// matter.
     key: u32,
     /// 0: empty.
@@ -36,32 +36,32 @@ pub enum Step {
 }
 
 impl GroupSlots {
-    /// What is found in the maps: (key, interface) and (interface, index, link). `None` if a place
+    /// What is found in the maps: (key, interface) and (interface, index, link). `None` if a slot
     /// has no key, as when a daemon ended between two steps.
     pub fn found(keys: &[(u32, u32)], occupied: &[(u32, u32, u32)]) -> Option<Self> {
-        let mut places = Self::default();
+        let mut slots = Self::default();
         for (key, interface) in keys {
-            places.by_interface.entry(*interface).or_default().push(Place { key: *key, link: 0 });
+            slots.by_interface.entry(*interface).or_default().push(Slot { key: *key, link: 0 });
         }
         for (interface, index, link) in occupied {
-            places.by_interface.get_mut(interface)?.get_mut(*index as usize)?.link = *link;
+            slots.by_interface.get_mut(interface)?.get_mut(*index as usize)?.link = *link;
         }
-        Some(places)
+        Some(slots)
     }
 
     pub fn members(&self) -> impl Iterator<Item = Member> {
-        let places = self.by_interface.iter().flat_map(|(interface, places)| places.iter().map(|p| (*interface, p)));
-        places.filter(|(_, place)| place.link != 0).map(|(interface, place)| Member { link: place.link, interface })
+        let slots = self.by_interface.iter().flat_map(|(interface, slots)| slots.iter().map(|p| (*interface, p)));
+        slots.filter(|(_, slot)| slot.link != 0).map(|(interface, slot)| Member { link: slot.link, interface })
     }
 
     /// Makes `wanted` the members. `None`, and no change, if that takes more than `capacity` keys,
-    /// those of empty places included.
+    /// those of empty slots included.
     pub fn become_these(&mut self, wanted: &[Member], capacity: usize) -> Option<Vec<Step>> {
-        let (wanted, held): (BTreeSet<_>, BTreeSet<_>) = (wanted.iter().copied().collect(), self.members().collect());
+        let (wanted, before): (BTreeSet<_>, BTreeSet<_>) = (wanted.iter().copied().collect(), self.members().collect());
         let mut after = self.clone();
         let mut steps = Vec::new();
-        held.difference(&wanted).for_each(|member| after.leave(*member, &mut steps));
-        for member in wanted.difference(&held) {
+        before.difference(&wanted).for_each(|member| after.leave(*member, &mut steps));
+        for member in wanted.difference(&before) {
             after.join(*member, capacity, &mut steps)?;
         }
         *self = after;
@@ -70,34 +70,34 @@ impl GroupSlots {
 
     fn leave(&mut self, member: Member, steps: &mut Vec<Step>) {
         let interface = member.interface;
-        let Some(places) = self.by_interface.get_mut(&interface) else { return };
-        let Some(index) = places.iter().position(|place| place.link == member.link) else { return };
-        places[index].link = 0;
+        let Some(slots) = self.by_interface.get_mut(&interface) else { return };
+        let Some(index) = slots.iter().position(|slot| slot.link == member.link) else { return };
+        slots[index].link = 0;
         steps.push(Step::Vacate { interface, index: index as u32 });
-        while let Some(last) = places.pop_if(|last| last.link == 0) {
+        while let Some(last) = slots.pop_if(|last| last.link == 0) {
             steps.push(Step::RemoveKey { key: last.key });
         }
-        if places.is_empty() {
+        if slots.is_empty() {
             self.by_interface.remove(&interface);
         }
     }
 
     fn join(&mut self, Member { link, interface }: Member, capacity: usize, steps: &mut Vec<Step>) -> Option<()> {
         let free = self.free_key(capacity);
-        let places = self.by_interface.entry(interface).or_default();
-        if let Some(index) = places.iter().position(|place| place.link == 0) {
-            places[index].link = link;
+        let slots = self.by_interface.entry(interface).or_default();
+        if let Some(index) = slots.iter().position(|slot| slot.link == 0) {
+            slots[index].link = link;
             steps.push(Step::Occupy { interface, index: index as u32, link });
             return Some(());
         }
-        let (index, key) = (places.len() as u32, free?);
-        places.push(Place { key, link });
+        let (index, key) = (slots.len() as u32, free?);
+        slots.push(Slot { key, link });
         steps.extend([Step::Occupy { interface, index, link }, Step::AddKey { key, interface }]);
         Some(())
     }
 
     fn free_key(&self, capacity: usize) -> Option<u32> {
-        let used: BTreeSet<u32> = self.by_interface.values().flatten().map(|place| place.key).collect();
+        let used: BTreeSet<u32> = self.by_interface.values().flatten().map(|slot| slot.key).collect();
         (0..capacity as u32).find(|key| !used.contains(key))
     }
 }

@@ -1,5 +1,5 @@
 //! Which group of links takes the copies of a name: names with the same local readers share one.
-//! Sans-IO; the numbers are [`gdp_wire::FibEntry::group`]. Called by [`super::Planes`].
+//! Sans-IO; the numbers are [`gdp_wire::FibEntry::group`]. Called by [`crate::Planes`].
 
 use std::collections::{BTreeSet, HashMap};
 

@@ -16,6 +16,11 @@ pub struct InterfacePlane {
 pub const SUPPORTED: &str = "the driver supports it";
 
 impl InterfacePlane {
+    /// No plane before the userspace plane takes what arrives.
+    pub(crate) fn userspace(interface: &str, reason: &str) -> Self {
+        Self { interface: interface.to_owned(), kind: "userspace", reason: reason.to_owned(), left_alone: false }
+    }
+
     /// Tells people which plane an interface got that was not there before.
     pub fn log(&self) {
         let Self { interface, kind, reason, left_alone } = self;

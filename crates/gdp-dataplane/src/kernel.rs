@@ -1,19 +1,18 @@
-//! The kernel plane: loads the XDP object, attaches it, and writes its maps. Knows BPF, nothing of
-//! sockets or links' meaning. Called by [`super::Planes`], by the kernel tests and by `bench
-//! forward`.
+//! The kernel plane: loads the XDP object and writes its maps. Knows BPF, nothing of sockets or
+//! links' meaning. Called by [`super::xdp`], by the kernel tests and by `bench forward`.
 
 pub use crate::attach_mode::Mode;
 use crate::kernel_failures::FLOOR;
 pub use crate::kernel_failures::{AttachError, LoadError, UpdateError};
+use crate::kernel_programs::Programs;
+pub use crate::kernel_programs::{Action, Buffers};
 use crate::map_update::{removed, update};
 use std::collections::{HashMap as Table, HashSet};
 use std::hash::Hash;
 use std::path::Path;
 
 use aya::maps::{Array, DevMapHash, HashMap, MapData, MapError, PerCpuArray, PerCpuHashMap, PerCpuValues};
-use aya::programs::links::{FdLink, PinnedLink};
-use aya::programs::xdp::{XdpLink, XdpLinkId, XdpMode};
-use aya::programs::{ProgramError, ProgramFd, TestRun, TestRunOptions, Xdp};
+use aya::programs::ProgramFd;
 use aya::{Ebpf, EbpfLoader};
 use gdp_link::link::KeyedEntry;
 use gdp_wire::replay::WORDS;
@@ -29,41 +28,9 @@ use super::losses::{self, Losses, LossesError};
 use super::object::Object;
 use super::pins::{Pins, PinsError};
 use super::tally::KernelTally;
-use super::verified;
-
-/// The first kernel whose XDP takes packets in several buffers.
-const FRAGS: KernelVersion = KernelVersion(5, 18);
 
 /// The first kernel in which a program where copies leave can look up a route.
 const ROUTES_AT_EGRESS: KernelVersion = KernelVersion(6, 12);
-/// The program that says where a link over UDP leads.
-const ROUTE: &str = "gdp_route";
-
-/// How the packets of an interface may lie in memory. There is a switch for each, and they do the
-/// same.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Buffers {
-    /// In one buffer, as a driver promises that takes this switch: it refuses an MTU for which that
-    /// does not hold. How long a packet is, is then known without a call into the kernel.
-    One,
-    /// Perhaps in several.
-    Several,
-}
-
-impl Buffers {
-    /// What is better comes first.
-    fn known_to(version: KernelVersion) -> &'static [Self] {
-        if version >= FRAGS { &[Self::One, Self::Several] } else { &[Self::One] }
-    }
-
-    fn program(self) -> &'static str {
-        match self {
-            Self::One => "gdp_switch_linear",
-            Self::Several => "gdp_switch",
-        }
-    }
-}
-
 /// What a daemon found in the kernel that an earlier one left there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Adopted {
@@ -79,31 +46,10 @@ pub struct Adopted {
     pub sources: Vec<Permit>,
 }
 
-/// The action an XDP program returned in [`KernelPlane::test_run`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Action {
-    Drop,
-    Pass,
-    Redirect,
-    Other(u32),
-}
-
-/// The switch on an interface.
-struct Attached {
-    link: XdpLinkId,
-    mode: Mode,
-    buffers: Buffers,
-}
-
 /// The loaded programs and their maps. Dropping it detaches them, unless they are pinned: then the
 /// kernel forwards on until [`Self::unpin`], or a successor.
 pub struct KernelPlane {
-    ebpf: Ebpf,
-    pins: Option<Pins>,
-    /// By interface.
-    attached: Table<u32, Attached>,
-    /// The switches that are loaded.
-    switches: &'static [Buffers],
+    pub programs: Programs,
     capacity: u32,
     links: Array<MapData, LinkEntry>,
     fib: Fib,
@@ -162,7 +108,10 @@ impl KernelPlane {
         let loaded =
             loader.load(&bytes).map_err(unloaded).and_then(|ebpf| Self::finish(object, version, capacity, &pins, ebpf));
         match (loaded, pins) {
-            (Ok(plane), pins) => Ok(Self { pins, uncounted: net_devices.err(), ..plane }),
+            (Ok(mut plane), pins) => {
+                (plane.programs.pins, plane.uncounted) = (pins, net_devices.err());
+                Ok(plane)
+            }
             (Err(error), pins) => {
                 if let Some(pins) = pins.filter(|_| fresh) {
                     let _ = pins.remove();
@@ -177,40 +126,21 @@ impl KernelPlane {
         version: KernelVersion,
         capacity: u32,
         pins: &Option<Pins>,
-        mut ebpf: Ebpf,
+        ebpf: Ebpf,
     ) -> Result<Self, LoadError> {
-        let switches = Buffers::known_to(version);
-        let egress = if version >= FRAGS { "gdp_egress" } else { "gdp_egress_linear" };
-        for name in switches.iter().map(|buffers| buffers.program()).chain([egress, ROUTE]) {
-            let program = xdp(&mut ebpf, name);
-            let program = program.ok_or(LoadError::Mismatch { object: object.clone(), what: "program", name })?;
-            verified::load(|| program.load())
-                .map_err(|source| LoadError::Program { object: object.clone(), source: Box::new(source) })?;
-        }
-        let egress = || -> Result<ProgramFd, LoadError> {
-            let program: &Xdp = ebpf
-                .program(egress)
-                .and_then(|program| program.try_into().ok())
-                .ok_or(LoadError::Mismatch { object: object.clone(), what: "program", name: egress })?;
-            program
-                .fd()
-                .and_then(|fd| Ok(fd.try_clone()?))
-                .map_err(|source| LoadError::Program { object: object.clone(), source: Box::new(source) })
-        };
-        let (egress, of_groups) = (egress()?, egress()?);
-
-        let groups = ebpf.take_map("GROUPS");
+        let mut programs = Programs::load(object, version, ebpf)?;
+        let (egress, of_groups) = (programs.egress(object)?, programs.egress(object)?);
+        let groups = programs.ebpf.take_map("GROUPS");
         let groups = groups.ok_or(LoadError::Mismatch { object: object.clone(), what: "map", name: "GROUPS" })?;
-        let mut maps = Maps { ebpf: &mut ebpf, object };
+        let mut maps = Maps { ebpf: &mut programs.ebpf, object };
         let tx_counters: Array<MapData, u64> = maps.take("TX_COUNTERS")?;
         let windows: Array<MapData, [u64; WORDS]> = maps.take("WINDOWS")?;
         let complaints: Array<MapData, u64> = maps.take("COMPLAINTS")?;
         let punts: Array<MapData, u64> = maps.take("PUNTS")?;
-        let groups = GroupMaps { groups, served: maps.take("SERVED")?, places: maps.take("PLACES")? };
+        let groups = GroupMaps { groups, served: maps.take("SERVED")?, slots: maps.take("PLACES")? };
         let groups = KernelGroups::open(groups, of_groups, pins.as_ref().map(|pins| pins.folder().to_owned()))?;
         let shared = LinkMaps { counts: &tx_counters, windows: &windows, complaints: &complaints, punts: &punts };
         Ok(Self {
-            switches,
             capacity,
             links: maps.take("LINKS")?,
             fib: Fib::open(maps.take("FIB")?, capacity, pins.as_ref())?,
@@ -229,9 +159,7 @@ impl KernelPlane {
             link_memory: LinkMemory::map(shared).map_err(LoadError::LinkMemory)?,
             losses: Losses::new(maps.take(losses::MAP)?),
             uncounted: None,
-            ebpf,
-            pins: None,
-            attached: Table::new(),
+            programs,
         })
     }
 
@@ -239,7 +167,7 @@ impl KernelPlane {
     pub fn adopted(&self) -> Result<Option<Adopted>, UpdateError> {
         let config = self.config.get(&0, 0).map_err(update("CONFIG"))?;
         // Written before anything else, and the ethertype is never 0.
-        if self.pins.is_none() || config.ethertype == 0 {
+        if self.programs.pins.is_none() || config.ethertype == 0 {
             return Ok(None);
         }
         let mut next_hops = [0; EGRESS_SET_SIZE as usize];
@@ -270,83 +198,25 @@ impl KernelPlane {
         Ok(there)
     }
 
-    /// Attaches the switch to an interface of this network namespace.
-    pub fn attach(&mut self, ifindex: u32, mode: Mode) -> Result<(), AttachError> {
-        let xdp_mode = match mode {
-            Mode::Native => XdpMode::Driver,
-            Mode::Generic => XdpMode::Skb,
-        };
-        let (buffers, mut link) =
-            first_that(self.switches_for(mode), |buffers| self.switch(buffers).attach_to_if_index(ifindex, xdp_mode))?;
-        if let Some(pin) = self.pins.as_ref().map(|pins| pins.link(ifindex, mode)) {
-            let taken = FdLink::try_from(self.switch(buffers).take_link(link)?)?;
-            let pinned = taken.pin(pin)?;
-            link = self.switch(buffers).attach_to_link(XdpLink::try_from(FdLink::from(pinned))?)?;
-        }
-        self.attached.insert(ifindex, Attached { link, mode, buffers });
-        Ok(())
-    }
-
-    /// Has the program that an earlier daemon left on an interface replaced by this one's, between
-    /// two packets. `None` if there is none there.
+    /// As [`Programs::take_over`].
     pub fn take_over(&mut self, ifindex: u32) -> Result<Option<Mode>, AttachError> {
-        let left = self.pins.iter().flat_map(Pins::links).find(|(at, _)| *at == ifindex);
-        let Some((pin, mode)) = self.pins.as_ref().zip(left).map(|(pins, (_, mode))| (pins.link(ifindex, mode), mode))
-        else {
-            return Ok(None);
-        };
-        let replaced = first_that(self.switches_for(mode), |buffers| {
-            let pinned = FdLink::from(PinnedLink::from_pin(&pin)?);
-            Ok::<_, AttachError>(self.switch(buffers).attach_to_link(XdpLink::try_from(pinned)?)?)
-        });
-        match replaced {
-            Ok((buffers, link)) => {
-                self.attached.insert(ifindex, Attached { link, mode, buffers });
-                self.watch_losses();
-                Ok(Some(mode))
-            }
-            // The interface was deleted, and this one has inherited its number.
-            Err(AttachError::Program(ProgramError::SyscallError(error)))
-                if error.io_error.raw_os_error() == Some(libc::ENOLINK) =>
-            {
-                unpin(&pin)?;
-                Ok(None)
-            }
-            Err(error) => Err(error),
+        let mode = self.programs.take_over(ifindex)?;
+        if mode.is_some() {
+            self.watch_losses();
         }
-    }
-
-    /// Takes the program off an interface. Nothing happens if there is none.
-    pub fn detach(&mut self, ifindex: u32) -> Result<(), AttachError> {
-        let Some(Attached { link, mode, buffers }) = self.attached.remove(&ifindex) else { return Ok(()) };
-        let pin = self.pins.as_ref().map(|pins| pins.link(ifindex, mode));
-        self.switch(buffers).detach(link)?;
-        pin.map_or(Ok(()), |pin| unpin(&pin))
-    }
-
-    /// Takes off what an earlier daemon left on interfaces that this one has not taken over.
-    pub fn drop_left_over(&mut self) -> Result<(), AttachError> {
-        let Some(pins) = &self.pins else { return Ok(()) };
-        let left = pins.links().into_iter().filter(|(ifindex, _)| !self.attached.contains_key(ifindex));
-        left.into_iter().try_for_each(|(ifindex, mode)| unpin(&pins.link(ifindex, mode)))
+        Ok(mode)
     }
 
     /// From now on everything ends with this process.
     pub fn unpin(&mut self) -> Result<(), PinsError> {
         self.groups.unpin();
         self.fib.unpin();
-        self.pins.take().map_or(Ok(()), |pins| pins.remove())
+        self.programs.pins.take().map_or(Ok(()), |pins| pins.remove())
     }
 
     /// Whether the kernel forwards on without this process.
     pub fn is_pinned(&self) -> bool {
-        self.pins.is_some()
-    }
-
-    /// Whether the kernel has compiled the switch; `None` if it does not say.
-    pub fn is_jitted(&self) -> Option<bool> {
-        let program: &Xdp = self.ebpf.program(self.switches[0].program())?.try_into().ok()?;
-        Some(program.info().ok()?.size_jitted() != 0)
+        self.programs.pins.is_some()
     }
 
     /// Makes `port` lead to an interface of this network namespace.
@@ -376,7 +246,7 @@ impl KernelPlane {
         if self.uncounted.is_some() {
             return;
         }
-        let started = self.losses.start(&mut self.ebpf, self.pins.as_ref());
+        let started = self.losses.start(&mut self.programs.ebpf, self.programs.pins.as_ref());
         let ports = started.and_then(|()| Ok(self.ports_there()?));
         let interfaces = ports.map(|ports| ports.into_iter().map(|(_, ifindex)| ifindex).collect::<Vec<_>>());
         self.uncounted = interfaces.and_then(|interfaces| self.losses.watch(&interfaces)).err();
@@ -428,30 +298,6 @@ impl KernelPlane {
     /// Says that no route leads to the group any more.
     pub fn release_group(&mut self, group: u32) {
         self.groups.release(group);
-    }
-
-    /// The interface by which frames for a link over UDP leave now, if the kernel can send frames
-    /// of all lengths that the link takes: a port, behind which the next station is resolved.
-    /// `None` as well where copies could not find it. Asked by the program's own lookup, for the
-    /// calling thread's network namespace.
-    pub fn route_of(&self, link: u32) -> Result<Option<u32>, ProgramError> {
-        /// The shortest packet there is.
-        const ETHERNET: usize = 14;
-        let Some(program) = self.ebpf.program(ROUTE) else { return Ok(None) };
-        let program: &Xdp = program.try_into()?;
-        let mut packet = [0; ETHERNET];
-        packet[..4].copy_from_slice(&link.to_ne_bytes());
-        let mut options = TestRunOptions::new();
-        options.data_in = Some(&packet);
-        let interface = program.test_run(options)?.return_value;
-        Ok((interface != 0).then_some(interface))
-    }
-
-    /// Whether frames arrive somewhere by generic XDP. What that copies shares memory, so one
-    /// copy's header would be that of all.
-    pub fn has_generic(&self) -> bool {
-        let pinned = self.pins.iter().flat_map(Pins::links).map(|(_, mode)| mode);
-        self.attached.values().map(|attached| attached.mode).chain(pinned).any(|mode| mode == Mode::Generic)
     }
 
     /// From now on takes frames over UDP at these addresses, and no others.
@@ -546,34 +392,6 @@ impl KernelPlane {
         &self.link_memory
     }
 
-    /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as
-    /// it left it.
-    pub fn test_run(&mut self, buffers: Buffers, frame: &[u8]) -> Result<(Action, Vec<u8>), ProgramError> {
-        // What carries it may grow.
-        let mut out = vec![0; frame.len() + 64];
-        let mut options = TestRunOptions::new();
-        options.data_in = Some(frame);
-        options.data_out = Some(&mut out);
-        let result = self.switch(buffers).test_run(options)?;
-        out.truncate(result.data_size_out as usize);
-        let action = match result.return_value {
-            1 => Action::Drop,
-            2 => Action::Pass,
-            4 => Action::Redirect,
-            other => Action::Other(other),
-        };
-        Ok((action, out))
-    }
-
-    /// Nanoseconds a packet costs, over `repeat` runs on the same frame. The frame changes as it is
-    /// forwarded, so only the first run sees it as given.
-    pub fn time(&mut self, buffers: Buffers, frame: &[u8], repeat: u32) -> Result<u32, ProgramError> {
-        let mut options = TestRunOptions::new();
-        options.data_in = Some(frame);
-        options.repeat = repeat;
-        Ok(self.switch(buffers).test_run(options)?.duration.subsec_nanos())
-    }
-
     /// What an earlier daemon has there stays.
     fn count_copies_at(&mut self, ifindex: u32) -> Result<(), UpdateError> {
         const NOEXIST: u64 = 1;
@@ -585,20 +403,6 @@ impl KernelPlane {
             Err(MapError::SyscallError(error)) if error.io_error.raw_os_error() == Some(libc::EEXIST) => Ok(()),
             result => result.map_err(update("COUNTED")),
         }
-    }
-
-    /// What to try on an interface, in this order.
-    fn switches_for(&self, mode: Mode) -> &'static [Buffers] {
-        match mode {
-            Mode::Native => self.switches,
-            // Here every driver takes either, but for the first the kernel would copy each large
-            // packet into one buffer.
-            Mode::Generic => &self.switches[self.switches.len() - 1..],
-        }
-    }
-
-    fn switch(&mut self, buffers: Buffers) -> &mut Xdp {
-        xdp(&mut self.ebpf, buffers.program()).expect("`load` found the program")
     }
 }
 
@@ -653,22 +457,6 @@ fn maps_to_pin(object: &Object, bytes: &[u8], capacity: u32, pins: &Pins) -> Res
         names.push(name);
     }
     Ok(names)
-}
-
-fn unpin(pin: &Path) -> Result<(), AttachError> {
-    std::fs::remove_file(pin).map_err(|source| AttachError::Unpin { path: pin.into(), source })
-}
-
-/// The first switch with which something succeeds, and what came of it; or why it did not with the
-/// last.
-fn first_that<T, E>(switches: &[Buffers], mut attempt: impl FnMut(Buffers) -> Result<T, E>) -> Result<(Buffers, T), E> {
-    let (last, others) = switches.split_last().expect("one is loaded at least");
-    let early = others.iter().find_map(|buffers| attempt(*buffers).ok().map(|done| (*buffers, done)));
-    early.map_or_else(|| attempt(*last).map(|done| (*last, done)), Ok)
-}
-
-fn xdp<'a>(ebpf: &'a mut Ebpf, program: &str) -> Option<&'a mut Xdp> {
-    ebpf.program_mut(program)?.try_into().ok()
 }
 
 fn is_full(error: &MapError) -> bool {

@@ -43,13 +43,13 @@ pub struct GroupMaps {
     /// An array of maps.
     pub groups: Map,
     pub served: Array<MapData, u64>,
-    pub places: HashMap<MapData, GroupSlot, u32>,
+    pub slots: HashMap<MapData, GroupSlot, u32>,
 }
 
 struct Group {
     keys: DevMapHash<MapData>,
     /// `None`: not known, or nobody's any more. Then it may be written only after a grace period.
-    places: Option<GroupSlots>,
+    slots: Option<GroupSlots>,
 }
 
 impl KernelGroups {
@@ -57,17 +57,17 @@ impl KernelGroups {
     pub fn open(maps: GroupMaps, egress: ProgramFd, pins: Option<PathBuf>) -> Result<Self, OpenError> {
         let mut this = Self { maps, egress, pins, groups: BTreeMap::new() };
         let mut occupied: BTreeMap<u32, Vec<(u32, u32, u32)>> = BTreeMap::new();
-        for place in this.maps.places.iter() {
-            let (at, link) = place?;
+        for slot in this.maps.slots.iter() {
+            let (at, link) = slot?;
             occupied.entry(at.group).or_default().push((at.interface, at.index, link));
         }
         for number in 0..MAX_GROUPS {
             let Some(path) = this.pin(number).filter(|path| path.exists()) else { continue };
             let mut keys = open_pinned(&path)?;
             this.renew(&mut keys)?;
-            let held = keys_of(&keys)?;
-            let places = GroupSlots::found(&held, occupied.get(&number).map_or(&[], Vec::as_slice));
-            this.groups.insert(number, Group { keys, places });
+            let found = keys_of(&keys)?;
+            let slots = GroupSlots::found(&found, occupied.get(&number).map_or(&[], Vec::as_slice));
+            this.groups.insert(number, Group { keys, slots });
         }
         // Which of them the earlier daemon had come to put there is not known.
         this.put(&this.groups.keys().copied().collect::<Vec<_>>())?;
@@ -76,8 +76,8 @@ impl KernelGroups {
 
     /// The groups that are in use, as far as known, with the links in them.
     pub fn found(&self) -> Vec<(u32, Vec<u32>)> {
-        let known = self.groups.iter().filter_map(|(number, group)| Some((*number, group.places.as_ref()?)));
-        known.map(|(number, places)| (number, places.members().map(|member| member.link).collect())).collect()
+        let known = self.groups.iter().filter_map(|(number, group)| Some((*number, group.slots.as_ref()?)));
+        known.map(|(number, slots)| (number, slots.members().map(|member| member.link).collect())).collect()
     }
 
     /// The interfaces that frames for groups leave by.
@@ -109,7 +109,7 @@ impl KernelGroups {
     /// used again.
     pub fn release(&mut self, number: u32) {
         if let Some(group) = self.groups.get_mut(&number) {
-            group.places = None;
+            group.slots = None;
         }
     }
 
@@ -123,16 +123,16 @@ impl KernelGroups {
         let before = self.maps.served.get(&number, 0).map_err(update("SERVED"))?;
         self.serve(number, before & served)?;
         let Some(group) = self.groups.get_mut(&number) else { return Ok(()) };
-        let steps = match group.places.as_mut().and_then(|places| places.become_these(members, CAPACITY)) {
+        let steps = match group.slots.as_mut().and_then(|slots| slots.become_these(members, CAPACITY)) {
             Some(steps) => steps,
             None => {
                 // The userspace plane makes the copies meanwhile.
                 self.serve(number, 0)?;
                 self.put(&[number])?;
                 self.clear(number)?;
-                let mut places = GroupSlots::default();
-                let steps = places.become_these(members, CAPACITY).unwrap_or_default();
-                self.groups.entry(number).and_modify(|group| group.places = Some(places));
+                let mut slots = GroupSlots::default();
+                let steps = slots.become_these(members, CAPACITY).unwrap_or_default();
+                self.groups.entry(number).and_modify(|group| group.slots = Some(slots));
                 steps
             }
         };
@@ -142,13 +142,13 @@ impl KernelGroups {
 
     fn take(&mut self, group: u32, step: &Step) -> Result<(), UpdateError> {
         let Some(keys) = self.groups.get_mut(&group).map(|group| &mut group.keys) else { return Ok(()) };
-        let places = &mut self.maps.places;
+        let slots = &mut self.maps.slots;
         match *step {
             Step::Occupy { interface, index, link } => {
-                places.insert(GroupSlot { group, interface, index }, link, 0).map_err(update("PLACES"))
+                slots.insert(GroupSlot { group, interface, index }, link, 0).map_err(update("PLACES"))
             }
             Step::Vacate { interface, index } => {
-                removed(places.remove(&GroupSlot { group, interface, index })).map_err(update("PLACES"))
+                removed(slots.remove(&GroupSlot { group, interface, index })).map_err(update("PLACES"))
             }
             Step::AddKey { key, interface } => keys
                 .insert(key, interface, Some(&self.egress), 0)
@@ -158,11 +158,11 @@ impl KernelGroups {
         }
     }
 
-    /// Removes all keys and places of a group.
+    /// Removes all keys and slots of a group.
     fn clear(&mut self, number: u32) -> Result<(), UpdateError> {
-        let places: Vec<GroupSlot> = self.maps.places.keys().collect::<Result<_, _>>().map_err(update("PLACES"))?;
-        for place in places.iter().filter(|place| place.group == number) {
-            removed(self.maps.places.remove(place)).map_err(update("PLACES"))?;
+        let slots: Vec<GroupSlot> = self.maps.slots.keys().collect::<Result<_, _>>().map_err(update("PLACES"))?;
+        for slot in slots.iter().filter(|slot| slot.group == number) {
+            removed(self.maps.slots.remove(slot)).map_err(update("PLACES"))?;
         }
         let Some(group) = self.groups.get_mut(&number) else { return Ok(()) };
         for (key, _) in keys_of(&group.keys).map_err(update("GROUPS"))? {
@@ -184,7 +184,7 @@ impl KernelGroups {
         let missing: Vec<u32> = (first..first + TOGETHER).filter(|number| !self.groups.contains_key(number)).collect();
         for number in &missing {
             let keys = self.create(*number).map_err(update("GROUPS"))?;
-            self.groups.insert(*number, Group { keys, places: Some(GroupSlots::default()) });
+            self.groups.insert(*number, Group { keys, slots: Some(GroupSlots::default()) });
         }
         self.put(&missing)
     }
@@ -203,25 +203,25 @@ impl KernelGroups {
     /// that was under way to a group before.
     fn put(&mut self, numbers: &[u32]) -> Result<(), UpdateError> {
         let groups = &self.groups;
-        let held = || numbers.iter().filter_map(|number| Some((*number, &groups.get(number)?.keys)));
+        let found = || numbers.iter().filter_map(|number| Some((*number, &groups.get(number)?.keys)));
         let Map::ArrayOfMaps(outer) = &self.maps.groups else {
             return Err(update("GROUPS")(MapError::InvalidMapType { map_type: 0 }));
         };
-        if held().next().is_none() || put_together(outer, held()).is_ok() {
+        if found().next().is_none() || put_together(outer, found()).is_ok() {
             return Ok(());
         }
         // Kernels before 5.19 take only one at a time.
         let outer = ArrayOfMaps::<_, DevMapHash<MapData>>::try_from(&mut self.maps.groups);
         let mut outer = outer.map_err(update("GROUPS"))?;
-        held().try_for_each(|(number, keys)| outer.set(number, keys, 0)).map_err(update("GROUPS"))
+        found().try_for_each(|(number, keys)| outer.set(number, keys, 0)).map_err(update("GROUPS"))
     }
 
     /// Gives an earlier daemon's keys the program of this one, without a moment in which an
     /// interface has a key too few.
     fn renew(&self, keys: &mut DevMapHash<MapData>) -> Result<(), OpenError> {
-        let held = keys_of(keys)?;
-        let mut spare = (0..MAX_COPIES).find(|key| held.iter().all(|(held, _)| held != key));
-        for (key, interface) in held {
+        let found = keys_of(keys)?;
+        let mut spare = (0..MAX_COPIES).find(|key| found.iter().all(|(found, _)| found != key));
+        for (key, interface) in found {
             let Some(free) = spare.replace(key) else { break };
             if keys.insert(free, interface, Some(&self.egress), 0).is_err() {
                 // The interface is gone, or just going.
@@ -248,14 +248,14 @@ fn open_pinned(path: &Path) -> Result<DevMapHash<MapData>, OpenError> {
 
 /// The keys of a device map with their interfaces, in the order of the keys.
 fn keys_of(map: &DevMapHash<MapData>) -> Result<Vec<(u32, u32)>, MapError> {
-    let mut held = Vec::new();
+    let mut found = Vec::new();
     for key in map.keys() {
         let key = key?;
         // The kernel takes out an interface that is deleted.
-        held.extend(map.get(key, 0).ok().map(|value| (key, value.if_index)));
+        found.extend(map.get(key, 0).ok().map(|value| (key, value.if_index)));
     }
-    held.sort_unstable();
-    Ok(held)
+    found.sort_unstable();
+    Ok(found)
 }
 
 /// Several elements of the outer map in one call, which waits for one grace period only. aya has no

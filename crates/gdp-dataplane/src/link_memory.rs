@@ -18,10 +18,10 @@ const LINKS: usize = MAX_LINKS as usize;
 /// By link index. Clones share it.
 #[derive(Clone)]
 pub struct LinkMemory {
-    counts: Arc<Memory>,
-    windows: Arc<Memory>,
-    complaints: Arc<Memory>,
-    punts: Arc<Memory>,
+    counts: Arc<AtomicWords>,
+    windows: Arc<AtomicWords>,
+    complaints: Arc<AtomicWords>,
+    punts: Arc<AtomicWords>,
 }
 
 /// The BPF maps whose memory it can be.
@@ -33,9 +33,9 @@ pub struct LinkMaps<'a> {
 }
 
 impl LinkMemory {
-    /// Memory that no kernel plane shares.
+    /// AtomicWords that no kernel plane shares.
     pub fn new() -> Self {
-        let own = |words| Arc::new(Memory::own(words));
+        let own = |words| Arc::new(AtomicWords::own(words));
         Self { counts: own(LINKS), windows: own(LINKS * WORDS), complaints: own(LINKS), punts: own(LINKS) }
     }
 
@@ -47,7 +47,7 @@ impl LinkMemory {
                 return Err(io::Error::other(format!("a map has {length} entries instead of {MAX_LINKS}")));
             }
         }
-        let mapped = |map, words| Ok::<_, io::Error>(Arc::new(Memory::Mapped(Mapping::new(map, words)?)));
+        let mapped = |map, words| Ok::<_, io::Error>(Arc::new(AtomicWords::Mapped(Mapping::new(map, words)?)));
         Ok(Self {
             counts: mapped(counts.map(), LINKS)?,
             windows: mapped(windows.map(), LINKS * WORDS)?,
@@ -151,12 +151,12 @@ fn coarse_monotonic_ns() -> u64 {
     time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
 }
 
-enum Memory {
+enum AtomicWords {
     Own(Box<[AtomicU64]>),
     Mapped(Mapping),
 }
 
-impl Memory {
+impl AtomicWords {
     fn own(words: usize) -> Self {
         Self::Own((0..words).map(|_| AtomicU64::new(0)).collect())
     }

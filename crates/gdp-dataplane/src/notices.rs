@@ -16,7 +16,7 @@ const MAX_PROBES: usize = 64;
 
 pub struct Notices {
     /// By link index.
-    heard: Box<[Heard]>,
+    links: Box<[LinkNotices]>,
     /// An answer to an echo has come.
     answered: Notify,
     probes: Mutex<VecDeque<Punted>>,
@@ -38,7 +38,7 @@ pub struct Punted {
 
 /// What came on one link.
 #[derive(Default)]
-struct Heard {
+struct LinkNotices {
     errors: [AtomicU64; ErrorCode::COUNT],
     /// Cookie of the latest answer to an echo.
     answer: AtomicU64,
@@ -47,7 +47,7 @@ struct Heard {
 impl Default for Notices {
     fn default() -> Self {
         Self {
-            heard: (0..MAX_LINKS).map(|_| Heard::default()).collect(),
+            links: (0..MAX_LINKS).map(|_| LinkNotices::default()).collect(),
             answered: Notify::new(),
             probes: Mutex::default(),
             probed: Notify::new(),
@@ -58,25 +58,25 @@ impl Default for Notices {
 impl Notices {
     /// Forgets what came on the link that had the index before.
     pub fn begin(&self, id: u32) {
-        let heard = self.of(id);
-        heard.errors.iter().chain([&heard.answer]).for_each(|word| word.store(0, Ordering::Relaxed));
+        let link = self.of(id);
+        link.errors.iter().chain([&link.answer]).for_each(|word| word.store(0, Ordering::Relaxed));
     }
 
     /// Takes a frame that is for this node, from the neighbour on link `id`. Returns how it is
     /// counted.
     pub fn take(&self, id: u32, header: &Header, payload: &[u8]) -> Counter {
-        let heard = self.of(id);
+        let link = self.of(id);
         if header.version_type == FrameType::Probe.first_byte() {
             return self.take_probe(id, header, payload);
         }
         if header.version_type == FrameType::Echo.first_byte() && header.egress_set == Header::ANSWERS {
-            heard.answer.store(header.egress_bits(), Ordering::Relaxed);
+            link.answer.store(header.egress_bits(), Ordering::Relaxed);
             self.answered.notify_waiters();
             return Counter::Notice;
         }
         match ErrorCode::from_number(header.egress_set) {
             Some(code) if header.version_type == FrameType::Error.first_byte() => {
-                heard.errors[code.index()].fetch_add(1, Ordering::Relaxed);
+                link.errors[code.index()].fetch_add(1, Ordering::Relaxed);
                 Counter::Notice
             }
             _ => Counter::Unknown,
@@ -136,8 +136,8 @@ impl Notices {
         self.of(id).answer.load(Ordering::Relaxed)
     }
 
-    fn of(&self, id: u32) -> &Heard {
-        &self.heard[link_index(id) as usize]
+    fn of(&self, id: u32) -> &LinkNotices {
+        &self.links[link_index(id) as usize]
     }
 }
 

@@ -11,7 +11,7 @@
 //!
 //! Who has locked the folder owns the switch: a daemon for its life, `gdp-ctl xdp detach` for a
 //! moment. The kernel lets go of the lock with the process, however that ends. Only files and their
-//! layout are known here; [`super::kernel`] writes the maps. Called by it, by [`super::Planes`] and
+//! layout are known here; [`super::kernel`] writes the maps. Called by it, by [`crate::Planes`] and
 //! by the command line.
 
 use std::ffi::CString;

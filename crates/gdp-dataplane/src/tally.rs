@@ -13,7 +13,7 @@ use gdp_wire::{Counter, Name};
 use parking_lot::Mutex;
 
 /// Frames by what became of them, in the order of [`Counter::ALL`].
-pub type Row = [u64; Counter::COUNT];
+pub type LinkCounters = [u64; Counter::COUNT];
 
 /// Written by the threads of the userspace plane.
 pub struct Tally {
@@ -58,7 +58,7 @@ impl Tally {
         self.links[link_index(link) as usize].iter().for_each(|count| count.store(0, Ordering::Relaxed));
     }
 
-    pub fn of(&self, link: u32) -> Row {
+    pub fn of(&self, link: u32) -> LinkCounters {
         let row = &self.links[link_index(link) as usize];
         std::array::from_fn(|i| row[i].load(Ordering::Relaxed))
     }
@@ -91,7 +91,7 @@ impl Busiest {
 
 /// The kernel's.
 pub struct KernelTally {
-    pub links: PerCpuArray<MapData, Row>,
+    pub links: PerCpuArray<MapData, LinkCounters>,
     pub busiest: PerCpuHashMap<MapData, Name, u64>,
 }
 
@@ -104,7 +104,7 @@ impl KernelTally {
     }
 
     /// As [`Tally::of`].
-    pub fn of(&self, link: u32) -> Result<Row, MapError> {
+    pub fn of(&self, link: u32) -> Result<LinkCounters, MapError> {
         let rows = self.links.get(&link_index(link), 0)?;
         Ok(std::array::from_fn(|i| rows.iter().map(|row| row[i]).sum()))
     }

@@ -1,6 +1,6 @@
 //! What the kernel plane needs to know of UDP: the addresses that the daemon's socket takes
 //! datagrams at, the interfaces that have them, and whether routes can be looked up. Asks and sets
-//! the system; [`super::Planes`] writes the maps.
+//! the system; [`crate::Planes`] writes the maps.
 
 use std::ffi::CStr;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};

@@ -120,7 +120,7 @@ impl Ring {
             payload: vec![0x5a; 64],
             ..Frame::default()
         };
-        let nanoseconds = self.plane.time(Buffers::One, &frame.bytes(), RUNS)?;
+        let nanoseconds = self.plane.programs.time(Buffers::One, &frame.bytes(), RUNS)?;
         self.count += u64::from(RUNS);
         self.frames += u64::from(RUNS);
         Ok(nanoseconds.into())

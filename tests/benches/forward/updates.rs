@@ -87,7 +87,7 @@ fn start(path: &Path, bench: &Bench) -> Result<KernelPlane> {
     for (id, interface, neighbour, ends) in [(LEFT, "l0", 0, (1, 2)), (RIGHT, "r0", 1, (2, 1))] {
         let port = Interface::find(interface)?.index;
         plane.set_port(port, port)?;
-        plane.attach(port, Mode::Native).with_context(|| format!("cannot attach to {interface}"))?;
+        plane.programs.attach(port, Mode::Native).with_context(|| format!("cannot attach to {interface}"))?;
         plane.begin_link(id)?;
         plane.set_link(&LinkEntry { id, port, ..link(true, neighbour, ends, Medium::Ethernet) })?;
     }

@@ -126,7 +126,9 @@ fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
         for round in frames.chunks(FRAMES) {
             together.wait();
             // An error must not leave the other thread waiting.
-            in_kernel.extend(round.iter().map(|frame| kernel.test_run(Buffers::One, frame).map(|(action, _)| action)));
+            in_kernel.extend(
+                round.iter().map(|frame| kernel.programs.test_run(Buffers::One, frame).map(|(action, _)| action)),
+            );
         }
         (in_kernel, in_userspace.join().expect("no panic"))
     });
@@ -159,10 +161,10 @@ fn arrivals_are_counted_by_link_and_busy_names_by_samples() -> Result<()> {
             source: fixtures::array(&link.peer),
             ..Frame::default()
         };
-        plane.test_run(Buffers::One, &frame.bytes())?;
+        plane.programs.test_run(Buffers::One, &frame.bytes())?;
         if count == 1 {
-            plane.test_run(Buffers::One, &frame.bytes())?;
-            plane.test_run(Buffers::One, &Frame { tag: Some(0), ..frame }.bytes())?;
+            plane.programs.test_run(Buffers::One, &frame.bytes())?;
+            plane.programs.test_run(Buffers::One, &Frame { tag: Some(0), ..frame }.bytes())?;
         }
     }
     let arrivals = plane.tally().of(link.id)?;

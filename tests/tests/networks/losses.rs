@@ -260,7 +260,7 @@ fn start(mode: Mode, pins: Option<Pins>) -> Result<KernelPlane> {
         let port = ifindex(interface)?;
         plane.set_port(port, port)?;
         if plane.take_over(port)?.is_none() {
-            plane.attach(port, mode)?;
+            plane.programs.attach(port, mode)?;
         }
         plane.set_link(&LinkEntry {
             id,

@@ -364,7 +364,7 @@ fn every_fixture_with_copies() -> Result<()> {
         plane.set_port(port, ifindex)?;
         ports.push(ifindex);
     }
-    plane.attach(ports[0], Mode::Native)?;
+    plane.programs.attach(ports[0], Mode::Native)?;
     plane.set_config(switch.config())?;
     let addresses = switch.own_addresses().into_iter().map(|own| LocalAddress::new(own.ip(), own.port()));
     plane.set_addresses(&addresses.collect())?;

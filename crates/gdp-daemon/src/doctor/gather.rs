@@ -134,7 +134,7 @@ fn bpffs(at: &Path) -> Bpffs {
 fn load(config: &Config) -> Result<Loaded, String> {
     let object = Object::find(config.ebpf_object.as_deref()).map_err(|error| error.to_string())?;
     let plane = KernelPlane::load(object.clone(), config.fib_capacity).map_err(|error| error.to_string())?;
-    Ok(Loaded { object: object.to_string(), names: config.fib_capacity, jitted: plane.is_jitted() })
+    Ok(Loaded { object: object.to_string(), names: config.fib_capacity, jitted: plane.programs.is_jitted() })
 }
 
 fn left_over(bpffs: &Path) -> Vec<LeftOver> {

@@ -2,7 +2,7 @@
 //! them. It decides by the tables of the userspace plane, which stays behind it, as behind XDP:
 //! what the loops leave to it reaches it by the host's sides of the ports.
 //!
-//! Without the feature `dpdk` there is none, and [`DpdkPlane::start`] says so.
+//! Without the feature `dpdk` there is none, and [`start`] says so.
 
 #[cfg(not(feature = "dpdk"))]
 mod absent;
@@ -16,9 +16,14 @@ mod settings;
 use std::time::Duration;
 
 #[cfg(not(feature = "dpdk"))]
-pub use absent::DpdkPlane;
+pub(crate) use absent::{restore_settings, start};
 #[cfg(feature = "dpdk")]
-pub use present::{DpdkPlane, LoopReader, LoopView};
+pub use present::{LoopReader, LoopView};
+#[cfg(feature = "dpdk")]
+pub(crate) use present::{restore_settings, start};
+
+/// Why the userspace plane takes what arrives on an interface that is no port of the DPDK plane.
+pub(crate) const NOT_A_PORT: &str = "`data_plane: dpdk` was asked for, and this is none of its ports";
 
 /// MTU of a port that is given none.
 pub const DEFAULT_MTU: u16 = 1500;

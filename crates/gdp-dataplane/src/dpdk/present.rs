@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,30 +10,39 @@ use gdp_dpdk::local::{Local, NextHop};
 use gdp_dpdk::{Eal, EalConfig, Idle, Memory, PortCounters, Switch, SwitchConfig};
 use gdp_link::link::KeyedEntry;
 use gdp_link::port::interface_index;
-use gdp_wire::table::{ip_of, mac_words};
-use gdp_wire::{Counter, LinkEntry, Name};
+use gdp_wire::table::{PORT_ROUTED, ip_of, mac_words};
+use gdp_wire::{Counter, LinkEntry, Name, Vlan};
 
 use super::routes::Routes;
 use super::settings::{self, Settings};
-use super::{DeviceCounters, DpdkConfig, DpdkPlaneError, LARGEST_ROOM};
+use super::{DeviceCounters, DpdkPlaneError, LARGEST_ROOM, NOT_A_PORT};
+use crate::config::PlaneConfig;
+use crate::data_plane::{DataPlane, FastPath};
 use crate::device::Device;
 use crate::forwarder_state::Shared;
-use crate::{tables::Reader, tables::View, udp};
+use crate::host_pair::Ends;
+use crate::interface_plane::InterfacePlane;
+use crate::kernel_failures::UpdateError;
+use crate::tables::{Reader, View};
+use crate::udp;
+use crate::userspace_plane::UserspacePlane;
 
 const _: () = assert!(LARGEST_ROOM == gdp_dpdk::mbuf::LARGEST);
 
 /// Ports and loops. Dropping it lets go of the devices.
-pub struct DpdkPlane {
+struct DpdkPlane {
     switch: Switch,
     /// By the number of a port, which is the index of the host's interface.
-    ports: HashMap<u32, Held>,
+    ports: HashMap<u32, PortDevice>,
     routes: Option<Routes>,
+    /// Where the UDP socket takes frames.
+    bound: Option<SocketAddr>,
     /// Goes after the devices are given back.
     _settings: Settings,
 }
 
-/// A port as it is held here.
-struct Held {
+/// A port of the switch.
+struct PortDevice {
     interface: String,
     device: String,
     mac: [u16; 3],
@@ -41,118 +50,62 @@ struct Held {
     carrier: Option<u32>,
 }
 
+/// Takes all devices over, in the network namespace of the calling thread.
+pub fn start(config: &PlaneConfig, userspace: &UserspacePlane) -> Result<Box<dyn FastPath>, DpdkPlaneError> {
+    let PlaneConfig { ethertype, dpdk: config, dpdk_settings, .. } = config;
+    if config.ports.is_empty() {
+        return Err(DpdkPlaneError::NoPorts);
+    }
+    let pci = config.ports.iter().filter_map(|port| port.pci()).map(str::to_owned).collect();
+    let memory = if config.huge_pages { Memory::HugePages } else { Memory::Ordinary { mib: config.memory_mib } };
+    let eal = Eal::begin(&EalConfig { memory, pci })?;
+    let idle = if config.idle.is_zero() { Idle::Busy } else { Idle::Sleep(config.idle) };
+    let (cores, count) = (config.cores.clone(), config.ports.len());
+    let loops = SwitchConfig { cores, idle, ports: count, largest: config.room() };
+    // Before the switch, so that they are put back after it.
+    let mut settings = Settings::open(dpdk_settings.clone());
+    let mut ports = HashMap::new();
+    let reader = || LoopReader::new(userspace.tables.reader(), userspace.shared.clone());
+    let mut switch = Switch::start(eal, &loops, reader)?;
+    switch.set_local(Local { ethertype: *ethertype, ..Local::default() });
+    for port in &config.ports {
+        if let Some(carrier) = port.carrier() {
+            settings.quieten(carrier);
+            if port.is_af_packet() {
+                settings.keep_whole(carrier);
+            }
+            if let Some(mtu) = port.mtu {
+                settings.set_mtu(carrier, mtu).map_err(|source| {
+                    let (device, interface) = (port.name().to_owned(), carrier.to_owned());
+                    DpdkPlaneError::Mtu { device, interface, mtu, source }
+                })?;
+            }
+        }
+        let (number, mac) = switch.add_port(&port.device, (&port.interface, port.mtu()), interface_index)?;
+        tracing::info!("{}: DPDK device {}", port.interface, port.device);
+        let carrier = port.carrier().and_then(|carrier| interface_index(carrier).ok());
+        let (interface, device) = (port.interface.clone(), port.device.clone());
+        ports.insert(number, PortDevice { interface, device, mac: mac_words(mac), carrier });
+    }
+    let routes = Routes::open().inspect_err(|error| {
+        tracing::warn!(%error, "the kernel's routes cannot be asked for; links over UDP are sent on by the \
+                                userspace plane");
+    });
+    Ok(Box::new(DpdkPlane { switch, ports, routes: routes.ok(), bound: None, _settings: settings }))
+}
+
+/// Puts back the settings of interfaces that a daemon with this plane has left in a file, as it was
+/// killed. In the network namespace of the calling thread.
+pub fn restore_settings(file: &Path) {
+    if file.exists()
+        && let Err(error) = settings::put_back_left(file.to_owned())
+    {
+        let path = file.display();
+        tracing::warn!(%error, "interfaces stay set as a daemon with DPDK has left them: {path} is of no use");
+    }
+}
+
 impl DpdkPlane {
-    /// Takes all devices over, in the network namespace of the calling thread. `kept`: the file for
-    /// what their interfaces' settings were. `reader`: makes each loop its way to the tables.
-    pub fn start(
-        config: &DpdkConfig,
-        kept: Option<PathBuf>,
-        ethertype: u16,
-        mut reader: impl FnMut() -> Reader,
-        shared: &Arc<Shared>,
-    ) -> Result<Self, DpdkPlaneError> {
-        if config.ports.is_empty() {
-            return Err(DpdkPlaneError::NoPorts);
-        }
-        let pci = config.ports.iter().filter_map(|port| port.pci()).map(str::to_owned).collect();
-        let memory = if config.huge_pages { Memory::HugePages } else { Memory::Ordinary { mib: config.memory_mib } };
-        let eal = Eal::begin(&EalConfig { memory, pci })?;
-        let idle = if config.idle.is_zero() { Idle::Busy } else { Idle::Sleep(config.idle) };
-        let (cores, count) = (config.cores.clone(), config.ports.len());
-        let loops = SwitchConfig { cores, idle, ports: count, largest: config.room() };
-        // Before the switch, so that they are put back after it.
-        let mut settings = Settings::open(kept);
-        let mut ports = HashMap::new();
-        let mut switch = Switch::start(eal, &loops, || LoopReader::new(reader(), shared.clone()))?;
-        switch.set_local(Local { ethertype, ..Local::default() });
-        for port in &config.ports {
-            if let Some(carrier) = port.carrier() {
-                settings.quieten(carrier);
-                if port.is_af_packet() {
-                    settings.keep_whole(carrier);
-                }
-                if let Some(mtu) = port.mtu {
-                    settings.set_mtu(carrier, mtu).map_err(|source| {
-                        let (device, interface) = (port.name().to_owned(), carrier.to_owned());
-                        DpdkPlaneError::Mtu { device, interface, mtu, source }
-                    })?;
-                }
-            }
-            let (number, mac) = switch.add_port(&port.device, (&port.interface, port.mtu()), interface_index)?;
-            tracing::info!("{}: DPDK device {}", port.interface, port.device);
-            let carrier = port.carrier().and_then(|carrier| interface_index(carrier).ok());
-            let (interface, device) = (port.interface.clone(), port.device.clone());
-            let held = Held { interface, device, mac: mac_words(mac), carrier };
-            ports.insert(number, held);
-        }
-        let routes = Routes::open().inspect_err(|error| {
-            tracing::warn!(%error, "the kernel's routes cannot be asked for; links over UDP are sent on by the \
-                                    userspace plane");
-        });
-        Ok(Self { switch, ports, routes: routes.ok(), _settings: settings })
-    }
-
-    /// Puts back the settings of interfaces that a daemon with this plane has left in the file
-    /// `kept`, as it was killed. In the network namespace of the calling thread.
-    pub fn put_back_left(kept: &Path) {
-        if kept.exists()
-            && let Err(error) = settings::put_back_left(kept.to_owned())
-        {
-            let path = kept.display();
-            tracing::warn!(%error, "interfaces stay set as a daemon with DPDK has left them: {path} is of no use");
-        }
-    }
-
-    /// The device behind an interface, if this plane has it.
-    pub fn device_of(&self, interface: u32) -> Option<&str> {
-        self.ports.get(&interface).map(|held| held.device.as_str())
-    }
-
-    /// Whether this plane can send the datagrams of a link now.
-    pub fn routes(&self, link: &LinkEntry) -> bool {
-        self.switch.local().next_hops.get(link.id).is_some()
-    }
-
-    /// Looks again at what is for this switch, where links over UDP leave, and which devices have a
-    /// carrier. `bound`: where the UDP socket takes frames; `vlans`: those that GDP runs on, each
-    /// with the port below it.
-    pub fn follow<'l>(
-        &mut self,
-        bound: Option<SocketAddr>,
-        vlans: &[(u32, u16)],
-        links: impl Iterator<Item = &'l KeyedEntry>,
-    ) {
-        self.switch.follow_carriers(|port| self.ports.get(&port).is_none_or(Held::is_running));
-        let before = self.switch.local();
-        let addresses = match (bound, udp::addresses()) {
-            (None, _) => Vec::new(),
-            (Some(bound), Ok(all)) => {
-                let mut taken: Vec<_> = udp::taken_at(bound, all).into_iter().map(|(address, _)| address).collect();
-                taken.dedup();
-                taken
-            }
-            (Some(_), Err(error)) => {
-                tracing::warn!(%error, "the addresses of interfaces cannot be read; UDP is taken where it was");
-                before.addresses.clone()
-            }
-        };
-        let next_hops = links.filter_map(|link| Some((link.id, self.next_hop(link)?))).collect();
-        let local = Local { ethertype: before.ethertype, addresses, vlans: vlans.to_vec(), next_hops };
-        if local != *before {
-            self.switch.set_local(local);
-        }
-    }
-
-    /// Looks where a link leaves, if it is one over UDP.
-    pub fn follow_link(&mut self, link: &LinkEntry) {
-        let (before, hop) = (self.switch.local(), self.next_hop(link));
-        if before.next_hops.get(link.id) != hop.as_ref() {
-            let mut local = Local::clone(&before);
-            local.next_hops.set(link.id, hop);
-            self.switch.set_local(local);
-        }
-    }
-
     fn next_hop(&self, link: &LinkEntry) -> Option<NextHop> {
         let carrier = &link.carrier;
         if carrier.kind == gdp_wire::Carrier::ETHERNET || carrier.local_ip == [0; 4] {
@@ -167,20 +120,97 @@ impl DpdkPlane {
         let local = self.ports.get(&leaves.interface)?.mac;
         Some(NextHop { port: leaves.interface, peer: mac_words(leaves.mac), local })
     }
+}
 
-    pub fn counters(&self) -> [u64; Counter::COUNT] {
-        self.switch.counters()
+/// It decides by the userspace plane's tables, and counts arrivals there.
+impl DataPlane for DpdkPlane {
+    fn counters(&self) -> Result<[u64; Counter::COUNT], UpdateError> {
+        Ok(self.switch.counters())
+    }
+}
+
+impl FastPath for DpdkPlane {
+    fn name(&self) -> &'static str {
+        "dpdk"
     }
 
-    /// Frames that were lost after the decision, by the name of the interface they were to leave
-    /// by.
-    pub fn losses(&self) -> HashMap<String, u64> {
+    fn xdp(&self) -> Result<(), String> {
+        Err(NOT_A_PORT.to_owned())
+    }
+
+    fn attach_udp(&mut self, bound: SocketAddr, _: Option<Ends>) -> Result<(), UpdateError> {
+        self.bound = Some(bound);
+        Ok(())
+    }
+
+    fn detach_udp(&mut self) {
+        self.bound = None;
+    }
+
+    fn describe(&self, interface: &str, device: u32) -> InterfacePlane {
+        match self.ports.get(&device) {
+            Some(port) => {
+                let (interface, reason) = (interface.to_owned(), format!("device {}", port.device));
+                InterfacePlane { interface, kind: "dpdk", reason, left_alone: false }
+            }
+            None => InterfacePlane::userspace(interface, NOT_A_PORT),
+        }
+    }
+
+    fn resolve(&mut self, link: &LinkEntry) {
+        let (before, hop) = (self.switch.local(), self.next_hop(link));
+        if before.next_hops.get(link.id) != hop.as_ref() {
+            let mut local = Local::clone(&before);
+            local.next_hops.set(link.id, hop);
+            self.switch.set_local(local);
+        }
+    }
+
+    fn egress_port(&self, link: &LinkEntry, device: Option<u32>) -> Option<u32> {
+        match device {
+            Some(device) => self.ports.contains_key(&device).then_some(device),
+            // By the pair of an endpoint on this host.
+            None if link.carrier.local_mac != [0; 3] => None,
+            None => self.switch.local().next_hops.get(link.id).map(|_| PORT_ROUTED),
+        }
+    }
+
+    /// Looks again at what is for this switch, where links over UDP leave, and which devices have a
+    /// carrier.
+    fn begin_refresh(
+        &mut self,
+        vlans: &[Vlan],
+        links: &mut dyn Iterator<Item = &KeyedEntry>,
+    ) -> Result<(), UpdateError> {
+        self.switch.follow_carriers(|port| self.ports.get(&port).is_none_or(PortDevice::is_running));
+        let before = self.switch.local();
+        let addresses = match (self.bound, udp::addresses()) {
+            (None, _) => Vec::new(),
+            (Some(bound), Ok(all)) => {
+                let mut taken: Vec<_> = udp::taken_at(bound, all).into_iter().map(|(address, _)| address).collect();
+                taken.dedup();
+                taken
+            }
+            (Some(_), Err(error)) => {
+                tracing::warn!(%error, "the addresses of interfaces cannot be read; UDP is taken where it was");
+                before.addresses.clone()
+            }
+        };
+        let next_hops = links.filter_map(|link| Some((link.id, self.next_hop(link)?))).collect();
+        let vlans = vlans.iter().map(|vlan| (vlan.ifindex, vlan.id as u16)).collect();
+        let local = Local { ethertype: before.ethertype, addresses, vlans, next_hops };
+        if local != *before {
+            self.switch.set_local(local);
+        }
+        Ok(())
+    }
+
+    fn losses(&self) -> Result<HashMap<String, u64>, String> {
         let named = |(port, lost)| Some((self.ports.get(&port)?.interface.clone(), lost));
-        self.switch.losses().filter_map(named).collect()
+        Ok(self.switch.losses().filter_map(named).collect())
     }
 
-    /// What devices have counted, by the name of the interface on the host's side.
-    pub fn devices(&self) -> HashMap<String, DeviceCounters> {
+    fn device_counters(&self) -> HashMap<String, DeviceCounters> {
         let named = |(port, counted): (u32, PortCounters)| {
             let PortCounters { received, sent, missed, failed } = counted;
             Some((self.ports.get(&port)?.interface.clone(), DeviceCounters { received, sent, missed, failed }))
@@ -188,13 +218,12 @@ impl DpdkPlane {
         self.switch.port_counters().filter_map(named).collect()
     }
 
-    /// What each loop has taken.
-    pub fn processor_time(&self) -> Vec<Duration> {
+    fn processor_time(&self) -> Vec<Duration> {
         self.switch.processor_time()
     }
 }
 
-impl Held {
+impl PortDevice {
     /// Whether the device's cable is there, as far as the kernel knows: `net_af_packet` and
     /// `net_af_xdp` do not ask it.
     fn is_running(&self) -> bool {

@@ -33,20 +33,20 @@ const MTU: &str = "mtu";
 
 /// Settings that were changed. When dropped, all is as it was.
 pub struct Settings {
-    changed: Vec<Changed>,
-    kept: Option<Kept>,
+    changed: Vec<ChangedSetting>,
+    file: Option<SettingsFile>,
 }
 
 /// The file. It is locked for as long as this lives, so that no other daemon takes it for what a
 /// dead one has left.
-struct Kept {
+struct SettingsFile {
     path: PathBuf,
     file: File,
 }
 
 /// A setting of an interface, as it was and as it was set.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Changed {
+struct ChangedSetting {
     interface: String,
     name: String,
     before: u32,
@@ -55,18 +55,18 @@ struct Changed {
 
 impl Settings {
     /// In the network namespace of the calling thread, in which it is to be dropped as well.
-    /// `kept`: the file, in which there may be what a daemon that was killed has not put back.
-    pub fn open(kept: Option<PathBuf>) -> Self {
-        let begun = |path| {
-            let (kept, left) = Kept::open(path)?;
+    /// `path`: of the file, in which there may be what a daemon that was killed has not put back.
+    pub fn open(path: Option<PathBuf>) -> Self {
+        let open = |path| {
+            let (file, left) = SettingsFile::open(path)?;
             put_back(&left);
-            kept.file.set_len(0)?;
-            Ok(kept)
+            file.file.set_len(0)?;
+            Ok(file)
         };
-        let kept = kept.map(begun).transpose().inspect_err(|error: &io::Error| {
+        let file = path.map(open).transpose().inspect_err(|error: &io::Error| {
             tracing::warn!(%error, "if this daemon is killed, settings of interfaces stay changed");
         });
-        Self { changed: Vec::new(), kept: kept.ok().flatten() }
+        Self { changed: Vec::new(), file: file.ok().flatten() }
     }
 
     /// Keeps the kernel from taking up what arrives at an interface.
@@ -102,9 +102,9 @@ impl Settings {
     }
 
     fn set(&mut self, interface: &str, name: &str, before: u32, set: u32) -> io::Result<()> {
-        let changed = Changed { interface: interface.to_owned(), name: name.to_owned(), before, set };
+        let changed = ChangedSetting { interface: interface.to_owned(), name: name.to_owned(), before, set };
         // First, so that it is there however this ends.
-        self.kept.as_mut().map_or(Ok(()), |kept| kept.file.write_all(changed.line().as_bytes()))?;
+        self.file.as_mut().map_or(Ok(()), |file| file.file.write_all(changed.line().as_bytes()))?;
         self.changed.push(changed);
         write(interface, name, set)
     }
@@ -113,23 +113,23 @@ impl Settings {
 impl Drop for Settings {
     fn drop(&mut self) {
         put_back(&self.changed);
-        self.kept.iter().for_each(Kept::remove);
+        self.file.iter().for_each(SettingsFile::remove);
     }
 }
 
-/// Puts back what a daemon that was killed has left in the file `kept`. The file stays if not all
+/// Puts back what a daemon that was killed has left in a file. The file stays if not all
 /// could be: in another namespace, or with more rights, the next daemon may do better.
-pub fn put_back_left(kept: PathBuf) -> io::Result<()> {
-    let (kept, left) = Kept::open(kept)?;
+pub fn put_back_left(path: PathBuf) -> io::Result<()> {
+    let (file, left) = SettingsFile::open(path)?;
     if put_back(&left) {
-        kept.remove();
+        file.remove();
     }
     Ok(())
 }
 
-impl Kept {
+impl SettingsFile {
     /// Makes the file if there is none, and reads what is in it.
-    fn open(path: PathBuf) -> io::Result<(Self, Vec<Changed>)> {
+    fn open(path: PathBuf) -> io::Result<(Self, Vec<ChangedSetting>)> {
         if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
         }
@@ -139,7 +139,7 @@ impl Kept {
         file.try_lock()?;
         let mut left = String::new();
         file.read_to_string(&mut left)?;
-        let left = left.lines().filter_map(Changed::parse).collect();
+        let left = left.lines().filter_map(ChangedSetting::parse).collect();
         Ok((Self { path, file }, left))
     }
 
@@ -150,7 +150,7 @@ impl Kept {
     }
 }
 
-impl Changed {
+impl ChangedSetting {
     fn line(&self) -> String {
         format!("{} {} {} {}\n", self.interface, self.name, self.before, self.set)
     }
@@ -164,11 +164,11 @@ impl Changed {
 
 /// What nobody else has set since; the last one first: one may set another as well. Whether that is
 /// all.
-fn put_back(all: &[Changed]) -> bool {
+fn put_back(all: &[ChangedSetting]) -> bool {
     let now: Vec<_> = all.iter().map(|changed| read(&changed.interface, &changed.name)).collect();
     let mut is_all = now.iter().all(Result::is_ok);
     let ours = all.iter().zip(now).filter(|(changed, now)| now.as_ref().is_ok_and(|now| *now == changed.set));
-    for (Changed { interface, name, before, .. }, _) in ours.rev() {
+    for (ChangedSetting { interface, name, before, .. }, _) in ours.rev() {
         if let Err(error) = write(interface, name, *before) {
             tracing::warn!(interface, name, %error, "a setting stays");
             is_all = false;

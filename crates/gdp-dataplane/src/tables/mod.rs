@@ -38,13 +38,13 @@ use super::queues::Queues;
 use super::resizable_table::ResizableTable;
 use crate::kernel_failures::UpdateError;
 use crate::tables::permits::without;
-use names::{Memory, Names};
+use names::{NameMemory, Names};
 
 /// A link, and where its frames go.
-pub type Link = (KeyedEntry, LinkAddr);
+pub type AddressedLink = (KeyedEntry, LinkAddr);
 
 /// Where a name leads, and its permits.
-pub type Route = (FibEntry, Box<[Permit]>);
+pub type RouteEntry = (FibEntry, Box<[Permit]>);
 
 /// The tables, for who changes them.
 pub struct UserTables {
@@ -77,12 +77,12 @@ pub struct View<'r> {
 /// What does not change: a change makes another one.
 #[derive(Clone)]
 struct Snapshot {
-    links: Box<[Option<Arc<Link>>]>,
+    links: Box<[Option<Arc<AddressedLink>>]>,
     /// Link ids of neighbouring switches.
     neighbours: Box<[u32]>,
     next_hops: [u32; EGRESS_SET_SIZE as usize],
     own_bit: u64,
-    names: Memory,
+    names: NameMemory,
 }
 
 /// What changes under its readers. The two maps have one collector, so that a guard is one for
@@ -153,7 +153,12 @@ impl UserTables {
         self.now.link(id)
     }
 
-    pub fn links(&self) -> impl Iterator<Item = &Link> {
+    /// The link at this link's index.
+    pub fn at_index_of(&self, id: u32) -> Option<&LinkEntry> {
+        self.now.at_index_of(id).map(|(entry, _)| &**entry)
+    }
+
+    pub fn links(&self) -> impl Iterator<Item = &AddressedLink> {
         self.now.links()
     }
 
@@ -166,7 +171,12 @@ impl UserTables {
     /// `entry.writer_link`, and of links by which frames from it may come. The entry's group is one
     /// that was set. If there is no room, nothing is changed; for a route that was there before the
     /// last change of its name, there is.
-    pub fn set_route(&mut self, name: Name, entry: FibEntry, permits: &[Permit]) -> Result<Option<Route>, UpdateError> {
+    pub fn set_route(
+        &mut self,
+        name: Name,
+        entry: FibEntry,
+        permits: &[Permit],
+    ) -> Result<Option<RouteEntry>, UpdateError> {
         let (before, held) = (self.route(&name), Box::from(self.permits(&name)));
         let (come, gone) = (without(permits, &held), without(&held, permits));
         let group = self.groups.get(&entry.group).copied().unwrap_or(NEIGHBOURS);
@@ -190,7 +200,7 @@ impl UserTables {
     }
 
     /// Returns the route the name had.
-    pub fn remove_route(&mut self, name: &Name) -> Option<Route> {
+    pub fn remove_route(&mut self, name: &Name) -> Option<RouteEntry> {
         let before = self.route(name)?;
         self.names.remove(name);
         let permits = self.permits.remove(name).unwrap_or_default();
@@ -205,6 +215,11 @@ impl UserTables {
     /// In no order.
     pub fn routes(&self) -> impl Iterator<Item = (Name, FibEntry)> {
         self.names.table().iter().map(|(name, entry)| (name, self.numbered(entry)))
+    }
+
+    /// Where a name leads, with its permits.
+    pub fn route_entry(&self, name: &Name) -> Option<RouteEntry> {
+        Some((self.route(name)?, self.permits(name).into()))
     }
 
     /// The permits of the name.
@@ -264,7 +279,7 @@ impl UserTables {
         &self.common.queues
     }
 
-    fn change_link(&mut self, id: u32, link: Option<Arc<Link>>) -> Option<KeyedEntry> {
+    fn change_link(&mut self, id: u32, link: Option<Arc<AddressedLink>>) -> Option<KeyedEntry> {
         let before = self.now.at_index_of(id).map(|(entry, _)| entry.clone());
         self.change(|next| {
             next.links[link_index(id) as usize] = link;
@@ -402,7 +417,7 @@ impl Tables for View<'_> {
 
 impl Snapshot {
     #[inline]
-    fn at_index_of(&self, id: u32) -> Option<&Link> {
+    fn at_index_of(&self, id: u32) -> Option<&AddressedLink> {
         self.links[link_index(id) as usize].as_deref()
     }
 
@@ -412,7 +427,7 @@ impl Snapshot {
         (entry.id == id && id != 0).then_some(entry)
     }
 
-    fn links(&self) -> impl Iterator<Item = &Link> {
+    fn links(&self) -> impl Iterator<Item = &AddressedLink> {
         self.links.iter().flatten().map(|link| &**link)
     }
 

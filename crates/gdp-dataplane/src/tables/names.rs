@@ -12,14 +12,14 @@ use crate::{resizable_table, resizable_table::FIRST, resizable_table::ResizableT
 
 /// The names, for the only one who writes them.
 pub struct Names {
-    table: Table<Memory>,
+    table: Table<NameMemory>,
     limit: u32,
 }
 
 /// A flat table, for its readers. It begins with a page, so no line of it is in two cache lines.
 /// Clones share it.
 #[derive(Clone)]
-pub struct Memory(Arc<Mapping>);
+pub struct NameMemory(Arc<Mapping>);
 
 impl Names {
     /// `limit`: names there may be.
@@ -28,7 +28,7 @@ impl Names {
     }
 
     /// What is to be read, until names are inserted: then it may be another.
-    pub fn memory(&self) -> &Memory {
+    pub fn memory(&self) -> &NameMemory {
         self.table.memory()
     }
 
@@ -38,13 +38,13 @@ impl Names {
 }
 
 impl ResizableTable for Names {
-    type Memory = Memory;
+    type Memory = NameMemory;
 
-    fn table(&self) -> &Table<Memory> {
+    fn table(&self) -> &Table<NameMemory> {
         &self.table
     }
 
-    fn table_mut(&mut self) -> &mut Table<Memory> {
+    fn table_mut(&mut self) -> &mut Table<NameMemory> {
         &mut self.table
     }
 
@@ -60,14 +60,14 @@ impl ResizableTable for Names {
     }
 }
 
-impl Memory {
+impl NameMemory {
     /// Whether the two are one.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
 }
 
-impl AsRef<[AtomicU64]> for Memory {
+impl AsRef<[AtomicU64]> for NameMemory {
     #[inline]
     fn as_ref(&self) -> &[AtomicU64] {
         (*self.0).as_ref()
@@ -75,6 +75,6 @@ impl AsRef<[AtomicU64]> for Memory {
 }
 
 /// An empty table for so many names.
-fn make(names: u32) -> Result<Table<Memory>, UpdateError> {
-    resizable_table::begin(names, || Ok(Memory(Arc::new(Mapping::own(buckets_for(names) as usize * BUCKET)?))))
+fn make(names: u32) -> Result<Table<NameMemory>, UpdateError> {
+    resizable_table::begin(names, || Ok(NameMemory(Arc::new(Mapping::own(buckets_for(names) as usize * BUCKET)?))))
 }

@@ -129,7 +129,7 @@ pub fn run(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) -> Result<Fa
 /// `RedirectFailed` stand for whatever passes, is sent and is dropped. Reading the counters takes
 /// far longer than the frame.
 pub fn run_uncounted(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) -> Result<Fate> {
-    let (action, out) = plane.test_run(buffers, frame)?;
+    let (action, out) = plane.programs.test_run(buffers, frame)?;
     Ok(match action {
         Action::Redirect => Fate::sent(out, Counter::Forwarded),
         Action::Pass => {

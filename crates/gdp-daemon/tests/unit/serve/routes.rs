@@ -117,7 +117,7 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
         link(80, LinkRole::Endpoint, 8),
         link(90, LinkRole::Switch, 9),
     ];
-    let left = Left { own_bit: 2, links: vec![], routes, next_hops, ports: HashSet::new() };
+    let left = Left { own_bit: 2, links: vec![], routes, next_hops };
     assert_eq!(r.adopt(&left, &links), [set(3, 6, &[], &[])], "one link was not found again");
     assert_eq!((r.own_bit(), r.len()), (Some(1), 3));
 
@@ -157,7 +157,7 @@ fn what_a_daemon_left_of_an_endpoint_with_two_links_stays_on_them() {
     let routes = vec![(name(1), plane(&[71])), (name(2), plane(&[70, 71]))];
     let link = |id, lane| (LinkEntry { id, lane, peer: name(7), ..LinkEntry::default() }.into(), LinkRole::Endpoint);
     let links = [link(70, 0), link(71, 1), link(69, 1)];
-    let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64], ports: HashSet::new() };
+    let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64] };
     assert_eq!(r.adopt(&left, &links), [], "nothing moves");
     assert_eq!(r.link_to(&name(7)), Some(71));
 
@@ -172,7 +172,7 @@ fn in_the_end_nobody_writes_who_is_not_known_to() {
     let mut r = Routes::default();
     let open = PlaneRoute { egress_bits: 6, writers: vec![ANY_WRITER], ..PlaneRoute::default() };
     let routes = vec![(name(1), open.clone()), (name(2), open)];
-    let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64], ports: HashSet::new() };
+    let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64] };
     r.adopt(&left, &[]);
     r.link_up(LinkRole::Endpoint, name(8), 0, 80);
     let known = Route { writers: vec![name(8)], ..route(1, 6, &[]) };
@@ -212,7 +212,7 @@ fn held_paths_count_where_the_topology_knows_none() {
     let mut next_hops = [0; 64];
     (next_hops[0], next_hops[2]) = (90, 90);
     let link = LinkEntry { id: 90, peer: name(9), ..LinkEntry::default() };
-    let left = Left { own_bit: 2, links: vec![], routes: vec![], next_hops, ports: HashSet::new() };
+    let left = Left { own_bit: 2, links: vec![], routes: vec![], next_hops };
     r.adopt(&left, &[(link.into(), LinkRole::Switch)]);
     r.link_up(LinkRole::Switch, name(8), 0, 80);
     let way = |neighbour, bits| Paths { reach: [(name(neighbour), bits)].into(), ..Paths::default() };
@@ -278,7 +278,7 @@ fn what_a_daemon_left_of_a_border_stays_until_its_link_is_back() {
     let source = PlaneRoute { sources: vec![70], ..PlaneRoute::default() };
     let link = LinkEntry { id: 70, peer: name(7), ..LinkEntry::default() };
     let routes = vec![(name(1), known), (name(5), source)];
-    let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64], ports: HashSet::new() };
+    let left = Left { own_bit: 2, links: vec![], routes, next_hops: [0; 64] };
     assert_eq!(r.adopt(&left, &[(link.into(), LinkRole::Border)]), []);
     let mut changes = r.link_up(LinkRole::Border, name(7), 0, 71);
     changes.sort_by_key(|change| format!("{change:?}"));

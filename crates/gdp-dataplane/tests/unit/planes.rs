@@ -1,4 +1,4 @@
-//! Unit tests of the crate's root.
+//! Unit tests of `planes`.
 
 use super::*;
 

@@ -1,0 +1,67 @@
+//! The interfaces that GDP runs on directly, and the devices that take their frames.
+
+use std::collections::HashMap;
+
+use gdp_link::port::{Interface, LinkAddr};
+use gdp_wire::Vlan;
+
+/// An interface that GDP runs on directly.
+pub struct Port {
+    pub interface: String,
+    /// The interface that takes its frames: itself, or the one that it is a VLAN of.
+    pub device: u32,
+    pub device_name: String,
+    vlan: Option<u16>,
+}
+
+impl From<&Interface> for Port {
+    fn from(interface: &Interface) -> Self {
+        let (device, name) = match &interface.vlan {
+            Some(vlan) => (vlan.lower_index, &vlan.lower),
+            None => (interface.index, &interface.name),
+        };
+        let vlan = interface.vlan.as_ref().map(|vlan| vlan.id);
+        Self { interface: interface.name.clone(), device, device_name: name.clone(), vlan }
+    }
+}
+
+/// Ports by interface.
+#[derive(Default)]
+pub struct Ports(HashMap<u32, Port>);
+
+impl Ports {
+    pub fn insert(&mut self, ifindex: u32, port: Port) {
+        self.0.insert(ifindex, port);
+    }
+
+    pub fn remove(&mut self, ifindex: u32) -> Option<Port> {
+        self.0.remove(&ifindex)
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = &Port> {
+        self.0.values()
+    }
+
+    /// All, by interface; none is left.
+    pub fn take(&mut self) -> HashMap<u32, Port> {
+        std::mem::take(&mut self.0)
+    }
+
+    /// Where frames leave that are sent to an address, if that is one of an Ethernet: the interface
+    /// itself, if GDP does not run on it.
+    pub fn device_of(&self, to: LinkAddr) -> Option<u32> {
+        match to {
+            LinkAddr::Ethernet { ifindex, .. } => Some(self.0.get(&ifindex).map_or(ifindex, |port| port.device)),
+            LinkAddr::Udp(_) => None,
+        }
+    }
+
+    pub fn uses(&self, device: u32) -> bool {
+        self.iter().any(|port| port.device == device)
+    }
+
+    /// The VLANs among them, each with the device below it.
+    pub fn vlans(&self) -> Vec<Vlan> {
+        self.iter().filter_map(|port| Some(Vlan { ifindex: port.device, id: port.vlan?.into() })).collect()
+    }
+}

@@ -1,0 +1,121 @@
+//! The userspace plane: the full tables, and a thread for each socket. What happens to one frame is
+//! in [`crate::userspace`], the threads in [`crate::forwarder`].
+
+use std::collections::HashMap;
+use std::io;
+use std::sync::Arc;
+
+use gdp_link::port::{DataSocket, LinkAddr};
+use gdp_wire::table::EGRESS_SET_SIZE;
+use gdp_wire::{Counter, Header, LinkEntry, Name, Permit};
+
+use crate::data_plane::DataPlane;
+use crate::forwarder::Forwarder;
+use crate::forwarder_state::{Medium, Shared};
+use crate::kernel_failures::UpdateError;
+use crate::link_memory::LinkMemory;
+use crate::tables::{RouteEntry, UserTables};
+use crate::tally::LinkCounters;
+
+pub struct UserspacePlane {
+    pub tables: UserTables,
+    pub shared: Arc<Shared>,
+    pub link_memory: LinkMemory,
+    forwarders: HashMap<Medium, Forwarder>,
+}
+
+impl UserspacePlane {
+    /// `capacity`: names there may be.
+    pub fn new(link_memory: LinkMemory, capacity: u32) -> Result<Self, UpdateError> {
+        let tables = UserTables::new(link_memory.clone(), capacity)?;
+        let shared = Arc::new(Shared::new(tables.queues().clone()));
+        Ok(Self { tables, shared, link_memory, forwarders: HashMap::new() })
+    }
+
+    /// `largest`: bytes of the largest frame the socket can deliver.
+    pub fn attach(&mut self, medium: Medium, socket: Arc<DataSocket>, largest: usize) -> io::Result<()> {
+        let forwarder = Forwarder::start(medium, socket, largest, &self.shared, self.tables.reader())?;
+        self.forwarders.insert(medium, forwarder);
+        Ok(())
+    }
+
+    /// Waits until the thread has ended.
+    pub fn detach(&mut self, medium: Medium) {
+        self.forwarders.remove(&medium);
+    }
+
+    /// So that the threads end side by side.
+    pub fn stop_threads(&self) {
+        self.forwarders.values().for_each(Forwarder::stop);
+    }
+
+    /// Sends a frame of this node itself on a link.
+    pub fn send_own(&self, link: u32, header: Header, payload: &[u8]) {
+        if let Some((header, to)) = self.tables.address_frame(link, header) {
+            self.shared.send_own(to, header, payload);
+        }
+    }
+}
+
+impl DataPlane for UserspacePlane {
+    fn begin_link(&mut self, id: u32) -> Result<(), UpdateError> {
+        self.link_memory.begin(id);
+        self.shared.notices.begin(id);
+        self.shared.tally.begin(id);
+        Ok(())
+    }
+
+    fn set_link(&mut self, link: &LinkEntry, to: LinkAddr) -> Result<(), UpdateError> {
+        self.tables.set_link(*link, to);
+        Ok(())
+    }
+
+    fn remove_link(&mut self, id: u32) -> Result<(), UpdateError> {
+        self.tables.remove_link(id);
+        Ok(())
+    }
+
+    fn set_route(
+        &mut self,
+        name: &Name,
+        (entry, permits): &RouteEntry,
+        _: Option<&RouteEntry>,
+    ) -> Result<(), UpdateError> {
+        self.tables.set_route(*name, *entry, permits).map(drop)
+    }
+
+    fn remove_route(&mut self, name: &Name, _: &[Permit]) -> Result<(), UpdateError> {
+        self.tables.remove_route(name);
+        Ok(())
+    }
+
+    fn set_group(&mut self, group: u32, readers: &[u32], _: Option<&[&LinkEntry]>) {
+        self.tables.set_group(group, readers);
+    }
+
+    fn release_group(&mut self, group: u32) {
+        self.tables.set_group(group, &[]);
+    }
+
+    fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), UpdateError> {
+        self.tables.set_next_hops(next_hops);
+        Ok(())
+    }
+
+    fn set_own_bit(&mut self, own_bit: u64) -> Result<(), UpdateError> {
+        self.tables.set_own_bit(own_bit);
+        Ok(())
+    }
+
+    fn counters(&self) -> Result<[u64; Counter::COUNT], UpdateError> {
+        Ok(self.shared.counters())
+    }
+
+    fn arrivals(&self, link: u32) -> Result<LinkCounters, UpdateError> {
+        Ok(self.shared.tally.of(link))
+    }
+
+    fn busiest(&self) -> Result<HashMap<Name, u64>, UpdateError> {
+        Ok(self.shared.tally.busiest())
+    }
+}
