@@ -190,18 +190,18 @@ fn forward_headed(
     length: usize,
 ) -> Outcome {
     let in_one_buffer = length == context.data_end() - context.data();
-    let tables = Maps { context, length: header.frame_len(), in_one_buffer, next_hop: NextHop::new() };
+    let tables = Maps { context, length: header.frame_len(), in_one_buffer };
     let traffic = carrier::traffic(&Packet::of(context), &carried);
     let verdict = forward::decide(header, carried.available, traffic, &tables);
     // An answer has no payload, so this is its length as well.
     let frame = header.frame_len();
     let behind = length - carried.at - frame;
-    let (link, counter) = match verdict {
-        Verdict::Send(link, counter) => {
+    let (link, hop, counter) = match verdict {
+        Verdict::Send(link, hop, counter) => {
             tally::sample(tag, header);
-            (link, counter)
+            (link, hop, counter)
         }
-        Verdict::Answer(link, counter) => (link, counter),
+        Verdict::Answer(link, hop, counter) => (link, hop, counter),
         Verdict::Copies(group) => {
             tally::sample(tag, header);
             return replicate(context, group, carried.at, behind);
@@ -211,14 +211,10 @@ fn forward_headed(
         Verdict::Drop(counter) => return Outcome::Dropped(counter),
     };
     let traffic = Header::ip_traffic(header.flags);
-    if !carrier::exchange(context, carried.at, frame, behind, traffic, link, &tables.next_hop) {
+    if !carrier::exchange(context, carried.at, frame, behind, traffic, link, &hop) {
         return Outcome::Dropped(Counter::RedirectFailed);
     }
-    if ports::redirect(tables.port_of(link)) {
-        Outcome::Redirected(counter)
-    } else {
-        Outcome::Dropped(Counter::RedirectFailed)
-    }
+    if ports::redirect(hop.port) { Outcome::Redirected(counter) } else { Outcome::Dropped(Counter::RedirectFailed) }
 }
 
 /// Has copies made of the frame that lies `at`, without the bytes `behind` it. Each then becomes
@@ -253,7 +249,7 @@ fn copy(context: &XdpContext, header: &mut Header, place: GroupSlot) -> Option<C
     let link: &LinkEntry = groups::link_at(&place).and_then(links::get)?;
     let ingress = links::get(header.link_id())?;
     let frame = header.frame_len();
-    let tables = Maps { context, length: frame, in_one_buffer: true, next_hop: NextHop::new() };
+    let tables = Maps { context, length: frame, in_one_buffer: true };
     let counter = match forward::copy(header, frame, link, ingress, &tables) {
         Copy::Send(counter) => counter,
         Copy::None => return None,
@@ -264,8 +260,9 @@ fn copy(context: &XdpContext, header: &mut Header, place: GroupSlot) -> Option<C
     };
     let traffic = Header::ip_traffic(header.flags);
     let can_ask = link.port != PORT_ROUTED || next_hop::asks_at_egress();
-    let leaves_here = can_ask && tables.can_send(link) && tables.port_of(link) == place.interface;
-    if leaves_here && carrier::exchange(context, ethernet::LEN, frame, 0, traffic, link, &tables.next_hop) {
+    let mut hop = NextHop::default();
+    let leaves_here = can_ask && tables.resolve(link, &mut hop) && hop.port == place.interface;
+    if leaves_here && carrier::exchange(context, ethernet::LEN, frame, 0, traffic, link, &hop) {
         return Some(counter);
     }
     if link.port == PORT_ROUTED {
@@ -281,9 +278,9 @@ fn route(context: &XdpContext) -> Option<u32> {
     // SAFETY: `get` checked the bounds.
     let link = links::get(unsafe { *id })?;
     let length = (link.mtu as usize).min(MAX_COPIED_FRAME);
-    let next_hop = NextHop::new();
-    let found = next_hop::asks_at_egress() && link.port == PORT_ROUTED && next_hop.ask(context, link, length);
-    found.then(|| next_hop.port())
+    let mut hop = NextHop::default();
+    let is_routed = next_hop::asks_at_egress() && link.port == PORT_ROUTED;
+    (is_routed && next_hop::look_up(context, link, length, &mut hop)).then_some(hop.port)
 }
 
 #[inline(always)]

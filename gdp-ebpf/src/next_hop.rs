@@ -4,8 +4,6 @@
 //! takes no redirected frames) is left, untouched, to the host: the daemon's socket then sends it,
 //! the kernel resolves the neighbour for that, and later frames find it.
 
-use core::cell::UnsafeCell;
-
 use aya_ebpf::bindings::bpf_fib_lookup as Lookup;
 use aya_ebpf::helpers::bpf_fib_lookup;
 use aya_ebpf::programs::XdpContext;
@@ -37,82 +35,59 @@ pub fn asks_at_egress() -> bool {
     unsafe { (&raw const ASKS_AT_EGRESS).read_volatile() != 0 }
 }
 
+/// Where a frame leaves, and between which stations it goes there.
+#[derive(Clone, Copy, Default)]
+pub struct NextHop {
+    /// The interface.
+    pub port: u32,
+    /// The neighbour's MAC address, if the routing table was asked.
+    pub destination: [u16; 3],
+    /// The interface's MAC address, likewise.
+    pub source: [u16; 3],
+}
+
 /// Words of a question.
 const WORDS: usize = size_of::<Lookup>() / size_of::<u64>();
 
-/// The last question, and its answer. On the stack of the program, as words because those are what
-/// it begins with.
-pub struct NextHop(UnsafeCell<[u64; WORDS]>);
-
 const _: () = assert!(WORDS * size_of::<u64>() == size_of::<Lookup>() && align_of::<Lookup>() <= align_of::<u64>());
 
-impl NextHop {
-    /// The kernel wants all of it written before anything is read. Most frames never ask, so this
-    /// must cost next to nothing: a zero that the compiler knows becomes a call of a function that
-    /// writes byte by byte.
-    #[inline(always)]
-    pub fn new() -> Self {
-        Self(UnsafeCell::new([core::hint::black_box(0); WORDS]))
-    }
-
-    #[inline(always)]
-    fn lookup(&self) -> *mut Lookup {
-        self.0.get().cast()
-    }
-
-    /// Asks for a frame of `length` bytes; `false` if it cannot be sent. A function of its own also
-    /// in the kernel: it is asked in several places, and inlined the compiler spills a register
-    /// there that holds nothing, which the verifier refuses.
-    #[inline(never)]
-    pub fn ask(&self, context: &XdpContext, link: &LinkEntry, length: usize) -> bool {
-        let carrier = &link.carrier;
-        let lookup = self.lookup();
-        // SAFETY: the program's own memory, and there is no reference into it. The helper writes
-        // within the size it is given.
-        let answer = unsafe {
-            (*lookup).l4_protocol = UDP;
-            (*lookup).sport = carrier.local_port;
-            (*lookup).dport = carrier.peer_port;
-            (*lookup).ifindex = LOOPBACK;
-            (*lookup).__bindgen_anon_2.flowinfo = 0;
-            if carrier.kind == Carrier::UDP6 {
-                (*lookup).family = AF_INET6;
-                (*lookup).__bindgen_anon_1.tot_len = (length + 48) as u16;
-                let mut i = 0;
-                while i < 4 {
-                    (*lookup).__bindgen_anon_3.ipv6_src[i] = carrier.local_ip[i];
-                    (*lookup).__bindgen_anon_4.ipv6_dst[i] = carrier.peer_ip[i];
-                    i += 1;
-                }
-            } else {
-                (*lookup).family = AF_INET;
-                (*lookup).__bindgen_anon_1.tot_len = (length + 28) as u16;
-                (*lookup).__bindgen_anon_3.ipv4_src = carrier.local_ip[0];
-                (*lookup).__bindgen_anon_4.ipv4_dst = carrier.peer_ip[0];
+/// Asks for a frame of `length` bytes; `false` if it cannot be sent. A function of its own also in
+/// the kernel: it is asked in several places, and inlined the compiler spills a register there that
+/// holds nothing, which the verifier refuses.
+#[inline(never)]
+pub fn look_up(context: &XdpContext, link: &LinkEntry, length: usize, hop: &mut NextHop) -> bool {
+    let carrier = &link.carrier;
+    // The kernel wants all of it written before anything is read. A zero that the compiler knows
+    // becomes a call of a function that writes byte by byte.
+    let mut words = [core::hint::black_box(0u64); WORDS];
+    let lookup: *mut Lookup = words.as_mut_ptr().cast();
+    // SAFETY: the function's own memory, as large and as aligned as a question, in which any bytes
+    // are one. The helper writes within the size it is given. A MAC address is six bytes at an even
+    // address.
+    unsafe {
+        (*lookup).l4_protocol = UDP;
+        (*lookup).sport = carrier.local_port;
+        (*lookup).dport = carrier.peer_port;
+        (*lookup).ifindex = LOOPBACK;
+        if carrier.kind == Carrier::UDP6 {
+            (*lookup).family = AF_INET6;
+            (*lookup).__bindgen_anon_1.tot_len = (length + 48) as u16;
+            let mut i = 0;
+            while i < 4 {
+                (*lookup).__bindgen_anon_3.ipv6_src[i] = carrier.local_ip[i];
+                (*lookup).__bindgen_anon_4.ipv6_dst[i] = carrier.peer_ip[i];
+                i += 1;
             }
-            bpf_fib_lookup(context.ctx.cast(), lookup, size_of::<Lookup>() as i32, 0)
-        };
-        answer == 0 && ports::is_there(self.port())
-    }
-
-    /// The interface of the last answer.
-    #[inline(always)]
-    pub fn port(&self) -> u32 {
-        // SAFETY: the program's own memory, and there is no reference into it.
-        unsafe { (*self.lookup()).ifindex }
-    }
-
-    /// The neighbour's MAC address.
-    #[inline(always)]
-    pub fn destination(&self) -> [u16; 3] {
-        // SAFETY: as above; six bytes at an even address.
-        unsafe { (&raw const (*self.lookup()).dmac).cast::<[u16; 3]>().read() }
-    }
-
-    /// The interface's MAC address.
-    #[inline(always)]
-    pub fn source(&self) -> [u16; 3] {
-        // SAFETY: as above.
-        unsafe { (&raw const (*self.lookup()).smac).cast::<[u16; 3]>().read() }
+        } else {
+            (*lookup).family = AF_INET;
+            (*lookup).__bindgen_anon_1.tot_len = (length + 28) as u16;
+            (*lookup).__bindgen_anon_3.ipv4_src = carrier.local_ip[0];
+            (*lookup).__bindgen_anon_4.ipv4_dst = carrier.peer_ip[0];
+        }
+        let answer = bpf_fib_lookup(context.ctx.cast(), lookup, size_of::<Lookup>() as i32, 0);
+        hop.port = (*lookup).ifindex;
+        hop.destination = (&raw const (*lookup).dmac).cast::<[u16; 3]>().read();
+        hop.source = (&raw const (*lookup).smac).cast::<[u16; 3]>().read();
+        answer == 0 && ports::is_there(hop.port)
     }
 }

@@ -7,7 +7,7 @@ use gdp_wire::tables::Tables;
 use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 
 use crate::next_hop::NextHop;
-use crate::{config, fib, groups, links, next_hops, permits, windows};
+use crate::{config, fib, groups, links, next_hop, next_hops, permits, windows};
 
 /// The maps, asked about one frame.
 pub struct Maps<'p> {
@@ -16,21 +16,13 @@ pub struct Maps<'p> {
     pub length: usize,
     /// Whether the packet lies in one buffer: the kernel copies no others.
     pub in_one_buffer: bool,
-    /// Where the link leads that [`Tables::can_send`] was last asked about, if that is over UDP.
-    pub next_hop: NextHop,
-}
-
-impl Maps<'_> {
-    /// Where frames for a link leave that can be sent to, as [`Tables::can_send`] has just said.
-    #[inline(always)]
-    pub fn port_of(&self, link: &LinkEntry) -> u32 {
-        if link.port == PORT_ROUTED { self.next_hop.port() } else { link.port }
-    }
 }
 
 impl Tables for Maps<'_> {
     /// There is the userspace plane.
     const LAST: bool = false;
+
+    type NextHop = NextHop;
 
     #[inline(always)]
     fn link(&self, id: u32) -> Option<&LinkEntry> {
@@ -68,11 +60,14 @@ impl Tables for Maps<'_> {
     }
 
     #[inline(always)]
-    fn can_send(&self, link: &LinkEntry) -> bool {
+    fn resolve(&self, link: &LinkEntry, hop: &mut NextHop) -> bool {
         match link.port {
             PORT_USERSPACE => false,
-            PORT_ROUTED => self.next_hop.ask(self.context, link, self.length),
-            _ => true,
+            PORT_ROUTED => next_hop::look_up(self.context, link, self.length, hop),
+            port => {
+                hop.port = port;
+                true
+            }
         }
     }
 

@@ -58,8 +58,8 @@ pub fn handle(frame: &mut [u8], congested: bool, tables: &View<'_>) -> Outcome {
     let ingress = header.link_id();
     let traffic = if congested { Header::CONGESTED } else { 0 };
     let (link, length, counter) = match forward::decide(&mut header, frame.len(), traffic, tables) {
-        Verdict::Send(link, counter) => (link.id, header.frame_len(), counter),
-        Verdict::Answer(link, counter) => (link.id, Header::LEN, counter),
+        Verdict::Send(link, (), counter) => (link.id, header.frame_len(), counter),
+        Verdict::Answer(link, (), counter) => (link.id, Header::LEN, counter),
         Verdict::Copies(group) => {
             frame[..Header::LEN].copy_from_slice(header.as_bytes());
             return Outcome::Copies { ingress, group };

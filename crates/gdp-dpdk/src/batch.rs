@@ -73,6 +73,9 @@ pub fn expect(tags: &mut Tags, headers: &[Header], tables: &impl Tables) {
 impl<V: View> Tables for BatchTables<'_, V> {
     const LAST: bool = false;
 
+    /// Looked up again when frames leave, for all of a link together.
+    type NextHop = ();
+
     #[inline(always)]
     fn link(&self, id: u32) -> Option<&LinkEntry> {
         self.view.tables().link(id)
@@ -119,7 +122,7 @@ impl<V: View> Tables for BatchTables<'_, V> {
     fn stamp(&self, _: &mut Header, _: &LinkEntry) {}
 
     #[inline(always)]
-    fn can_send(&self, link: &LinkEntry) -> bool {
+    fn resolve(&self, link: &LinkEntry, _: &mut ()) -> bool {
         self.next_hop_of(link).is_some()
     }
 
@@ -128,7 +131,7 @@ impl<V: View> Tables for BatchTables<'_, V> {
         let links = self.view.members(group).filter_map(|id| self.view.tables().link(id));
         let wanted =
             |link: &&LinkEntry| bits & if link.role == LinkRole::Switch as u32 { link.reach } else { own } != 0;
-        links.filter(wanted).all(|link| self.can_send(link))
+        links.filter(wanted).all(|link| self.resolve(link, &mut ()))
     }
 
     /// A device's queue does not tell.

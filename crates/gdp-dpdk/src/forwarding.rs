@@ -188,14 +188,14 @@ impl Batch {
             tables.turn_to(i);
             // What is sent is counted when it leaves.
             let counter = match forward::decide(header, frame.carried.available, frame.carried.traffic, tables) {
-                Verdict::Send(link, counter) => {
+                Verdict::Send(link, (), counter) => {
                     if is_sampled(tag) {
                         view.sample(&header.destination);
                     }
                     self.leaving.push(Way { frame: i as u32, header: i as u32, link: link.id, counter });
                     counter
                 }
-                Verdict::Answer(link, counter) => {
+                Verdict::Answer(link, (), counter) => {
                     self.leaving.push(Way { frame: i as u32, header: i as u32, link: link.id, counter });
                     counter
                 }

@@ -9,6 +9,9 @@ pub trait Tables {
     /// Whether there is no other plane to leave a frame to.
     const LAST: bool;
 
+    /// Where a frame leaves, as far as that is not known from its link.
+    type NextHop: Copy + Default;
+
     /// The link with this id, if it is live.
     fn link(&self, id: u32) -> Option<&LinkEntry>;
 
@@ -45,8 +48,9 @@ pub trait Tables {
         hop::stamp(header, link, self.next_count(link));
     }
 
-    /// Whether this plane can send by the link now. Asked only of a plane that is not the last.
-    fn can_send(&self, link: &LinkEntry) -> bool;
+    /// Whether this plane can send by the link now, with `hop` as where to. Asked only of a plane
+    /// that is not the last.
+    fn resolve(&self, link: &LinkEntry, hop: &mut Self::NextHop) -> bool;
 
     /// Whether this plane can copy a frame of `length` bytes to those links of a group that `bits`
     /// lead to. Asked only of a plane that is not the last.

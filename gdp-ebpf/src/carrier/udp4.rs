@@ -129,7 +129,7 @@ pub fn encapsulate(
     // SAFETY: `get` checked the bounds.
     unsafe {
         if routed {
-            ethernet::address(ethernet, hop.destination(), hop.source(), ethernet::IPV4);
+            ethernet::address(ethernet, hop.destination, hop.source, ethernet::IPV4);
         } else {
             ethernet::address(ethernet, carrier.peer_mac, carrier.local_mac, ethernet::IPV4);
         }

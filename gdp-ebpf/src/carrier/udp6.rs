@@ -75,7 +75,7 @@ pub fn encapsulate(context: &XdpContext, carrier: &Carrier, hop: &NextHop, traff
     let length = (length + size_of::<Udp>() as u16).to_be();
     // SAFETY: `get` checked the bounds.
     unsafe {
-        ethernet::address(ethernet, hop.destination(), hop.source(), ethernet::IPV6);
+        ethernet::address(ethernet, hop.destination, hop.source, ethernet::IPV6);
         (*ip).version_class = (6 << 28 | u32::from(traffic) << 20).to_be();
         (*ip).length = length;
         (*ip).next = UDP;

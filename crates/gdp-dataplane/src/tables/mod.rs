@@ -352,6 +352,8 @@ impl View<'_> {
 impl Tables for View<'_> {
     const LAST: bool = true;
 
+    type NextHop = ();
+
     #[inline(always)]
     fn link(&self, id: u32) -> Option<&LinkEntry> {
         self.now.link(id)
@@ -386,7 +388,7 @@ impl Tables for View<'_> {
         self.common.link_memory.next_count(link.id)
     }
 
-    fn can_send(&self, _: &LinkEntry) -> bool {
+    fn resolve(&self, _: &LinkEntry, _: &mut ()) -> bool {
         true
     }
 

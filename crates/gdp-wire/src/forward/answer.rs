@@ -7,20 +7,25 @@ use crate::{Counter, Header, LinkEntry, LinkRole};
 
 /// Answers an echo.
 #[inline(always)]
-pub fn echo<'t, T: Tables>(header: &mut Header, ingress: &'t LinkEntry, tables: &T) -> Verdict<'t> {
+pub fn echo<'t, T: Tables>(
+    header: &mut Header,
+    ingress: &'t LinkEntry,
+    hop: T::NextHop,
+    tables: &T,
+) -> Verdict<'t, T::NextHop> {
     header.become_answer();
     tables.stamp(header, ingress);
-    Verdict::Answer(ingress, Counter::Echoed)
+    Verdict::Answer(ingress, hop, Counter::Echoed)
 }
 
-/// A refusal, with a code only if the neighbour is to be told of it: not about frames for several
+/// A refusal, with a code only if an error goes to the neighbour: not about frames for several
 /// egress switches, and not faster than the link's rate.
 #[inline(always)]
 pub fn as_disclosed<T: Tables>(refusal: Refusal, header: &Header, ingress: &LinkEntry, tables: &T) -> Refusal {
     let bits = header.egress_bits();
     let is_multicast = ingress.role == LinkRole::Switch as u32 && bits & bits.wrapping_sub(1) != 0;
-    let told = refusal.code.is_some() && !is_multicast && tables.may_send_error(ingress);
-    Refusal { code: if told { refusal.code } else { None }, ..refusal }
+    let is_disclosed = refusal.code.is_some() && !is_multicast && tables.may_send_error(ingress);
+    Refusal { code: if is_disclosed { refusal.code } else { None }, ..refusal }
 }
 
 /// Drops a data frame, and tells the neighbour why if the refusal has a code.
@@ -29,11 +34,12 @@ pub fn send_error<'t, T: Tables>(
     header: &mut Header,
     refusal: Refusal,
     ingress: &'t LinkEntry,
+    hop: T::NextHop,
     tables: &T,
-) -> Verdict<'t> {
+) -> Verdict<'t, T::NextHop> {
     let Some(code) = refusal.code else { return Verdict::Drop(refusal.counter) };
     tables.send_error(ingress);
     header.become_error(code, refusal.mtu);
     tables.stamp(header, ingress);
-    Verdict::Answer(ingress, refusal.counter)
+    Verdict::Answer(ingress, hop, refusal.counter)
 }

@@ -1,4 +1,4 @@
-//! ActionKind must be true of a frame before anything is looked up for it: its form, its link, its
+//! What must be true of a frame before anything is looked up for it: its form, its link, its
 //! tag, and that it is new.
 
 use super::FrameType;
@@ -31,7 +31,7 @@ pub fn arrival<'t, T: Tables>(
 }
 
 /// Takes a frame as an endpoint receives it on `link`: checks its form, that the neighbour sent it,
-/// and that it was not taken before. ActionKind it is: anything but a control frame.
+/// and that it was not taken before. What it is: anything but a control frame.
 pub fn accept(header: &Header, available: usize, link: &LinkEntry, window: &impl Words) -> Result<FrameType, Counter> {
     let frame_type = well_formed(header, available)?;
     if header.link_id() != link.id {

@@ -1,11 +1,11 @@
-//! ActionKind becomes of a frame at each link of a group.
+//! What becomes of a frame at each link of a group.
 
 use super::is_foreign;
 use crate::forward::rewrite::wait;
 use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
-/// ActionKind a link of a group gets.
+/// What a link of a group gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Copy {
     /// The frame, with its header as it is now and what [`Tables::stamp`] has left for later.

@@ -40,44 +40,50 @@ pub fn classify(first_byte: u8) -> Kind {
 
 /// Decides what happens to a frame of which `available` bytes are there, header included, and
 /// rewrites its header accordingly. `traffic`: the byte that IP has for DSCP and ECN in what
-/// carried it, of which only a router's mark counts (CE, RFC 3168); 0 on Ethernet. ActionKind lies
+/// carried it, of which only a router's mark counts (CE, RFC 3168); 0 on Ethernet. What lies
 /// behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries the
 /// verdict out leaves it behind. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or
 /// [`Verdict::Drop`], the header is unchanged.
 #[inline(always)]
-pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8, tables: &'t T) -> Verdict<'t> {
+pub fn decide<'t, T: Tables>(
+    header: &mut Header,
+    available: usize,
+    traffic: u8,
+    tables: &'t T,
+) -> Verdict<'t, T::NextHop> {
     let Arrival { link: ingress, window, count } = match arrival(header, available, tables) {
         Ok(arrival) => arrival,
         Err(counter) => return Verdict::Drop(counter),
     };
-    let classify_action = classify_action(header, ingress, tables);
-    // ActionKind is left to another plane is left as it came. Its window is the same: taken here,
+    let decision = classify_action(header, ingress, tables);
+    let mut hop = T::NextHop::default();
+    // What is left to another plane is left as it came. Its window is the same: taken here,
     // it would be refused there.
-    if !T::LAST && !is_for_this_plane(&classify_action, header.frame_len(), tables) {
+    if !T::LAST && !is_for_this_plane(&decision, header.frame_len(), tables, &mut hop) {
         return Verdict::Slow;
     }
     if !replay::take(&window, count) {
         return Verdict::Drop(Counter::Replayed);
     }
-    match classify_action.what {
+    match decision.what {
         ActionKind::Send => {
             if !carry_mark(header, traffic) {
                 return Verdict::Drop(Counter::Congested);
             }
-            rewrite_hop(header, ingress, classify_action.bits, classify_action.set);
-            wait(header, classify_action.link, tables);
-            tables.stamp(header, classify_action.link);
-            Verdict::Send(classify_action.link, classify_action.counter)
+            rewrite_hop(header, ingress, decision.bits, decision.set);
+            wait(header, decision.link, tables);
+            tables.stamp(header, decision.link);
+            Verdict::Send(decision.link, hop, decision.counter)
         }
         ActionKind::Copy => {
             if !carry_mark(header, traffic) {
                 return Verdict::Drop(Counter::Congested);
             }
-            rewrite_hop(header, ingress, classify_action.bits, classify_action.set);
-            Verdict::Copies(classify_action.group)
+            rewrite_hop(header, ingress, decision.bits, decision.set);
+            Verdict::Copies(decision.group)
         }
-        ActionKind::Refuse => answer::send_error(header, classify_action.refusal, ingress, tables),
-        ActionKind::Echo => answer::echo(header, ingress, tables),
+        ActionKind::Refuse => answer::send_error(header, decision.refusal, ingress, hop, tables),
+        ActionKind::Echo => answer::echo(header, ingress, hop, tables),
         ActionKind::Notice => Verdict::Notice(ingress),
         ActionKind::Punt => {
             tables.punt(ingress);
@@ -86,7 +92,7 @@ pub fn decide<'t, T: Tables>(header: &mut Header, available: usize, traffic: u8,
     }
 }
 
-/// ActionKind is to be done with a frame, before this plane knows whether it is the one to do it.
+/// What is to be done with a frame, before this plane knows whether it is the one to do it.
 ///
 /// Every field always holds something. Where an enum leaves one out, the compiler spills a register
 /// that nothing was written to when a plane's answer is a call, and the kernel's verifier refuses
@@ -156,11 +162,11 @@ fn classify_action<'t, T: Tables>(header: &Header, ingress: &'t LinkEntry, table
 }
 
 #[inline(always)]
-fn is_for_this_plane<T: Tables>(classify_action: &Decision<'_>, length: usize, tables: &T) -> bool {
-    match classify_action.what {
-        ActionKind::Send | ActionKind::Echo => tables.can_send(classify_action.link),
-        ActionKind::Copy => tables.can_copy(classify_action.group, classify_action.bits, length),
-        ActionKind::Refuse => classify_action.refusal.code.is_none() || tables.can_send(classify_action.link),
+fn is_for_this_plane<T: Tables>(decision: &Decision<'_>, length: usize, tables: &T, hop: &mut T::NextHop) -> bool {
+    match decision.what {
+        ActionKind::Send | ActionKind::Echo => tables.resolve(decision.link, hop),
+        ActionKind::Copy => tables.can_copy(decision.group, decision.bits, length),
+        ActionKind::Refuse => decision.refusal.code.is_none() || tables.resolve(decision.link, hop),
         ActionKind::Notice | ActionKind::Punt => false,
     }
 }

@@ -1,4 +1,4 @@
-//! ActionKind changes in the header of a frame that a switch forwards.
+//! What changes in the header of a frame that a switch forwards.
 
 use crate::forward::route::is_foreign;
 use crate::tables::Tables;
@@ -29,7 +29,7 @@ pub fn wait<T: Tables>(header: &mut Header, link: &LinkEntry, tables: &T) {
     }
 }
 
-/// ActionKind changes in a frame on its way through a switch, whatever link it leaves by.
+/// What changes in a frame on its way through a switch, whatever link it leaves by.
 #[inline(always)]
 pub fn rewrite_hop(header: &mut Header, ingress: &LinkEntry, bits: u64, set: u8) {
     header.hop_limit -= 1;

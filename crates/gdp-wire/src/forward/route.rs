@@ -11,7 +11,7 @@ pub enum Egress<'t> {
     Many { group: u32, bits: u64, set: u8 },
 }
 
-/// Why a frame goes nowhere, and what its neighbour is told.
+/// Why a frame goes nowhere, and the error that its neighbour gets.
 pub struct Refusal {
     pub counter: Counter,
     pub code: Option<ErrorCode>,
@@ -21,7 +21,7 @@ pub struct Refusal {
 
 impl Refusal {
     #[inline(always)]
-    fn told(counter: Counter, code: ErrorCode) -> Self {
+    fn disclosed(counter: Counter, code: ErrorCode) -> Self {
         Self { counter, code: Some(code), mtu: 0 }
     }
 }
@@ -41,7 +41,7 @@ pub fn route<'t, T: Tables>(
     tables: &'t T,
 ) -> Result<Egress<'t>, Refusal> {
     if header.hop_limit <= 1 {
-        return Err(Refusal::told(Counter::HopLimit, ErrorCode::HopLimit));
+        return Err(Refusal::disclosed(Counter::HopLimit, ErrorCode::HopLimit));
     }
     let (bits, set) = if ingress.role == LinkRole::Switch as u32 {
         (header.egress_bits(), header.egress_set)
@@ -49,7 +49,7 @@ pub fn route<'t, T: Tables>(
         looked_up(header, ingress, tables)?
     };
     if bits == 0 {
-        return Err(Refusal::told(Counter::NoEgress, ErrorCode::NoRoute));
+        return Err(Refusal::disclosed(Counter::NoEgress, ErrorCode::NoRoute));
     }
 
     let own = tables.own_bit();
@@ -59,7 +59,7 @@ pub fn route<'t, T: Tables>(
             Some(link) if rest & !link.reach == 0 => {
                 checked(Egress::One { link, bits, set, counter: Counter::Forwarded }, header, length, ingress)
             }
-            None if rest & (rest - 1) == 0 => Err(Refusal::told(Counter::NoEgress, ErrorCode::NoRoute)),
+            None if rest & (rest - 1) == 0 => Err(Refusal::disclosed(Counter::NoEgress, ErrorCode::NoRoute)),
             _ => Ok(Egress::Many { group: NEIGHBOURS, bits, set }),
         };
     }
@@ -70,11 +70,11 @@ pub fn route<'t, T: Tables>(
             }
             // Nobody here takes the name; or the one who does is just gone.
             None if rest == 0 && (entry.group == NEIGHBOURS || entry.local_link != 0) => {
-                Err(Refusal::told(Counter::NoRoute, ErrorCode::NoRoute))
+                Err(Refusal::disclosed(Counter::NoRoute, ErrorCode::NoRoute))
             }
             _ => Ok(Egress::Many { group: entry.group, bits, set }),
         },
-        None if rest == 0 => Err(Refusal::told(Counter::NoRoute, ErrorCode::NoRoute)),
+        None if rest == 0 => Err(Refusal::disclosed(Counter::NoRoute, ErrorCode::NoRoute)),
         None => Ok(Egress::Many { group: NEIGHBOURS, bits: rest, set }),
     }
 }
@@ -88,13 +88,13 @@ fn looked_up<T: Tables>(header: &Header, ingress: &LinkEntry, tables: &T) -> Res
         tables.is_permitted(&Permit { name: header.source, link: ingress.id, part: Permit::SOURCE })
     };
     if !may_be_source {
-        return Err(Refusal::told(Counter::Source, ErrorCode::NotAuthorised));
+        return Err(Refusal::disclosed(Counter::Source, ErrorCode::NotAuthorised));
     }
-    let entry = tables.route(&header.destination).ok_or(Refusal::told(Counter::NoRoute, ErrorCode::NoRoute))?;
+    let entry = tables.route(&header.destination).ok_or(Refusal::disclosed(Counter::NoRoute, ErrorCode::NoRoute))?;
     let listed = entry.writer_link == ingress.id || entry.writer_link == ANY_WRITER;
     let permit = || Permit { name: header.destination, link: ingress.id, part: Permit::DESTINATION };
     if !listed && (entry.more_writers == 0 || !tables.is_permitted(&permit())) {
-        return Err(Refusal::told(Counter::NotPermitted, ErrorCode::NotAuthorised));
+        return Err(Refusal::disclosed(Counter::NotPermitted, ErrorCode::NotAuthorised));
     }
     Ok((entry.egress_bits, entry.egress_set))
 }

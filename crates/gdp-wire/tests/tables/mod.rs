@@ -77,7 +77,8 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
         let without = Self { without_port: Some(port), longest_copy: usize::MAX, ..self };
         let own = without.own_bit;
         let groups = without.groups.iter().map(|(group, links)| {
-            let links = links.iter().filter_map(|id| without.links.get(id)).filter(|link| !without.can_send(link));
+            let links =
+                links.iter().filter_map(|id| without.links.get(id)).filter(|link| !without.resolve(link, &mut ()));
             let bits_of = |link: &LinkEntry| if link.role == LinkRole::Switch as u32 { link.reach } else { own };
             (*group, links.fold(u64::MAX, |served, link| served & !bits_of(link)))
         });
@@ -125,8 +126,8 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
             Fate::sent(self.carried(link, header, payload), counter)
         };
         match forward::decide(&mut header, length, class, self) {
-            forward::Verdict::Send(link, counter) => send(link, &header, payload, counter),
-            forward::Verdict::Answer(link, counter) => send(link, &header, &[], counter),
+            forward::Verdict::Send(link, (), counter) => send(link, &header, payload, counter),
+            forward::Verdict::Answer(link, (), counter) => send(link, &header, &[], counter),
             forward::Verdict::Copies(group) => Fate::copied(self.copies(&header, payload, group, ingress)),
             forward::Verdict::Notice(_) => Fate::new(Verdict::Pass, Counter::Notice),
             forward::Verdict::Slow => Fate::new(Verdict::Pass, Counter::Slow),
@@ -164,6 +165,8 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
 impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
     const LAST: bool = !KERNEL;
 
+    type NextHop = ();
+
     fn link(&self, id: u32) -> Option<&LinkEntry> {
         self.links.get(&id)
     }
@@ -195,7 +198,7 @@ impl<const KERNEL: bool> Tables for PlainTables<KERNEL> {
         *count
     }
 
-    fn can_send(&self, link: &LinkEntry) -> bool {
+    fn resolve(&self, link: &LinkEntry, _: &mut ()) -> bool {
         self.without_port != Some(link.port) && self.switch.link(link.id).is_some_and(|link| link.port.is_some())
     }
 
