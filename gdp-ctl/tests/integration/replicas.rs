@@ -240,7 +240,8 @@ impl Switches {
         self.daemons[i].as_ref()?;
         let mut command = own(env!("CARGO_BIN_EXE_gdp-ctl"));
         command.arg("--socket").arg(self.folder.join(format!("s{i}.sock"))).args(["status", "-j"]);
-        serde_json::from_slice(&command.output().unwrap().stdout).ok()
+        let output = command.output().unwrap();
+        output.status.success().then(|| serde_json::from_slice(&output.stdout).unwrap())
     }
 
     /// The one replica that leads, once all that run can ask it.
