@@ -75,7 +75,7 @@ fn feedback() -> Seeds {
             },
         ),
         ("nack", Feedback::Nack { name, session, missing: vec![Missing::whole(4), Missing::whole(6)] }),
-        ("gone", Feedback::Gone { name, session, oldest: 5 }),
+        ("gone", Feedback::Unavailable { name, session, oldest: 5 }),
     ];
     let encode = |feedback: &Feedback| {
         let mut bytes = Vec::new();

@@ -11,7 +11,7 @@ use gdp_core::crypto::{Aead, Backend, TAG_LEN};
 use gdp_core::identity::Identity;
 use gdp_core::keys::EpochKey;
 use gdp_e2e::seal::{
-    Draft, Encoding, Limits, MIN_PAYLOAD, MessageId, Reader, Received, SegmentId, Segments, Timestamps, Writer,
+    Draft, Encoding, MIN_PAYLOAD, MessageId, Reader, ReaderLimits, Received, SegmentId, Segments, Timestamps, Writer,
 };
 use gdp_wire::Name;
 
@@ -68,7 +68,7 @@ struct Scene {
     entity: Identity,
     epoch: u32,
     reader: Reader,
-    limits: Limits,
+    limits: ReaderLimits,
     now: Timestamps,
     /// What the writer has sealed, by sequence, and under how many cuts.
     sent: HashMap<u64, (Vec<u8>, u16)>,
@@ -84,13 +84,13 @@ impl Scene {
         let (name, key) = (entity.name(), entity.key().clone());
         let mut writer = Writer::new(NAME, name, key, Backend::default()).expect("a writer");
         writer.set_epoch(EPOCH, &EpochKey::from_bytes(KEY)).expect("the first epoch");
-        let limits = Limits {
+        let limits = ReaderLimits {
             max_message: 4000,
             max_memory_per_source: 20_000,
             max_memory: 30_000,
             deadline: DEADLINE,
             max_sessions: 3,
-            ..Limits::default()
+            ..ReaderLimits::default()
         };
         let mut reader = Reader::new(NAME, Backend::default(), limits);
         reader.authorise(name, entity.key().verify_key()).expect("a key");

@@ -193,7 +193,7 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
         connect_timeout: CONNECT_PATIENCE,
         rekey: RekeySchedule::default(),
         state: config.state.clone(),
-        papers: material.credentials.as_ref().map(|(credentials, _)| credentials.clone()),
+        credentials: material.credentials.as_ref().map(|(credentials, _)| credentials.clone()),
     };
     let addresses: Vec<String> = config.links.iter().map(|link| link.to.to_string()).collect();
     let addresses = addresses.join(", ");

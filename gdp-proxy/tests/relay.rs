@@ -171,7 +171,7 @@ impl Site {
         let papers = Credentials { membership: self.membership(identity.name(), "proxy"), peers: vec![] };
         let target = format!("udp://{to}").parse().unwrap();
         let config =
-            NodeConfig { papers: self.in_domain.then_some(papers), ..NodeConfig::new(identity.clone(), target) };
+            NodeConfig { credentials: self.in_domain.then_some(papers), ..NodeConfig::new(identity.clone(), target) };
         let deadline = Instant::now() + TIMEOUT;
         loop {
             match Node::connect(config.clone()).await {

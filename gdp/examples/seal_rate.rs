@@ -10,7 +10,7 @@ use clap::Parser;
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
 use gdp_core::keys::EpochKey;
-use gdp_e2e::seal::{Draft, Encoding, Limits, Reader, Received, Segments, Timestamps, Writer};
+use gdp_e2e::seal::{Draft, Encoding, Reader, ReaderLimits, Received, Segments, Timestamps, Writer};
 use gdp_wire::Name;
 
 #[derive(Parser)]
@@ -50,7 +50,7 @@ fn measure(options: &Options, batch: usize) -> Result<(f64, f64, usize)> {
     let (entity, name, key) = (Identity::generate("proxy")?, Name::from_bytes([1; 32]), EpochKey::generate()?);
     let mut writer = Writer::new(name, entity.name(), entity.key().clone(), Backend::default())?;
     writer.set_epoch(1, &key)?;
-    let mut reader = Reader::new(name, Backend::default(), Limits::default());
+    let mut reader = Reader::new(name, Backend::default(), ReaderLimits::default());
     reader.authorise(entity.name(), entity.key().verify_key())?;
     reader.set_key(&entity.name(), 1, key)?;
     reader.confirm_session(&entity.name(), writer.session(), 1)?;

@@ -99,11 +99,11 @@ impl Node {
     /// Makes links to the switches and attaches by them; returns as soon as one is up. Call within
     /// a tokio runtime.
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
-        let NodeConfig { identity, links, connect_timeout, rekey, state, papers } = config;
+        let NodeConfig { identity, links, connect_timeout, rekey, state, credentials } = config;
         if !(1..=MAX_LANES).contains(&links.len()) {
             return Err(NodeError::Links(links.len()));
         }
-        let home = Home::new(&identity, papers)?;
+        let home = Home::new(&identity, credentials)?;
         let (commands, command_queue) = std::sync::mpsc::channel();
         let (updates, update_queue) = mpsc::unbounded_channel();
         let revoked = Revoked::open(state.as_deref(), identity.name())?;
@@ -262,12 +262,12 @@ impl Node {
     /// Shows renewed papers from now on, also on the links there are. An error if they are not this
     /// node's, or a switch does not take them: then what was shown before counts there. Of no
     /// effect on a node that was made without.
-    pub async fn renew_credentials(&self, papers: Credentials) -> Result<(), NodeError> {
-        let (state, papers) = (&self.0.state, Arc::new(papers));
-        state.home.renew(papers.clone())?;
+    pub async fn renew_credentials(&self, credentials: Credentials) -> Result<(), NodeError> {
+        let (state, credentials) = (&self.0.state, Arc::new(credentials));
+        state.home.renew(credentials.clone())?;
         for lane in 0..state.send_path.links.slots().len() {
             if let Connection::Up(attachment) = state.send_path.links.connection(lane) {
-                let request = Request::Papers(Box::new(Credentials::clone(&papers)));
+                let request = Request::Papers(Box::new(Credentials::clone(&credentials)));
                 attachment.link.request(&request).await?.accepted()?;
             }
         }

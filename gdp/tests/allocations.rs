@@ -4,7 +4,7 @@
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
 use gdp_core::keys::EpochKey;
-use gdp_e2e::seal::{Draft, Encoding, Limits, Reader, Received, Segments, Timestamps, Writer};
+use gdp_e2e::seal::{Draft, Encoding, Reader, ReaderLimits, Received, Segments, Timestamps, Writer};
 use gdp_wire::Name;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -45,7 +45,7 @@ fn frames_cost_no_allocation() {
     let (name, epoch_key) = (Name::from_bytes([1; 32]), EpochKey::generate().unwrap());
     let mut writer = Writer::new(name, entity.name(), entity.key().clone(), Backend::AwsLc).unwrap();
     writer.set_epoch(1, &epoch_key).unwrap();
-    let mut reader = Reader::new(name, Backend::AwsLc, Limits::default());
+    let mut reader = Reader::new(name, Backend::AwsLc, ReaderLimits::default());
     reader.authorise(entity.name(), entity.key().verify_key()).unwrap();
     reader.set_key(&entity.name(), 1, epoch_key).unwrap();
     reader.confirm_session(&entity.name(), writer.session(), 1).unwrap();

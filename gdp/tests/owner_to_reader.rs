@@ -7,7 +7,7 @@ use gdp_core::cert::{AdCert, Advert, AdvertOp, CertError, Grantee, Issued, Mode,
 use gdp_core::crypto::Backend;
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::EpochKey;
-use gdp_e2e::seal::{Encoding, Limits, Reader, Received, Segments, Timestamps, Writer};
+use gdp_e2e::seal::{Encoding, Reader, ReaderLimits, Received, Segments, Timestamps, Writer};
 use gdp_wire::Name;
 
 const NOW: u64 = 1_800_000_000;
@@ -39,7 +39,7 @@ fn a_message_crosses_from_an_authorised_writer_to_a_reader() -> anyhow::Result<(
     let epoch_key = EpochKey::generate()?;
     let mut sealing = Writer::new(name, writer.name(), writer.key().clone(), Backend::default())?;
     sealing.set_epoch(1, &epoch_key)?;
-    let mut opening = Reader::new(name, Backend::default(), Limits::default());
+    let mut opening = Reader::new(name, Backend::default(), ReaderLimits::default());
     opening.authorise(writer.name(), writer.key().verify_key())?;
     opening.set_key(&writer.name(), 1, epoch_key)?;
     opening.confirm_session(&writer.name(), sealing.session(), 1)?;

@@ -20,7 +20,7 @@ const WELCOME_LEN: usize = 1 + 32 + 16 + 16 + 8 + 1;
 const REPORT_LEN: usize = 1 + 32 + 16 + 4 * 8 + 4 + 8 + 4 + 4;
 const NACK_LEN: usize = 1 + 32 + 16 + 1;
 const MISSING_LEN: usize = 6 + 2 + 4 + 4;
-const GONE_LEN: usize = 1 + 32 + 16 + 8;
+const UNAVAILABLE_LEN: usize = 1 + 32 + 16 + 8;
 
 /// What a reader asks of a writer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,7 +73,7 @@ pub enum Feedback {
     },
     /// Writer → reader, in answer to a Nack: what came before this sequence cannot be repaired any
     /// more.
-    Gone { name: Name, session: [u8; 16], oldest: u64 },
+    Unavailable { name: Name, session: [u8; 16], oldest: u64 },
 }
 
 /// A range of segments of one message.
@@ -125,7 +125,7 @@ impl Feedback {
             | Self::Welcome { name, .. }
             | Self::Report { name, .. }
             | Self::Nack { name, .. }
-            | Self::Gone { name, .. } => *name,
+            | Self::Unavailable { name, .. } => *name,
         }
     }
 
@@ -164,8 +164,8 @@ impl Feedback {
                     put(out, &[first, count].map(|field| field.to_be_bytes()));
                 }
             }
-            Self::Gone { name, session, oldest } => {
-                put(out, &[&[kind::GONE][..], name.as_bytes(), session, &oldest.to_be_bytes()]);
+            Self::Unavailable { name, session, oldest } => {
+                put(out, &[&[kind::UNAVAILABLE][..], name.as_bytes(), session, &oldest.to_be_bytes()]);
             }
         }
         Ok(())
@@ -184,7 +184,7 @@ impl Feedback {
                 Some(count) => return Err(FeedbackError::Ranges(count)),
                 None => NACK_LEN,
             },
-            kind::GONE => GONE_LEN,
+            kind::UNAVAILABLE => UNAVAILABLE_LEN,
             kind => return Err(FeedbackError::Kind(kind)),
         };
         let wrong_length = FeedbackError::Length { got: bytes.len(), expected };
@@ -220,7 +220,7 @@ impl Feedback {
                 echo_index: fields.u32()?,
                 delay_us: fields.u32()?,
             },
-            kind::GONE => Self::Gone { name, session: fields.take()?, oldest: fields.u64()? },
+            kind::UNAVAILABLE => Self::Unavailable { name, session: fields.take()?, oldest: fields.u64()? },
             _ => {
                 let session = fields.take()?;
                 let [count] = fields.take()?;
@@ -237,7 +237,7 @@ impl Feedback {
         };
         match self {
             Self::Hello { .. } => Ok(()),
-            Self::Welcome { sequence: from, .. } | Self::Gone { oldest: from, .. } => sequence(*from),
+            Self::Welcome { sequence: from, .. } | Self::Unavailable { oldest: from, .. } => sequence(*from),
             Self::Report { highest, acknowledged, echo, .. } => {
                 [highest, acknowledged, echo].into_iter().try_for_each(|number| sequence(*number))
             }
@@ -262,7 +262,7 @@ mod kind {
     pub const WELCOME: u8 = 2;
     pub const REPORT: u8 = 3;
     pub const NACK: u8 = 4;
-    pub const GONE: u8 = 5;
+    pub const UNAVAILABLE: u8 = 5;
 }
 
 fn put<T: AsRef<[u8]>>(out: &mut Vec<u8>, parts: &[T]) {

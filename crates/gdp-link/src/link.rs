@@ -68,11 +68,11 @@ struct Inner {
     mtu: u32,
     /// Whether the peer takes datagrams over IPv6 without a UDP checksum.
     zero_checksum: bool,
-    place: LinkLocation,
+    location: LinkLocation,
     connection: quinn::Connection,
     requests: Mutex<mpsc::Receiver<(Request, Responder)>>,
     streams: JoinHandle<()>,
-    papers: StdMutex<Option<Arc<Credentials>>>,
+    credentials: StdMutex<Option<Arc<Credentials>>>,
     /// Why this side closed it.
     closed_for: OnceLock<String>,
 }
@@ -82,7 +82,7 @@ impl Link {
     /// begins to take requests.
     pub(crate) fn new(
         connection: quinn::Connection,
-        place: LinkLocation,
+        location: LinkLocation,
         local: (LinkId, u32),
         peer: Peer,
         peer_end: PeerEnd,
@@ -95,8 +95,11 @@ impl Link {
         let ratchet = Ratchet::new(rx, tx, schedule, Instant::now())
             .map_err(|error| LinkError::Handshake(format!("no keys can be derived: {error}")))?;
         let (sender, requests) = mpsc::channel(MAX_STREAMS as usize);
-        let (heard, announcements) = mpsc::channel(MAX_ANNOUNCEMENTS);
-        let streams = tokio::spawn(streams::serve(connection.clone(), streams::Takers { requests: sender, heard }));
+        let (announced, announcements) = mpsc::channel(MAX_ANNOUNCEMENTS);
+        let streams = tokio::spawn(streams::serve(
+            connection.clone(),
+            streams::Takers { requests: sender, announcements: announced },
+        ));
         Ok(Self(Arc::new(Inner {
             peer,
             local_id: local.0,
@@ -105,11 +108,11 @@ impl Link {
             announcements: Mutex::new(announcements),
             mtu: local.1.min(peer_end.mtu),
             zero_checksum: peer_end.zero_checksum,
-            place,
+            location,
             connection,
             requests: Mutex::new(requests),
             streams,
-            papers: StdMutex::new(peer_end.papers.map(Arc::new)),
+            credentials: StdMutex::new(peer_end.credentials.map(Arc::new)),
             closed_for: OnceLock::new(),
         })))
     }
@@ -119,13 +122,13 @@ impl Link {
     }
 
     /// What the peer shows of its domain; judged by nobody yet.
-    pub fn papers(&self) -> Option<Arc<Credentials>> {
-        self.0.papers.lock().clone()
+    pub fn credentials(&self) -> Option<Arc<Credentials>> {
+        self.0.credentials.lock().clone()
     }
 
     /// The peer shows renewed papers.
-    pub fn set_credentials(&self, papers: Arc<Credentials>) {
-        *self.0.papers.lock() = Some(papers);
+    pub fn set_credentials(&self, credentials: Arc<Credentials>) {
+        *self.0.credentials.lock() = Some(credentials);
     }
 
     /// The id in frames that arrive.
@@ -136,7 +139,7 @@ impl Link {
     /// Largest data frame, header and payload, in bytes. Over UDP it follows what QUIC finds out
     /// about the path.
     pub fn mtu(&self) -> u32 {
-        match self.0.place {
+        match self.0.location {
             LinkLocation::Ethernet { .. } => self.0.mtu,
             LinkLocation::Udp { .. } => self.0.mtu.min(self.0.connection.stats().path.current_mtu.into()),
         }
@@ -145,7 +148,7 @@ impl Link {
     /// Where data frames go. A UDP address moves when the peer did and QUIC has validated its new
     /// path.
     pub fn addr(&self) -> LinkAddr {
-        match self.0.place {
+        match self.0.location {
             LinkLocation::Ethernet { ifindex, peer_mac, .. } => LinkAddr::Ethernet { ifindex, mac: peer_mac },
             LinkLocation::Udp { pair: None, .. } => LinkAddr::udp(self.0.connection.remote_address()),
             LinkLocation::Udp { pair: Some(pair), .. } => {
@@ -156,7 +159,7 @@ impl Link {
 
     /// Whether frames go by the [`HostPair`] of the switch.
     pub fn is_by_pair(&self) -> bool {
-        matches!(self.0.place, LinkLocation::Udp { pair: Some(_), .. })
+        matches!(self.0.location, LinkLocation::Udp { pair: Some(_), .. })
     }
 
     /// What carries data frames to the peer. Over UDP it follows the addresses of both sides.
@@ -164,7 +167,7 @@ impl Link {
         let inner = &*self.0;
         // An endpoint takes frames from a socket; a switch before the kernel would join them.
         let joins = if inner.peer.role == Role::Endpoint { Carrier::CHECKSUM } else { 0 };
-        match inner.place {
+        match inner.location {
             LinkLocation::Ethernet { vlan, local_mac, peer_mac, .. } => {
                 Carrier { vlan, ..Carrier::ethernet(peer_mac, local_mac) }
             }

@@ -87,7 +87,7 @@ pub struct PortConfig {
     pub rekey: RekeySchedule,
     /// What is shown of a domain, to peers of links that are made from now on. Shared by all ports
     /// of an entity.
-    pub papers: CurrentCredentials,
+    pub credentials: CurrentCredentials,
     /// Of peers that dial in. Shared by all ports of an entity.
     pub handshakes: HandshakeCounters,
 }
@@ -105,8 +105,19 @@ impl PortConfig {
 
     fn new(identity: Identity, role: Role, link_ids: LinkIds) -> Self {
         let (ethertype, rekey) = (gdp_wire::ETHERTYPE, RekeySchedule::default());
-        let (papers, handshakes) = (CurrentCredentials::default(), HandshakeCounters::default());
-        Self { identity, role, lane: 0, through: None, link_ids, listen: false, ethertype, rekey, papers, handshakes }
+        let (credentials, handshakes) = (CurrentCredentials::default(), HandshakeCounters::default());
+        Self {
+            identity,
+            role,
+            lane: 0,
+            through: None,
+            link_ids,
+            listen: false,
+            ethertype,
+            rekey,
+            credentials,
+            handshakes,
+        }
     }
 }
 
@@ -198,7 +209,7 @@ impl Port {
             zero_checksum: matches!(medium, Medium::Udp { zero_checksum: true, .. }),
             host: if let Medium::Udp { host, .. } = medium { host } else { None },
             pair: CurrentPair::default(),
-            papers: config.papers.clone(),
+            credentials: config.credentials.clone(),
         };
         let (sender, accepted) = mpsc::channel(MAX_HANDSHAKES);
         let accepting =
@@ -243,8 +254,8 @@ impl Port {
             let connection = connecting
                 .await
                 .map_err(|error| LinkError::Handshake(format!("no answer from {to} that is one of a peer: {error}")))?;
-            let place = self.medium.place(&connection);
-            greet_as_client(connection, place, hello, expected).await
+            let location = self.medium.location(&connection);
+            greet_as_client(connection, location, hello, expected).await
         };
         timeout(HANDSHAKE_TIMEOUT, handshake)
             .await
@@ -347,7 +358,7 @@ impl Drop for Port {
 }
 
 impl Medium {
-    fn place(&self, connection: &quinn::Connection) -> LinkLocation {
+    fn location(&self, connection: &quinn::Connection) -> LinkLocation {
         match self {
             Self::Ethernet(interface, _) => LinkLocation::Ethernet {
                 ifindex: interface.index,
@@ -374,7 +385,7 @@ async fn accept_all(
     let handshakes = Handshakes::new(counters.clone());
     while let Some(incoming) = endpoint.accept().await {
         let from = incoming.remote_address();
-        let started = match handshakes.judge(Instant::now(), from.ip(), medium.is_udp() && incoming.may_retry()) {
+        let started = match handshakes.admit(Instant::now(), from.ip(), medium.is_udp() && incoming.may_retry()) {
             Verdict::Ignore => {
                 incoming.ignore();
                 continue;
@@ -406,6 +417,6 @@ async fn accept_all(
 async fn accept_one(incoming: Incoming, hello: &HelloConfig, medium: &Medium) -> Result<Link, LinkError> {
     let failed = |error: quinn::ConnectionError| LinkError::Handshake(error.to_string());
     let connection = incoming.accept().map_err(failed)?.await.map_err(failed)?;
-    let place = medium.place(&connection);
-    greet_as_server(connection, place, hello).await
+    let location = medium.location(&connection);
+    greet_as_server(connection, location, hello).await
 }

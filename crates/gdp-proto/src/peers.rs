@@ -98,7 +98,7 @@ pub struct Counterparts {
     domains: BTreeMap<Name, Revocation>,
     known: BTreeMap<Name, Counterpart>,
     /// Run and generation of what came last.
-    told: Option<(u64, u64)>,
+    known_generation: Option<(u64, u64)>,
     /// The next part of a whole that is under way, and whom it has named so far.
     whole: Option<(u32, BTreeSet<Name>)>,
 }
@@ -107,7 +107,7 @@ impl Counterparts {
     /// None yet. `role` is what the entity itself is to the name that `proof` shows.
     pub fn new(proof: NameProof, role: NameRole) -> Result<Self, CertError> {
         let (name, domains, known) = (proof.name()?, BTreeMap::new(), BTreeMap::new());
-        Ok(Self { name, proof, role, revocation: None, domains, known, told: None, whole: None })
+        Ok(Self { name, proof, role, revocation: None, domains, known, known_generation: None, whole: None })
     }
 
     pub fn known(&self) -> impl Iterator<Item = &Counterpart> {
@@ -142,7 +142,7 @@ impl Counterparts {
     /// Takes what the RIB told at `now` (Unix seconds): in its answer, or pushed.
     pub fn take(&mut self, now: u64, peers: &Peers) -> Result<Vec<PeerEvent>, OutOfStep> {
         self.check_order(peers).ok_or(OutOfStep { run: peers.run, got: peers.generation })?;
-        self.told = Some((peers.run, peers.generation));
+        self.known_generation = Some((peers.run, peers.generation));
         let begins = matches!(peers.extent, PeersExtent::Whole { part: 0, .. });
         if begins {
             self.whole = Some((0, BTreeSet::new()));
@@ -229,12 +229,12 @@ impl Counterparts {
     }
 
     fn check_order(&self, peers: &Peers) -> Option<()> {
-        let newer = self.told.is_none_or(|(run, held)| run != peers.run || peers.generation > held);
-        let same_run = self.told.is_some_and(|(run, _)| run == peers.run);
+        let newer = self.known_generation.is_none_or(|(run, held)| run != peers.run || peers.generation > held);
+        let same_run = self.known_generation.is_some_and(|(run, _)| run == peers.run);
         let in_order = match peers.extent {
             PeersExtent::Whole { part: 0, .. } => true,
             PeersExtent::Whole { part, .. } => same_run && self.whole.as_ref().is_some_and(|(next, _)| *next == part),
-            PeersExtent::After(held) => self.told == Some((peers.run, held)) && self.whole.is_none(),
+            PeersExtent::After(held) => self.known_generation == Some((peers.run, held)) && self.whole.is_none(),
         };
         (newer && in_order).then_some(())
     }

@@ -5,7 +5,7 @@
 use std::io;
 
 use bytes::Bytes;
-use gdp_e2e::seal::{Encoding, Limits};
+use gdp_e2e::seal::{Encoding, ReaderLimits};
 use zstd::bulk::{Compressor, Decompressor};
 
 /// In the number of an encoding: the body is one zstd frame, which states its length, of a body in
@@ -73,7 +73,8 @@ pub fn unpacked(encoding: Encoding, body: Bytes) -> Result<(Encoding, Bytes), Un
     if inner == encoding || !is_packable(inner) {
         return Ok((encoding, body));
     }
-    let (stated, most) = (zstd::decompressed_size(&body).ok_or(UnpackError::Unstated)?, Limits::default().max_message);
+    let (stated, most) =
+        (zstd::decompressed_size(&body).ok_or(UnpackError::Unstated)?, ReaderLimits::default().max_message);
     let length = usize::try_from(stated).ok().filter(|length| *length <= most);
     let mut output = Vec::with_capacity(length.ok_or(UnpackError::TooLarge { got: stated, most })?);
     let got = Decompressor::new().and_then(|mut zstd| zstd.decompress_to_buffer(&body, &mut output));

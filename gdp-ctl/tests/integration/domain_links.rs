@@ -404,7 +404,8 @@ fn until(link: &Value) -> u64 {
 async fn attach(identity: &Identity, papers: Option<Credentials>, to: SocketAddr) -> Result<Node, NodeError> {
     let target: LinkTarget = format!("udp://{to}").parse().unwrap();
     let connect_timeout = Duration::from_secs(4);
-    Node::connect(NodeConfig { papers, connect_timeout, ..NodeConfig::new(identity.clone(), target) }).await
+    Node::connect(NodeConfig { credentials: papers, connect_timeout, ..NodeConfig::new(identity.clone(), target) })
+        .await
 }
 
 /// What all daemons of this process have logged.

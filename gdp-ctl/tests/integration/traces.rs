@@ -97,7 +97,7 @@ impl Borders {
         let border = Identity::generate("switch").unwrap();
         let membership = away.admit(border.name(), "border", LONG);
         let config = PortConfig::switch(border.clone(), LinkIds::new());
-        config.papers.set(Arc::new(Credentials { membership, peers: vec![away.peer(&home, "peering", LONG)] }));
+        config.credentials.set(Arc::new(Credentials { membership, peers: vec![away.peer(&home, "peering", LONG)] }));
         let port = Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap();
         let link = port.dial(LinkAddr::udp(place.addr), Some(place.name)).await.unwrap();
         let borders = Self { home, away, inner, _inner_running: inner_running, running, border, link, _port: port };

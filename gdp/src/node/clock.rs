@@ -19,7 +19,7 @@ impl Clock {
         self.0.elapsed().as_nanos() as u64
     }
 
-    pub fn moment(&self) -> Timestamps {
+    pub fn timestamps(&self) -> Timestamps {
         Timestamps { steady_ns: self.now(), unix_ns: unix_nanos() }
     }
 }

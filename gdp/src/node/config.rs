@@ -27,7 +27,7 @@ pub struct NodeConfig {
     pub state: Option<PathBuf>,
     /// What the node shows of its trust domain. With it, it takes switches of that domain only, and
     /// of those that the domain has issued a PeerCert to; without, any.
-    pub papers: Option<Credentials>,
+    pub credentials: Option<Credentials>,
 }
 
 /// One of a node's links.
@@ -51,6 +51,6 @@ impl NodeConfig {
     /// One link, to any switch at `link`, waited for 10 s.
     pub fn new(identity: Identity, link: LinkTarget) -> Self {
         let (connect_timeout, rekey) = (Duration::from_secs(10), RekeySchedule::default());
-        Self { identity, links: vec![link.into()], connect_timeout, rekey, state: None, papers: None }
+        Self { identity, links: vec![link.into()], connect_timeout, rekey, state: None, credentials: None }
     }
 }

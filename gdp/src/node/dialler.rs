@@ -52,8 +52,8 @@ impl Dialler {
     ) -> Self {
         let LinkConfig { target, switch: pinned, .. } = config;
         let through = if let LinkTarget::Udp { interface, .. } = &target { interface.clone() } else { None };
-        let papers = home.credentials.clone();
-        let port_config = PortConfig { rekey, lane, through, papers, ..PortConfig::endpoint(identity) };
+        let credentials = home.credentials.clone();
+        let port_config = PortConfig { rekey, lane, through, credentials, ..PortConfig::endpoint(identity) };
         let changes = network.as_ref().map(|network| network.changes());
         let (port, through, address, path) = (None, None, None, NetworkPath::Unknown);
         Self { target, port, through, network, path, home, pinned, port_config, changes, address }

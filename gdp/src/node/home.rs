@@ -45,7 +45,7 @@ impl Home {
 
     /// Whether the switch at the other end may have the link.
     pub fn admit(&self, link: &Link) -> Result<Admission, DomainError> {
-        self.admit_by(link, link.papers().as_deref())
+        self.admit_by(link, link.credentials().as_deref())
     }
 
     fn admit_by(&self, link: &Link, shown: Option<&Credentials>) -> Result<Admission, DomainError> {
@@ -56,19 +56,19 @@ impl Home {
     }
 
     /// Puts renewed papers in place of those there were; a node without any stays so.
-    pub fn renew(&self, papers: Arc<Credentials>) -> Result<(), DomainError> {
+    pub fn renew(&self, credentials: Arc<Credentials>) -> Result<(), DomainError> {
         if let Some(trust) = &self.trust {
-            trust.lock().renew(papers.clone(), true)?;
-            self.credentials.set(papers);
+            trust.lock().renew(credentials.clone(), true)?;
+            self.credentials.set(credentials);
             self.changed();
         }
         Ok(())
     }
 
     /// The switch shows renewed papers.
-    pub fn take_credentials(&self, link: &Link, papers: Credentials) -> Result<(), DomainError> {
-        self.admit_by(link, Some(&papers))?;
-        link.set_credentials(Arc::new(papers));
+    pub fn take_credentials(&self, link: &Link, credentials: Credentials) -> Result<(), DomainError> {
+        self.admit_by(link, Some(&credentials))?;
+        link.set_credentials(Arc::new(credentials));
         self.changed();
         Ok(())
     }

@@ -53,7 +53,7 @@ impl State {
             return self.counters.requests_refused.add(1);
         };
         if instances.right(&request.writer).is_none() {
-            let dropped = tray.hold(now, request);
+            let dropped = tray.defer(now, request);
             self.counters.requests_refused.add(dropped as u64);
         } else if !tray.put(request) {
             self.counters.queue_full.add(1);

@@ -78,7 +78,7 @@ impl Network {
             while let Some((message, _)) = messages.next().await {
                 match message.payload {
                     NetlinkPayload::InnerMessage(RouteNetlinkMessage::NewLink(link)) => kept.lock().take(&link),
-                    NetlinkPayload::InnerMessage(RouteNetlinkMessage::DelLink(link)) => kept.lock().gone(&link),
+                    NetlinkPayload::InnerMessage(RouteNetlinkMessage::DelLink(link)) => kept.lock().removed(&link),
                     _ => {}
                 }
                 told.send_replace(());
@@ -240,7 +240,7 @@ impl Carriers {
         self.set(link.header.index, link.header.flags.contains(LinkFlags::Up | LinkFlags::LowerUp));
     }
 
-    fn gone(&mut self, link: &LinkMessage) {
+    fn removed(&mut self, link: &LinkMessage) {
         self.set(link.header.index, false);
     }
 

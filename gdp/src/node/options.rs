@@ -4,7 +4,7 @@ use std::time::Duration;
 
 pub use gdp_e2e::feedback_wire::Wants;
 pub use gdp_e2e::keys::Rotation;
-use gdp_e2e::seal::Limits;
+use gdp_e2e::seal::ReaderLimits;
 use gdp_e2e::transport;
 use gdp_e2e::transport::{History, InboundOptions, Order, TopicOptions};
 
@@ -100,7 +100,7 @@ pub struct SubscribeOptions {
     /// when one fails, as long as its frames fit each of them. Otherwise it comes by the main one.
     pub duplicate: bool,
     /// For messages that are not complete yet, and for how old they may be.
-    pub limits: Limits,
+    pub limits: ReaderLimits,
     /// Complete messages that wait for [`Subscription::recv`](super::Subscription::recv). More are
     /// dropped and counted; those of reliable names wait at their publisher.
     pub queue: usize,
@@ -110,12 +110,12 @@ pub struct SubscribeOptions {
 
 impl SubscribeOptions {
     pub fn best_effort() -> Self {
-        let limits = Limits { max_age: MAX_AGE, ..Limits::default() };
+        let limits = ReaderLimits { max_age: MAX_AGE, ..ReaderLimits::default() };
         Self { wants: Wants::Newest, duplicate: false, limits, queue: 256, queue_bytes: 64 << 20 }
     }
 
     pub fn reliable() -> Self {
-        let limits = Limits { max_age: MAX_RELIABLE_AGE, deadline: MAX_RELIABLE_AGE, ..Limits::default() };
+        let limits = ReaderLimits { max_age: MAX_RELIABLE_AGE, deadline: MAX_RELIABLE_AGE, ..ReaderLimits::default() };
         Self { wants: Wants::Every, limits, ..Self::best_effort() }
     }
 
@@ -131,9 +131,9 @@ impl SubscribeOptions {
         if reliable {
             return InboundOptions::every();
         }
-        let Limits { deadline, max_memory_per_source, .. } = self.limits;
+        let ReaderLimits { deadline, max_memory_per_source, .. } = self.limits;
         // One that asks for every message would wait too long for each of a writer that keeps none.
-        let deadline = if self.wants != Wants::Newest { Limits::default().deadline } else { deadline };
+        let deadline = if self.wants != Wants::Newest { ReaderLimits::default().deadline } else { deadline };
         let newest = InboundOptions::newest();
         InboundOptions { order: Order::Newest, deadline: nanos(deadline), bytes: max_memory_per_source, ..newest }
     }

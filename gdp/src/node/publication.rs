@@ -18,7 +18,7 @@ use gdp_core::cert::Revocation;
 use gdp_core::crypto::PUBLIC_KEY_LEN;
 use gdp_core::identity::Identity;
 use gdp_e2e::feedback_wire::{Feedback, Wants};
-use gdp_e2e::transport::{Topic, TopicCounters};
+use gdp_e2e::transport::{TopicCounters, TopicId};
 use gdp_proto::peers::{Counterpart, PeerEvent};
 
 /// A reader that is not attached any more keeps its place and its keys for so long: links come
@@ -104,7 +104,7 @@ impl Publication {
         })
     }
 
-    pub fn topic(&self) -> Topic {
+    pub fn topic(&self) -> TopicId {
         self.sealer.topic
     }
 

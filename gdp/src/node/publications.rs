@@ -7,7 +7,7 @@ use gdp_wire::Name;
 use parking_lot::Mutex;
 
 use super::publication::Publication;
-use gdp_e2e::transport::Topic;
+use gdp_e2e::transport::TopicId;
 
 /// Its lock is never held while a publication is used.
 #[derive(Default)]
@@ -16,7 +16,7 @@ pub struct Publications(Mutex<Index>);
 #[derive(Default)]
 struct Index {
     by_name: HashMap<Name, Arc<Publication>>,
-    by_topic: HashMap<Topic, Arc<Publication>>,
+    by_topic: HashMap<TopicId, Arc<Publication>>,
 }
 
 impl Publications {
@@ -37,7 +37,7 @@ impl Publications {
         self.0.lock().by_name.get(name).cloned()
     }
 
-    pub fn of(&self, topic: Topic) -> Option<Arc<Publication>> {
+    pub fn of(&self, topic: TopicId) -> Option<Arc<Publication>> {
         self.0.lock().by_topic.get(&topic).cloned()
     }
 

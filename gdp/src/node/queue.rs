@@ -7,19 +7,19 @@ use gdp_wire::Name;
 use tokio::sync::mpsc;
 
 use super::command::{Command, Commands};
-use super::subscription_receiver::Shared;
+use super::subscription_receiver::QueueState;
 use gdp_e2e::seal::Message;
 
 /// Verified messages from the receiving thread.
 pub struct Queue {
     pub name: Name,
-    pub shared: Arc<Shared>,
+    pub shared: Arc<QueueState>,
     commands: Commands,
     receiver: mpsc::Receiver<Message>,
 }
 
 impl Queue {
-    pub fn new(name: Name, receiver: mpsc::Receiver<Message>, shared: Arc<Shared>, commands: Commands) -> Self {
+    pub fn new(name: Name, receiver: mpsc::Receiver<Message>, shared: Arc<QueueState>, commands: Commands) -> Self {
         Self { name, shared, commands, receiver }
     }
 

@@ -318,7 +318,7 @@ impl Subscriptions {
 
     /// Looks again at what came too early from a writer.
     fn release(&mut self, name: &Name, writer: &Name) {
-        let now = self.send_path.clock.moment();
+        let now = self.send_path.clock.timestamps();
         let Some(receiver) = self.receivers.get_mut(name) else { return };
         for frame in self.early.release(name, writer) {
             match receiver.push(now, frame.source, &frame.payload, frame.marked, &self.send_path.counters) {
@@ -329,7 +329,7 @@ impl Subscriptions {
     }
 
     fn take(&mut self, batch: &mut RecvBatch, links: &Ingresses) {
-        let now = self.send_path.clock.moment();
+        let now = self.send_path.clock.timestamps();
         let counters = self.send_path.counters.clone();
         counters.frames_received.add(batch.len() as u64);
         for InFrame { bytes: frame, congested, .. } in batch.frames() {
@@ -406,7 +406,7 @@ impl Subscriptions {
                     self.send_path.scheduler.feedback(now, publication.topic(), source, &feedback);
                 }
             }
-            Feedback::Welcome { .. } | Feedback::Gone { .. } => {
+            Feedback::Welcome { .. } | Feedback::Unavailable { .. } => {
                 let Some(receiver) = self.receivers.get_mut(&name) else { return };
                 if receiver.hear(now, &source, &feedback) {
                     self.release(&name, &source);

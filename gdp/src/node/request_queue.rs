@@ -68,7 +68,7 @@ impl Tray {
 
     /// Keeps a request of one who is not known as a caller yet. Returns how many were dropped for
     /// it.
-    pub fn hold(&mut self, now: u64, request: Message) -> usize {
+    pub fn defer(&mut self, now: u64, request: Message) -> usize {
         self.early_bytes += request.body.len();
         self.early.push_back((now, request));
         let mut dropped = 0;

@@ -25,7 +25,7 @@ pub struct Revoked {
     /// Locked while it is written.
     file: Option<Mutex<RevocationFile>>,
     /// Those heard of last come last.
-    kept: Mutex<Vec<(Kept, Revocation)>>,
+    entries: Mutex<Vec<(Kept, Revocation)>>,
     unsaved: AtomicBool,
     /// They could not be saved the last time, and the log says so.
     failing: AtomicBool,
@@ -40,18 +40,18 @@ impl Revoked {
         let file = RevocationFile::of_entity(folder, entity, MAX_FILE);
         let mut kept = file.load()?;
         kept.reverse();
-        Ok(Self { file: Some(Mutex::new(file)), kept: Mutex::new(kept), ..Self::default() })
+        Ok(Self { file: Some(Mutex::new(file)), entries: Mutex::new(kept), ..Self::default() })
     }
 
     pub fn of(&self, name: &Name) -> Option<(Signed<Revocation>, Revocation)> {
-        let kept = self.kept.lock();
+        let kept = self.entries.lock();
         let (kept, claims) = kept.iter().find(|(_, claims)| claims.name == *name)?;
         Some((kept.revocation.clone(), claims.clone()))
     }
 
     /// Keeps one that was verified, unless a newer one of its name is kept.
     pub fn keep(&self, proof: NameProof, revocation: Signed<Revocation>, claims: Revocation) {
-        let mut kept = self.kept.lock();
+        let mut kept = self.entries.lock();
         if let Some(at) = kept.iter().position(|(_, held)| held.name == claims.name) {
             if kept[at].1.number >= claims.number {
                 return;
@@ -73,7 +73,7 @@ impl Revoked {
             return;
         }
         // The file has those first that count most.
-        let kept: Vec<Kept> = self.kept.lock().iter().rev().map(|(kept, _)| kept.clone()).collect();
+        let kept: Vec<Kept> = self.entries.lock().iter().rev().map(|(kept, _)| kept.clone()).collect();
         let saved = file.save(&kept);
         let failed_before = self.failing.swap(saved.is_err(), Ordering::Relaxed);
         match saved {

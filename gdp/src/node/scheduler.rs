@@ -13,7 +13,7 @@ use super::clock::Clock;
 use super::links::Links;
 use super::message_batch::Turns;
 use gdp_e2e::feedback_wire::Feedback;
-use gdp_e2e::transport::{Output, Topic, Transmit, Uplink, UplinkOptions};
+use gdp_e2e::transport::{Output, TopicId, Transmit, Uplink, UplinkOptions};
 use gdp_link::port::BATCH;
 
 pub struct Scheduler {
@@ -39,7 +39,7 @@ struct Queues {
     stop: bool,
     events: Vec<Output>,
     /// Topics whose small messages wait for others, and until when.
-    batching: BTreeSet<(u64, Topic)>,
+    batching: BTreeSet<(u64, TopicId)>,
 }
 
 /// What came of [`Scheduler::poll`].
@@ -48,14 +48,14 @@ pub struct Polled {
     /// When there is more; `None` if it depends on others.
     pub next: Option<u64>,
     /// Topics that have room for a publisher that waits.
-    pub rooms: Vec<Topic>,
+    pub rooms: Vec<TopicId>,
 }
 
 /// What the sending thread brings to the sealers.
 pub struct Due {
     pub now: u64,
     /// Topics whose small messages wait no longer.
-    pub batches: Vec<Topic>,
+    pub batches: Vec<TopicId>,
     pub events: Vec<Output>,
 }
 
@@ -107,7 +107,7 @@ impl Scheduler {
     }
 
     /// Bytes that the frames of a topic's messages may carry.
-    pub fn max_payload_of(&self, topic: Topic) -> usize {
+    pub fn max_payload_of(&self, topic: TopicId) -> usize {
         let of_link = self.links.max_payload(self.has_doubled());
         let (now, mut uplink) = (self.clock.now(), self.uplink());
         of_link.into_iter().for_each(|of_link| fit(&mut uplink, now, of_link));
@@ -146,7 +146,7 @@ impl Scheduler {
     }
 
     /// What a topic batches is sealed at this time.
-    pub fn batch_until(&self, topic: Topic, until: u64) {
+    pub fn batch_until(&self, topic: TopicId, until: u64) {
         let mut queues = self.queues.lock();
         queues.batching.insert((until, topic));
         queues.plan(until, &self.turn);
@@ -158,7 +158,7 @@ impl Scheduler {
     }
 
     /// Takes what a reader reports. What that makes room for goes.
-    pub fn feedback(&self, now: u64, topic: Topic, reader: Name, feedback: &Feedback) {
+    pub fn feedback(&self, now: u64, topic: TopicId, reader: Name, feedback: &Feedback) {
         let mut queues = self.queues.lock();
         queues.uplink.feedback(now, topic, reader, feedback);
         if let Some(next) = queues.uplink.next_wake() {

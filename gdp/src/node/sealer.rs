@@ -16,7 +16,7 @@ use gdp_core::crypto::{Backend, PUBLIC_KEY_LEN};
 use gdp_core::identity::Identity;
 use gdp_e2e::keys::{Boxes, KeyRing, Omission, RingError};
 use gdp_e2e::seal::{Draft, Encoding, SealError, Segments, Writer};
-use gdp_e2e::transport::{Full, Sealed, Topic};
+use gdp_e2e::transport::{Full, Sealed, TopicId};
 use gdp_util::unix_time::unix_nanos;
 use gdp_wire::Name;
 
@@ -26,7 +26,7 @@ const LONGEST_PAUSE: u64 = 60_000_000_000;
 
 pub struct Sealer {
     pub session: [u8; 16],
-    pub topic: Topic,
+    pub topic: TopicId,
     name: Name,
     scheduler: Arc<Scheduler>,
     ending: Arc<Ending>,

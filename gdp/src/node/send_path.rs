@@ -25,7 +25,7 @@ use super::sealer::Pushed;
 use super::sender::Sender;
 use gdp_core::identity::Identity;
 use gdp_e2e::feedback_wire::Feedback;
-use gdp_e2e::transport::{Output, Topic};
+use gdp_e2e::transport::{Output, TopicId};
 
 /// Batches that a publisher sends itself; the rest of a large message is the sending thread's.
 const OWN_BATCHES: usize = 4;
@@ -178,7 +178,7 @@ impl SendPath {
         Some(0)
     }
 
-    fn make_room(&self, topic: Topic) {
+    fn make_room(&self, topic: TopicId) {
         let Some(publication) = self.publications.of(topic) else { return };
         // What waits goes, also if who wanted it sent does not wait any more.
         if !matches!(publication.sealer.push_waiting(), Ok(Pushed::Waits)) {
@@ -186,7 +186,7 @@ impl SendPath {
         }
     }
 
-    fn seal_batch(&self, topic: Topic, due: u64) {
+    fn seal_batch(&self, topic: TopicId, due: u64) {
         let Some(publication) = self.publications.of(topic) else { return };
         if let Err(error) = publication.sealer.seal_batch(due) {
             tracing::warn!(name = %publication.name, %error, "messages are lost that waited for others");
@@ -208,10 +208,10 @@ impl SendPath {
                     Err(error) => tracing::warn!(%name, %error, "a heartbeat could not be sealed"),
                 }
             }
-            Output::Gone { topic, reader, oldest } => {
+            Output::Unavailable { topic, reader, oldest } => {
                 let Some(publication) = self.publications.of(topic) else { return };
                 let (name, session) = (publication.name, publication.sealer.session);
-                self.tell(&reader, &Feedback::Gone { name, session, oldest });
+                self.tell(&reader, &Feedback::Unavailable { name, session, oldest });
             }
         }
     }

@@ -80,7 +80,7 @@ impl Drop for PendingCall {
 struct ServiceInstance {
     right: Counterpart,
     /// When that was told.
-    told: u64,
+    stated_at: u64,
     /// While it is attached.
     presence: Option<Arc<Presence>>,
     absent_since: u64,
@@ -157,11 +157,11 @@ impl ServiceInstances {
         self.known.len() < MAX_PARTIES || self.known.contains_key(entity)
     }
 
-    fn join(&mut self, told: u64, right: Counterpart) {
+    fn join(&mut self, stated_at: u64, right: Counterpart) {
         let (own, entity) = (self.own, right.entity);
         let new = || ServiceInstance {
             right: right.clone(),
-            told,
+            stated_at,
             presence: None,
             absent_since: 0,
             tie: Backend::default().sha256(&[own.as_bytes(), entity.as_bytes()]),
@@ -171,7 +171,7 @@ impl ServiceInstances {
             party.presence = Some(Presence { calls: AtomicUsize::new(0), left: watch::Sender::new(false) }.into());
             self.changed.send_replace(());
         }
-        (party.right, party.told) = (right, told);
+        (party.right, party.stated_at) = (right, stated_at);
     }
 
     /// Lets go of those whose right has ended by `now_unix` (seconds) or was revoked, or that are
@@ -207,7 +207,7 @@ impl ServiceInstances {
 
     /// When the right of one that is known, attached or not, was told, and that right.
     pub fn right(&self, entity: &Name) -> Option<(u64, &Counterpart)> {
-        self.known.get(entity).map(|party| (party.told, &party.right))
+        self.known.get(entity).map(|party| (party.stated_at, &party.right))
     }
 
     /// Those that are attached, the one to call first in front. `cost`: of the path to a switch.
@@ -248,14 +248,15 @@ impl ServiceInstances {
 /// with the key that the entity showed last.
 pub fn joint_right<'a>(rights: impl Iterator<Item = (u64, &'a Counterpart)>) -> Option<Counterpart> {
     let mut joint: Option<(u64, Counterpart)> = None;
-    for (told, right) in rights {
+    for (stated_at, right) in rights {
         joint = Some(match joint {
-            None => (told, right.clone()),
+            None => (stated_at, right.clone()),
             Some((newest, held)) => {
                 let not_after = held.not_after.max(right.not_after);
-                let (told, mut newer) = if told > newest { (told, right.clone()) } else { (newest, held) };
+                let (stated_at, mut newer) =
+                    if stated_at > newest { (stated_at, right.clone()) } else { (newest, held) };
                 newer.not_after = not_after;
-                (told, newer)
+                (stated_at, newer)
             }
         });
     }

@@ -26,7 +26,7 @@ use super::send_path::SendPath;
 use super::service::{PendingReply, Service, Services};
 use super::service_instances::ServiceInstances;
 use super::statement::{Advertisement, Stated, Statement};
-use super::subscription_receiver::{Shared, SubscriptionReceiver};
+use super::subscription_receiver::{QueueState, SubscriptionReceiver};
 use gdp_core::cert::{CertError, Revocation};
 use gdp_core::identity::Identity;
 use gdp_core::name::NameProof;
@@ -288,7 +288,7 @@ impl State {
     /// What comes for a name, and why it ended.
     pub fn listen(&self, name: Name, options: SubscribeOptions) -> (Queue, Arc<Ending>) {
         let (sender, receiver) = mpsc::channel(options.queue.max(1));
-        let (shared, ended) = (Arc::<Shared>::default(), Arc::<Ending>::default());
+        let (shared, ended) = (Arc::<QueueState>::default(), Arc::<Ending>::default());
         self.readings.lock().insert(name, Reading::new(name, &self.identity));
         self.subscriptions.lock().insert(name, ended.clone());
         let subscription = SubscriptionReceiver::new(name, options, sender, shared.clone());

@@ -52,7 +52,7 @@ pub enum Verdict {
 
 /// What the application's handle shares with the thread.
 #[derive(Default)]
-pub struct Shared {
+pub struct QueueState {
     pub queued_bytes: AtomicUsize,
     /// Messages of a reliable name wait for room in the queue.
     pub stalled: AtomicBool,
@@ -61,7 +61,7 @@ pub struct Shared {
     pub counters: ReadCounters,
 }
 
-impl Shared {
+impl QueueState {
     pub fn counters(&self) -> SubscriptionCounters {
         let counters = &self.counters;
         SubscriptionCounters {
@@ -81,7 +81,7 @@ pub struct ReadCounters {
     delivered: AtomicU64,
     overtaken: AtomicU64,
     expired: AtomicU64,
-    given_up: AtomicU64,
+    abandoned: AtomicU64,
     duplicates: AtomicU64,
     beyond: AtomicU64,
     /// Of those delivered, what the application did not take in time.
@@ -109,7 +109,7 @@ impl ReadCounters {
             delivered: get(&self.delivered),
             overtaken: get(&self.overtaken),
             expired: get(&self.expired),
-            given_up: get(&self.given_up),
+            abandoned: get(&self.abandoned),
             duplicates: get(&self.duplicates),
             beyond: get(&self.beyond),
         }
@@ -120,7 +120,7 @@ impl ReadCounters {
             (&self.delivered, now.delivered, seen.delivered),
             (&self.overtaken, now.overtaken, seen.overtaken),
             (&self.expired, now.expired, seen.expired),
-            (&self.given_up, now.given_up, seen.given_up),
+            (&self.abandoned, now.abandoned, seen.abandoned),
             (&self.duplicates, now.duplicates, seen.duplicates),
             (&self.beyond, now.beyond, seen.beyond),
         ];
@@ -139,14 +139,14 @@ pub struct SubscriptionReceiver {
     reader: Reader,
     options: SubscribeOptions,
     queue: mpsc::Sender<Message>,
-    shared: Arc<Shared>,
+    shared: Arc<QueueState>,
     writers: HashMap<Name, Writer>,
     /// Of reliable sessions, what the application has no room for yet.
     stalled: VecDeque<Message>,
     /// Empty between calls; keeps its capacity.
     received: Received,
     seen_drops: [u64; DropReason::COUNT],
-    /// The intake's place among the thread's timers.
+    /// Where it is among the thread's timers.
     pub timer: Option<u64>,
 }
 
@@ -183,7 +183,7 @@ impl Session {
 }
 
 impl SubscriptionReceiver {
-    pub fn new(name: Name, options: SubscribeOptions, queue: mpsc::Sender<Message>, shared: Arc<Shared>) -> Self {
+    pub fn new(name: Name, options: SubscribeOptions, queue: mpsc::Sender<Message>, shared: Arc<QueueState>) -> Self {
         Self {
             name,
             reader: Reader::new(name, Backend::default(), options.limits),
@@ -317,7 +317,7 @@ impl SubscriptionReceiver {
                 inbound.forget(steady, lost.sequence);
             } else {
                 // Messages before it are older still.
-                let gone = Feedback::Gone { name: self.name, session: *id, oldest: lost.sequence + 1 };
+                let gone = Feedback::Unavailable { name: self.name, session: *id, oldest: lost.sequence + 1 };
                 inbound.feedback(steady, &gone);
             }
         }
@@ -440,7 +440,7 @@ impl Writer {
 struct Out<'a> {
     options: &'a SubscribeOptions,
     queue: &'a mpsc::Sender<Message>,
-    shared: &'a Shared,
+    shared: &'a QueueState,
     stalled: &'a mut VecDeque<Message>,
 }
 

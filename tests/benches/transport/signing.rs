@@ -7,7 +7,7 @@ use anyhow::{Result, ensure};
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
 use gdp_core::keys::EpochKey;
-use gdp_e2e::seal::{Draft, Encoding, Limits, Reader, Received, Segments, Timestamps, Writer};
+use gdp_e2e::seal::{Draft, Encoding, Reader, ReaderLimits, Received, Segments, Timestamps, Writer};
 use gdp_tests::measure::cpu;
 use gdp_tests::measure::figure::{Aim, Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
@@ -84,7 +84,7 @@ impl Pair {
         let from = identity.name();
         let mut writer = Writer::new(name, from, identity.key().clone(), Backend::default())?;
         writer.set_epoch(EPOCH, &key)?;
-        let mut reader = Reader::new(name, Backend::default(), Limits::default());
+        let mut reader = Reader::new(name, Backend::default(), ReaderLimits::default());
         reader.authorise(from, identity.key().verify_key())?;
         let vouched =
             reader.set_key(&from, EPOCH, key).and_then(|()| reader.confirm_session(&from, writer.session(), 1));

@@ -103,7 +103,7 @@ fn loses_nothing(switches: usize) -> Result<()> {
         let all = sequences.iter().copied().eq(1..=sequences.len() as u64);
         ensure!(all, "topic {i}: not each once and in order: {sequences:?}, {counters:?}");
         ensure!(sequences.len() as u64 == result.sent, "topic {i}: {} of {}", sequences.len(), result.sent);
-        ensure!(counters.given_up + counters.overtaken + counters.expired == 0, "topic {i}: {counters:?}");
+        ensure!(counters.abandoned + counters.overtaken + counters.expired == 0, "topic {i}: {counters:?}");
         if [0, 1, 3].contains(&i) {
             ensure!(*slowest < NO_GAP + late, "topic {i}: a message took {slowest:?}; {late:?}, {counters:?}");
         } else {

@@ -78,7 +78,7 @@ pub fn must_ask(daemon: &Daemon, link: &Link) -> bool {
 }
 
 fn question(daemon: &Daemon, link: &Link) -> Option<Request> {
-    let papers = link.papers()?;
+    let papers = link.credentials()?;
     daemon.core().question(link, &papers)
 }
 

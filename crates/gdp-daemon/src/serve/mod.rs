@@ -97,11 +97,11 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     let mut domain_store = None;
     if let Some(domain_config) = &config.domain {
         let (store, member) = DomainStore::recall(domain_config, &identity, &config.identity)?;
-        port_config.papers.set(member.trust.papers().clone());
+        port_config.credentials.set(member.trust.papers().clone());
         domain_store = Some(store);
         core.join_domain(member, config.public.clone(), domain_config.trace);
     }
-    let credentials = port_config.papers.clone();
+    let credentials = port_config.credentials.clone();
     let replica = config.etcd.as_ref().map(Replica::new).transpose()?;
     let daemon = Arc::new(Daemon::new(port_config, core, revocations, replica, domain_store));
     let interfaces = interfaces_to_use(&config).await?;

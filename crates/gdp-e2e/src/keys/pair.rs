@@ -11,7 +11,7 @@ use std::fmt;
 use zeroize::Zeroizing;
 
 use crate::feedback_wire::{Feedback, FeedbackError, MAX_FEEDBACK};
-use crate::seal::Window;
+use crate::seal::ReplayWindow;
 use gdp_core::crypto;
 use gdp_core::crypto::{Aead, Backend, CryptoError, NONCE_LEN, PUBLIC_KEY_LEN, TAG_LEN};
 use gdp_core::keys::BoxKey;
@@ -112,7 +112,7 @@ impl PairSealer {
         if self.next > MESSAGES {
             *self = self.key.sealer().map_err(PairError::Crypto)?;
         }
-        let header = Header { session: self.session, counter: self.next };
+        let header = PairHeader { session: self.session, counter: self.next };
         // Taken before anything is sealed: whatever fails below, no nonce is used again.
         self.next += 1;
         let result = self.seal_behind(header, feedback, out);
@@ -122,7 +122,7 @@ impl PairSealer {
         result
     }
 
-    fn seal_behind(&self, header: Header, feedback: &Feedback, out: &mut Vec<u8>) -> Result<(), PairError> {
+    fn seal_behind(&self, header: PairHeader, feedback: &Feedback, out: &mut Vec<u8>) -> Result<(), PairError> {
         let clear = header.to_bytes();
         out.extend_from_slice(&clear);
         feedback.encode(out)?;
@@ -136,14 +136,14 @@ impl PairSealer {
 pub struct PairOpener {
     key: PairKey,
     /// The one that was heard last is the last.
-    sessions: Vec<Session>,
+    sessions: Vec<PairSession>,
     retired: VecDeque<[u8; 8]>,
 }
 
-struct Session {
+struct PairSession {
     id: [u8; 8],
     aead: Aead,
-    window: Window,
+    window: ReplayWindow,
 }
 
 impl PairOpener {
@@ -155,7 +155,7 @@ impl PairOpener {
         let length = PairError::Length(payload.len());
         let (clear, sealed) = payload.split_first_chunk().ok_or(length)?;
         let (ciphertext, tag) = sealed.split_last_chunk().ok_or(length)?;
-        let header = Header::from_bytes(clear)?;
+        let header = PairHeader::from_bytes(clear)?;
         let known = self.sessions.iter().position(|session| session.id == header.session);
         let mut session = match known {
             Some(at) => {
@@ -163,7 +163,7 @@ impl PairOpener {
                 self.sessions.remove(at)
             }
             None if self.retired.contains(&header.session) => return Err(PairError::Replayed),
-            None => Session::new(&self.key, header.session).map_err(PairError::Crypto)?,
+            None => PairSession::new(&self.key, header.session).map_err(PairError::Crypto)?,
         };
         let mut plaintext = vec![0; ciphertext.len()];
         let opened = session.aead.open(&header.nonce(), clear, ciphertext, tag, &mut plaintext);
@@ -181,7 +181,7 @@ impl PairOpener {
     }
 
     /// As the one heard last, in the place of the one not heard for longest.
-    fn keep(&mut self, session: Session) {
+    fn keep(&mut self, session: PairSession) {
         if self.sessions.len() == SESSIONS {
             if self.retired.len() == RETIRED {
                 self.retired.pop_front();
@@ -192,19 +192,19 @@ impl PairOpener {
     }
 }
 
-impl Session {
+impl PairSession {
     fn new(key: &PairKey, id: [u8; 8]) -> Result<Self, CryptoError> {
-        Ok(Self { id, aead: key.session_aead(id, &key.peer, &key.own)?, window: Window::default() })
+        Ok(Self { id, aead: key.session_aead(id, &key.peer, &key.own)?, window: ReplayWindow::default() })
     }
 }
 
 #[derive(Clone, Copy)]
-struct Header {
+struct PairHeader {
     session: [u8; 8],
     counter: u64,
 }
 
-impl Header {
+impl PairHeader {
     fn to_bytes(self) -> [u8; HEADER_LEN] {
         let mut bytes = [0; HEADER_LEN];
         bytes[0] = VERSION;

@@ -54,7 +54,7 @@ impl Assembly {
     }
 
     pub fn fits(&self, header: &SegmentHeader) -> bool {
-        self.header.is_beside(header)
+        self.header.is_of_message(header)
     }
 
     pub fn has(&self, header: &SegmentHeader) -> bool {

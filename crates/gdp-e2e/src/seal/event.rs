@@ -40,7 +40,7 @@ pub struct Lost {
 
 /// One call of [`Reader::push`], as its writer's state sees it.
 pub struct Push<'a> {
-    pub shared: &'a mut Shared,
+    pub shared: &'a mut ReaderContext,
     pub scratch: &'a mut [u8],
     pub now: Timestamps,
     pub out: &'a mut Received,
@@ -48,7 +48,7 @@ pub struct Push<'a> {
 
 /// How much a reader lets its writers use, and what it refuses.
 #[derive(Clone, Copy, Debug)]
-pub struct Limits {
+pub struct ReaderLimits {
     /// Bytes of a message body.
     pub max_message: usize,
     /// Bytes of incomplete messages of one writer, bookkeeping included.
@@ -65,7 +65,7 @@ pub struct Limits {
     pub max_sessions: usize,
 }
 
-impl Default for Limits {
+impl Default for ReaderLimits {
     fn default() -> Self {
         Self {
             max_message: 64 << 20,
@@ -91,7 +91,7 @@ pub struct Received {
     /// Segments that opened and that nothing needs: they are here already, or their message was
     /// delivered.
     pub repeated: Vec<SegmentId>,
-    /// But for those that were not complete in time: [`Limits::deadline`] is the caller's.
+    /// But for those that were not complete in time: [`ReaderLimits::deadline`] is the caller's.
     pub lost: Vec<Lost>,
 }
 
@@ -106,10 +106,10 @@ impl Received {
 }
 
 /// What the writers of a name have in common here.
-pub struct Shared {
+pub struct ReaderContext {
     pub name: Name,
     pub backend: Backend,
-    pub limits: Limits,
+    pub limits: ReaderLimits,
     /// Bytes charged to all assemblies.
     pub memory: usize,
     pub drops: [u64; DropReason::COUNT],
@@ -117,7 +117,7 @@ pub struct Shared {
     pub next_deadline: u64,
 }
 
-impl Shared {
+impl ReaderContext {
     pub fn count(&mut self, reason: DropReason, times: u64) {
         self.drops[reason as usize] += times;
     }

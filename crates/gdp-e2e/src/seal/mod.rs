@@ -22,13 +22,13 @@ mod window;
 mod wire;
 mod writer;
 
-pub use crate::seal::event::{Heartbeat, Limits, Lost, Received, Timestamps};
+pub use crate::seal::event::{Heartbeat, Lost, ReaderLimits, Received, Timestamps};
 pub use drop_reason::DropReason;
 pub use message::{Draft, Encoding, Latched, MAX_ORIGIN, Message, MessageId};
 pub use reader::Reader;
 pub use segment::{SegmentId, segment_ids};
 pub use segments::Segments;
-pub use window::Window;
+pub use window::ReplayWindow;
 pub use wire::VERSION as SEGMENT_VERSION;
 pub use wire::{MAX_BATCH, MAX_CUT, MIN_PAYLOAD};
 pub use writer::{MAX_SEGMENTS, SealError, Writer};

@@ -8,10 +8,10 @@
 
 use super::DropReason;
 use super::segment::Segment;
-use super::source::Source;
+use super::source::WriterState;
 use super::wire::{self, Kind};
-use crate::seal::event::{Limits, Received, Shared};
 pub use crate::seal::event::{Push, Timestamps};
+use crate::seal::event::{ReaderContext, ReaderLimits, Received};
 use gdp_core::crypto::{Backend, CryptoError};
 use gdp_core::identity::VerifyKey;
 use gdp_core::keys::EpochKey;
@@ -21,8 +21,8 @@ use std::fmt;
 
 /// Reads one name, from the writers it was told of.
 pub struct Reader {
-    sources: HashMap<Name, Source>,
-    shared: Shared,
+    sources: HashMap<Name, WriterState>,
+    shared: ReaderContext,
     /// Where segments are opened that have no place yet: a body, and behind it a proof.
     scratch: Box<[u8]>,
 }
@@ -30,9 +30,9 @@ pub struct Reader {
 const SCRATCH_LEN: usize = wire::MAX_PLAINTEXT + wire::proof_len(wire::MAX_DEPTH);
 
 impl Reader {
-    pub fn new(name: Name, backend: Backend, limits: Limits) -> Self {
+    pub fn new(name: Name, backend: Backend, limits: ReaderLimits) -> Self {
         let shared =
-            Shared { name, backend, limits, memory: 0, drops: [0; DropReason::COUNT], next_deadline: u64::MAX };
+            ReaderContext { name, backend, limits, memory: 0, drops: [0; DropReason::COUNT], next_deadline: u64::MAX };
         Self { sources: HashMap::new(), shared, scratch: vec![0; SCRATCH_LEN].into() }
     }
 
@@ -41,7 +41,7 @@ impl Reader {
     /// write.
     pub fn authorise(&mut self, writer: Name, key: VerifyKey) -> Result<(), CryptoError> {
         if !self.sources.contains_key(&writer) {
-            self.sources.insert(writer, Source::new(writer, key.verifier(self.shared.backend)?));
+            self.sources.insert(writer, WriterState::new(writer, key.verifier(self.shared.backend)?));
         }
         Ok(())
     }
@@ -144,14 +144,14 @@ impl Reader {
         self.shared.memory
     }
 
-    fn source(&mut self, writer: &Name) -> Result<&mut Source, DropReason> {
+    fn source(&mut self, writer: &Name) -> Result<&mut WriterState, DropReason> {
         self.sources.get_mut(writer).ok_or(DropReason::UnknownWriter)
     }
 }
 
 /// One segment, with its proof if that is all there is beside it; returns what is behind as well.
 fn take<'p>(
-    source: Option<&mut Source>,
+    source: Option<&mut WriterState>,
     push: &mut Push<'_>,
     segment: &Segment<'_>,
     behind: &'p [u8],
@@ -171,7 +171,7 @@ fn take<'p>(
 
 impl fmt::Debug for Reader {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Shared { name, memory, .. } = &self.shared;
+        let ReaderContext { name, memory, .. } = &self.shared;
         write!(f, "Reader {{ name: {name:#}, writers: {}, memory: {memory} }}", self.sources.len())
     }
 }

@@ -55,7 +55,7 @@ impl<'a> Segment<'a> {
 
     /// Whether it is the proof of the message that `body` is a segment of.
     pub fn proves(&self, body: &SegmentHeader) -> bool {
-        self.header.kind == Kind::Proof && self.header.is_beside(body)
+        self.header.kind == Kind::Proof && self.header.is_of_message(body)
     }
 
     /// Decrypts into `out`, which has [`Self::plaintext_len`] bytes.

@@ -2,7 +2,7 @@
 
 use super::DropReason;
 use super::assembly::Assembly;
-use super::window::Window;
+use super::window::ReplayWindow;
 use gdp_core::crypto::{Aead, CryptoError};
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ pub struct Session {
     pub id: [u8; 16],
     pub aeads: Aeads,
     /// Which messages were delivered, of whatever cut.
-    pub window: Window,
+    pub window: ReplayWindow,
     pub assemblies: BTreeMap<SegmentPosition, Assembly>,
     /// The first sequence that the writer has vouched for; `None` if it has not vouched for the
     /// session.
@@ -29,7 +29,7 @@ impl Session {
         Self {
             id,
             aeads: Aeads::default(),
-            window: Window::default(),
+            window: ReplayWindow::default(),
             assemblies: BTreeMap::new(),
             from: None,
             heartbeat: 0,

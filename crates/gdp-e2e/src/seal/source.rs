@@ -9,7 +9,7 @@ use super::message::{Message, Preamble};
 use super::segment::Segment;
 use super::session::{SegmentPosition, Session};
 use super::wire::{self, HeartbeatBody, Kind, Proof, SegmentHeader};
-use crate::seal::event::{Heartbeat, Lost, Push, Shared, Timestamps};
+use crate::seal::event::{Heartbeat, Lost, Push, ReaderContext, Timestamps};
 use bytes::{Buf, Bytes};
 use gdp_core::crypto::{CryptoError, Verifier};
 use gdp_core::keys::EpochKey;
@@ -23,7 +23,7 @@ const MAX_IN_FLIGHT: usize = 256;
 /// in a hurry.
 pub const MAX_EPOCHS: usize = 4;
 
-pub struct Source {
+pub struct WriterState {
     name: Name,
     verifier: Verifier,
     keys: Vec<(u32, EpochKey)>,
@@ -36,7 +36,7 @@ pub struct Source {
     clock: u64,
 }
 
-impl Source {
+impl WriterState {
     pub fn new(name: Name, verifier: Verifier) -> Self {
         let (keys, sessions) = (Vec::new(), Vec::new());
         Self { name, verifier, keys, sessions, memory: 0, signed: SignedTree::default(), clock: 0 }
@@ -63,7 +63,7 @@ impl Source {
 
     /// The session counts from now on; if there are too many of those, the one unused longest is
     /// forgotten.
-    pub fn confirm_session(&mut self, shared: &mut Shared, id: [u8; 16], from: u64) {
+    pub fn confirm_session(&mut self, shared: &mut ReaderContext, id: [u8; 16], from: u64) {
         self.clock += 1;
         let at = self.position(&id).unwrap_or_else(|| {
             self.sessions.push(Session::new(id));
@@ -81,7 +81,7 @@ impl Source {
     }
 
     /// Gives up messages whose deadline is before `steady_ns`, and says when the next is.
-    pub fn expire(&mut self, shared: &mut Shared, steady_ns: u64) -> usize {
+    pub fn expire(&mut self, shared: &mut ReaderContext, steady_ns: u64) -> usize {
         let (mut expired, mut freed) = (0, 0);
         for session in &mut self.sessions {
             session.assemblies.retain(|_, assembly| {
@@ -232,7 +232,7 @@ impl Source {
 
     /// A place for a session that has shown one authentic segment, so that its key is not derived
     /// again. If too many of them wait for the writer's word, the one that waits longest goes.
-    fn admit(&mut self, shared: &mut Shared, session: Session) -> usize {
+    fn admit(&mut self, shared: &mut ReaderContext, session: Session) -> usize {
         let waiting = self.sessions.iter().filter(|session| session.from.is_none()).count();
         if waiting >= shared.limits.max_sessions.max(1)
             && let Some(oldest) = self.sessions.iter().position(|session| session.from.is_none())
@@ -269,7 +269,14 @@ impl Source {
         Ok(())
     }
 
-    fn begin_assembly(&mut self, shared: &mut Shared, now: Timestamps, at: usize, header: &SegmentHeader, cost: usize) {
+    fn begin_assembly(
+        &mut self,
+        shared: &mut ReaderContext,
+        now: Timestamps,
+        at: usize,
+        header: &SegmentHeader,
+        cost: usize,
+    ) {
         let timeout_factor = u64::try_from(shared.limits.deadline.as_nanos()).unwrap_or(u64::MAX);
         let deadline = now.steady_ns.saturating_add(timeout_factor);
         let place = (header.sequence, header.cut);
@@ -364,7 +371,7 @@ impl Source {
         digests: &[[u8; 32]],
         proof: &[u8],
     ) -> Result<(), DropReason> {
-        let Shared { backend, name, limits, .. } = &*push.shared;
+        let ReaderContext { backend, name, limits, .. } = &*push.shared;
         let leaf = wire::leaf(*backend, name, &self.name, header, digests);
         let proof = Proof::parse(proof).ok_or(DropReason::BadMessage)?;
         let is_signed = |root: &[u8; 32]| -> Result<(), CryptoError> {
@@ -402,7 +409,7 @@ impl Source {
     }
 
     /// A verified message: marks it as delivered. Other cuts of it are not needed any more.
-    fn accept(&mut self, shared: &mut Shared, at: usize, sequence: u64) -> Result<(), DropReason> {
+    fn accept(&mut self, shared: &mut ReaderContext, at: usize, sequence: u64) -> Result<(), DropReason> {
         self.clock += 1;
         let session = &mut self.sessions[at];
         session.window.check(sequence)?;
@@ -413,13 +420,13 @@ impl Source {
         Ok(())
     }
 
-    fn forget(&mut self, shared: &mut Shared, at: usize) {
+    fn forget(&mut self, shared: &mut ReaderContext, at: usize) {
         let session = self.sessions.remove(at);
         self.free(shared, session.assemblies.values().map(|assembly| assembly.cost).sum());
         shared.count(DropReason::Evicted, session.assemblies.len() as u64);
     }
 
-    fn free(&mut self, shared: &mut Shared, bytes: usize) {
+    fn free(&mut self, shared: &mut ReaderContext, bytes: usize) {
         self.memory -= bytes;
         shared.memory -= bytes;
     }

@@ -7,12 +7,12 @@ const SPAN: u64 = 1024;
 /// A sliding bitmap (as in RFC 4303 §3.4.3). Sequences begin at 1. Only what was verified moves it,
 /// so that nobody but the writer can push honest messages out of it.
 #[derive(Debug, Default)]
-pub struct Window {
+pub struct ReplayWindow {
     highest: u64,
     bits: [u64; (SPAN / 64) as usize],
 }
 
-impl Window {
+impl ReplayWindow {
     /// Whether a message of this sequence is still wanted.
     pub fn check(&self, sequence: u64) -> Result<(), DropReason> {
         if sequence > self.highest {
@@ -21,7 +21,7 @@ impl Window {
         if self.highest - sequence >= SPAN {
             return Err(DropReason::TooOld);
         }
-        let (word, bit) = place(sequence);
+        let (word, bit) = word_and_bit(sequence);
         if self.bits[word] & bit == 0 { Ok(()) } else { Err(DropReason::Duplicate) }
     }
 
@@ -31,19 +31,19 @@ impl Window {
             for passed in (self.highest + 1..=sequence).take(SPAN as usize) {
                 // When more than the whole window is passed, all of it is cleared, in whatever
                 // order.
-                let (word, bit) = place(passed);
+                let (word, bit) = word_and_bit(passed);
                 self.bits[word] &= !bit;
             }
             self.highest = sequence;
         } else if self.highest - sequence >= SPAN {
             return;
         }
-        let (word, bit) = place(sequence);
+        let (word, bit) = word_and_bit(sequence);
         self.bits[word] |= bit;
     }
 }
 
-fn place(sequence: u64) -> (usize, u64) {
+fn word_and_bit(sequence: u64) -> (usize, u64) {
     let at = sequence % SPAN;
     ((at / 64) as usize, 1 << (at % 64))
 }

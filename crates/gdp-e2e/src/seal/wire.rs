@@ -141,7 +141,7 @@ impl SegmentHeader {
 
     /// Whether `other` is a segment of the same message, cut the same way and sealed under the same
     /// key.
-    pub fn is_beside(&self, other: &Self) -> bool {
+    pub fn is_of_message(&self, other: &Self) -> bool {
         let message =
             |header: &Self| (header.session, header.sequence, header.cut, header.count, header.size, header.epoch);
         message(self) == message(other)

@@ -85,7 +85,7 @@ struct Scratch {
 }
 
 /// What messages that are sealed together have in common; their sequences follow one another.
-struct Run {
+struct SigningRun {
     epoch: u32,
     first: u64,
     cut: u16,
@@ -200,7 +200,7 @@ impl Writer {
         let epoch = self.spend(messages, max_payload)?;
         // Taken before anything is sealed: whatever fails below, no nonce is used again.
         self.next = next;
-        let run = Run { epoch, first, cut: 0, timestamp_ns: now_unix_ns };
+        let run = SigningRun { epoch, first, cut: 0, timestamp_ns: now_unix_ns };
         self.seal_run(run, messages, max_payload, out).inspect_err(|_| out.clear())
     }
 
@@ -224,7 +224,7 @@ impl Writer {
         let messages = [message];
         let epoch = self.spend(&messages, max_payload)?;
         self.used_cuts.take(sequence, cut).map_err(refused)?;
-        let run = Run { epoch, first: sequence, cut, timestamp_ns };
+        let run = SigningRun { epoch, first: sequence, cut, timestamp_ns };
         self.seal_run(run, &messages, max_payload, out).inspect_err(|_| out.clear())
     }
 
@@ -256,7 +256,7 @@ impl Writer {
             let messages = [preamble.draft(&plaintext)];
             let epoch = self.spend(&messages, max_payload)?;
             self.used_cuts.take(sequence, cut).map_err(refused)?;
-            let run = Run { epoch, first: sequence, cut, timestamp_ns: preamble.timestamp_ns };
+            let run = SigningRun { epoch, first: sequence, cut, timestamp_ns: preamble.timestamp_ns };
             self.seal_run(run, &messages, max_payload, out)?;
             plaintext.clear();
         }
@@ -308,7 +308,7 @@ impl Writer {
 
     fn seal_run(
         &mut self,
-        Run { epoch, first, cut, timestamp_ns }: Run,
+        SigningRun { epoch, first, cut, timestamp_ns }: SigningRun,
         messages: &[Draft<'_>],
         max_payload: usize,
         out: &mut Segments,

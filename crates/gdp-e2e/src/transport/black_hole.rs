@@ -52,7 +52,7 @@ impl Suspicion {
     }
 
     /// A frame with a payload of so many bytes has come.
-    pub fn came(&mut self, bytes: usize) {
+    pub fn on_received(&mut self, bytes: usize) {
         if bytes > LEAST_PAYLOAD {
             *self = Self::default();
         }

@@ -52,7 +52,7 @@ pub struct Inbound<M> {
     mark: Option<(u64, Position)>,
     /// What is missing up to here is asked for.
     due: Position,
-    came_at: u64,
+    received_at: u64,
     ask_at: u64,
     report_at: u64,
     reported_at: Option<u64>,
@@ -83,7 +83,7 @@ impl<M> Inbound<M> {
             repair_time: rtt.clamp(MS, LONGEST_RTT),
             mark: None,
             due: Position { sequence: 0, index: 0 },
-            came_at: 0,
+            received_at: 0,
             ask_at: u64::MAX,
             report_at: u64::MAX,
             reported_at: None,
@@ -136,7 +136,7 @@ impl<M> Inbound<M> {
         self.segments += 1;
         self.segment_bytes += bytes as u64;
         self.echo = Some((position, now));
-        self.came_at = now;
+        self.received_at = now;
         if position > self.highest {
             self.highest = position;
         }
@@ -155,7 +155,7 @@ impl<M> Inbound<M> {
         }
         self.exists = self.exists.max(sequence + 1);
         if self.options.order == Order::Newest && sequence - self.next >= self.options.messages.max(1) as u64 {
-            self.deal_with(sequence - 1, Given::Overtaken);
+            self.deal_with(sequence - 1, Skipped::Overtaken);
         }
         if self.slot_for(now, sequence).is_none() {
             return;
@@ -166,14 +166,14 @@ impl<M> Inbound<M> {
             return;
         }
         if self.options.order == Order::Newest && slot.known_at.saturating_add(late) <= now {
-            self.deal_with(sequence, Given::Late);
+            self.deal_with(sequence, Skipped::Late);
             self.plan_report(now);
             return;
         }
-        slot.body = Body::Held(message, bytes);
+        slot.body = Body::Complete(message, bytes);
         self.bytes += bytes;
         match self.options.order {
-            Order::Newest => self.deal_with(sequence, Given::Overtaken),
+            Order::Newest => self.deal_with(sequence, Skipped::Overtaken),
             Order::Every => {
                 self.deliver();
                 while self.bytes > self.options.bytes && !self.slots.is_empty() {
@@ -201,7 +201,7 @@ impl<M> Inbound<M> {
     pub fn heartbeat(&mut self, now: u64, next: u64, oldest: u64) {
         let next = next.min(MAX_SEQUENCE);
         if self.options.order == Order::Every {
-            self.is_gone(oldest.min(next));
+            self.set_unavailable(oldest.min(next));
         }
         self.exists = self.exists.max(next);
         if self.options.order == Order::Every && next > self.next {
@@ -215,10 +215,10 @@ impl<M> Inbound<M> {
 
     /// What the writer says to this reader alone.
     pub fn feedback(&mut self, now: u64, feedback: &Feedback) {
-        if let Feedback::Gone { session, oldest, .. } = feedback
+        if let Feedback::Unavailable { session, oldest, .. } = feedback
             && *session == self.session
         {
-            self.is_gone((*oldest).min(MAX_SEQUENCE));
+            self.set_unavailable((*oldest).min(MAX_SEQUENCE));
             self.plan_report(now);
         }
     }
@@ -289,9 +289,9 @@ impl<M> Inbound<M> {
         self.bytes
     }
 
-    fn is_gone(&mut self, oldest: u64) {
+    fn set_unavailable(&mut self, oldest: u64) {
         if oldest > self.next {
-            self.deal_with(oldest - 1, Given::Up);
+            self.deal_with(oldest - 1, Skipped::Abandoned);
             self.deliver();
         }
     }
@@ -303,7 +303,7 @@ impl<M> Inbound<M> {
     /// When nothing is on its way any more, even if the writer waited for a report before it went
     /// on.
     fn idle_at(&self) -> u64 {
-        self.came_at + self.rtt + self.rtt / 2 + self.report_interval()
+        self.received_at + self.rtt + self.rtt / 2 + self.report_interval()
     }
 
     fn report_interval(&self) -> u64 {
@@ -324,7 +324,7 @@ impl<M> Inbound<M> {
 
     fn expire(&mut self, now: u64) {
         while self.deadline().is_some_and(|deadline| deadline <= now) {
-            self.deal_with(self.next, Given::Late);
+            self.deal_with(self.next, Skipped::Late);
             self.deliver();
             self.plan_report(now);
         }
@@ -350,31 +350,31 @@ impl<M> Inbound<M> {
     }
 
     /// All up to this sequence are dealt with; those that are not here are counted as `given`.
-    fn deal_with(&mut self, sequence: u64, given: Given) {
+    fn deal_with(&mut self, sequence: u64, why: Skipped) {
         while self.next <= sequence {
             let Some(slot) = self.slots.pop_front() else {
-                *self.given(given) += sequence + 1 - self.next;
+                *self.counter(why) += sequence + 1 - self.next;
                 self.next = sequence + 1;
                 break;
             };
             self.next += 1;
             self.bytes -= Slot::<M>::cost(slot.total());
             match slot.body {
-                Body::Held(message, bytes) => {
+                Body::Complete(message, bytes) => {
                     self.bytes -= bytes;
                     self.counters.delivered += 1;
                     self.ready.push_back(message);
                 }
-                Body::Open => *self.given(given) += 1,
+                Body::Open => *self.counter(why) += 1,
             }
         }
     }
 
-    fn given(&mut self, given: Given) -> &mut u64 {
-        match given {
-            Given::Overtaken => &mut self.counters.overtaken,
-            Given::Late => &mut self.counters.expired,
-            Given::Up => &mut self.counters.given_up,
+    fn counter(&mut self, why: Skipped) -> &mut u64 {
+        match why {
+            Skipped::Overtaken => &mut self.counters.overtaken,
+            Skipped::Late => &mut self.counters.expired,
+            Skipped::Abandoned => &mut self.counters.abandoned,
         }
     }
 
@@ -382,14 +382,14 @@ impl<M> Inbound<M> {
     fn deliver(&mut self) {
         let complete = self.slots.iter().take_while(|slot| !slot.is_open()).count() as u64;
         if complete > 0 {
-            self.deal_with(self.next + complete - 1, Given::Up);
+            self.deal_with(self.next + complete - 1, Skipped::Abandoned);
         }
     }
 
     fn give_up_first_gap(&mut self) {
         let gap = self.slots.iter().take_while(|slot| slot.is_open()).count() as u64;
         if gap > 0 {
-            self.deal_with(self.next + gap - 1, Given::Up);
+            self.deal_with(self.next + gap - 1, Skipped::Abandoned);
         }
         self.deliver();
     }
@@ -454,7 +454,7 @@ impl<M> Inbound<M> {
         self.report_at = u64::MAX;
         self.reported_at = Some(now);
         self.reported_bytes = self.segment_bytes;
-        let (echo, came_at) = self.echo.take().unwrap_or((Position { sequence: 0, index: 0 }, now));
+        let (echo, received_at) = self.echo.take().unwrap_or((Position { sequence: 0, index: 0 }, now));
         Feedback::Report {
             name: self.name,
             session: self.session,
@@ -465,15 +465,15 @@ impl<M> Inbound<M> {
             ce: self.ce,
             echo: echo.sequence,
             echo_index: echo.index,
-            delay_us: u32::try_from((now - came_at) / 1000).unwrap_or(u32::MAX),
+            delay_us: u32::try_from((now - received_at) / 1000).unwrap_or(u32::MAX),
         }
     }
 }
 
 /// Why a message is dealt with that is not here.
 #[derive(Clone, Copy)]
-enum Given {
+enum Skipped {
     Overtaken,
     Late,
-    Up,
+    Abandoned,
 }

@@ -12,7 +12,7 @@
 //!  sending task ◄──── poll: Output ────└──────────────────────────────────────┘
 //!    Send(Transmit)   frames to the socket; to a second Uplink by copy(), if the topic is doubled
 //!    Reseal           the message again, in smaller frames, by resealed()
-//!    Heartbeat, Gone  sealed and sent by the node                ▲
+//!    Heartbeat, Unavailable  sealed and sent by the node                ▲
 //!                                                                │ feedback(reader, Report | Nack)
 //!  ═════════════════════════ network ════════════════════════════╪══════════════════════
 //!                                                                │
@@ -50,7 +50,7 @@ pub use inbound::Inbound;
 pub use outbox::{History, Overflow, Reliability, TopicCounters};
 pub use sealed::{Position, Sealed};
 pub use topic::TopicOptions;
-pub use uplink::{Full, Output, Topic, Transmit, Uplink, UplinkOptions};
+pub use uplink::{Full, Output, TopicId, Transmit, Uplink, UplinkOptions};
 
 /// Nanoseconds in a millisecond.
 const MS: u64 = 1_000_000;

@@ -45,7 +45,7 @@ pub struct Report {
 }
 
 #[derive(Debug)]
-pub struct Peer {
+pub struct ReaderState {
     path: Path,
     /// Every message up to this sequence.
     acknowledged: u64,
@@ -69,11 +69,11 @@ pub struct Peer {
     repairs: Meter,
     pub suspicion: Suspicion,
     /// What was lost before this is dealt with, or says nothing of the path as it is.
-    heard_since: u64,
+    reported_since: u64,
     lost: u64,
 }
 
-impl Peer {
+impl ReaderState {
     /// From a time on, when so many bytes had gone.
     pub fn new(now: u64, acknowledged: u64, sent: u64) -> Self {
         Self {
@@ -92,7 +92,7 @@ impl Peer {
             progress_at: now,
             repairs: Meter::new(now),
             suspicion: Suspicion::default(),
-            heard_since: now,
+            reported_since: now,
             lost: 0,
         }
     }
@@ -139,7 +139,7 @@ impl Peer {
     /// now taken to be congested.
     pub fn on_report(&mut self, now: u64, report: &Report, log: &SentLog, outbox: &Outbox, sent: u64) -> (u64, bool) {
         if self.path.is_silent() {
-            self.heard_since = now;
+            self.reported_since = now;
         }
         self.silent = 0;
         self.acknowledged = self.acknowledged.max(report.acknowledged.min(outbox.last()));
@@ -172,7 +172,7 @@ impl Peer {
         };
         let congested = self.path.on_report(now, &sample);
         if congested {
-            self.heard_since = now;
+            self.reported_since = now;
         }
         self.reported_at = now;
         (self.received_bytes, self.ce) = (report.received_bytes, report.ce);
@@ -194,7 +194,7 @@ impl Peer {
 
     /// It asked for so many bytes that had gone at this time.
     pub fn on_lost(&mut self, bytes: u64, sent_at: u64) {
-        if sent_at >= self.heard_since {
+        if sent_at >= self.reported_since {
             self.lost += bytes;
         }
     }
@@ -202,23 +202,23 @@ impl Peer {
 
 /// All readers of a topic.
 #[derive(Debug, Default)]
-pub struct Peers(BTreeMap<Name, Peer>);
+pub struct Peers(BTreeMap<Name, ReaderState>);
 
 impl Peers {
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    pub fn get(&self, reader: &Name) -> Option<&Peer> {
+    pub fn get(&self, reader: &Name) -> Option<&ReaderState> {
         self.0.get(reader)
     }
 
-    pub fn get_mut(&mut self, reader: &Name) -> Option<&mut Peer> {
+    pub fn get_mut(&mut self, reader: &Name) -> Option<&mut ReaderState> {
         self.0.get_mut(reader)
     }
 
     /// False if there are too many.
-    pub fn join(&mut self, reader: Name, peer: Peer) -> bool {
+    pub fn join(&mut self, reader: Name, peer: ReaderState) -> bool {
         if self.0.len() >= MOST_PEERS && !self.0.contains_key(&reader) {
             return false;
         }
@@ -237,29 +237,29 @@ impl Peers {
     }
 
     pub fn any_live(&self) -> bool {
-        self.0.values().any(Peer::is_live)
+        self.0.values().any(ReaderState::is_live)
     }
 
-    pub fn live(&mut self) -> impl Iterator<Item = &mut Peer> {
+    pub fn live(&mut self) -> impl Iterator<Item = &mut ReaderState> {
         self.0.values_mut().filter(|peer| peer.is_live())
     }
 
     /// The last sequence that all who are waited for have; of readers that all lag, the first of
     /// them is waited for.
     pub fn acknowledged(&self) -> u64 {
-        let waited_for = self.0.values().filter(|peer| peer.is_waited_for()).map(Peer::acknowledged).min();
+        let waited_for = self.0.values().filter(|peer| peer.is_waited_for()).map(ReaderState::acknowledged).min();
         waited_for.unwrap_or_else(|| self.first_acknowledged())
     }
 
     /// The last sequence that any live reader has.
     pub fn first_acknowledged(&self) -> u64 {
-        self.0.values().filter(|peer| peer.is_live()).map(Peer::acknowledged).max().unwrap_or(u64::MAX)
+        self.0.values().filter(|peer| peer.is_live()).map(ReaderState::acknowledged).max().unwrap_or(u64::MAX)
     }
 
     /// The live ones that lack a message up to this sequence, and how many they lack.
     pub fn lacking(&self, sequence: u64) -> impl Iterator<Item = (Name, u64)> {
         let live = self.0.iter().filter(|(_, peer)| peer.is_live());
-        let lacks = move |(name, peer): (&Name, &Peer)| (*name, sequence.saturating_sub(peer.acknowledged));
+        let lacks = move |(name, peer): (&Name, &ReaderState)| (*name, sequence.saturating_sub(peer.acknowledged));
         live.map(lacks).filter(|(_, count)| *count > 0)
     }
 
@@ -293,7 +293,7 @@ impl Peers {
 
     /// The last sequence that all live readers have.
     pub fn acknowledged_by_all(&self) -> u64 {
-        self.0.values().filter(|peer| peer.is_live()).map(Peer::acknowledged).min().unwrap_or(u64::MAX)
+        self.0.values().filter(|peer| peer.is_live()).map(ReaderState::acknowledged).min().unwrap_or(u64::MAX)
     }
 
     /// One look for those that fell silent, while something went.

@@ -13,7 +13,7 @@ pub enum Body<M> {
     /// Not complete.
     Open,
     /// Complete, and waits for those before it.
-    Held(M, usize),
+    Complete(M, usize),
 }
 
 /// `M`: the message as it is delivered.
@@ -26,7 +26,7 @@ pub struct Slot<M> {
     /// Segments, the proof included; 0: none has come.
     total: u32,
     missing: u32,
-    came: Bits,
+    received: Bits,
     asked: Bits,
     /// Whether anything was asked for since the last time all was to be asked again.
     asked_at: Option<u64>,
@@ -41,7 +41,7 @@ impl<M> Slot<M> {
             known_at: now,
             total: 0,
             missing: 0,
-            came: Bits::default(),
+            received: Bits::default(),
             asked: Bits::default(),
             asked_at: None,
             tries: 0,
@@ -66,10 +66,10 @@ impl<M> Slot<M> {
         if self.total == 0 || cut > self.cut {
             self.restart(cut, total);
         }
-        if cut != self.cut || index >= self.total || self.came.get(index) {
+        if cut != self.cut || index >= self.total || self.received.get(index) {
             return false;
         }
-        self.came.set(index, self.total);
+        self.received.set(index, self.total);
         self.missing -= 1;
         true
     }
@@ -113,7 +113,7 @@ impl<M> Slot<M> {
                 let Some(first) = self.wanted(from, end) else { break };
                 let mut count = 0;
                 while first + count < end.min(self.total)
-                    && !self.came.get(first + count)
+                    && !self.received.get(first + count)
                     && !self.asked.get(first + count)
                 {
                     self.asked.set(first + count, self.total);
@@ -137,7 +137,7 @@ impl<M> Slot<M> {
 
     fn restart(&mut self, cut: u16, total: u32) {
         (self.cut, self.total, self.missing) = (cut, total, total);
-        self.came.clear();
+        self.received.clear();
         self.asked.clear();
     }
 
@@ -146,7 +146,7 @@ impl<M> Slot<M> {
         let end = end.min(self.total);
         let mut index = from;
         while index < end {
-            let open = !(self.came.word(index) | self.asked.word(index)) >> (index % 64);
+            let open = !(self.received.word(index) | self.asked.word(index)) >> (index % 64);
             if open == 0 {
                 index = (index / 64 + 1) * 64;
                 continue;

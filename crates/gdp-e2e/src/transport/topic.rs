@@ -5,7 +5,7 @@ use gdp_wire::Name;
 use super::black_hole::{FrameLimit, LEAST_PAYLOAD};
 use super::meter::{Meter, Speed, nanoseconds};
 use super::outbox::{Chosen, History, Outbox, Overflow, Reliability};
-use super::peers::{Peer, Peers, Report, SILENCE_STEP};
+use super::peers::{Peers, ReaderState, Report, SILENCE_STEP};
 use super::sent_log::{Sent, SentLog};
 use super::{MS, Position, Sealed};
 use crate::feedback_wire::{Feedback, MAX_MISSING, Missing};
@@ -48,7 +48,7 @@ impl TopicOptions {
 
 /// When a topic wants its turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Turn {
+pub struct TopicTurn {
     pub may_send: bool,
     /// When it is to be asked again, or its timers are due; `u64::MAX`: only when it is told
     /// something.
@@ -63,7 +63,7 @@ pub struct TopicState {
     pub outbox: Outbox,
     peers: Peers,
     /// Stands for the readers while none of them is live.
-    nobody: Peer,
+    nobody: ReaderState,
     log: SentLog,
     /// Bytes of payload that have gone.
     sent: u64,
@@ -114,7 +114,7 @@ impl TopicState {
             options: TopicOptions { class: options.class.min(7), ..options },
             outbox: Outbox::new(options.reliability, options.history),
             peers: Peers::default(),
-            nobody: Peer::new(now, 0, 0),
+            nobody: ReaderState::new(now, 0, 0),
             log: SentLog::default(),
             sent: 0,
             sent_at: now,
@@ -172,7 +172,7 @@ impl TopicState {
 
     pub fn join(&mut self, now: u64, reader: Name) -> bool {
         let known = self.outbox.last();
-        self.peers.join(reader, Peer::new(now, known, self.sent))
+        self.peers.join(reader, ReaderState::new(now, known, self.sent))
     }
 
     /// True if this makes room for a publisher that waits.
@@ -186,21 +186,21 @@ impl TopicState {
     }
 
     /// When it may send, or has to do something else.
-    pub fn turn(&mut self, now: u64, max_payload: usize) -> Turn {
+    pub fn turn(&mut self, now: u64, max_payload: usize) -> TopicTurn {
         let timers = self.heartbeat_at.min(self.look_at).min(self.waiting.map_or(u64::MAX, |waiting| waiting.again_at));
         if self.outbox.choose(now, max_payload).is_none() {
             if !self.paused {
                 (self.paused, self.pauses) = (true, self.pauses + 1);
             }
-            return Turn { may_send: false, at: timers };
+            return TopicTurn { may_send: false, at: timers };
         }
         let Some(rate) = self.find_rate(now) else {
-            return Turn { may_send: false, at: timers.min(self.overdue_at()) };
+            return TopicTurn { may_send: false, at: timers.min(self.overdue_at()) };
         };
         let at_once = if self.paused { self.at_once_after_pause(now) } else { self.at_once };
         let paced = if at_once > 0 { now } else { self.pace.ready_at(BURST.max(nanoseconds(BURST_BYTES, rate))) };
         let may_send = paced <= now;
-        Turn { may_send, at: if may_send { timers } else { timers.min(paced) } }
+        TopicTurn { may_send, at: if may_send { timers } else { timers.min(paced) } }
     }
 
     /// The frame payload that goes next, if it has at most `room` bytes. `waited`: since it could
@@ -295,7 +295,9 @@ impl TopicState {
                 let (marked, slowed) = peer.on_report(now, &report, &self.log, &self.outbox, self.sent);
                 self.outbox.count_congestion(marked, slowed);
                 self.large_unheard &= echo.is_none();
-                echo.and_then(|echo| self.outbox.len_of(echo)).into_iter().for_each(|len| peer.suspicion.came(len));
+                echo.and_then(|echo| self.outbox.len_of(echo))
+                    .into_iter()
+                    .for_each(|len| peer.suspicion.on_received(len));
                 self.leader = None;
                 let awaited = peer.acknowledged() + 1;
                 self.wait(now);
@@ -372,7 +374,7 @@ impl TopicState {
         if is_idle { leader.path().burst() } else { 0 }
     }
 
-    fn leader(&self) -> Option<&Peer> {
+    fn leader(&self) -> Option<&ReaderState> {
         self.peers.get(&self.leader?)
     }
 }

@@ -7,7 +7,7 @@ use gdp_wire::Name;
 
 use super::meter::{Meter, nanoseconds};
 use super::outbox::{Chosen, TopicCounters};
-use super::topic::{TopicOptions, TopicState, Turn};
+use super::topic::{TopicOptions, TopicState, TopicTurn};
 use super::{FRAME_HEADER, Sealed};
 use crate::feedback_wire::Feedback;
 
@@ -34,7 +34,7 @@ pub struct UplinkOptions {
 
 /// A topic of an uplink. One that is closed is none, also when its place is used again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Topic {
+pub struct TopicId {
     index: u32,
     generation: u32,
 }
@@ -55,25 +55,25 @@ pub enum Output {
     /// Seal these messages again, for [`Uplink::max_payload_of`] the topic, and bring them by
     /// [`Uplink::resealed`].
     Reseal {
-        topic: Topic,
+        topic: TopicId,
         message: Arc<Sealed>,
     },
     /// Tell all readers, signed, that `next` is the sequence of the next message, and what comes
     /// before `oldest` cannot be repaired.
     Heartbeat {
-        topic: Topic,
+        topic: TopicId,
         next: u64,
         oldest: u64,
     },
     /// Tell this reader that what comes before `oldest` cannot be repaired.
-    Gone {
-        topic: Topic,
+    Unavailable {
+        topic: TopicId,
         reader: Name,
         oldest: u64,
     },
     /// A publisher that waits for room, or for its turn, may try again.
     Room {
-        topic: Topic,
+        topic: TopicId,
     },
 }
 
@@ -117,13 +117,13 @@ pub struct Uplink {
     slots: Vec<Slot>,
     free: Vec<u32>,
     /// Topics that may send, by class, and since when.
-    ready: [VecDeque<(Topic, u64)>; CLASSES],
+    ready: [VecDeque<(TopicId, u64)>; CLASSES],
     /// Copies of another uplink's frames, by class, and their bytes.
     copies: [(VecDeque<Transmit>, u64); CLASSES],
     copies_dropped: u64,
     /// Bytes that a class may send before its turn.
     owed: [u64; CLASSES],
-    timers: BTreeSet<(u64, Topic)>,
+    timers: BTreeSet<(u64, TopicId)>,
     outputs: VecDeque<Output>,
 }
 
@@ -154,18 +154,18 @@ impl Uplink {
 
     /// A topic for what one writer's session sends to `name`. It has no readers yet: nothing goes
     /// until one joins.
-    pub fn open(&mut self, now: u64, name: Name, session: [u8; 16], options: TopicOptions) -> Topic {
+    pub fn open(&mut self, now: u64, name: Name, session: [u8; 16], options: TopicOptions) -> TopicId {
         let index = self.free.pop().unwrap_or_else(|| {
             self.slots.push(Slot::default());
             self.slots.len() as u32 - 1
         });
         let slot = &mut self.slots[index as usize];
         slot.topic = Some(Box::new(TopicState::new(now, name, session, options)));
-        Topic { index, generation: slot.generation }
+        TopicId { index, generation: slot.generation }
     }
 
     /// What waits is dropped.
-    pub fn close(&mut self, topic: Topic) {
+    pub fn close(&mut self, topic: TopicId) {
         let Some(slot) = self.slot(topic) else { return };
         let timer = slot.timer.take();
         (slot.topic, slot.is_ready) = (None, false);
@@ -177,7 +177,7 @@ impl Uplink {
         self.outputs.retain(|output| match output {
             Output::Reseal { topic: of, .. }
             | Output::Heartbeat { topic: of, .. }
-            | Output::Gone { topic: of, .. }
+            | Output::Unavailable { topic: of, .. }
             | Output::Room { topic: of } => *of != topic,
             Output::Send(_) => true,
         });
@@ -185,7 +185,7 @@ impl Uplink {
     }
 
     /// Takes a message. Sequences ascend, over all messages of a topic.
-    pub fn push(&mut self, now: u64, topic: Topic, message: Sealed) -> Result<(), Full> {
+    pub fn push(&mut self, now: u64, topic: TopicId, message: Sealed) -> Result<(), Full> {
         let Some(state) = self.topic(topic) else { return Err(Full::Refused(message)) };
         if message.first() <= state.outbox.last() {
             return Err(Full::Refused(message));
@@ -197,14 +197,14 @@ impl Uplink {
 
     /// Whether a message would go right behind the one that goes now, replacing none and waiting
     /// for none. If not, [`Output::Room`] comes when one would.
-    pub fn has_turn(&mut self, topic: Topic) -> bool {
+    pub fn has_turn(&mut self, topic: TopicId) -> bool {
         self.topic(topic).is_none_or(TopicState::has_turn)
     }
 
     /// A reader that the certificates allow is there: what is pushed from now on is for it, too.
     /// Returns the sequence it is to be told to begin with; `None` if the topic has too many
     /// readers to keep account of this one, or is closed.
-    pub fn join(&mut self, now: u64, topic: Topic, reader: Name) -> Option<u64> {
+    pub fn join(&mut self, now: u64, topic: TopicId, reader: Name) -> Option<u64> {
         let state = self.topic(topic)?;
         let next = state.outbox.last() + 1;
         let joined = state.join(now, reader);
@@ -213,7 +213,7 @@ impl Uplink {
     }
 
     /// A reader is gone, or may not read any more.
-    pub fn leave(&mut self, now: u64, topic: Topic, reader: &Name) {
+    pub fn leave(&mut self, now: u64, topic: TopicId, reader: &Name) {
         let Some(state) = self.topic(topic) else { return };
         if state.leave(reader) {
             self.outputs.push_back(Output::Room { topic });
@@ -224,16 +224,16 @@ impl Uplink {
     /// What a reader of the topic says, opened with the key that it and this writer share. Kinds
     /// and sessions that do not concern the topic are ignored, and so are readers that did not
     /// join.
-    pub fn feedback(&mut self, now: u64, topic: Topic, reader: Name, feedback: &Feedback) {
+    pub fn feedback(&mut self, now: u64, topic: TopicId, reader: Name, feedback: &Feedback) {
         let Some(state) = self.topic(topic) else { return };
         let (gone, room) = state.on_feedback(now, &reader, feedback);
         if let Some(oldest) = gone {
             let of_reader = |output: &Output| match output {
-                Output::Gone { topic: of, reader: to, .. } => (*of, *to) == (topic, reader),
+                Output::Unavailable { topic: of, reader: to, .. } => (*of, *to) == (topic, reader),
                 _ => false,
             };
             self.outputs.retain(|output| !of_reader(output));
-            self.outputs.push_back(Output::Gone { topic, reader, oldest });
+            self.outputs.push_back(Output::Unavailable { topic, reader, oldest });
         }
         if room {
             self.outputs.push_back(Output::Room { topic });
@@ -246,7 +246,7 @@ impl Uplink {
     pub fn set_max_payload(&mut self, now: u64, max_payload: usize) {
         self.options.max_payload = max_payload;
         for index in 0..self.slots.len() {
-            let topic = Topic { index: index as u32, generation: self.slots[index].generation };
+            let topic = TopicId { index: index as u32, generation: self.slots[index].generation };
             self.settle(now, topic);
         }
     }
@@ -257,7 +257,7 @@ impl Uplink {
     }
 
     /// The answer to [`Output::Reseal`].
-    pub fn resealed(&mut self, now: u64, topic: Topic, message: Sealed) {
+    pub fn resealed(&mut self, now: u64, topic: TopicId, message: Sealed) {
         if let Some(state) = self.topic(topic) {
             state.outbox.resealed(message);
             self.settle(now, topic);
@@ -265,7 +265,7 @@ impl Uplink {
     }
 
     /// The other answer to [`Output::Reseal`]: these messages cannot be sealed again, and are lost.
-    pub fn abandon(&mut self, now: u64, topic: Topic, message: &Sealed) {
+    pub fn abandon(&mut self, now: u64, topic: TopicId, message: &Sealed) {
         if let Some(state) = self.topic(topic) {
             state.outbox.abandon(message.first());
             self.settle(now, topic);
@@ -279,7 +279,7 @@ impl Uplink {
 
     /// Bytes of a frame's payload that messages of a topic are to be sealed for: fewer than the
     /// link takes if large frames vanish on the way to a reader.
-    pub fn max_payload_of(&mut self, now: u64, topic: Topic) -> usize {
+    pub fn max_payload_of(&mut self, now: u64, topic: TopicId) -> usize {
         let of_link = self.options.max_payload;
         self.topic(topic).map_or(of_link, |state| state.max_payload(now, of_link))
     }
@@ -309,14 +309,14 @@ impl Uplink {
         self.copies_dropped
     }
 
-    pub fn counters(&self, topic: Topic) -> Option<TopicCounters> {
+    pub fn counters(&self, topic: TopicId) -> Option<TopicCounters> {
         let slot = self.slots.get(topic.index as usize).filter(|slot| slot.generation == topic.generation)?;
         slot.topic.as_ref().map(|state| *state.outbox.counters())
     }
 
     /// Messages that have not gone, and the live readers that have not acknowledged so many of all;
     /// `None` if the topic is closed.
-    pub fn unfinished(&self, topic: Topic) -> Option<(u64, Vec<(Name, u64)>)> {
+    pub fn unfinished(&self, topic: TopicId) -> Option<(u64, Vec<(Name, u64)>)> {
         let slot = self.slots.get(topic.index as usize).filter(|slot| slot.generation == topic.generation)?;
         slot.topic.as_ref().map(|state| state.unfinished())
     }
@@ -410,7 +410,7 @@ impl Uplink {
         self.options.budget.map_or(0, |budget| self.budget.ready_at(nanoseconds(BURST_BYTES, budget)))
     }
 
-    fn on_timer(&mut self, now: u64, topic: Topic) {
+    fn on_timer(&mut self, now: u64, topic: TopicId) {
         let Some(state) = self.topic(topic) else { return };
         let due = state.on_timer(now);
         if let Some((next, oldest)) = due.heartbeat {
@@ -423,12 +423,12 @@ impl Uplink {
     }
 
     /// Puts a topic where it belongs after anything happened to it.
-    fn settle(&mut self, now: u64, topic: Topic) {
+    fn settle(&mut self, now: u64, topic: TopicId) {
         let max_payload = self.options.max_payload;
         let Some(slot) = self.slot(topic) else { return };
         let Some(state) = &mut slot.topic else { return };
         let class = usize::from(state.options.class);
-        let Turn { may_send, at } = state.turn(now, state.max_payload(now, max_payload));
+        let TopicTurn { may_send, at } = state.turn(now, state.max_payload(now, max_payload));
         let has_turn = state.take_turn();
         let mut resealing = Vec::new();
         while let Some(message) = state.outbox.next_to_reseal() {
@@ -451,11 +451,11 @@ impl Uplink {
         }
     }
 
-    fn slot(&mut self, topic: Topic) -> Option<&mut Slot> {
+    fn slot(&mut self, topic: TopicId) -> Option<&mut Slot> {
         self.slots.get_mut(topic.index as usize).filter(|slot| slot.generation == topic.generation)
     }
 
-    fn topic(&mut self, topic: Topic) -> Option<&mut TopicState> {
+    fn topic(&mut self, topic: TopicId) -> Option<&mut TopicState> {
         self.slot(topic)?.topic.as_deref_mut()
     }
 }

@@ -105,7 +105,7 @@ fn all() -> [(Feedback, usize); 5] {
         (Feedback::Hello { name, challenge, wants: Wants::Offered }, 50),
         (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE, reliable: false }, 74),
         (report, 101),
-        (Feedback::Gone { name, session, oldest: 12 }, 57),
+        (Feedback::Unavailable { name, session, oldest: 12 }, 57),
         (nack(vec![Missing::whole(4), Missing { sequence: 5, cut: 1, first: 2, count: 3 }]), 50 + 2 * 16),
     ]
 }

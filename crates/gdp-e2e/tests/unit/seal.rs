@@ -159,7 +159,7 @@ fn what_misses_its_deadline_is_dropped_whole_and_newer_messages_pass() {
 
 #[test]
 fn when_memory_is_short_the_writers_own_oldest_message_gives_way() {
-    let f = Fixture { limits: Limits { max_memory_per_source: 40_000, ..limits() }, ..Fixture::new() };
+    let f = Fixture { limits: ReaderLimits { max_memory_per_source: 40_000, ..limits() }, ..Fixture::new() };
     let (mut writer, mut reader) = (f.writer(), f.reader());
     let messages: Vec<_> = (0..3).map(|_| f.seal(&mut writer, &[1; 15_000], 1400)).collect();
     let mut out = Received::default();
@@ -179,7 +179,7 @@ fn when_memory_is_short_the_writers_own_oldest_message_gives_way() {
 
 #[test]
 fn one_writer_cannot_use_up_another_ones_memory() {
-    let limits = Limits { max_memory: 50_000, max_memory_per_source: 30_000, ..limits() };
+    let limits = ReaderLimits { max_memory: 50_000, max_memory_per_source: 30_000, ..limits() };
     let f = Fixture { limits, ..Fixture::new() };
     let mut reader = f.reader();
     let mut out = Received::default();
@@ -222,8 +222,13 @@ pub fn at(ns: u64) -> Timestamps {
     Timestamps { steady_ns: ns, unix_ns: ns }
 }
 
-pub fn limits() -> Limits {
-    Limits { max_message: 200_000, max_memory_per_source: 1 << 20, max_memory: 4 << 20, ..Limits::default() }
+pub fn limits() -> ReaderLimits {
+    ReaderLimits {
+        max_message: 200_000,
+        max_memory_per_source: 1 << 20,
+        max_memory: 4 << 20,
+        ..ReaderLimits::default()
+    }
 }
 
 /// One name, two entities that may write it, and readers and writers made to measure.
@@ -234,7 +239,7 @@ pub struct Fixture {
     pub epoch_key: EpochKey,
     pub writing: Backend,
     pub reading: Backend,
-    pub limits: Limits,
+    pub limits: ReaderLimits,
     /// Writers begun so far.
     pub begun: Cell<u8>,
 }

@@ -54,7 +54,8 @@ struct Hello {
     frames_at: Option<[u8; 4]>,
     /// What the sender shows of its domain, if it is a member of one. For who takes the link to
     /// judge.
-    papers: Option<Credentials>,
+    #[serde(rename = "papers")]
+    credentials: Option<Credentials>,
 }
 
 /// What this side says of itself.
@@ -72,7 +73,7 @@ pub struct HelloConfig {
     pub host: Option<u64>,
     /// A switch's, for endpoints on its host.
     pub pair: CurrentPair,
-    pub papers: CurrentCredentials,
+    pub credentials: CurrentCredentials,
     /// Not said, but needed for the link that is made.
     pub rekey: RekeySchedule,
 }
@@ -82,11 +83,11 @@ pub struct HelloConfig {
 /// says why.
 pub async fn greet_as_client(
     connection: Connection,
-    place: LinkLocation,
+    location: LinkLocation,
     config: &HelloConfig,
     expected: Option<Name>,
 ) -> Result<Link, LinkError> {
-    let greeted = say_and_hear(connection.clone(), place, config, expected).await;
+    let greeted = say_and_hear(connection.clone(), location, config, expected).await;
     greeted.map_err(|error| match (error, connection.close_reason()) {
         (LinkError::Closed(_), Some(reason)) => reason.into(),
         (error, _) => error,
@@ -95,14 +96,14 @@ pub async fn greet_as_client(
 
 async fn say_and_hear(
     connection: Connection,
-    place: LinkLocation,
+    location: LinkLocation,
     config: &HelloConfig,
     expected: Option<Name>,
 ) -> Result<Link, LinkError> {
     let (mut send, mut recv) = connection.open_bi().await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
     // Nobody else is told.
-    let is_here = || place.leads_to_this_host(connection.remote_address());
+    let is_here = || location.leads_to_this_host(connection.remote_address());
     let host = config.host.filter(|_| config.role == Role::Endpoint && is_here());
     say(&mut send, config, &id, host, None).await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
@@ -112,34 +113,34 @@ async fn say_and_hear(
         connection.close(quinn::VarInt::from_u32(0), b"another peer was expected");
         return Err(LinkError::WrongPeer { expected, found: peer.name });
     }
-    let place = match peer_end.frames_at {
-        None => place,
+    let location = match peer_end.frames_at {
+        None => location,
         // Nobody else's host can be meant.
-        Some(ip) if host.is_some() && ip.is_link_local() => place.by(PairEnd::toward(ip)),
+        Some(ip) if host.is_some() && ip.is_link_local() => location.by(PairEnd::toward(ip)),
         Some(ip) => return Err(LinkError::Protocol(format!("{ip} is no place to send frames to"))),
     };
-    Link::new(connection, place, (id, config.mtu), peer, peer_end, true, config.rekey)
+    Link::new(connection, location, (id, config.mtu), peer, peer_end, true, config.rekey)
 }
 
 /// Answers the hello of a connection the peer dialled. Nothing is allocated before the peer has
 /// proven and said who it is.
 pub async fn greet_as_server(
     connection: Connection,
-    place: LinkLocation,
+    location: LinkLocation,
     config: &HelloConfig,
 ) -> Result<Link, LinkError> {
     let (mut send, mut recv) = connection.accept_bi().await?;
     let (peer, peer_end) = hear(&mut recv, &connection).await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
-    let pair = config.pair.get().filter(|_| is_beside(config, &connection, &peer, &peer_end));
+    let pair = config.pair.get().filter(|_| is_on_this_host(config, &connection, &peer, &peer_end));
     say(&mut send, config, &id, None, pair.map(|pair| pair.switch_ip)).await?;
-    let place = pair.map_or(place, |pair| place.by(PairEnd::of_switch(&pair)));
-    Link::new(connection, place, (id, config.mtu), peer, peer_end, false, config.rekey)
+    let location = pair.map_or(location, |pair| location.by(PairEnd::of_switch(&pair)));
+    Link::new(connection, location, (id, config.mtu), peer, peer_end, false, config.rekey)
 }
 
 /// Whether the peer is an endpoint on this host. It says so; that its packets come from the address
 /// they go to shows it, because the kernel takes such packets from nobody else.
-fn is_beside(config: &HelloConfig, connection: &Connection, peer: &Peer, peer_end: &PeerEnd) -> bool {
+fn is_on_this_host(config: &HelloConfig, connection: &Connection, peer: &Peer, peer_end: &PeerEnd) -> bool {
     let from = connection.remote_address().ip().to_canonical();
     peer.role == Role::Endpoint
         && peer_end.host.is_some()
@@ -164,7 +165,7 @@ async fn say(
         zero_checksum: config.zero_checksum,
         host,
         frames_at: frames_at.map(|ip| ip.octets()),
-        papers: config.papers.get().map(|papers| Credentials::clone(&papers)),
+        credentials: config.credentials.get().map(|credentials| Credentials::clone(&credentials)),
     };
     streams::write_message(send, &control::encode(&hello)?).await
 }
@@ -188,7 +189,7 @@ async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, P
     let key = tls::peer_key(connection)?;
     let proof = NameProof { owner_key: *key.as_bytes(), digest: hello.digest };
     let name = gdp_core::name::derive(&proof.owner_key, &proof.digest);
-    let Hello { role, lane, link_id: id, mtu, zero_checksum, host, frames_at, papers, .. } = hello;
-    let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from), papers };
+    let Hello { role, lane, link_id: id, mtu, zero_checksum, host, frames_at, credentials, .. } = hello;
+    let end = PeerEnd { id, mtu, zero_checksum, host, frames_at: frames_at.map(Ipv4Addr::from), credentials };
     Ok((Peer { name, proof, key, role, lane }, end))
 }

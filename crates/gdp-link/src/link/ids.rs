@@ -11,10 +11,10 @@ use gdp_core::crypto;
 
 /// All link ids of an entity. Clones share the table.
 #[derive(Clone, Default)]
-pub struct LinkIds(Arc<Mutex<Table>>);
+pub struct LinkIds(Arc<Mutex<LinkIdTable>>);
 
 #[derive(Default)]
-struct Table {
+struct LinkIdTable {
     used: Vec<bool>,
     /// Where the search for a free index goes on, so that an index rests before it is used again.
     next: usize,
@@ -47,7 +47,7 @@ impl LinkIds {
         (!std::mem::replace(used, true)).then(|| LinkId { id, ids: self.clone() })
     }
 
-    fn lock(&self) -> MutexGuard<'_, Table> {
+    fn lock(&self) -> MutexGuard<'_, LinkIdTable> {
         self.0.lock()
     }
 }

@@ -11,5 +11,5 @@ pub struct PeerEnd {
     pub zero_checksum: bool,
     pub host: Option<u64>,
     pub frames_at: Option<Ipv4Addr>,
-    pub papers: Option<Credentials>,
+    pub credentials: Option<Credentials>,
 }

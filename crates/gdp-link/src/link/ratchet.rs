@@ -62,12 +62,12 @@ impl Default for RekeySchedule {
 #[derive(Clone, Zeroize, ZeroizeOnDrop)]
 #[cfg_attr(test, derive(PartialEq, Eq))]
 pub struct LinkKeys {
-    rx_keys: [Key; 2],
-    tx_keys: [Key; 2],
+    rx_keys: [TagKey; 2],
+    tx_keys: [TagKey; 2],
     tx_phase: u32,
 }
 
-type Key = [u64; 2];
+type TagKey = [u64; 2];
 
 impl LinkKeys {
     /// Writes them into a link's entry. Of the words that frames are tagged with meanwhile none
@@ -87,7 +87,7 @@ impl std::fmt::Debug for LinkKeys {
 
 /// To be done after [`Ratchet::keys`] are in the tables of all data planes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum RekeyStep {
     /// Tell the peer that frames now leave under the key of this generation; [`Ratchet::answered`]
     /// takes its answer.
     Announce(u64),
@@ -97,8 +97,8 @@ pub enum Step {
 
 /// What an announcement of the peer is answered with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Heard {
-    /// Nothing yet: [`Step::Confirm`] comes.
+pub enum AnnouncementOutcome {
+    /// Nothing yet: [`RekeyStep::Confirm`] comes.
     Later,
     /// The same as before.
     Known,
@@ -114,7 +114,7 @@ pub struct Ratchet {
 }
 
 struct Rx {
-    held: Held,
+    secret: TrafficSecret,
     /// The generation that the peer is known to have moved to, or the first.
     generation: u64,
     /// When the key before the one announced goes.
@@ -122,7 +122,7 @@ struct Rx {
 }
 
 struct Tx {
-    held: Held,
+    secret: TrafficSecret,
     /// The generation in use.
     generation: u64,
     /// Since when, and at which count.
@@ -148,13 +148,22 @@ impl Ratchet {
         schedule: RekeySchedule,
         now: Instant,
     ) -> Result<Self, CryptoError> {
-        let rx = Rx { held: Held::new(rx_secret)?, generation: 0, retires: None };
-        let tx = Tx { held: Held::new(tx_secret)?, generation: 0, since: (now, 0), announced: Announced::Confirmed };
+        let rx = Rx { secret: TrafficSecret::new(rx_secret)?, generation: 0, retires: None };
+        let tx = Tx {
+            secret: TrafficSecret::new(tx_secret)?,
+            generation: 0,
+            since: (now, 0),
+            announced: Announced::Confirmed,
+        };
         Ok(Self { schedule, rx, tx })
     }
 
     pub fn keys(&self) -> LinkKeys {
-        LinkKeys { rx_keys: *self.rx.held.keys, tx_keys: *self.tx.held.keys, tx_phase: (self.tx.generation % 2) as u32 }
+        LinkKeys {
+            rx_keys: *self.rx.secret.keys,
+            tx_keys: *self.tx.secret.keys,
+            tx_phase: (self.tx.generation % 2) as u32,
+        }
     }
 
     /// The generations of frames that arrive and of those that leave.
@@ -164,10 +173,10 @@ impl Ratchet {
 
     /// What time, and the count of frames `sent`, bring about. To be asked until there is nothing,
     /// and again at [`Self::wake_at`].
-    pub fn poll(&mut self, now: Instant, sent: u64) -> Result<Option<Step>, CryptoError> {
+    pub fn poll(&mut self, now: Instant, sent: u64) -> Result<Option<RekeyStep>, CryptoError> {
         if self.rx.retires.take_if(|retires| *retires <= now).is_some() {
-            self.rx.held.replace(self.rx.generation + 1)?;
-            return Ok(Some(Step::Confirm));
+            self.rx.secret.replace(self.rx.generation + 1)?;
+            return Ok(Some(RekeyStep::Confirm));
         }
         let tx = &mut self.tx;
         match tx.announced {
@@ -185,7 +194,7 @@ impl Ratchet {
             Announced::Asked | Announced::Due(_) => return Ok(None),
         }
         tx.announced = Announced::Asked;
-        Ok(Some(Step::Announce(tx.generation)))
+        Ok(Some(RekeyStep::Announce(tx.generation)))
     }
 
     /// When [`Self::poll`] may have something, at the latest.
@@ -205,7 +214,7 @@ impl Ratchet {
             return Ok(false);
         }
         if confirmed {
-            self.tx.held.replace(self.tx.generation + 1)?;
+            self.tx.secret.replace(self.tx.generation + 1)?;
             self.tx.announced = Announced::Confirmed;
         } else {
             self.tx.announced = Announced::Due(now + ANNOUNCE_AGAIN);
@@ -214,33 +223,33 @@ impl Ratchet {
     }
 
     /// The peer says that its frames now leave under the key of this generation.
-    pub fn announced(&mut self, generation: u64, now: Instant) -> Heard {
+    pub fn announced(&mut self, generation: u64, now: Instant) -> AnnouncementOutcome {
         let rx = &mut self.rx;
         if Some(generation) == rx.generation.checked_add(1) && rx.retires.is_none() {
             rx.generation = generation;
             rx.retires = Some(now + self.schedule.overlap);
         }
         match generation == rx.generation {
-            true if rx.retires.is_some() => Heard::Later,
-            _ if generation <= rx.generation => Heard::Known,
-            _ => Heard::Impossible,
+            true if rx.retires.is_some() => AnnouncementOutcome::Later,
+            _ if generation <= rx.generation => AnnouncementOutcome::Known,
+            _ => AnnouncementOutcome::Impossible,
         }
     }
 }
 
 /// Two keys in a row, by phase, and what those after them come from. Secrets that were used are
 /// gone.
-struct Held {
-    keys: Zeroizing<[Key; 2]>,
+struct TrafficSecret {
+    keys: Zeroizing<[TagKey; 2]>,
     next: Zeroizing<[u8; 32]>,
 }
 
-impl Held {
+impl TrafficSecret {
     fn new(secret: Zeroizing<[u8; 32]>) -> Result<Self, CryptoError> {
-        let mut held = Self { keys: Zeroizing::new([[0; 2]; 2]), next: secret };
-        held.replace(0)?;
-        held.replace(1)?;
-        Ok(held)
+        let mut secret = Self { keys: Zeroizing::new([[0; 2]; 2]), next: secret };
+        secret.replace(0)?;
+        secret.replace(1)?;
+        Ok(secret)
     }
 
     /// Takes the next key of the chain, of this generation, in the place of the one two before.

@@ -12,7 +12,7 @@ use parking_lot::MutexGuard;
 use tokio::sync::mpsc;
 use tokio::time::sleep_until;
 
-use super::ratchet::{Heard, Ratchet, Step};
+use super::ratchet::{AnnouncementOutcome, Ratchet, RekeyStep};
 use super::{Link, LinkKeys, Responder, streams};
 use gdp_core::crypto::CryptoError;
 use gdp_proto::control::{Refusal, RefusalCode, Request, Response};
@@ -59,8 +59,8 @@ impl Link {
                     return Ok(());
                 }
                 match step {
-                    Step::Announce(generation) => asking = Some(Box::pin(self.announce(generation))),
-                    Step::Confirm => answer(waiting.take(), Response::Done).await,
+                    RekeyStep::Announce(generation) => asking = Some(Box::pin(self.announce(generation))),
+                    RekeyStep::Confirm => answer(waiting.take(), Response::Done).await,
                 }
             }
             let wake = self.ratchet().wake_at(Instant::now());
@@ -83,9 +83,9 @@ impl Link {
                 Some((generation, responder)) = announcements.recv() => {
                     let heard = self.ratchet().announced(generation, Instant::now());
                     match heard {
-                        Heard::Later => waiting = Some(responder),
-                        Heard::Known => answer(Some(responder), Response::Done).await,
-                        Heard::Impossible => {
+                        AnnouncementOutcome::Later => waiting = Some(responder),
+                        AnnouncementOutcome::Known => answer(Some(responder), Response::Done).await,
+                        AnnouncementOutcome::Impossible => {
                             let reason = format!("generation {generation} of a key does not follow the one in use");
                             answer(Some(responder), Refusal::new(RefusalCode::Malformed, reason).into()).await;
                         }

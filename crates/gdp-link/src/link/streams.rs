@@ -58,7 +58,7 @@ pub async fn request(connection: &Connection, request: &Request) -> Result<Respo
 pub struct Takers {
     pub requests: mpsc::Sender<(Request, Responder)>,
     /// Changes of keys: the link's own business.
-    pub heard: mpsc::Sender<Announcement>,
+    pub announcements: mpsc::Sender<Announcement>,
 }
 
 /// Reads the peer's requests until the connection is closed. The number of streams is bounded by
@@ -76,7 +76,7 @@ async fn read_request(send: SendStream, mut recv: RecvStream, takers: Takers) {
             Ok(Request::Ratcheted { generation }) => {
                 // Without room, or anybody who keeps the keys, it is left unanswered, and the peer
                 // asks again.
-                let _ = takers.heard.try_send((generation, responder));
+                let _ = takers.announcements.try_send((generation, responder));
             }
             Ok(request) => {
                 // The receiver is gone only when the link is.

@@ -13,7 +13,7 @@ pub struct RecvBatch {
     storage: Vec<u8>,
     largest: usize,
     /// In the order in which they lie, without overlap.
-    places: Vec<BufferSlot>,
+    slots: Vec<BufferSlot>,
 }
 
 #[derive(Clone, Copy)]
@@ -36,22 +36,22 @@ impl RecvBatch {
     /// For frames of up to `largest` bytes; on Ethernet a larger one arrives cut, and shows as
     /// truncated.
     pub fn new(largest: usize) -> Self {
-        Self { storage: Vec::new(), largest: largest.next_multiple_of(64), places: Vec::with_capacity(BATCH) }
+        Self { storage: Vec::new(), largest: largest.next_multiple_of(64), slots: Vec::with_capacity(BATCH) }
     }
 
     /// The frames of the last receive call.
     pub fn frames(&mut self) -> impl Iterator<Item = InFrame<'_>> {
         let (mut rest, mut taken) = (&mut self.storage[..], 0);
-        self.places.iter().map(move |place| {
-            let (frame, behind) = std::mem::take(&mut rest)[place.at - taken..].split_at_mut(place.length);
-            (rest, taken) = (behind, place.at + place.length);
-            InFrame { bytes: frame, from: place.from, congested: place.congested }
+        self.slots.iter().map(move |slot| {
+            let (frame, behind) = std::mem::take(&mut rest)[slot.at - taken..].split_at_mut(slot.length);
+            (rest, taken) = (behind, slot.at + slot.length);
+            InFrame { bytes: frame, from: slot.from, congested: slot.congested }
         })
     }
 
     /// Frame `index` of the last receive call, once more: to send what was rewritten in place.
     pub fn frame(&self, index: usize) -> &[u8] {
-        let BufferSlot { at, length, .. } = self.places[index];
+        let BufferSlot { at, length, .. } = self.slots[index];
         &self.storage[at..at + length]
     }
 
@@ -61,30 +61,30 @@ impl RecvBatch {
     }
 
     pub fn len(&self) -> usize {
-        self.places.len()
+        self.slots.len()
     }
 
     pub fn is_empty(&self) -> bool {
-        self.places.is_empty()
+        self.slots.is_empty()
     }
 
     /// Takes a copy of a frame that came another way; `false` when [`BATCH`] frames are there.
     pub fn push(&mut self, frame: &[u8], from: LinkAddr, congested: bool) -> bool {
-        if self.places.len() >= BATCH {
+        if self.slots.len() >= BATCH {
             return false;
         }
-        let at = self.places.last().map_or(0, |last| last.at + last.length);
+        let at = self.slots.last().map_or(0, |last| last.at + last.length);
         let end = at + frame.len();
         if self.storage.len() < end {
             self.storage.resize(end, 0);
         }
         self.storage[at..end].copy_from_slice(frame);
-        self.places.push(BufferSlot { at, length: frame.len(), from, congested });
+        self.slots.push(BufferSlot { at, length: frame.len(), from, congested });
         true
     }
 
     pub(super) fn clear(&mut self) {
-        self.places.clear();
+        self.slots.clear();
     }
 
     /// Makes `count` slots of `size` bytes, and forgets the frames there were.
@@ -105,8 +105,8 @@ impl RecvBatch {
 
     /// Says that a frame begins at `at`, behind those added before.
     pub(super) fn add(&mut self, at: usize, length: usize, from: LinkAddr, congested: bool) {
-        debug_assert!(self.places.last().is_none_or(|last| last.at + last.length <= at));
-        self.places.push(BufferSlot { at, length, from, congested });
+        debug_assert!(self.slots.last().is_none_or(|last| last.at + last.length <= at));
+        self.slots.push(BufferSlot { at, length, from, congested });
     }
 }
 

@@ -52,12 +52,14 @@ impl DataSocket {
     /// Blocks until there is something to receive (`true`), [`Self::wake`] is called, or `timeout`
     /// is over.
     pub fn wait_readable(&self, timeout: Duration) -> io::Result<bool> {
-        Ok(self.has_strays() || sys::wait(self.as_fd(), libc::POLLIN, Some(&self.wake), timeout)? || self.has_strays())
+        Ok(self.has_misdelivered()
+            || sys::wait(self.as_fd(), libc::POLLIN, Some(&self.wake), timeout)?
+            || self.has_misdelivered())
     }
 
     /// As [`Self::wait_readable`] for several sockets at once.
     pub fn wait_any<'a>(sockets: impl Iterator<Item = &'a Self> + Clone, timeout: Duration) -> io::Result<()> {
-        if sockets.clone().any(Self::has_strays) {
+        if sockets.clone().any(Self::has_misdelivered) {
             return Ok(());
         }
         let all: Vec<_> = sockets.map(|socket| (socket.as_fd(), &*socket.wake)).collect();
@@ -119,7 +121,7 @@ impl DataSocket {
         self.lost.load(Ordering::Relaxed)
     }
 
-    fn has_strays(&self) -> bool {
+    fn has_misdelivered(&self) -> bool {
         matches!(&self.kind, Kind::Udp(socket) if socket.has_stray_data())
     }
 

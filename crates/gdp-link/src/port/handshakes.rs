@@ -103,7 +103,7 @@ impl Handshakes {
     /// `may_challenge`: whether the peer can be made to prove its address, and has not. Where all
     /// places are taken, the oldest gives way: who means it is done after a few round trips, who
     /// fills the places is not.
-    pub fn judge(&self, now: Instant, from: IpAddr, may_challenge: bool) -> Verdict {
+    pub fn admit(&self, now: Instant, from: IpAddr, may_challenge: bool) -> Verdict {
         let (mut running, counters) = (self.lock(), &self.counters.0);
         let of_one = running.entries.iter().filter(|entry| entry.from == from).count();
         if of_one >= MAX_HANDSHAKES_OF_ONE {

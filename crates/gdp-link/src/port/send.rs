@@ -1,5 +1,7 @@
 //! One `sendmmsg` call's worth of frames. Over UDP, frames in a row that the kernel can cut apart
 //! itself go to it as one datagram (UDP GSO): one way through its stack for all of them.
+//!
+//! Own code, because `quinn-udp` sends one contiguous datagram a call: see docs/decisions.md.
 
 use std::marker::PhantomData;
 use std::mem::zeroed;

@@ -138,12 +138,12 @@ impl SharedUdp {
                 (libc::IPPROTO_IP, libc::IP_TOS) | (libc::IPPROTO_IPV6, libc::IPV6_TCLASS) => traffic = value,
                 _ => {}
             });
-            self.split(batch, i, Run { from, length, segment, traffic });
+            self.split(batch, i, FrameRun { from, length, segment, traffic });
         }
         Ok(())
     }
 
-    fn split(&self, batch: &mut RecvBatch, slot: usize, run: Run) {
+    fn split(&self, batch: &mut RecvBatch, slot: usize, run: FrameRun) {
         let from = LinkAddr::udp(run.from);
         for (at, length) in run.segments() {
             let datagram = &batch.slot(slot, LONGEST_RUN)[at..at + length];
@@ -162,14 +162,14 @@ const ECN: libc::c_int = 3;
 const CE: libc::c_int = 3;
 
 /// Datagrams that the kernel joined: all of one length, but for the last, which may be shorter.
-struct Run {
+struct FrameRun {
     from: SocketAddr,
     length: usize,
     segment: usize,
     traffic: libc::c_int,
 }
 
-impl Run {
+impl FrameRun {
     /// Where each begins, and how long it is.
     fn segments(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let (length, segment) = (self.length, self.segment.max(1));
@@ -273,7 +273,7 @@ impl AsyncUdpSocket for SharedUdp {
 impl SharedUdp {
     /// Takes data frames out of a run that begins with a QUIC packet.
     fn keep_packets(&self, buf: &mut [u8], meta: &mut RecvMeta) {
-        let run = Run { from: meta.addr, length: meta.len.min(buf.len()), segment: meta.stride, traffic: 0 };
+        let run = FrameRun { from: meta.addr, length: meta.len.min(buf.len()), segment: meta.stride, traffic: 0 };
         let (congested, mut kept) = (meta.ecn == Some(EcnCodepoint::Ce), 0);
         for (at, length) in run.segments() {
             if buf[at] < FIRST_QUIC_BYTE {

@@ -38,7 +38,7 @@ fn other_encodings_are_left_alone() {
 
 #[test]
 fn no_more_memory_is_taken_than_for_the_largest_message() {
-    let most = Limits::default().max_message;
+    let most = ReaderLimits::default().max_message;
     let frame = |length: usize| zstd::bulk::compress(&vec![0; length], LEVEL).unwrap();
     let take = |frame: Vec<u8>| unpacked(Encoding::Other(0x8002), frame.into());
     assert_eq!(take(frame(most)).unwrap().1.len(), most);

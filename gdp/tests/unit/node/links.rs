@@ -118,7 +118,7 @@ async fn what_goes_by_one_link_moves_when_that_fails_and_returns() {
         }
         eventually("the better link is the main one", || robot.links()[usize::from(cut)].main).await;
     }
-    assert_eq!(subscription.counters().inbound.given_up + commands.counters().inbound.given_up, 0);
+    assert_eq!(subscription.counters().inbound.abandoned + commands.counters().inbound.abandoned, 0);
     assert_eq!(robot.counters().links, 2, "no link was lost");
     assert!(robot.links().iter().all(|link| link.copies_sent == 0));
 }
@@ -141,7 +141,7 @@ async fn a_reader_may_have_a_name_come_by_each_of_its_links() {
         assert_eq!(recv(&mut commands).await.sequence, i);
         ticks.tick().await;
     }
-    let (repeated, given_up) = (commander.counters().topic.repeated, commands.counters().inbound.given_up);
+    let (repeated, given_up) = (commander.counters().topic.repeated, commands.counters().inbound.abandoned);
     assert!(repeated <= A_FEW && given_up == 0, "{repeated} repeated, {given_up} given up");
 }
 

@@ -21,7 +21,7 @@ use gdp_core::keys::EpochKey;
 use gdp_core::link_target::LinkTarget;
 use gdp_util::unix_time::unix_nanos;
 
-use gdp_e2e::seal::{Encoding, Limits, Reader, Segments, Writer};
+use gdp_e2e::seal::{Encoding, Reader, ReaderLimits, Segments, Writer};
 use gdp_e2e::transport::TopicCounters;
 use gdp_faults::Random;
 use gdp_proto::control::RefusalCode;
@@ -244,7 +244,7 @@ async fn what_is_lost_on_the_way_comes_again_and_in_order() {
     let publisher = sending.await.unwrap();
     let (sent, received) = (publisher.counters().topic, subscription.counters().inbound);
     assert_eq!((sent.messages, sent.evicted, received.delivered), (COUNT.into(), 0, COUNT.into()));
-    assert!(sent.repeated > 0 && received.given_up == 0, "{sent:?} {received:?}");
+    assert!(sent.repeated > 0 && received.abandoned == 0, "{sent:?} {received:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -274,7 +274,7 @@ async fn of_best_effort_messages_each_is_accounted_for() {
     }
     let (sent, received) = (publisher.counters().topic, subscription.counters().inbound);
     let dealt_with = received.delivered + received.overtaken + received.expired;
-    assert_eq!((dealt_with, received.given_up), (sent.messages, 0), "{sent:?} {received:?}");
+    assert_eq!((dealt_with, received.abandoned), (sent.messages, 0), "{sent:?} {received:?}");
     assert_eq!(cloud.counters().messages_received, received.delivered);
 }
 
@@ -534,7 +534,7 @@ async fn a_way_that_swallows_large_frames_is_sent_small_ones() {
     for i in 0..20u8 {
         assert_eq!(recv(&mut subscription).await.body[..], [i; 20_000]);
     }
-    assert_eq!((publisher.counters().topic.evicted, subscription.counters().inbound.given_up), (0, 0));
+    assert_eq!((publisher.counters().topic.evicted, subscription.counters().inbound.abandoned), (0, 0));
     assert!(swallows.0.load(Ordering::Relaxed) > 0);
 }
 
@@ -598,7 +598,7 @@ async fn calls_are_answered_and_no_caller_reads_anothers() {
     // The second has a right of its own, and every box that is for it.
     let mut readers = Vec::new();
     for (name, writer) in [(robot.name(), &one), (one.name(), &robot)] {
-        let mut reader = Reader::new(name, Backend::default(), Limits::default());
+        let mut reader = Reader::new(name, Backend::default(), ReaderLimits::default());
         let key = writer.0.state.identity.key().verify_key();
         reader.authorise(writer.name(), key).unwrap();
         let reader_key = (two.name(), two.0.state.identity.box_key());

@@ -29,14 +29,14 @@ async fn what_waits_is_bounded_and_comes_in_its_order() {
 fn what_comes_before_its_caller_is_known_waits_for_a_while() {
     let (mut tray, _desk) = new();
     let known = |caller: u8| move |writer: &Name| *writer == Name::from_bytes([caller; 32]);
-    assert_eq!(tray.hold(0, request(1, 1, 10)) + tray.hold(1, request(2, 2, 10)), 0);
+    assert_eq!(tray.defer(0, request(1, 1, 10)) + tray.defer(1, request(2, 2, 10)), 0);
     let (released, late) = tray.release(2, known(2));
     assert_eq!((released.len(), released[0].sequence, late), (1, 2, 0));
     let (released, late) = tray.release(TIMEOUT + 1, known(2));
     assert_eq!((released.len(), late), (0, 1));
-    let dropped: usize = (0..MAX_EARLY as u64 + 3).map(|i| tray.hold(i, request(1, i, 10))).sum();
+    let dropped: usize = (0..MAX_EARLY as u64 + 3).map(|i| tray.defer(i, request(1, i, 10))).sum();
     assert_eq!(dropped, 3);
-    assert_eq!(tray.hold(0, request(3, 1, MAX_EARLY_BYTES)), MAX_EARLY, "bytes are bounded, too");
+    assert_eq!(tray.defer(0, request(3, 1, MAX_EARLY_BYTES)), MAX_EARLY, "bytes are bounded, too");
     let (released, late) = tray.release(0, |_| true);
     assert_eq!((released.len(), late), (1, 0));
     assert_eq!((tray.early_bytes, tray.early.len()), (0, 0));

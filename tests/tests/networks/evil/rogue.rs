@@ -8,7 +8,7 @@ use gdp_core::crypto;
 use gdp_core::crypto::{Backend, TAG_LEN};
 use gdp_core::identity::Identity;
 use gdp_core::keys::{self, EpochKey, KeyBox};
-use gdp_e2e::seal::{Encoding, Limits, Message, Reader, Received, Segments, Timestamps, Writer};
+use gdp_e2e::seal::{Encoding, Message, Reader, ReaderLimits, Received, Segments, Timestamps, Writer};
 use gdp_proto::control::{Credential, EntityRequest, NameRole, Peers, Record, Response};
 use gdp_wire::Name;
 
@@ -130,7 +130,7 @@ impl Rogue {
     /// What it makes of frames to this name from this writer, with all the keys it holds and asking
     /// nobody.
     pub fn read(&self, name: Name, writer: &Identity, frames: &[Frame]) -> Result<Vec<Message>> {
-        let mut reader = Reader::new(name, Backend::default(), Limits::default());
+        let mut reader = Reader::new(name, Backend::default(), ReaderLimits::default());
         reader.authorise(writer.name(), writer.key().verify_key())?;
         for (epoch, key) in self.keys(name, writer) {
             reader.set_key(&writer.name(), epoch, key)?;

@@ -36,7 +36,7 @@ impl Party {
         for link in &to[1..] {
             config.links.push(link.parse::<LinkTarget>()?.into());
         }
-        (config.connect_timeout, config.papers) = (TIMEOUT, papers);
+        (config.connect_timeout, config.credentials) = (TIMEOUT, papers);
         let node = inside.run(Node::connect(config))??;
         Ok(Self { node, identity, inside })
     }

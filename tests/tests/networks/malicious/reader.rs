@@ -79,7 +79,7 @@ async fn what_another_says_to_a_reader_or_writer_does_not_open() -> Result<()> {
     // A Welcome of the robot to the cloud, and a Nack of the cloud to the robot, both by the rogue.
     let welcome = Feedback::Welcome { name, challenge: [0; 16], session: [7; 16], sequence: 1, reliable: true };
     let nack = Feedback::Nack { name, session, missing: vec![Missing::whole(1)] };
-    let gone = Feedback::Gone { name, session, oldest: 1 << 40 };
+    let gone = Feedback::Unavailable { name, session, oldest: 1 << 40 };
     for (as_whom, to, node, feedback) in
         [(robot, cloud, &scene.cloud, welcome), (robot, cloud, &scene.cloud, gone), (cloud, robot, &scene.robot, nack)]
     {

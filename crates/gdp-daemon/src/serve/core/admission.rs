@@ -18,7 +18,7 @@ impl Core {
         if peer.name == self.name() {
             return Err(format!("the peer has the key of this switch, {}: give each a key of its own", peer.name));
         }
-        let admission = self.membership.admit(link, link.papers().as_deref())?;
+        let admission = self.membership.admit(link, link.credentials().as_deref())?;
         match peer.role {
             Role::Endpoint => self.switch.check_room()?,
             Role::Switch => self.neighbours.check(peer, via, &self.switch, self.membership.domain.is_some())?,
@@ -55,7 +55,7 @@ impl Core {
     /// to be closed, with the reason, and endpoints whose last link was a stale one.
     pub fn recheck(&mut self, only_ended: bool) -> (Vec<(Link, String)>, Vec<Name>) {
         let (Some(domain), now) = (&self.membership.domain, unix_seconds()) else { return Default::default() };
-        let admit = |link: &Link| domain.trust.admit(Role::Switch, link.peer(), link.papers().as_deref(), now);
+        let admit = |link: &Link| domain.trust.admit(Role::Switch, link.peer(), link.credentials().as_deref(), now);
         self.switch.readmit_all(now, only_ended, admit)
     }
 

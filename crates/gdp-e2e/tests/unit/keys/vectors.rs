@@ -74,7 +74,7 @@ fn vectors_of_keys_and_feedback() {
             "welcome": payload(&Feedback::Welcome { name, challenge, session, sequence: 9, reliable: false }),
             "report": payload(&report),
             "nack": payload(&Feedback::Nack { name, session, missing }),
-            "gone": payload(&Feedback::Gone { name, session, oldest: 8 }),
+            "gone": payload(&Feedback::Unavailable { name, session, oldest: 8 }),
         },
     });
     crate::vectors::check("keys.json", &vectors);

@@ -13,7 +13,7 @@ use std::collections::{HashMap, HashSet};
 #[test]
 fn whatever_the_network_does_each_message_comes_unchanged_and_once() {
     for seed in 0..150 {
-        let limits = Limits { max_memory_per_source: 60_000, max_memory: 60_000, ..limits() };
+        let limits = ReaderLimits { max_memory_per_source: 60_000, max_memory: 60_000, ..limits() };
         let f = Fixture { limits, ..Fixture::new() };
         Run::new(&f, seed, u32::MAX).run(&f, 400);
     }

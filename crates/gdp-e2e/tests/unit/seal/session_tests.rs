@@ -49,7 +49,7 @@ fn what_is_before_the_vouched_sequence_is_stale() {
 
 #[test]
 fn a_forgotten_session_cannot_be_replayed() {
-    let f = Fixture { limits: Limits { max_sessions: 3, ..limits() }, ..Fixture::new() };
+    let f = Fixture { limits: ReaderLimits { max_sessions: 3, ..limits() }, ..Fixture::new() };
     let mut reader = f.strict_reader();
     let mut recordings = vec![];
     for i in 0..10 {
@@ -85,7 +85,7 @@ fn sessions_that_nobody_vouched_for_displace_none_that_somebody_did() {
 
 #[test]
 fn what_was_signed_too_long_ago_is_too_old() {
-    let f = Fixture { limits: Limits { max_age: Duration::from_nanos(100), ..limits() }, ..Fixture::new() };
+    let f = Fixture { limits: ReaderLimits { max_age: Duration::from_nanos(100), ..limits() }, ..Fixture::new() };
     let (mut writer, mut reader) = (f.writer(), f.reader());
     let mut segments = Segments::new();
     let mut push = |timestamp, unix_ns, body: &[u8]| {

@@ -94,7 +94,7 @@ fn vectors_of_segments() {
     // What readers with either back end make of payloads.
     let read = |segments: &Segments| {
         Backend::ALL.map(|backend| {
-            let mut reader = Reader::new(name, backend, Limits::default());
+            let mut reader = Reader::new(name, backend, ReaderLimits::default());
             reader.authorise(writer_name, key.verify_key()).unwrap();
             reader.set_key(&writer_name, epoch, EpochKey::from_bytes(epoch_key)).unwrap();
             reader.confirm_session(&writer_name, session, 1).unwrap();

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 #[test]
 fn it_agrees_with_a_set() {
-    let mut window = Window::default();
+    let mut window = ReplayWindow::default();
     let (mut done, mut highest) = (BTreeSet::new(), 0u64);
     let mut random = gdp_faults::Random::new(1);
     for _ in 0..50_000 {
@@ -29,7 +29,7 @@ fn it_agrees_with_a_set() {
 
 #[test]
 fn the_ends_of_the_number_range() {
-    let mut window = Window::default();
+    let mut window = ReplayWindow::default();
     window.record(u64::MAX);
     assert_eq!(window.check(u64::MAX), Err(DropReason::Duplicate));
     assert_eq!(window.check(1), Err(DropReason::TooOld));

@@ -19,9 +19,9 @@ fn only_what_is_asked_for_in_vain_again_and_again_is_suspicious() {
     for at in 0..100 {
         assert!(!suspicion.asked(at, &[Missing::whole(1)], at));
         if at % 3 == 0 {
-            suspicion.came(LEAST_PAYLOAD + 1);
+            suspicion.on_received(LEAST_PAYLOAD + 1);
         }
-        suspicion.came(LEAST_PAYLOAD);
+        suspicion.on_received(LEAST_PAYLOAD);
     }
 }
 

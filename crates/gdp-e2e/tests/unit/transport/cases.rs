@@ -61,7 +61,7 @@ fn best_effort_1_mb_at_30_hz_over_2_percent_loss() {
         assert!(stall < 500 * MS, "no stall: {} ms", stall / MS);
         assert!(counters.delivered > 80, "{counters:?}");
         // Each message is counted once, here or there.
-        let dealt = counters.delivered + counters.overtaken + counters.expired + counters.given_up;
+        let dealt = counters.delivered + counters.overtaken + counters.expired + counters.abandoned;
         assert_eq!(dealt, reading.next() - 1);
         assert!(dealt >= 120 - 1, "{dealt}");
     }
@@ -129,9 +129,9 @@ fn link_down_3_s_and_back() {
         assert_eq!(reading(covered).delivered.len(), 800, "{:?}", sim.topic_counters(covered));
         assert_eq!(sim.topic_counters(covered).evicted, 0);
         let counters = reading(short).counters();
-        assert_eq!(counters.delivered + counters.given_up, 800);
-        assert!((150..260).contains(&counters.given_up), "{counters:?}");
-        assert!(sim.topic_counters(short).evicted >= counters.given_up);
+        assert_eq!(counters.delivered + counters.abandoned, 800);
+        assert!((150..260).contains(&counters.abandoned), "{counters:?}");
+        assert!(sim.topic_counters(short).evicted >= counters.abandoned);
     }
 }
 
@@ -245,12 +245,12 @@ fn a_slow_subscriber_never_slows_the_others() {
         if with_slow {
             let reading = &sim.topics[topic].readers[&slow];
             assert!(
-                reading.counters().given_up > 0 && sim.topic_counters(topic).evicted >= reading.counters().given_up
+                reading.counters().abandoned > 0 && sim.topic_counters(topic).evicted >= reading.counters().abandoned
             );
             assert!(sim.topics[topic].repeated_bytes * 4 < sim.topics[topic].sent_bytes, "nor takes the others' room");
         }
         let latencies = sim.latencies(topic, fast);
-        assert_eq!(sim.topics[topic].readers[&fast].counters().given_up, 0);
+        assert_eq!(sim.topics[topic].readers[&fast].counters().abandoned, 0);
         (latencies.len(), percentile(&latencies, 90))
     };
     for overflow in [Overflow::Block, Overflow::DropOldest] {
@@ -308,7 +308,7 @@ fn a_reader_that_dies_slows_nobody_for_long() {
     sim.run(11 * SECOND);
     let reading = &sim.topics[topic].readers[&lives];
     assert!(reading.counters().delivered >= 900, "{:?}", reading.counters());
-    assert_eq!(reading.counters().given_up, 0);
+    assert_eq!(reading.counters().abandoned, 0);
 }
 
 #[test]

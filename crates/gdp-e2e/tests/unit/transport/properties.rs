@@ -52,7 +52,7 @@ fn random_worlds() {
                 if *reliable {
                     assert_eq!(reading.next(), sent + 1, "seed {seed}: all dealt with: {counters:?}");
                     assert!(
-                        counters.given_up <= evicted && counters.overtaken + counters.expired == 0,
+                        counters.abandoned <= evicted && counters.overtaken + counters.expired == 0,
                         "seed {seed}: {counters:?}, {evicted}"
                     );
                 }
@@ -110,7 +110,7 @@ fn made_up_segments_move_nothing() {
         }
         let late = 500 - delivered.len();
         assert!(delivered.is_sorted() && (late == 0 || options.order == Order::Newest), "{late} {options:?}");
-        assert!(inbound.next_sequence() == 501 && inbound.counters().overtaken + inbound.counters().given_up == 0);
+        assert!(inbound.next_sequence() == 501 && inbound.counters().overtaken + inbound.counters().abandoned == 0);
     }
 }
 

@@ -33,7 +33,7 @@ pub struct Simulation {
 pub struct TopicSim {
     writer: usize,
     name: Name,
-    pub id: Topic,
+    pub id: TopicId,
     options: TopicOptions,
     app: App,
     next_at: u64,
@@ -365,12 +365,12 @@ impl Simulation {
                 let packet = Packet { topic: index, content: Content::Heartbeat(next, oldest), marked: false };
                 self.forward(writer, None, packet, 160);
             }
-            Output::Gone { topic, reader, oldest } => {
+            Output::Unavailable { topic, reader, oldest } => {
                 let index = self.topics.iter().position(|sim| sim.writer == writer && sim.id == topic).unwrap();
                 let (name, session) = (self.topics[index].name, session(index));
                 let to = self.topics[index].readers.keys().copied().find(|node| name_of(*node) == reader);
                 let Some(to) = to else { return };
-                let content = Content::ToReader(to, Feedback::Gone { name, session, oldest });
+                let content = Content::ToReader(to, Feedback::Unavailable { name, session, oldest });
                 self.forward(writer, None, Packet { topic: index, content, marked: false }, 120);
             }
             Output::Room { topic } => {
@@ -456,7 +456,7 @@ impl Simulation {
         reading.open.retain(|(sequence, _), _| *sequence >= next);
         reading.most_memory = reading.most_memory.max(reading.inbound.memory());
         let counters = reading.counters();
-        let dealt = counters.delivered + counters.overtaken + counters.expired + counters.given_up;
+        let dealt = counters.delivered + counters.overtaken + counters.expired + counters.abandoned;
         assert_eq!(dealt, next - reading.from, "counted exactly: {counters:?}");
         assert_eq!(counters.delivered, reading.delivered.len() as u64);
         for feedback in out {

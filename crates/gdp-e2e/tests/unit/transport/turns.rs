@@ -13,7 +13,7 @@ fn message(sequence: u64) -> Sealed {
     Sealed::without_bytes((0..10).map(frame).collect(), sequence, 0)
 }
 
-fn open(options: TopicOptions) -> (Uplink, Topic) {
+fn open(options: TopicOptions) -> (Uplink, TopicId) {
     let mut uplink = Uplink::new(0, UplinkOptions { max_payload: 1300, budget: None });
     let topic = uplink.open(0, Name::from_bytes([1; 32]), [1; 16], options);
     uplink.join(0, topic, READER).unwrap();

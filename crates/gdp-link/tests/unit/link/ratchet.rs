@@ -96,21 +96,21 @@ fn an_announcement_is_known_awaited_or_impossible() {
     let mut ratchet = ratchet(0);
     let start = Instant::now();
     let keys = ratchet.keys();
-    assert_eq!(ratchet.announced(0, start), Heard::Known);
-    assert_eq!(ratchet.announced(2, start), Heard::Impossible, "this side has not confirmed 1");
-    assert_eq!(ratchet.announced(u64::MAX, start), Heard::Impossible);
-    assert_eq!(ratchet.announced(1, start), Heard::Later);
-    assert_eq!(ratchet.announced(2, start), Heard::Impossible);
+    assert_eq!(ratchet.announced(0, start), AnnouncementOutcome::Known);
+    assert_eq!(ratchet.announced(2, start), AnnouncementOutcome::Impossible, "this side has not confirmed 1");
+    assert_eq!(ratchet.announced(u64::MAX, start), AnnouncementOutcome::Impossible);
+    assert_eq!(ratchet.announced(1, start), AnnouncementOutcome::Later);
+    assert_eq!(ratchet.announced(2, start), AnnouncementOutcome::Impossible);
     let middle = start + SCHEDULE.overlap / 2;
-    assert_eq!(ratchet.announced(1, middle), Heard::Later, "asked again");
+    assert_eq!(ratchet.announced(1, middle), AnnouncementOutcome::Later, "asked again");
     assert_eq!(ratchet.wake_at(middle), start + SCHEDULE.overlap, "which does not put it off");
     assert_eq!(ratchet.poll(middle, 0), Ok(None));
     assert!(ratchet.keys() == keys, "the old key is still held");
-    assert_eq!(ratchet.poll(start + SCHEDULE.overlap, 0), Ok(Some(Step::Confirm)));
+    assert_eq!(ratchet.poll(start + SCHEDULE.overlap, 0), Ok(Some(RekeyStep::Confirm)));
     assert_eq!(ratchet.keys().rx_keys[1], keys.rx_keys[1]);
     assert_ne!(ratchet.keys().rx_keys[0], keys.rx_keys[0]);
-    assert_eq!(ratchet.announced(1, start + SCHEDULE.overlap), Heard::Known, "its answer was lost");
-    assert_eq!(ratchet.announced(0, start + SCHEDULE.overlap), Heard::Known, "one that came late");
+    assert_eq!(ratchet.announced(1, start + SCHEDULE.overlap), AnnouncementOutcome::Known, "its answer was lost");
+    assert_eq!(ratchet.announced(0, start + SCHEDULE.overlap), AnnouncementOutcome::Known, "one that came late");
 }
 
 /// Tables are written twice for a change: no write touches the key that frames are tagged with.
@@ -119,7 +119,7 @@ fn the_phase_never_points_to_a_key_that_is_being_replaced() {
     let (mut ratchet, start) = (ratchet(0), Instant::now());
     for round in 1..10 {
         let before = ratchet.keys();
-        assert_eq!(ratchet.poll(start + SCHEDULE.interval * round, 0), Ok(Some(Step::Announce(round.into()))));
+        assert_eq!(ratchet.poll(start + SCHEDULE.interval * round, 0), Ok(Some(RekeyStep::Announce(round.into()))));
         let moved = ratchet.keys();
         assert_eq!((moved.tx_keys, moved.tx_phase), (before.tx_keys, 1 - before.tx_phase), "first only the phase");
         assert_eq!(ratchet.answered(true, start + SCHEDULE.interval * round), Ok(true));
@@ -155,13 +155,13 @@ fn vectors_of_link_keys() {
 
 /// The first generations by way of [`Held`], with the secrets by both back ends.
 fn chain(secret: [u8; 32]) -> Value {
-    let mut held = Held::new(Zeroizing::new(secret)).unwrap();
+    let mut secrets = TrafficSecret::new(Zeroizing::new(secret)).unwrap();
     let mut secret = Zeroizing::new(secret);
     let generations = (0..4u64).map(|generation| {
         if generation > 1 {
-            held.replace(generation).unwrap();
+            secrets.replace(generation).unwrap();
         }
-        let [low, high] = held.keys[(generation % 2) as usize];
+        let [low, high] = secrets.keys[(generation % 2) as usize];
         let this = json!({
             "generation": generation,
             "key_phase": generation % 2,
@@ -229,15 +229,15 @@ impl Pair {
             while let Some(step) = self.sides[from].ratchet.poll(now, self.sides[from].sent).unwrap() {
                 self.put(from);
                 match step {
-                    Step::Announce(generation) if arrives(from, false) => {
+                    RekeyStep::Announce(generation) if arrives(from, false) => {
                         match self.sides[to].ratchet.announced(generation, now) {
-                            Heard::Later => self.sides[to].waiting = true,
-                            Heard::Known => self.answer(from, arrives(to, true), now),
-                            Heard::Impossible => panic!("{:?}", self.generations()),
+                            AnnouncementOutcome::Later => self.sides[to].waiting = true,
+                            AnnouncementOutcome::Known => self.answer(from, arrives(to, true), now),
+                            AnnouncementOutcome::Impossible => panic!("{:?}", self.generations()),
                         }
                     }
-                    Step::Announce(_) => self.answer(from, false, now),
-                    Step::Confirm => {
+                    RekeyStep::Announce(_) => self.answer(from, false, now),
+                    RekeyStep::Confirm => {
                         assert!(std::mem::take(&mut self.sides[from].waiting));
                         self.answer(to, arrives(from, true), now);
                     }

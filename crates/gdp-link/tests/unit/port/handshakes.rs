@@ -7,7 +7,7 @@ fn address(i: usize) -> IpAddr {
 }
 
 fn start(handshakes: &Handshakes, now: Instant, i: usize) -> Started {
-    match handshakes.judge(now, address(i), false) {
+    match handshakes.admit(now, address(i), false) {
         Verdict::Start(started) => started,
         other => panic!("{other:?}"),
     }
@@ -18,9 +18,9 @@ fn one_address_has_its_share_and_leaves_it_again() {
     let (handshakes, now) = (Handshakes::new(HandshakeCounters::default()), Instant::now());
     let half = MAX_HANDSHAKES_OF_ONE / 2;
     let mut of_one: Vec<_> = (0..half).map(|_| start(&handshakes, now, 1)).collect();
-    assert!(matches!(handshakes.judge(now, address(1), true), Verdict::Challenge), "perhaps it is not of that address");
+    assert!(matches!(handshakes.admit(now, address(1), true), Verdict::Challenge), "perhaps it is not of that address");
     of_one.extend((half..MAX_HANDSHAKES_OF_ONE).map(|_| start(&handshakes, now, 1)));
-    assert!(matches!(handshakes.judge(now, address(1), false), Verdict::Ignore));
+    assert!(matches!(handshakes.admit(now, address(1), false), Verdict::Ignore));
     start(&handshakes, now, 2);
     of_one.pop();
     start(&handshakes, now, 1);
@@ -31,11 +31,11 @@ fn one_address_has_its_share_and_leaves_it_again() {
 async fn beyond_half_addresses_are_to_be_proven_and_beyond_all_the_oldest_gives_way() {
     let (handshakes, now) = (Handshakes::new(HandshakeCounters::default()), Instant::now());
     let mut started: Vec<_> = (0..MAX_HANDSHAKES / 2).map(|i| start(&handshakes, now, i)).collect();
-    assert!(matches!(handshakes.judge(now, address(1000), true), Verdict::Challenge));
+    assert!(matches!(handshakes.admit(now, address(1000), true), Verdict::Challenge));
     let oldest = tokio::spawn(std::future::pending::<()>());
     started[0].runs_as(oldest.abort_handle());
     started.extend((MAX_HANDSHAKES / 2..MAX_HANDSHAKES).map(|i| start(&handshakes, now, i)));
-    assert!(matches!(handshakes.judge(now, address(1000), false), Verdict::Ignore), "the oldest is young");
+    assert!(matches!(handshakes.admit(now, address(1000), false), Verdict::Ignore), "the oldest is young");
     let now = now + MIN_AGE;
     started.push(start(&handshakes, now, 1000));
     assert!(oldest.await.is_err_and(|error| error.is_cancelled()));
