@@ -88,6 +88,33 @@ fn a_large_reliable_topic_goes_on_where_every_datagram_comes_twice() -> Result<(
     Ok(())
 }
 
+/// As the history policy KEEP_LAST says: a writer replaces its oldest sample and waits for nobody.
+#[test]
+fn a_subscriber_that_was_killed_takes_nothing_from_the_others() -> Result<()> {
+    const MESSAGES: i64 = 1200;
+    let mut site = Site::build()?;
+    let mut healthy = site.peer(Vendor::FastDds, &site.cloud, "listen", 1, TOPIC)?;
+    healthy.args(["--depth", &MESSAGES.to_string()]);
+    let mut healthy = Process::spawn("healthy", healthy, site.folder.path())?;
+    let mut killed = site.listen(Vendor::Rclpy, &site.cloud, 1, TOPIC)?;
+    let options = ["--count", &MESSAGES.to_string(), "--rate", "300", "--size", "200"];
+    let mut talker = site.talk(Vendor::FastDds, &site.robot, 0, TOPIC, &options)?;
+    for listener in [&mut healthy, &mut killed] {
+        listener.wait_event("message", TIMEOUT).with_context(|| site.report())?;
+    }
+    killed.kill()?;
+    fs::write(site.gate(), "")?;
+    talker.wait_event("done", TIMEOUT)?;
+    let received = |process: &Process| -> Vec<i64> {
+        process.json_lines().iter().filter_map(|line| line["seq"].as_i64()).filter(|sequence| *sequence >= 0).collect()
+    };
+    // Twice as long as the talker took: a reader whose lease lasts must not delay the others.
+    let last = |process: &Process| (received(process).last() == Some(&(MESSAGES - 1))).then_some(());
+    healthy.wait_until("the last message", Duration::from_secs(8), last)?;
+    ensure!(received(&healthy) == (0..MESSAGES).collect::<Vec<_>>(), "{} of {MESSAGES}", received(&healthy).len());
+    Ok(())
+}
+
 #[derive(Clone, Copy, Debug)]
 enum Vendor {
     /// A newer Fast DDS.
