@@ -5,26 +5,29 @@ use std::time::{Duration, Instant};
 
 use super::{LISTEN, PeerProxies};
 
-/// How often it is told, if nothing changes, once it has been told for as long as newcomers listen.
+/// Period of the announcements without changes, after the start phase ([`LISTEN`]).
 const BEAT: Duration = Duration::from_secs(1);
 
-/// How soon after it was told news are told: what changes all the time would keep the whole graph
-/// busy. Newcomers tell as often, so that those who discover them late answer in time.
+/// Shortest time between two announcements, because constant changes would load the whole graph. A
+/// proxy announces with this period in its start phase, so that those that discover it late answer
+/// in time.
 const PACE: Duration = Duration::from_millis(250);
 
-/// What one proxy tells, in bytes.
+/// Bound on the size of one announcement in bytes.
 const MAX_TEXT: usize = 4 << 20;
 
-/// How the proxies of one graph speak to one another.
+/// The channel between the proxies of one graph.
 pub trait Voice: Send {
-    /// Tells all others. Waits for nobody; it is told again soon.
+    /// Sends the text to all other proxies. It does not wait for receivers, because the text is
+    /// sent again soon.
     fn tell(&mut self, text: String) -> impl Future<Output = ()> + Send;
 
-    /// The next text of another, or nonsense; `None` once there are no more. Safe to cancel.
+    /// Returns the next text of another proxy, which may be invalid, or `None` at the end. Safe to
+    /// cancel.
     fn hear(&mut self) -> impl Future<Output = Option<Vec<u8>>> + Send;
 }
 
-/// Runs for ever, or until nothing more can be heard.
+/// Announces and receives claims forever, or until the channel ends.
 pub async fn beat(peer_proxies: Arc<PeerProxies>, mut voice: impl Voice) {
     let began = tokio::time::Instant::now();
     let (mut has_warned, mut next, mut due) = (false, began, began);
@@ -55,7 +58,7 @@ pub async fn beat(peer_proxies: Arc<PeerProxies>, mut voice: impl Voice) {
     }
 }
 
-/// Returns when there are some, not before then.
+/// Waits until `then`, and then until the claims of this proxy change.
 async fn news(peer_proxies: &PeerProxies, then: tokio::time::Instant) {
     tokio::time::sleep_until(then).await;
     peer_proxies.news.notified().await;

@@ -1,12 +1,11 @@
-//! Proxies in one ROS graph that could carry the same: each tells the others what it is able to
-//! carry, and of those that are able the one with the lowest name does. The others stand by, and
-//! take over once it has gone, has lost the fabric or its right, or is silent for
-//! [`DEAD_INTERVAL`].
-//! Services and actions stay with the one that carries them, though a lower name comes: with it,
-//! calls and goals that are under way would end.
+//! Coordinates the proxies of one ROS graph that could carry the same routes. Each proxy announces
+//! what it can carry. The one with the lowest name carries it. The others stand by, and take over
+//! once that proxy has left, has lost the fabric or its certificate, or is silent for
+//! [`DEAD_INTERVAL`]. A service or action stays with the proxy that carries it, although a lower
+//! name appears: otherwise its calls and goals in progress would end.
 //!
-//! Nobody in a ROS graph is authenticated: who is in it can have a proxy stand by, as it can
-//! publish whatever it likes there.
+//! A ROS graph authenticates nobody. A node in it can make a proxy stand by, as it can publish
+//! anything there.
 
 mod beat;
 
@@ -23,54 +22,54 @@ pub use beat::{Voice, beat};
 
 use crate::config::{MAX_CALLS, MAX_ROUTES, Side};
 
-/// For how long another proxy is taken for there that is not heard of: three times as long as it is
-/// silent at most.
+/// Time without an announcement after which another proxy counts as gone: three times the longest
+/// silence of a proxy.
 pub const DEAD_INTERVAL: Duration = Duration::from_secs(3);
 
-/// For how long it is listened, before calls are taken, whether another proxy takes them: longer
-/// than one is silent.
+/// Time for which a proxy listens for other proxies before it accepts calls: longer than the
+/// longest silence of a proxy.
 pub const LISTEN: Duration = Duration::from_millis(1500);
 
-/// Other proxies in a graph; what more there are is not heeded.
+/// Bound on the number of other proxies in a graph. Further ones are ignored.
 const MAX_OTHERS: usize = 64;
 
-/// Of one proxy.
+/// Bound on the number of parts of one proxy.
 const MAX_PARTS: usize = MAX_ROUTES + MAX_CALLS;
 
 const VERSION: u8 = 2;
 
-/// What only one proxy of a graph carries: a topic, a service or an action of the graph, under one
-/// name, one way.
+/// A topic, service or action of the graph under one name in one direction. Only one proxy of a
+/// graph carries it.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoutePart {
     pub name: Name,
     pub side: Side,
-    /// `topic /chatter`, `service /add`, `action /move`.
+    /// Kind and ROS name: `topic /chatter`, `service /add`, `action /move`.
     pub title: String,
 }
 
-/// What a proxy tells the others.
+/// The announcement of a proxy to the others.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Claims {
     version: u8,
     entity: Name,
-    /// What it is able to carry, and whether that stays with it because it does.
+    /// The parts that the proxy can carry, each with whether the proxy carries and keeps it.
     able: Vec<(RoutePart, bool)>,
 }
 
-/// Of any version.
+/// The version field of a claim of any version.
 #[derive(Deserialize)]
 struct Versioned {
     version: u8,
 }
 
-/// The proxies of one graph.
+/// The proxies of one graph and what each can carry.
 #[derive(Default)]
 pub struct PeerProxies {
     state: Mutex<State>,
-    /// There is something new to tell.
+    /// Notified when this proxy's claims change.
     news: Notify,
 }
 
@@ -82,29 +81,29 @@ struct State {
     others: HashMap<Name, Other>,
 }
 
-/// Whether this proxy can carry a part.
+/// Conditions under which this proxy carries a part.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Able {
     is_attached: bool,
     is_permitted: bool,
-    /// It does, and keeps it.
+    /// True if the proxy carries the part and keeps it.
     keeps: bool,
 }
 
 struct Other {
-    /// And whether it keeps that.
+    /// The parts that the proxy can carry, each with whether it keeps the part.
     able: HashMap<RoutePart, bool>,
     last_seen: Instant,
 }
 
-/// What one route carries or stands by for, until it is dropped.
+/// The candidacy of this proxy for one part, which ends when it is dropped.
 pub struct Candidate {
     peer_proxies: Arc<PeerProxies>,
     own: Name,
     part: RoutePart,
 }
 
-/// What another proxy says is not taken.
+/// Errors in the announcement of another proxy.
 #[derive(Debug, thiserror::Error)]
 pub enum ClaimsError {
     #[error("it is not understood: {0}")]
@@ -116,8 +115,8 @@ pub enum ClaimsError {
 }
 
 impl PeerProxies {
-    /// For the proxy `own`. `is_able`: whether it is taken to be able to carry it, until it says
-    /// otherwise.
+    /// Enters the proxy `own` as a candidate for `part`. `is_able` is whether it can carry the
+    /// part, until [`Candidate::set_permitted`] changes that.
     pub fn enter(self: &Arc<Self>, own: Name, part: RoutePart, is_able: bool) -> Candidate {
         let mut state = self.lock();
         state.own = Some(own);
@@ -126,7 +125,7 @@ impl PeerProxies {
         Candidate { peer_proxies: self.clone(), own, part }
     }
 
-    /// What the others are to be told, if there has ever been something.
+    /// Returns the announcement of this proxy, or `None` if it has never been a candidate.
     pub fn claims(&self) -> Option<String> {
         let state = self.lock();
         let able = state
@@ -138,7 +137,7 @@ impl PeerProxies {
         serde_json::to_string(&Claims { version: VERSION, entity: state.own?, able }).ok()
     }
 
-    /// Another proxy, or this one, has told this.
+    /// Receives an announcement of another proxy. It ignores its own.
     pub fn receive(&self, now: Instant, text: &str) -> Result<(), ClaimsError> {
         let Versioned { version } = serde_json::from_str(text)?;
         if version != VERSION {
@@ -158,7 +157,7 @@ impl PeerProxies {
         }
         let known = state.others.insert(entity, Other { able: able.into_iter().collect(), last_seen: now });
         if known.is_none() {
-            // One who comes is not to wait for the next time that it is told.
+            // A proxy that joins gets an answer before the next period.
             self.news.notify_one();
         }
         Ok(())
@@ -182,18 +181,19 @@ impl Other {
 }
 
 impl Candidate {
-    /// Whether this proxy reaches the fabric.
+    /// Sets whether this proxy is attached to the fabric.
     pub fn set_attached(&self, is_attached: bool) {
         self.set(|able| able.is_attached = is_attached);
     }
 
-    /// Whether the fabric lets this proxy carry it, and the graph and the types that it knows do.
+    /// Sets whether the fabric permits this proxy to carry the part, and the graph and the known
+    /// types allow it.
     pub fn set_permitted(&self, is_permitted: bool) {
         self.set(|able| able.is_permitted = is_permitted);
     }
 
-    /// Whether this proxy carries it, and goes on with that whoever comes: said of services and
-    /// actions alone.
+    /// Sets whether this proxy carries the part and keeps it when a proxy with a lower name
+    /// appears. Only services and actions are kept.
     pub fn set_keeps(&self, keeps: bool) {
         self.set(|able| able.keeps = keeps);
     }
@@ -208,21 +208,21 @@ impl Candidate {
         }
     }
 
-    /// Who carries it instead of this proxy.
+    /// Returns the proxy that carries the part instead of this one, if any.
     pub fn ahead(&self, now: Instant) -> Option<Name> {
         let state = self.peer_proxies.lock();
         let own = state.able.get(&self.part).is_some_and(|able| able.is_able() && able.keeps);
         let others = state.others.iter().filter(|(_, other)| other.is_there(now));
         let others = others.filter_map(|(name, other)| Some((*name, *other.able.get(&self.part)?)));
         let ahead = others.filter(|(name, theirs)| match own {
-            // Both began before they had heard of each other.
+            // Both proxies began before they received each other's announcement.
             true => *theirs && *name < self.own,
             false => *theirs || *name < self.own,
         });
         ahead.map(|(name, _)| name).min()
     }
 
-    /// Whether what this entity publishes under the name is from the same graph.
+    /// Whether `entity` publishes the name from the same graph.
     pub fn is_twin(&self, now: Instant, entity: &Name) -> bool {
         let state = self.peer_proxies.lock();
         let publishes = |part: &RoutePart| part.side == Side::Out && part.name == self.part.name;

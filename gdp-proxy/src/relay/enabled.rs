@@ -1,7 +1,5 @@
-//! The relay itself: `gdp-daemon` runs it, from a configuration that is made of the proxy's.
-//!
-//! It dials the proxy's own switches and accepts the links of whoever attaches to it. It hosts no
-//! RIB.
+//! The relay itself. `gdp-daemon` runs it with a configuration derived from the proxy's. The relay
+//! dials the proxy's own switches and accepts links of other endpoints. It hosts no RIB.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -20,7 +18,7 @@ use crate::material::load_identity;
 use crate::material_error::{MaterialError, with_path};
 use gdp_util::unix_time::unix_seconds;
 
-/// A relay that can be started.
+/// A configured relay that is not started yet.
 pub struct Relay {
     switch: SwitchConfig,
     name: Name,
@@ -28,13 +26,13 @@ pub struct Relay {
 
 /// A relay that runs until [`Self::stop`].
 pub struct RunningRelay {
-    /// Of its own, so that what it carries for others does not wait for the proxy's topics, nor
-    /// they for it.
+    /// The relay's own runtime, so that its traffic and the proxy's topics do not wait for each
+    /// other.
     runtime: Runtime,
     running: Running,
 }
 
-/// Why a relay does not start.
+/// Reasons for which a relay does not start.
 #[derive(Debug, thiserror::Error)]
 pub enum RelayError {
     #[error(transparent)]
@@ -46,7 +44,7 @@ pub enum RelayError {
 }
 
 impl Relay {
-    /// The relay that the configuration wants, if it wants one: reads and checks its files.
+    /// Reads and checks the relay's files. Returns `None` if the configuration has no relay.
     pub fn load(config: &Config) -> Result<Option<Self>, MaterialError> {
         let Some(relay) = &config.relay else { return Ok(None) };
         let wrong = |key: &str, reason| MaterialError { key: key.into(), reason };
@@ -89,7 +87,7 @@ impl Relay {
 }
 
 impl RunningRelay {
-    /// Tells those it carries, and ends.
+    /// Notifies the attached endpoints and ends the relay.
     pub async fn stop(self) {
         if self.runtime.spawn(self.running.stop()).await.is_err() {
             tracing::error!("the relay panicked while it ended");
@@ -98,8 +96,8 @@ impl RunningRelay {
     }
 }
 
-/// Those of the proxy's switches that a switch can have as neighbours: at an address, and known by
-/// name.
+/// Returns those of the proxy's switches that can be neighbours of a switch: they have an IP
+/// address and a known name.
 fn neighbours(links: &[LinkEntry]) -> Vec<Neighbour> {
     let mut neighbours: Vec<Neighbour> = Vec::new();
     for link in links {
@@ -113,7 +111,7 @@ fn neighbours(links: &[LinkEntry]) -> Vec<Neighbour> {
     neighbours
 }
 
-/// A domain has links between its switches only.
+/// Checks that the relay is a switch of the domain: a domain has links between its switches only.
 fn check_membership(files: &CredentialFiles, identity: &Identity) -> Result<(), String> {
     let remedy = |error: String| {
         let (relay, file) = (identity.name(), files.membership.display());

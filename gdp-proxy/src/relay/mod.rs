@@ -1,5 +1,5 @@
-//! The relay: a userspace switch beside the proxy, for endpoints that reach no other. Needs the
-//! feature `relay`.
+//! The relay: a userspace switch beside the proxy, for endpoints that reach no other switch. It
+//! needs the feature `relay`.
 
 #[cfg(feature = "relay")]
 mod enabled;

@@ -1,22 +1,22 @@
-//! The stub of a proxy that is built without the relay: it refuses a configuration with one.
+//! The stub of a proxy that is built without the relay. It refuses a configuration with a relay.
 
 use std::convert::Infallible;
 
 use crate::config::Config;
 use crate::material_error::MaterialError;
 
-/// A relay that cannot be: [`Relay::load`] never returns one.
+/// A relay that cannot exist: [`Relay::load`] never returns one.
 pub struct Relay(Infallible);
 
-/// As [`Relay`].
+/// A running relay that cannot exist.
 pub struct RunningRelay(Infallible);
 
 impl Relay {
-    /// Nothing, where the configuration has no relay.
+    /// Returns `None` if the configuration has no relay.
     ///
     /// # Errors
     ///
-    /// A configuration with a relay is refused, because this program cannot run one.
+    /// Refuses a configuration with a relay, because this program cannot run one.
     pub fn load(config: &Config) -> Result<Option<Self>, MaterialError> {
         match config.relay {
             None => Ok(None),

@@ -13,10 +13,10 @@ use gdp_ros::compression::Packer;
 use gdp_ros::roster::Kind;
 use gdp_ros::types::{Converter, Form, TypeError, Types, sealed, unsealed};
 
-/// What is compressed is seldom more than so many times as large.
+/// Assumed bound on how many times larger a compressed message becomes when decompressed.
 const LIKELY_RATIO: usize = 8;
 
-/// From the graph into the fabric.
+/// Converts messages of the graph for the fabric.
 pub struct Outbound {
     converter: Converter,
     encoding: seal::Encoding,
@@ -40,7 +40,8 @@ impl Outbound {
         run_blocking_if_large(bytes.len(), || self.converter.convert(bytes))
     }
 
-    /// What was converted, as it travels.
+    /// Compresses a converted message if the topic is configured so, and returns its encoding and
+    /// bytes.
     pub fn pack<'a>(&'a mut self, body: &'a [u8]) -> (seal::Encoding, &'a [u8]) {
         match &mut self.packer {
             Some(packer) => run_blocking_if_large(body.len(), || packer.pack(self.encoding, body)),
@@ -49,19 +50,21 @@ impl Outbound {
     }
 }
 
-/// From one publisher elsewhere into the graph.
+/// Converts messages of one remote publisher for the graph.
 pub struct Inbound {
-    /// Of the publisher, and the same in this graph.
+    /// The publisher's type, and its counterpart in this graph.
     kinds: (Kind, Kind),
     definitions: (Option<Arc<str>>, Option<String>),
     frame_prefix: Option<FramePrefix>,
-    /// By what messages are in; nearly always one.
+    /// One converter for each encoding of messages; nearly always one.
     converters: Vec<(Encoding, Converter)>,
 }
 
 impl Inbound {
     /// # Errors
-    /// If frames are to have a prefix, and nobody says where messages of the type have them.
+    ///
+    /// Fails if a frame prefix is configured and the definition of the type is unknown, so that
+    /// nobody knows where its messages contain frames.
     pub fn new(
         types: &Types,
         kinds: (Kind, Kind),

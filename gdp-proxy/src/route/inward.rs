@@ -1,4 +1,4 @@
-//! Carries a topic from the fabric into a ROS graph. Each remote publisher has a writer here, for
+//! Carries a topic from the fabric into a ROS graph. Each remote publisher has a local writer for
 //! as long as it exists.
 
 use std::convert::Infallible;
@@ -26,22 +26,22 @@ use gdp_ros::types::Form;
 
 const NOT_SAID: &str = "its writer does not say of what it is";
 
-/// How often it is looked whether subscribers have found a new writer.
+/// How often the route checks whether subscribers have matched a new writer.
 const LOOK_FOR_SUBSCRIBERS: Duration = Duration::from_millis(20);
 
-/// Messages that are taken at a time before anybody is missed.
+/// Bound on the queued messages that the route reads before it checks which publishers fell silent.
 const WAITING: usize = 256;
 
-/// The publishers elsewhere, as far as they are known.
+/// The remote publishers and their local writers.
 struct In<'a> {
     graph: &'a Graph,
     own: Name,
     candidate: &'a Candidate,
-    /// Of the name's card or the configuration.
+    /// The type, from the name card or the configuration.
     kind: Option<&'a TypeName>,
     incoming: Incoming,
     locals: Locals,
-    /// Which of them a subscriber here does not hear.
+    /// The incompatible QoS of a local subscriber, if there is one.
     misfit: Option<String>,
 }
 
@@ -61,14 +61,14 @@ impl Route {
                 }
                 Err(error) => error,
             };
-            // Nothing more is heard of those elsewhere.
+            // Without a subscription, the remote publishers are unknown.
             let changes = to.incoming.clear();
             self.change(&mut to, changes).await;
             self.pause(error, &mut pause, right, candidate).await;
         }
     }
 
-    /// Returns when the right to read has ended, with the reason.
+    /// Carries messages until the right to read ends, and returns the reason.
     async fn carry_in(
         &self,
         to: &mut In<'_>,
@@ -81,7 +81,7 @@ impl Route {
         loop {
             let is_busy = to.locals.is_busy();
             let received = tokio::select! {
-                // However many messages come.
+                // Biased, so that arriving messages do not starve the timers.
                 biased;
                 _ = looks.tick(), if is_busy => {
                     self.look(to).await;
@@ -89,8 +89,8 @@ impl Route {
                 }
                 _ = ticks.tick() => {
                     self.route_status.renew(right, async |new| subscription.renew(new).await).await;
-                    // Whose rosters wait here has not fallen silent: it is this proxy that was
-                    // late.
+                    // Rosters that wait in the queue are read first: their writers are not silent,
+                    // this proxy was late.
                     for _ in 0..WAITING {
                         let next = tokio::task::unconstrained(subscription.recv());
                         let Some(Some(message)) = next.now_or_never() else { break };
@@ -163,8 +163,8 @@ impl Route {
         self.show(to);
     }
 
-    /// What time brings: writers that are tried again, messages that need not wait any more,
-    /// counterparts that may go.
+    /// Does the periodic work: creates due writers, writes messages that need not wait any longer,
+    /// and drops writers whose time is over.
     async fn look(&self, to: &mut In<'_>) {
         self.make(to).await;
         let now = Instant::now();
@@ -177,7 +177,7 @@ impl Route {
         self.show(to);
     }
 
-    /// Makes the writers that are due.
+    /// Creates the writers that are due.
     async fn make(&self, to: &mut In<'_>) {
         for whose in to.locals.due(Instant::now()) {
             let Some(local) = to.locals.get(&whose) else { continue };
@@ -229,7 +229,7 @@ impl Route {
         }
     }
 
-    /// Lets go of what is too much, all publishers taken together.
+    /// Drops the oldest messages if all publishers together hold too many bytes.
     fn trim(&self, to: &mut In<'_>) {
         let gone = to.locals.trim();
         self.drop_all(
@@ -258,8 +258,8 @@ impl Route {
         })
     }
 
-    /// Says in the status which publishers have no counterpart, or one that is not heard; and to
-    /// other proxies of the graph whether this one can do anything for the topic.
+    /// Shows in the status which publishers have no counterpart or an incompatible subscriber.
+    /// Announces to the graph's other proxies whether this one can carry the topic.
     fn show(&self, to: &mut In<'_>) {
         to.candidate.set_permitted(!to.locals.are_hopeless());
         let mut faults: Vec<_> = to.locals.faults().map(|(whose, why)| no_counterpart(whose, why)).collect();
@@ -272,7 +272,7 @@ impl Route {
     }
 }
 
-/// What stands for those of whom nothing is known but what the configuration says.
+/// Returns the writer for publishers of which only the configuration is known.
 fn plain(kind: Option<&TypeName>) -> Local {
     let name = kind.map_or_else(String::new, ToString::to_string);
     Local::new(Kind { dialect: Dialect::Ros2, name, hash: vec![] }, None, Qos::default().into())

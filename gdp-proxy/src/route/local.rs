@@ -15,32 +15,33 @@ use crate::stats::{Drop, RouteCounters};
 use gdp_ros::roster::{Kind, Offer};
 use gdp_ros::types::Types;
 
-/// For how long it stays after its publisher has gone and something was written: so that reliable
-/// subscribers can have it repaired.
+/// Time for which a writer stays after its publisher has gone and the last message was written, so
+/// that reliable subscribers can request retransmissions.
 const LINGER: Duration = Duration::from_secs(1);
 
-/// Bytes that are kept of what one publisher latches.
+/// Bound in bytes on the history of one transient-local publisher.
 const MAX_HISTORY_BYTES: usize = 64 << 20;
 
-/// Between attempts to make one.
+/// Backoff between attempts to create a writer.
 const RETRY: Backoff = Backoff::new(Duration::from_secs(1), Duration::from_secs(30));
 
-/// The counterpart of a publisher, or what is known of one that cannot be made.
+/// The local writer of one remote publisher, or its description while there is no writer.
 pub struct Local {
     pub kind: Kind,
     pub definition: Option<Arc<str>>,
     pub offers: Offer,
     state: LocalState,
-    /// What the publisher latches, for a writer that is made later; and how much that is.
+    /// The publisher's transient-local history, for a writer that is created later, with its size
+    /// in bytes.
     history: VecDeque<Message>,
     history_bytes: usize,
 }
 
 enum LocalState {
-    /// It is to be made.
+    /// The writer has to be created.
     Wanted,
     Made(Box<Made>),
-    /// Nothing is heard of its publisher.
+    /// The publisher is silent, so it has no writer.
     Silent,
     Failed {
         why: String,
@@ -49,17 +50,17 @@ enum LocalState {
     },
 }
 
-/// A writer, and how messages become such as it takes.
+/// A writer, and the conversion of messages for it.
 pub struct Made {
     pub writer: Writer,
     pub offers: Offer,
     format: Inbound,
-    /// As they came: compressed, they may be much smaller.
+    /// Messages as they arrived: compressed ones may be much smaller.
     pending_match: Option<PendingMatch<Message>>,
     written: Option<Instant>,
 }
 
-/// Why a message was not written.
+/// Reason and text of a message that was not written.
 pub type Refused = (Drop, String);
 
 impl Local {
@@ -67,7 +68,7 @@ impl Local {
         Self { kind, definition, offers, state: LocalState::Wanted, history: VecDeque::new(), history_bytes: 0 }
     }
 
-    /// Whether it is time to try to make it.
+    /// Whether it is time to create the writer.
     pub fn is_due(&self, now: Instant) -> bool {
         match &self.state {
             LocalState::Wanted => true,
@@ -76,7 +77,7 @@ impl Local {
         }
     }
 
-    /// Why there is none, if one could not be made.
+    /// Returns the reason if the writer could not be created.
     pub fn fault(&self) -> Option<&str> {
         match &self.state {
             LocalState::Failed { why, .. } => Some(why),
@@ -84,7 +85,8 @@ impl Local {
         }
     }
 
-    /// It is made: what its publisher latches is written first.
+    /// Installs the writer. Returns the publisher's transient-local history, which must be written
+    /// first.
     pub fn made(&mut self, made: Made) -> Vec<Message> {
         self.state = LocalState::Made(made.into());
         self.history.iter().cloned().collect()
@@ -98,7 +100,8 @@ impl Local {
         self.state = LocalState::Failed { why, again: now + retry.next_delay(), retry };
     }
 
-    /// Nothing is heard of its publisher: subscribers here see it go.
+    /// Removes and returns the writer of a silent publisher, so that subscribers here see the
+    /// publisher leave.
     pub fn silence(&mut self) -> Option<Made> {
         match std::mem::replace(&mut self.state, LocalState::Silent) {
             LocalState::Made(made) => Some(*made),
@@ -106,7 +109,8 @@ impl Local {
         }
     }
 
-    /// It is to be made anew, for this. What was there, if it was.
+    /// Records another type or QoS of the publisher, so that its writer is created anew. Returns
+    /// the old writer, if there was one.
     pub fn renew(&mut self, kind: Kind, definition: Option<Arc<str>>, offers: Offer) -> Option<Made> {
         if kind != self.kind {
             self.forget();
@@ -122,7 +126,7 @@ impl Local {
         self.silence()
     }
 
-    /// Keeps a message that its publisher latches.
+    /// Stores a message in the history, if its publisher is transient-local.
     pub fn keep(&mut self, message: &Message) {
         let most = latched(&self.offers);
         if most == 0 {
@@ -135,7 +139,7 @@ impl Local {
         }
     }
 
-    /// Bytes that are kept, or wait for subscribers.
+    /// Returns the bytes of the history and of the messages that wait for subscribers.
     pub fn bytes(&self) -> usize {
         match &self.state {
             LocalState::Made(made) => self.history_bytes + made.bytes(),
@@ -143,7 +147,8 @@ impl Local {
         }
     }
 
-    /// Lets the oldest message of them go: how many bytes these are.
+    /// Drops the oldest message of the history or of the waiting ones, whichever has more bytes.
+    /// Returns its size in bytes.
     pub fn evict(&mut self) -> usize {
         match &mut self.state {
             LocalState::Made(made) if made.bytes() > self.history_bytes => made.evict(),
@@ -179,7 +184,7 @@ impl Made {
         Self { writer, offers, format, pending_match: Some(PendingMatch::new(now, offers.reliable)), written: None }
     }
 
-    /// Writes a message, or has it wait.
+    /// Writes a message, or queues it until subscribers have matched.
     pub async fn take(&mut self, types: &Types, counters: &RouteCounters, message: Message) -> Result<(), Refused> {
         let began = Instant::now();
         match &mut self.pending_match {
@@ -195,27 +200,27 @@ impl Made {
         Ok(())
     }
 
-    /// Whether something waits.
+    /// Whether messages are queued until subscribers have matched.
     pub fn is_holding(&self) -> bool {
         self.pending_match.is_some()
     }
 
-    /// Bytes that wait for subscribers.
+    /// Returns the bytes of the messages that wait for subscribers.
     pub fn bytes(&self) -> usize {
         self.pending_match.as_ref().map_or(0, PendingMatch::bytes)
     }
 
-    /// How many messages wait that go with it.
+    /// Drops the writer and returns the number of messages that waited.
     pub fn abandon(self) -> u64 {
         self.pending_match.map_or(0, |pending_match| pending_match.into_waiting().count() as u64)
     }
 
-    /// Lets the oldest message that waits go: how many bytes it is.
+    /// Drops the oldest waiting message and returns its size in bytes.
     pub fn evict(&mut self) -> usize {
         self.pending_match.as_mut().map_or(0, PendingMatch::drop_oldest)
     }
 
-    /// Writes what has waited, once it need not wait any more; what was refused.
+    /// Writes the waiting messages once they need not wait any longer. Returns the errors.
     pub async fn look(&mut self, types: &Types, counters: &RouteCounters, now: Instant) -> Vec<Refused> {
         let Self { writer, pending_match, .. } = self;
         let mut refused = Vec::new();
@@ -229,7 +234,7 @@ impl Made {
         refused
     }
 
-    /// Whether it may go, its publisher having gone.
+    /// Whether the writer may be dropped, after its publisher has gone.
     pub fn is_over(&self, now: Instant) -> bool {
         self.pending_match.is_none() && self.written.is_none_or(|written| now >= written + LINGER)
     }

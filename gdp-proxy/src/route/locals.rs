@@ -8,28 +8,29 @@ use gdp_wire::Name;
 use super::local::{Local, Made};
 use gdp_ros::roster::{Change, Offer};
 
-/// Publishers elsewhere that have a counterpart. More have none.
+/// Bound on the remote publishers with a local writer. Further ones have none.
 const MAX_LOCALS: usize = 512;
 
-/// Bytes that are kept of what all of them latch, or wait for subscribers.
+/// Bound in bytes on all histories and waiting messages of one topic together.
 const MAX_BYTES: usize = 256 << 20;
 
-/// Counterparts that stay for a moment after their publisher. Of more, the oldest go at once.
+/// Bound on the writers that stay for a moment after their publisher. Beyond it the oldest are
+/// dropped at once.
 const MAX_LEAVING: usize = 64;
 
-/// Writers that are made: so many at once, and one more in each period. Who says something else of
-/// its publishers with every message would keep the whole ROS graph busy.
+/// Bound on the creation of writers: so many in a burst, then one in each period. It protects the
+/// ROS graph against a remote proxy that changes its publishers with every message.
 const BURST: u32 = MAX_LOCALS as u32;
 const PERIOD: Duration = Duration::from_millis(50);
 
-/// Whose counterpart it is. `None`: of all writers that tell no publishers apart.
+/// The publisher that a local writer stands for. `None` stands for all writers that do not
+/// distinguish their publishers.
 pub type Whose = Option<(Name, u32)>;
 
 pub struct Locals {
     by: HashMap<Whose, Local>,
     leaving: VecDeque<Made>,
-    /// Messages that waited with those that had to go before it was their time, since that was last
-    /// asked.
+    /// Waiting messages that were dropped with their writer since the last call of [`Self::trim`].
     abandoned: u64,
     budget: Budget,
 }
@@ -52,12 +53,12 @@ impl Locals {
         self.by.insert(whose, local);
     }
 
-    /// False if there is no room.
+    /// Applies a change of a publisher. Returns false if there is no room for its writer.
     pub fn change(&mut self, now: Instant, change: Change) -> bool {
         let gone = match change {
             Change::Left { writer, number } => self.by.remove(&Some((writer, number))).and_then(Local::into_made),
             Change::Silent { writer, number } => {
-                // Nobody is to take it for there a moment longer.
+                // Subscribers must see the publisher leave at once.
                 self.by.get_mut(&Some((writer, number))).and_then(Local::silence);
                 None
             }
@@ -83,13 +84,13 @@ impl Locals {
         true
     }
 
-    /// Those that are to be made now, as far as so many may be.
+    /// Returns the writers to create now, as far as the budget allows.
     pub fn due(&mut self, now: Instant) -> Vec<Whose> {
         let due: Vec<Whose> = self.by.iter().filter(|(_, local)| local.is_due(now)).map(|(whose, _)| *whose).collect();
         due.into_iter().take_while(|_| self.budget.take(now)).collect()
     }
 
-    /// All that are there, also those that are about to go.
+    /// Returns all existing writers, including those that stay after their publisher.
     pub fn made(&mut self) -> impl Iterator<Item = &mut Made> {
         self.by.values_mut().filter_map(Local::made_mut).chain(&mut self.leaving)
     }
@@ -98,8 +99,9 @@ impl Locals {
         self.made().any(|made| made.is_holding())
     }
 
-    /// Lets the oldest messages go of whoever has most, until all are no more than [`MAX_BYTES`]
-    /// together: how many, and those that have gone with their counterparts.
+    /// Drops the oldest messages of the writer with the most bytes, until all together have at most
+    /// [`MAX_BYTES`]. Returns the number of dropped messages, including those dropped with their
+    /// writers.
     pub fn trim(&mut self) -> u64 {
         let bytes = self.by.values().map(Local::bytes).chain(self.leaving.iter().map(Made::bytes));
         let (mut bytes, mut gone): (usize, _) = (bytes.sum(), std::mem::take(&mut self.abandoned));
@@ -117,22 +119,22 @@ impl Locals {
         gone
     }
 
-    /// Lets those go whose time is over.
+    /// Drops the writers that need not stay any longer after their publisher.
     pub fn sweep(&mut self, now: Instant) {
         self.leaving.retain(|made| !made.is_over(now));
     }
 
-    /// What each of them offers that is there.
+    /// Returns the offered QoS of each publisher that has a writer.
     pub fn offers(&mut self) -> impl Iterator<Item = (Whose, Offer)> {
         self.by.iter_mut().filter_map(|(whose, local)| Some((*whose, local.made_mut()?.offers)))
     }
 
-    /// Whether none could be made of those that are to be there.
+    /// Whether a writer could not be created and no publisher has one.
     pub fn are_hopeless(&self) -> bool {
         self.faults().next().is_some() && !self.by.values().any(Local::is_made)
     }
 
-    /// The publishers that have none, and why.
+    /// Returns the publishers without a writer, with the reason.
     pub fn faults(&self) -> impl Iterator<Item = (&Whose, &str)> {
         self.by.iter().filter_map(|(whose, local)| Some((whose, local.fault()?)))
     }

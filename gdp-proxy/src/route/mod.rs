@@ -1,7 +1,7 @@
 //! One topic in one direction. Each route is a task of its own; [`offload`](crate::offload) keeps
 //! long work from blocking the others. Within a route a message goes straight from one side to the
-//! other, without a queue or a wake-up in between. A route whose right has ended asks again and
-//! again, and the other routes go on.
+//! other, without a queue or a wake-up in between. A route whose certificate is no longer valid
+//! retries, and the other routes go on.
 
 mod format;
 mod inward;
@@ -34,7 +34,7 @@ use gdp_ros::roster::ROSTER;
 use gdp_ros::types::Types;
 use gdp_util::backoff::Backoff;
 
-/// How long a route that ends waits for what it has sent to arrive.
+/// Time for which an ending route waits for the delivery of its last messages.
 const FLUSH: Duration = Duration::from_secs(3);
 
 pub struct Route {
@@ -44,14 +44,14 @@ pub struct Route {
     types: Arc<Types>,
     counters: RouteCounters,
     route_status: RouteStatus,
-    /// Of the fabric's side of it.
+    /// The counters of the route's publisher or subscription in the fabric.
     fabric: Mutex<FabricCounters>,
 }
 
-/// A name that is published.
+/// A published name.
 struct Published {
     publisher: Publisher,
-    /// The roster of nobody.
+    /// The roster without publishers, which announces that they have left.
     farewell: Vec<u8>,
 }
 
@@ -105,7 +105,7 @@ impl Carries for Route {
         material: RouteMaterial,
         stop: impl Future<Output = ()> + Send,
     ) -> Result<(), RouteError> {
-        // What has failed is left to others until it shows that it works by now.
+        // A route that has failed leaves the topic to other proxies until it works again.
         let candidate =
             graph.peer_proxies().enter(node.name(), self.route_status.part(self.side), !self.route_status.has_failed());
         let RouteMaterial { card, kind, permission, file } = material;
@@ -141,8 +141,8 @@ impl Route {
         }
     }
 
-    /// Those who read the name hear that its publishers are not carried any more, and need not miss
-    /// them.
+    /// Announces to the readers that the publishers are no longer carried, delivers what was sent,
+    /// and closes the publisher.
     async fn close(&self, Published { publisher, farewell }: Published) {
         publisher.pin(ROSTER, &farewell);
         if let Err(error) = publisher.close(FLUSH).await {
@@ -150,7 +150,7 @@ impl Route {
         }
     }
 
-    /// A refusal: another proxy of the graph may do better meanwhile.
+    /// Waits after a refusal. Meanwhile another proxy of the graph may carry the topic.
     async fn pause<T: Clone>(
         &self,
         error: NodeError,
@@ -162,8 +162,7 @@ impl Route {
         self.route_status.pause(error, pause, right).await;
     }
 
-    /// Counts every drop; the first one for a reason is worth a line in the log, the counters have
-    /// the rest.
+    /// Counts a drop and logs the first one for each reason.
     fn drop(&self, reason: Drop, why: impl Display) {
         self.drop_all(reason, 1, why);
     }

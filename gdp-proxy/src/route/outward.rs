@@ -20,34 +20,34 @@ use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
 use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
 
-/// Why messages are not carried on as they were.
+/// Reasons for which a route must publish its name anew.
 enum Turn {
-    /// The right to publish has ended.
+    /// The certificate is no longer valid.
     Ended(NodeError),
-    /// A publisher offers more than the name does.
+    /// A publisher offers stronger QoS than the name was published with.
     More,
 }
 
-/// A name that was just published has no readers yet, and what is sent to nobody is lost: how long
-/// the first is waited for, and how many events of the topic wait meanwhile.
+/// Time for which a newly published name waits for its first reader, because messages without
+/// readers are lost. The second constant bounds the events of the topic that wait meanwhile.
 const FIRST_READER: Duration = Duration::from_secs(1);
 const MAX_WAITING: usize = 256;
 
-/// How often it is looked for a first reader.
+/// How often the route checks for the first reader.
 const LOOK_FOR_READERS: Duration = Duration::from_millis(10);
 
-/// What is known of the topic once it has a publisher, or the configuration says all.
+/// The state of a topic whose type and QoS are known, from a publisher or the configuration.
 struct Out<'a> {
     reader: Reader<'a>,
     roster: Outgoing<Key>,
     kind: Kind,
     format: Outbound,
     pace: Pace<Arrived>,
-    /// What the name is published for.
+    /// The offer with which the name is published.
     offers: Offer,
-    /// What happened while nobody read the name.
+    /// Events that occurred while the name had no reader.
     waiting: VecDeque<Event>,
-    /// Publishers that are not carried, and why.
+    /// Publishers that are not carried, with the reason.
     incompatible_publishers: BTreeMap<Key, String>,
 }
 
@@ -89,15 +89,15 @@ impl Route {
                     drop(published);
                     let offers = out.offers;
                     self.pause(error, &mut pause, right, candidate).await;
-                    // What has come meanwhile is old by now.
+                    // The events of the old reader are stale by now.
                     out = self.learn(way, Some(offers)).await?;
                 }
             }
         }
     }
 
-    /// Reads the topic; returns when it is known how to publish it. Never, if its type cannot be
-    /// converted as the configuration wants: the status says so.
+    /// Reads the topic until its type and QoS are known. It never returns if the type cannot be
+    /// converted as configured; the status then gives the reason.
     async fn learn<'a>(&self, way: &Way<'a>, offers: Option<Offer>) -> Result<Out<'a>, RouteError> {
         let Way { graph, kind, candidate, .. } = *way;
         let mut incompatible_publishers = BTreeMap::new();
@@ -132,7 +132,7 @@ impl Route {
             Err(error) => {
                 self.route_status.set_status(&error.to_string());
                 tracing::warn!(topic = %self.config.topic, kind = %kind.name, "not carried: {error}");
-                // Another proxy of the graph may know more.
+                // Another proxy of the graph may know the type.
                 candidate.set_permitted(false);
                 std::future::pending().await
             }
@@ -233,7 +233,7 @@ impl Route {
         }
     }
 
-    /// The message, if it is to be sent now.
+    /// Returns the message if it is to be sent now.
     fn paced(&self, out: &mut Out<'_>, arrived: Arrived) -> Option<Arrived> {
         self.drop_all(Drop::Lost, arrived.lost, "messages were lost before they came to the proxy");
         if let Some(written_ns) = arrived.written_ns {
@@ -258,7 +258,7 @@ impl Route {
         }
     }
 
-    /// What has ended the right to send it, if something has.
+    /// Sends a message. Returns the error if it ended the right to publish.
     async fn send(
         &self,
         out: &mut Out<'_>,
@@ -279,7 +279,7 @@ impl Route {
         let (encoding, carried) = out.format.pack(&body);
         let drafts = [Draft { origin, ..Draft::new(encoding, carried) }];
         let sending = publisher.send_batch(&drafts);
-        // Waits for nothing: what finds no room replaces older messages.
+        // The send does not wait: without room, the message replaces older ones.
         let sent = match is_large(carried.len()) {
             true => tokio::task::block_in_place(|| Handle::current().block_on(sending)),
             false => sending.await,
@@ -312,7 +312,7 @@ impl Route {
         why
     }
 
-    /// Says in the status which publishers are not carried.
+    /// Shows in the status which publishers are not carried.
     fn show_out(&self, otherwise: &str, incompatible_publishers: &BTreeMap<Key, String>) {
         match incompatible_publishers.iter().next() {
             None => self.route_status.set_status(otherwise),
@@ -326,7 +326,7 @@ impl Route {
 
     fn tell(&self, error: FrameError) {
         match error.code {
-            // As long as nobody subscribes.
+            // The normal case while nobody subscribes.
             ErrorCode::NoRoute => {
                 tracing::info!(topic = %self.config.topic, name = %self.route_status.name(), "not carried on: {error}")
             }
@@ -338,7 +338,7 @@ impl Route {
 }
 
 impl Out<'_> {
-    /// What happens next, after what has waited. Safe to cancel.
+    /// Returns the next event; those that waited come first. Safe to cancel.
     async fn next(&mut self) -> Result<Event, GraphError> {
         match self.waiting.pop_front() {
             Some(event) => Ok(event),
@@ -346,11 +346,11 @@ impl Out<'_> {
         }
     }
 
-    /// Lets what happens wait until somebody reads the name, for a while.
+    /// Queues events until the name has a reader, for [`FIRST_READER`] at most.
     async fn wait_for_reader(&mut self, publisher: &Publisher) -> Result<(), GraphError> {
         let over = Instant::now() + FIRST_READER;
         while publisher.readers() == 0 && Instant::now() < over && self.waiting.len() < MAX_WAITING {
-            // It is safe to cancel.
+            // `next` is safe to cancel.
             if let Ok(event) = tokio::time::timeout(LOOK_FOR_READERS, self.reader.next()).await {
                 self.waiting.push_back(event?);
             }
@@ -358,8 +358,8 @@ impl Out<'_> {
         Ok(())
     }
 
-    /// The name is published anew: nobody knows what was told, and what is latched is to be read
-    /// again.
+    /// Prepares to publish the name anew: the roster is sent again, and the transient-local history
+    /// is read again.
     fn again(&mut self) -> Result<(), GraphError> {
         self.roster.again();
         self.reader.again()

@@ -7,16 +7,16 @@ use std::time::{Duration, Instant};
 
 use crate::graph::Key;
 
-/// `T`: a message.
+/// The rate limit of all publishers of a topic. `T` is a message.
 pub struct Pace<T> {
     period: Option<Duration>,
     publishers: HashMap<Option<Key>, PublisherTurn<T>>,
 }
 
 struct PublisherTurn<T> {
-    /// When the next message is wanted.
+    /// The time from which the next message may be sent.
     due: Instant,
-    /// The newest since the last that went.
+    /// The newest message since the last one sent.
     pending: Option<T>,
 }
 
@@ -25,8 +25,8 @@ impl<T> Pace<T> {
         Self { period: max_hz.map(|hz| Duration::from_secs(1) / hz.get()), publishers: HashMap::new() }
     }
 
-    /// A message comes: what goes now, if anything does, and how many messages it takes the place
-    /// of.
+    /// Accepts a message. Returns the message if it is to be sent now, and the number of waiting
+    /// messages that it replaces.
     pub fn take(&mut self, now: Instant, from: Option<Key>, message: T) -> (Option<T>, u64) {
         let Some(period) = self.period else { return (Some(message), 0) };
         let turn = self.publishers.entry(from).or_insert(PublisherTurn { due: now, pending: None });
@@ -35,19 +35,19 @@ impl<T> Pace<T> {
             turn.pending = Some(message);
             return (None, replaced);
         }
-        // A message that comes a little late does not shift all that follow.
+        // A slightly late message does not delay all later ones.
         turn.due = if now - turn.due < period { turn.due + period } else { now + period };
         (Some(message), replaced)
     }
 
-    /// When something that is held is to go: half a period after its turn, for one that comes by
-    /// itself soon after is newer.
+    /// Returns the time at which a waiting message must be sent. That is half a period after its
+    /// turn, because a newer message may arrive until then.
     pub fn next(&self) -> Option<Instant> {
         let grace = self.period? / 2;
         self.publishers.values().filter(|turn| turn.pending.is_some()).map(|turn| turn.due + grace).min()
     }
 
-    /// What is held and is to go now; one for each call.
+    /// Returns one waiting message that is overdue.
     pub fn overdue(&mut self, now: Instant) -> Option<T> {
         let period = self.period?;
         let waits = |turn: &&mut PublisherTurn<T>| turn.pending.is_some() && now >= turn.due + period / 2;
@@ -56,7 +56,7 @@ impl<T> Pace<T> {
         turn.pending.take()
     }
 
-    /// What is held of a publisher that has gone.
+    /// Removes a publisher that has left, and returns its waiting message.
     pub fn left(&mut self, key: Key) -> Option<T> {
         self.publishers.remove(&Some(key))?.pending
     }

@@ -4,23 +4,24 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// How long a writer waits for a first subscriber; without one, nobody may want the topic. What is
-/// reliable is worth more patience than what another message replaces.
+/// Time for which a writer waits for its first subscriber. Without one, nobody may want the topic.
+/// A reliable message waits longer, because no later message replaces it.
 const TIMEOUT: Duration = Duration::from_millis(750);
 const RELIABLE_PATIENCE: Duration = Duration::from_secs(3);
 
-/// How long it waits for the others, and for the first one to know of it, too.
+/// Time to wait for further subscribers after the first match, and until the first one has matched
+/// too.
 const SETTLE: Duration = Duration::from_millis(150);
 
-/// Of one writer.
+/// Bounds on the waiting messages of one writer.
 const MAX_WAITING: usize = 256;
 const MAX_WAITING_BYTES: usize = 16 << 20;
 
-/// `T`: a message.
+/// The messages of a new writer that wait for subscribers. `T` is a message.
 pub struct PendingMatch<T> {
     until: Instant,
     has_matched: bool,
-    /// With its bytes, and those of all.
+    /// The waiting messages with their sizes in bytes; `bytes` is the sum.
     waiting: VecDeque<(T, usize)>,
     bytes: usize,
 }
@@ -36,19 +37,20 @@ impl<T> PendingMatch<T> {
         self.bytes += bytes;
     }
 
-    /// Of all that waits.
+    /// Returns the bytes of all waiting messages.
     pub fn bytes(&self) -> usize {
         self.bytes
     }
 
-    /// How many bytes it is.
+    /// Drops the oldest message and returns its size in bytes.
     pub fn drop_oldest(&mut self) -> usize {
         let bytes = self.waiting.pop_front().map_or(0, |(_, bytes)| bytes);
         self.bytes -= bytes;
         bytes
     }
 
-    /// Whether nothing waits any longer. `is_matched`: the writer has a subscriber.
+    /// Whether the messages need not wait any longer. `is_matched` returns whether the writer has a
+    /// subscriber.
     pub fn is_over(&mut self, now: Instant, is_matched: impl FnOnce() -> bool) -> bool {
         if !self.has_matched && is_matched() {
             self.has_matched = true;
