@@ -10,29 +10,29 @@ use gdp_core::card::NameCard;
 use gdp_ros::types::Types;
 use std::sync::Arc;
 
-/// Carries something in one direction.
+/// A route that carries one topic, service or action in one direction.
 pub trait Carries: Send + Sync + 'static {
-    /// What is said of it.
+    /// The route's configuration.
     type Config: PartialEq + Send + Sync + 'static;
-    /// What tells it apart from all others of its kind in a graph.
+    /// The route's key, which is unique among the routes of its kind in a graph.
     type Key: Ord + Clone + Send + 'static;
-    /// What is shown of it.
+    /// The route's statistics.
     type Stats;
 
     fn key(config: &Self::Config) -> Self::Key;
 
-    /// What the log calls it.
+    /// The route's title in the log.
     fn title(config: &Self::Config) -> String;
 
-    /// `graph`: what the configuration calls it.
+    /// Creates a route that does not run yet. `graph` is the graph's name in the configuration.
     fn new(config: &Self::Config, graph: &str, material: &RouteMaterial, types: Arc<Types>) -> Self;
 
     fn route_status(&self) -> &RouteStatus;
 
     fn stats(&self) -> Self::Stats;
 
-    /// Carries until `stop` ends, or the graph fails or the node is closed. What has been sent by
-    /// then arrives, if it can.
+    /// Runs the route until `stop` completes, the graph fails or the node is closed. It delivers
+    /// what it has sent by then, if it can.
     fn run(
         &self,
         graph: &Graph,
@@ -42,11 +42,11 @@ pub trait Carries: Send + Sync + 'static {
     ) -> impl Future<Output = Result<(), RouteError>> + Send;
 }
 
-/// From where to where, and as what.
+/// The two ends of a route, and what it carries between them.
 pub struct Way<'a> {
     pub graph: &'a Graph,
     pub node: &'a Node,
-    /// Of the name's card or the configuration.
+    /// The type, from the name card or the configuration.
     pub kind: Option<&'a TypeName>,
     pub card: &'a NameCard,
     pub candidate: &'a Candidate,

@@ -15,21 +15,21 @@ use crate::permission::{Permission, load_permission};
 pub struct CertFile {
     path: PathBuf,
     watched: WatchedFile,
-    /// It has changed, and what it holds is perhaps not in force.
+    /// True if the file has changed and its content is perhaps not in force.
     is_pending: bool,
     side: Side,
     topic: String,
     card: NameCard,
     entity: Name,
-    /// Of the file whose content is in force, of the one that was offered last, and of the one that
-    /// the log has told of.
+    /// The stamp of the file whose content is in force, of the one last offered, and of the one
+    /// last reported in the log.
     taken: Option<FileStamp>,
     offered: Option<FileStamp>,
     reported: Option<FileStamp>,
 }
 
 impl CertFile {
-    /// What it holds now is in force.
+    /// Opens the file and treats its present content as in force.
     pub fn open(
         path: &Path,
         side: Side,
@@ -47,14 +47,15 @@ impl CertFile {
         Ok((file, permission))
     }
 
-    /// What it holds now, if it does for the topic and was not [taken](Self::taken) yet. Until it
-    /// is, it is offered each time: the RIB may be away, and the clock may be behind.
+    /// Returns the file's content, if it is valid for the topic and is not [in force](Self::taken)
+    /// yet. The content is offered on each call until then, because the RIB may be unreachable or
+    /// the clock may be slow.
     pub fn changed(&mut self) -> Option<Permission> {
         self.is_pending |= self.watched.has_changed();
         if !self.is_pending {
             return None;
         }
-        // Gone: about to be replaced, perhaps.
+        // The file is missing, perhaps because it is about to be replaced.
         let stamp = Some(self.stamp()?);
         self.is_pending = stamp != self.taken;
         if !self.is_pending {
@@ -63,12 +64,12 @@ impl CertFile {
         self.read().map_err(|reason| self.refused(&reason)).ok()
     }
 
-    /// What was offered last is in force.
+    /// Records that the content last offered is in force.
     pub fn taken(&mut self) {
         self.taken = self.offered;
     }
 
-    /// What was offered last is of no use at the moment: said once in the log.
+    /// Logs, once for each content, that the content last offered cannot be used at the moment.
     pub fn refused(&mut self, reason: &dyn Display) {
         if self.reported != self.offered {
             let (topic, file) = (&self.topic, self.path.display());
@@ -77,7 +78,8 @@ impl CertFile {
         }
     }
 
-    /// Its stamp is taken first: what replaces it meanwhile has another.
+    /// Reads the file. It reads the stamp first, so that a file that replaces it meanwhile has
+    /// another stamp.
     fn read(&mut self) -> Result<Permission, String> {
         self.offered = self.stamp();
         load_permission(&self.path, self.side, &self.card, self.entity)

@@ -7,18 +7,18 @@ use crate::config::TopicConfig;
 use crate::ros2;
 use gdp_ros::roster::Offer;
 
-/// Messages of a reliable topic that a remote reader may ask for again, whatever the depth. ROS 2's
-/// usual depth of 10 is meant for one machine; over a network, more is under way before a gap is
-/// noticed.
+/// Messages of a reliable topic that a remote reader may request again, whatever the depth. The
+/// usual depth of 10 in ROS 2 is meant for one machine. Over a network, more messages are in flight
+/// before the reader notices a gap.
 const REPAIRABLE: usize = 256;
 
-/// Messages of a publisher that keeps all.
+/// Bound in messages on the history of a publisher with keep-all history.
 const ALL: usize = 10_000;
 
-/// For publishers of which each offers no more than this. A reliable topic drops its oldest message
-/// rather than wait for room, as a keep-last history does: a reader that fell behind holds up
-/// neither the ROS nodes nor the other readers. What is latched is said of each publisher
-/// ([`latched`]).
+/// Returns the options of a fabric publisher for local publishers that offer at most `offers`. A
+/// reliable topic drops its oldest message instead of waiting for room, as a keep-last history
+/// does. So a reader that falls behind delays neither the ROS nodes nor the other readers.
+/// [`latched`] gives the transient-local depth of each publisher.
 pub fn publish_options(offers: &Offer, topic: &TopicConfig) -> PublishOptions {
     let depth = depth(offers);
     let options = if offers.reliable {
@@ -33,12 +33,12 @@ pub fn publish_options(offers: &Offer, topic: &TopicConfig) -> PublishOptions {
     PublishOptions { class: topic.priority.get(), duplicate: topic.duplicate, ..options }
 }
 
-/// How many of a publisher's last messages those get who come later.
+/// Returns how many of the publisher's last messages late subscribers get.
 pub fn latched(offers: &Offer) -> usize {
     if offers.transient_local { depth(offers) } else { 0 }
 }
 
-/// Whether a name that is published for the one offers less than the other needs.
+/// Whether a name published with the options of `published` offers less than `offers` needs.
 pub fn lacks(published: &Offer, offers: &Offer) -> bool {
     let history = |offers: &Offer| if offers.reliable { depth(offers).max(REPAIRABLE) } else { depth(offers) };
     (offers.reliable && !published.reliable) || history(offers) > history(published)
@@ -65,7 +65,7 @@ pub fn subscribe_options(topic: &TopicConfig) -> SubscribeOptions {
     SubscribeOptions { queue: options.queue.max(depth), duplicate: topic.duplicate, ..options }
 }
 
-/// What offers as much as both.
+/// Returns the weakest offer that is at least as strong as both.
 pub fn stronger(a: Offer, b: Offer) -> Offer {
     let depth = if a.depth == 0 || b.depth == 0 { 0 } else { a.depth.max(b.depth) };
     Offer {

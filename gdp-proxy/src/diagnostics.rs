@@ -22,17 +22,17 @@ const PERIOD: Duration = Duration::from_secs(1);
 const TOPIC: &str = "/diagnostics";
 const KIND: &str = "diagnostic_msgs/msg/DiagnosticArray";
 
-/// As `diagnostic_msgs/DiagnosticStatus` numbers them.
+/// The levels of `diagnostic_msgs/DiagnosticStatus`, with its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Level {
     Ok = 0,
     Warn = 1,
     Error = 2,
-    /// It has had nothing to do yet.
+    /// The route has had nothing to do yet.
     Stale = 3,
 }
 
-/// Why there are no diagnostics.
+/// Errors that prevent diagnostics.
 #[derive(Debug, thiserror::Error)]
 pub enum DiagnosticsError {
     #[error(transparent)]
@@ -43,7 +43,7 @@ pub enum DiagnosticsError {
     Name(#[from] NameError),
 }
 
-/// The topic in all graphs that a proxy is in.
+/// The publishers of `/diagnostics` in all graphs of the proxy.
 pub struct Diagnostics {
     entity: Name,
     outlets: Vec<(Writer, Converter)>,
@@ -51,7 +51,7 @@ pub struct Diagnostics {
     before: Before,
 }
 
-/// Messages and drops of each route when it was told last.
+/// Messages and drops of each route at the last report.
 type Before = HashMap<(String, String, Side), (u64, u64)>;
 
 #[derive(Serialize)]
@@ -106,8 +106,8 @@ impl Diagnostics {
         Ok(Self { entity, outlets, ticks, before: HashMap::new() })
     }
 
-    /// In all graphs, if the configuration wants it and the graphs take it; topics are worth more
-    /// than what is said of them.
+    /// Creates the publishers, if the configuration enables them. An error is logged and disables
+    /// them: topics matter more than their diagnostics.
     pub async fn wanted(config: &Config, entity: Name, graphs: &All, types: &Types) -> Option<Self> {
         if !config.diagnostics {
             return None;
@@ -116,7 +116,7 @@ impl Diagnostics {
         new.inspect_err(|error| tracing::warn!("no diagnostics: {error}")).ok()
     }
 
-    /// To be done once a second.
+    /// Publishes the status of all routes. It is called once a second.
     pub async fn tell(&mut self, routes: &[RouteStats]) {
         let now = unix_time();
         if let Err(error) = self.tell_once(now, routes).await {
@@ -124,7 +124,7 @@ impl Diagnostics {
         }
     }
 
-    /// `now`: since 1970.
+    /// `now` is the time since the Unix epoch.
     async fn tell_once(&mut self, now: Duration, routes: &[RouteStats]) -> Result<(), Box<dyn std::error::Error>> {
         let before = std::mem::take(&mut self.before);
         let status = routes.iter().map(|route| self.status(route, &before)).collect();
@@ -169,7 +169,7 @@ impl Diagnostics {
     }
 }
 
-/// Once a second, if there are any. Safe to cancel.
+/// Waits for the next second, or forever if there are no diagnostics. Safe to cancel.
 pub async fn due(diagnostics: &mut Option<Diagnostics>) {
     match diagnostics {
         Some(diagnostics) => _ = diagnostics.ticks.tick().await,
@@ -177,7 +177,8 @@ pub async fn due(diagnostics: &mut Option<Diagnostics>) {
     }
 }
 
-/// Of a route with this status, that has dropped something lately or not.
+/// Returns the level of a route from its status text, and from whether it dropped messages since
+/// the last report.
 fn level(status: &str, drops: bool) -> Level {
     match status {
         "up" if drops => Level::Warn,

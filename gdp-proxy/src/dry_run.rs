@@ -18,44 +18,44 @@ use crate::reload::Loaded;
 use crate::ros2::{DisplayedQos, TopicName, TypeName};
 use crate::route_material::RouteMaterial;
 
-/// Of the JSON form: another one whenever a key goes, or means something else.
+/// Version of the JSON form. It changes whenever a key is removed or changes its meaning.
 const VERSION: u32 = 1;
 
-/// What crosses, and what does not.
+/// The topics, services and actions of the ROS graphs, and whether they cross.
 #[derive(Serialize)]
 pub struct Report {
     version: u32,
     /// The proxy's own name.
     entity: Name,
     topics: Vec<Row>,
-    /// Services and actions. What every node has for itself is shown only if it crosses.
+    /// Services and actions. Those that every node has are included only if they cross.
     calls: Vec<Row>,
-    /// Catalogs of which what matches comes in; what they list shows only in the fabric.
+    /// Imported catalogs. Only the fabric shows what they list.
     imports: Vec<Name>,
 }
 
-/// Something in one direction, or that does not cross, or those who offer it that do not because
-/// they use another type.
+/// One direction of a topic, service or action; or one that does not cross, for example because it
+/// is offered with another type.
 #[derive(Serialize)]
 struct Row {
     graph: String,
     #[serde(flatten)]
     of: Of,
-    /// As ROS 2 writes it; null if nobody says it yet.
+    /// The ROS type as ROS 2 writes it; null while it is unknown.
     #[serde(rename = "type")]
     kind: Option<String>,
-    /// Of the publishers here, if they show it.
+    /// The QoS of the local publishers, if they announce it.
     qos: Option<String>,
     /// Null if it does not cross.
     direction: Option<Side>,
     name: Option<Name>,
-    /// What it is called elsewhere.
+    /// Its name in other graphs.
     called: Option<String>,
-    /// Under which key of the configuration it crosses, or why it does not.
+    /// The key of the configuration that lets it cross, or the reason why it does not cross.
     because: String,
 }
 
-/// As the statistics file calls them.
+/// The kinds, with the keys of the statistics file.
 #[derive(Serialize)]
 #[serde(untagged)]
 enum Of {
@@ -63,8 +63,8 @@ enum Of {
     Call { what: What, service: String },
 }
 
-/// Looks for so long. The graphs are joined under a name of their own, so a proxy that runs is not
-/// disturbed.
+/// Observes the graphs for `patience` and reports what would cross. It joins the graphs under a
+/// node name of its own, so a running proxy is not disturbed.
 pub async fn run(loaded: &Loaded, patience: Duration) -> Result<Report> {
     let mut graphs = graph::All::new();
     graph::join(&mut graphs, &loaded.config.graphs, &format!("{}dry_run_{}", graph::NODE, std::process::id())).await?;
@@ -74,7 +74,8 @@ pub async fn run(loaded: &Loaded, patience: Duration) -> Result<Report> {
     report(loaded, &found)
 }
 
-/// What would cross of what there is in the graphs, by their names in the configuration.
+/// Reports what would cross, from what was found in each graph. `found` has the graphs' names in
+/// the configuration.
 fn report(Loaded { config, material }: &Loaded, found: &BTreeMap<String, Found>) -> Result<Report> {
     let mut rows = Rows::default();
     for listed in listed(config, material) {
@@ -93,7 +94,7 @@ fn report(Loaded { config, material }: &Loaded, found: &BTreeMap<String, Found>)
     Ok(Report { version: VERSION, entity: material.identity.name(), topics, calls, imports })
 }
 
-/// One direction of something that the configuration lists.
+/// One direction of a topic, service or action that the configuration lists.
 struct ListedEntity<'a> {
     key: String,
     graph: &'a str,
@@ -124,7 +125,7 @@ fn listed<'a>(config: &'a Config, material: &'a Material) -> impl Iterator<Item 
 #[derive(Default)]
 struct Rows {
     rows: Vec<Row>,
-    /// What is listed as going out is not exposed besides.
+    /// Listed entities that go out. They are not exposed by pattern as well.
     explicit: BTreeSet<(String, Thing, TopicName)>,
 }
 
@@ -187,7 +188,7 @@ impl Rows {
     }
 }
 
-/// All types that something is offered as, each once, in the order in which they are.
+/// Returns each type with which something is offered once, in order of appearance.
 fn kinds(offered: &[Offered]) -> Vec<Option<&TypeName>> {
     let mut kinds = Vec::new();
     for Offered { kind, .. } in offered {
@@ -204,7 +205,7 @@ fn another_type(chosen: Option<&TypeName>) -> String {
 }
 
 impl Row {
-    /// Of what is offered so, as far as it is of this type: it does not cross.
+    /// Describes something that does not cross, with the QoS of those that offer it with this type.
     fn new(graph: &str, thing: Thing, name: &TopicName, kind: Option<&TypeName>, offered: &[Offered]) -> Self {
         let of_kind = offered.iter().filter(|it| it.kind.as_ref() == kind);
         Self {
@@ -233,7 +234,7 @@ async fn look(label: &str, mut graph_observer: GraphObserver, patience: Duration
     (label.to_owned(), graph_observer.found())
 }
 
-/// `reliable, volatile`; of several, all that differ.
+/// Returns the QoS as text, such as `reliable, volatile`, with all differing values.
 fn qos<'a>(offered: impl Iterator<Item = &'a Offered>) -> Option<String> {
     let shown = |qos: DisplayedQos| format!("{:?}, {:?}", qos.reliability, qos.durability);
     let all: BTreeSet<String> = offered.filter_map(|it| it.qos.map(shown)).collect();
@@ -249,7 +250,7 @@ impl Of {
 }
 
 impl Report {
-    /// For people.
+    /// Returns the report as lines of text for people.
     pub fn lines(&self) -> impl Iterator<Item = String> {
         let rows = self.topics.iter().chain(&self.calls).map(Row::to_string);
         rows.chain(self.imports.iter().map(|name| format!("in  what the catalog {name} lists and matches")))

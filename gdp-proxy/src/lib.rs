@@ -1,15 +1,21 @@
 //! Carries ROS topics, of ROS 1 and ROS 2, over the Global Data Plane, with the applications
 //! unchanged.
 //!
-//! [`config`] says which topics; [`graph`] is the ROS graph they are of, and [`ros2`] the DDS
-//! beneath it; [`route`] joins one topic to one name, in one direction, as `delivery` says, and
-//! tells the other side by a roster (`gdp-ros`) what it carries, which is converted where it must
-//! be; [`call`] does the same for services and actions; [`manager`] runs what is wanted of these,
-//! [`proxy`] puts them together, [`reload`] notices that the file says something else, [`stats`]
-//! counts. [`relay`] runs a switch of `gdp-ctl` beside, for others. The fabric is the SDK's
-//! business (`gdp`): nothing here seals, signs or routes.
+//! - [`config`] defines the topics, services and actions to carry.
+//! - [`graph`] is the interface to a ROS graph, and [`ros2`] the DDS beneath it.
+//! - [`route`] carries one topic under one name in one direction, with the options of `delivery`.
+//!   It announces to the other side in a roster (`gdp-ros`) what it carries, and converts messages
+//!   if the types differ.
+//! - [`call`] does the same for services and actions.
+//! - [`manager`] starts and ends the configured routes.
+//! - [`proxy`] assembles these parts.
+//! - [`reload`] reads the configuration again when it changes.
+//! - [`stats`] counts messages and drops.
+//! - [`relay`] runs a switch of `gdp-ctl` beside the proxy, for other endpoints.
+//!
+//! The SDK (`gdp`) is the interface to the fabric: nothing here seals, signs or routes.
 #![deny(unsafe_code)]
-// They panic where stdout or stderr cannot be written.
+// These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod automatic;

@@ -1,5 +1,5 @@
 //! The `gdp-proxy` program: arguments, logging and signals. The library does the work.
-// They panic where stdout or stderr cannot be written.
+// These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 use std::num::NonZeroU16;
@@ -17,28 +17,28 @@ use gdp_util::file_watch::FileWatcher;
 use gdp_util::{log, panics, terminal};
 use tokio::signal::unix::{SignalKind, signal};
 
-/// Carries ROS topics over the Global Data Plane, as a YAML file says; without one it exposes
-/// nothing.
+/// Carries ROS topics over the Global Data Plane, as a YAML file configures it; without one it
+/// exposes nothing.
 ///
-/// The file is read again at SIGHUP and when it changes. What it still says alike goes on without
-/// losing a message.
+/// The proxy reads the file again at SIGHUP and when it changes. Entries that did not change go on
+/// without losing a message.
 ///
 /// Exit codes: 0 ended by a signal or checked, 1 failed, 2 wrong usage. RUST_LOG sets what is
 /// logged, on stderr.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
-    /// Which topics cross, and under whose keys
+    /// Configuration: the topics, services and actions to carry, and their keys
     #[arg(long, value_name = "FILE", required_unless_present = "schema")]
     config: Option<PathBuf>,
     /// Check the configuration and the files it names, then end
     #[arg(long)]
     check: bool,
-    /// Look at the ROS graphs, but not at the fabric, print what would cross under which name, and
-    /// what would not and why, then end
+    /// Observe the ROS graphs without the fabric, print what would cross under which name, and what
+    /// would not and why, then end
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "3", conflicts_with = "check")]
     dry_run: Option<NonZeroU16>,
-    /// With --dry-run: as JSON
+    /// With --dry-run: print JSON
     #[arg(short, long, requires = "dry_run")]
     json: bool,
     /// Print the JSON Schema of the configuration, then end
@@ -65,7 +65,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Prints help and version as clap does, and errors, which quote what was given, escaped.
+/// Prints help, version and errors as clap does. Errors quote the arguments, so they are escaped.
 fn wrong_usage(error: &clap::Error) -> ExitCode {
     if error.use_stderr() {
         error.render().to_string().lines().for_each(terminal::note);
@@ -79,7 +79,7 @@ fn run(arguments: Arguments) -> Result<()> {
     let Some(path) = arguments.config else {
         return Ok(terminal::print_json(&serde_json::to_string_pretty(&schema())?)?);
     };
-    // Half of the work is that of other threads: of DDS, and of the node.
+    // The threads of DDS and of the node do half of the work.
     let workers = std::thread::available_parallelism().map_or(2, |cores| cores.get().div_ceil(2).max(2));
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(workers)
@@ -88,7 +88,7 @@ fn run(arguments: Arguments) -> Result<()> {
         .context("cannot start the runtime")?;
     let _entered = runtime.enter();
     let watcher = FileWatcher::start();
-    // Before it is read, so that no change is missed.
+    // Created before the file is read, so that no change is missed.
     let watch = Watch::new(&path, &watcher).context("cannot listen for SIGHUP")?;
     let loaded = || Loaded::load(&path, &watcher);
     if arguments.check {
@@ -119,7 +119,7 @@ fn run(arguments: Arguments) -> Result<()> {
     })
 }
 
-/// Ends when the process is asked to; from now on, signals no longer kill it.
+/// Completes at SIGTERM or SIGINT. From now on these signals no longer kill the process.
 fn stop_signal() -> Result<impl Future<Output = ()>> {
     let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
     let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for SIGINT")?;

@@ -1,10 +1,10 @@
 //! Reconciles the wanted plans with the running ones. The manager begins new plans, ends unwanted
 //! ones, and leaves unchanged ones alone.
 //!
-//! A [`Plan`] says what is to run and where; a [`Work`] is what runs then, as a task. In one place
-//! runs one work at a time: another one begins there when the one before has ended. What fails is
-//! begun again, because ROS graphs mend; what only a new start of the proxy can mend is returned by
-//! [`Manager::failed`].
+//! A [`Plan`] describes what to run and has a key. A [`Work`] is the task that runs for it. At most
+//! one work runs for each key: its successor begins when it has ended. The manager begins a failed
+//! work again, because ROS graphs recover. [`Manager::failed`] returns the errors that only a
+//! restart of the proxy can fix.
 
 use std::collections::BTreeMap;
 use std::ops::Add;
@@ -15,45 +15,46 @@ use anyhow::Context;
 use tokio::sync::watch;
 use tokio::task::{JoinError, JoinSet};
 
-/// Before what failed is begun again.
+/// Pause before a failed work begins again.
 const AGAIN: Duration = Duration::from_secs(10);
 
-/// Something that is wanted. While it equals what runs in its place, that goes on.
+/// Description of a wanted work. A running work goes on while its plan equals the wanted plan of
+/// its key.
 pub trait Plan: PartialEq {
-    /// Where it is: of one place one runs at a time.
+    /// The plan's key: at most one work runs for each key.
     type Key: Ord + Clone + Send + 'static;
     type Work: Work;
 
     fn key(&self) -> Self::Key;
 }
 
-/// What runs for a plan.
+/// The work that runs for a plan.
 pub trait Work: Send + Sync + 'static {
-    /// What is shown of it.
+    /// The statistics of the work.
     type Stats;
 
     fn stats(&self) -> Self::Stats;
 
-    /// It has failed, and is begun again after a while: shown and said in the log.
+    /// Logs and shows a failure. The manager begins the work again after a while.
     fn failed(&self, why: &str);
 
-    /// Runs until `stop` ends, and leaves both sides properly then.
+    /// Runs until `stop` completes, and then leaves the graph and the fabric in order.
     fn run(&self, stop: impl Future<Output = ()> + Send) -> impl Future<Output = Result<(), Failure>> + Send;
 }
 
-/// Why a work ended by itself.
+/// Reasons for which a work ends by itself.
 #[derive(Debug)]
 pub enum Failure {
-    /// It may be otherwise next time.
+    /// The error may pass: the manager tries again.
     Passing(String),
-    /// Only a new start of the proxy can mend it.
+    /// Only a restart of the proxy can fix the error.
     Final(anyhow::Error),
 }
 
-/// Makes what runs for a plan.
+/// Creates the work of a plan.
 type Begin<P> = Box<dyn Fn(&P) -> <P as Plan>::Work>;
 
-/// What runs, and what is to run in its place.
+/// Runs at most one work for each key, and begins its successor when it has ended.
 pub struct Manager<P: Plan> {
     begin: Begin<P>,
     keys: BTreeMap<P::Key, RunningPlan<P>>,
@@ -64,11 +65,11 @@ struct RunningPlan<P: Plan> {
     plan: P,
     work: Arc<P::Work>,
     stop: watch::Sender<bool>,
-    /// Once this has ended.
+    /// The plan that begins once this one has ended.
     next: Option<P>,
 }
 
-/// What came of a set of plans, by count.
+/// Numbers of plans that a new set of plans begins, ends and leaves unchanged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ChangeCounts {
     pub begun: usize,
@@ -89,12 +90,12 @@ impl Add for ChangeCounts {
 }
 
 impl<P: Plan> Manager<P> {
-    /// `begin` makes what runs for a plan; it runs later.
+    /// `begin` creates the work of a plan. The manager runs it later.
     pub fn new(begin: impl Fn(&P) -> P::Work + 'static) -> Self {
         Self { begin: Box::new(begin), keys: BTreeMap::new(), tasks: JoinSet::new() }
     }
 
-    /// From now on these run, at most one in a place, and no others.
+    /// Begins and ends works until exactly these plans run, at most one for each key.
     pub fn want(&mut self, plans: impl IntoIterator<Item = P>) -> ChangeCounts {
         let mut wanted: BTreeMap<P::Key, P> = plans.into_iter().map(|plan| (plan.key(), plan)).collect();
         let mut changed = ChangeCounts::default();
@@ -117,8 +118,8 @@ impl<P: Plan> Manager<P> {
         changed
     }
 
-    /// The first failure that only a new start can mend; waits until there is one. It must be
-    /// polled for works to follow one another, and is safe to cancel.
+    /// Waits for the first failure that only a restart can fix. It must be polled for works to
+    /// follow one another. Safe to cancel.
     pub async fn failed(&mut self) -> anyhow::Error {
         loop {
             match self.tasks.join_next().await {
@@ -127,18 +128,18 @@ impl<P: Plan> Manager<P> {
                         return error;
                     }
                 }
-                // Whoever wants something cancels this first.
+                // Callers cancel this before they want something else.
                 None => std::future::pending().await,
             }
         }
     }
 
-    /// Of all that run, in the order of their places.
+    /// Returns the statistics of all running works, in the order of their keys.
     pub fn stats(&self) -> Vec<<P::Work as Work>::Stats> {
         self.keys.values().map(|running| running.work.stats()).collect()
     }
 
-    /// Ends all, and returns when they have ended, with what is to be shown of them at last.
+    /// Ends all works. Returns their last statistics once they have ended.
     pub async fn close(mut self) -> Vec<<P::Work as Work>::Stats> {
         self.want([]);
         let works: Vec<_> = self.keys.values().map(|running| running.work.clone()).collect();
@@ -169,7 +170,7 @@ impl<P: Plan> Manager<P> {
     }
 }
 
-/// Until it is stopped, or fails for good.
+/// Runs the work until it is stopped or fails for good. It retries other failures.
 async fn run(work: &impl Work, stopped: watch::Receiver<bool>) -> Option<anyhow::Error> {
     let stop = || {
         let mut stopped = stopped.clone();

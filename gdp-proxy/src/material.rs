@@ -22,29 +22,29 @@ use crate::config::{Config, ExposeConfig, ImportConfig, Side, TopicConfig};
 use crate::relay::Relay;
 use crate::renewal::Renewal;
 
-/// Everything secret or signed that a proxy works with.
+/// All keys and certificates of a proxy.
 pub struct Material {
     pub identity: Identity,
-    /// With their files, which are watched since before they were read.
+    /// The domain credentials with their files. The watch on the files began before they were read.
     pub credentials: Option<(Credentials, FileSet)>,
     pub relay: Option<Relay>,
-    /// In the order of the configuration's topics, each with which of them it is.
+    /// The routes in the order of the configuration's topics, each with the index of its topic.
     pub routes: Vec<(usize, RouteMaterial)>,
     pub expose: Option<ExposeMaterial>,
-    /// In the order of the configuration.
+    /// The imports, in the order of the configuration.
     pub imports: Vec<ImportMaterial>,
-    /// Of services and actions, each with which one it is in the order of [`Config::calls`].
+    /// Services and actions, each with its index in [`Config::calls`].
     pub calls: Vec<(usize, RouteMaterial)>,
 }
 
-/// Of what is exposed by pattern.
+/// The key and the catalog card of `expose`.
 #[derive(Clone)]
 pub struct ExposeMaterial {
     pub owner: SigningKey,
     pub catalog: NameCard,
 }
 
-/// Of a catalog that is read.
+/// The card and the grant of an imported catalog.
 #[derive(Clone)]
 pub struct ImportMaterial {
     pub catalog: NameCard,
@@ -53,7 +53,7 @@ pub struct ImportMaterial {
 }
 
 impl Material {
-    /// Reads all of it. `watcher` reports when a certificate is replaced later.
+    /// Reads and checks all files. `watcher` reports when a certificate is replaced later.
     pub fn load(config: &Config, watcher: &FileWatcher) -> Result<Self, MaterialError> {
         let identity = load_identity(&config.identity, "proxy")
             .map_err(|reason| MaterialError { key: "identity".into(), reason: with_path(reason, &config.identity) })?;
@@ -79,8 +79,9 @@ impl Material {
         Ok(material)
     }
 
-    /// A name has one publisher and one subscription per proxy: two topics in it would be
-    /// indistinguishable at its readers.
+    /// Checks that no two entries use the same name in the same direction. A proxy has one
+    /// publisher and one subscription for each name: readers could not distinguish two topics in
+    /// it.
     fn check_names(&self, config: &Config) -> Result<(), MaterialError> {
         let routes =
             self.routes.iter().map(|(at, route)| (format!("topics[{at}].card"), &route.card, route.permission.side()));
@@ -104,7 +105,7 @@ impl Material {
     }
 }
 
-/// Of an entity of this kind.
+/// Loads the key of an entity of kind `kind`.
 pub(crate) fn load_identity(path: &Path, kind: &str) -> Result<Identity, String> {
     match SigningKey::load(path) {
         Ok(key) => Ok(Identity::new(key, kind)),
@@ -127,7 +128,7 @@ fn load_credentials(
     Ok((credentials, watched))
 }
 
-/// Errors with the key inside the topic.
+/// Loads one direction of a topic. Errors come with the key inside the topic.
 fn load_route(
     topic: &TopicConfig,
     side: Side,

@@ -1,12 +1,12 @@
-//! The proxy's membership of a trust domain. The proxy reads its files again when they change, and
-//! presents it to the switches over the links that exist.
+//! The proxy's membership of a trust domain. The proxy reads the membership files again when they
+//! change, and presents the new membership to the switches over the existing links.
 
 use gdp::Node;
 use gdp_core::domain::CredentialFiles;
 use gdp_util::file_watch::FileSet;
 
-/// Keeps the node's papers those of the files, for ever; without files it does nothing, for ever.
-/// `watched` has the same files, and is older than the papers that the node has.
+/// Keeps the node's credentials equal to the files, forever. Without files it does nothing,
+/// forever. `watched` has the same files, and was created before the node's credentials were read.
 pub async fn store_credentials(node: &Node, files: Option<(&CredentialFiles, FileSet)>) -> std::convert::Infallible {
     let Some((files, mut watched)) = files else { return std::future::pending().await };
     loop {

@@ -2,19 +2,20 @@
 
 use tokio::runtime::{Handle, RuntimeFlavor};
 
-/// To convert, compress or seal so many bytes takes longer than to hand other work to another
-/// thread.
+/// Size in bytes from which to convert, compress or seal a message takes longer than to move other
+/// work to another thread.
 const LARGE: usize = 128 << 10;
 
-/// Whether others are to be left to another thread while so many bytes are worked on.
+/// Whether work on `bytes` bytes should let other threads run this thread's other tasks. It is
+/// false outside a multi-threaded runtime.
 pub fn is_large(bytes: usize) -> bool {
     let is_shared =
         || Handle::try_current().is_ok_and(|runtime| runtime.runtime_flavor() == RuntimeFlavor::MultiThread);
     bytes >= LARGE && is_shared()
 }
 
-/// Works on so many bytes. If that is large, what else this thread is to do is left to others
-/// meanwhile.
+/// Runs `work` on `bytes` bytes. If that is large, other threads meanwhile run the other tasks of
+/// this thread.
 pub fn run_blocking_if_large<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
     if is_large(bytes) { tokio::task::block_in_place(work) } else { work() }
 }

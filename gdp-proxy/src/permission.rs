@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// What the owner of the name allows this proxy.
+/// A certificate by which the owner of a name allows this proxy to write or read it.
 #[derive(Clone, PartialEq)]
 pub enum Permission {
     Publish(Issued<AdCert>),
@@ -17,7 +17,7 @@ pub enum Permission {
 }
 
 impl Permission {
-    /// The direction that it is for.
+    /// Returns the direction that the certificate permits.
     pub fn side(&self) -> Side {
         match self {
             Self::Publish(_) => Side::Out,
@@ -25,7 +25,7 @@ impl Permission {
         }
     }
 
-    /// Of a topic that goes out.
+    /// Returns the certificate to publish, or `None` if it is one to read.
     pub fn publish(self) -> Option<Issued<AdCert>> {
         match self {
             Self::Publish(cert) => Some(cert),
@@ -33,7 +33,7 @@ impl Permission {
         }
     }
 
-    /// Of a topic that comes in.
+    /// Returns the grant to read, or `None` if it is a certificate to publish.
     pub fn read(self) -> Option<Reading> {
         match self {
             Self::Publish(_) => None,
@@ -42,7 +42,7 @@ impl Permission {
     }
 }
 
-/// What the file with the right to one direction of a topic holds now.
+/// Reads and checks the certificate file of one direction of a topic.
 pub fn load_permission(path: &Path, side: Side, card: &NameCard, entity: Name) -> Result<Permission, String> {
     let mut text = String::new();
     let file = File::open(path).map_err(|error| error.to_string())?;
@@ -50,6 +50,8 @@ pub fn load_permission(path: &Path, side: Side, card: &NameCard, entity: Name) -
     check_permission(side, &text, card, entity, unix_seconds()).map_err(|error| error.to_string())
 }
 
+/// Checks that the PEM `text` lets `entity` write or read the name of `card` at `now`, in Unix
+/// seconds.
 pub fn check_permission(
     side: Side,
     text: &str,

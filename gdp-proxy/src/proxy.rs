@@ -26,10 +26,10 @@ use gdp_ros::types::Types;
 
 const STATS_PERIOD: Duration = Duration::from_secs(1);
 
-/// How often the log says that the switch does not answer.
+/// How often the log reports that the switch does not answer.
 const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
 
-/// Runs until `stop` ends, or something fails that only a new start can mend. `watch`: of the
+/// Runs until `stop` completes, or an error occurs that only a restart can fix. `watch` watches the
 /// configuration that was loaded.
 pub async fn run(
     mut loaded: Loaded,
@@ -37,7 +37,8 @@ pub async fn run(
     stats: Option<StatsFile>,
     stop: impl Future<Output = ()>,
 ) -> Result<()> {
-    // First, and to the end: others need it whether or not this proxy reaches a switch itself.
+    // The relay starts first and ends last: others need it whether or not this proxy reaches a
+    // switch itself.
     let relay = match loaded.material.relay.take() {
         Some(relay) => Some(relay.start().await.context("relay")?),
         None => None,
@@ -49,7 +50,7 @@ pub async fn run(
     ended
 }
 
-/// The topics.
+/// Runs the routes, without the relay.
 async fn carry(
     mut loaded: Loaded,
     mut watch: Watch,
@@ -131,14 +132,14 @@ async fn carry(
     ended
 }
 
-/// All that runs.
+/// All running routes.
 struct Running {
     routes: Routes,
     calls: Calls,
     catalogs: Links,
 }
 
-/// What is shown of it.
+/// The statistics of all running routes.
 struct RunningStats {
     topics: Vec<RouteStats>,
     calls: Vec<CallStats>,
@@ -146,14 +147,14 @@ struct RunningStats {
 }
 
 impl Running {
-    /// From now on this crosses, and what matches by itself.
+    /// Starts and ends routes so that these run: the explicit ones and those that match by pattern.
     fn want(&mut self, automatic: &mut Automatic, explicit: &Explicit) -> ChangeCounts {
         let plans = automatic.plan(&explicit.topics, &explicit.calls);
         self.catalogs.want(plans.catalogs);
         self.routes.want(plans.routes) + self.calls.want(plans.calls)
     }
 
-    /// What only a new start can mend. Safe to cancel.
+    /// Waits for an error that only a restart can fix. Safe to cancel.
     async fn failed(&mut self) -> anyhow::Error {
         tokio::select! {
             error = self.routes.failed() => error,
@@ -166,14 +167,14 @@ impl Running {
         RunningStats { topics: self.routes.stats(), calls: self.calls.stats(), catalogs: self.catalogs.stats() }
     }
 
-    /// Ends all of it.
+    /// Ends all routes and returns their last statistics.
     async fn close(self) -> RunningStats {
         let (topics, calls, catalogs) = tokio::join!(self.routes.close(), self.calls.close(), self.catalogs.close());
         RunningStats { topics, calls, catalogs }
     }
 }
 
-/// The configuration as it is now, with its graphs joined.
+/// Loads the configuration again and joins its graphs.
 async fn load_again(
     loaded: &Loaded,
     watch: &Watch,
@@ -185,7 +186,8 @@ async fn load_again(
     Ok(new)
 }
 
-/// The switch may start after the proxy; what waiting cannot mend is an error at once.
+/// Connects to a switch. It retries while no switch answers, because the switch may start later.
+/// Errors that waiting cannot fix are returned at once.
 async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
     let node = NodeConfig {
         identity: material.identity.clone(),
@@ -206,9 +208,9 @@ async fn connect(Loaded { config, material }: &Loaded) -> Result<Node> {
     }
 }
 
-/// What the configuration lists.
+/// The routes that the configuration lists.
 struct Explicit {
-    /// A route for each direction.
+    /// One route for each topic and direction.
     topics: Vec<Arc<RoutePlan>>,
     calls: Vec<Arc<CallPlan>>,
 }
@@ -249,8 +251,8 @@ fn planned<R: Carries>(
     Ok(Arc::new(Planned { config: of, label: label.into(), graph, material: material.clone() }))
 }
 
-/// The statistics file, if there is one. Topics are worth more than their statistics: a full disk
-/// stops only these, until it is mended.
+/// Writes the statistics file, if there is one. A full disk stops only the statistics, not the
+/// topics, until it has room again.
 struct StatsWriter {
     file: Option<StatsFile>,
     ticks: Interval,
@@ -264,7 +266,7 @@ impl StatsWriter {
         Self { file, ticks, failing: false }
     }
 
-    /// Once a period. Safe to cancel.
+    /// Waits for the next period. Safe to cancel.
     async fn due(&mut self) {
         match self.file {
             Some(_) => _ = self.ticks.tick().await,

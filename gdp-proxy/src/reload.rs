@@ -1,10 +1,10 @@
-//! The configuration of a proxy that runs: read again at SIGHUP and when it, or a card that it
-//! names, is another file. What does not do as a whole is refused as a whole, and everything goes
-//! on as it was; it is tried again whenever one of the files that it names is another one, and from
-//! time to time.
+//! Reloads the configuration of a running proxy, at SIGHUP and when its file or a card that it
+//! names changes. The proxy applies or refuses a configuration as a whole. After a refusal it goes
+//! on as before. It tries again when a file that the configuration names changes, and periodically
+//! if the error may pass.
 //!
-//! Certificates and the membership of what runs are not looked at here: they are read again by
-//! those who hold them.
+//! This module does not watch the certificates and the membership of running routes: their owners
+//! read them again.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -19,22 +19,21 @@ use crate::graph::GraphError;
 use crate::material::Material;
 use crate::material_error::MaterialError;
 
-/// Before what was refused is tried again though no file is another one, if it may pass by itself:
-/// doubled from the first to the second.
+/// Backoff between reloads after a refusal that may pass although no file changes.
 const RETRY: Backoff = Backoff::new(Duration::from_secs(5), Duration::from_secs(60));
 
-/// A configuration with all that it names.
+/// A configuration with the contents of all files that it names.
 pub struct Loaded {
     pub config: Config,
     pub material: Material,
 }
 
-/// Why a configuration is not taken.
+/// Reasons for refusing a configuration.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// With all files that the configuration names.
+    /// An error in a file that the configuration names, with the paths of all files that it names.
     #[error("{}: {error}", path.display())]
     Material { path: PathBuf, error: MaterialError, files: Vec<PathBuf> },
     #[error("{}: {key}: cannot change while the proxy runs; start it anew, or take the change back", path.display())]
@@ -44,8 +43,8 @@ pub enum LoadError {
 }
 
 impl LoadError {
-    /// Whether it may be otherwise though no file is another one: one may be readable by now, or
-    /// the clock may be right.
+    /// Whether the error may pass although no file changes: a file may become readable, or the
+    /// clock may be set.
     fn may_pass(&self) -> bool {
         match self {
             Self::Config(ConfigError::Io { .. }) | Self::Material { .. } | Self::Graph(_) => true,
@@ -53,7 +52,7 @@ impl LoadError {
         }
     }
 
-    /// The files besides the configuration of which another one may mend it.
+    /// Returns the files besides the configuration whose change may fix the error.
     fn files(&self) -> &[PathBuf] {
         match self {
             Self::Material { files, .. } => files,
@@ -74,7 +73,8 @@ impl Loaded {
         }
     }
 
-    /// The same file as it is now, unless it differs in what cannot change.
+    /// Loads the same file again. It refuses changes of keys that cannot change while the proxy
+    /// runs.
     pub fn load_again(&self, path: &Path, watcher: &FileWatcher) -> Result<Self, LoadError> {
         let new = Self::load(path, watcher)?;
         let fixed = |key: String| LoadError::Fixed { path: path.into(), key };
@@ -87,7 +87,7 @@ impl Loaded {
         }
     }
 
-    /// The files that nobody else looks at.
+    /// Returns the files that only this module watches: cards, catalogs and the owner's key.
     pub fn cards(&self) -> impl Iterator<Item = &Path> {
         let config = &self.config;
         let topics = config.topics.iter().map(|topic| topic.card.as_path());
@@ -100,21 +100,22 @@ impl Loaded {
     }
 }
 
-/// Says when to load again.
+/// Signals when the configuration must be loaded again.
 pub struct Watch {
     path: PathBuf,
     hangup: Signal,
     watcher: FileWatcher,
-    /// The configuration, and what it names.
+    /// The configuration and the files that it names.
     files: FileSet,
-    /// When what was refused is tried again, how long the next pause is, and what was said of it.
+    /// The time of the next attempt after a refusal, the backoff of further ones, and the error
+    /// last reported.
     again: Option<Instant>,
     retry: Backoff,
     reported: Option<String>,
 }
 
 impl Watch {
-    /// Of a configuration that is about to be loaded. From now on, SIGHUP no longer kills the
+    /// Watches a configuration that is about to be loaded. From now on, SIGHUP no longer kills the
     /// process.
     pub fn new(path: &Path, watcher: &FileWatcher) -> std::io::Result<Self> {
         let (hangup, files) = (signal(SignalKind::hangup())?, FileSet::new(watcher, [path]));
@@ -126,19 +127,19 @@ impl Watch {
         &self.watcher
     }
 
-    /// The configuration.
+    /// Returns the configuration's path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// It was loaded, and is what runs.
+    /// Records that the configuration was loaded and runs.
     pub fn taken(&mut self, loaded: &Loaded) {
         (self.again, self.retry, self.reported) = (None, RETRY, None);
         self.look_at(loaded.cards());
     }
 
-    /// It was not, and what was loaded before goes on. Whether the reason is another one than
-    /// before.
+    /// Records that the configuration was refused and the one before goes on. Returns true if the
+    /// error differs from the one reported last.
     pub fn refused(&mut self, loaded: &Loaded, error: &LoadError) -> bool {
         self.look_at(loaded.cards().chain(error.files().iter().map(PathBuf::as_path)));
         self.again = error.may_pass().then(|| Instant::now() + self.retry.next_delay());
@@ -148,15 +149,15 @@ impl Watch {
         is_new
     }
 
-    /// Besides the configuration, `named` are watched from now on.
+    /// Watches the configuration and the files of `named`, and no others.
     fn look_at<'a>(&mut self, named: impl IntoIterator<Item = &'a Path>) {
         let mut paths = vec![self.path.as_path()];
         paths.extend(named.into_iter().map(|path| path as &Path));
         self.files.replace(paths);
     }
 
-    /// Returns at SIGHUP, when a file is another than it was and was not written just now, or when
-    /// what was refused is to be tried again. Cancel-safe.
+    /// Returns at SIGHUP, after a watched file changed and its writer finished, or when a refused
+    /// configuration is due for another attempt. Cancel-safe.
     pub async fn changed(&mut self) {
         let again = self.again;
         let is_another = tokio::select! {
@@ -165,7 +166,7 @@ impl Watch {
             () = sleep_until(again.unwrap_or_else(Instant::now)), if again.is_some() => false,
         };
         if is_another {
-            // So it is news, whatever comes of it.
+            // The next error is logged, even if it is the same one again.
             (self.retry, self.reported) = (RETRY, None);
         }
     }

@@ -14,16 +14,17 @@ pub enum Renewal {
     Notified(Notified),
 }
 
-/// What others in the proxy say that the certificate is.
+/// Newest certificate, as another part of the proxy reports it.
 #[derive(Clone)]
 pub struct Notified {
     newest: watch::Receiver<Permission>,
-    /// It has been offered, and is not in force.
+    /// True if the newest certificate has been offered and is not in force.
     offered: bool,
 }
 
 impl Renewal {
-    /// Another one than what was [taken](Self::taken) last. Until it is, it is offered each time.
+    /// Returns a certificate that differs from the one [in force](Self::taken), if any. It is
+    /// offered on each call until it is in force.
     pub fn changed(&mut self) -> Option<Permission> {
         match self {
             Self::File(file) => file.changed(),
@@ -31,7 +32,7 @@ impl Renewal {
         }
     }
 
-    /// What was offered last is in force.
+    /// Records that the certificate last offered is in force.
     pub fn taken(&mut self) {
         match self {
             Self::File(file) => file.taken(),
@@ -39,7 +40,7 @@ impl Renewal {
         }
     }
 
-    /// What was offered last is of no use at the moment.
+    /// Logs that the certificate last offered cannot be used at the moment.
     pub fn refused(&mut self, reason: &dyn Display) {
         match self {
             Self::File(file) => file.refused(reason),
@@ -51,7 +52,7 @@ impl Renewal {
 }
 
 impl Notified {
-    /// What it says now is in force.
+    /// Treats the present certificate as in force.
     pub fn new(newest: watch::Receiver<Permission>) -> Self {
         Self { newest, offered: false }
     }

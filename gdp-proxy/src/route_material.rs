@@ -6,18 +6,19 @@ use crate::ros2::TypeName;
 use gdp_core::card::NameCard;
 use std::path::Path;
 
-/// Of one direction of a topic, service or action.
+/// The keys and certificates of one direction of a topic, service or action.
 #[derive(Clone)]
 pub struct RouteMaterial {
     pub card: NameCard,
-    /// From the configuration or the card.
+    /// The ROS type, from the configuration or the card.
     pub kind: Option<TypeName>,
     pub permission: Permission,
-    /// Where that came from.
+    /// The source of renewed certificates.
     pub file: Renewal,
 }
 
-/// The type of a topic, service or action, by what the configuration and its name card say.
+/// Returns the type of a topic, service or action, from the configuration or its name card. They
+/// must agree if both give one.
 pub fn carded_type(
     configured: Option<&TypeName>,
     card: &NameCard,

@@ -1,5 +1,5 @@
-//! State that topics, services, actions and catalogs share: the right of the route, its progress,
-//! and why it ends.
+//! State that topics, services, actions and catalogs share: the certificate of the route, its
+//! progress, and the reason of its end.
 
 use std::fmt::Display;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -19,20 +19,20 @@ use crate::peer_proxies::RoutePart;
 use crate::permission::Permission;
 use crate::renewal::Renewal;
 
-/// How often it is looked for another certificate, and for what else time brings.
+/// How often a route looks for a renewed certificate and does its other periodic work.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Before a name is asked for again that was refused.
+/// Backoff between requests for a name that was refused.
 pub const RETRY: Backoff = Backoff::new(Duration::from_millis(500), Duration::from_secs(30));
 
-/// A right to a name, and where it came from.
+/// A certificate for a name, with the source of its renewals.
 pub struct Right<T> {
     current: T,
     file: Renewal,
     of: fn(Permission) -> Option<T>,
 }
 
-/// The right to one direction.
+/// A certificate for one of the two directions.
 pub enum EitherRight {
     Publish(Right<Issued<AdCert>>),
     Read(Right<Reading>),
@@ -48,38 +48,38 @@ impl EitherRight {
 }
 
 impl Right<Issued<AdCert>> {
-    /// To publish or serve it.
+    /// A certificate to publish or serve the name.
     pub fn publish(current: Issued<AdCert>, file: Renewal) -> Self {
         Self { current, file, of: Permission::publish }
     }
 }
 
 impl Right<Reading> {
-    /// To read or call it.
+    /// A certificate to read or call the name.
     pub fn read(current: Reading, file: Renewal) -> Self {
         Self { current, file, of: Permission::read }
     }
 }
 
 impl<T: Clone> Right<T> {
-    /// What it is at the moment.
+    /// Returns the current certificate.
     pub fn current(&self) -> T {
         self.current.clone()
     }
 
-    /// Another one than that, if there is one.
+    /// Returns a certificate that differs from the current one, if there is one.
     fn newer(&mut self) -> Option<T> {
         self.file.changed().and_then(self.of)
     }
 }
 
-/// How far something has come, for the log, people and tests.
+/// Progress of a route, for the log, people and tests.
 pub struct RouteStatus {
-    /// `topic /chatter`
+    /// Kind and name, such as `topic /chatter`.
     title: String,
     name: Name,
     progress: Mutex<Progress>,
-    /// It has ended by itself before.
+    /// True once the route has ended by itself.
     has_failed: AtomicBool,
 }
 
@@ -89,7 +89,7 @@ struct Progress {
 }
 
 impl RouteStatus {
-    /// `kind`: the ROS type, if it is known.
+    /// `kind` is the ROS type, if it is known.
     pub fn new(title: String, name: Name, kind: Option<String>) -> Self {
         Self {
             title,
@@ -107,22 +107,22 @@ impl RouteStatus {
         &self.title
     }
 
-    /// For the other proxies of its graph.
+    /// Returns the key under which the proxies of a graph share the route in this direction.
     pub fn part(&self, side: Side) -> RoutePart {
         RoutePart { name: self.name, side, title: self.title.clone() }
     }
 
-    /// The ROS type, as its graph calls it, as soon as it is known.
+    /// Returns the ROS type, as its graph writes it, once it is known.
     pub fn kind(&self) -> Option<String> {
         self.progress().kind.clone()
     }
 
-    /// `up`, or what it waits for.
+    /// Returns `up`, or what the route waits for.
     pub fn status(&self) -> String {
         self.progress().status.clone()
     }
 
-    /// Whether it has ended by itself before.
+    /// Whether the route has ended by itself before.
     pub fn has_failed(&self) -> bool {
         self.has_failed.load(Relaxed)
     }
@@ -135,20 +135,22 @@ impl RouteStatus {
         self.progress().status = status.into();
     }
 
+    /// Logs and shows that the route carries messages.
     pub fn is_up(&self) {
         tracing::info!(what = %self.title, name = %self.name, "carrying");
         self.set_status("up");
     }
 
-    /// It ended by itself, and is begun again after a while.
+    /// Records that the route ended by itself. The manager starts it again after a while.
     pub fn failed(&self, why: &str) {
         self.has_failed.store(true, Relaxed);
         tracing::warn!(what = %self.title, name = %self.name, "not carried: {why}; beginning again in a while");
         self.set_status(why);
     }
 
-    /// Waits until the name is to be asked for again, by another right if there is one by then. A
-    /// refusal is no reason to end: others may be fine, and owners, RIBs and clocks mend.
+    /// Waits for the backoff before the next request for the name, and then switches to a renewed
+    /// certificate if there is one. A refusal does not end the route: other routes may work, and
+    /// the owner, RIB or clock may recover.
     pub async fn pause<T: Clone>(&self, error: impl Display, retry: &mut Backoff, right: &mut Right<T>) {
         let (message, delay) = (error.to_string(), retry.next_delay());
         tracing::warn!(what = %self.title, name = %self.name, "{message}; trying again in {delay:?}");
@@ -160,7 +162,7 @@ impl RouteStatus {
         }
     }
 
-    /// Has another certificate put in force, if there is one: by `show`, which shows it to the RIB.
+    /// Puts a renewed certificate in force, if there is one. `show` presents it to the RIB.
     pub async fn renew<T: Clone>(&self, right: &mut Right<T>, show: impl AsyncFnOnce(T) -> Result<(), NodeError>) {
         let Some(new) = right.newer() else { return };
         match show(new.clone()).await {
@@ -173,7 +175,7 @@ impl RouteStatus {
         }
     }
 
-    /// As [managers](crate::manager) are to take the end.
+    /// Classifies the error for the [manager](crate::manager): final, or to be retried.
     pub fn ended(&self, error: RouteError) -> Failure {
         match error {
             RouteError::NodeClosed | RouteError::Graph(GraphError::Left) => {
@@ -188,7 +190,7 @@ impl RouteStatus {
     }
 }
 
-/// Why something does not cross any more.
+/// Why a route ended by itself.
 #[derive(Debug, thiserror::Error)]
 pub enum RouteError {
     #[error(transparent)]
@@ -199,7 +201,8 @@ pub enum RouteError {
     NodeClosed,
 }
 
-/// What has ended the right to a name, unless all has ended.
+/// Returns the error that ended the right to a name, or [`RouteError::NodeClosed`] if the node is
+/// closed.
 pub fn ended_because(why: Ended) -> Result<NodeError, RouteError> {
     match why {
         Ended::Right(error) => Ok(error.into()),

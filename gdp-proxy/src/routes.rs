@@ -1,4 +1,4 @@
-//! The routes of topics, services and actions, as the [manager](crate::manager) has them.
+//! The routes of topics, services and actions, as plans of the [manager](crate::manager).
 
 pub use crate::carries::{Carries, Way};
 use std::sync::Arc;
@@ -15,28 +15,28 @@ use crate::{call, route};
 pub type Routes = Manager<Arc<RoutePlan>>;
 pub type Calls = Manager<Arc<CallPlan>>;
 
-/// A topic in one direction, with all that its route needs.
+/// A topic in one direction, with everything that its route needs.
 pub type RoutePlan = Planned<route::Route>;
-/// A service or an action.
+/// A service or an action in one direction, with everything that its route needs.
 pub type CallPlan = Planned<call::Route>;
 
-/// Something in one direction, with all that its route needs.
+/// A route in one direction, with everything that it needs.
 pub struct Planned<R: Carries> {
     pub config: R::Config,
-    /// What the configuration calls the graph.
+    /// The graph's name in the configuration.
     pub label: String,
     pub graph: Arc<Graph>,
     pub material: RouteMaterial,
 }
 
-/// The route of a plan.
+/// The running route of a plan.
 pub struct RunningRoute<R: Carries> {
     route: R,
     plan: Arc<Planned<R>>,
     node: Node,
 }
 
-/// Of a node, with these types.
+/// Creates a manager whose routes use `node` and `types`.
 pub fn manager<R: Carries>(node: Node, types: Arc<Types>) -> Manager<Arc<Planned<R>>> {
     Manager::new(move |plan: &Arc<Planned<R>>| {
         let route = R::new(&plan.config, &plan.label, &plan.material, types.clone());
@@ -44,8 +44,8 @@ pub fn manager<R: Carries>(node: Node, types: Arc<Types>) -> Manager<Arc<Planned
     })
 }
 
-/// What a right is comes from its file or issuer, which routes look at themselves: another right is
-/// no other route.
+/// Plans are equal although their certificates differ. Routes watch the file or issuer of their
+/// certificate themselves, so a renewed certificate starts no new route.
 impl<R: Carries> PartialEq for Planned<R> {
     fn eq(&self, other: &Self) -> bool {
         let (own, others) = (&self.material, &other.material);

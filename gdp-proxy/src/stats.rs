@@ -1,5 +1,5 @@
-//! Counters: what crossed, and what did not and why. Counting never allocates or locks;
-//! [`StatsFile`] shows the counters to other programs.
+//! Counters of carried and dropped messages. Counting never allocates or locks. [`StatsFile`] shows
+//! the counters to other programs.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -18,61 +18,64 @@ use crate::tally::{Tally, reasons};
 use crate::timing::{Percentiles, Timing};
 
 reasons! {
-    /// Why a message did not cross. What the fabric drops is in [`FabricCounters`].
+    /// Reasons for which the proxy drops a message. [`FabricCounters`] counts the drops of the
+    /// fabric.
     pub enum Drop {
-        /// A local message is not XCDR version 1.
+        /// A local message is not encoded in XCDR version 1.
         Unreadable = "unreadable",
-        /// A local message was lost between its writer and the proxy: what best effort drops, and
-        /// what came too fast.
+        /// A local message was lost between its writer and the proxy: by best-effort delivery, or
+        /// because messages came too fast.
         Lost = "lost",
-        /// The fabric did not take the message.
+        /// The fabric refused the message.
         SendFailed = "send_failed",
-        /// A local message came sooner than the configuration wants them.
+        /// A local message arrived sooner than the configured maximum rate allows.
         MaxHz = "max_hz",
-        /// A message is not of its type, or not of one that this proxy can convert.
+        /// A message does not match its type, or the proxy cannot convert its type.
         Unconvertible = "unconvertible",
-        /// A remote message's publisher has no counterpart here; the status says why.
+        /// The publisher of a remote message has no counterpart in this graph. The status gives the
+        /// reason.
         NoCounterpart = "no_counterpart",
-        /// Remote messages of a writer that has not said of what they are.
+        /// The writer of a remote message has not announced what it publishes.
         Unannounced = "unannounced",
-        /// Remote messages that are not kept for late subscribers, or did not wait for the first:
-        /// there are too many bytes of them.
+        /// The proxy has no room to store a remote message for late subscribers or until the first
+        /// subscriber: too many bytes are stored.
         Crowded = "crowded",
-        /// A remote message, or what its writer says of the topic, is not what a proxy sends.
+        /// A remote message, or its writer's announcement of the topic, is not in the format of a
+        /// proxy.
         Malformed = "malformed",
-        /// A remote message is one that this proxy sent, or another in the same ROS graph.
+        /// A remote message comes from this proxy, or from another proxy in the same ROS graph.
         Own = "own",
-        /// The sockets of this host do not take messages as fast as they come.
+        /// The sockets of this host do not accept messages as fast as they arrive.
         Stalled = "stalled",
-        /// DDS did not take the message.
+        /// DDS refused the message.
         WriteFailed = "write_failed",
     }
 }
 
-/// What one topic did in one direction.
+/// Counters of one topic in one direction.
 #[derive(Default)]
 pub struct RouteCounters {
     messages: AtomicU64,
     bytes: AtomicU64,
     bytes_carried: AtomicU64,
     drops: Tally<Drop>,
-    /// Until the proxy has a message: `out` since the ROS node wrote it, `in` since the other proxy
-    /// sealed it.
+    /// Time until the proxy has a message. `out`: since the ROS node wrote it; `in`: since the
+    /// other proxy sealed it.
     pub arrival: Timing,
-    /// `out`: to seal, sign and send it; `in`: to write it into DDS.
+    /// Time to process a message. `out`: to seal, sign and send it; `in`: to write it into DDS.
     pub handling: Timing,
 }
 
 impl RouteCounters {
-    /// One message crossed; `bytes` with its encapsulation, and of these so many travel.
+    /// Counts one carried message: `bytes` with its encapsulation, `carried` as it travels.
     pub fn passed(&self, bytes: usize, carried: usize) {
         self.messages.fetch_add(1, Relaxed);
         self.bytes.fetch_add(bytes as u64, Relaxed);
         self.bytes_carried.fetch_add(carried as u64, Relaxed);
     }
 
-    /// So many did not. True if they are the first ones for this reason, which deserves a line in
-    /// the log.
+    /// Counts `count` dropped messages. Returns true if they are the first for this reason, which
+    /// deserves a line in the log.
     pub fn dropped(&self, reason: Drop, count: u64) -> bool {
         self.drops.add(reason, count)
     }
@@ -88,7 +91,8 @@ impl RouteCounters {
     }
 }
 
-/// What the fabric does with the topic's messages on this side, since the route came up last.
+/// The fabric's counters of the topic's messages on this side, since the route was last
+/// established.
 #[derive(Clone)]
 pub enum FabricCounters {
     None,
@@ -96,7 +100,7 @@ pub enum FabricCounters {
     In(Meter<SubscriptionCounters>),
 }
 
-/// The same at one moment.
+/// The values of [`FabricCounters`] at one moment.
 #[derive(Default, Serialize)]
 #[serde(untagged)]
 pub enum FabricStats {
@@ -116,13 +120,13 @@ impl FabricCounters {
     }
 }
 
-/// One topic, as the statistics file shows it.
+/// The statistics of one topic in one direction, as the statistics file shows them.
 #[derive(Serialize)]
 pub struct RouteStats {
     pub topic: String,
-    /// The ROS graph, as the configuration calls it.
+    /// The ROS graph's name in the configuration.
     pub graph: String,
-    /// ROS type, as that graph calls it; null while it is not known.
+    /// The ROS type, as that graph writes it; null while it is unknown.
     #[serde(rename = "type")]
     pub kind: Option<String>,
     /// `up`, or what the route waits for.
@@ -131,57 +135,60 @@ pub struct RouteStats {
     pub name: Name,
     #[serde(flatten)]
     pub counted: Counted,
-    /// `gdp::PublisherCounters` of what goes `out`, `SubscriptionCounters` of what comes
-    /// `in`, with what was dropped by reason; null before the first time that the route is up.
+    /// `gdp::PublisherCounters` for `out`, `gdp::SubscriptionCounters` for `in`, with the drops by
+    /// reason. Null before the route is up for the first time.
     pub fabric: FabricStats,
 }
 
-/// What the counters of a route say at one moment.
+/// The values of a route's counters at one moment.
 #[derive(Default, Serialize)]
 pub struct Counted {
     pub messages: u64,
-    /// `out`: as they were converted; `in`: as they are written.
+    /// Bytes of the carried messages. `out`: as converted; `in`: as written.
     pub bytes: u64,
-    /// Of the same messages, as they travel: fewer where they are compressed.
+    /// Bytes of the same messages as they travel: fewer if they are compressed.
     pub bytes_carried: u64,
-    /// All reasons, also those that did not happen.
+    /// Dropped messages by reason, with zero for reasons that did not occur.
     pub drops: BTreeMap<&'static str, u64>,
     pub latency_us: StageLatency,
 }
 
-/// Where the time goes, in microseconds; null before the first message.
+/// Latency of each stage in microseconds; null before the first message.
 #[derive(Default, Serialize)]
 pub struct StageLatency {
-    /// See [`RouteCounters::arrival`]. By the clocks of both machines, so as true as they agree.
+    /// See [`RouteCounters::arrival`]. It compares the clocks of two machines, and is as accurate
+    /// as they agree.
     pub arrival: Option<Percentiles>,
     /// See [`RouteCounters::handling`].
     pub handling: Option<Percentiles>,
 }
 
-/// Of the statistics file's format: another one whenever a key goes, or means something else.
+/// Version of the statistics file's format. It changes whenever a key is removed or changes its
+/// meaning.
 pub const VERSION: u32 = 4;
 
 /// The whole statistics file: one JSON object.
 #[derive(Serialize)]
 pub struct Stats {
-    /// Of this format: [`VERSION`].
+    /// The version of this format: [`VERSION`].
     pub version: u32,
     /// The proxy's own name.
     pub entity: Name,
-    /// Where it is attached by its main link; null while the link is lost.
+    /// The switch at the other end of the main link; null while the link is lost.
     pub switch: Option<Name>,
     pub topics: Vec<RouteStats>,
-    /// Of what crosses by itself.
+    /// The catalogs, which carry automatically matched topics and calls.
     pub catalogs: Vec<CatalogStats>,
     /// Services and actions.
     pub calls: Vec<CallStats>,
-    /// In the order of the configuration.
+    /// The links, in the order of the configuration.
     pub links: Vec<LinkStatus>,
-    /// The fabric's side of it.
+    /// The counters of the proxy's node in the fabric.
     pub node: NodeCounters,
 }
 
-/// A file that always holds one whole object: it is replaced, never written to.
+/// A file that always holds one whole JSON object. The proxy replaces it and never writes to it in
+/// place.
 pub struct StatsFile(PathBuf);
 
 impl StatsFile {
@@ -193,8 +200,8 @@ impl StatsFile {
         &self.0
     }
 
-    /// Whether the file can be made at all: a mistaken path is better said before anything depends
-    /// on the proxy.
+    /// Checks that the file can be created, so that a wrong path is reported before anything
+    /// depends on the proxy.
     pub fn probe(&self) -> io::Result<()> {
         std::fs::File::create(self.next())?;
         std::fs::remove_file(self.next())

@@ -4,19 +4,19 @@ use std::collections::BTreeMap;
 use std::marker::PhantomData;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// Why something did not cross: an enumeration that [`reasons`] makes.
+/// A reason why something was not carried: an enumeration that [`reasons`] makes.
 pub trait Reason: Copy + 'static {
-    /// In the order of their numbers.
+    /// All reasons, in the order of their numbers.
     const ALL: &'static [Self];
 
-    /// As the statistics show it.
+    /// The reason's key in the statistics.
     fn as_str(self) -> &'static str;
 
-    /// Its place in [`Self::ALL`].
+    /// The reason's index in [`Self::ALL`].
     fn at(self) -> usize;
 }
 
-/// Makes an enumeration of reasons, each with its name in the statistics.
+/// Defines an enumeration of reasons, each with its name in the statistics.
 macro_rules! reasons {
     ($(#[$about:meta])* pub enum $Reasons:ident { $($(#[$doc:meta])* $Reason:ident = $name:literal,)+ }) => {
         $(#[$about])*
@@ -52,12 +52,13 @@ impl<R: Reason> Default for Tally<R> {
 }
 
 impl<R: Reason> Tally<R> {
-    /// True if these are the first ones for this reason, which deserves a line in the log.
+    /// Adds `count` to the counter. Returns true if it was zero, so that the first occurrence is
+    /// logged.
     pub fn add(&self, reason: R, count: u64) -> bool {
         self.counts[reason.at()].fetch_add(count, Relaxed) == 0
     }
 
-    /// All reasons, also those that did not happen.
+    /// Returns the counters of all reasons, with zero for those that did not occur.
     pub fn read(&self) -> BTreeMap<&'static str, u64> {
         R::ALL.iter().map(|reason| (reason.as_str(), self.counts[reason.at()].load(Relaxed))).collect()
     }

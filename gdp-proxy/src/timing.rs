@@ -8,21 +8,21 @@ use gdp_util::unix_time::unix_nanos;
 use parking_lot::Mutex;
 use serde::Serialize;
 
-/// How many messages the percentiles speak of.
+/// The number of latest messages that the percentiles cover.
 const LATEST: usize = 1024;
 
-/// The latest durations of one stage. A lock is taken once a message.
+/// The latest durations of one stage. It locks once for each message.
 #[derive(Default)]
 pub struct Timing(Mutex<Ring>);
 
 #[derive(Default)]
 struct Ring {
-    /// Microseconds.
+    /// Durations in microseconds.
     latest: Vec<u32>,
     next: usize,
 }
 
-/// In microseconds.
+/// Percentiles in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Percentiles {
     pub p50: u32,
@@ -41,12 +41,13 @@ impl Timing {
         ring.next = (at + 1) % LATEST;
     }
 
-    /// Records what has passed since a time on another machine's clock, as far as the two agree.
+    /// Records the time since `unix_ns` on another machine's clock. It is as accurate as the two
+    /// clocks agree.
     pub fn record_since(&self, unix_ns: u64) {
         self.record(Duration::from_nanos(unix_nanos().saturating_sub(unix_ns)));
     }
 
-    /// `None` before the first message.
+    /// Returns `None` before the first message.
     pub fn percentiles(&self) -> Option<Percentiles> {
         let mut sorted = self.0.lock().latest.clone();
         sorted.sort_unstable();

@@ -10,10 +10,10 @@ use gdp_wire::Name;
 use crate::peer_proxies::Candidate;
 use crate::route_status::RouteStatus;
 
-/// How often it is looked whether another proxy of the graph carries it.
+/// How often the proxy checks whether another proxy of the graph carries the route.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// The turns of this proxy, until `stop` ends.
+/// The turns in which this proxy carries a route, until `stop` completes.
 pub struct Turns<'a, S> {
     candidate: &'a Candidate,
     node: &'a Node,
@@ -27,12 +27,14 @@ impl<'a, S: Future<Output = ()>> Turns<'a, S> {
         Self { candidate, node, route_status, stop, is_stopped: false }
     }
 
-    /// Waits until no other proxy of the graph carries it: true. False once it is stopped.
+    /// Waits until no other proxy of the graph carries the route, and returns true. Returns false
+    /// once `stop` has completed.
     pub async fn begin(&mut self) -> bool {
         if self.is_stopped {
             return false;
         }
-        // Before anything is carried: who has it already is not disturbed.
+        // Checked before the route starts, so that the proxy that carries it already is not
+        // disturbed.
         let Some(ahead) = self.candidate.ahead(Instant::now()) else { return true };
         tracing::info!(what = self.route_status.title(), name = %self.route_status.name(), "standing by for {ahead}");
         self.route_status.set_status(&format!("standing by for {ahead}"));
@@ -42,7 +44,8 @@ impl<'a, S: Future<Output = ()>> Turns<'a, S> {
         }
     }
 
-    /// Waits for the end of the turn: then both sides are to be left properly.
+    /// Waits for the end of the turn. The route then has to leave the graph and the fabric in
+    /// order.
     pub async fn over(&mut self) {
         tokio::select! {
             () = &mut self.stop => self.is_stopped = true,
@@ -51,7 +54,7 @@ impl<'a, S: Future<Output = ()>> Turns<'a, S> {
     }
 }
 
-/// Does something unless the turn is over before.
+/// Runs `work` unless the turn ends first. Returns `None` in that case.
 pub async fn unless<T>(over: &mut (impl Future<Output = ()> + Unpin), work: impl Future<Output = T>) -> Option<T> {
     tokio::select! {
         done = work => Some(done),
@@ -59,8 +62,8 @@ pub async fn unless<T>(over: &mut (impl Future<Output = ()> + Unpin), work: impl
     }
 }
 
-/// Waits for what is wanted of who carries it instead of this proxy; and tells meanwhile whether
-/// this one could.
+/// Waits until `wanted` accepts the proxy that carries the route instead of this one, if any.
+/// Meanwhile it announces whether this proxy is attached to the fabric.
 async fn until<T>(node: &Node, candidate: &Candidate, wanted: impl Fn(Option<Name>) -> Option<T>) -> T {
     loop {
         candidate.set_attached(node.switch().is_ok());
