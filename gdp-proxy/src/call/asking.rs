@@ -17,17 +17,17 @@ use parking_lot::Mutex;
 use super::counters::Reason;
 use crate::offload::run_blocking_if_large;
 
-/// For a server's proxy to answer a question about events, which it does once a minute though there
-/// are none.
+/// Timeout of a request for events. The server's proxy answers at least once a minute, with or
+/// without events.
 const TIMEOUT: Duration = Duration::from_secs(90);
 
-/// To have a server described: how often it is asked, how long each answer is waited for, and how
-/// soon it is asked again if that cannot be.
+/// Number of attempts to have a server described, the timeout of each attempt, and the pause after
+/// an attempt that failed at once.
 const ATTEMPTS: usize = 20;
 const ATTEMPT: Duration = Duration::from_secs(2);
 const SOON: Duration = Duration::from_millis(200);
 
-/// A server elsewhere, as it has described itself.
+/// A remote server, as its description announced it.
 pub struct Known {
     pub instance: Name,
     pub epoch: Epoch,
@@ -35,16 +35,16 @@ pub struct Known {
     pub converters: Mutex<Converters>,
 }
 
-/// What a server says that it is.
+/// The answer to a description request.
 pub type Described = Result<(Epoch, Description), String>;
 
-/// A server is another than the one that was known, and says so itself.
+/// A server that announced itself that it differs from the known one.
 pub struct Changed {
     pub known: Arc<Known>,
     pub now: Described,
 }
 
-/// Why a call has no answer.
+/// A call that failed, with the reason.
 pub struct Failed {
     pub failure: Failure,
     pub reason: Reason,
@@ -66,8 +66,9 @@ async fn ask(client: &Client, instance: Name, request: &Request) -> Result<Reply
     reply.ok_or(NodeError::Protocol("a reply that no proxy of this release sends"))
 }
 
-/// Asks again and again, which does no harm: the way to a server that has only just come may not be
-/// open yet, and the first to go by it may be lost. So no call is.
+/// Requests the server's description, with repeated attempts, which are harmless. The path to a
+/// server that has just attached may not exist yet, so a first request may be lost. A call is not:
+/// it follows the description.
 pub async fn describe(client: &Client, instance: Name) -> Described {
     let mut last = "it does not say what it serves".to_owned();
     for _ in 0..ATTEMPTS {
@@ -85,16 +86,16 @@ pub async fn describe(client: &Client, instance: Name) -> Described {
     Err(last)
 }
 
-/// What happened after an event, when there is something.
+/// The answer to a request for events.
 pub enum News {
     Events(Events),
-    /// There is none, and why.
+    /// No events, with the reason.
     None(String),
     Changed(Changed),
 }
 
-/// Asks a server what happened to the goals of this proxy's clients after an event. First waits for
-/// a while if the last question failed.
+/// Requests the events of this proxy's goals after event `after`. It waits for a moment first if
+/// the last request failed.
 pub async fn events(client: &Client, known: &Arc<Known>, after: u64, has_failed: bool) -> News {
     if has_failed {
         tokio::time::sleep(SOON).await;
@@ -104,7 +105,7 @@ pub async fn events(client: &Client, known: &Arc<Known>, after: u64, has_failed:
         Err(_) => News::None("no answer".into()),
         Ok(Ok(Reply::Events(events))) => News::Events(events),
         Ok(Ok(Reply::Failure(failure))) if failure.code == FailureCode::Changed => {
-            // Whoever says so again and again is not asked all the time.
+            // A server that reports a change repeatedly does not cause constant requests.
             tokio::time::sleep(SOON).await;
             News::Changed(Changed { known: known.clone(), now: describe(client, known.instance).await })
         }
@@ -114,7 +115,7 @@ pub async fn events(client: &Client, known: &Arc<Known>, after: u64, has_failed:
     }
 }
 
-/// One request of a client here, to one server or several.
+/// One request of a local client to one or several servers.
 pub struct Asking<'a> {
     client: &'a Client,
     request: Bytes,
@@ -127,7 +128,7 @@ impl<'a> Asking<'a> {
         Self { client, request, part, changed: Mutex::default() }
     }
 
-    /// Asks, for as long as it takes.
+    /// Sends the request and waits for the answer without a timeout.
     pub async fn answer(&self, servers: &[Arc<Known>]) -> Result<Bytes, Failed> {
         match (self.part, servers) {
             (_, []) => Err(no_server()),
@@ -137,13 +138,13 @@ impl<'a> Asking<'a> {
         }
     }
 
-    /// The servers that were found to be others on the way.
+    /// Returns the servers that were found to have changed meanwhile.
     pub fn changed(self) -> Vec<Changed> {
         self.changed.into_inner()
     }
 
-    /// Asks one server. If that is another than the one that was described, it has not seen the
-    /// request, and is asked once more.
+    /// Calls one server. A server that has changed since its description has not executed the
+    /// request, so it is called once more.
     async fn call(&self, known: &Arc<Known>) -> Result<Bytes, Failed> {
         let convert = || known.converters.lock().request.convert(self.request.clone());
         let body = run_blocking_if_large(self.request.len(), convert).map_err(unconvertible)?;
@@ -152,7 +153,7 @@ impl<'a> Asking<'a> {
             answered => return answered,
         };
         let now = describe(self.client, known.instance).await;
-        // What is described alike is converted alike.
+        // An equal description means equal conversion.
         let again = now.as_ref().ok().filter(|(epoch, there)| *epoch != known.epoch && *there == known.there);
         let again = again.map(|(epoch, _)| *epoch);
         self.changed.lock().push(Changed { known: known.clone(), now });
@@ -185,7 +186,7 @@ impl<'a> Asking<'a> {
         }
     }
 
-    /// Asks all of them to cancel, and answers for all.
+    /// Sends a cancellation to all servers and merges their answers.
     async fn cancel(&self, servers: &[Arc<Known>]) -> Result<Bytes, Failed> {
         let (mut answers, mut failed) = (Vec::new(), None);
         for answer in join_all(servers.iter().map(|known| self.call(known))).await {
@@ -199,7 +200,7 @@ impl<'a> Asking<'a> {
         merged.ok_or_else(|| failed.unwrap_or_else(no_server))
     }
 
-    /// Asks all of them for the result of a goal, of which one may know.
+    /// Requests the result of a goal from all servers, because any of them may have the goal.
     async fn first_result(&self, servers: &[Arc<Known>]) -> Result<Bytes, Failed> {
         let mut asked: FuturesUnordered<_> = servers.iter().map(|known| self.call(known)).collect();
         let mut last = Err(no_server());

@@ -14,8 +14,8 @@ use parking_lot::Mutex;
 use crate::graph::{Caller, CallerError, Graph, GraphError, Peer};
 use crate::ros2::{self, RawReader, RosError};
 
-/// How long a question about events waits for some. A link may have lost the answer, or the asker
-/// may be gone.
+/// Time for which a request for events stays open without events. A link may have lost the answer,
+/// or the client may be gone.
 const QUESTION_LIFETIME: Duration = Duration::from_secs(60);
 
 pub enum Backend {
@@ -31,15 +31,17 @@ pub struct Action {
     status: RawReader,
     goals: Mutex<Goals<Name>>,
     log: Mutex<Log>,
-    /// Questions that wait for events, by who asks, with the event that it has.
+    /// Open requests for events by client, each with the last event that the client has and the
+    /// time of the request.
     questions: Mutex<HashMap<Name, (Call, u64, Instant)>>,
 }
 
-/// Events that somebody waits for.
+/// A request for events, with its answer.
 pub type CallEvents = (Call, Events);
 
 impl Backend {
-    /// With what others are told of it. Waits until it may be called.
+    /// Connects to the local server. Waits until it can be called, and returns its description for
+    /// remote clients.
     pub async fn new(
         graph: &Graph,
         types: &Types,
@@ -64,7 +66,7 @@ impl Backend {
         Ok((Self::Action(action.into()), types.describe_action(peer.kind.to_string())))
     }
 
-    /// Asks for as long as it takes.
+    /// Calls the local server and waits for the answer without a timeout.
     pub async fn call(&self, part: Part, caller: Name, body: Bytes) -> Result<Bytes, Failure> {
         match (self, part) {
             (Self::Service(service), Part::Service) => service.call(body).await,
@@ -80,7 +82,7 @@ impl Backend {
         }
     }
 
-    /// As [`Caller::has_lost_server`].
+    /// See [`Caller::has_lost_server`]. Actions of ROS 2 return false.
     pub async fn has_lost_server(&self) -> bool {
         match self {
             Self::Service(service) => service.has_lost_server().await,
@@ -88,8 +90,8 @@ impl Backend {
         }
     }
 
-    /// What happens at its topics: whom that is told. Also counts what is dropped for it. Safe to
-    /// cancel.
+    /// Waits for feedback or status of the action. Returns the answers to open requests for events,
+    /// and the number of dropped feedback messages. Safe to cancel.
     pub async fn next_events(&self) -> Result<(Vec<CallEvents>, u64), String> {
         let Self::Action(action) = self else { return std::future::pending().await };
         tokio::select! {
@@ -104,7 +106,7 @@ impl Backend {
         }
     }
 
-    /// Somebody asks what is new after an event.
+    /// Answers a request for events after event `after`, or leaves it open until there are some.
     pub fn ask(&self, call: Call, after: u64) -> Result<Option<CallEvents>, Box<(Call, Failure)>> {
         let Self::Action(action) = self else {
             let failure = Failure::new(FailureCode::Malformed, "the name is of a service, and services have no events");
@@ -123,8 +125,8 @@ impl Backend {
         }
     }
 
-    /// Forgets what is over. Whose questions have waited for long enough, with the answer that
-    /// there is nothing.
+    /// Removes expired goals and logs. Returns the requests that were open for too long, with an
+    /// empty answer.
     pub fn sweep(&self) -> Vec<CallEvents> {
         let (Self::Action(action), now) = (self, Instant::now()) else { return vec![] };
         let mut goals = action.goals.lock();
@@ -143,7 +145,7 @@ impl Action {
     async fn send_goal(&self, caller: Name, body: Bytes) -> Result<Bytes, Failure> {
         let goal = cdr::goal_of(&body).map_err(|error| Failure::new(FailureCode::Malformed, error))?;
         self.log.lock().add_caller(Instant::now(), caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
-        // What it says of the goal may come before its answer.
+        // Feedback of the goal may arrive before the answer.
         let is_new = {
             let mut goals = self.goals.lock();
             let is_new = goals.get(&goal).is_none();
@@ -165,7 +167,7 @@ impl Action {
     }
 
     fn take_feedback(&self, message: Bytes) -> (Vec<CallEvents>, u64) {
-        // Goals of clients here, and of other proxies, are not for anybody.
+        // Goals of local clients and of other proxies belong to no remote client.
         let caller = cdr::goal_of(&message).ok().and_then(|goal| self.goals.lock().get(&goal));
         let Some(caller) = caller else { return (vec![], 0) };
         let dropped = self.log.lock().feedback(&caller, message);
@@ -185,7 +187,7 @@ impl Action {
         Ok(callers.iter().filter_map(|caller| self.tell(caller)).collect())
     }
 
-    /// If it asks.
+    /// Answers the client's open request for events, if there is one.
     fn tell(&self, caller: &Name) -> Option<CallEvents> {
         let mut questions = self.questions.lock();
         let (_, after, _) = questions.get(caller)?;

@@ -10,28 +10,28 @@ use crate::config::{Side, What};
 use crate::tally::{Tally, reasons};
 
 reasons! {
-    /// Why a call has no answer.
+    /// Reasons for which a call has no answer.
     pub enum Reason {
-        /// Its server has left; it may have carried the request out.
+        /// Its server has left and may have executed the request.
         Left = "left",
-        /// Its server said that it failed.
+        /// Its server reported an error.
         Refused = "refused",
-        /// Too many wait, here or at the server's proxy.
+        /// Too many calls are pending, at this proxy or at the server's proxy.
         Busy = "busy",
-        /// The request or the answer is not of its type, or not of one that this proxy can convert.
+        /// The request or the answer does not match its type, or the proxy cannot convert its type.
         Unconvertible = "unconvertible",
-        /// What the other proxy says, or a local client, is not what one sends.
+        /// The other proxy or a local client sent an invalid message.
         Malformed = "malformed",
-        /// The server was another than the one that was described.
+        /// The server has changed since it was described.
         Changed = "changed",
-        /// The fabric did not take it.
+        /// The fabric refused the message.
         SendFailed = "send_failed",
-        /// The local graph did not take the answer.
+        /// The local graph refused the answer.
         Unanswered = "unanswered",
     }
 }
 
-/// Of one service or action in one direction.
+/// Counters of one service or action in one direction.
 #[derive(Default)]
 pub struct CallCounters {
     calls: AtomicU64,
@@ -43,7 +43,7 @@ pub struct CallCounters {
     failures: Tally<Reason>,
 }
 
-/// A call that waits, for as long as this lives.
+/// A pending call, counted as pending until this is dropped.
 pub struct Pending<'a>(&'a CallCounters);
 
 impl Drop for Pending<'_> {
@@ -63,12 +63,12 @@ impl CallCounters {
         self.answers.fetch_add(1, Relaxed);
     }
 
-    /// True for the first one for this reason.
+    /// Counts a failure. Returns true for the first one with this reason.
     pub fn failed(&self, reason: Reason) -> bool {
         self.failures.add(reason, 1)
     }
 
-    /// So many can be called.
+    /// Sets the number of servers that can be called.
     pub fn servers(&self, now: usize) {
         self.servers.store(now as u64, Relaxed);
     }
@@ -92,17 +92,17 @@ impl CallCounters {
     }
 }
 
-/// One service or action, as the statistics file shows it.
+/// The statistics of one service or action, as the statistics file shows them.
 #[derive(Serialize)]
 pub struct CallStats {
     pub what: What,
     pub service: String,
-    /// The ROS graph, as the configuration calls it.
+    /// The ROS graph's name in the configuration.
     pub graph: String,
-    /// ROS type, as that graph calls it; null while it is not known.
+    /// The ROS type, as that graph writes it; null while it is unknown.
     #[serde(rename = "type")]
     pub kind: Option<String>,
-    /// `up`, or what it waits for.
+    /// `up`, or what the route waits for.
     pub status: String,
     pub direction: Side,
     pub name: Name,
@@ -110,21 +110,21 @@ pub struct CallStats {
     pub counted: CallsCounted,
 }
 
-/// What the counters say at one moment.
+/// The values of the counters at one moment.
 #[derive(Default, Serialize)]
 pub struct CallsCounted {
     pub calls: u64,
     pub answers: u64,
-    /// All reasons, also those that did not happen.
+    /// Failed calls by reason, with zero for reasons that did not occur.
     pub failures: BTreeMap<&'static str, u64>,
-    /// Calls that wait at this moment.
+    /// Calls that are pending at this moment.
     pub pending: u64,
-    /// Those that can be called at this moment: `out`, 1 if there is a local one; `in`, the proxies
-    /// that have one.
+    /// Servers that can be called at this moment. `out`: 1 if there is a local server; `in`: the
+    /// number of proxies that have one.
     pub servers: u64,
-    /// Of actions: messages of feedback and status that crossed.
+    /// Feedback and status messages of actions that were carried.
     pub events: u64,
-    /// Feedback that found no room, or came too late.
+    /// Feedback messages that were dropped because they found no room or came too late.
     pub events_dropped: u64,
 }
 

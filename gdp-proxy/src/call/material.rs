@@ -1,5 +1,5 @@
-//! The files that the configuration names for a service or an action, as [`crate::material`] has
-//! those of topics.
+//! Loads the files that the configuration names for a service or an action. [`crate::material`]
+//! loads those of topics.
 
 use gdp_core::card::NameCard;
 use gdp_util::file_watch::FileWatcher;
@@ -11,7 +11,7 @@ use crate::material_error::{MaterialError, with_path};
 use crate::renewal::Renewal;
 use crate::route_material::{RouteMaterial, carded_type};
 
-/// All of them, each with which one it is in the order of [`Config::calls`].
+/// Loads the files of all entries, each with its index in [`Config::calls`].
 pub fn load(
     config: &Config,
     entity: Name,

@@ -2,9 +2,9 @@
 //! remote servers for local clients ([`inward`]). Each is a task of its own. A call waits for its
 //! answer within the task and blocks nobody.
 //!
-//! Neither side ends a call by itself, however long it takes: it ends with its answer, with its
-//! server, or when the client gives it up or is there no more. Of several proxies in one graph one
-//! takes calls; when it stops, those who wait are told, as far as their ROS version has a way to.
+//! Neither side has a timeout for calls. A call ends with its answer, with its server, or when the
+//! client cancels it or leaves. Only one proxy of a graph takes calls. When it stops, it sends
+//! failures to the waiting clients, as far as their ROS version can express them.
 
 mod asking;
 mod backend;
@@ -36,10 +36,10 @@ use crate::turns::{Turns, unless};
 use counters::CallCounters;
 pub use counters::{CallStats, Reason};
 
-/// Calls of one service or action that wait for their answers. Another one is refused.
+/// Bound on the pending calls of one service or action. Further calls are refused.
 const MAX_PENDING: usize = 1024;
 
-/// For those who wait to be told that they do so in vain.
+/// Time to send failures to the clients of pending calls at the end of a route.
 const LAST_WORDS: Duration = Duration::from_secs(1);
 
 pub struct Route {
@@ -48,7 +48,8 @@ pub struct Route {
     types: Arc<Types>,
     counters: CallCounters,
     route_status: RouteStatus,
-    /// Servers elsewhere were none that this proxy can call: until when it leaves them to others.
+    /// Until then the route leaves the name to other proxies, because it could not call any remote
+    /// server.
     unfit_until: Mutex<Option<Instant>>,
 }
 
@@ -102,7 +103,7 @@ impl Carries for Route {
         stop: impl Future<Output = ()> + Send,
     ) -> Result<(), RouteError> {
         let RouteMaterial { card, kind, permission, file } = material;
-        // What has failed is left to others until it shows that it works by now.
+        // A route that has failed leaves the name to other proxies until it works again.
         let candidate = graph.peer_proxies().enter(
             node.name(),
             self.route_status.part(permission.side()),
@@ -110,7 +111,7 @@ impl Carries for Route {
         );
         let way = Way { graph, node, kind: kind.as_ref(), card: &card, candidate: &candidate };
         let (mut right, mut stop) = (EitherRight::new(permission, file), pin!(stop));
-        // A call that two carry out does harm.
+        // A call that two proxies execute does harm.
         self.route_status.set_status("listening for other proxies of the graph");
         if unless(&mut stop, tokio::time::sleep(LISTEN)).await.is_none() {
             return Ok(());
@@ -132,15 +133,15 @@ impl Carries for Route {
 }
 
 impl Route {
-    /// Counts every failure; the first one for a reason is worth a line in the log, the counters
-    /// have the rest.
+    /// Counts a failed call and logs the first one for each reason.
     fn failed(&self, reason: Reason, why: impl Display) {
         if self.counters.failed(reason) {
             tracing::warn!(service = %self.config.name, reason = reason.as_str(), "a call has failed: {why}");
         }
     }
 
-    /// Whether the servers elsewhere are none that this proxy can call, as far as it knows.
+    /// Whether this proxy leaves the name to others, because it could not call any remote server
+    /// lately.
     fn leaves_to_others(&self, now: Instant) -> bool {
         self.unfit_until.lock().is_some_and(|until| now < until)
     }

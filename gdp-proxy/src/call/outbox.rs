@@ -5,21 +5,22 @@ use std::collections::VecDeque;
 use bytes::Bytes;
 use gdp_ros::call::Event;
 
-/// Feedback that waits, and bytes of it; beyond, the oldest goes.
+/// Bounds on the waiting feedback, in messages and bytes. Beyond them the oldest message is
+/// dropped.
 const MAX_WAITING: usize = 256;
 const MAX_WAITING_BYTES: usize = 4 << 20;
 
-/// Of one action.
+/// The outgoing events of one action.
 #[derive(Default)]
 pub struct Outbox {
     waiting: VecDeque<Event>,
-    /// Of feedback.
+    /// Number of waiting feedback messages, with their size in `bytes`.
     count: usize,
     bytes: usize,
 }
 
 impl Outbox {
-    /// Returns how many are dropped for it.
+    /// Queues feedback. Returns the number of older messages that it displaced.
     pub fn feedback(&mut self, message: Bytes) -> u64 {
         self.count += 1;
         self.bytes += message.len();
@@ -34,13 +35,13 @@ impl Outbox {
         dropped
     }
 
-    /// Of all goals: it replaces the one that waits.
+    /// Queues the status of all goals. It replaces a waiting status.
     pub fn status(&mut self, message: Bytes) {
         self.waiting.retain(|event| matches!(event, Event::Feedback(_)));
         self.waiting.push_back(Event::Status(message));
     }
 
-    /// What is to be published next.
+    /// Returns the next event to publish.
     pub fn next(&mut self) -> Option<Event> {
         let next = self.waiting.pop_front()?;
         self.forget(&next);

@@ -21,26 +21,26 @@ use crate::ros2::TypeName;
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
 
-/// A local server, as it is offered.
+/// A local server and its description for remote clients.
 struct Offer {
     peer: Peer,
     backend: Backend,
     epoch: Epoch,
     description: Description,
-    /// Told when the server is not there, whatever the graph says: a master of ROS 1 does not
+    /// Notified when the server is lost although the graph still lists it: a ROS 1 master does not
     /// notice.
     lost: Notify,
 }
 
-/// Why nothing is served any more.
+/// Reasons for which the route stops serving.
 enum Turn {
-    /// It is not this proxy's any more to serve.
+    /// This proxy's turn to serve is over.
     Over,
     ServerLeft,
     Ended(NodeError),
 }
 
-/// An answer that is being made.
+/// A task that answers a request.
 type Answering<'a> = Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
 
 impl Route {
@@ -71,7 +71,7 @@ impl Route {
                         }
                     },
                     Err(Unfit::Call(CallerError::Graph(error))) => return Err(error.into()),
-                    // Another proxy of the graph may do better.
+                    // Another proxy of the graph may be able to serve.
                     Err(error @ (Unfit::Call(_) | Unfit::Random)) => {
                         candidate.set_permitted(false);
                         let mut retry = RETRY;
@@ -161,7 +161,7 @@ impl Route {
                 }
             }
         };
-        // Those who wait learn that it is over.
+        // Clients of pending calls are informed that the server has left.
         gone.send_replace(true);
         let events = async { while answering.next().await.is_some() {} };
         _ = tokio::time::timeout(LAST_WORDS, events).await;
@@ -178,7 +178,7 @@ impl Route {
         let request = if call.encoding() == CALL { Request::from_bytes(call.body()).ok() } else { None };
         let failure = |code, text: &str| Reply::Failure(Failure::new(code, text));
         let reply = match request {
-            // A description is large, and whoever asks again is answered later.
+            // A description is large, so it is not queued: the client asks again.
             Some(Request::Describe) if answering.len() >= MAX_PENDING => {
                 return self.failed(Reason::Busy, "too many wait");
             }
@@ -228,7 +228,7 @@ impl Route {
         answering.push(Box::pin(self.reply(call, reply)));
     }
 
-    /// Asks the local server. One call that fails does not mean that it has gone.
+    /// Calls the local server. A failed call alone does not mean that the server has left.
     async fn ask(&self, offer: &Offer, part: Part, caller: Name, body: Bytes) -> Result<Bytes, Failure> {
         match offer.backend.call(part, caller, body).await {
             Err(failure) if failure.code == FailureCode::ServerLeft && matches!(offer.peer, Peer::Ros1(_)) => {
@@ -271,7 +271,7 @@ impl From<FailureCode> for Reason {
     }
 }
 
-/// Why a local server is not offered.
+/// Reasons for which a local server is not offered.
 #[derive(Debug, thiserror::Error)]
 enum Unfit {
     #[error(transparent)]

@@ -1,5 +1,4 @@
-//! The proxy's own server in the local graph, on behalf of remote servers: of a service or of an
-//! action.
+//! The proxy's own service or action server in the local graph, on behalf of remote servers.
 
 use gdp_util::unix_time::unix_nanos;
 
@@ -26,7 +25,7 @@ pub struct Action {
 }
 
 impl Stands {
-    /// Local clients see it from now on, until it is dropped.
+    /// Creates the server. Local clients see it until it is dropped.
     pub fn new(graph: &Graph, name: &TopicName, what: What, here: &Description) -> Result<Self, GraphError> {
         let domain = match (what, graph) {
             (What::Service, _) => return Ok(Self::Service(Stand::new(graph, name, here)?)),
@@ -37,7 +36,7 @@ impl Stands {
         let parts = ros2::Action::new(name, &kind).map_err(RosError::from)?;
         let server = |(name, kind): &(_, _)| domain.server(name, kind, None).map(|server| Stand::Ros2(server.into()));
         let writer = |(name, kind): &(_, _), qos: Qos| domain.writer(name, kind, &qos.into()).map(Mutex::new);
-        // Topics first: who sees the services expects them.
+        // The topics come first, because clients that see the services expect them.
         let (feedback, status) = (
             writer(&parts.feedback, ros2::Action::feedback_qos())?,
             writer(&parts.status, ros2::Action::status_qos())?,
@@ -47,7 +46,7 @@ impl Stands {
         Ok(Self::Action(Box::new(Action { send_goal, cancel_goal, get_result, feedback, status })))
     }
 
-    /// The next request; `Err` says of what cannot be understood why not. Safe to cancel.
+    /// Waits for the next request. An `Err` explains why a request is invalid. Safe to cancel.
     pub async fn next(&self) -> Result<(Part, Asked), String> {
         let action = match self {
             Self::Service(service) => return Ok((Part::Service, service.next().await?)),
@@ -70,8 +69,8 @@ impl Stands {
         stand.answer(asker, response).await
     }
 
-    /// There is no answer. Those who ask an action learn it by what its own messages say; of
-    /// services, those of ROS 1 alone.
+    /// Refuses a request. The clients of an action are informed in its own messages; of services,
+    /// only those of ROS 1 are.
     pub async fn refuse(&self, part: Part, asker: Asker, why: String) -> Result<(), String> {
         let response = match part {
             Part::Service => {
@@ -85,7 +84,7 @@ impl Stands {
         self.answer(part, asker, response).await
     }
 
-    /// Waits until those who read have what was answered and published, for as long as that takes.
+    /// Waits without a timeout until the readers have all answers and published messages.
     pub async fn settle(&self) {
         match self {
             Self::Service(service) => service.settle().await,

@@ -18,119 +18,119 @@ use super::topics::Priority;
 use super::{Compression, Conversion, Direction, FramePrefix, Graphs, Pattern, Thing, TopicConfig, What, schema};
 use crate::ros2::{Qos, TopicName, TypeName};
 
-/// What the proxy exposes of its ROS graph while somebody publishes or serves it. The proxy makes
-/// the names with the owner's key and lists them in a catalog.
+/// The local topics, services and actions that the proxy exposes while a node publishes or serves
+/// them. The proxy makes their names with the owner's key and lists them in a catalog.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ExposeConfig {
-    /// Which of the graphs, if there are several.
+    /// Name of the graph, if there are several.
     #[serde(default)]
     pub graph: Option<String>,
-    /// The private key of the owner of these names, and of no others (`gdp-ctl key generate FILE
-    /// --kind owner`).
+    /// The private key of the owner of these names (`gdp-ctl key generate FILE --kind owner`). The
+    /// owner should have no other names.
     pub owner: PathBuf,
-    /// The name card of the catalog (`gdp-ctl name create --kind catalog`), a name of the same
-    /// owner.
+    /// The name card of the catalog, a name of the same owner (`gdp-ctl name create --kind
+    /// catalog`).
     pub catalog: PathBuf,
-    /// Which topics.
+    /// Patterns of the exposed topics, each alone or with options.
     #[serde(default)]
     #[schemars(schema_with = "schema::rules")]
     pub topics: Vec<Rule>,
-    /// Which services.
+    /// Patterns of the exposed services.
     #[serde(default)]
     pub services: Vec<Pattern>,
-    /// Which actions of ROS 2.
+    /// Patterns of the exposed actions of ROS 2.
     #[serde(default)]
     pub actions: Vec<Pattern>,
-    /// If there are any: only what is of one of these types, as ROS 2 writes them. ROS 1 does not
-    /// tell those of services.
+    /// If not empty: only entities of these types are exposed, as ROS 2 writes them. ROS 1 does not
+    /// announce the types of services.
     #[serde(default)]
     pub types: Vec<TypeName>,
-    /// Which topics, services and actions not, whatever else is said.
+    /// Patterns of topics, services and actions that are never exposed, whatever else matches.
     #[serde(default)]
     pub deny: Vec<Pattern>,
-    /// Who may read all that is exposed: names of entities, and roles in domains.
+    /// Entities and roles in domains that may read everything exposed.
     #[serde(default)]
     #[schemars(schema_with = "schema::readers")]
     pub readers: Vec<Reader>,
-    /// Domains besides the proxy's own in which the names may be known.
+    /// Domains besides the proxy's own in which the names may be announced.
     #[serde(default)]
     #[schemars(with = "Vec<String>")]
     pub scope: Vec<Name>,
-    /// What they are called elsewhere.
+    /// Names of the entities outside of this graph.
     #[serde(default)]
     pub remap: Vec<Remap>,
-    /// How topics cross whose pattern does not say it. Of services and actions, `meta` alone.
+    /// Default options of the exposed topics. Only `meta` also applies to services and actions.
     #[serde(default)]
     pub defaults: RuleOptions,
 }
 
-/// What is elsewhere and crosses as long as a catalog lists it.
+/// The remote topics, services and actions that the proxy imports while a catalog lists them.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ImportConfig {
-    /// Which of the graphs, if there are several.
+    /// Name of the graph, if there are several.
     #[serde(default)]
     pub graph: Option<String>,
     /// The name card of the catalog.
     pub catalog: PathBuf,
-    /// The owner's permission to read it (`gdp-ctl grant add --read`).
+    /// The owner's grant to read the catalog (`gdp-ctl grant add --read`).
     pub grant: PathBuf,
-    /// Which topics, as the catalog calls them.
+    /// Patterns of the imported topics, with their names in the catalog.
     #[serde(default)]
     pub topics: Vec<Pattern>,
-    /// Which services, likewise.
+    /// Patterns of the imported services, with their names in the catalog.
     #[serde(default)]
     pub services: Vec<Pattern>,
-    /// Which actions, likewise.
+    /// Patterns of the imported actions, with their names in the catalog.
     #[serde(default)]
     pub actions: Vec<Pattern>,
-    /// Which topics, services and actions not, whatever else is said.
+    /// Patterns of topics, services and actions that are never imported, whatever else matches.
     #[serde(default)]
     pub deny: Vec<Pattern>,
-    /// What they are called here.
+    /// Names of the entities in this graph.
     #[serde(default)]
     pub remap: Vec<Remap>,
-    /// A namespace that all of them come into, after `remap`.
+    /// A namespace that is put in front of all names, after `remap`.
     #[serde(default)]
     pub prefix: Option<TopicName>,
-    /// Put in front of the frames in all topics; see `topics`.
+    /// Prefix of the frame names in all topics; see `topics`.
     #[serde(default)]
     pub frame_prefix: Option<FramePrefix>,
-    /// If absent: what each publisher offers.
+    /// QoS in this graph. If absent: the QoS that each publisher offers.
     #[serde(default)]
     pub qos: Option<Qos>,
-    /// Each topic comes by two links at once.
+    /// Receives each topic over two links at once.
     #[serde(default)]
     pub duplicate: bool,
 }
 
-/// A pattern alone, or with how its topics cross.
+/// A pattern of topics with their options.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rule {
     pub topic: Pattern,
     pub rule_options: RuleOptions,
 }
 
-/// How topics cross. What is absent is as in `topics`.
+/// Options of topics. The defaults are those of `topics`.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RuleOptions {
-    /// If absent: what each publisher offers.
+    /// QoS of the topic. If absent: the QoS that each publisher offers.
     pub qos: Option<Qos>,
     pub encoding: Option<Conversion>,
     pub compression: Option<Compression>,
     pub frame_prefix: Option<FramePrefix>,
-    /// Of each publisher, no more messages a second go out.
+    /// Maximum rate of each publisher in messages per second; further messages are dropped.
     pub max_hz: Option<NonZeroU32>,
     pub priority: Option<Priority>,
-    /// Each frame goes by two links at once.
+    /// Sends each frame over two links at once.
     pub duplicate: Option<bool>,
-    /// What else the name cards say. Another value makes another name.
+    /// Further metadata of the name cards. Another value makes another name.
     pub meta: BTreeMap<String, String>,
 }
 
-/// The same with the pattern, as the file has it.
+/// A pattern of topics with their options, as written in the file.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RuleSaid {
@@ -153,7 +153,7 @@ pub(super) struct RuleSaid {
     meta: BTreeMap<String, String>,
 }
 
-/// An entity's name, or all that have a role in a domain.
+/// A reader of exposed names: an entity, or a role in a domain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reader(pub Grantee);
 
@@ -165,7 +165,7 @@ pub(super) struct Role {
     role: String,
 }
 
-/// Another name for a topic, service or action, or for a namespace and so for all that is in it.
+/// Another name for a topic, service or action, or for a namespace with everything in it.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Remap {
@@ -174,7 +174,7 @@ pub struct Remap {
 }
 
 impl RuleOptions {
-    /// This, and where it says nothing, what `defaults` says.
+    /// Returns these options, with absent ones taken from `defaults`.
     pub fn or(&self, defaults: &Self) -> Self {
         let mut meta = defaults.meta.clone();
         meta.extend(self.meta.clone());
@@ -190,7 +190,7 @@ impl RuleOptions {
         }
     }
 
-    /// A topic of `graph` that crosses so.
+    /// Returns the configuration of a topic of `graph` with these options.
     pub fn topic(&self, topic: &TopicName, graph: &str, kind: Option<TypeName>, direction: Direction) -> TopicConfig {
         let Self { qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, .. } = self;
         TopicConfig {
@@ -208,8 +208,8 @@ impl RuleOptions {
     }
 }
 
-/// What something is called by the first of these that knows it. None, if the name would be too
-/// long.
+/// Returns the name after the first matching remapping. `None` if the new name is invalid, for
+/// example too long.
 pub fn remapped(topic: &TopicName, remap: &[Remap]) -> Option<TopicName> {
     let rest = |from: &TopicName| {
         let rest = topic.as_str().strip_prefix(from.as_str())?;
@@ -222,7 +222,7 @@ pub fn remapped(topic: &TopicName, remap: &[Remap]) -> Option<TopicName> {
 }
 
 impl ExposeConfig {
-    /// How it crosses, if a pattern means it.
+    /// Returns the options of an entity, or `None` if no pattern matches it.
     pub fn rule_options(&self, thing: Thing, name: &TopicName) -> Option<RuleOptions> {
         let called = |patterns: &[Pattern]| {
             let is_meant = patterns.iter().any(|pattern| pattern.matches(thing, name));
@@ -242,12 +242,12 @@ impl ExposeConfig {
         self.topics.iter().map(|rule| &rule.rule_options).chain([&self.defaults])
     }
 
-    /// Whether a topic goes by two links.
+    /// Whether any topic is sent over two links.
     pub(super) fn duplicates(&self) -> bool {
         self.manners().any(|rule_options| rule_options.duplicate == Some(true))
     }
 
-    /// Errors with the key inside `expose`.
+    /// Checks the section. Errors come with the key inside `expose`.
     pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
         check_patterns(!self.topics.is_empty(), &self.services, &self.actions, self.graph.as_deref(), graphs)?;
         if self.readers.len() > MAX_GRANTS {
@@ -264,12 +264,12 @@ impl ExposeConfig {
 }
 
 impl ImportConfig {
-    /// Errors with the key inside the import.
+    /// Checks the section. Errors come with the key inside the import.
     pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
         check_patterns(!self.topics.is_empty(), &self.services, &self.actions, self.graph.as_deref(), graphs)
     }
 
-    /// Whether it is to come in.
+    /// Whether the entity is to be imported.
     pub fn wants(&self, thing: Thing, name: &TopicName) -> bool {
         let patterns = match thing {
             Thing::Topic => &self.topics,
@@ -280,12 +280,13 @@ impl ImportConfig {
         !is_denied && patterns.iter().any(|pattern| pattern.matches(thing, name))
     }
 
-    /// Whether services or actions may come in.
+    /// Whether any services or actions may be imported.
     pub fn wants_calls(&self) -> bool {
         !self.services.is_empty() || !self.actions.is_empty()
     }
 
-    /// What it is called here.
+    /// Returns the name of an imported entity in this graph. `None` if the name is invalid, for
+    /// example too long.
     pub fn local_name(&self, topic: &TopicName) -> Option<TopicName> {
         let topic = remapped(topic, &self.remap)?;
         match &self.prefix {
@@ -345,7 +346,7 @@ impl<'de> Deserialize<'de> for Reader {
     }
 }
 
-/// An untagged enum would not name a misspelt key.
+/// Accepts a text or a mapping. An untagged enum would not name a misspelt key.
 struct TextOrMap<T, M> {
     expecting: &'static str,
     text: fn(&str) -> Result<T, String>,

@@ -12,7 +12,7 @@ pub enum What {
 }
 
 impl What {
-    /// The kind of its name card, and the key of its name in the configuration.
+    /// Returns the kind of its name card, which is also the key of its name in the configuration.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Service => "service",
@@ -20,7 +20,7 @@ impl What {
         }
     }
 
-    /// The list of the configuration that it stands in.
+    /// Returns the list of the configuration that contains it.
     pub fn list(self) -> &'static str {
         match self {
             Self::Service => "services",
@@ -35,12 +35,12 @@ impl What {
         }
     }
 
-    /// Whether it can be of this type.
+    /// Whether the type is a type of this kind.
     pub fn fits(self, kind: &TypeName) -> bool {
         kind.as_str().split('/').nth(1) == Some(self.folder())
     }
 
-    /// Whether a graph can have it.
+    /// Checks that the graph's ROS version has this kind.
     pub fn check_graph(self, graph: &GraphConfig) -> Result<(), String> {
         match (self, graph) {
             (Self::Action, GraphConfig::Ros1(_)) => {

@@ -9,50 +9,49 @@ use serde::{Deserialize, Deserializer};
 use super::{Graphs, Side};
 use crate::ros2::{TopicName, TypeName};
 
-/// One service or action that crosses.
+/// One service or action to carry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CallConfig {
     pub what: What,
-    /// As the ROS graph here has it.
+    /// Name in the local ROS graph.
     pub name: TopicName,
-    /// Which of the graphs, if there are several.
+    /// Name of the graph, if there are several.
     pub graph: Option<String>,
-    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing,
-    /// what the servers use.
+    /// The type as ROS 2 writes it, in either graph. If absent: the type in the name card, or else
+    /// the type that the servers use.
     pub kind: Option<TypeName>,
-    /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called from here.
+    /// `out`: remote clients call local servers; `in`: local clients call remote servers.
     pub side: Side,
-    /// Its name card (`gdp-ctl name create`).
+    /// The name card (`gdp-ctl name create`).
     pub card: PathBuf,
-    /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add --publish`), `in`:
-    /// to call (`--read`).
+    /// The owner's certificate. `out`: to serve (`gdp-ctl grant add --publish`), in `cert`; `in`:
+    /// to call (`--read`), in `grant`.
     pub cert: Option<PathBuf>,
     pub grant: Option<PathBuf>,
 }
 
-/// One entry of `services` or `actions`, which are alike but for the key of its name.
+/// Defines an entry of `services` or `actions`. They differ only in the key of the name.
 macro_rules! entry {
     ($Entry:ident, $name:ident) => {
         #[derive(Deserialize, JsonSchema)]
         #[serde(deny_unknown_fields)]
         pub struct $Entry {
-            /// As the ROS graph here has it.
+            /// Name in the local ROS graph.
             $name: TopicName,
-            /// Which of the graphs, if there are several.
+            /// Name of the graph, if there are several.
             graph: Option<String>,
-            /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says
-            /// nothing, what the servers use.
+            /// The type as ROS 2 writes it, in either graph. If absent: the type in the name card,
+            /// or else the type that the servers use.
             #[serde(rename = "type")]
             kind: Option<TypeName>,
-            /// `out`: servers here are called from elsewhere; `in`: servers elsewhere are called
-            /// from here.
+            /// `out`: remote clients call local servers; `in`: local clients call remote servers.
             direction: Side,
-            /// Its name card (`gdp-ctl name create`).
+            /// The name card (`gdp-ctl name create`).
             card: PathBuf,
-            /// `out`: the owner's permission for this proxy to serve (`gdp-ctl grant add
+            /// `out`: the owner's certificate for this proxy to serve (`gdp-ctl grant add
             /// --publish`).
             cert: Option<PathBuf>,
-            /// `in`: the owner's permission to call (`gdp-ctl grant add --read`).
+            /// `in`: the owner's grant to call (`gdp-ctl grant add --read`).
             grant: Option<PathBuf>,
         }
 
@@ -68,7 +67,7 @@ macro_rules! entry {
 entry!(Service, service);
 entry!(Action, action);
 
-/// A list of entries.
+/// Deserializes a list of entries of one kind.
 pub fn list<'de, D: Deserializer<'de>, E: Deserialize<'de> + Into<CallConfig>>(
     deserializer: D,
 ) -> Result<Vec<CallConfig>, D::Error> {
@@ -76,13 +75,13 @@ pub fn list<'de, D: Deserializer<'de>, E: Deserialize<'de> + Into<CallConfig>>(
 }
 
 impl CallConfig {
-    /// One of `graph` that no file speaks of.
+    /// Returns an entry of `graph` without files, for a service or action that matches a pattern.
     pub fn without_files(what: What, name: &TopicName, graph: &str, kind: Option<TypeName>, side: Side) -> Self {
         let (name, graph) = (name.clone(), Some(graph.into()));
         Self { what, name, graph, kind, side, card: PathBuf::new(), cert: None, grant: None }
     }
 
-    /// The file with the right to it, and its key.
+    /// Returns the key and the path of its certificate file.
     pub fn right(&self) -> (&'static str, Option<&PathBuf>) {
         match self.side {
             Side::Out => ("cert", self.cert.as_ref()),
@@ -90,7 +89,7 @@ impl CallConfig {
         }
     }
 
-    /// Errors with the key inside it.
+    /// Checks the entry. Errors come with the key inside the entry.
     pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
         let (_, graph) = graphs.get(self.graph.as_deref()).map_err(|reason| ("graph", reason))?;
         self.what.check_graph(graph).map_err(|reason| ("graph", reason))?;

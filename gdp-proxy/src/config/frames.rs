@@ -3,10 +3,10 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-/// In bytes: longer than any robot is called.
+/// Bound in bytes on a prefix, longer than any robot's name.
 const MAX: usize = 128;
 
-/// Such as `robot1/`: it is put in front of a frame as it is.
+/// Text in front of coordinate frame names, such as `robot1/`. It is prepended unchanged.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "String")]
 pub struct FramePrefix(String);

@@ -7,10 +7,10 @@ use serde::Deserialize;
 
 use crate::ros2;
 
-/// Graphs of one proxy.
+/// Bound on the graphs of one proxy.
 const MAX_GRAPHS: usize = 16;
 
-/// The graphs by the names that topics refer to them by. Without any, there is one of ROS 2 with
+/// The ROS graphs by their names in the configuration. The default is one graph of ROS 2 with
 /// ROS_DOMAIN_ID.
 #[derive(Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "BTreeMap<String, GraphConfig>")]
@@ -23,7 +23,7 @@ pub enum GraphConfig {
     Ros2(Ros2Config),
 }
 
-/// What may be said of either.
+/// The keys of a graph of either ROS version.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Said {
@@ -84,7 +84,7 @@ impl Graphs {
         self.0.iter().map(|(name, graph)| (name.as_str(), graph))
     }
 
-    /// The one with this name; without a name, the only one there is.
+    /// Returns the graph with this name, or the only graph if there is no name.
     pub fn get(&self, name: Option<&str>) -> Result<(&str, &GraphConfig), String> {
         let names = || self.0.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
         match name {
@@ -98,7 +98,7 @@ impl Graphs {
     }
 }
 
-/// A DDS domain id that has ports.
+/// A DDS domain ID whose RTPS ports exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "u64")]
 pub struct DomainId(u16);

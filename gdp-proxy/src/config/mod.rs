@@ -1,8 +1,8 @@
-//! The configuration file: which topics cross, in which direction, under whose keys. Strict,
-//! because a misspelt key in a file about permissions must not pass for a default. The default
-//! exposes nothing.
+//! The configuration file: the topics, services and actions to carry, their directions and their
+//! keys. It is strict, because a misspelt key in a file about permissions must not pass for a
+//! default. The default exposes nothing.
 //!
-//! This is the file alone; [`crate::material`] reads the files it names.
+//! This module reads only this file. [`crate::material`] reads the files that it names.
 
 mod automatic;
 mod call_kind;
@@ -41,72 +41,72 @@ pub use self::thing::Thing;
 pub use self::topics::{Compression, Conversion, Direction, Side, TopicConfig};
 pub use crate::config::call_kind::What;
 
-/// A longer file is no configuration.
+/// Bound in bytes on the configuration file.
 const MAX_FILE: u64 = 1024 * 1024;
 
-/// Topics of one proxy, and services, and actions.
+/// Bound on the topics of one proxy, and on its services and actions.
 const MAX_TOPICS: usize = 1024;
 
-/// Catalogs that it reads.
+/// Bound on the imported catalogs of one proxy.
 const MAX_IMPORTS: usize = 64;
 
-/// Topics, once for each direction.
+/// Bound on the topic routes: one for each topic and direction.
 pub const MAX_ROUTES: usize = 2 * MAX_TOPICS;
 
-/// Services and actions.
+/// Bound on the services and actions together.
 pub const MAX_CALLS: usize = 2 * MAX_TOPICS;
 
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// Of the file's format.
+    /// Version of the file's format.
     #[serde(rename = "version")]
     _version: Version,
     /// The proxy's private key (`gdp-ctl key generate FILE --kind proxy`).
     pub identity: PathBuf,
-    /// The ways to the fabric, in the order in which they are wanted: everything goes by the first
-    /// that is up.
+    /// The links to the fabric, in order of preference: all traffic takes the first link that is
+    /// up.
     pub links: Vec<LinkEntry>,
-    /// A folder for what the proxy must not forget, which is what owners have revoked; made if
-    /// there is none.
+    /// A folder for state that must survive a restart: the revocations of owners. The proxy creates
+    /// it.
     #[serde(default)]
     pub state: Option<PathBuf>,
-    /// The trust domain that the proxy is a member of, if it is of one.
+    /// The trust domain of which the proxy is a member.
     #[serde(default)]
     pub domain: Option<DomainConfig>,
-    /// If it also carries others.
+    /// A switch beside the proxy that carries other endpoints.
     #[serde(default, deserialize_with = "relay::relay")]
     #[schemars(schema_with = "relay::schema")]
     pub relay: Option<RelayConfig>,
-    /// The ROS graphs that it is in.
+    /// The ROS graphs of the proxy.
     #[serde(default)]
     pub graphs: Graphs,
-    /// What defines message types beyond the common ones.
+    /// Definitions of message types beyond the common ones.
     #[serde(default)]
     pub definitions: Definitions,
-    /// Whether `/diagnostics` says in each graph how each topic does.
+    /// Publishes the status of each topic on `/diagnostics` in each graph.
     #[serde(default)]
     pub diagnostics: bool,
-    /// Topics that cross, with the files of each.
+    /// The topics to carry, with their files.
     #[serde(default)]
     pub topics: Vec<TopicConfig>,
-    /// Topics, services and actions here that cross by themselves.
+    /// The local topics, services and actions to expose by pattern.
     #[serde(default)]
     pub expose: Option<ExposeConfig>,
-    /// Topics, services and actions elsewhere that cross by themselves.
+    /// The remote topics, services and actions to import by pattern.
     #[serde(default)]
     pub import: Vec<ImportConfig>,
-    /// Services that cross, with the files of each.
+    /// The services to carry, with their files.
     #[serde(default, deserialize_with = "calls::list::<_, calls::Service>")]
     #[schemars(with = "Vec<calls::Service>")]
     pub services: Vec<CallConfig>,
-    /// Actions of ROS 2 that cross, likewise.
+    /// The actions of ROS 2 to carry, with their files.
     #[serde(default, deserialize_with = "calls::list::<_, calls::Action>")]
     #[schemars(with = "Vec<calls::Action>")]
     pub actions: Vec<CallConfig>,
 }
 
-/// The only one there is.
+/// The only known version, 1.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "u64")]
 struct Version;
@@ -124,15 +124,16 @@ impl TryFrom<u64> for Version {
     }
 }
 
-/// What makes the proxy a member of a trust domain (`gdp-ctl domain`).
+/// The files that make the proxy a member of a trust domain (`gdp-ctl domain`).
 #[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DomainConfig {
     /// The domain's card.
     pub card: PathBuf,
-    /// Read again when it changes, as the others.
+    /// The proxy's membership. The proxy reads it again when it changes, as the other files.
     pub membership: PathBuf,
-    /// What the domain lets other domains do; for those that the robot visits.
+    /// The PeerCerts of the domain, which give rights to other domains that the robot visits
+    /// (`gdp-ctl domain peer`).
     #[serde(default)]
     pub peers: Vec<PathBuf>,
 }
@@ -144,7 +145,7 @@ impl From<&DomainConfig> for CredentialFiles {
     }
 }
 
-/// Share folders of installations of ROS, with a folder for each package.
+/// `share` folders of ROS installations, with a folder for each package.
 #[derive(Debug, Default, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Definitions {
@@ -159,20 +160,20 @@ impl Definitions {
     }
 }
 
-/// One way to the fabric.
+/// One link to the fabric.
 #[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LinkEntry {
-    /// Where the switch is: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT` or
+    /// Address of the switch: `eth://INTERFACE`, `eth://INTERFACE/MAC`, `udp://HOST:PORT` or
     /// `udp://HOST:PORT%INTERFACE`.
     #[serde(deserialize_with = "from_text")]
     #[schemars(with = "String")]
     pub to: LinkTarget,
-    /// The switch that must be there, if only one will do.
+    /// Name of the switch that must answer. If absent: any switch.
     #[serde(default)]
     #[schemars(with = "Option<String>")]
     pub switch: Option<Name>,
-    /// Bytes a second that topics may send this way.
+    /// Bound in bytes per second on what topics send over this link.
     #[serde(default)]
     pub budget: Option<NonZeroU64>,
 }
@@ -184,7 +185,7 @@ impl From<&LinkEntry> for LinkConfig {
     }
 }
 
-/// Why there is no configuration. Every text begins with the file.
+/// Errors of a configuration file. Every text begins with the file.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     #[error("{}: cannot be read: {source}", path.display())]
@@ -198,8 +199,7 @@ pub enum ConfigError {
 }
 
 impl Config {
-    /// Reads and checks a file. Relative paths in it are made relative to the folder the file is
-    /// in.
+    /// Reads and checks a file. Relative paths in it are relative to its folder.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let io = |source| ConfigError::Io { path: path.into(), source };
         let mut text = String::new();
@@ -210,9 +210,9 @@ impl Config {
         Self::parse(&text, path)
     }
 
-    /// The same for a text; `path` is the file it would be in.
+    /// Parses and checks a text. `path` is the file that it comes from.
     pub fn parse(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        // Errors quote no lines: the file given by mistake may be a private key.
+        // Errors quote no lines, because a file given by mistake may be a private key.
         let options = serde_saphyr::options! { with_snippet: false };
         let mut config: Self = serde_saphyr::from_str_with_options(text, options)
             .map_err(|error| ConfigError::Syntax { path: path.into(), message: unknown::say(&error) })?;
@@ -221,8 +221,8 @@ impl Config {
         Ok(config)
     }
 
-    /// The first key with another value in `new` among those that cannot change while the proxy
-    /// runs. Graphs may be added.
+    /// Returns the first key that differs in `new` and cannot change while the proxy runs. Graphs
+    /// may be added.
     pub fn fixed_that_differs(&self, new: &Self) -> Option<String> {
         let differs = [
             ("identity", self.identity != new.identity),
@@ -309,7 +309,7 @@ impl Config {
         }
     }
 
-    /// Services and actions, with the key that each is under.
+    /// Returns services and actions, each with its key in the configuration.
     pub fn calls(&self) -> impl Iterator<Item = (String, &CallConfig)> {
         let all = self.services.iter().enumerate().chain(self.actions.iter().enumerate());
         all.map(|(i, call)| (format!("{}[{i}]", call.what.list()), call))
@@ -320,13 +320,13 @@ impl Config {
             relay.membership.get_or_insert_with(|| "relay.member".into());
         }
         let Definitions { ros1, ros2 } = &mut self.definitions;
-        // An absolute path stays what it is.
+        // `join` leaves absolute paths unchanged.
         let resolve = |path: &mut PathBuf| *path = folder.join(&path);
         ros1.iter_mut().chain(ros2).chain(&mut self.state).for_each(resolve);
         self.files().for_each(resolve);
     }
 
-    /// The files that it names.
+    /// Returns the paths of all files that the configuration names.
     pub fn files(&mut self) -> impl Iterator<Item = &mut PathBuf> {
         let domain = self.domain.iter_mut().flat_map(|domain| {
             let DomainConfig { card, membership, peers } = domain;

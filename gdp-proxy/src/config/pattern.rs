@@ -10,9 +10,9 @@ use crate::ros2::TopicName;
 
 const MAX_PATTERN: usize = 253;
 
-/// A name with a leading slash, in which `*` stands for any characters of one segment, and a
-/// segment `**` for any number of segments, also none: `/camera/**` is `/camera` and all beneath
-/// it, `/*/image_*` is `/left/image_raw`.
+/// A pattern of names with a leading slash. `*` matches any characters within a segment. A segment
+/// `**` matches any number of segments, including none. `/camera/**` matches `/camera` and
+/// everything beneath it; `/*/image_*` matches `/left/image_raw`.
 #[derive(Clone, Debug, PartialEq, Eq, JsonSchema)]
 pub struct Pattern(String);
 
@@ -33,13 +33,13 @@ impl Pattern {
         ))
     }
 
-    /// Whether the name is one of those meant. [Hidden](is_hidden) ones are meant only by a pattern
-    /// that is their name.
+    /// Whether the pattern selects the name. [Hidden](is_hidden) names are selected only by a
+    /// pattern that equals the name.
     pub fn matches(&self, thing: Thing, name: &TopicName) -> bool {
         if is_hidden(thing, name) { self.0 == name.as_str() } else { self.covers(name) }
     }
 
-    /// The same, hidden or not: what is denied is denied.
+    /// Whether the pattern matches the name, hidden or not. Denials use it.
     pub fn covers(&self, topic: &TopicName) -> bool {
         let (pattern, name): (Vec<&str>, Vec<&str>) = (segments(&self.0).collect(), segments(topic.as_str()).collect());
         glob(
@@ -51,9 +51,9 @@ impl Pattern {
     }
 }
 
-/// What ROS and proxies have for themselves: `/rosout`, `/rosout_agg`, `/parameter_events`,
-/// `/gdp_proxy…`, names with a segment that begins with an underscore, and the services that nodes
-/// have without being asked to, which read and set their parameters and log levels.
+/// Whether a name is one that ROS or proxies use internally. These are `/rosout`, `/rosout_agg`,
+/// `/parameter_events`, `/gdp_proxy…`, and names with a segment that begins with an underscore.
+/// Also the services by which every node reads and sets its parameters and log levels.
 pub fn is_hidden(thing: Thing, name: &TopicName) -> bool {
     let name = name.as_str();
     matches!(name, "/rosout" | "/rosout_agg" | "/parameter_events")
@@ -63,7 +63,7 @@ pub fn is_hidden(thing: Thing, name: &TopicName) -> bool {
 }
 
 fn is_of_every_node(last: &str) -> bool {
-    // Also `set_parameters_atomically`.
+    // This also matches `set_parameters_atomically`.
     last.starts_with("set_parameters")
         || matches!(
             last,
@@ -87,9 +87,9 @@ fn is_part(c: char) -> bool {
     c.is_ascii_alphanumeric() || matches!(c, '_' | '*')
 }
 
-/// Whether the text is one of the pattern's, where what `is_any` holds of stands for any number of
-/// parts. In time of the product of their lengths: only the last such part is ever tried again,
-/// with one more.
+/// Whether the pattern matches the text. A part for which `is_any` is true matches any number of
+/// parts. It takes time proportional to the product of both lengths, because it backtracks only to
+/// the last such part.
 fn glob<P, T>(pattern: &[P], text: &[T], is_any: impl Fn(&P) -> bool, is_one: impl Fn(&P, &T) -> bool) -> bool {
     let (mut p, mut t, mut last) = (0, 0, None);
     while t < text.len() {

@@ -9,18 +9,19 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-/// A switch beside the proxy, for endpoints that reach nothing else.
+/// A switch beside the proxy, for endpoints that reach no other switch.
 #[derive(Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RelayConfig {
-    /// The relay's private key (`gdp-ctl key generate FILE --kind switch`). Its admin socket and
-    /// what it remembers are in files beside it.
+    /// The relay's private key (`gdp-ctl key generate FILE --kind switch`). The relay's admin
+    /// socket and state files are beside it.
     pub identity: PathBuf,
-    /// What makes the relay a switch of the proxy's domain; `relay.member` if that has one.
+    /// The relay's membership as a switch of the proxy's domain. The default is `relay.member` if
+    /// the proxy has a domain.
     pub membership: Option<PathBuf>,
-    /// Where it takes links, and whence it makes its own.
+    /// UDP address at which the relay accepts links and from which it makes its own.
     pub udp: SocketAddr,
-    /// Ethernet interfaces on which it takes links besides; needs CAP_NET_RAW.
+    /// Ethernet interfaces on which the relay also accepts links. They need CAP_NET_RAW.
     pub interfaces: Vec<String>,
 }
 
@@ -35,13 +36,13 @@ impl Default for RelayConfig {
     }
 }
 
-/// Of [`relay`].
+/// Returns the schema of [`relay`].
 pub(super) fn schema(generator: &mut SchemaGenerator) -> Schema {
     let mapping = generator.subschema_for::<RelayConfig>();
     json_schema!({"anyOf": [{"type": "boolean"}, mapping]})
 }
 
-/// `true`, `false` or a mapping. An untagged enum would not name a misspelt key.
+/// Accepts `true`, `false` or a mapping. An untagged enum would not name a misspelt key.
 pub(super) fn relay<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<RelayConfig>, D::Error> {
     deserializer.deserialize_any(RelayVisitor)
 }

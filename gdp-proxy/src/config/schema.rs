@@ -6,7 +6,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema, schema_for};
 use super::automatic::{Role, RuleSaid};
 use super::{Config, Pattern};
 
-/// As `gdp-proxy --schema` prints it.
+/// Returns the schema that `gdp-proxy --schema` prints.
 pub fn schema() -> Schema {
     schema_for!(Config)
 }

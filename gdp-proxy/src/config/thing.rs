@@ -3,7 +3,7 @@
 use super::What;
 use crate::ros2::{TopicName, TypeName};
 
-/// What crosses: a topic, or what is called.
+/// The kind of an entity to carry: a topic, a service or an action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Thing {
     Topic,
@@ -13,7 +13,7 @@ pub enum Thing {
 impl Thing {
     pub const ALL: [Self; 3] = [Self::Topic, Self::Call(What::Service), Self::Call(What::Action)];
 
-    /// The kind of its name card.
+    /// Returns the kind of its name card.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Topic => "topic",
@@ -21,12 +21,12 @@ impl Thing {
         }
     }
 
-    /// Of a name card. None of a kind that this release does not know.
+    /// Parses the kind of a name card. Returns `None` for a kind that this release does not know.
     pub fn parse(kind: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|thing| thing.as_str() == kind)
     }
 
-    /// The list of the configuration that it stands in.
+    /// Returns the list of the configuration that contains it.
     pub fn list(self) -> &'static str {
         match self {
             Self::Topic => "topics",
@@ -34,13 +34,13 @@ impl Thing {
         }
     }
 
-    /// What the log calls one.
+    /// Returns the entity's title in the log.
     pub fn title(self, name: &TopicName) -> String {
         format!("{} {name}", self.as_str())
     }
 
-    /// Whether it can be of this type. Topics have one; of what is called it may be learnt from the
-    /// servers.
+    /// Whether the entity can have this type. A topic must have one. The type of a service or
+    /// action may be learnt from its servers.
     pub fn fits(self, kind: Option<&TypeName>) -> bool {
         match (self, kind) {
             (Self::Topic, kind) => kind.is_some(),

@@ -11,62 +11,62 @@ use serde::{Deserialize, Deserializer, Serialize, de};
 use super::{FramePrefix, Graphs};
 use crate::ros2::{Qos, TopicName, TypeName};
 
-/// One topic that crosses.
+/// One topic to carry.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TopicConfig {
-    /// As the ROS graph here has it.
+    /// Name in the local ROS graph.
     pub topic: TopicName,
-    /// Which of the graphs, if there are several.
+    /// Name of the graph, if there are several.
     #[serde(default)]
     pub graph: Option<String>,
-    /// As ROS 2 writes it, in either graph. If absent: what the name card says; if it says nothing,
-    /// what the publishers use.
+    /// The type as ROS 2 writes it, in either graph. If absent: the type in the name card, or else
+    /// the type that the publishers use.
     #[serde(default, rename = "type")]
     pub kind: Option<TypeName>,
     pub direction: Direction,
     /// The topic's name card (`gdp-ctl name create`).
     pub card: PathBuf,
-    /// The owner's permission for this proxy to publish (`gdp-ctl grant add --publish`), with what
-    /// it rests on, such as a delegation, after it. For `out` and `both`.
+    /// The owner's certificate for this proxy to publish (`gdp-ctl grant add --publish`), followed
+    /// by the certificates that it rests on, such as a delegation. For `out` and `both`.
     #[serde(default)]
     pub cert: Option<PathBuf>,
-    /// The owner's permission to read (`gdp-ctl grant add --read`), likewise. For `in` and `both`.
+    /// The owner's grant to read (`gdp-ctl grant add --read`), likewise. For `in` and `both`.
     #[serde(default)]
     pub grant: Option<PathBuf>,
-    /// If absent: what each publisher offers.
+    /// QoS of the topic. If absent: the QoS that each publisher offers.
     #[serde(default)]
     pub qos: Option<Qos>,
-    /// What goes out is converted into this first.
+    /// Encoding into which outgoing messages are converted.
     #[serde(default)]
     pub encoding: Conversion,
-    /// What goes out is compressed after that, where it becomes shorter; readers undo it, whatever
-    /// they say here.
+    /// Compression of outgoing messages after their conversion, if it makes them shorter. Readers
+    /// decompress them whatever their configuration says.
     #[serde(default)]
     pub compression: Compression,
-    /// Put in front of each `frame_id` of a header and each `child_frame_id`, on its way `out` or
-    /// `in`, so that frames of several robots are told apart.
+    /// Prefix of each `frame_id` of a header and each `child_frame_id`, applied `out` or `in`. It
+    /// distinguishes the frames of several robots.
     #[serde(default)]
     pub frame_prefix: Option<FramePrefix>,
-    /// Of each publisher, no more messages a second go out; those between are dropped.
+    /// Maximum rate of each publisher in messages per second. Messages in between are dropped.
     #[serde(default)]
     pub max_hz: Option<NonZeroU32>,
-    /// Traffic class of what goes out.
+    /// Traffic class of outgoing messages.
     #[serde(default)]
     pub priority: Priority,
-    /// It crosses by two links at once, so that nothing is missed when one fails: `out`, a copy of
-    /// each frame goes by the second; `in`, it comes by each.
+    /// Carries the topic over two links at once, so that no message is lost when one fails. `out`:
+    /// the second link gets a copy of each frame; `in`: messages arrive over both.
     #[serde(default)]
     pub duplicate: bool,
-    /// Refused with the remedy: earlier versions shared a secret file here.
+    /// Refused with the remedy, because earlier versions shared a secret file here.
     #[serde(default, rename = "key", deserialize_with = "no_key")]
     #[schemars(skip)]
     pub(super) _key: (),
-    /// Likewise: who exposes by pattern says so, with a key of the owner.
+    /// Refused with the remedy: only `expose` has readers, because it has a key of the owner.
     #[serde(default, rename = "readers", deserialize_with = "no_readers")]
     #[schemars(skip)]
     pub(super) _readers: (),
-    /// Likewise.
+    /// Refused with the remedy, as only `expose` makes name cards.
     #[serde(default, rename = "meta", deserialize_with = "no_meta")]
     #[schemars(skip)]
     pub(super) _meta: (),
@@ -99,11 +99,11 @@ impl From<Side> for Direction {
     }
 }
 
-/// How messages travel.
+/// Encoding of messages between proxies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Conversion {
-    /// As they are.
+    /// The native encoding of the graph's ROS version.
     #[default]
     Auto,
     Cdr,
@@ -111,7 +111,7 @@ pub enum Conversion {
     Json,
 }
 
-/// Whether messages become shorter for their way.
+/// Compression of messages between proxies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Compression {
@@ -121,7 +121,7 @@ pub enum Compression {
 }
 
 impl Conversion {
-    /// What messages of a graph of this dialect travel in.
+    /// Returns the encoding between proxies of messages of a graph of this dialect.
     pub fn encoding(self, dialect: Dialect) -> Encoding {
         match self {
             Self::Auto => dialect.native(),
@@ -132,7 +132,7 @@ impl Conversion {
     }
 }
 
-/// A traffic class, 0 to 7: higher ones go first.
+/// A traffic class from 0 to 7: higher classes are sent first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "u64")]
 pub struct Priority(u8);
@@ -171,7 +171,7 @@ impl Direction {
 }
 
 impl TopicConfig {
-    /// One that no file speaks of, with what is the default otherwise.
+    /// Returns a topic without files and with default options, for a topic that matches a pattern.
     pub(super) fn without_files(topic: TopicName, direction: Direction) -> Self {
         Self {
             topic,
@@ -194,7 +194,7 @@ impl TopicConfig {
         }
     }
 
-    /// The file with the right to this side.
+    /// Returns the certificate file of this direction.
     pub fn right(&self, side: Side) -> Option<&Path> {
         match side {
             Side::Out => self.cert.as_deref(),
@@ -202,7 +202,7 @@ impl TopicConfig {
         }
     }
 
-    /// Errors with the key inside the topic.
+    /// Checks the entry. Errors come with the key inside the topic.
     pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
         graphs.get(self.graph.as_deref()).map_err(|reason| ("graph", reason))?;
         let missing = |what| format!("missing: {what}");
@@ -232,7 +232,7 @@ impl TopicConfig {
         Ok(())
     }
 
-    /// Whether both carry the same topic of the same graph the same way.
+    /// Whether both carry the same topic of the same graph in a common direction.
     pub(super) fn overlaps(&self, other: &Self, graphs: &Graphs) -> bool {
         let sides = other.direction.sides();
         let graph = |topic: &Self| graphs.get(topic.graph.as_deref()).ok().map(|(name, _)| name.to_owned());

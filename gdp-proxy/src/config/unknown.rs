@@ -2,10 +2,10 @@
 
 use serde_saphyr::Error;
 
-/// Words that are less alike than this have nothing to do with each other (Jaro-Winkler).
+/// Similarity (Jaro-Winkler) below which two words count as unrelated.
 const ALIKE: f64 = 0.75;
 
-/// Ends with the line and the column.
+/// Returns the error's text, which ends with the line and the column.
 pub fn say(error: &Error) -> String {
     let (what, word, expected) = match error.without_snippet() {
         Error::SerdeUnknownField { field, expected, .. } => ("key", field, expected),

@@ -7,22 +7,22 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A server elsewhere.
+/// The state of a remote server.
 pub enum Remote {
     Asked,
     Known(Arc<Known>),
-    /// It cannot be called, at least until then.
+    /// The server cannot be called before this time.
     Unfit(Instant),
 }
 
-/// What has come of something that was begun.
+/// The result of a background task of the route.
 pub enum Done {
     Description(Name, Described),
-    /// With the event that was had before.
+    /// The answer to a request for events, with the event after which it asked.
     News(Arc<Known>, u64, News),
-    /// Published here, if it was; and whether it is feedback.
+    /// Whether the published message was feedback, and the result of publishing it.
     Said(bool, Result<(), String>),
-    /// What stood for servers is gone.
+    /// The result of removing the local server.
     Withdrawn(Result<(), String>),
 }
 

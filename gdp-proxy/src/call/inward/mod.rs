@@ -32,7 +32,7 @@ use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
 use servers::{ask_for_events, withdraw};
 
-/// Calls, with the servers that were found to be others.
+/// Pending calls, each of which returns the servers that were found to have changed.
 type Calls<'a> = FuturesUnordered<Pin<Box<dyn Future<Output = Vec<Changed>> + Send + 'a>>>;
 
 impl Route {
@@ -64,7 +64,8 @@ impl Route {
         }
     }
 
-    /// Returns when the right to call has ended, with the reason, or when the turn is over.
+    /// Carries calls until the right to call ends, and returns the reason; or until the turn is
+    /// over, and returns `None`.
     async fn carry_in(
         &self,
         way: &Way<'_>,
@@ -109,14 +110,14 @@ impl Route {
                 }
             }
         };
-        // What is being published is not waited for.
+        // Publications in progress are not awaited.
         doing.clear();
         leaving.send_replace(true);
         _ = tokio::time::timeout(LAST_WORDS, self.take_leave(&mut to, &mut calls)).await;
         why.map(ended_because).transpose()
     }
 
-    /// Who waits is told that it is in vain, and whose goals are under way that they are lost.
+    /// Sends failures to the waiting clients, and reports goals in progress as lost.
     async fn take_leave(&self, to: &mut In<'_>, calls: &mut Calls<'_>) {
         while calls.next().await.is_some() {}
         let now = Instant::now();
@@ -172,7 +173,7 @@ impl Route {
         Ok(())
     }
 
-    /// What a server says of goals is to be published here.
+    /// Queues the events of a remote server for publication in the local graph.
     fn hear(&self, to: &mut In<'_>, instance: Name, events: Events) {
         self.counters.events(0, events.dropped);
         for event in events.events {
@@ -208,8 +209,8 @@ impl Route {
         }
     }
 
-    /// Begins to publish what is next, once what was before is published: a subscriber that does
-    /// not keep up delays nothing else.
+    /// Starts to publish the next event once the one before is published. So a slow subscriber
+    /// delays only the events.
     fn speak<'a>(&self, to: &mut In<'a>, doing: &Doing<'a>) {
         if to.is_speaking {
             return;

@@ -17,9 +17,9 @@ use crate::call::inward::state::In;
 use crate::graph::Asked;
 
 impl Route {
-    /// A local client asks.
+    /// Starts to forward the request of a local client.
     pub(super) fn begin<'a>(&'a self, to: &In<'a>, local: Arc<Stands>, part: Part, asked: Asked, calls: &Calls<'a>) {
-        // What stops a robot finds room.
+        // A cancellation always finds room, because it stops a robot.
         let targets = match calls.len() >= MAX_PENDING && part != Part::CancelGoal {
             true => Err(Failure::new(FailureCode::Busy, "too many wait here")),
             false => self.targets(to, part, &asked.request),
@@ -44,7 +44,7 @@ impl Route {
             };
             match (part, &answer) {
                 (Part::SendGoal, Some(Ok(response))) if cdr::is_accepted(response).unwrap_or_default() => {}
-                // Another request may have begun it before.
+                // An earlier request may have begun the goal.
                 (Part::SendGoal, _) if is_new => goals.lock().forget(&goal),
                 (Part::GetResult, Some(Ok(_))) => goals.lock().end(Instant::now(), &goal),
                 _ => {}
@@ -67,14 +67,14 @@ impl Route {
         }));
     }
 
-    /// Whom a request is for: most often one server. And whether it begins a goal that was not
-    /// known.
+    /// Returns the servers for a request, usually one, and whether the request begins an unknown
+    /// goal.
     fn targets(&self, to: &In<'_>, part: Part, request: &[u8]) -> Result<(Vec<Arc<Known>>, bool), Failure> {
         let known = |name: &Name| match to.remotes.get(name) {
             Some(Remote::Known(known)) => Some(known.clone()),
             _ => None,
         };
-        // The nearest first.
+        // In order of distance, nearest first.
         let all: Vec<_> = to.client.instances().iter().filter_map(|one| known(&one.name)).collect();
         if part == Part::Service {
             return Ok((all.into_iter().take(1).collect(), false));
@@ -82,7 +82,7 @@ impl Route {
         let malformed = |error| Failure::new(FailureCode::Malformed, error);
         let (goal, mut goals): (GoalId, _) = (cdr::goal_of(request).map_err(malformed)?, to.goals.lock());
         match (part, goals.get(&goal)) {
-            // What was begun at one is continued there.
+            // Requests about a goal go to the server where it began.
             (_, Some(of)) => Ok((known(&of).into_iter().collect(), false)),
             (Part::SendGoal, None) => {
                 let nearest: Vec<_> = all.into_iter().take(1).collect();
@@ -91,7 +91,7 @@ impl Route {
                 }
                 Ok((nearest, true))
             }
-            // Of all goals, or one that was sent before this proxy was started, perhaps.
+            // The request is about all goals, or about one that began before this proxy started.
             (_, None) => Ok((all, false)),
         }
     }

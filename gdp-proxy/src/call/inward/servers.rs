@@ -22,23 +22,23 @@ use crate::config::What;
 use crate::graph::GraphError;
 use crate::route_status::RouteError;
 
-/// Servers elsewhere that are told apart; of more, the nearest.
+/// Bound on the remote servers of a name; only the nearest are used.
 const MAX_SERVERS: usize = 64;
 
-/// Before a server is asked again that was of no use.
+/// Pause before an unusable server is asked again.
 const ASK_AGAIN: Duration = Duration::from_secs(5);
 
 impl Route {
-    /// Compares the servers that are attached with those that are known.
+    /// Compares the attached servers with the known ones, and asks new ones for their description.
     pub(super) fn look<'a>(&'a self, to: &mut In<'a>, doing: &Doing<'a>) {
         let now = Instant::now();
-        // What another proxy of this graph serves, clients here have without this one.
+        // Local clients reach the servers of other proxies of this graph without this proxy.
         let instances = to.client.instances().into_iter().filter(|one| !to.way.candidate.is_twin(now, &one.name));
         let attached: Vec<Name> = instances.take(MAX_SERVERS).map(|one| one.name).collect();
         let gone: Vec<Name> = to.remotes.keys().filter(|name| !attached.contains(name)).copied().collect();
         for name in gone {
             to.remotes.remove(&name);
-            // Those who ask for results are told as their calls fail.
+            // Clients that wait for results are informed when their calls fail.
             to.lose_goals(now, name);
         }
         for name in attached {
@@ -59,8 +59,8 @@ impl Route {
     fn withdraw_if_alone<'a>(&'a self, to: &mut In<'a>, doing: &Doing<'a>) {
         let known = to.remotes.values().filter(|remote| matches!(remote, Remote::Known(_))).count();
         let is_unfit = to.remotes.values().any(|remote| matches!(remote, Remote::Unfit(_)));
-        // Another proxy of the graph may know more; if it does not either, neither is asked all the
-        // time.
+        // Another proxy of the graph may know more types. The pause avoids constant requests if it
+        // does not.
         let now = Instant::now();
         if is_unfit {
             *self.unfit_until.lock() = Some(now + ASK_AGAIN);
@@ -80,7 +80,7 @@ impl Route {
         }
     }
 
-    /// A server is another, unless it is known by now that it is.
+    /// Handles a changed server, unless the change is known already.
     pub(super) fn changed<'a>(
         &'a self,
         to: &mut In<'a>,
@@ -127,8 +127,8 @@ impl Route {
         Ok(())
     }
 
-    /// Whether a server can be called as what stands for it here, which is made if it is the first.
-    /// The outer error is the graph's.
+    /// Checks that the server's type fits, and creates the local server if it is the first one. The
+    /// outer error is the graph's.
     fn fit(
         &self,
         to: &mut In<'_>,
@@ -171,7 +171,7 @@ impl Route {
             match Stands::new(to.way.graph, &self.config.name, self.config.what, &here) {
                 Ok(stands) => to.local = Some((Arc::new(stands), here)),
                 Err(error @ GraphError::Left) => return Err(error.into()),
-                // An earlier one may still be answering.
+                // An earlier local server may still be answering.
                 Err(error) => return Ok(Err(error.to_string())),
             }
             self.is_up(&name);
@@ -179,7 +179,7 @@ impl Route {
         Ok(Ok(Arc::new(Known { instance, epoch, there, converters })))
     }
 
-    /// Of a type of this graph's dialect, as this proxy itself knows it.
+    /// Returns the hash of the type as this proxy knows it.
     fn own_hash(&self, here: &Description) -> Option<Vec<u8>> {
         let kind = gdp_ros::roster::Kind { hash: vec![], ..here.kind.clone() };
         let hash = match self.config.what {
@@ -190,7 +190,7 @@ impl Route {
     }
 }
 
-/// Shows at last what has become of goals; at most for a while.
+/// Publishes the last status of the goals and removes the local server, within [`LAST_WORDS`].
 pub(super) async fn withdraw(local: Arc<Stands>, statuses: Bytes) -> Result<(), String> {
     let said = async {
         local.publish_status(statuses).await?;

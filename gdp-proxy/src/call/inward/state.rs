@@ -15,19 +15,19 @@ use std::sync::Arc;
 use std::time::Instant;
 use tokio::sync::watch;
 
-/// What this side knows of all servers of the name.
+/// The known state of all remote servers of the name.
 pub struct In<'a> {
     pub way: &'a Way<'a>,
     pub client: &'a Client,
     pub remotes: BTreeMap<Name, Remote>,
-    /// What stands for them, and what it is.
+    /// The local server on their behalf, with its description.
     pub local: Option<(Arc<Stands>, Description)>,
     pub goals: &'a Mutex<Goals<Name>>,
     pub board: Board,
     pub outbox: Outbox,
-    /// Something of it is being published.
+    /// True while an event of the outbox is being published.
     pub is_speaking: bool,
-    /// Who waits is to be told that it is in vain.
+    /// True when the route ends and waiting clients have to be informed.
     pub is_leaving: watch::Receiver<bool>,
 }
 
@@ -36,7 +36,7 @@ impl In<'_> {
         matches!(self.remotes.get(&known.instance), Some(Remote::Known(now)) if Arc::ptr_eq(now, known))
     }
 
-    /// Those that a server has, or had.
+    /// Ends the goals of a server that has left or changed.
     pub fn lose_goals(&mut self, now: Instant, server: Name) {
         self.goals.lock().end_all(now, server);
         if self.board.leave(now, &server) {
