@@ -9,26 +9,26 @@ use crate::config::{ExposeConfig, RuleOptions, Thing, is_hidden, remapped};
 use crate::graph::{Found, Offered};
 use crate::ros2::{TopicName, TypeName};
 
-/// For how long what nobody publishes or serves any more stays: a node that is started anew is back
+/// Time for which an entity stays exposed without a publisher or server. A restarted node is back
 /// by then.
 pub const GRACE: Duration = Duration::from_secs(5);
 
-/// How something is exposed.
+/// The remote name and the options of an exposed entity.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exposed {
-    /// What it is called elsewhere.
+    /// Its name outside of this graph.
     pub name: TopicName,
     pub rule_options: RuleOptions,
 }
 
-/// Why something is not exposed.
+/// Reasons for which an entity is not exposed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum NotExposed {
     Denied(String),
     Hidden(Thing),
     NoPattern(Thing),
     OtherType,
-    /// Its name elsewhere would be too long.
+    /// Its name after `remap` would be too long.
     NoName,
 }
 
@@ -47,7 +47,7 @@ impl fmt::Display for NotExposed {
     }
 }
 
-/// What the configuration says of something of this type.
+/// Checks whether the configuration exposes an entity of this type, and how.
 pub fn check_exposed(
     config: &ExposeConfig,
     thing: Thing,
@@ -66,7 +66,7 @@ pub fn check_exposed(
     Ok(Exposed { name, rule_options })
 }
 
-/// Of what something is offered as, the first that the configuration exposes, and how.
+/// Returns the first of the offered types that the configuration exposes, and how.
 pub fn choose(
     config: &ExposeConfig,
     thing: Thing,
@@ -76,7 +76,7 @@ pub fn choose(
     offered.iter().find_map(|it| Some((it.kind.clone(), check_exposed(config, thing, name, it.kind.as_ref()).ok()?)))
 }
 
-/// What is exposed at a time.
+/// The entities that are exposed at present.
 #[derive(Default)]
 pub struct Choice {
     chosen: BTreeMap<(Thing, TopicName), Chosen>,
@@ -85,15 +85,15 @@ pub struct Choice {
 struct Chosen {
     kind: Option<TypeName>,
     exposed: Exposed,
-    /// When its last publisher or server had gone.
+    /// The time since which it has had no publisher or server.
     absent_since: Option<Instant>,
 }
 
 impl Choice {
-    /// `found` is what the graph has now.
+    /// Updates the exposed entities. `found` is what the graph has now.
     pub fn update(&mut self, config: &ExposeConfig, found: &Found, now: Instant) {
         self.chosen.retain(|(thing, name), chosen| {
-            // Another type makes another name, at once.
+            // Another type makes another name, without the grace period.
             let there = found.get(&(*thing, name.clone()));
             let there = there.map(|offered| offered.iter().any(|it| it.kind == chosen.kind));
             chosen.absent_since = if there == Some(true) { None } else { chosen.absent_since.or(Some(now)) };
@@ -110,7 +110,8 @@ impl Choice {
         }
     }
 
-    /// When [`Self::update`] does something though the graph is the same.
+    /// Returns the time at which [`Self::update`] changes the entities without a change of the
+    /// graph.
     pub fn due(&self) -> Option<Instant> {
         self.chosen.values().filter_map(|chosen| chosen.absent_since).min().map(|absent_since| absent_since + GRACE)
     }

@@ -1,5 +1,5 @@
-//! Collects the plans of routes: each key and each name once, and at most as many as a proxy has.
-//! Their rights stay up to date.
+//! Collects the plans of routes. Each key and each name occurs once, and their number is bounded.
+//! It also distributes renewed certificates to running routes.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -20,16 +20,16 @@ use crate::route_material::RouteMaterial;
 use crate::routes::{CallPlan, Planned, RoutePlan};
 use crate::{call, route};
 
-/// What is kept from one time to the next.
+/// State that lasts from one planning to the next.
 #[derive(Default)]
 pub struct PlannerState {
-    /// The rights to names that were made or learnt here; routes follow them by themselves.
+    /// Certificates that were issued or learnt here. Routes receive their renewals.
     rights: BTreeMap<(Name, Side), watch::Sender<Permission>>,
-    /// What is not carried, and what the log has of it.
+    /// Entities that are not carried, and what was logged about them.
     pub omissions: Omissions,
 }
 
-/// One time.
+/// One planning.
 pub struct Gathering<'a> {
     planner_state: &'a mut PlannerState,
     topics: RouteSet<route::Route>,
@@ -39,10 +39,10 @@ pub struct Gathering<'a> {
     omitted: Omitted,
 }
 
-/// Of what each name is: a node has a name once in each direction.
+/// The title of the route of each name: a node uses a name once in each direction.
 type Names = BTreeMap<(Name, Side), String>;
 
-/// All plans of a kind.
+/// All plans of one kind, with at most `most` of them.
 struct RouteSet<R: Carries> {
     plans: Vec<Arc<Planned<R>>>,
     keys: BTreeSet<<Arc<Planned<R>> as Plan>::Key>,
@@ -50,7 +50,7 @@ struct RouteSet<R: Carries> {
 }
 
 impl<'a> Gathering<'a> {
-    /// These go first.
+    /// Begins a planning with these routes, which take precedence.
     pub fn new(planner_state: &'a mut PlannerState, topics: &[Arc<RoutePlan>], calls: &[Arc<CallPlan>]) -> Self {
         let mut names = Names::new();
         let (topics, calls) =
@@ -58,7 +58,8 @@ impl<'a> Gathering<'a> {
         Self { planner_state, topics, calls, names, used: BTreeSet::new(), omitted: Omitted::new() }
     }
 
-    /// The right to a name, as it is told to whoever uses it from now on.
+    /// Publishes the certificate of a name to its routes, and returns it with the source of its
+    /// renewals.
     pub fn right(&mut self, name: Name, permission: Permission) -> (Permission, Renewal) {
         let side = permission.side();
         self.used.insert((name, side));
@@ -74,7 +75,8 @@ impl<'a> Gathering<'a> {
         (permission, Renewal::Notified(Notified::new(sender.subscribe())))
     }
 
-    /// Something of this name in this graph. Whether it is to run: another may have its place.
+    /// Plans a route for an entity of a graph. Returns false if another plan has its key, or if it
+    /// is omitted.
     pub fn add(
         &mut self,
         thing: Thing,
@@ -100,12 +102,12 @@ impl<'a> Gathering<'a> {
         })
     }
 
-    /// Something matches and is not carried.
+    /// Records that an entity matches a pattern and is not carried.
     pub fn omit(&mut self, thing: Thing, name: &TopicName, reason: Reason) {
         self.omitted.insert(thing.title(name), reason);
     }
 
-    /// What was not used this time is forgotten; what is omitted is logged.
+    /// Ends the planning. It drops unused certificates and logs the omitted entities.
     pub fn finish(self) -> (Vec<Arc<RoutePlan>>, Vec<Arc<CallPlan>>) {
         let Self { planner_state, topics, calls, used, omitted, .. } = self;
         planner_state.rights.retain(|key, _| used.contains(key));
@@ -122,7 +124,8 @@ impl<R: Carries> RouteSet<R> {
         Self { plans: plans.to_vec(), keys: plans.iter().map(Plan::key).collect(), most }
     }
 
-    /// Whether its place was free; an error says why else it is not added.
+    /// Adds a plan. Returns false if its key is in use. An error is another reason for which it is
+    /// not added.
     fn add(&mut self, plan: Planned<R>, names: &mut Names) -> Result<bool, Reason> {
         let (plan, most) = (Arc::new(plan), self.most);
         if self.plans.len() >= most {

@@ -1,9 +1,9 @@
 //! Makes the cards of exposed names, and issues their certificates with the key of the owner.
 //!
-//! A name follows from what it is of, its type and what else the configuration says of it, so it is
-//! the same whenever the proxy runs; and from a secret that follows from the owner's key, so nobody
-//! guesses it. Certificates hold for [`LIFETIME`] and are issued anew when half of it is over: who
-//! is taken off the readers loses the right by then.
+//! A name depends on the entity, its type and its configured metadata, so it is the same after each
+//! start. It also depends on a secret derived from the owner's key, so nobody can guess it.
+//! Certificates are valid for [`LIFETIME`] and are renewed after half of it. An entity that is
+//! removed from the readers loses the right by then.
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, CertError, Grantee, Issued, Mode, ReadGrant, issue};
@@ -16,31 +16,31 @@ use super::choice::Exposed;
 use crate::config::{ExposeConfig, Thing};
 use crate::ros2::TypeName;
 
-/// Seconds.
+/// Validity of a certificate in seconds.
 pub const LIFETIME: u64 = 24 * 3600;
 
-/// Seconds by which it begins earlier: clocks differ.
+/// Seconds by which the validity begins earlier, because clocks differ.
 const BACKDATED: u64 = 300;
 
-/// What the secret is derived for.
+/// HKDF context of the secret in a name.
 const CONTEXT: &[u8] = b"gdp-proxy/expose/1";
 
 pub struct Issuer {
     owner: SigningKey,
-    /// This proxy.
+    /// The proxy's own name.
     entity: Name,
 }
 
-/// The certificates of a name.
+/// The certificates of one name.
 #[derive(Clone)]
 pub struct IssuedCredentials {
     pub cert: Issued<AdCert>,
     pub grants: Vec<Issued<ReadGrant>>,
-    /// Unix seconds.
+    /// Time of issue in Unix seconds.
     pub issued: u64,
 }
 
-/// A name could not be made.
+/// Errors while a name or its certificates are made.
 #[derive(Debug, thiserror::Error)]
 pub enum IssueError {
     #[error(transparent)]
@@ -56,13 +56,13 @@ impl Issuer {
         Self { owner, entity }
     }
 
-    /// The card of something.
+    /// Returns the name card of an exposed entity.
     pub fn card(&self, thing: Thing, kind: Option<&TypeName>, exposed: &Exposed) -> Result<NameCard, IssueError> {
         card_of(&self.owner, thing, kind, exposed)
     }
 
-    /// For this proxy to publish or serve the name, and for the readers to read or call it. `now`:
-    /// nanoseconds since 1970.
+    /// Issues the certificate to publish or serve the name for this proxy, and the grants for the
+    /// readers. `now` is in Unix nanoseconds.
     pub fn issue(&self, name: Name, config: &ExposeConfig, now: u64) -> Result<IssuedCredentials, IssueError> {
         let (serial, issued) = (now, now / 1_000_000_000);
         let (not_before, not_after) = (issued.saturating_sub(BACKDATED), issued.saturating_add(LIFETIME));
@@ -75,7 +75,7 @@ impl Issuer {
     }
 }
 
-/// The card of something that this owner has.
+/// Returns the name card of an exposed entity of this owner.
 pub fn card_of(
     owner: &SigningKey,
     thing: Thing,
@@ -93,7 +93,8 @@ pub fn card_of(
 }
 
 impl IssuedCredentials {
-    /// Half of their time is over, or the clock was set back. `now`: nanoseconds since 1970.
+    /// Whether half of the validity has passed, or the clock was set back. `now` is in Unix
+    /// nanoseconds.
     pub fn are_old(&self, now: u64) -> bool {
         let now = now / 1_000_000_000;
         !(self.issued..self.issued.saturating_add(LIFETIME / 2)).contains(&now)

@@ -1,4 +1,4 @@
-//! Publishes a catalog, or reads one. Each is a task, as routes are.
+//! Publishes or reads a catalog. Each catalog is a task of its own, as routes are.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -21,12 +21,12 @@ use crate::renewal::Renewal;
 use crate::route_status::{RETRY, Right, RouteError, RouteStatus, ended_because, ticks};
 use gdp_util::unix_time::unix_seconds;
 
-/// How long one that ends waits for its last word to arrive.
+/// Time for which an ending catalog waits for the delivery of its last version.
 const FLUSH: Duration = Duration::from_secs(3);
 
 pub type Links = Manager<CatalogPlan>;
 
-/// A catalog that is published or read.
+/// A catalog to publish or read.
 #[derive(Clone)]
 pub struct CatalogPlan {
     pub card: NameCard,
@@ -34,21 +34,21 @@ pub struct CatalogPlan {
     pub end: End,
 }
 
-/// This end of it.
+/// This proxy's end of a catalog.
 #[derive(Clone)]
 pub enum End {
-    /// It is this, in bytes.
+    /// The certificate to publish, and the encoded catalog.
     Writes(Issued<AdCert>, watch::Receiver<Arc<[u8]>>),
-    /// What it lists goes here; the files show this proxy's role.
+    /// The grant to read, the receiver of the entries, and the files that prove this proxy's role.
     Reads(Reading, Arc<watch::Sender<Arc<[Listed]>>>, Option<CredentialFiles>),
 }
 
-/// One catalog, as the statistics file shows it.
+/// The statistics of one catalog, as the statistics file shows them.
 #[derive(Serialize)]
 pub struct CatalogStats {
     pub name: Name,
     pub direction: Side,
-    /// `up`, or what it waits for.
+    /// `up`, or what the catalog waits for.
     pub status: String,
 }
 
@@ -79,7 +79,8 @@ impl PartialEq for CatalogPlan {
     fn eq(&self, other: &Self) -> bool {
         let same_end = match (&self.end, &other.end) {
             (End::Writes(_, own), End::Writes(_, other)) => own.same_channel(other),
-            // Another file may have it.
+            // The grant is compared, because the configuration may name another file with another
+            // grant.
             (End::Reads(grant, list, _), End::Reads(other, others, _)) => Arc::ptr_eq(list, others) && grant == other,
             _ => false,
         };
@@ -199,7 +200,7 @@ impl CatalogLink {
                 Err(error) => error,
             };
             self.route_status.pause(error, &mut pause, right).await;
-            // Nothing more is heard of those elsewhere.
+            // Without a subscription, silent writers are forgotten.
             if catalogs.poll(Instant::now()) {
                 listed.send_replace(catalogs.all().into());
             }
@@ -219,7 +220,7 @@ impl CatalogLink {
                     Some(message) if message.encoding == CATALOG => {
                         let member = || Some(files?.load().ok()?.membership);
                         let take = || catalogs.take(&message, member, Instant::now(), unix_seconds());
-                        // Each name in it has signatures.
+                        // Each name in the catalog has signatures to verify.
                         let taken = run_blocking_if_large(message.body.len(), take);
                         taken.unwrap_or_else(|error| {
                             tracing::warn!(catalog = %self.plan.card.name(), writer = %message.writer, "a catalog is not taken: {error}");
@@ -240,7 +241,7 @@ impl CatalogLink {
         }
     }
 
-    /// Its last word is that nothing is exposed any more.
+    /// Publishes an empty catalog as the last version, and closes the publisher.
     async fn close(&self, publisher: Publisher) {
         if let Some(nothing) = gdp_ros::catalog::Catalog::new(vec![]).ok().and_then(|catalog| catalog.to_bytes().ok()) {
             publisher.pin(CATALOG, &nothing);
@@ -251,7 +252,7 @@ impl CatalogLink {
     }
 }
 
-/// Every word of it counts, and the last one most.
+/// Reliable delivery with a high traffic class: no version may be lost, least of all the last one.
 fn options() -> PublishOptions {
     let reliability = Reliability::Reliable { overflow: Overflow::DropOldest };
     PublishOptions { reliability, history: 16, class: 5, ..PublishOptions::reliable() }

@@ -13,29 +13,29 @@ use gdp_wire::Name;
 use crate::config::{ImportConfig, Thing};
 use crate::ros2::{TopicName, TypeName};
 
-/// Writers of one catalog. More are not heard.
+/// Bound on the writers of one catalog. Further ones are refused.
 const MAX_WRITERS: usize = 16;
 
-/// Seconds after which a catalog is looked at again though it is the same: certificates end, and
+/// Seconds after which an unchanged catalog is verified again, because certificates expire and
 /// memberships are renewed.
 const AGAIN: u64 = 600;
 
-/// What this proxy may read or call.
+/// An entity of a catalog that this proxy may read or call.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Listed {
     pub card: NameCard,
     pub thing: Thing,
-    /// As it is called where it is.
+    /// Its name in the remote graph.
     pub name: TopicName,
-    /// Topics have one.
+    /// The ROS type. Topics always have one.
     pub kind: Option<TypeName>,
     pub right: Reading,
 }
 
-/// The catalogs that come under one name, by writer.
+/// The catalogs of one name, one for each writer.
 pub struct Catalogs {
     owner: VerifyKey,
-    /// This proxy.
+    /// The proxy's own name.
     entity: Name,
     writers: BTreeMap<Name, ReceivedCatalog>,
 }
@@ -45,7 +45,7 @@ struct ReceivedCatalog {
     sequence: u64,
     until: Instant,
     body: bytes::Bytes,
-    /// Unix seconds.
+    /// Time of the last verification in Unix seconds.
     verified: u64,
     listed: Vec<Listed>,
 }
@@ -55,8 +55,8 @@ impl Catalogs {
         Self { owner, entity, writers: BTreeMap::new() }
     }
 
-    /// Takes a message that says to be a catalog. `member`: what shows this proxy's role.
-    /// `now_unix`: seconds. Whether something is listed otherwise now.
+    /// Receives a catalog message. `member` returns the membership that proves this proxy's role.
+    /// `now_unix` is in seconds. Returns true if the entries changed.
     pub fn take(
         &mut self,
         message: &Message,
@@ -94,22 +94,22 @@ impl Catalogs {
         Ok(is_new)
     }
 
-    /// Forgets writers that are silent. Whether there were any.
+    /// Forgets silent writers. Returns true if there were any.
     pub fn poll(&mut self, now: Instant) -> bool {
         let before = self.writers.len();
         self.writers.retain(|_, received| now < received.until);
         before != self.writers.len()
     }
 
-    /// All that is listed, each name once.
+    /// Returns all entries, each name once.
     pub fn all(&self) -> Vec<Listed> {
         let mut names = BTreeSet::new();
         let listed = self.writers.values().flat_map(|received| &received.listed);
         listed.filter(|listed| names.insert(listed.card.name())).cloned().collect()
     }
 
-    /// What it is, with the first grant that reaches this proxy. Other kinds of names are for other
-    /// releases.
+    /// Returns the entry with its first grant that is valid for this proxy. Kinds of names that
+    /// this release does not know are skipped.
     fn listed(
         &self,
         card: NameCard,
@@ -138,8 +138,8 @@ impl Catalogs {
     }
 }
 
-/// What of it comes into the graph here, with what it is called there. Of several with one name,
-/// the first.
+/// Returns the imported entries with their names in this graph. Of several entries with one name,
+/// the first is used.
 pub fn chosen<'a>(config: &ImportConfig, listed: &'a [Listed]) -> BTreeMap<(Thing, TopicName), &'a Listed> {
     let mut chosen = BTreeMap::new();
     for listed in listed.iter().filter(|listed| config.wants(listed.thing, &listed.name)) {

@@ -2,9 +2,9 @@
 //! match the patterns of `expose` go out. Those of a catalog that match the patterns of `import`
 //! come in. Each crosses for as long as it exists.
 //!
-//! [`choice`] says which, [`issuer`] makes their names and certificates, [`listed`] reads catalogs:
-//! none of these waits or sends. [`link`] carries a catalog. Here they are put together, into plans
-//! for the managers of routes and of catalogs.
+//! [`choice`] selects them, [`issuer`] makes their names and certificates, and [`listed`] reads
+//! catalogs: none of these waits or sends. [`link`] carries a catalog. This module combines them
+//! into plans for the managers of routes and of catalogs.
 
 pub mod choice;
 mod gather;
@@ -46,10 +46,10 @@ pub use self::choice::{check_exposed, choose};
 pub use self::issuer::card_of;
 pub use self::link::{CatalogStats, Links, manager};
 
-/// How often it is looked whether certificates are old.
+/// How often the proxy checks for certificates to renew.
 const LOOK: Duration = Duration::from_secs(60);
 
-/// All that crosses by itself.
+/// All entities that are exposed or imported by pattern.
 pub struct Automatic {
     expose: Option<Expose>,
     imports: Vec<Import>,
@@ -64,7 +64,7 @@ struct Expose {
     choice: Choice,
     issuer: Issuer,
     catalog: NameCard,
-    /// By name; of the catalog as well.
+    /// The certificates by name, including the catalog's.
     issued_credentials: BTreeMap<Name, IssuedCredentials>,
     list: watch::Sender<Arc<[u8]>>,
 }
@@ -79,7 +79,7 @@ struct Import {
     files: Option<CredentialFiles>,
 }
 
-/// What the managers are to run.
+/// The plans for the managers of routes, calls and catalogs.
 pub struct Plans {
     pub routes: Vec<Arc<RoutePlan>>,
     pub calls: Vec<Arc<CallPlan>>,
@@ -87,7 +87,7 @@ pub struct Plans {
 }
 
 impl Automatic {
-    /// Of a configuration. What `before` knows and is still wanted goes on.
+    /// Applies a configuration. It keeps the state of `before` that is still wanted.
     pub fn new(loaded: &Loaded, graphs: &graph::All, entity: Name, before: Option<Self>) -> Result<Self> {
         let Loaded { config, material } = loaded;
         let (before_expose, mut before_imports, planner_state) = match before {
@@ -142,7 +142,7 @@ impl Automatic {
         Ok(Self { expose, imports: imports.collect::<Result<_>>()?, planner_state, look: Instant::now() + LOOK })
     }
 
-    /// Waits until [`Self::plan`] may come to something else. Safe to cancel.
+    /// Waits until [`Self::plan`] may return something else. Safe to cancel.
     pub async fn changed(&mut self) {
         if self.expose.is_none() && self.imports.is_empty() {
             return std::future::pending().await;
@@ -164,8 +164,8 @@ impl Automatic {
         self.look = Instant::now() + LOOK;
     }
 
-    /// What is to run, what the configuration lists first: it is not exposed or imported a second
-    /// time.
+    /// Returns the plans to run. Entities that the configuration lists come first, and are not
+    /// exposed or imported a second time.
     pub fn plan(&mut self, topics: &[Arc<RoutePlan>], calls: &[Arc<CallPlan>]) -> Plans {
         let Self { expose, imports, planner_state, .. } = self;
         let mut gathering = Gathering::new(planner_state, topics, calls);
@@ -178,7 +178,7 @@ impl Automatic {
 }
 
 impl Expose {
-    /// The same graph and catalog, as another configuration wants it.
+    /// Applies another configuration to the same graph and catalog.
     fn with(mut self, config: ExposeConfig) -> Self {
         if (&config.readers, &config.scope) != (&self.config.readers, &self.config.scope) {
             self.issued_credentials.clear();
@@ -238,7 +238,7 @@ impl Expose {
                 bytes += size;
             }
         }
-        // Also of what is not carried: to issue them is work.
+        // Certificates of names that are not carried are kept too, because issuing them is work.
         self.issued_credentials.retain(|name, _| names.contains(name));
         let list = Catalog::new(entries.into_values().collect()).map_err(|error| error.to_string());
         match list.and_then(|list| list.to_bytes().map_err(|error| error.to_string())) {
@@ -257,7 +257,7 @@ impl Expose {
     }
 }
 
-/// Those that there are, or new ones if they are old.
+/// Returns the known certificates, or issues new ones if they are old.
 fn issued_credentials(
     issuer: &Issuer,
     known: &mut BTreeMap<Name, IssuedCredentials>,
@@ -287,7 +287,7 @@ impl Import {
         let rule_options = self.config.rule_options();
         let here = if self.config.wants_calls() { self.graph_observer.found() } else { Found::new() };
         for ((thing, called), Listed { card, kind, right, .. }) in chosen(&self.config, &listed) {
-            // Both would carry out each call.
+            // Two servers would both execute each call.
             if thing != Thing::Topic && here.contains_key(&(thing, called.clone())) {
                 gathering.omit(thing, &called, Reason::ServedHere);
                 continue;

@@ -1,8 +1,8 @@
-//! Logs what matches a pattern and is not carried: one line for each reason, not one for each name.
+//! Logs entities that match a pattern and are not carried: one line for each reason, not one for
+//! each name.
 //!
-//! A ROS graph may have any number of names, and they may come and go all the time. Each reason is
-//! logged at once when there is news, then at most once in [`PERIOD`]; what comes in between is in
-//! the next line's count.
+//! A ROS graph may have any number of names, which may come and go all the time. A reason is logged
+//! at once, and then at most once in [`PERIOD`]. The next line counts the names in between.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
@@ -12,24 +12,24 @@ use std::time::{Duration, Instant};
 use gdp::Name;
 use gdp_ros::catalog::MAX_ENTRIES;
 
-/// Between two lines of one reason.
+/// Shortest time between two lines with the same reason.
 pub const PERIOD: Duration = Duration::from_secs(60);
 
-/// Why something is not carried.
+/// Reasons for which an entity is not carried.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Reason {
     CatalogHasAllNames,
     CatalogHasAllBytes,
-    /// Of so many.
+    /// All routes of the proxy are in use; the number is the bound.
     NoFreeRoute(usize),
-    /// `remap` gives it the name of something else that is exposed.
+    /// `remap` gives it the name of another exposed entity.
     RemappedOntoAnother,
-    /// The 256-bit name is that of something else already, in the same direction.
+    /// Another entity already uses the 256-bit name in the same direction.
     NameIsTaken {
         name: Name,
         by: String,
     },
-    /// A service or action: both servers would carry out each call.
+    /// A local server exists for the service or action: both would execute each call.
     ServedHere,
     /// Its card, certificates or catalog entry cannot be made.
     Failed(String),
@@ -53,21 +53,22 @@ impl fmt::Display for Reason {
     }
 }
 
-/// What is not carried, with the reason; by its title, such as `topic /chatter`.
+/// The entities that are not carried, with the reason. The key is the title, such as `topic
+/// /chatter`.
 pub type Omitted = BTreeMap<String, Reason>;
 
-/// What the log has of it.
+/// The omitted entities that the log has reported.
 #[derive(Default)]
 pub struct Omissions {
     known: Omitted,
-    /// By the kind of reason.
+    /// The last line of each kind of reason.
     reasons: HashMap<Discriminant<Reason>, Logged>,
 }
 
 #[derive(Default)]
 struct Logged {
     at: Option<Instant>,
-    /// Names that were omitted since then.
+    /// Number of names that were omitted since then.
     news: usize,
 }
 
@@ -75,20 +76,20 @@ struct Logged {
 #[derive(Debug, PartialEq, Eq)]
 pub struct Line {
     pub names: usize,
-    /// One of them, and its reason.
+    /// The title of one of them, as an example.
     pub what: String,
     pub reason: Reason,
 }
 
 impl Omissions {
-    /// What is omitted now. Returns what the log is to say.
+    /// Records the entities that are omitted now. Returns the lines to log.
     pub fn update(&mut self, now: Instant, omitted: Omitted) -> Vec<Line> {
         let mut examples = HashMap::new();
         for (what, reason) in &omitted {
             let (kind, is_new) = (discriminant(reason), self.known.get(what) != Some(reason));
             self.reasons.entry(kind).or_default().news += usize::from(is_new);
             let example = examples.entry(kind).or_insert((is_new, what, reason));
-            // A name that is new is a better example than one that was logged before.
+            // A new name is a better example than one that was logged before.
             if is_new && !example.0 {
                 *example = (is_new, what, reason);
             }

@@ -5,7 +5,7 @@ use bytes::Bytes;
 use gdp_ros::roster::{Kind, Offer};
 use gdp_ros::types::TypeError;
 
-/// What a graph refused to make.
+/// Errors of a ROS graph.
 #[derive(Debug, thiserror::Error)]
 pub enum GraphError {
     #[error(transparent)]
@@ -20,23 +20,22 @@ pub enum GraphError {
     Left,
 }
 
-/// What the names of all proxies' ROS nodes begin with: they do not take from one another what came
-/// from the fabric.
+/// Prefix of the names of all proxies' ROS nodes. Proxies ignore each other's publishers, because
+/// their messages come from the fabric.
 pub const NODE: &str = "gdp_proxy_";
 
-/// What tells the publishers of a topic apart, as long as they live.
+/// Identifier of a publisher of a topic, unique as long as the publisher exists.
 pub type Key = u128;
 
-/// What happens to a topic that is read.
+/// An event of a topic that is read.
 pub enum Event {
-    /// A publisher is there, or offers something else than it did.
+    /// A publisher appeared, or changed its type or QoS.
     Joined {
         key: Key,
         kind: Kind,
         offers: Offer,
     },
-    /// A publisher is there that is not heard, because it offers less than the configuration asks
-    /// for: in which policy.
+    /// A publisher is not read, because it offers less in `policy` than the configuration requests.
     Incompatible {
         key: Key,
         policy: &'static str,
@@ -47,17 +46,17 @@ pub enum Event {
     Unreadable(String),
 }
 
-/// A message of a publisher that has joined, unless it cannot be told which.
+/// A message of a publisher that has joined. `from` is `None` if its publisher is unknown.
 pub struct Arrived {
     pub from: Option<Key>,
     pub bytes: Bytes,
-    /// When its publisher wrote it, on its clock, in nanoseconds since 1970; if it said so.
+    /// Time of the write on the publisher's clock in Unix nanoseconds, if it is known.
     pub written_ns: Option<u64>,
-    /// Messages of the same publisher that were lost on the way, just before this one.
+    /// Number of messages of the same publisher that were lost just before this one.
     pub lost: u64,
 }
 
-/// Why a message was not written.
+/// Reasons for which a message was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
     #[error("not a CDR encapsulation that ROS 2 uses")]

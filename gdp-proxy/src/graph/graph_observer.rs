@@ -1,5 +1,5 @@
-//! Observes what other nodes publish and serve in a ROS graph. It leaves out what proxies have
-//! there.
+//! Observes what other nodes publish and serve in a ROS graph. It leaves out the proxies' own
+//! endpoints.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,16 +14,16 @@ use crate::ros2::{self, DisplayedQos, ServicePeer, TopicName, TypeName};
 /// The topics that have publishers, and the services and actions that have servers.
 pub type Found = BTreeMap<(Thing, TopicName), Vec<Offered>>;
 
-/// What a topic is published or a service or action is served as; of ROS 1, one for all who do.
+/// The type and QoS of a publisher or server. ROS 1 has one entry for all nodes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Offered {
-    /// As ROS 2 writes it. Masters of ROS 1 do not know those of services.
+    /// The type as ROS 2 writes it. A ROS 1 master does not know the types of services.
     pub kind: Option<TypeName>,
-    /// Of the publishers of ROS 2.
+    /// The QoS of a ROS 2 publisher.
     pub qos: Option<DisplayedQos>,
 }
 
-/// Watches one graph.
+/// An observer of one graph.
 pub enum GraphObserver {
     Ros1(gdp_ros1::Graph),
     Ros2(watch::Receiver<Arc<ros2::Graph>>),
@@ -37,7 +37,7 @@ impl GraphObserver {
         }
     }
 
-    /// Waits until something about it changes; for ever once the graph was left. Safe to cancel.
+    /// Waits until the graph changes, or forever once the graph was left. Safe to cancel.
     pub async fn changed(&mut self) {
         let changed = match self {
             Self::Ros1(graph) => graph.changes().await.is_some(),
@@ -48,7 +48,7 @@ impl GraphObserver {
         }
     }
 
-    /// What there is now. Names and types that are none of ROS's are left out.
+    /// Returns the present entities. Names and types that are invalid in ROS are left out.
     pub fn found(&self) -> Found {
         match self {
             Self::Ros1(graph) => of_ros1(graph.snapshot()),

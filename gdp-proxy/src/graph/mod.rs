@@ -1,4 +1,4 @@
-//! A ROS graph as the routes see it, of either generation: publishers of a topic, their messages,
+//! A ROS graph as the routes see it, of either ROS version: publishers of a topic, their messages,
 //! and writers on behalf of remote publishers. A message is in the graph's own encoding, and this
 //! module does not parse it.
 
@@ -24,29 +24,29 @@ use gdp_ros::types::Types;
 
 pub use graph_observer::{Found, GraphObserver, Offered};
 
-/// One graph, until it is [left](Self::leave).
+/// One ROS graph, until it is [left](Self::leave).
 pub enum Graph {
     Ros1(Box<ros1::Master>),
     Ros2(Box<Domain>),
 }
 
-/// Reads a topic. What this proxy itself wrote is not seen.
+/// A reader of a topic, which ignores what this proxy itself writes.
 pub enum Reader<'a> {
     Ros1(ros1::Ros1Reader),
     Ros2(Box<ros2::Ros2Reader<'a>>),
 }
 
-/// Stands for one publisher elsewhere; subscribers see it go when it is dropped.
+/// A writer on behalf of one remote publisher. Subscribers see it leave when it is dropped.
 pub enum Writer {
     Ros1(ros1::Ros1Writer),
     Ros2(Box<ros2::Ros2Writer>),
 }
 
-/// All that a proxy is in, by their names in the configuration.
+/// All graphs of the proxy, by their names in the configuration.
 pub type All = BTreeMap<String, Arc<Graph>>;
 
-/// Joins those that are not in `joined` yet, as the ROS node `node`. If one cannot be joined, none
-/// is.
+/// Joins the graphs that are not in `joined` yet, as the ROS node `node`. After an error it leaves
+/// the new ones.
 pub async fn join(joined: &mut All, graphs: &Graphs, node: &str) -> Result<(), GraphError> {
     let mut new = All::new();
     for (name, graph) in graphs.iter().filter(|(name, _)| !joined.contains_key(*name)) {
@@ -62,7 +62,7 @@ pub async fn join(joined: &mut All, graphs: &Graphs, node: &str) -> Result<(), G
     Ok(())
 }
 
-/// Leaves all of them.
+/// Leaves all graphs.
 pub async fn leave(graphs: All) {
     for graph in graphs.into_values() {
         if let Some(graph) = Arc::into_inner(graph) {
@@ -86,7 +86,7 @@ impl Graph {
         }
     }
 
-    /// What other proxies in it carry.
+    /// Returns the other proxies of the graph and what they carry.
     pub fn peer_proxies(&self) -> &Arc<PeerProxies> {
         match self {
             Self::Ros1(master) => master.peer_proxies(),
@@ -94,8 +94,8 @@ impl Graph {
         }
     }
 
-    /// The policy in which a subscriber of the topic here asks for more than this, if one does: it
-    /// does not hear who offers this.
+    /// Returns the policy in which a local subscriber requests more than `offers`, if there is one.
+    /// Such a subscriber receives nothing from a publisher with `offers`.
     pub fn misfit(&self, topic: &TopicName, offers: &Offer) -> Option<&'static str> {
         match self {
             Self::Ros1(_) => None,
@@ -103,7 +103,7 @@ impl Graph {
         }
     }
 
-    /// A type as this graph calls it.
+    /// Returns a type as this graph writes it.
     pub fn kind(&self, kind: &TypeName) -> Kind {
         let name = match self.dialect() {
             Dialect::Ros1 => kind.to_ros1(),
@@ -112,8 +112,8 @@ impl Graph {
         Kind { dialect: self.dialect(), name, hash: vec![] }
     }
 
-    /// Reads a topic: of this type, or of that of the first publisher; with this quality of
-    /// service, or with that which lets it hear all publishers.
+    /// Reads a topic. Without `kind` it takes the type of the first publisher. Without `qos` it
+    /// takes a QoS that is compatible with all publishers.
     pub fn reader(
         &self,
         topic: &TopicName,
@@ -126,7 +126,7 @@ impl Graph {
         }
     }
 
-    /// Publishes a topic. `definition`: of the type, which ROS 1 tells its subscribers.
+    /// Creates a writer. `definition` is that of the type, which ROS 1 announces to subscribers.
     pub async fn writer(
         &self,
         types: &Types,
@@ -153,7 +153,7 @@ impl Graph {
 }
 
 impl Reader<'_> {
-    /// What happens next. Safe to cancel.
+    /// Waits for the next event. Safe to cancel.
     pub async fn next(&mut self) -> Result<Event, GraphError> {
         match self {
             Self::Ros1(reader) => reader.next().await.ok_or(GraphError::Left),
@@ -161,16 +161,16 @@ impl Reader<'_> {
         }
     }
 
-    /// What is latched is to be read once more.
+    /// Reads the transient-local history once more.
     pub fn again(&mut self) -> Result<(), GraphError> {
         match self {
-            // All that nodes of ROS 1 offer is alike, so there is never a reason.
+            // All ROS 1 publishers offer the same QoS, so this is never needed.
             Self::Ros1(_) => Ok(()),
             Self::Ros2(reader) => Ok(reader.again()?),
         }
     }
 
-    /// Of the topic's type, if its publishers tell.
+    /// Returns the definition of the topic's type, if its publishers announce it.
     pub fn definition(&self) -> Option<&str> {
         match self {
             Self::Ros1(reader) => reader.definition(),
@@ -180,14 +180,14 @@ impl Reader<'_> {
 }
 
 impl Writer {
-    /// Its publisher has left: another one may take its place before it is dropped.
+    /// Records that its publisher has left: another one may reuse it before it is dropped.
     pub fn vacate(&self) {
         if let Self::Ros1(writer) = self {
             writer.vacate();
         }
     }
 
-    /// Whether a subscriber has found it, or had.
+    /// Whether a subscriber has matched the writer since the last call, or is connected.
     pub fn is_matched(&self) -> bool {
         match self {
             Self::Ros1(writer) => writer.is_matched(),
@@ -195,7 +195,7 @@ impl Writer {
         }
     }
 
-    /// Writes one message as of `timestamp_ns` (nanoseconds since 1970).
+    /// Writes one message with its source timestamp `timestamp_ns` in Unix nanoseconds.
     pub async fn write(&mut self, bytes: Bytes, timestamp_ns: u64) -> Result<(), WriteError> {
         match self {
             Self::Ros1(writer) => writer.write(bytes),

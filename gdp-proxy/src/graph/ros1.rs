@@ -21,11 +21,11 @@ use crate::peer_proxies::{self, PeerProxies, Voice};
 use crate::ros2::TopicName;
 use gdp_ros::roster::{Dialect, Kind, Offer};
 
-/// What a publisher of ROS 1 comes to: it waits for nobody, and its subscribers take a queue full.
+/// The offer of a ROS 1 publisher: it waits for no subscriber, and its subscribers queue messages.
 const OFFER: Offer =
     Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
 
-/// The proxy at a master.
+/// The proxy's nodes at one master.
 pub struct Master {
     node: Node,
     publishers: Publishers,
@@ -33,12 +33,12 @@ pub struct Master {
     presence: JoinHandle<()>,
 }
 
-/// What proxies at a master tell one another, as `std_msgs/String`.
+/// Topic of the proxies' announcements at a master, of type `std_msgs/String`.
 const PRESENCE: &str = "/gdp_proxy/carries";
 const STRING_MD5: &str = "992ce8a1687cec8c8bd883ec73ca41d1";
 
 impl Master {
-    /// As the ROS node `name`, without a slash in front. The master need not be there yet.
+    /// Joins as the ROS node `name`, without a leading slash. The master may start later.
     pub async fn join(config: &Ros1Config, name: &str) -> Result<Self, NodeError> {
         let variable = |variable: &str| match variable {
             "ROS_MASTER_URI" => Some(config.master.clone()),
@@ -60,7 +60,7 @@ impl Master {
         Ok(Self { node, publishers: Publishers::new(config), peer_proxies, presence })
     }
 
-    /// What other proxies at the master carry.
+    /// Returns the other proxies at the master and what they carry.
     pub fn peer_proxies(&self) -> &Arc<PeerProxies> {
         &self.peer_proxies
     }
@@ -97,11 +97,11 @@ impl Voice for Presence {
     }
 }
 
-/// Reads a topic.
+/// A reader of a topic.
 pub struct Ros1Reader {
     subscription: Subscription,
     sources: watch::Receiver<SourceStates>,
-    /// By their URIs.
+    /// The publishers by their URIs.
     known: BTreeMap<String, (Key, Arc<PublisherInfo>)>,
     next_key: Key,
     definition: Option<String>,
@@ -121,7 +121,7 @@ impl Ros1Reader {
         self.definition.as_deref()
     }
 
-    /// Safe to cancel. `None` once the node has left.
+    /// Waits for the next event. Returns `None` once the node has left. Safe to cancel.
     pub async fn next(&mut self) -> Option<Event> {
         loop {
             if let Some(event) = self.events.pop_front() {
@@ -141,14 +141,14 @@ impl Ros1Reader {
         if is_proxy(&message.publisher.caller_id) {
             return;
         }
-        // It may be here before its connection was told of.
+        // The message may arrive before its connection is announced.
         self.joined(&message.publisher);
         let from = self.known.get(&message.publisher.uri).map(|(key, _)| *key);
         self.events.push_back(Event::Message(Arrived { from, bytes: message.data, written_ns: None, lost: 0 }));
     }
 
     fn look(&mut self) {
-        // What has come is of those who were there.
+        // The queued messages come from the publishers that were connected.
         while let Some(Some(message)) = self.subscription.next().now_or_never() {
             self.take(message);
         }
@@ -190,13 +190,13 @@ impl Ros1Reader {
     }
 }
 
-/// Whether a node is this proxy, or another: what that publishes comes from the fabric, and whoever
-/// wants it there has it.
+/// Whether the node is this proxy or another one. Their messages come from the fabric, where other
+/// graphs can read them.
 pub fn is_proxy(caller_id: &str) -> bool {
     caller_id.strip_prefix('/').is_some_and(|name| name.starts_with(NODE))
 }
 
-/// Stands for a publisher elsewhere.
+/// A writer on behalf of a remote publisher.
 pub struct Ros1Writer(Arc<Publisher>);
 
 impl Ros1Writer {

@@ -15,12 +15,13 @@ use crate::ros2::{
 };
 use gdp_ros::roster::{Dialect, Kind, Offer};
 
-/// Reads a topic, of which it makes its readers as publishers appear. Those that latch have one of
-/// their own: it asks for what they keep, and others would not match that.
+/// A reader of a topic, which creates its DDS readers as publishers appear. Transient-local
+/// publishers have a reader of their own. It requests their history, and would not match volatile
+/// publishers.
 pub struct Ros2Reader<'a> {
     domain: &'a Domain,
     topic: TopicName,
-    /// Of the configuration, or of the first publisher.
+    /// The type, from the configuration or of the first publisher.
     kind: Option<TypeName>,
     qos: Option<Qos>,
     graph: watch::Receiver<Arc<Graph>>,
@@ -28,16 +29,16 @@ pub struct Ros2Reader<'a> {
     live: Option<Half>,
     latched: Option<Half>,
     events: VecDeque<Event>,
-    /// Messages of publishers that are not known yet: until when they wait, and whether the reader
-    /// of what is latched has them.
+    /// Messages of publishers that are not discovered yet. Each has the end of its wait, and
+    /// whether the transient-local reader received it.
     early: VecDeque<(Instant, bool, ros2::Arrived)>,
 }
 
 struct Known {
     kind: Kind,
     offers: Offer,
-    /// It is not there any more; when that is told. What it has written may come after what
-    /// discovery says.
+    /// The time at which the departure of the publisher is reported, after it has left. Its last
+    /// messages may arrive later than the news from discovery.
     left_at: Option<Instant>,
 }
 
@@ -46,15 +47,15 @@ struct Half {
     asks: Offer,
 }
 
-/// How long a message waits for its publisher to be discovered, how many may, and bytes of them.
+/// Bounds on messages whose publisher is not discovered yet: time of waiting, number and bytes.
 const EARLY: Duration = Duration::from_secs(3);
 const MAX_EARLY: usize = 256;
 const MAX_EARLY_BYTES: usize = 32 << 20;
 
-/// For how long messages of a publisher that has gone are still waited for.
+/// Time to wait for the last messages of a publisher that has left.
 const LATE: Duration = Duration::from_millis(200);
 
-/// Stands for a publisher elsewhere.
+/// A writer on behalf of a remote publisher.
 pub struct Ros2Writer(RawWriter);
 
 impl<'a> Ros2Reader<'a> {
@@ -75,7 +76,7 @@ impl<'a> Ros2Reader<'a> {
         }
     }
 
-    /// Safe to cancel.
+    /// Waits for the next event. Safe to cancel.
     pub async fn next(&mut self) -> Result<Event, RosError> {
         loop {
             if let Some(event) = self.events.pop_front() {
@@ -87,7 +88,7 @@ impl<'a> Ros2Reader<'a> {
                 biased;
                 changed = graph.changed() => {
                     if changed.is_err() {
-                        // Nobody discovers any more: the domain is being left.
+                        // Discovery has ended, because the proxy leaves the domain.
                         std::future::pending::<()>().await;
                     }
                     self.look()?;
@@ -114,14 +115,14 @@ impl<'a> Ros2Reader<'a> {
     fn take(&mut self, is_latched: bool, arrived: ros2::Arrived) {
         let key = Key::from_be_bytes(arrived.writer.to_bytes());
         let Some(Known { offers, .. }) = self.known.get(&key) else {
-            // Discovery looks only so often.
+            // Discovery updates the graph only periodically.
             self.early.push_back((Instant::now() + EARLY, is_latched, arrived));
             while self.early.len() > MAX_EARLY || self.early_bytes() > MAX_EARLY_BYTES {
                 self.drop_early();
             }
             return;
         };
-        // The other reader has it, too.
+        // The other reader receives it too.
         if self.qos.is_none() && offers.transient_local != is_latched {
             return;
         }
@@ -138,13 +139,13 @@ impl<'a> Ros2Reader<'a> {
         self.early.iter().map(|(_, _, arrived)| arrived.sample.bytes.len()).sum()
     }
 
-    /// The first message that waits is of nobody who publishes the topic in the graph: of another
-    /// proxy, which has it from the fabric.
+    /// Drops the first waiting message. No publisher in the graph wrote it, but another proxy,
+    /// which has it from the fabric.
     fn drop_early(&mut self) {
         self.early.pop_front();
     }
 
-    /// Compares what is discovered with what is known.
+    /// Compares the discovered publishers with the known ones.
     fn look(&mut self) -> Result<(), RosError> {
         let graph = self.graph.borrow_and_update().clone();
         let found = graph.topics.get(&self.topic).map_or(&[][..], |topic| &topic.publishers);
@@ -177,13 +178,13 @@ impl<'a> Ros2Reader<'a> {
         self.events.extend(left_at.map(|(key, _)| Event::Left(key)));
     }
 
-    /// What is latched is to be read once more.
+    /// Reads the transient-local history once more.
     pub fn again(&mut self) -> Result<(), RosError> {
         self.latched = None;
         self.ask()
     }
 
-    /// Makes the readers that the known publishers need.
+    /// Creates the readers that the known publishers need.
     fn ask(&mut self) -> Result<(), RosError> {
         if self.kind.is_none()
             && let Some(Known { kind, .. }) = self.known.values().next()
@@ -198,8 +199,9 @@ impl<'a> Ros2Reader<'a> {
             let depth = offers.iter().map(|offers| offers.depth).max()?;
             let half = if latches { &self.latched } else { &self.live };
             let before = half.as_ref().map(|half| half.asks);
-            // A reader that asks for more than somebody offers does not hear it. One that has asked
-            // for less goes on so: to make another loses what it has not been asked for yet.
+            // A reader does not match publishers that offer less than it requests. A best-effort
+            // reader stays best-effort, because a new reader would lose messages that were not yet
+            // retransmitted.
             let reliable = offers.iter().all(|offers| offers.reliable) && before.is_none_or(|before| before.reliable);
             let depth = before.map_or(depth, |before| before.depth);
             Some(Offer { reliable, transient_local: latches, depth, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 })
@@ -217,9 +219,9 @@ impl<'a> Ros2Reader<'a> {
     }
 }
 
-/// The policy in which a publisher offers less than is asked for.
+/// Returns the policy in which a publisher offers less than is requested.
 fn lacking(offers: &Offer, asked: &Offer) -> Option<&'static str> {
-    // Asked for no promise, any will do.
+    // A request without a duration accepts any offer.
     let breaks = |offered: u64, asked: u64| asked > 0 && (offered == 0 || offered > asked);
     let lacking = [
         ("reliability", asked.reliable && !offers.reliable),
@@ -239,8 +241,8 @@ pub fn misfit(domain: &Domain, topic: &TopicName, offers: &Offer) -> Option<&'st
     })
 }
 
-/// What discovery says of a publisher or a subscriber. It does not say how many messages it keeps:
-/// 10 as ROS 2 has it by default, or of what is latched the last one.
+/// Returns the type and the offer of a discovered endpoint. Discovery does not announce its history
+/// depth. So the depth is 10, the default of ROS 2, or 1 if it is transient local.
 fn described(publisher: &Endpoint) -> (Kind, Offer) {
     let Endpoint { kind, hash, qos, .. } = publisher;
     let DisplayedQos { reliability, durability, deadline, lifespan, liveliness_lease, .. } = *qos;

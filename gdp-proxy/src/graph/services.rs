@@ -1,4 +1,4 @@
-//! Services of a ROS graph, of either generation: local servers, calls of them, and servers on
+//! Services of a ROS graph, of either ROS version: local servers, calls to them, and servers on
 //! behalf of remote ones. Requests and responses are in the graph's own encoding.
 
 use std::time::Duration;
@@ -16,23 +16,23 @@ use crate::ros2::{self, ClientLife, RawSample, RequestId, ServicePeer, TopicName
 use gdp_ros::call::{Description, Failure, FailureCode};
 use gdp_ros::roster::{Dialect, Kind};
 
-/// For a ROS 1 server to say what it serves.
+/// Timeout for a ROS 1 server to announce its type.
 const PROBE: Duration = Duration::from_secs(5);
 
-/// For the endpoints of a ROS 2 server to match those that were made for it.
+/// Timeout for the endpoints of a ROS 2 server to match the proxy's client.
 const MATCHED: Duration = Duration::from_secs(5);
 
-/// Requests of ROS 1 that are answered at once; others wait at their connections.
+/// Bound on concurrent requests of a ROS 1 service. Further ones wait at their connections.
 const CONCURRENT: usize = 256;
 
-/// Sees the local servers of one service or action. Those of proxies are none: they stand for
-/// servers elsewhere.
+/// An observer of the local servers of one service or action. It ignores those of proxies, because
+/// they stand for remote servers.
 pub enum Servers {
     Ros1 { graph: gdp_ros1::Graph, service: String },
     Ros2 { graph: watch::Receiver<std::sync::Arc<ros2::Graph>>, name: TopicName, what: What },
 }
 
-/// One of them.
+/// A local server.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Peer {
     /// The node's name.
@@ -48,12 +48,12 @@ impl Servers {
         }
     }
 
-    /// Waits until there is one. Safe to cancel, as [`Self::until_left`].
+    /// Waits until there is a server. Safe to cancel, as [`Self::until_left`].
     pub async fn until_there(&mut self) -> Result<Peer, GraphError> {
         self.until(|peers| peers.first().cloned()).await
     }
 
-    /// Waits until this one is not there any more.
+    /// Waits until this server has left.
     pub async fn until_left(&mut self, peer: &Peer) -> Result<(), GraphError> {
         self.until(|peers| (!peers.contains(peer)).then_some(())).await
     }
@@ -90,14 +90,15 @@ fn is_proxy(node: &str) -> bool {
     node.strip_prefix('/').is_some_and(|name| name.starts_with(NODE))
 }
 
-/// Calls the local servers of a service.
+/// A client of the local servers of a service.
 pub enum Caller {
     Ros1 { client: gdp_ros1::ServiceClient, md5sum: String },
     Ros2(Box<ros2::Client>),
 }
 
 impl Caller {
-    /// Of a server, with what its graph calls its type. Waits until it may be called.
+    /// Creates a client of a server, and returns it with the graph's type of the service. Waits
+    /// until the server can be called.
     pub async fn new(graph: &Graph, name: &TopicName, peer: &Peer) -> Result<(Self, Kind), CallerError> {
         match (graph, peer) {
             (Graph::Ros1(master), Peer::Ros1(_)) => {
@@ -115,7 +116,7 @@ impl Caller {
         }
     }
 
-    /// Of several services of one server of ROS 2.
+    /// Creates clients of several services of one ROS 2 server.
     pub async fn several<const N: usize>(
         domain: &ros2::Domain,
         services: [(&TopicName, &TypeName); N],
@@ -129,12 +130,12 @@ impl Caller {
         callers.try_into().map_err(|_| GraphError::Left.into())
     }
 
-    /// After a call without an answer: whether nobody serves any more, as far as can be told. The
-    /// master of ROS 1 does not notice that a server dies; in ROS 2 the graph says so.
+    /// Whether no server exists any longer, after a call without an answer. A ROS 1 master does not
+    /// notice that a server dies. In ROS 2 the graph reports it, so this returns false.
     pub async fn has_lost_server(&self) -> bool {
         match self {
             Self::Ros1 { client, .. } => match client.probe(PROBE).await {
-                // A master that does not answer, or a server that is busy, says nothing of it.
+                // A master that does not answer or a busy server proves nothing.
                 Ok(_) | Err(CallError::Master(_) | CallError::Timeout { .. }) => false,
                 Err(_) => true,
             },
@@ -142,7 +143,7 @@ impl Caller {
         }
     }
 
-    /// Asks, and waits for as long as it takes.
+    /// Calls the server and waits for the answer without a timeout.
     pub async fn call(&self, request: Bytes) -> Result<Bytes, Failure> {
         match self {
             Self::Ros1 { client, md5sum } => {
@@ -165,12 +166,12 @@ impl Caller {
     }
 }
 
-/// Why a local server cannot be called.
+/// Reasons for which a local server cannot be called.
 #[derive(Debug, thiserror::Error)]
 pub enum CallerError {
     #[error(transparent)]
     Graph(#[from] GraphError),
-    /// It may be there later, and another one.
+    /// The error may pass, and another server may come.
     #[error(transparent)]
     Call(#[from] CallError),
     #[error(
@@ -179,26 +180,26 @@ pub enum CallerError {
     Unmatched,
 }
 
-/// A server that local clients see, as long as it lives.
+/// A server in the local graph, which exists until it is dropped.
 pub enum Stand {
     Ros1 { requests: Mutex<mpsc::Receiver<Asked>>, _server: ServiceServer },
     Ros2(Box<ros2::Server>),
 }
 
-/// What a local client asks.
+/// A request of a local client.
 pub struct Asked {
     pub request: Bytes,
     pub asker: Asker,
 }
 
-/// Who waits for the response.
+/// The client that waits for the response.
 pub enum Asker {
     Ros1(oneshot::Sender<Result<Bytes, String>>),
     Ros2(RequestId, ClientLife),
 }
 
 impl Stand {
-    /// Of a service as this graph has it.
+    /// Creates a server of a service with the graph's type.
     pub fn new(graph: &Graph, name: &TopicName, here: &Description) -> Result<Self, GraphError> {
         match graph {
             Graph::Ros1(master) => {
@@ -223,7 +224,7 @@ impl Stand {
         }
     }
 
-    /// The next request; `Err` says of what cannot be understood why not. Safe to cancel.
+    /// Waits for the next request. An `Err` explains why a request is invalid. Safe to cancel.
     pub async fn next(&self) -> Result<Asked, String> {
         match self {
             Self::Ros1 { requests, .. } => match requests.lock().await.recv().await {
@@ -238,7 +239,7 @@ impl Stand {
         }
     }
 
-    /// Responds.
+    /// Sends the response to the client.
     pub async fn answer(&self, asker: Asker, response: Bytes) -> Result<(), String> {
         match (self, asker) {
             (Self::Ros2(server), Asker::Ros2(id, client)) => {
@@ -246,7 +247,7 @@ impl Stand {
                 server.respond(&id, &client, sample).await.map_err(|error| error.to_string())
             }
             (_, Asker::Ros1(asker)) => {
-                // Whoever hung up meanwhile needs none.
+                // A client that hung up meanwhile needs no response.
                 _ = asker.send(Ok(response));
                 Ok(())
             }
@@ -254,8 +255,8 @@ impl Stand {
         }
     }
 
-    /// Waits until clients have their answers, for as long as that takes. Connections of ROS 1 stay
-    /// until they have them.
+    /// Waits without a timeout until clients have their answers. ROS 1 connections stay open until
+    /// then anyway.
     pub async fn settle(&self) {
         if let Self::Ros2(server) = self {
             server.settle().await;
@@ -264,14 +265,14 @@ impl Stand {
 }
 
 impl Asker {
-    /// There is no response. ROS 1 has a way to say so.
+    /// Refuses the request. Only ROS 1 can inform the client.
     pub fn refuse(self, why: String) {
         if let Self::Ros1(asker) = self {
             _ = asker.send(Err(why));
         }
     }
 
-    /// Returns when nobody waits any more, as far as the graph tells.
+    /// Waits until the client has gone, as far as the graph reports it.
     pub async fn hangs_up(&mut self) {
         match self {
             Self::Ros1(asker) => asker.closed().await,

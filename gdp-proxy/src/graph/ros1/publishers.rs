@@ -1,10 +1,10 @@
-//! Chooses the node that publishes a topic: the proxy's main node if it can, otherwise one that is
-//! made for it.
+//! Chooses the node that publishes a topic: the proxy's main node if it can, otherwise a node that
+//! is created for it.
 //!
-//! A node of ROS 1 publishes a topic once, and latches one message of it. So counterparts that
-//! latch nothing share one publisher, and each that latches has one of its own. The first of these
-//! is at the main node: clients of actionlib take a server for connected only if the node that
-//! latches `status` is the one that subscribes to `goal` and `cancel`.
+//! A ROS 1 node publishes a topic once and latches one message of it. So all writers that do not
+//! latch share one publisher, and each latching writer has one of its own. The first latching one
+//! is at the main node. The reason is actionlib: its clients require that the node that latches
+//! `status` also subscribes to `goal` and `cancel`.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -21,40 +21,40 @@ use crate::graph::event::{GraphError, WriteError};
 pub struct Publishers {
     config: NodeConfig,
     topics: Mutex<HashMap<String, PublishedTopic>>,
-    /// How many nodes were made for one publisher.
+    /// Number of nodes that were created for one publisher each.
     made: AtomicU32,
-    /// Those of them that take leave of the master.
+    /// Such nodes that are unregistering from the master.
     leaving: Leaving,
 }
 
-/// Nodes that take leave.
+/// Nodes that are unregistering from the master.
 type Leaving = Arc<Mutex<JoinSet<()>>>;
 
 #[derive(Default)]
 struct PublishedTopic {
     at_main: Weak<Publisher>,
-    /// What counterparts that latch nothing share.
+    /// The publisher that all writers without latching share.
     unlatched: Weak<Publisher>,
 }
 
-/// Publishes one topic at one node, as long as somebody has it.
+/// A publisher of one topic at one node, shared by its writers.
 pub struct Publisher {
     kind: MessageType,
     latches: bool,
-    /// Its counterpart has left, and only lets its last messages arrive.
+    /// True if its writer was dropped by its remote publisher and only delivers its last messages.
     is_vacant: AtomicBool,
     publisher: gdp_ros1::Publisher,
-    /// If it is not the main node.
+    /// The node that was created for it; `None` at the main node.
     own_node: Option<(Node, Leaving)>,
 }
 
 impl Publishers {
-    /// `config`: of the main node, after which the others are called.
+    /// `config` is that of the main node, from which the other nodes derive their names.
     pub fn new(config: NodeConfig) -> Self {
         Self { config, topics: Mutex::default(), made: AtomicU32::new(0), leaving: Leaving::default() }
     }
 
-    /// A publisher for one more counterpart; `main` is the proxy's node.
+    /// Returns a publisher for one more writer. `main` is the proxy's main node.
     pub async fn publish(
         &self,
         main: &Node,
@@ -77,7 +77,7 @@ impl Publishers {
         Ok(publisher)
     }
 
-    /// `None` if it takes a node of its own.
+    /// Returns `None` if the writer needs a node of its own.
     fn share_or_publish_at(
         &self,
         main: &Node,
@@ -106,7 +106,7 @@ impl Publishers {
         Ok(Some(publisher))
     }
 
-    /// Waits for the nodes that take leave of the master.
+    /// Waits for the nodes that are unregistering from the master.
     pub async fn leave(&self) {
         let mut leaving = std::mem::take(&mut *self.leaving.lock());
         while leaving.join_next().await.is_some() {}
@@ -131,8 +131,8 @@ impl Publisher {
         (&self.kind.name, &self.kind.md5sum) == (&kind.name, &kind.md5sum)
     }
 
-    /// Whether it is from now on that of another counterpart, because the one that it was for has
-    /// left.
+    /// Takes the publisher over for another writer, if the one before has left. Returns whether it
+    /// did.
     fn take_over(&self) -> bool {
         let is_vacant = self.latches && self.is_vacant.swap(false, Ordering::Relaxed);
         if is_vacant {
@@ -141,8 +141,8 @@ impl Publisher {
         is_vacant
     }
 
-    /// Its counterpart has left: the next one may have its place before its last messages have
-    /// arrived.
+    /// Records that the writer's remote publisher has left. The next writer may take over before
+    /// the last messages are delivered.
     pub fn vacate(&self) {
         self.is_vacant.store(true, Ordering::Relaxed);
     }
@@ -152,7 +152,7 @@ impl Publisher {
         !self.publisher.subscribers().is_empty()
     }
 
-    /// Hands a message to all subscribers.
+    /// Sends a message to all subscribers.
     pub fn write(&self, bytes: Bytes) -> Result<(), WriteError> {
         self.publisher.publish(bytes).map_err(|error| WriteError::Failed(error.to_string()))
     }
