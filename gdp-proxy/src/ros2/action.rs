@@ -1,5 +1,5 @@
-//! Actions are no more than three services and two topics beneath `NAME/_action` (design.ros2.org,
-//! "Actions"): their names and types, and the QoS that rclcpp and rclpy give them.
+//! An action consists of three services and two topics beneath `NAME/_action` (design.ros2.org,
+//! "Actions"). This module has their names and types, and the QoS that rclcpp and rclpy use.
 
 use super::{Depth, Durability, Qos, Reliability, TopicName, TypeName};
 use gdp_ros::names::NameError;
@@ -15,7 +15,8 @@ pub struct Action {
 }
 
 impl Action {
-    /// `/fibonacci`, `example_interfaces/action/Fibonacci`. Fails if a name gets too long for DDS.
+    /// Returns the parts of an action, such as `/fibonacci` of type
+    /// `example_interfaces/action/Fibonacci`. Fails if a name is too long for DDS.
     pub fn new(name: &TopicName, kind: &TypeName) -> Result<Self, NameError> {
         let part = |rest: &str, kind| Ok((name.join(&format!("_action/{rest}"))?, kind));
         Ok(Self {
@@ -27,23 +28,24 @@ impl Action {
         })
     }
 
-    /// Of the feedback topic: an observer that comes late has missed what was before.
+    /// Returns the QoS of the feedback topic. A late subscriber does not receive earlier feedback.
     pub fn feedback_qos() -> Qos {
         Qos::default()
     }
 
-    /// Of the status topic: a late observer learns of the goals that are there.
+    /// Returns the QoS of the status topic. A late subscriber receives the state of the present
+    /// goals.
     pub fn status_qos() -> Qos {
         Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: Depth::ONE }
     }
 
-    /// Which action a name beneath `_action` belongs to, and as what: `/fibonacci`, `send_goal`.
+    /// Returns the action of a name beneath `_action`, and its part: `/fibonacci`, `send_goal`.
     pub(super) fn part_of(name: &TopicName) -> Option<(TopicName, &str)> {
         let (action, part) = name.as_str().rsplit_once("/_action/")?;
         Some((TopicName::parse(action).ok()?, part))
     }
 
-    /// The action's type, from that of its service `send_goal`.
+    /// Returns the action's type from the type of its service `send_goal`.
     pub(super) fn kind_of(send_goal: &TypeName) -> Option<TypeName> {
         send_goal.without(SEND_GOAL)
     }

@@ -16,28 +16,28 @@ use tokio::sync::watch;
 use super::TypeName;
 use super::graph::{Graph, Seen};
 
-/// How long news are gathered before the graph is made anew: a node that comes brings a dozen
+/// Time for which events are gathered before the graph is built again. A new node announces a dozen
 /// endpoints.
 const GATHER: Duration = Duration::from_millis(20);
 
-/// How often the graph is made without news: the queue of events is short, and one may have found
-/// it full.
+/// Period in which the graph is built without events. The queue of events is short, and may have
+/// been full.
 const LOOK: Duration = Duration::from_secs(1);
 
 #[derive(Default)]
 pub(super) struct Discovery {
-    /// The DDS types of the DDS topics that the proxy has endpoints for; these hold them.
+    /// The DDS types of the DDS topics for which the proxy has endpoints. The endpoints hold them.
     expected: Mutex<HashMap<String, Weak<str>>>,
     graph: watch::Sender<Arc<Graph>>,
     writers: watch::Sender<Arc<Writers>>,
 }
 
-/// All that others have.
+/// The writers of all other participants.
 pub(super) type Writers = HashSet<GUID>;
 
 impl Discovery {
-    /// Remembers which type a topic ought to have, so that it can be said when somebody's differs:
-    /// as long as what is returned is held.
+    /// Registers the expected type of a topic, so that different types of others are logged. The
+    /// registration ends when the returned value is dropped.
     pub fn expect(&self, dds_topic: &str, kind: &TypeName) -> Arc<str> {
         let mut expected = self.expected.lock();
         expected.retain(|_, kind| kind.strong_count() > 0);
@@ -56,8 +56,8 @@ impl Discovery {
         self.writers.subscribe()
     }
 
-    /// Follows what is discovered, for as long as the participant lives. A participant has one
-    /// queue of events: whoever else read it would take some of them away.
+    /// Follows discovery for as long as the participant exists. A participant has one queue of
+    /// events, so nobody else may read it.
     pub async fn watch(self: Arc<Self>, participant: DomainParticipant) {
         let listener = participant.status_listener();
         let mut events = listener.as_async_status_stream();
@@ -116,7 +116,7 @@ impl Discovery {
         }
     }
 
-    /// DDS does not match endpoints whose types differ, and says nothing.
+    /// Logs an endpoint of another type. DDS does not match it, and reports nothing.
     fn compare(&self, whose: &str, endpoint: &EndpointDescription) {
         let expected = self.expected.lock();
         let kind = expected.get(&endpoint.topic_name).and_then(Weak::upgrade);
@@ -130,7 +130,7 @@ impl Discovery {
     }
 }
 
-/// Tells only what is news.
+/// Publishes the value only if it has changed.
 fn replace<T: PartialEq>(shown: &watch::Sender<Arc<T>>, now: T) {
     shown.send_if_modified(|before| {
         let is_news = **before != now;
@@ -141,7 +141,7 @@ fn replace<T: PartialEq>(shown: &watch::Sender<Arc<T>>, now: T) {
     });
 }
 
-/// Not one of ours, and not one of those that discovery itself uses.
+/// Whether the endpoint is another participant's, and not one of discovery itself.
 fn is_application(participant: &DomainParticipant, endpoint: GUID) -> bool {
     endpoint.prefix != participant.guid().prefix && endpoint.entity_id.kind().is_user_defined()
 }

@@ -1,4 +1,4 @@
-//! The highest DDS domain whose ports exist.
+//! The highest DDS domain ID whose ports exist.
 
-/// The largest domain id whose ports (7400 + 250 · id and up) exist.
+/// The highest DDS domain ID whose ports (7400 + 250 · ID and up) exist.
 pub const MAX_DOMAIN_ID: u16 = 232;

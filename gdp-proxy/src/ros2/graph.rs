@@ -1,8 +1,8 @@
-//! The graph of a DDS domain in the words of ROS: publishers, subscribers, servers and clients,
-//! from discovery.
+//! The ROS graph of a DDS domain, built from discovery: publishers, subscribers, servers and
+//! clients.
 //!
-//! A [`Graph`] is made anew from the participant's tables whenever something changes, so nothing
-//! can be missed or kept too long. The proxy's own endpoints are not in it.
+//! A [`Graph`] is built anew from the participant's tables whenever something changes, so it is
+//! never incomplete or stale. It does not contain the proxy's own endpoints.
 
 use std::collections::{BTreeMap, HashSet};
 use std::time::Duration;
@@ -12,16 +12,16 @@ use rustdds::{GUID, QosPolicies, policy};
 use super::names::Part;
 use super::{Action, Durability, Mapping, Reliability, TopicName, TypeName};
 
-/// The DDS topic that proxies announce a writer of. What they publish comes from the fabric, and
-/// whoever wants it there has it: they are in no graph.
+/// The DDS topic on which proxies announce themselves. Their endpoints are in no graph, because
+/// what they publish comes from the fabric, where others can read it.
 pub(super) const PROXY_TOPIC: &str = "gdp_proxy";
 
-/// All that is announced, by name.
+/// All announced topics, services and actions, by name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Graph {
-    /// Without those of actions.
+    /// Topics, without those of actions.
     pub topics: BTreeMap<TopicName, TopicInfo>,
-    /// Without those of actions.
+    /// Services, without those of actions.
     pub services: BTreeMap<TopicName, ServiceInfo>,
     pub actions: BTreeMap<TopicName, ActionInfo>,
 }
@@ -32,27 +32,27 @@ pub struct TopicInfo {
     pub subscribers: Vec<Endpoint>,
 }
 
-/// A publisher or a subscription.
+/// A publisher or a subscriber.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Endpoint {
-    /// The GUID of RTPS: 12 bytes of the participant, 4 of the endpoint.
+    /// The RTPS GUID: 12 bytes of the participant, 4 bytes of the endpoint.
     pub id: [u8; 16],
     pub kind: TypeName,
-    /// If its middleware announces it (Iron and later).
+    /// The hash of the type, if the middleware announces it (Iron and later).
     pub hash: Option<TypeHash>,
     pub qos: DisplayedQos,
 }
 
-/// What discovery shows of an endpoint's QoS; history and depth stay with it.
+/// The QoS of an endpoint as discovery announces it, without history and depth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DisplayedQos {
     pub reliability: Reliability,
     pub durability: Durability,
-    /// `None`: without end, as for the two below.
+    /// `None` means infinite, also for the two below.
     pub deadline: Option<Duration>,
     pub lifespan: Option<Duration>,
     pub liveliness_lease: Option<Duration>,
-    /// The endpoint says itself that it is alive, by topic.
+    /// True if the endpoint itself asserts its liveliness, by topic.
     pub manual_liveliness: bool,
 }
 
@@ -62,22 +62,23 @@ pub struct ServiceInfo {
     pub clients: Vec<ServicePeer>,
 }
 
-/// A participant that serves or calls: both of the service's DDS topics have an endpoint of it.
+/// A participant that serves or calls a service: it has an endpoint on both DDS topics of the
+/// service.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ServicePeer {
-    /// The endpoint of the requests.
+    /// GUID of the endpoint of the requests.
     pub id: [u8; 16],
-    /// `example_interfaces/srv/AddTwoInts`.
+    /// The type, such as `example_interfaces/srv/AddTwoInts`.
     pub kind: TypeName,
     pub mapping: Mapping,
 }
 
-/// An action is there as far as its service `send_goal` is.
+/// The servers and clients of an action, which are those of its service `send_goal`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActionInfo {
-    /// `example_interfaces/action/Fibonacci`.
+    /// The type, such as `example_interfaces/action/Fibonacci`.
     pub kind: TypeName,
-    /// Their `kind` is the action's.
+    /// The servers, with the action's type as their `kind`.
     pub servers: Vec<ServicePeer>,
     pub clients: Vec<ServicePeer>,
 }
@@ -91,8 +92,8 @@ impl TypeHash {
         &self.0
     }
 
-    /// From an endpoint's user data, `key=value;` again and again; RustDDS leaves the length of
-    /// four bytes before it.
+    /// Reads the hash from an endpoint's user data, a sequence of `key=value;`. RustDDS leaves the
+    /// length of four bytes in front of it.
     fn from_user_data(user_data: &[u8]) -> Option<Self> {
         let text = String::from_utf8_lossy(user_data.get(4..)?);
         let hash = text.split(';').find_map(|entry| entry.strip_prefix("typehash="))?;
@@ -102,7 +103,7 @@ impl TypeHash {
     }
 }
 
-/// An endpoint as discovery has it.
+/// An endpoint as discovery announces it.
 pub(super) struct Seen {
     pub guid: GUID,
     pub writes: bool,
@@ -122,13 +123,13 @@ struct Pair {
 impl Graph {
     pub(super) fn new(seen: impl Iterator<Item = Seen>) -> Self {
         let mut graph = Self::default();
-        // By service, by participant, by whether it serves.
+        // The key is the service, the participant, and whether it serves.
         let mut pairs: BTreeMap<(TopicName, [u8; 12], bool), Pair> = BTreeMap::new();
         let seen: Vec<Seen> = seen.collect();
         let is_proxy = |seen: &&Seen| seen.writes && seen.topic == PROXY_TOPIC;
         let proxies: HashSet<[u8; 12]> = seen.iter().filter(is_proxy).map(|seen| participant(seen.guid)).collect();
         for seen in seen.into_iter().filter(|seen| !proxies.contains(&participant(seen.guid))) {
-            // Whatever is not ROS's is not for the proxy.
+            // Topics and types that are not of ROS are ignored.
             let Some((part, name)) = TopicName::from_dds(&seen.topic) else { continue };
             let Ok(kind) = TypeName::from_dds(&seen.kind) else { continue };
             let key = |serves| (name.clone(), participant(seen.guid), serves);
@@ -183,7 +184,8 @@ impl Graph {
 }
 
 impl DisplayedQos {
-    /// What is not announced has DDS's default, which differs between writers and readers.
+    /// Reads the announced QoS. Absent policies have DDS's default, which differs between writers
+    /// and readers.
     fn new(qos: &QosPolicies, of_writer: bool) -> Self {
         let reliability = match qos.reliability() {
             Some(policy::Reliability::Reliable { .. }) => Reliability::Reliable,
@@ -214,11 +216,11 @@ impl DisplayedQos {
     }
 }
 
-/// Anything from the network may be negative.
+/// Converts a duration, which is untrusted and may be negative.
 fn finite(duration: rustdds::Duration) -> Option<Duration> {
     let ns = duration.to_nanoseconds();
-    // Vendors differ in what they call infinite by a fraction of a second; 68 years is the last
-    // second that fits.
+    // Vendors' values of infinite differ by a fraction of a second. 68 years is the largest
+    // representable second.
     let infinite = duration >= rustdds::Duration::from_secs(i32::MAX);
     u64::try_from(ns).ok().filter(|_| !infinite).map(Duration::from_nanos)
 }

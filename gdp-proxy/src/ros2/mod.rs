@@ -1,9 +1,9 @@
-//! The ROS 2 half of the proxy: a participant in a DDS domain, and readers and writers of topics of
-//! any type in it.
+//! The ROS 2 half of the proxy: a participant in a DDS domain, with readers and writers of topics
+//! of any type.
 //!
-//! The node, which is how ROS tools see the proxy, is ros2-client's; readers and writers of types
-//! unknown at compile time are made on the RustDDS participant beneath it. Nothing here knows of
-//! the fabric; `route` joins the two.
+//! ros2-client provides the node that ROS tools see. Readers and writers of types that are unknown
+//! at compile time are created on the RustDDS participant beneath it. This module does not use the
+//! fabric; `route` connects the two.
 
 mod action;
 mod discovery;
@@ -43,21 +43,21 @@ use graph::PROXY_TOPIC;
 use crate::peer_proxies::{self, PeerProxies};
 use presence::Presence;
 
-/// The proxy's presence in a DDS domain, until it [leaves](Domain::leave).
+/// The proxy's participant in a DDS domain, until it [leaves](Domain::leave).
 pub struct Domain {
     participant: DomainParticipant,
     publisher: rustdds::Publisher,
     subscriber: rustdds::Subscriber,
     discovery: Arc<Discovery>,
-    /// Announces the proxy to ROS tools (`ros2 node list`) as long as it lives.
+    /// Announces the proxy to ROS tools (`ros2 node list`) until it is dropped.
     node: Node,
     watch: JoinHandle<()>,
-    /// What the other proxies carry, and what tells them that this is one.
+    /// The claims of the other proxies; `presence` announces this proxy to them.
     peer_proxies: Arc<PeerProxies>,
     presence: Option<JoinHandle<()>>,
 }
 
-/// What DDS refused to make.
+/// Errors of DDS and of the environment.
 #[derive(Debug, thiserror::Error)]
 pub enum RosError {
     #[error(
@@ -77,8 +77,8 @@ pub enum RosError {
 }
 
 impl Domain {
-    /// Joins a domain, at most [`MAX_DOMAIN_ID`], as the ROS node `node` in the root namespace, as
-    /// far as the environment says. Needs a tokio runtime.
+    /// Joins a domain, at most [`MAX_DOMAIN_ID`], as the ROS node `node` in the root namespace. The
+    /// environment sets the range of discovery. Needs a tokio runtime.
     pub fn join(domain: u16, node: &str) -> Result<Self, RosError> {
         Self::join_within(Range::from_variables(|variable| std::env::var(variable).ok())?, domain, node)
     }
@@ -87,7 +87,8 @@ impl Domain {
         let refused = |source| RosError::Join { domain, source };
         let builder = DomainParticipantBuilder::new(domain);
         let builder = match range {
-            // It tells others of no other address, and asks by no other interface.
+            // The participant announces no other address, and sends multicast on no other
+            // interface.
             Range::Localhost => builder.with_only_networks([Ipv4Addr::LOCALHOST]),
             Range::Subnet => builder,
         };
@@ -102,7 +103,8 @@ impl Domain {
         Ok(Self { participant, publisher, subscriber, discovery, node, watch, peer_proxies, presence: None })
     }
 
-    /// The same, and tells other proxies that this is one: they take nothing from it.
+    /// Joins as [`Self::join`], and announces to other proxies that this is one: they ignore its
+    /// endpoints.
     pub fn join_as_proxy(domain: u16, node: &str) -> Result<Self, RosError> {
         let mut joined = Self::join(domain, node)?;
         let (topic, kind) = (TopicName::parse("/gdp_proxy")?, TypeName::parse("gdp_proxy/msg/Presence")?);
@@ -113,12 +115,12 @@ impl Domain {
         Ok(joined)
     }
 
-    /// What other proxies in the domain carry.
+    /// Returns the other proxies in the domain and what they carry.
     pub fn peer_proxies(&self) -> &Arc<PeerProxies> {
         &self.peer_proxies
     }
 
-    /// What the others in the domain publish, subscribe to, serve and call, and every change of it.
+    /// Returns what others in the domain publish, subscribe to, serve and call, with every change.
     pub fn graph(&self) -> watch::Receiver<Arc<Graph>> {
         self.discovery.graph()
     }
@@ -131,7 +133,7 @@ impl Domain {
         self.raw_writer(topic, &topic.to_dds(), kind, offers)
     }
 
-    /// A reader of a DDS topic that belongs to `name`.
+    /// Creates a reader of the DDS topic of `name`.
     fn raw_reader(&self, name: &TopicName, dds: &str, kind: &TypeName, offers: &Offer) -> Result<RawReader, RosError> {
         let refused = |source| RosError::Endpoint { what: "reader", topic: name.clone(), source };
         let policies = qos::reader(offers);
@@ -146,17 +148,17 @@ impl Domain {
         RawWriter::new(&self.publisher, &topic, kind, policies).map_err(refused)
     }
 
-    /// With its type, for its endpoint to hold.
+    /// Creates a DDS topic, and registers its type until the endpoint drops it.
     fn topic(&self, dds: &str, kind: &TypeName, qos: &QosPolicies) -> Result<(rustdds::Topic, Arc<str>), CreateError> {
         let topic = self.participant.create_topic(dds.to_owned(), kind.to_dds(), qos, TopicKind::NoKey)?;
         Ok((topic, self.discovery.expect(dds, kind)))
     }
 
-    /// Says goodbye to the other participants, so that they do not wait for a lease to end. Readers
-    /// and writers of the domain are of no use afterwards.
+    /// Announces the departure to the other participants, so that they do not wait for a lease to
+    /// expire. Readers and writers of the domain do not work afterwards.
     pub async fn leave(self) {
-        // The task holds the participant as well; RustDDS leaves when the last owner does, and
-        // joins its threads then.
+        // The tasks own the participant as well. RustDDS leaves when the last owner drops it, and
+        // then joins its threads.
         for task in self.presence.into_iter().chain([self.watch]) {
             task.abort();
             let _ = task.await;
@@ -166,9 +168,9 @@ impl Domain {
     }
 }
 
-/// Tells ROS tools of the proxy. A node of ros2-client also has a spinner, which must not run here:
-/// it would take the participant's events away from [`Discovery`], and offer the node's parameters
-/// to everybody in the domain.
+/// Announces the proxy's node to ROS tools. The node's spinner of ros2-client must not run. It
+/// would take the participant's events from [`Discovery`], and offer the node's parameters to the
+/// whole domain.
 fn announce(participant: &DomainParticipant, node: &str) -> Result<Node, RosError> {
     let refused = |reason: String| RosError::Node { node: node.to_owned(), reason };
     let name = NodeName::new("/", node).map_err(|error| refused(error.to_string()))?;

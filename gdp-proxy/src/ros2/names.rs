@@ -1,8 +1,7 @@
 //! Maps names of topics and types between ROS 2 and DDS (design.ros2.org, "Topic and Service name
 //! mapping to DDS").
 //!
-//! Both kinds of text come from a user's file or from the network. What [`gdp_ros::names`] refuses
-//! does not get past here.
+//! The texts come from a user's file or from the network. [`gdp_ros::names`] checks all of them.
 
 use std::fmt;
 
@@ -23,18 +22,18 @@ impl TopicName {
         names::check_topic(text).map(|()| Self(text.to_owned()))
     }
 
-    /// The DDS topic: `rt/chatter`.
+    /// Returns the DDS topic: `rt/chatter`.
     pub fn to_dds(&self) -> String {
         format!("rt{}", self.0)
     }
 
-    /// The DDS topics of the service of this name: requests (`rq/add_two_intsRequest`) and replies
-    /// (`rr/add_two_intsReply`).
+    /// Returns the DDS topics of the service of this name: requests (`rq/add_two_intsRequest`) and
+    /// replies (`rr/add_two_intsReply`).
     pub fn to_dds_service(&self) -> [String; 2] {
         [format!("rq{}Request", self.0), format!("rr{}Reply", self.0)]
     }
 
-    /// What a DDS topic is to ROS, if ROS 2 made it.
+    /// Returns the ROS name of a DDS topic and what the topic carries, if ROS 2 created it.
     pub fn from_dds(dds: &str) -> Option<(Part, Self)> {
         let (part, name) = match dds.split_at_checked(2)? {
             ("rt", name) => (Part::Topic, name),
@@ -45,7 +44,7 @@ impl TopicName {
         Some((part, Self::parse(name).ok()?))
     }
 
-    /// A name beneath this one: `/fibonacci` and `_action/status`.
+    /// Returns a name beneath this one, such as `/fibonacci` with `_action/status`.
     pub(super) fn join(&self, rest: &str) -> Result<Self, NameError> {
         Self::parse(&format!("{}/{rest}", self.0))
     }
@@ -55,11 +54,11 @@ impl TopicName {
     }
 }
 
-/// What a DDS topic carries.
+/// The kind of messages on a DDS topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
     Topic,
-    /// Of a service, of the same name.
+    /// Requests of the service with this name.
     Requests,
     Replies,
 }
@@ -69,7 +68,7 @@ impl TypeName {
         names::check_type(text).map(|_| Self(text.to_owned()))
     }
 
-    /// The type behind a DDS type name, if ROS 2 made it: `std_msgs::msg::dds_::String_`.
+    /// Returns the type of a DDS type name, if ROS 2 created it: `std_msgs::msg::dds_::String_`.
     pub fn from_dds(dds: &str) -> Result<Self, NameError> {
         let refusal = || NameError::of_type(dds);
         match dds.split("::").collect::<Vec<_>>()[..] {
@@ -81,23 +80,23 @@ impl TypeName {
         }
     }
 
-    /// The types of a service's requests and replies: of `example_interfaces/srv/AddTwoInts`,
-    /// `…_Request` and `…_Response`.
+    /// Returns the types of a service's requests and replies. For
+    /// `example_interfaces/srv/AddTwoInts` they are `…_Request` and `…_Response`.
     pub fn of_service(&self) -> [Self; 2] {
         [Self(format!("{}_Request", self.0)), Self(format!("{}_Response", self.0))]
     }
 
-    /// This type without an ending that ROS gives to generated ones.
+    /// Returns this type without a suffix that ROS gives to generated types.
     pub(super) fn without(&self, ending: &str) -> Option<Self> {
         Self::parse(self.0.strip_suffix(ending)?).ok()
     }
 
-    /// This type with an ending.
+    /// Returns this type with a suffix.
     pub(super) fn with(&self, ending: &str) -> Self {
         Self(format!("{}{ending}", self.0))
     }
 
-    /// The DDS type name: `std_msgs::msg::dds_::String_`.
+    /// Returns the DDS type name: `std_msgs::msg::dds_::String_`.
     pub fn to_dds(&self) -> String {
         let mut parts = self.0.split('/');
         let mut part = || parts.next().unwrap_or_default();
@@ -108,7 +107,7 @@ impl TypeName {
         &self.0
     }
 
-    /// As ROS 1 calls a message type: `std_msgs/String`.
+    /// Returns the message type as ROS 1 writes it: `std_msgs/String`.
     pub fn to_ros1(&self) -> String {
         self.0.replacen("/msg/", "/", 1)
     }

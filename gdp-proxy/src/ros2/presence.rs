@@ -26,7 +26,7 @@ fn written(text: &str) -> RawSample {
     RawSample { representation: Representation::CdrLe, bytes: bytes.into() }
 }
 
-/// Nothing, if it is no string.
+/// Returns the text of a CDR string, or nothing if the sample is none.
 fn read(sample: &RawSample) -> Vec<u8> {
     let [_, _, _, _, a, b, c, d, text @ ..] = &sample.bytes[..] else { return vec![] };
     let length = u32::from_le_bytes([*a, *b, *c, *d]) as usize;

@@ -1,4 +1,4 @@
-//! Quality of service, from the configuration to DDS.
+//! Maps quality of service from the configuration to DDS.
 
 use rustdds::{QosPolicies, QosPolicyBuilder, policy};
 use schemars::JsonSchema;
@@ -6,27 +6,27 @@ use serde::Deserialize;
 
 use gdp_ros::roster::Offer;
 
-/// Messages that RustDDS keeps of a topic it reads, whatever their size. They are taken out at
-/// once, so few will do.
+/// Messages of a topic that RustDDS stores for a reader, whatever their size. The proxy reads them
+/// at once, so a few suffice.
 const READER_SAMPLES: u16 = 32;
 
-/// Messages a writer keeps for reliable readers that have not acknowledged them, if its depth is
-/// not greater. The next one replaces the oldest, so a reader that died takes nothing from the
+/// Messages that a writer stores for reliable readers until they are acknowledged, unless its depth
+/// is greater. The next message replaces the oldest, so a reader that died does not block the
 /// others.
 const WRITER_SAMPLES: u16 = 256;
 
-/// How long a write may wait for the sockets of this host.
+/// Bound on the time that a write waits for the sockets of this host.
 const MAX_BLOCKING: rustdds::Duration = rustdds::Duration::from_millis(20);
 
-/// What a ROS 2 node states for a publisher or subscription. The default is ROS 2's own: reliable,
-/// volatile, depth 10.
+/// QoS of a ROS 2 publisher or subscription. The default is that of ROS 2: reliable, volatile,
+/// depth 10.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Qos {
     pub reliability: Reliability,
     pub durability: Durability,
-    /// Keep-last history depth, in messages; also what may wait for the fabric before messages are
-    /// dropped. At least 1.
+    /// Keep-last history depth in messages, at least 1. It also bounds the messages that wait for
+    /// the fabric before some are dropped.
     pub depth: Depth,
 }
 
@@ -46,7 +46,7 @@ pub enum Durability {
     TransientLocal,
 }
 
-/// A history depth from 1 to [`Depth::MAX`].
+/// A history depth in messages, from 1 to 10000.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(try_from = "u64")]
 pub struct Depth(u16);
@@ -91,12 +91,12 @@ impl From<Qos> for Offer {
     }
 }
 
-/// For a DDS reader that takes what publishers of this offer and of lesser ones send.
+/// Returns the QoS of a DDS reader that matches publishers with at least this offer.
 pub(super) fn reader(offers: &Offer) -> QosPolicies {
     builder(offers, READER_SAMPLES).build()
 }
 
-/// For a DDS writer that offers this.
+/// Returns the QoS of a DDS writer with this offer.
 pub(super) fn writer(offers: &Offer) -> QosPolicies {
     let duration = |ns: u64| rustdds::Duration::from_nanos(i64::try_from(ns).unwrap_or(i64::MAX));
     let mut builder = builder(offers, WRITER_SAMPLES);
@@ -113,8 +113,8 @@ pub(super) fn writer(offers: &Offer) -> QosPolicies {
     builder.build()
 }
 
-/// Resource limits are stated although ROS 2 states none: RustDDS would otherwise keep up to 8192
-/// messages that a reliable reader has not acknowledged.
+/// Builds the common policies. ROS 2 sets no resource limits, but RustDDS would then store up to
+/// 8192 messages that a reliable reader has not acknowledged.
 fn builder(offers: &Offer, samples: u16) -> QosPolicyBuilder {
     let reliability = match offers.reliable {
         true => policy::Reliability::Reliable { max_blocking_time: MAX_BLOCKING },

@@ -1,15 +1,15 @@
 //! The range of ROS 2 discovery, from the environment.
 
-/// Where others are found.
+/// The range of discovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Range {
-    /// On this host.
+    /// Discovery is limited to this host.
     Localhost,
-    /// Where multicast goes.
+    /// Discovery reaches as far as multicast.
     Subnet,
 }
 
-/// What the environment says cannot be done.
+/// Errors of a configured range that the proxy does not support.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RangeError {
     #[error("ROS_AUTOMATIC_DISCOVERY_RANGE is {0:?}: write LOCALHOST, SUBNET or SYSTEM_DEFAULT")]
@@ -23,7 +23,7 @@ pub enum RangeError {
 }
 
 impl Range {
-    /// As `rcl` reads it: ROS_LOCALHOST_ONLY, where it is 1, goes before
+    /// Reads the environment as `rcl` does: ROS_LOCALHOST_ONLY=1 has precedence over
     /// ROS_AUTOMATIC_DISCOVERY_RANGE.
     pub fn from_variables(variable: impl Fn(&str) -> Option<String>) -> Result<Self, RangeError> {
         if variable("ROS_LOCALHOST_ONLY").as_deref() == Some("1") {

@@ -1,6 +1,6 @@
-//! Readers and writers of topics whose type is known by name only: a message is the bytes of its
-//! CDR encapsulation, the four-byte header that says how it is encoded (RTPS 2.5 §10.2) and the
-//! encoded body, carried as they are.
+//! Readers and writers of topics whose type is known by name only. A message is its CDR
+//! encapsulation, carried unchanged: a four-byte header with the encoding (RTPS 2.5 §10.2), and the
+//! encoded body.
 
 use std::collections::HashMap;
 use std::convert::Infallible;
@@ -26,11 +26,11 @@ use tokio::task::coop::cooperative;
 /// Bytes of the encapsulation header: representation (2), options (2).
 pub const ENCAPSULATION: usize = 4;
 
-/// How long a write may take, whatever RustDDS makes of the maximum blocking time: its own deadline
-/// is only looked at when something else wakes the write.
+/// Timeout of a write. RustDDS checks its own maximum blocking time only when something else wakes
+/// the write.
 const WRITE_DEADLINE: Duration = Duration::from_millis(100);
 
-/// One message as it was on the wire.
+/// One message in its wire format.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawSample {
     pub representation: Representation,
@@ -38,23 +38,23 @@ pub struct RawSample {
     pub bytes: Bytes,
 }
 
-/// A message as it came from DDS.
+/// A message that DDS delivered.
 pub struct Arrived {
     pub writer: GUID,
     pub sample: RawSample,
-    /// When its writer wrote it, on the writer's clock, in nanoseconds since 1970.
+    /// Time of the write on the writer's clock, in Unix nanoseconds.
     pub written_ns: Option<u64>,
-    /// How many messages of the same writer were lost just before this one: on the way here, or
-    /// because they came faster than they were taken.
+    /// Number of messages of the same writer that were lost just before this one: in transit, or
+    /// because they came faster than they were read.
     pub lost: u64,
 }
 
-/// A message with what services need to tell whose it is.
+/// A message with the identity that services need.
 pub(super) struct SampleChange {
     pub sample: RawSample,
     pub writer: GUID,
     pub sequence: SequenceNumber,
-    /// What the message answers, by its writer's word.
+    /// The identity of the request that the message answers, as its writer announces it.
     pub related: Option<SampleIdentity>,
     written_ns: Option<u64>,
 }
@@ -76,8 +76,8 @@ impl Representation {
 }
 
 impl RawSample {
-    /// Reads what another proxy sent; `None` if the bytes are not a CDR encapsulation that DDS
-    /// could write.
+    /// Parses a message of another proxy. Returns `None` if the bytes are not a CDR encapsulation
+    /// that DDS could write.
     pub fn parse(bytes: Bytes) -> Option<Self> {
         let representation = match bytes.get(..ENCAPSULATION)? {
             [0, 0, ..] => Representation::CdrBe,
@@ -88,30 +88,29 @@ impl RawSample {
     }
 }
 
-/// A message arrived that this reader does not understand: not XCDR version 1. The text is for the
-/// log.
+/// A message that is not in XCDR version 1. The text is for the log.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct Unreadable(String);
 
-/// Reads a topic of any type. Messages that this participant itself wrote are not seen.
+/// A reader of a topic of any type. It ignores messages that this participant itself wrote.
 pub struct RawReader {
     reader: SimpleDataReader<RawSample, Adapter>,
     gaps: Mutex<Gaps>,
-    /// As long as it is held, discovery says who uses another.
+    /// Registers the expected type at discovery, so that different types of others are logged.
     _kind: Arc<str>,
 }
 
-/// Which message of each writer came last.
+/// The last sequence number of each writer.
 #[derive(Default)]
 struct Gaps(HashMap<GUID, SequenceNumber>);
 
-/// Writers whose gaps are counted. Beyond that all are forgotten, and the next gap of each is not
-/// seen.
+/// Bound on the writers whose gaps are counted. Beyond it all are forgotten, and the next gap of
+/// each is missed.
 const MAX_WRITERS: usize = 4096;
 
 impl Gaps {
-    /// The messages between this one and the last of the same writer.
+    /// Returns the number of messages between this one and the last of the same writer.
     fn before(&mut self, writer: GUID, sequence: SequenceNumber) -> u64 {
         if self.0.len() >= MAX_WRITERS && !self.0.contains_key(&writer) {
             self.0.clear();
@@ -124,7 +123,7 @@ impl Gaps {
 }
 
 impl RawReader {
-    /// `kind`: for discovery.
+    /// `kind` is registered at discovery.
     pub(super) fn new(
         subscriber: &rustdds::Subscriber,
         topic: &Topic,
@@ -139,7 +138,7 @@ impl RawReader {
         self.reader.guid()
     }
 
-    /// Waits until a writer of this participant is heard, which is told once.
+    /// Waits until a writer of this participant matches. Each match is reported once.
     pub(super) async fn until_matched(&self, of: Participant) {
         let mut events = self.reader.as_async_status_stream();
         while let Some(event) = events.next().await {
@@ -152,23 +151,23 @@ impl RawReader {
         std::future::pending().await
     }
 
-    /// The next message. Wakes when it arrives, without polling; may be cancelled without losing
-    /// one.
+    /// Waits for the next message, without polling. A cancelled call loses no message.
     pub async fn recv(&self) -> Result<Arrived, Unreadable> {
         let SampleChange { sample, writer, sequence, written_ns, .. } = self.change().await?;
         let lost = self.gaps.lock().before(writer, sequence);
         Ok(Arrived { writer, sample, written_ns, lost })
     }
 
-    /// As [`recv`](Self::recv), with the message's identity.
+    /// Waits for the next message as [`recv`](Self::recv), and returns it with its identity.
     pub(super) async fn change(&self) -> Result<SampleChange, Unreadable> {
-        // However much there is to read, others have their turn.
+        // Other tasks get their turn, however much there is to read.
         cooperative(poll_fn(|context| {
             if let Some(taken) = self.take() {
                 return Poll::Ready(taken);
             }
             self.reader.set_waker(Some(context.waker().clone()));
-            // What came between the look and the waker would wake nobody.
+            // A message that arrived between the read and the registration of the waker would wake
+            // nobody.
             self.take().map_or(Poll::Pending, Poll::Ready)
         }))
         .await
@@ -194,27 +193,26 @@ impl RawReader {
         }
     }
 
-    /// What this participant wrote came from the fabric: taking it back would send it around for
-    /// ever.
+    /// Whether this participant wrote the message. Such messages came from the fabric, and would
+    /// loop forever.
     fn is_own(&self, writer: GUID) -> bool {
         writer.prefix == self.reader.guid().prefix
     }
 }
 
-/// Writes a topic of any type.
+/// A writer of a topic of any type.
 pub struct RawWriter {
     little_endian: DataWriter<RawSample, Encoder<true>>,
-    /// A DDS writer has one encoding; this one is made when the first message from a big-endian
-    /// machine comes.
+    /// A DDS writer has one encoding. This writer is created with the first big-endian message.
     big_endian: Option<DataWriter<RawSample, Encoder<false>>>,
     publisher: Publisher,
     topic: Topic,
     qos: QosPolicies,
-    /// As long as it is held, discovery says who uses another.
+    /// Registers the expected type at discovery, so that different types of others are logged.
     _kind: Arc<str>,
 }
 
-/// Why a message was not written.
+/// Reasons for which a message was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
     #[error("the sockets of this host do not take messages as fast as they come")]
@@ -224,7 +222,7 @@ pub enum WriteError {
 }
 
 impl RawWriter {
-    /// `kind`: for discovery.
+    /// `kind` is registered at discovery.
     pub(super) fn new(
         publisher: &Publisher,
         topic: &Topic,
@@ -241,16 +239,16 @@ impl RawWriter {
         })
     }
 
-    /// Writes one message as of `timestamp_ns` (nanoseconds since 1970), which readers see as its
-    /// source timestamp. Waits a bounded time for the sockets of this host.
+    /// Writes one message with the source timestamp `timestamp_ns`, in Unix nanoseconds. It waits a
+    /// bounded time for the sockets of this host.
     pub async fn write(&mut self, sample: RawSample, timestamp_ns: u64) -> Result<(), WriteError> {
-        // A best-effort writer waits as well, rather than to throw away unseen what it has not sent
-        // yet.
+        // A best-effort writer waits as well. Otherwise it would silently discard messages that it
+        // has not sent yet.
         let options = WriteOptionsBuilder::new().source_timestamp(timestamp(timestamp_ns)).best_effort_may_block(true);
         self.write_with(sample, options.build()).await.map(drop)
     }
 
-    /// Writes one message, and says how others will name it.
+    /// Writes one message, and returns the identity by which replies refer to it.
     pub(super) async fn write_with(
         &mut self,
         sample: RawSample,
@@ -267,23 +265,23 @@ impl RawWriter {
             })
         };
         let mut write = pin!(write);
-        // Nearly always done at once; to set a timer would wake the runtime's thread for every
-        // message.
+        // A write nearly always completes at once. A timer would wake the runtime's thread for
+        // every message.
         if let Poll::Ready(written) = poll_fn(|context| Poll::Ready(write.as_mut().poll(context))).await {
             return written;
         }
         tokio::time::timeout(WRITE_DEADLINE, write).await.unwrap_or(Err(WriteError::Stalled))
     }
 
-    /// Whether it has matched a reader, since this was asked last.
+    /// Whether a reader has matched since the last call.
     pub fn has_matched(&self) -> bool {
         let is_match =
             |status| matches!(status, DataWriterStatus::PublicationMatched { current, .. } if current.count() > 0);
         std::iter::from_fn(|| self.little_endian.try_recv_status()).any(is_match)
     }
 
-    /// Waits until a reader is served that was not, or not any more: whose, and whether it is now.
-    /// Each is told once.
+    /// Waits until a reader is matched or unmatched. Returns the reader, and whether it is matched
+    /// now. Each change is reported once.
     pub(super) async fn matching(&self) -> (GUID, bool) {
         let mut events = self.little_endian.as_async_status_stream();
         while let Some(event) = events.next().await {
@@ -294,7 +292,7 @@ impl RawWriter {
         std::future::pending().await
     }
 
-    /// Waits until a reader of this participant is served, which is told once.
+    /// Waits until a reader of this participant is matched. Each match is reported once.
     pub(super) async fn until_matched(&self, of: Participant) {
         loop {
             if matches!(self.matching().await, (reader, true) if participant(reader) == of) {
@@ -303,16 +301,16 @@ impl RawWriter {
         }
     }
 
-    /// Waits until reliable readers have what was written, for as long as that takes.
+    /// Waits without a timeout until reliable readers have acknowledged all messages.
     pub async fn settle(&self) {
-        // All that it fails with is that there is nothing to wait for any more.
+        // An error only means that there is nothing to wait for.
         _ = self.little_endian.async_wait_for_acknowledgments().await;
         if let Some(writer) = &self.big_endian {
             _ = writer.async_wait_for_acknowledgments().await;
         }
     }
 
-    /// Of the writer of little-endian messages.
+    /// Returns the GUID of the little-endian writer.
     pub(super) fn guid(&self) -> GUID {
         self.little_endian.guid()
     }
@@ -329,16 +327,17 @@ impl RawWriter {
     }
 }
 
-/// What the GUIDs of all endpoints of a participant begin with.
+/// The GUID prefix of all endpoints of a participant.
 pub(super) type Participant = [u8; 12];
 
-/// Whose endpoint it is.
+/// Returns the participant of an endpoint.
 pub(super) fn participant(endpoint: GUID) -> Participant {
     let bytes = endpoint.to_bytes();
     std::array::from_fn(|i| bytes[i])
 }
 
-/// RTPS time is seconds and 2⁻³² fractions of a second since 1970, until 2106.
+/// Converts Unix nanoseconds to RTPS time: seconds and 2⁻³² fractions of a second since 1970, until
+/// 2106.
 fn timestamp(ns: u64) -> Timestamp {
     let (seconds, nanos) = (ns / 1_000_000_000, ns % 1_000_000_000);
     match u32::try_from(seconds) {
@@ -352,7 +351,7 @@ fn nanoseconds(timestamp: Timestamp) -> u64 {
     (ticks >> 32) * 1_000_000_000 + (((ticks & 0xffff_ffff) * 1_000_000_000) >> 32)
 }
 
-/// Takes bytes out of RustDDS, which hands them over without their encapsulation header.
+/// Receives bytes from RustDDS, which removes their encapsulation header.
 struct Adapter;
 
 #[derive(Clone)]
@@ -391,8 +390,8 @@ impl Decode<'_, RawSample> for Decoder {
     }
 }
 
-/// Gives bytes to RustDDS, which writes the encapsulation header itself, from the type of the
-/// writer.
+/// Gives bytes to RustDDS, which writes the encapsulation header itself, depending on the type of
+/// the writer.
 struct Encoder<const LITTLE_ENDIAN: bool>;
 
 impl<const LITTLE_ENDIAN: bool> SerializerAdapter<RawSample> for Encoder<LITTLE_ENDIAN> {

@@ -11,10 +11,10 @@ use tokio::task::JoinHandle;
 use super::mapping::{Id, Mapping, RequestId, asker, header, reply, with_header};
 use crate::ros2::raw::{RawReader, RawSample, RawWriter, Representation, WriteError};
 
-/// Calls that may be under way at a time.
+/// Bound on the concurrent calls of one client.
 const MAX_CALLS: usize = 1024;
 
-/// A client of a service that local servers offer. Calls may run at the same time.
+/// A client of a service of local servers. Calls may run concurrently.
 pub struct Client {
     mapping: Mapping,
     replies: Arc<RawReader>,
@@ -28,23 +28,25 @@ struct Asking {
     number: u64,
 }
 
-/// The calls that wait, and replies that came before the write had said what its request is called.
+/// The pending calls, and replies that arrived before the write returned the identity of their
+/// request.
 #[derive(Default)]
 struct Calls {
     waiting: HashMap<RequestKey, oneshot::Sender<RawSample>>,
-    /// At most one request is being written at a time, and until then its key is not known.
+    /// True while a request is written. At most one is written at a time, and its key is unknown
+    /// until then.
     writing: bool,
     early: HashMap<RequestKey, RawSample>,
 }
 
-/// A request of this client.
+/// The identity of a request of this client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum RequestKey {
     Header([u8; super::mapping::HEADER]),
     Sequence(i64),
 }
 
-/// Why there is no reply.
+/// Reasons for which a call has no reply.
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {
     #[error("{MAX_CALLS} calls of the service are under way: does its server answer at all?")]
@@ -66,17 +68,17 @@ impl Client {
         Self { mapping, replies, asking, calls, listening }
     }
 
-    /// Waits until the endpoints of the server that this one is of are matched, both ways; which is
-    /// told once. A request that comes to it before it has discovered this client is repaired, as
-    /// DDS repairs what is reliable.
+    /// Waits until the endpoints of the participant of `server` are matched in both directions.
+    /// Each match is reported once. A request that arrives before the server has discovered this
+    /// client is retransmitted, because the topic is reliable.
     pub async fn until_matched(&self, server: [u8; 16]) {
         let participant = std::array::from_fn(|i| server[i]);
         let asking = self.asking.lock().await;
         tokio::join!(asking.requests.until_matched(participant), self.replies.until_matched(participant));
     }
 
-    /// Asks, and waits for the reply as long as it takes. Dropping the future gives the call up: a
-    /// reply that comes later is nobody's.
+    /// Sends a request and waits for the reply without a timeout. Dropping the future cancels the
+    /// call: a later reply is ignored.
     pub async fn call(&self, request: RawSample) -> Result<RawSample, CallError> {
         let (pending, arrival) = self.ask(request).await?;
         let answer = arrival.await.map_err(|_| CallError::Closed);
@@ -85,7 +87,7 @@ impl Client {
     }
 
     async fn ask(&self, request: RawSample) -> Result<(Pending, oneshot::Receiver<RawSample>), CallError> {
-        // It would go out from another DDS writer, which replies would not name.
+        // A big-endian request would use another DDS writer, which replies would not name.
         if request.representation == Representation::CdrBe {
             return Err(CallError::BigEndian);
         }
@@ -121,7 +123,7 @@ impl Drop for Client {
     }
 }
 
-/// While a request is written, replies to unknown requests are kept.
+/// While this exists, replies to unknown requests are stored.
 struct Writing<'a>(&'a Mutex<Calls>);
 
 impl<'a> Writing<'a> {
@@ -143,7 +145,7 @@ impl Drop for Writing<'_> {
     }
 }
 
-/// A call that waits; when dropped, it does so no more.
+/// A pending call, which is removed when this is dropped.
 struct Pending {
     key: RequestKey,
     calls: Arc<Mutex<Calls>>,
@@ -163,7 +165,7 @@ async fn listen(replies: Arc<RawReader>, own: [GUID; 2], mapping: Mapping, calls
         };
         let (id, sample) = match heard {
             Ok(Some(heard)) => heard,
-            // Of a server of another mapping, to another client.
+            // A reply of a server with another mapping, to another client.
             Ok(None) => continue,
             Err(error) => {
                 tracing::debug!("a reply is ignored: {error}");
@@ -180,10 +182,12 @@ async fn listen(replies: Arc<RawReader>, own: [GUID; 2], mapping: Mapping, calls
     }
 }
 
-/// Replies kept while one request is written: its own, and late ones to calls that were given up.
+/// Bound on the replies stored while one request is written: its own, and late ones to cancelled
+/// calls.
 const MAX_EARLY: usize = 16;
 
-/// Replies go to all clients of a service: whether this is to one of ours.
+/// Returns the key of the request if the reply is to this client. Replies go to all clients of a
+/// service.
 fn own_key(id: &RequestId, own: [GUID; 2]) -> Option<RequestKey> {
     match id.0 {
         Id::Header(header) => (header[..8] == own[1].to_bytes()[8..]).then_some(RequestKey::Header(header)),

@@ -1,4 +1,4 @@
-//! The two mappings of request identity of DDS services: how a reply names its request.
+//! The two mappings of request identity in DDS services: how a reply identifies its request.
 
 use bytes::{BufMut, Bytes, BytesMut};
 use rustdds::rpc::SampleIdentity;
@@ -6,11 +6,11 @@ use rustdds::{GUID, SequenceNumber};
 
 use super::super::raw::{ENCAPSULATION, RawSample, Representation, SampleChange};
 
-/// Where a service's messages carry the identity of the request.
+/// The place of the request's identity in the messages of a service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mapping {
-    /// In the sample's metadata, as rmw_fastrtps does ("enhanced", DDS-RPC 1.0 §7.8.2): the body is
-    /// ROS's alone.
+    /// In the sample's metadata, as rmw_fastrtps does ("enhanced", DDS-RPC 1.0 §7.8.2). The body is
+    /// that of ROS alone.
     Enhanced,
     /// In a header of 16 bytes before the body, as rmw_cyclonedds does: the client's number and a
     /// sequence number.
@@ -18,7 +18,7 @@ pub enum Mapping {
 }
 
 impl Mapping {
-    /// What an endpoint speaks, by the vendor's number that its GUID begins with (RTPS 2.5
+    /// Returns the mapping of an endpoint, from the vendor ID at the start of its GUID (RTPS 2.5
     /// §9.3.1.1).
     pub fn of(endpoint: [u8; 16]) -> Self {
         match endpoint {
@@ -28,31 +28,32 @@ impl Mapping {
     }
 }
 
-/// Which request a reply answers. Opaque: it goes back to the server that gave it out.
+/// The identity of the request that a reply answers. It is opaque and only valid at the server that
+/// returned it.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct RequestId(pub(super) Id);
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Id {
     Sample(SampleIdentity),
-    /// Two words of eight bytes, little-endian whatever the message is.
+    /// Two words of eight bytes, little-endian whatever the encoding of the message.
     Header([u8; HEADER]),
 }
 
 pub(super) const HEADER: usize = 16;
 
-/// A message of a service is too short for its mapping.
+/// A service message that is too short for the header of its mapping.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a service message has no request header: is its vendor's mapping another than {0:?}?")]
 pub struct Headless(Mapping);
 
-/// What a server is to answer with, and the request without its header.
+/// Splits a request into its identity, with which the server replies, and its body.
 pub(super) fn request(change: SampleChange, mapping: Mapping) -> Result<(RequestId, RawSample), Headless> {
     match mapping {
         Mapping::Cyclone => behead(change.sample),
         Mapping::Enhanced => {
-            // rmw_fastrtps names its reader of replies here, so that servers can see whether that
-            // is matched yet.
+            // rmw_fastrtps announces its reader of replies here, so that servers can check whether
+            // that reader is matched yet.
             let asker = change.related.map(|related| related.writer_guid).filter(|guid| *guid != GUID::GUID_UNKNOWN);
             let writer_guid = asker.unwrap_or(change.writer);
             let id = SampleIdentity { writer_guid, sequence_number: change.sequence };
@@ -61,7 +62,8 @@ pub(super) fn request(change: SampleChange, mapping: Mapping) -> Result<(Request
     }
 }
 
-/// What a reply says it answers, and the reply without its header; `None` if it says nothing.
+/// Splits a reply into the identity of its request and its body. Returns `None` if it has no
+/// identity.
 pub(super) fn reply(change: SampleChange, mapping: Mapping) -> Result<Option<(RequestId, RawSample)>, Headless> {
     match mapping {
         Mapping::Cyclone => behead(change.sample).map(Some),
@@ -69,7 +71,7 @@ pub(super) fn reply(change: SampleChange, mapping: Mapping) -> Result<Option<(Re
     }
 }
 
-/// The header of the `number`-th request of a client.
+/// Returns the header of the `number`-th request of a client.
 pub(super) fn header(client: GUID, number: u64) -> [u8; HEADER] {
     let mut header = [0; HEADER];
     // As rmw_cyclonedds: the half of the GUID that differs between the clients of a process.
@@ -83,8 +85,8 @@ fn behead(sample: RawSample) -> Result<(RequestId, RawSample), Headless> {
     let header = bytes.get(ENCAPSULATION..ENCAPSULATION + HEADER).ok_or(short)?;
     let mut words: [u8; HEADER] = header.try_into().map_err(|_| short)?;
     orient(&mut words, representation);
-    // The header is as long as the largest alignment of XCDR1 twice: the body is aligned without it
-    // as with it.
+    // The header has twice the largest alignment of XCDR1, so the body keeps its alignment without
+    // it.
     let mut body = BytesMut::with_capacity(bytes.len() - HEADER);
     body.put_slice(&bytes[..ENCAPSULATION]);
     body.put_slice(&bytes[ENCAPSULATION + HEADER..]);
@@ -106,7 +108,7 @@ fn orient(header: &mut [u8; HEADER], representation: Representation) {
     }
 }
 
-/// What a request of rmw_fastrtps's kind says of its client.
+/// Returns the identity of the client in a request of rmw_fastrtps's mapping.
 pub(super) fn asker(replies: GUID) -> SampleIdentity {
     SampleIdentity { writer_guid: replies, sequence_number: SequenceNumber::UNKNOWN }
 }

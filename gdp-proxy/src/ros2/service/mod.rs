@@ -1,9 +1,8 @@
-//! Services of any type: requests and replies are CDR, as they are on the wire without what a
+//! Services of any type. Requests and replies are CDR in their wire format, without what a
 //! [`Mapping`] adds.
 //!
-//! A service is two DDS topics. ROS 2's middlewares differ in how a reply says which request it
-//! answers; what a peer speaks shows in its GUID, so both kinds can use one service at the same
-//! time.
+//! A service consists of two DDS topics. ROS 2's middlewares differ in how a reply identifies its
+//! request. The GUID of a peer shows its mapping, so both kinds can use one service at the same
 
 mod client;
 mod mapping;
@@ -16,8 +15,8 @@ pub use server::{BadRequest, ClientLife, ReceivedRequest, Server};
 use super::{Domain, Qos, RosError, TopicName, TypeName};
 
 impl Domain {
-    /// Offers a service (`/add_two_ints`, `example_interfaces/srv/AddTwoInts`), until the value is
-    /// dropped. With no `mapping`, every client is answered in that of its vendor.
+    /// Offers a service (`/add_two_ints`, `example_interfaces/srv/AddTwoInts`) until the value is
+    /// dropped. Without `mapping`, each client is answered in the mapping of its vendor.
     pub fn server(&self, name: &TopicName, kind: &TypeName, mapping: Option<Mapping>) -> Result<Server, RosError> {
         let ([requests, replies], [request, response]) = (name.to_dds_service(), kind.of_service());
         let reader = self.raw_reader(name, &requests, &request, &Qos::default().into())?;
@@ -25,8 +24,8 @@ impl Domain {
         Ok(Server::new(reader, writer, mapping, self.discovery.writers()))
     }
 
-    /// Is a client of a service, in the mapping of its servers ([`Mapping::of`]), until the value
-    /// is dropped. Needs a tokio runtime.
+    /// Creates a client of a service, in the mapping of its servers ([`Mapping::of`]). Needs a
+    /// tokio runtime.
     pub fn client(&self, name: &TopicName, kind: &TypeName, mapping: Mapping) -> Result<Client, RosError> {
         let ([requests, replies], [request, response]) = (name.to_dds_service(), kind.of_service());
         let reader = self.raw_reader(name, &replies, &response, &Qos::default().into())?;

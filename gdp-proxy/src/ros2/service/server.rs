@@ -12,13 +12,13 @@ use super::mapping::{Headless, Id, Mapping, RequestId, request, with_header};
 use crate::ros2::discovery::Writers;
 use crate::ros2::raw::{Participant, RawReader, RawSample, RawWriter, Unreadable, WriteError, participant};
 
-/// How long discovery may take to show a client whose request is here.
+/// Timeout for discovery to announce a client whose request has arrived.
 const MATCH_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// How long a client's reader of replies may take to be discovered once its request is here.
+/// Timeout for the discovery of a client's reader of replies after its request has arrived.
 const REACHED: Duration = Duration::from_millis(500);
 
-/// Participants that are told apart.
+/// Bound on the participants whose matched readers are counted.
 const MAX_SERVED: usize = 4096;
 
 /// A service that local clients see.
@@ -29,40 +29,40 @@ pub struct Server {
     writers: watch::Receiver<Arc<Writers>>,
 }
 
-/// What a client asks.
+/// A request of a client.
 #[derive(Clone, Debug)]
 pub struct ReceivedRequest {
-    /// For [`Server::respond`].
+    /// The identity for [`Server::respond`].
     pub id: RequestId,
     pub sample: RawSample,
     pub client: ClientLife,
 }
 
-/// Sees whether a client is there.
+/// An observer of whether a client still exists.
 #[derive(Clone, Debug)]
 pub struct ClientLife {
     writer: GUID,
     writers: watch::Receiver<Arc<Writers>>,
-    /// Discovery has shown it.
+    /// True once discovery has announced the client.
     is_matched: bool,
 }
 
 impl ClientLife {
-    /// Returns when discovery does not show it any more: it has said goodbye, or was not heard of
-    /// for as long as it said.
+    /// Waits until discovery has removed the client, because it announced its departure or its
+    /// lease expired.
     pub async fn ends(&mut self) {
         let Self { writer, writers, is_matched } = self;
         *is_matched =
             *is_matched || timeout(MATCH_TIMEOUT, writers.wait_for(|shown| shown.contains(writer))).await.is_ok();
-        // Who was never shown is not missed.
+        // A client that was never announced cannot be missed.
         if !*is_matched || writers.wait_for(|shown| !shown.contains(writer)).await.is_err() {
-            // Nobody discovers any more: the domain is being left.
+            // Discovery has ended, because the proxy leaves the domain.
             std::future::pending().await
         }
     }
 }
 
-/// A request that cannot be understood, and is not answered. The text is for the log.
+/// An invalid request, which is not answered. The text is for the log.
 #[derive(Debug, thiserror::Error)]
 pub enum BadRequest {
     #[error(transparent)]
@@ -81,7 +81,7 @@ impl Server {
         Self { requests, replies: Mutex::new(Replies { writer: replies, served: HashMap::new() }), mapping, writers }
     }
 
-    /// The next request. May be cancelled without losing one.
+    /// Waits for the next request. A cancelled call loses no request.
     pub async fn recv(&self) -> Result<ReceivedRequest, BadRequest> {
         let change = self.requests.change().await?;
         let mapping = self.mapping.unwrap_or_else(|| Mapping::of(change.writer.to_bytes()));
@@ -90,13 +90,13 @@ impl Server {
         Ok(ReceivedRequest { id, sample, client })
     }
 
-    /// Waits until clients have their answers, for as long as that takes.
+    /// Waits without a timeout until clients have their answers.
     pub async fn settle(&self) {
         self.replies.lock().await.writer.settle().await;
     }
 
-    /// Answers a request of a client, in the mapping that it came in. Waits a bounded time for the
-    /// sockets of this host, or for a client whose reader is not discovered yet.
+    /// Answers a request in the client's mapping. It waits a bounded time for the sockets of this
+    /// host, or for the discovery of the client's reader.
     pub async fn respond(&self, id: &RequestId, client: &ClientLife, reply: RawSample) -> Result<(), WriteError> {
         let options = WriteOptionsBuilder::new();
         let (sample, options) = match id.0 {
@@ -109,14 +109,14 @@ impl Server {
     }
 }
 
-/// The writer of replies, and whom it serves.
+/// The writer of replies, and the clients that it has matched.
 struct Replies {
     writer: RawWriter,
     served: HashMap<Participant, Served>,
 }
 
-/// Of one participant: how many readers are served, and whose requests were answered; each of these
-/// has a reader of its own.
+/// The number of matched readers of one participant, and its clients with answered requests. Each
+/// of these clients has a reader of its own.
 #[derive(Default)]
 struct Served {
     readers: usize,
@@ -124,8 +124,8 @@ struct Served {
 }
 
 impl Replies {
-    /// Has a client served: its request may come before its reader of replies is discovered, and
-    /// what is written by then does not reach it.
+    /// Waits until the client's reader of replies is matched. The request may arrive before the
+    /// reader is discovered, and a reply written by then would not reach it.
     async fn reach(&mut self, client: GUID) {
         let Self { writer, served } = self;
         let of_client = participant(client);
@@ -144,13 +144,13 @@ impl Replies {
                 if is_served {
                     of.readers += 1;
                 } else {
-                    // Whose it was cannot be told.
+                    // It is unknown to which client the reader belonged.
                     *of = Served { readers: of.readers.saturating_sub(1), clients: HashSet::new() };
                 }
             }
         };
         if timeout(REACHED, until_served).await.is_err() {
-            // It was waited for once.
+            // The timeout is waited for once only.
             served.entry(of_client).or_default().readers = wanted;
         }
     }
