@@ -14,7 +14,7 @@ use std::sync::Arc;
 pub trait Carries: Send + Sync + 'static {
     /// The route's configuration.
     type Config: PartialEq + Send + Sync + 'static;
-    /// The route's key, which is unique among the routes of its kind in a graph.
+    /// The route's key, unique among the routes of its kind and direction in a graph.
     type Key: Ord + Clone + Send + 'static;
     /// The route's statistics.
     type Stats;

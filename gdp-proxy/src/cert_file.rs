@@ -21,10 +21,11 @@ pub struct CertFile {
     topic: String,
     card: NameCard,
     entity: Name,
-    /// The stamp of the file whose content is in force, of the one last offered, and of the one
-    /// last reported in the log.
+    /// Stamp of the file whose content is in force.
     taken: Option<FileStamp>,
+    /// Stamp of the file last offered.
     offered: Option<FileStamp>,
+    /// Stamp of the file last reported in the log.
     reported: Option<FileStamp>,
 }
 

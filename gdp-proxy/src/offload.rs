@@ -1,4 +1,4 @@
-//! Runs long work outside of the worker threads, so that other tasks do not wait for it.
+//! Runs long work without blocking the other tasks of its worker thread.
 
 use tokio::runtime::{Handle, RuntimeFlavor};
 

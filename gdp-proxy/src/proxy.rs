@@ -1,5 +1,6 @@
 //! Assembles the proxy. It joins the ROS graphs, attaches to the switch, runs a route for each
-//! topic and direction, and writes statistics. It leaves both sides in order.
+//! topic and direction, and writes statistics. At the end it leaves the graphs and the fabric in
+//! order.
 
 use std::sync::Arc;
 use std::time::Duration;

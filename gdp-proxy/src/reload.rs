@@ -107,10 +107,11 @@ pub struct Watch {
     watcher: FileWatcher,
     /// The configuration and the files that it names.
     files: FileSet,
-    /// The time of the next attempt after a refusal, the backoff of further ones, and the error
-    /// last reported.
+    /// Time of the next attempt after a refusal.
     again: Option<Instant>,
+    /// Backoff of further attempts.
     retry: Backoff,
+    /// The error last reported.
     reported: Option<String>,
 }
 

@@ -1,5 +1,5 @@
-//! Selects what of a graph is exposed. The configuration names it, and it stays exposed while a
-//! node publishes or serves it and a little longer.
+//! Selects the entities of a graph that are exposed. The configuration selects them by pattern. An
+//! entity stays exposed while a node publishes or serves it, and a little longer.
 
 use std::collections::BTreeMap;
 use std::fmt;

@@ -3,7 +3,7 @@
 //! A name depends on the entity, its type and its configured metadata, so it is the same after each
 //! start. It also depends on a secret derived from the owner's key, so nobody can guess it.
 //! Certificates are valid for [`LIFETIME`] and are renewed after half of it. An entity that is
-//! removed from the readers loses the right by then.
+//! removed from the readers loses the right within [`LIFETIME`].
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{AdCert, CertError, Grantee, Issued, Mode, ReadGrant, issue};

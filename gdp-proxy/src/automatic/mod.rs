@@ -238,7 +238,7 @@ impl Expose {
                 bytes += size;
             }
         }
-        // Certificates of names that are not carried are kept too, because issuing them is work.
+        // Certificates of names that are not carried stay too, because issuing them is work.
         self.issued_credentials.retain(|name, _| names.contains(name));
         let list = Catalog::new(entries.into_values().collect()).map_err(|error| error.to_string());
         match list.and_then(|list| list.to_bytes().map_err(|error| error.to_string())) {

@@ -21,10 +21,11 @@ use crate::offload::run_blocking_if_large;
 /// without events.
 const TIMEOUT: Duration = Duration::from_secs(90);
 
-/// Number of attempts to have a server described, the timeout of each attempt, and the pause after
-/// an attempt that failed at once.
+/// Number of attempts to have a server described.
 const ATTEMPTS: usize = 20;
+/// Timeout of each attempt.
 const ATTEMPT: Duration = Duration::from_secs(2);
+/// Pause after an attempt that failed at once.
 const SOON: Duration = Duration::from_millis(200);
 
 /// A remote server, as its description announced it.

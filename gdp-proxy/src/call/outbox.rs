@@ -5,17 +5,18 @@ use std::collections::VecDeque;
 use bytes::Bytes;
 use gdp_ros::call::Event;
 
-/// Bounds on the waiting feedback, in messages and bytes. Beyond them the oldest message is
-/// dropped.
+/// Bound on the waiting feedback messages. Beyond it the oldest message is dropped.
 const MAX_WAITING: usize = 256;
+/// Bound on their bytes. Beyond it the oldest message is dropped.
 const MAX_WAITING_BYTES: usize = 4 << 20;
 
 /// The outgoing events of one action.
 #[derive(Default)]
 pub struct Outbox {
     waiting: VecDeque<Event>,
-    /// Number of waiting feedback messages, with their size in `bytes`.
+    /// Number of waiting feedback messages.
     count: usize,
+    /// Bytes of waiting feedback messages.
     bytes: usize,
 }
 

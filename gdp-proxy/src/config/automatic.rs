@@ -269,7 +269,7 @@ impl ImportConfig {
         check_patterns(!self.topics.is_empty(), &self.services, &self.actions, self.graph.as_deref(), graphs)
     }
 
-    /// Whether the entity is to be imported.
+    /// Whether the import selects the entity.
     pub fn wants(&self, thing: Thing, name: &TopicName) -> bool {
         let patterns = match thing {
             Thing::Topic => &self.topics,

@@ -24,9 +24,9 @@ pub struct CallConfig {
     pub side: Side,
     /// The name card (`gdp-ctl name create`).
     pub card: PathBuf,
-    /// The owner's certificate. `out`: to serve (`gdp-ctl grant add --publish`), in `cert`; `in`:
-    /// to call (`--read`), in `grant`.
+    /// `out`: the owner's certificate for this proxy to serve (`gdp-ctl grant add --publish`).
     pub cert: Option<PathBuf>,
+    /// `in`: the owner's grant to call (`gdp-ctl grant add --read`).
     pub grant: Option<PathBuf>,
 }
 

@@ -34,15 +34,15 @@ struct Said {
 
 #[derive(Clone, Debug, PartialEq, Eq, JsonSchema)]
 pub struct Ros2Config {
-    /// ROS_DOMAIN_ID.
+    /// The DDS domain ID (ROS_DOMAIN_ID).
     pub domain_id: DomainId,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, JsonSchema)]
 pub struct Ros1Config {
-    /// ROS_MASTER_URI.
+    /// URI of the master (ROS_MASTER_URI).
     pub master: String,
-    /// How other ROS 1 nodes reach this machine: ROS_IP or ROS_HOSTNAME.
+    /// Address at which other ROS 1 nodes reach this machine (ROS_IP or ROS_HOSTNAME).
     pub host: Option<String>,
 }
 

@@ -41,7 +41,7 @@ pub struct TopicConfig {
     #[serde(default)]
     pub encoding: Conversion,
     /// Compression of outgoing messages after their conversion, if it makes them shorter. Readers
-    /// decompress them whatever their configuration says.
+    /// decompress them whatever value they have here.
     #[serde(default)]
     pub compression: Compression,
     /// Prefix of each `frame_id` of a header and each `child_frame_id`, applied `out` or `in`. It

@@ -47,9 +47,11 @@ struct Half {
     asks: Offer,
 }
 
-/// Bounds on messages whose publisher is not discovered yet: time of waiting, number and bytes.
+/// Time for which a message waits for the discovery of its publisher.
 const EARLY: Duration = Duration::from_secs(3);
+/// Bound on the messages that wait for discovery.
 const MAX_EARLY: usize = 256;
+/// Bound on their bytes.
 const MAX_EARLY_BYTES: usize = 32 << 20;
 
 /// Time to wait for the last messages of a publisher that has left.
@@ -139,8 +141,8 @@ impl<'a> Ros2Reader<'a> {
         self.early.iter().map(|(_, _, arrived)| arrived.sample.bytes.len()).sum()
     }
 
-    /// Drops the first waiting message. No publisher in the graph wrote it, but another proxy,
-    /// which has it from the fabric.
+    /// Drops the first waiting message. Its writer is probably another proxy, whose messages come
+    /// from the fabric.
     fn drop_early(&mut self) {
         self.early.pop_front();
     }
@@ -200,8 +202,8 @@ impl<'a> Ros2Reader<'a> {
             let half = if latches { &self.latched } else { &self.live };
             let before = half.as_ref().map(|half| half.asks);
             // A reader does not match publishers that offer less than it requests. A best-effort
-            // reader stays best-effort, because a new reader would lose messages that were not yet
-            // retransmitted.
+            // reader stays best-effort, because replacing it would lose the messages that it has
+            // received and nobody has read.
             let reliable = offers.iter().all(|offers| offers.reliable) && before.is_none_or(|before| before.reliable);
             let depth = before.map_or(depth, |before| before.depth);
             Some(Offer { reliable, transient_local: latches, depth, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 })

@@ -52,8 +52,9 @@ pub struct Domain {
     /// Announces the proxy to ROS tools (`ros2 node list`) until it is dropped.
     node: Node,
     watch: JoinHandle<()>,
-    /// The claims of the other proxies; `presence` announces this proxy to them.
+    /// The claims of the other proxies.
     peer_proxies: Arc<PeerProxies>,
+    /// The task that announces this proxy to them.
     presence: Option<JoinHandle<()>>,
 }
 

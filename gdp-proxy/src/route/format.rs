@@ -1,4 +1,4 @@
-//! Converts messages between the form of a graph and the form that travels.
+//! Converts messages between the encoding of a graph and the encoding in transit.
 
 use std::sync::Arc;
 

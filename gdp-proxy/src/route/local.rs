@@ -31,9 +31,9 @@ pub struct Local {
     pub definition: Option<Arc<str>>,
     pub offers: Offer,
     state: LocalState,
-    /// The publisher's transient-local history, for a writer that is created later, with its size
-    /// in bytes.
+    /// The publisher's transient-local history, for a writer that is created later.
     history: VecDeque<Message>,
+    /// Bytes of the history.
     history_bytes: usize,
 }
 

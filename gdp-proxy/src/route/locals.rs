@@ -18,9 +18,10 @@ const MAX_BYTES: usize = 256 << 20;
 /// dropped at once.
 const MAX_LEAVING: usize = 64;
 
-/// Bound on the creation of writers: so many in a burst, then one in each period. It protects the
-/// ROS graph against a remote proxy that changes its publishers with every message.
+/// Number of writers that may be created at once. The bound protects the ROS graph against a remote
+/// proxy that changes its publishers with every message.
 const BURST: u32 = MAX_LOCALS as u32;
+/// Time after which one more writer may be created.
 const PERIOD: Duration = Duration::from_millis(50);
 
 /// The publisher that a local writer stands for. `None` stands for all writers that do not

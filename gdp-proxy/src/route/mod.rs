@@ -141,8 +141,8 @@ impl Route {
         }
     }
 
-    /// Announces to the readers that the publishers are no longer carried, delivers what was sent,
-    /// and closes the publisher.
+    /// Announces to the readers that the publishers are no longer carried, delivers the sent
+    /// messages, and closes the publisher.
     async fn close(&self, Published { publisher, farewell }: Published) {
         publisher.pin(ROSTER, &farewell);
         if let Err(error) = publisher.close(FLUSH).await {

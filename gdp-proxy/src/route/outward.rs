@@ -29,8 +29,9 @@ enum Turn {
 }
 
 /// Time for which a newly published name waits for its first reader, because messages without
-/// readers are lost. The second constant bounds the events of the topic that wait meanwhile.
+/// readers are lost.
 const FIRST_READER: Duration = Duration::from_secs(1);
+/// Bound on the events of the topic that wait meanwhile.
 const MAX_WAITING: usize = 256;
 
 /// How often the route checks for the first reader.

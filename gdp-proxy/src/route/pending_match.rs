@@ -4,25 +4,28 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Time for which a writer waits for its first subscriber. Without one, nobody may want the topic.
-/// A reliable message waits longer, because no later message replaces it.
+/// Time for which a best-effort writer waits for its first subscriber. Without one, nobody may want
+/// the topic.
 const TIMEOUT: Duration = Duration::from_millis(750);
+/// The same for a reliable writer. It is longer, because no later message replaces a reliable one.
 const RELIABLE_PATIENCE: Duration = Duration::from_secs(3);
 
-/// Time to wait for further subscribers after the first match, and until the first one has matched
-/// too.
+/// Time after the first match for further subscribers to match, and for the first one to discover
+/// the writer.
 const SETTLE: Duration = Duration::from_millis(150);
 
-/// Bounds on the waiting messages of one writer.
+/// Bound on the waiting messages of one writer.
 const MAX_WAITING: usize = 256;
+/// Bound on their bytes.
 const MAX_WAITING_BYTES: usize = 16 << 20;
 
 /// The messages of a new writer that wait for subscribers. `T` is a message.
 pub struct PendingMatch<T> {
     until: Instant,
     has_matched: bool,
-    /// The waiting messages with their sizes in bytes; `bytes` is the sum.
+    /// The waiting messages with their sizes in bytes.
     waiting: VecDeque<(T, usize)>,
+    /// Bytes of all waiting messages.
     bytes: usize,
 }
 

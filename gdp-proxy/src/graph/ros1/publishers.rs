@@ -41,7 +41,7 @@ struct PublishedTopic {
 pub struct Publisher {
     kind: MessageType,
     latches: bool,
-    /// True if its writer was dropped by its remote publisher and only delivers its last messages.
+    /// True if its remote publisher has left, and it only delivers its last messages.
     is_vacant: AtomicBool,
     publisher: gdp_ros1::Publisher,
     /// The node that was created for it; `None` at the main node.

@@ -3,6 +3,7 @@
 //!
 //! A service consists of two DDS topics. ROS 2's middlewares differ in how a reply identifies its
 //! request. The GUID of a peer shows its mapping, so both kinds can use one service at the same
+//! time.
 
 mod client;
 mod mapping;
