@@ -121,7 +121,7 @@ pub struct RuleOptions {
     pub encoding: Option<Conversion>,
     pub compression: Option<Compression>,
     pub frame_prefix: Option<FramePrefix>,
-    /// Maximum rate of each publisher in messages per second; further messages are dropped.
+    /// Maximum rate of each publisher in messages per second; see `topics`.
     pub max_hz: Option<NonZeroU32>,
     pub priority: Option<Priority>,
     /// Sends each frame over two links at once.

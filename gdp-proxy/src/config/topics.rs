@@ -48,7 +48,8 @@ pub struct TopicConfig {
     /// distinguishes the frames of several robots.
     #[serde(default)]
     pub frame_prefix: Option<FramePrefix>,
-    /// Maximum rate of each publisher in messages per second. Messages in between are dropped.
+    /// Maximum rate of each publisher in messages per second. Of the messages above this rate, only
+    /// the newest is sent, at its turn.
     #[serde(default)]
     pub max_hz: Option<NonZeroU32>,
     /// Traffic class of outgoing messages.
