@@ -1,10 +1,10 @@
-//! The catalog of a proxy: the names that it exposes, the meaning of each, and its readers. A
-//! catalog is published sealed under a name of its own. Only entities that may read that name learn
-//! what a robot has.
+//! The catalog of a proxy: the names that it exposes, the meaning of each, and its readers. A proxy
+//! publishes its catalog sealed, under a name of its own. Only readers of that name learn what a
+//! robot exposes.
 //!
-//! A catalog lists names of the owner of its own name and no others: an entry has no owner key, so
-//! what it names follows from that of the catalog. It is pinned at its publisher, and sent again
-//! every [`REFRESH`]; a publisher whose catalog is not heard of for [`LEASE`] is gone.
+//! A catalog lists only names that have the same owner as its own name, so entries have no owner
+//! key. The proxy pins the catalog at its publisher, and sends it again every [`REFRESH`]. A reader
+//! that receives no catalog for [`LEASE`] drops that publisher.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -18,31 +18,31 @@ use gdp_core::name::Metadata;
 use gdp_e2e::seal::Encoding;
 use serde::{Deserialize, Serialize};
 
-/// How a message is marked that is a catalog.
+/// Encoding number of a message that is a catalog.
 pub const CATALOG: Encoding = Encoding::Other(0x4743);
 
-/// How often it is sent, if nothing changes.
+/// Interval between two catalogs if nothing changes.
 pub const REFRESH: Duration = Duration::from_secs(10);
 
-/// For how long it holds.
+/// Time after which a catalog expires.
 pub const LEASE: Duration = Duration::from_secs(35);
 
-/// Names of one catalog.
+/// Maximum number of names in one catalog.
 pub const MAX_ENTRIES: usize = 1024;
 
-/// Grants to read one of its names.
+/// Maximum number of read grants for one name.
 pub const MAX_GRANTS: usize = 64;
 
-/// In bytes.
+/// Maximum size of an encoded catalog, in bytes.
 const MAX_CATALOG: usize = 4 << 20;
 
-/// Bytes of all entries of one catalog, as [`Entry::size`] counts them: what is around them takes
-/// fewer than the rest.
+/// Maximum size of all entries of one catalog, in bytes, as [`Entry::size`] counts them. The rest
+/// of a catalog takes fewer than the 64 bytes left.
 pub const MAX_ENTRY_BYTES: usize = MAX_CATALOG - 64;
 
 const VERSION: u8 = 1;
 
-/// All that a proxy exposes.
+/// All names that a proxy exposes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Catalog {
@@ -50,28 +50,28 @@ pub struct Catalog {
     pub entries: Vec<Entry>,
 }
 
-/// A name.
+/// One name of a catalog.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Entry {
-    /// That of its card. `kind` is `topic`, `service` or `action`; whoever does not know another
-    /// one leaves such entries out.
+    /// The metadata of the name's card. `kind` is `topic`, `service` or `action`. Readers skip
+    /// entries of a kind that they do not know.
     pub metadata: Metadata,
-    /// Everybody's who may read or call it.
+    /// The read grants of all entities that may read or call the name.
     pub grants: Vec<Issued<ReadGrant>>,
 }
 
 impl Entry {
-    /// Bytes that it takes in a catalog.
+    /// Returns the encoded size of the entry, in bytes.
     pub fn size(&self) -> Result<usize, CborError> {
         Ok(cbor::encode(self)?.len())
     }
 }
 
-/// A name with the grants to read it.
+/// A name's card with its read grants.
 pub type Listing = (NameCard, Vec<Issued<ReadGrant>>);
 
-/// Why a catalog is not taken.
+/// The reason why a catalog is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum CatalogError {
     #[error(transparent)]
@@ -87,14 +87,14 @@ pub enum CatalogError {
 }
 
 impl Catalog {
-    /// Refused if it has more than a reader takes.
+    /// Creates a catalog. Fails if it exceeds [`MAX_ENTRIES`] or [`MAX_GRANTS`].
     pub fn new(entries: Vec<Entry>) -> Result<Self, CatalogError> {
         let catalog = Self { version: VERSION, entries };
         catalog.check()?;
         Ok(catalog)
     }
 
-    /// Likewise refused.
+    /// Encodes the catalog. Fails if it exceeds 4 MiB.
     pub fn to_bytes(&self) -> Result<Vec<u8>, CatalogError> {
         let bytes = cbor::encode(self)?;
         match bytes.len() {
@@ -103,8 +103,8 @@ impl Catalog {
         }
     }
 
-    /// Reads what another proxy sent: the names, of which `owner` is the owner, with the grants to
-    /// read them. These are not verified yet.
+    /// Decodes a catalog from another proxy. Returns the card of each name, with `owner` as its
+    /// owner, and its read grants. The caller must verify the grants.
     pub fn read(bytes: &[u8], owner: VerifyKey) -> Result<Vec<Listing>, CatalogError> {
         let catalog: Self = cbor::decode(bytes, MAX_CATALOG)?;
         if catalog.version != VERSION {

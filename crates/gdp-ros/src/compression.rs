@@ -1,6 +1,6 @@
-//! Compressed bodies. The number of the encoding says that a body is compressed. So every reader
-//! decompresses it, whatever its configuration. A reader that does not know the number refuses the
-//! body by it.
+//! Compresses and decompresses message bodies. The encoding number says that a body is compressed.
+//! So every reader decompresses it, whatever its configuration. A reader that does not know the
+//! number refuses the body.
 
 use std::io;
 
@@ -8,24 +8,24 @@ use bytes::Bytes;
 use gdp_e2e::seal::{Encoding, ReaderLimits};
 use zstd::bulk::{Compressor, Decompressor};
 
-/// In the number of an encoding: the body is one zstd frame, which states its length, of a body in
-/// the encoding of the other bits.
+/// Bit of the encoding number for a compressed body: one zstd frame that states its content length.
+/// The other bits give the encoding of the content.
 const ZSTD: u16 = 0x8000;
 
-/// zstd's level. Of 1, 3 takes three times as long or more, for a few hundredths less of camera
-/// images and point clouds.
+/// Compression level of zstd. Level 3 takes at least three times as long as level 1, and makes
+/// camera images and point clouds only a few hundredths shorter.
 const LEVEL: i32 = 1;
 
-/// Shorter bodies go as they are: with the header of a frame and its tags they would hardly become
-/// shorter.
+/// Minimum length of a body to compress, in bytes. The frame header would use up what compression
+/// saves of a shorter body.
 const WORTHWHILE: usize = 256;
 
-/// Why a body is not compressed.
+/// The reason why a body cannot be compressed.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot compress: {0}")]
 pub struct PackError(#[from] io::Error);
 
-/// Why a compressed body is not taken.
+/// The reason why a compressed body is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum UnpackError {
     #[error("a compressed message that does not state its length: its writer is no proxy, or another version of one")]
@@ -38,21 +38,23 @@ pub enum UnpackError {
     Misstated { got: usize, stated: u64 },
 }
 
-/// Compresses bodies of a topic.
+/// Compresses the bodies of one topic.
 pub struct Packer {
     compressor: Compressor<'static>,
     packed: Vec<u8>,
 }
 
 impl Packer {
+    /// Creates a compressor.
+    ///
     /// # Errors
-    /// Without memory.
+    /// If no memory is available.
     pub fn new() -> Result<Self, PackError> {
         Ok(Self { compressor: Compressor::new(LEVEL)?, packed: Vec::new() })
     }
 
-    /// The body as it is to travel, with what it is in then: as it was, where compressing does not
-    /// make it shorter.
+    /// Compresses `body` and returns the new encoding with the result. Returns both unchanged if
+    /// compression would not make the body shorter.
     pub fn pack<'a>(&'a mut self, encoding: Encoding, body: &'a [u8]) -> (Encoding, &'a [u8]) {
         if body.len() < WORTHWHILE || !is_packable(encoding) {
             return (encoding, body);
@@ -66,8 +68,8 @@ impl Packer {
     }
 }
 
-/// A body that came, and what it is in once it is not compressed any more. Takes no more memory
-/// than the largest message.
+/// Decompresses a received body and returns its encoding with it. Allocates at most the size of the
+/// largest message.
 pub fn unpacked(encoding: Encoding, body: Bytes) -> Result<(Encoding, Bytes), UnpackError> {
     let inner = Encoding::from(u16::from(encoding) & !ZSTD);
     if inner == encoding || !is_packable(inner) {

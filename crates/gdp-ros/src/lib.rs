@@ -1,10 +1,12 @@
-//! How ROS messages travel in the Global Data Plane, for all who put them in or take them out:
-//! [`roster`] is what is told of a topic beside its messages, [`catalog`] which names a proxy
-//! exposes by itself, [`call`] what is said about a service or an action, [`action`] what is kept
-//! of goals, [`names`] which texts name something in ROS, [`types`] makes one form of a message of
-//! another, [`compression`] shorter ones. No I/O; no ROS graph either, which is the proxy's.
+//! Formats of the ROS messages that proxies exchange over the Global Data Plane.
+//!
+//! [`roster`] describes the publishers of a topic. [`catalog`] lists the names that a proxy
+//! exposes. [`call`] frames the requests and replies of services and actions. [`action`] tracks
+//! goals. [`names`] validates ROS names. [`types`] and [`services`] convert messages between types
+//! and encodings. [`compression`] compresses message bodies. This crate does no I/O and holds no
+//! ROS graph; the proxy does both.
 #![deny(unsafe_code)]
-// They panic where stdout or stderr cannot be written.
+// These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod action;

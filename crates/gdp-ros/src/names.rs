@@ -1,17 +1,19 @@
 //! Checks the names of topics, services, actions and types in ROS 2 (design.ros2.org, "Topic and
 //! Service name mapping to DDS").
 //!
-//! They come from users, cards and the network. Nothing that is not a ROS name may get further.
+//! These names come from users, cards and the network. Callers check them here before they use
+//! them.
 
 use gdp_util::escape::Escaped;
 
-/// The longest name, in bytes: DDS vendors allow 256, of which `rt` is two and a terminator one.
+/// Maximum length of a name, in bytes. DDS vendors allow 256 bytes; the prefix `rt` takes two and
+/// the terminator one.
 const MAX_TOPIC: usize = 253;
 
-/// The longest type name that is accepted, in bytes.
+/// Maximum length of a type name, in bytes.
 const MAX_TYPE: usize = 253;
 
-/// Why a text is not a ROS name.
+/// The reason why a text is not a ROS name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NameError {
     #[error(
@@ -29,14 +31,14 @@ impl NameError {
     }
 }
 
-/// Accepts a fully qualified name of a topic, service or action, such as `/robot1/image_raw`.
+/// Checks a fully qualified name of a topic, service or action, such as `/robot1/image_raw`.
 pub fn check_topic(text: &str) -> Result<(), NameError> {
     let tokens_are_good = text.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_identifier));
     if tokens_are_good && text.len() <= MAX_TOPIC { Ok(()) } else { Err(NameError::Topic(excerpt(text))) }
 }
 
-/// Accepts the type of a message, service or action, such as `std_srvs/srv/SetBool`. Returns its
-/// middle, here `srv`.
+/// Checks a type name of a message, service or action, such as `std_srvs/srv/SetBool`. Returns the
+/// middle part, here `srv`.
 pub fn check_type(text: &str) -> Result<&str, NameError> {
     match text.split('/').collect::<Vec<_>>()[..] {
         [package, folder @ ("msg" | "srv" | "action"), name]
@@ -53,7 +55,7 @@ fn is_identifier(token: &str) -> bool {
         && token.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
-/// The text as an error may show it.
+/// Returns the first 80 characters of `text`, escaped for an error message.
 fn excerpt(text: &str) -> String {
     Escaped(text.chars().take(80).collect::<String>()).to_string()
 }

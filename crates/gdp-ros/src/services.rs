@@ -1,5 +1,5 @@
-//! Types of services, as [`types`](crate::types) has those of messages: their definitions, and
-//! converters for both of their messages.
+//! Definitions of service types, and converters for requests and responses. [`types`](crate::types)
+//! does the same for messages.
 
 use std::sync::Arc;
 
@@ -9,18 +9,19 @@ use crate::call::{Definitions, Description};
 use crate::roster::{Dialect, Kind, MAX_DEFINITION};
 use crate::types::{Converter, TypeError, Types};
 
-/// Between a client in one graph and a server in another.
+/// Converters between a client in one ROS graph and a server in another.
 pub struct Converters {
-    /// From the client's to the server's.
+    /// From the client's form to the server's.
     pub request: Converter,
-    /// Back.
+    /// From the server's form to the client's.
     pub response: Converter,
 }
 
-/// Both messages of a service: request and response.
+/// The schemas of a service: request and response.
 pub type Halves = [Arc<Schema>; 2];
 
-/// A service or an action as another dialect writes it: `std_srvs/SetBool`, `std_srvs/srv/SetBool`.
+/// Returns the name of a service type in another dialect: `std_srvs/SetBool` or
+/// `std_srvs/srv/SetBool`.
 pub fn service_name(name: &str, dialect: Dialect) -> Result<String, TypeError> {
     let name = TypeName::parse(name)?;
     Ok(match dialect {
@@ -30,8 +31,8 @@ pub fn service_name(name: &str, dialect: Dialect) -> Result<String, TypeError> {
 }
 
 impl Types {
-    /// What is known here of a service, as its graph names it. With the hash that its servers say,
-    /// if they do.
+    /// Describes a service type of a ROS graph from the local registry. Uses the hash in `kind`,
+    /// which its servers announced, or else computes it.
     pub fn describe_service(&self, kind: Kind) -> Description {
         let halves = self.known_halves(kind.dialect, &kind.name).ok();
         let texts = halves.as_ref().map(|[request, response]| (request.text(), response.text()));
@@ -41,14 +42,14 @@ impl Types {
         Description { kind: Kind { hash, ..kind }, definitions }
     }
 
-    /// What is known here of an action of ROS 2.
+    /// Describes an action type of ROS 2 from the local registry.
     pub fn describe_action(&self, name: String) -> Description {
         let hash = self.type_hash(&name).unwrap_or_default();
         Description { kind: Kind { dialect: Dialect::Ros2, name, hash }, definitions: None }
     }
 
-    /// A service elsewhere as a graph of this dialect has it: as it is known here, or else made
-    /// from what it is described by.
+    /// Describes a remote service in the terms of `dialect`. The definitions come from the local
+    /// registry, or else are made from the description `there`.
     pub fn service_counterpart(&self, there: &Description, dialect: Dialect) -> Result<Description, TypeError> {
         if there.kind.dialect == dialect {
             return Ok(there.clone());
@@ -88,8 +89,8 @@ impl Types {
         Ok(Converters { request: convert(0, &client, &server)?, response: convert(1, &server, &client)? })
     }
 
-    /// Request and response of a service, by what its server tells; without that, as they are known
-    /// here.
+    /// Returns the schemas of request and response. Uses the definitions that the server announced,
+    /// or else the local registry.
     pub fn service_schemas(&self, of: &Description) -> Result<Halves, TypeError> {
         let Kind { dialect, name, .. } = &of.kind;
         let Some(Definitions { request, response }) = &of.definitions else { return self.known_halves(*dialect, name) };
@@ -114,7 +115,7 @@ impl Types {
         }
     }
 
-    /// Of the type that stands for a whole service or action of ROS 2.
+    /// Returns the RIHS01 hash of the type that stands for a whole service or action of ROS 2.
     fn type_hash(&self, name: &str) -> Result<Vec<u8>, TypeError> {
         let schema = Schema::resolve(&self.0, gdp_msg::Dialect::Ros2, &TypeName::parse(name)?)?;
         let hash = hash::type_hash(&schema);
@@ -122,7 +123,7 @@ impl Types {
     }
 }
 
-/// Of our own making, so they are hexadecimal.
+/// Decodes a hash that this program computed, which is hexadecimal.
 fn digits(hash: &str) -> Vec<u8> {
     hex::decode(hash).unwrap_or_default()
 }

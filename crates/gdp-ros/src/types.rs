@@ -1,4 +1,4 @@
-//! Message types: their definitions, and converters from one form to another.
+//! Definitions of message types, and converters between types and encodings.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -10,19 +10,21 @@ use gdp_msg::{Encoding, LoadError, MapError, Mapping, NameError, Options, Regist
 use crate::compression::{PackError, UnpackError, unpacked};
 use crate::roster::{Dialect, Kind, MAX_DEFINITION};
 
-/// What is known here: the common interfaces, and what was [loaded](Types::load).
+/// A registry of message definitions: the embedded common interfaces, and the definitions that
+/// [`Types::load`] read.
 pub struct Types(pub(crate) Registry);
 
-/// Messages of a type, laid out in some way.
+/// The type and the encoding of a stream of messages.
 #[derive(Clone, Debug)]
 pub struct Form<'a> {
     pub kind: &'a Kind,
-    /// By whoever sends them. Otherwise it must be known here.
+    /// The definition that the sender announced. If it is `None`, the local registry must know the
+    /// type.
     pub definition: Option<&'a str>,
     pub encoding: Encoding,
 }
 
-/// Why messages cannot be converted.
+/// The reason why messages cannot be converted.
 #[derive(Debug, thiserror::Error)]
 pub enum TypeError {
     #[error(transparent)]
@@ -41,9 +43,9 @@ pub enum TypeError {
     Frames(Box<TypeError>),
 }
 
-/// Turns messages of one form into another.
+/// Converts messages from one form to another.
 pub enum Converter {
-    /// They are the same.
+    /// Both forms have the same bytes.
     None,
     Some {
         mapping: Mapping,
@@ -61,7 +63,7 @@ impl From<Dialect> for gdp_msg::Dialect {
 }
 
 impl Dialect {
-    /// What its nodes exchange.
+    /// Returns the encoding that ROS nodes of this dialect exchange.
     pub fn native(self) -> Encoding {
         match self {
             Self::Ros1 => Encoding::Ros1,
@@ -70,7 +72,8 @@ impl Dialect {
     }
 }
 
-/// How a message says what it is in.
+/// Returns the encoding number that a sealed message carries for `encoding`. Both byte orders of
+/// CDR have the same number.
 pub fn sealed(encoding: Encoding) -> seal::Encoding {
     match encoding {
         Encoding::Cdr | Encoding::CdrBigEndian => seal::Encoding::Cdr,
@@ -79,7 +82,7 @@ pub fn sealed(encoding: Encoding) -> seal::Encoding {
     }
 }
 
-/// What a message says it is in, and its body in that.
+/// Returns the encoding and the body of a sealed message, decompressed if it was compressed.
 pub fn unsealed(encoding: seal::Encoding, body: Bytes) -> Result<(Encoding, Bytes), TypeError> {
     let (encoding, body) = unpacked(encoding, body)?;
     match encoding {
@@ -91,8 +94,8 @@ pub fn unsealed(encoding: seal::Encoding, body: Bytes) -> Result<(Encoding, Byte
 }
 
 impl Types {
-    /// The common interfaces, and what is in these share folders of installations of ROS; of these,
-    /// files that define nothing are named in the log.
+    /// Loads the embedded interfaces and the definitions in `folders`, which are share folders of
+    /// ROS installations. Logs a warning for each file without a valid definition.
     pub fn load<'a>(folders: impl IntoIterator<Item = (Dialect, &'a Path)>) -> Result<Self, LoadError> {
         let mut registry = Registry::embedded();
         for (dialect, folder) in folders {
@@ -105,12 +108,13 @@ impl Types {
         Ok(Self(registry))
     }
 
-    /// A type that is known here.
+    /// Returns the schema of a type from the local registry.
     fn known(&self, kind: &Kind) -> Result<Arc<Schema>, TypeError> {
         Ok(Schema::resolve(&self.0, kind.dialect.into(), &TypeName::parse(&kind.name)?)?)
     }
 
-    /// A type by the definition of whoever sends its messages; without one, as it is known here.
+    /// Returns the schema of a type. Uses `definition`, which the sender announced, or else the
+    /// local registry.
     pub fn schema(&self, kind: &Kind, definition: Option<&str>) -> Result<Arc<Schema>, TypeError> {
         match definition {
             Some(text) => Ok(Schema::from_text(kind.dialect.into(), &TypeName::parse(&kind.name)?, text)?),
@@ -122,14 +126,14 @@ impl Types {
         self.schema(form.kind, form.definition)
     }
 
-    /// The text that a type is defined by with all that it contains, if it is known here and not
-    /// too long to be told.
+    /// Returns the definition of a type from the local registry, with all nested types. Returns
+    /// `None` if the registry does not know the type or the text exceeds [`MAX_DEFINITION`] bytes.
     pub fn definition(&self, kind: &Kind) -> Option<String> {
         self.known(kind).ok().map(|schema| schema.text()).filter(|text| text.len() <= MAX_DEFINITION)
     }
 
-    /// The same type in another graph's terms, with the definition that its subscribers need: as it
-    /// is known here, or else made from that of the sender.
+    /// Returns the type in the terms of `dialect`, with the definition that subscribers there need.
+    /// The definition comes from the local registry, or else is made from the sender's definition.
     pub fn counterpart(&self, form: &Form<'_>, dialect: Dialect) -> Result<(Kind, Option<String>), TypeError> {
         if form.kind.dialect == dialect {
             return Ok((form.kind.clone(), form.definition.map(str::to_owned)));
@@ -143,7 +147,7 @@ impl Types {
         Ok((kind, Some(schema.text())))
     }
 
-    /// What ROS 1 compares of a type of its own.
+    /// Returns the MD5 sum that ROS 1 nodes compare for a type of ROS 1.
     pub fn md5sum(&self, kind: &Kind, definition: Option<&str>) -> Result<String, TypeError> {
         if !kind.hash.is_empty() {
             return Ok(hex::encode(&kind.hash));
@@ -158,7 +162,7 @@ impl Types {
         self.mapped(from, to, "")
     }
 
-    /// The same, and `prefix` goes in front of all coordinate frames; see
+    /// Returns a converter that also adds `prefix` to all coordinate frames; see
     /// [`Mapping::with_frame_prefix`].
     pub fn prefixing_converter(&self, from: &Form<'_>, to: &Form<'_>, prefix: &str) -> Result<Converter, TypeError> {
         let converter = self.mapped(from, to, prefix).map_err(|error| TypeError::Frames(error.into()))?;
@@ -182,7 +186,7 @@ impl Types {
 }
 
 impl Converter {
-    /// Of a message in the one form that in the other.
+    /// Converts one message to the other form.
     pub fn convert(&mut self, bytes: Bytes) -> Result<Bytes, gdp_msg::TranscodeError> {
         match self {
             Self::None => Ok(bytes),

@@ -1,4 +1,4 @@
-//! Merges the statuses of goals at several servers to one list.
+//! Merges the goal statuses of several servers into one list.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -9,10 +9,10 @@ use gdp_wire::Name;
 use super::LINGER;
 use super::cdr::{ABORTED, MAX_GOALS, Malformed, Status, status_array, statuses};
 
-/// Servers that have left and whose goals are still shown.
+/// Maximum number of departed servers whose goals are still shown.
 const MAX_LEFT: usize = 64;
 
-/// Of an action that is called.
+/// The goal statuses of an action whose servers are remote.
 #[derive(Default)]
 pub struct Board {
     servers: BTreeMap<Name, ServerStatuses>,
@@ -24,7 +24,7 @@ struct ServerStatuses {
 }
 
 impl Board {
-    /// What a server says of our goals. Returns those that have ended.
+    /// Stores the status array of a server. Returns the goals that have ended.
     pub fn say(&mut self, server: Name, message: &[u8]) -> Result<Vec<Status>, Malformed> {
         let statuses = statuses(message)?;
         let ended = statuses.iter().filter(|status| status.is_final()).copied().collect();
@@ -32,8 +32,8 @@ impl Board {
         Ok(ended)
     }
 
-    /// The server has left: goals that it had not ended are lost, which is shown as aborted.
-    /// Whether anything is.
+    /// Marks a server as departed and its active goals as aborted. Returns whether any goal
+    /// changed.
     pub fn leave(&mut self, now: Instant, server: &Name) -> bool {
         let Some(server) = self.servers.get_mut(server) else { return false };
         server.left.get_or_insert(now);
@@ -49,14 +49,14 @@ impl Board {
         lost
     }
 
-    /// No longer shows what was lost long ago. Whether anything is not shown any more.
+    /// Removes servers that left [`LINGER`] ago. Returns whether any was removed.
     pub fn sweep(&mut self, now: Instant) -> bool {
         let before = self.servers.len();
         self.servers.retain(|_, server| server.left.is_none_or(|left| now.saturating_duration_since(left) < LINGER));
         self.servers.len() < before
     }
 
-    /// All of them, as a message.
+    /// Returns the statuses of all servers as a `GoalStatusArray`.
     pub fn message(&self) -> Bytes {
         let all = self.servers.values().flat_map(|server| &server.statuses).copied();
         status_array(&all.take(MAX_GOALS).collect::<Vec<_>>())

@@ -1,5 +1,5 @@
-//! The messages that are the same for all actions (`action_msgs`, `unique_identifier_msgs`), in CDR
-//! of either byte order with its encapsulation.
+//! Reads and writes the messages that all actions share (`action_msgs`, `unique_identifier_msgs`).
+//! It reads CDR of both byte orders with the encapsulation header.
 
 use byteorder::{BigEndian, LittleEndian};
 use bytes::Bytes;
@@ -8,22 +8,22 @@ use serde::{Deserialize, Serialize};
 
 use super::GoalId;
 
-/// Of `action_msgs/msg/GoalStatus`.
+/// `STATUS_ABORTED` of `action_msgs/msg/GoalStatus`.
 pub const ABORTED: i8 = 6;
 
-/// Of `action_msgs/msg/GoalStatus`: nobody knows the goal.
+/// `STATUS_UNKNOWN` of `action_msgs/msg/GoalStatus`.
 pub const UNKNOWN: i8 = 0;
 
-/// The id in a request that cancels which means any goal.
+/// The goal ID in a cancel request that stands for any goal.
 pub const ANY_GOAL: GoalId = [0; 16];
 
-/// Elements of a list; more are refused.
+/// Maximum number of elements in a list. Longer lists are refused.
 pub const MAX_GOALS: usize = 4096;
 
 /// `builtin_interfaces/msg/Time`: seconds and nanoseconds.
 pub type Stamp = (i32, u32);
 
-/// Bytes that are no such message.
+/// The error for bytes that are not the expected message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("not a message that an action has there")]
 pub struct Malformed;
@@ -32,13 +32,13 @@ pub struct Malformed;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
     pub goal: GoalId,
-    /// When it was accepted, on the server's clock.
+    /// The time of acceptance, on the server's clock.
     pub stamp: Stamp,
     pub status: i8,
 }
 
 impl Status {
-    /// Whether the goal has ended, well or not.
+    /// Returns whether the goal succeeded, was canceled or was aborted.
     pub fn is_final(&self) -> bool {
         (4..=6).contains(&self.status)
     }
@@ -48,22 +48,22 @@ impl Status {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Canceling {
     pub code: i8,
-    /// With the stamps.
+    /// The goals that are being canceled, with their stamps.
     pub goals: Vec<(GoalId, Stamp)>,
 }
 
-/// The goal that a message begins with: one of feedback, or a request that sends, cancels or asks
-/// for the result.
+/// Reads the goal ID at the start of a message. The message is feedback, or a request of
+/// `send_goal`, `cancel_goal` or `get_result`.
 pub fn goal_of(message: &[u8]) -> Result<GoalId, Malformed> {
     read(message)
 }
 
-/// Whether a response of `send_goal` says that the goal is accepted.
+/// Returns whether a response of `send_goal` accepts the goal.
 pub fn is_accepted(response: &[u8]) -> Result<bool, Malformed> {
     Ok(read::<u8>(response)? != 0)
 }
 
-/// The status that a response of `get_result` begins with.
+/// Reads the status at the start of a response of `get_result`.
 pub fn result_status(response: &[u8]) -> Result<i8, Malformed> {
     read(response)
 }
@@ -75,7 +75,7 @@ pub fn statuses(message: &[u8]) -> Result<Vec<Status>, Malformed> {
     Ok(statuses)
 }
 
-/// Writes one.
+/// Writes an `action_msgs/msg/GoalStatusArray`.
 pub fn status_array(statuses: &[Status]) -> Bytes {
     write(&statuses)
 }
@@ -88,13 +88,13 @@ impl Canceling {
         Ok(canceling)
     }
 
-    /// Writes one.
+    /// Writes a response of `cancel_goal`.
     pub fn write(&self) -> Bytes {
         write(self)
     }
 
-    /// What several servers answered to one request, as one: it was good if it was good for any of
-    /// them.
+    /// Merges the responses of several servers to one request. The result is a success if any
+    /// response is. Returns `None` without responses.
     pub fn merge(answers: impl IntoIterator<Item = Self>) -> Option<Self> {
         answers.into_iter().reduce(|mut all, one| {
             all.code = if all.code == 0 || one.code == 0 { 0 } else { all.code };
@@ -105,19 +105,19 @@ impl Canceling {
     }
 }
 
-/// A response of `send_goal`: the goal is not accepted.
+/// Returns a response of `send_goal` that rejects the goal.
 pub fn rejected() -> Bytes {
     write(&(false, Stamp::default()))
 }
 
-/// A response of `cancel_goal`: it is not done.
+/// Returns a response of `cancel_goal` that rejects the request.
 pub fn not_canceling() -> Bytes {
     const REJECTED: i8 = 1;
     Canceling { code: REJECTED, goals: vec![] }.write()
 }
 
-/// A response of `get_result`: the goal was aborted. The result, whose type is the action's own, is
-/// zeros: each number in it reads as zero, and each text and list as empty, as far as they reach.
+/// Returns a response of `get_result` for an aborted goal. The result is 4096 zero bytes, because
+/// its type depends on the action. Readers decode them as zero numbers and empty strings and lists.
 pub fn aborted() -> Bytes {
     const RESULT: usize = 4096;
     let mut message = write(&ABORTED).to_vec();
@@ -125,7 +125,7 @@ pub fn aborted() -> Bytes {
     message.into()
 }
 
-/// Reads the beginning of a message; what follows is left.
+/// Reads a value from the start of a message, and ignores the rest.
 fn read<T: DeserializeOwned>(message: &[u8]) -> Result<T, Malformed> {
     let value = match message.split_first_chunk() {
         Some(([0, 0, _, _], body)) => cdr_encoding::from_bytes::<T, BigEndian>(body),
@@ -135,7 +135,7 @@ fn read<T: DeserializeOwned>(message: &[u8]) -> Result<T, Malformed> {
     value.map(|(value, _)| value).map_err(|_| Malformed)
 }
 
-/// Writes a message, little-endian, padded to whole words.
+/// Writes a message in little-endian CDR, padded to a multiple of four bytes.
 fn write(value: &impl Serialize) -> Bytes {
     let mut message = vec![0, 1, 0, 0];
     cdr_encoding::to_writer::<_, LittleEndian, _>(&mut message, value).expect("memory takes every message");

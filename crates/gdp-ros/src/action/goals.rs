@@ -1,4 +1,4 @@
-//! Remembers the owner of each goal, for as long as a client may ask for the result.
+//! Remembers the owner of each goal for as long as a client may request its result.
 
 use std::collections::HashMap;
 use std::time::Instant;
@@ -6,8 +6,8 @@ use std::time::Instant;
 use super::cdr::MAX_GOALS;
 use super::{GoalId, LINGER};
 
-/// Goals, each of a `T`: the server that has it, or who sent it. At most [`MAX_GOALS`], of which
-/// those that have ended give way.
+/// Goals with their owners. The owner `T` is the goal's server or its client. At most [`MAX_GOALS`]
+/// goals are stored; a new goal replaces the one that ended first.
 pub struct Goals<T> {
     goals: HashMap<GoalId, Goal<T>>,
 }
@@ -17,7 +17,7 @@ struct Goal<T> {
     ended: Option<Instant>,
 }
 
-/// Why a goal is not taken.
+/// The reason why a goal is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GoalsError {
     #[error("{MAX_GOALS} goals are under way; send another when some have ended")]
@@ -33,7 +33,7 @@ impl<T> Default for Goals<T> {
 }
 
 impl<T: Copy + PartialEq> Goals<T> {
-    /// Remembers a goal. What is somebody else's stays that.
+    /// Stores a goal. Fails if the goal has another owner, or if [`MAX_GOALS`] goals are active.
     pub fn begin(&mut self, goal: GoalId, of: T) -> Result<(), GoalsError> {
         if let Some(known) = self.goals.get(&goal) {
             return if known.of == of { Ok(()) } else { Err(GoalsError::Taken) };
@@ -47,19 +47,19 @@ impl<T: Copy + PartialEq> Goals<T> {
         Ok(())
     }
 
-    /// It was not accepted.
+    /// Removes a goal that the server has not accepted.
     pub fn forget(&mut self, goal: &GoalId) {
         self.goals.remove(goal);
     }
 
-    /// It has ended, and is remembered for [`LINGER`].
+    /// Marks a goal as ended. It stays for [`LINGER`].
     pub fn end(&mut self, now: Instant, goal: &GoalId) {
         if let Some(known) = self.goals.get_mut(goal) {
             known.ended.get_or_insert(now);
         }
     }
 
-    /// All of these have.
+    /// Marks all goals of an owner as ended.
     pub fn end_all(&mut self, now: Instant, of: T) {
         let all = self.goals.values_mut().filter(|known| known.of == of);
         all.for_each(|known| _ = known.ended.get_or_insert(now));
@@ -69,12 +69,12 @@ impl<T: Copy + PartialEq> Goals<T> {
         self.goals.get(goal).map(|known| known.of)
     }
 
-    /// Whether it has goals that have not ended.
+    /// Returns whether an owner has active goals.
     pub fn has_live(&self, of: T) -> bool {
         self.goals.values().any(|known| known.of == of && known.ended.is_none())
     }
 
-    /// Forgets what ended long ago.
+    /// Removes goals that ended [`LINGER`] ago.
     pub fn sweep(&mut self, now: Instant) {
         let over = |ended: Instant| now.saturating_duration_since(ended) >= LINGER;
         self.goals.retain(|_, known| !known.ended.is_some_and(over));

@@ -9,40 +9,41 @@ use gdp_wire::Name;
 use super::LINGER;
 use crate::call::{Event, Events, MAX_EVENTS};
 
-/// Those who are told.
+/// Maximum number of clients with a queue.
 const MAX_CALLERS: usize = 256;
 
-/// Feedback that waits for one of them, and bytes of it; beyond, the oldest goes.
+/// Maximum number of feedback messages in one queue. `MAX_WAITING_BYTES` bounds their size. Beyond
+/// either bound the oldest are dropped.
 const MAX_WAITING: usize = 256;
 const MAX_WAITING_BYTES: usize = 4 << 20;
 
-/// Bytes in one reply, if it has more than one event.
+/// Maximum size of a reply with several events, in bytes. A single event may exceed it.
 const MAX_REPLY: usize = 1 << 20;
 
-/// Of an action that is served.
+/// The event queues of one action whose server is local.
 #[derive(Default)]
 pub struct Log {
     callers: HashMap<Name, Caller>,
 }
 
 struct Caller {
-    /// Of the event that comes next; the first is 1.
+    /// The number of the next event. The first has number 1.
     next: u64,
     feedback: VecDeque<(u64, Bytes)>,
     bytes: usize,
     dropped: u64,
-    /// The newest; what was before is of no interest.
+    /// The newest status with its number. A new status replaces the previous one.
     status: Option<(u64, Bytes)>,
     last_seen: Instant,
 }
 
-/// Nobody else can be told.
+/// The error of [`Log::add_caller`] if [`Log`] has a queue for the maximum number of clients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{MAX_CALLERS} callers are told of their goals already; call again later")]
 pub struct LogError;
 
 impl Log {
-    /// It calls, and is told from now on.
+    /// Creates the queue of a client, or notes that the client is still active.
     pub fn add_caller(&mut self, now: Instant, caller: Name) -> Result<(), LogError> {
         if let Some(known) = self.callers.get_mut(&caller) {
             known.last_seen = now;
@@ -57,7 +58,7 @@ impl Log {
         Ok(())
     }
 
-    /// Returns how many it is not told for this.
+    /// Queues a feedback message. Returns the number of feedback messages that were dropped.
     pub fn feedback(&mut self, caller: &Name, message: Bytes) -> u64 {
         let Some(caller) = self.callers.get_mut(caller) else { return 1 };
         caller.bytes += message.len();
@@ -71,7 +72,7 @@ impl Log {
         caller.dropped - before
     }
 
-    /// Of its goals, if that is another than before.
+    /// Queues the status of the client's goals if it differs from the previous one.
     pub fn status(&mut self, caller: &Name, message: Bytes) {
         let Some(caller) = self.callers.get_mut(caller) else { return };
         if caller.status.as_ref().is_none_or(|(_, before)| *before != message) {
@@ -80,8 +81,8 @@ impl Log {
         }
     }
 
-    /// What it has not been told after the event of this number; `None` if there is nothing. What
-    /// was before, it has.
+    /// Returns the events after number `after`, or `None` if there are none. Removes the feedback
+    /// up to `after`, which the client has received.
     pub fn after(&mut self, caller: &Name, after: u64) -> Option<Events> {
         let caller = self.callers.get_mut(caller)?;
         while caller.feedback.front().is_some_and(|(number, _)| *number <= after) {
@@ -110,7 +111,8 @@ impl Log {
         Some(events)
     }
 
-    /// Forgets those who were not heard of for long; `stays`: whose goals go on.
+    /// Removes the queues of clients that were inactive for [`LINGER`], except those for which
+    /// `stays` returns true.
     pub fn sweep(&mut self, now: Instant, stays: impl Fn(&Name) -> bool) {
         self.callers.retain(|caller, known| now.saturating_duration_since(known.last_seen) < LINGER || stays(caller));
     }

@@ -13,8 +13,8 @@ pub use board::Board;
 pub use goals::{Goals, GoalsError};
 pub use log::{Log, LogError};
 
-/// A goal's number, drawn at random by whoever sends it.
+/// A goal ID, which the client draws at random.
 pub type GoalId = [u8; 16];
 
-/// How long a goal is remembered that has ended: as long as ROS 2's servers keep results at most.
+/// Time that an ended goal is remembered. It is the longest time that ROS 2 servers store results.
 pub const LINGER: Duration = Duration::from_secs(900);

@@ -1,9 +1,9 @@
-//! The messages between proxies about a service or an action: requests and replies between one
-//! client and one server, sealed for these two (`gdp::Client`, `Server`).
+//! The messages between proxies about a service or an action: requests and replies, sealed between
+//! one client and one server (`gdp::Client`, `Server`).
 //!
-//! One who calls first asks to have the service described; a call then goes in the terms of the
-//! server's ROS graph, and the caller's proxy converts if its own graph is of the other ROS
-//! version. [`Epoch`] says by which description.
+//! A client's proxy first requests the description of the service. Its calls then use the types and
+//! the encoding of the server's ROS graph. The client's proxy converts if its own graph has the
+//! other ROS version. The [`Epoch`] of a call names the description that it relies on.
 
 use bytes::Bytes;
 use gdp_core::cbor;
@@ -13,76 +13,77 @@ use serde::{Deserialize, Serialize};
 
 use crate::roster::{Kind, MAX_DEFINITION};
 
-/// How a message is marked that is a request or a reply.
+/// Encoding number of a message that is a request or a reply.
 pub const CALL: Encoding = Encoding::Other(0x4753);
 
 const VERSION: u8 = 1;
 
-/// Bytes of what a failure says.
+/// Maximum length of a failure's text, in bytes.
 pub const MAX_TEXT: usize = 1024;
 
-/// Events in one reply.
+/// Maximum number of events in one reply.
 pub const MAX_EVENTS: usize = 256;
 
 const MAX_KIND: usize = 256;
 const MAX_HASH: usize = 32;
 const MAX_DESCRIPTION: usize = 2 * MAX_DEFINITION + MAX_KIND + MAX_HASH + 128;
 
-/// Which time it is that a server is offered: drawn at random each time.
+/// A random number of a server's description. The server's proxy draws a new one whenever the
+/// server changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Epoch(pub u64);
 
-/// What is asked.
+/// A request to the server's proxy.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Request {
     Describe,
-    /// `body`: as a client of the server's ROS version would send it.
+    /// A call. `body` has the encoding of the server's ROS version.
     Call {
         epoch: Epoch,
         part: Part,
         body: Bytes,
     },
-    /// What happened to the caller's goals after the event of this number; answered when there is
-    /// something, or after a while.
+    /// A request for the events of the caller's goals after number `after`. The server's proxy
+    /// replies when there is an event, or after a timeout.
     Events {
         epoch: Epoch,
         after: u64,
     },
 }
 
-/// Which service of those that the name stands for.
+/// The ROS service that a call goes to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// The one there is.
+    /// The service itself.
     Service,
-    /// Of an action.
+    /// The `send_goal` service of an action.
     SendGoal,
     CancelGoal,
     GetResult,
 }
 
-/// What is answered.
+/// A reply of the server's proxy.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reply {
     Description(Epoch, Description),
-    /// As the server sent it.
+    /// The ROS server's response, unchanged.
     Answer(Bytes),
     Failure(Failure),
     Events(Events),
 }
 
-/// What a server serves.
+/// The description of a service or an action.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Description {
-    /// Its name is that of the service or action; the hash is that of all its parts.
+    /// The type of the service or action, with the hash of the whole type.
     pub kind: Kind,
-    /// Of a service, if the server's proxy knows it.
+    /// The definitions of a service, if the server's proxy knows them. They are `None` for an
+    /// action.
     pub definitions: Option<Definitions>,
 }
 
-/// The texts that the two messages of a service are defined by, each with all types that it
-/// contains.
+/// The definitions of a service's request and response, each with all nested types.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Definitions {
@@ -90,48 +91,48 @@ pub struct Definitions {
     pub response: String,
 }
 
-/// Why there is no answer.
+/// The reason why a call has no response.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}{}{text}", code.as_str(), if text.is_empty() { "" } else { ": " })]
 pub struct Failure {
     pub code: FailureCode,
-    /// For people; at most [`MAX_TEXT`] bytes.
+    /// A text for the user, of at most [`MAX_TEXT`] bytes.
     text: String,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FailureCode {
-    /// The ROS server has gone; it may have carried the request out.
+    /// The ROS server has left. It may have executed the request.
     ServerLeft,
-    /// The ROS server says that it failed.
+    /// The ROS server reported a failure.
     Refused,
-    /// As many calls as the proxy holds wait for the ROS server.
+    /// The proxy's queue of calls to the ROS server is full.
     Busy,
-    /// The request is not one that this name takes.
+    /// The name does not support the request.
     Malformed,
-    /// The server is another than the one that was described. It has not seen the request.
+    /// The server has changed since it was described. The new server has not received the request.
     Changed,
 }
 
-/// What happened to the goals of one caller.
+/// Events of the goals of one caller.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Events {
-    /// To ask from next.
+    /// The number of the last event, from which the caller continues.
     pub last: u64,
-    /// Those that there was no room for, since the reply before.
+    /// Number of events that were dropped since the previous reply, for lack of room.
     pub dropped: u64,
     pub events: Vec<Event>,
 }
 
-/// A message of one of an action's topics, as its server published it.
+/// A message from a topic of an action, as the ROS server published it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Event {
     Feedback(Bytes),
-    /// Of the caller's goals alone.
+    /// The statuses of the caller's goals only.
     Status(Bytes),
 }
 
-/// Bytes that no proxy of this version sends.
+/// The reason why bytes are not a request or reply.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CallError {
     #[error("a message about a service of version {0}, which this release does not know; update the proxy")]
@@ -153,7 +154,7 @@ impl Request {
         }
     }
 
-    /// Reads what another proxy sent. The body is a part of `bytes`.
+    /// Decodes a request from another proxy. The body shares the memory of `bytes`.
     pub fn from_bytes(bytes: &Bytes) -> Result<Self, CallError> {
         let mut from = Cursor::new(bytes)?;
         let request = match from.byte()? {
@@ -197,7 +198,7 @@ impl Reply {
         })
     }
 
-    /// Reads what another proxy sent. Bodies are parts of `bytes`.
+    /// Decodes a reply from another proxy. Bodies share the memory of `bytes`.
     pub fn from_bytes(bytes: &Bytes) -> Result<Self, CallError> {
         let mut from = Cursor::new(bytes)?;
         let reply = match from.byte()? {
@@ -235,7 +236,7 @@ impl Reply {
 }
 
 impl Failure {
-    /// Of the text, as much as may be said.
+    /// Creates a failure with the first [`MAX_TEXT`] bytes of `text`.
     pub fn new(code: FailureCode, text: impl ToString) -> Self {
         let mut text = text.to_string();
         text.truncate(text.floor_char_boundary(MAX_TEXT));
@@ -284,7 +285,7 @@ fn bounded(what: &'static str, got: usize, most: usize) -> Result<(), CallError>
     if got > most { Err(CallError::TooMuch { what, got, most }) } else { Ok(()) }
 }
 
-/// What is left to read.
+/// The bytes that are still to decode.
 struct Cursor(Bytes);
 
 impl Cursor {

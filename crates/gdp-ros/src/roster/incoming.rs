@@ -1,5 +1,5 @@
-//! The receiving side of rosters: it knows the publishers that each writer of a name has, and holds
-//! messages back until their publisher is known.
+//! The receiving side of rosters. It stores the publishers of each writer of a name, and queues
+//! messages until their publisher is known.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
@@ -10,19 +10,19 @@ use gdp_wire::Name;
 
 use super::{Kind, LEASE, Offer, Roster, RosterError, number};
 
-/// Writers of a name that are told apart.
+/// Maximum number of writers of a name.
 const MAX_PEERS: usize = 256;
 
-/// Messages that wait for the roster of their writer, and bytes of them, for all writers of a name.
-/// Beyond, the oldest go.
+/// Maximum number of queued messages, for all writers of a name. `MAX_PENDING_BYTES` bounds their
+/// size. Beyond either bound the oldest messages are dropped.
 const MAX_PENDING: usize = 1024;
 const MAX_PENDING_BYTES: usize = 32 << 20;
 
-/// Of a name that is read.
+/// The rosters of one name that is read.
 #[derive(Default)]
 pub struct Incoming {
     peers: HashMap<Name, RosterPeer>,
-    /// With when each came.
+    /// Messages that wait for a roster, each with its time of arrival.
     pending: VecDeque<(Instant, Message)>,
     pending_bytes: usize,
 }
@@ -31,7 +31,7 @@ struct RosterPeer {
     kind: Kind,
     definition: Option<Arc<str>>,
     writers: BTreeMap<u32, Listed>,
-    /// The message that said so, in its session.
+    /// Session and sequence number of the message that carried the roster.
     said: ([u8; 16], u64),
     last_seen: Instant,
 }
@@ -39,15 +39,15 @@ struct RosterPeer {
 #[derive(Clone, Copy)]
 struct Listed {
     offers: Offer,
-    /// Nothing was heard for as long as its lease.
+    /// Whether nothing arrived within the lease.
     is_silent: bool,
 }
 
-/// What becomes of a publisher's counterpart here.
+/// A change to a publisher's counterpart in the local ROS graph.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// It is to be there, and to offer this; also if it was there and offered something else, or
-    /// another type.
+    /// The counterpart must exist with this type and QoS. If it exists with another type or QoS, it
+    /// must be replaced.
     Joined {
         writer: Name,
         number: u32,
@@ -55,7 +55,8 @@ pub enum Change {
         definition: Option<Arc<str>>,
         offers: Offer,
     },
-    /// Nothing is heard of it any more: it may have gone, or it joins again, as the same.
+    /// Nothing arrived from the publisher within its lease. It may have left, or may join again as
+    /// the same.
     Silent {
         writer: Name,
         number: u32,
@@ -66,21 +67,22 @@ pub enum Change {
     },
 }
 
-/// What is to be done with a message.
+/// The result of [`Incoming::message`].
 #[derive(Debug, PartialEq, Eq)]
 pub enum Taken {
-    /// It is from this publisher, which has [joined](Change::Joined).
+    /// The message is from the publisher with this number, which has [joined](Change::Joined).
     From(u32, Message),
-    /// Its writer tells no publishers apart.
+    /// The message has no publisher number, because its writer assigns none.
     Plain(Message),
-    /// It waits for the roster.
+    /// The message is queued until the roster arrives.
     Pending,
-    /// It waits, and so many others do not any more.
+    /// The message is queued, and this number of older ones was dropped.
     Crowded(usize),
 }
 
 impl Incoming {
-    /// A roster came. What changes, and the messages that waited for it, in their order.
+    /// Applies a received roster. Returns the changes, and the queued messages that can now be
+    /// delivered, in their order.
     pub fn roster(&mut self, now: Instant, message: &Message) -> Result<(Vec<Change>, Vec<Message>), RosterError> {
         let Roster { kind, definition, writers, .. } = Roster::from_bytes(&message.body)?;
         let (writer, said) = (message.writer, (message.session, message.sequence));
@@ -104,7 +106,7 @@ impl Incoming {
         }
         let same_kind = before.is_some_and(|peer| same_session && peer.kind == kind);
         let known = before.filter(|_| same_kind).and_then(|peer| peer.definition.clone());
-        // A brief one leaves the definition as it is.
+        // A brief roster leaves the definition unchanged.
         let definition_is_new = definition.is_some() && definition.as_deref() != known.as_deref();
         let definition = definition.map(Arc::from).or(known);
         let listed = |offers| Listed { offers, is_silent: false };
@@ -112,7 +114,7 @@ impl Incoming {
             writers.iter().map(|writer| (writer.number, listed(writer.offers))).collect();
         let empty = BTreeMap::new();
         let there = before.map_or(&empty, |peer| &peer.writers);
-        // Another session's numbers are other publishers.
+        // Another session numbers its publishers anew.
         let stays = |number: &u32| same_session && writers.contains_key(number);
         let left = there.keys().filter(|number| !stays(number)).map(|number| Change::Left { writer, number: *number });
         let stands = same_kind && !definition_is_new;
@@ -129,7 +131,7 @@ impl Incoming {
         Ok((changes, self.release(writer)))
     }
 
-    /// What came with a name, other than a roster.
+    /// Classifies a received message that is not a roster.
     pub fn message(&mut self, now: Instant, message: Message) -> Taken {
         let Some(number) = number(&message.origin) else { return Taken::Plain(message) };
         if let Some(peer) = self.peers.get_mut(&message.writer)
@@ -139,7 +141,8 @@ impl Incoming {
             peer.last_seen = now;
             return Taken::From(number, message);
         }
-        // Of one that is silent the next roster tells, which is on its way; others wait for theirs.
+        // The next roster will announce a silent publisher again. Other messages wait for their
+        // first roster.
         self.pending_bytes += message.body.len();
         self.pending.push_back((now, message));
         let mut gone = 0;
@@ -150,7 +153,8 @@ impl Incoming {
         if gone == 0 { Taken::Pending } else { Taken::Crowded(gone) }
     }
 
-    /// Who is not heard of any more. Messages that waited for so long are dropped: how many.
+    /// Marks publishers as silent whose lease has expired, and drops messages that waited for
+    /// [`LEASE`]. Returns the changes and the number of dropped messages.
     pub fn poll(&mut self, now: Instant) -> (Vec<Change>, usize) {
         let mut changes = Vec::new();
         for (writer, peer) in &mut self.peers {
@@ -169,7 +173,7 @@ impl Incoming {
         (changes, before - self.pending.len())
     }
 
-    /// Nothing is known any more: all publishers have left.
+    /// Removes all publishers, and returns the changes.
     pub fn clear(&mut self) -> Vec<Change> {
         let numbers = |(writer, peer): (Name, RosterPeer)| {
             peer.writers.into_keys().map(move |number| Change::Left { writer, number })
@@ -177,7 +181,8 @@ impl Incoming {
         std::mem::take(self).peers.into_iter().flat_map(numbers).collect()
     }
 
-    /// Makes room for one more writer, if one is not heard of any more: its publishers have left.
+    /// Removes one writer that has been silent for [`LEASE`], to make room for another. Returns the
+    /// changes, or `None` if there is no such writer.
     fn forget_silent(&mut self, now: Instant) -> Option<Vec<Change>> {
         let is_silent = |peer: &RosterPeer| {
             now.saturating_duration_since(peer.last_seen) >= LEASE
@@ -192,8 +197,8 @@ impl Incoming {
         self.pending_bytes -= self.pending.pop_front().map_or(0, |(_, oldest)| oldest.body.len());
     }
 
-    /// Those of a writer that wait, of publishers that are known by now; what is from others of an
-    /// earlier roster waits on.
+    /// Returns the queued messages of `writer` whose publishers are now known. Messages of other
+    /// publishers or sessions stay queued.
     fn release(&mut self, writer: Name) -> Vec<Message> {
         let Some(peer) = self.peers.get(&writer) else { return vec![] };
         let is_known = |(_, message): &(Instant, Message)| {

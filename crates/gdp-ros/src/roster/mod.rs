@@ -1,13 +1,11 @@
-//! What a proxy tells of a topic beside its messages: of which type they are, and which ROS
-//! publishers they come from, with the quality of service that each offers. It goes sealed like the
-//! messages, under the same name, so that whoever may read these learns it and nobody else does.
-//! Readers mirror it: each publisher has its counterpart in their ROS graph, for as long as it is
-//! listed.
+//! The roster of a topic: its message type, and its ROS publishers with the QoS that each offers. A
+//! proxy sends the roster sealed under the name of the topic, so only readers of the topic can read
+//! it. Each reader's proxy mirrors the roster: it creates one publisher in its ROS graph for each
+//! that is listed.
 //!
-//! A roster is pinned at the publisher of the name, so that every reader gets it before anything
-//! latched. It is sent again every [`REFRESH`]; whom a roster is not heard of for [`LEASE`] is
-//! gone, with all its publishers. A message says by its origin ([`origin`]) from which of the
-//! publishers it is.
+//! The writer pins the roster, so that every reader receives it before any latched message. The
+//! writer sends it again every [`REFRESH`]. A reader that receives nothing from a writer for
+//! [`LEASE`] drops all its publishers. The [`origin`] of a message is the number of its publisher.
 
 mod incoming;
 mod outgoing;
@@ -22,24 +20,23 @@ use serde::{Deserialize, Serialize};
 pub use incoming::{Change, Incoming, Taken};
 pub use outgoing::{Announcement, Outgoing};
 
-/// How a message is marked that is a roster.
+/// Encoding number of a message that is a roster.
 pub const ROSTER: Encoding = Encoding::Other(0x4752);
 
-/// How often a roster is sent, if nothing changes.
+/// Interval between two rosters if nothing changes.
 pub const REFRESH: Duration = Duration::from_secs(3);
 
-/// For how long a roster holds: somewhat longer than DDS waits for a participant that is not heard
-/// of, so that a robot between two networks keeps its publishers, and what is repaired then finds
-/// them.
+/// Time after which a roster expires. It exceeds the lease of a DDS participant. So the publishers
+/// of a robot that moves between two networks stay, and retransmitted messages still find them.
 pub const LEASE: Duration = Duration::from_secs(30);
 
-/// The shortest lease that a publisher's promises make.
+/// Shortest lease that a publisher's QoS can cause.
 pub const MIN_LEASE: Duration = Duration::from_secs(1);
 
-/// Publishers of a topic in one ROS graph. More are not told apart.
+/// Maximum number of publishers of a topic in one ROS graph. Further publishers get no number.
 pub const MAX_WRITERS: usize = 512;
 
-/// A definition with all that it contains, in bytes.
+/// Maximum size of a definition with all nested types, in bytes.
 pub const MAX_DEFINITION: usize = 256 << 10;
 
 const MAX_ROSTER: usize = MAX_DEFINITION + MAX_WRITERS * 256;
@@ -47,35 +44,34 @@ const MAX_KIND: usize = 256;
 const MAX_HASH: usize = 32;
 const VERSION: u8 = 2;
 
-/// What is told of a topic.
+/// The type and the publishers of a topic.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Roster {
     version: u8,
     pub kind: Kind,
-    /// The text that the type is defined by, of all types that it contains, as its dialect
-    /// concatenates them. Left out when it is only said that everything is as before, or if the
-    /// proxy does not know it.
+    /// The definition of the type and of all nested types, concatenated as the dialect does it. It
+    /// is `None` in a brief roster, and if the proxy does not know the definition.
     pub definition: Option<String>,
-    /// By ascending number.
+    /// The publishers, in ascending order of their numbers.
     pub writers: Vec<Writer>,
 }
 
-/// A message type, as the ROS version names it that the messages come from.
+/// A message type in the ROS version of its publishers.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Kind {
     pub dialect: Dialect,
-    /// `std_msgs/String` of ROS 1, `std_msgs/msg/String` of ROS 2.
+    /// `std_msgs/String` in ROS 1, `std_msgs/msg/String` in ROS 2.
     pub name: String,
-    /// The MD5 sum of ROS 1, or the RIHS01 hash of ROS 2; empty if it is not known.
+    /// The MD5 sum of ROS 1 or the RIHS01 hash of ROS 2. It is empty if unknown.
     #[serde(with = "gdp_core::cbor::bytes")]
     pub hash: Vec<u8>,
 }
 
 impl Kind {
-    /// Whether messages of both are laid out alike, as far as is known: not every middleware tells
-    /// hashes.
+    /// Returns whether both types have the same layout, as far as known. Not every middleware
+    /// announces hashes, so an unknown hash equals any other.
     pub fn agrees(&self, other: &Self) -> bool {
         let unknown = self.hash.is_empty() || other.hash.is_empty();
         (self.dialect, &self.name) == (other.dialect, &other.name) && (unknown || self.hash == other.hash)
@@ -93,37 +89,38 @@ pub enum Dialect {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Writer {
-    /// Never another's under the same session of the name.
+    /// The number of the publisher. It is never reused within one session of the name.
     pub number: u32,
     pub offers: Offer,
 }
 
-/// What a publisher offers, in the terms of ROS 2.
+/// The QoS that a publisher offers, in the terms of ROS 2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Offer {
     pub reliable: bool,
     pub transient_local: bool,
-    /// Messages that it keeps, if it keeps the last; 0 if it keeps all.
+    /// History depth in messages; 0 for "keep all".
     pub depth: u32,
-    /// Nanoseconds within which it promises a message; 0 for no promise.
+    /// Deadline in nanoseconds; 0 for none.
     pub deadline_ns: u64,
-    /// Nanoseconds after which a message is not delivered any more; 0 for never.
+    /// Lifespan of a message in nanoseconds; 0 for unlimited.
     pub lifespan_ns: u64,
-    /// Nanoseconds within which it shows that it is alive; 0 for no promise.
+    /// Liveliness lease in nanoseconds; 0 for none.
     pub liveliness_ns: u64,
 }
 
 impl Offer {
-    /// For how long a publisher that offers this is taken for there, if nothing is heard of its
-    /// proxy: [`LEASE`], or as long as its promises hold.
+    /// Returns how long a reader keeps a publisher with this QoS while its proxy is silent. That is
+    /// the shorter of its deadline and its liveliness lease, but at least [`MIN_LEASE`] and at most
+    /// [`LEASE`]; without either it is [`LEASE`].
     pub fn lease(&self) -> Duration {
         let promises = [self.deadline_ns, self.liveliness_ns].into_iter().filter(|ns| *ns > 0).min();
         promises.map_or(LEASE, |ns| Duration::from_nanos(ns).clamp(MIN_LEASE, LEASE))
     }
 }
 
-/// Why a roster is not taken.
+/// The reason why a roster is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RosterError {
     #[error(transparent)]
@@ -141,7 +138,7 @@ impl Roster {
         cbor::encode(self)
     }
 
-    /// Reads what another proxy sent.
+    /// Decodes a roster from another proxy.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, RosterError> {
         let roster: Self = cbor::decode(bytes, MAX_ROSTER)?;
         if roster.version != VERSION {
@@ -164,12 +161,12 @@ impl Roster {
     }
 }
 
-/// What a message carries that is from the publisher with this number.
+/// Returns the origin that a message of the publisher `number` carries.
 pub fn origin(number: u32) -> [u8; 4] {
     number.to_be_bytes()
 }
 
-/// The number of the publisher that a message is from, if its writer tells publishers apart.
+/// Returns the number of a message's publisher, or `None` if its writer does not number publishers.
 pub fn number(origin: &[u8]) -> Option<u32> {
     origin.try_into().ok().map(u32::from_be_bytes)
 }

@@ -1,5 +1,5 @@
-//! The sending side of rosters: it numbers the publishers of a topic in a ROS graph, and decides
-//! when a roster is sent.
+//! The sending side of rosters. It numbers the publishers of a topic in a ROS graph, and decides
+//! when the proxy sends a roster.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
@@ -8,30 +8,30 @@ use gdp_core::cbor::CborError;
 
 use super::{Kind, LEASE, MAX_WRITERS, Offer, REFRESH, Roster, VERSION, Writer};
 
-/// Of a topic that goes out. `K` is what tells publishers apart in the ROS graph.
+/// The roster of a topic that this proxy publishes. `K` identifies a publisher in the ROS graph.
 pub struct Outgoing<K> {
     kind: Kind,
     definition: Option<String>,
     numbers: HashMap<K, u32>,
     writers: BTreeMap<u32, Offer>,
-    /// Of the next one that comes.
+    /// The number of the next publisher that joins.
     next: u32,
     changed: bool,
-    /// When a roster is due though nothing has changed.
+    /// When the next roster is due if nothing changes.
     due: Option<Instant>,
-    /// Since the last whole one.
+    /// Number of brief rosters since the last whole one.
     briefs: u32,
 }
 
-/// So many brief rosters, and a whole one again.
+/// Number of brief rosters between two whole ones.
 const BRIEFS: u32 = 10;
 
-/// A roster that is to be sent.
+/// A roster to send.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Announcement {
-    /// And pinned, in place of the one before.
+    /// A roster with the definition. The proxy also pins it in place of the previous one.
     Whole(Vec<u8>),
-    /// To those who know what is pinned.
+    /// A roster without the definition, for readers that have the pinned one.
     Brief(Vec<u8>),
 }
 
@@ -41,7 +41,7 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         Self { kind, definition, numbers, writers, next: 0, changed: true, due: None, briefs: 0 }
     }
 
-    /// A publisher is there, or offers something else. Of too many, what comes later has no number.
+    /// Adds a publisher, or changes its QoS. Ignores new publishers beyond [`MAX_WRITERS`].
     pub fn joined(&mut self, key: K, offers: Offer) {
         let number = match self.numbers.get(&key) {
             Some(number) => *number,
@@ -56,7 +56,7 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         self.changed |= self.writers.insert(number, offers) != Some(offers);
     }
 
-    /// A publisher has gone: what number it had.
+    /// Removes a publisher and returns its number.
     pub fn left(&mut self, key: &K) -> Option<u32> {
         let number = self.numbers.remove(key)?;
         self.writers.remove(&number);
@@ -64,43 +64,45 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         Some(number)
     }
 
-    /// The name is published anew: nobody knows what was told.
+    /// Makes the next roster a whole one, because the name has a new session and readers know
+    /// nothing.
     pub fn again(&mut self) {
         self.changed = true;
     }
 
-    /// Of a publisher that is there.
+    /// Returns the number of a publisher.
     pub fn number(&self, key: &K) -> Option<u32> {
         self.numbers.get(key).copied()
     }
 
-    /// Of all that are there.
+    /// Returns number and QoS of all publishers.
     pub fn offers(&self) -> impl Iterator<Item = (u32, Offer)> {
         self.writers.iter().map(|(number, offers)| (*number, *offers))
     }
 
-    /// How often a roster is sent: so that three may be lost before a publisher is missed.
+    /// Returns the interval between two rosters, a quarter of the shortest lease at most. So three
+    /// rosters in a row may be lost before a lease expires.
     fn refresh(&self) -> Duration {
         let lease = self.writers.values().map(Offer::lease).min().unwrap_or(LEASE);
         REFRESH.min(lease / 4)
     }
 
-    /// When the next roster is due, if nothing changes.
+    /// Returns when the next roster is due if nothing changes.
     pub fn due(&self) -> Option<Instant> {
         self.due
     }
 
-    /// The publishers are not carried any more: what tells so.
+    /// Returns a roster without publishers, for when the proxy no longer carries them.
     pub fn farewell(&self) -> Result<Vec<u8>, CborError> {
         Roster { version: VERSION, kind: self.kind.clone(), definition: None, writers: vec![] }.to_bytes()
     }
 
-    /// What is to be sent now, if anything is.
+    /// Returns the roster to send now, if any is due.
     pub fn poll(&mut self, now: Instant) -> Result<Option<Announcement>, CborError> {
         if !self.changed && self.due.is_some_and(|due| now < due) {
             return Ok(None);
         }
-        // What is best effort may have lost the one before.
+        // A best-effort reader may have lost the previous whole roster.
         let whole = std::mem::take(&mut self.changed) || self.briefs >= BRIEFS;
         self.briefs = if whole { 0 } else { self.briefs + 1 };
         self.due = Some(now + self.refresh());
