@@ -37,7 +37,7 @@ struct Caller {
     last_seen: Instant,
 }
 
-/// The error of [`Log::add_caller`] if [`Log`] has a queue for the maximum number of clients.
+/// The error when [`Log`] already has queues for the maximum number of clients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{MAX_CALLERS} callers are told of their goals already; call again later")]
 pub struct LogError;
