@@ -1,23 +1,23 @@
-//! Accepts connections, for both servers of a node.
+//! Accepts connections for both servers of a node.
 
 use std::time::Duration;
 
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::JoinSet;
 
-/// The next connection while fewer than `max` are served; others are closed at once, so that their
-/// peers see it and try again.
+/// Returns the next connection if fewer than `max` are open. Closes further connections at once, so
+/// that their peers notice and try again.
 pub async fn accept(listener: &TcpListener, served: &mut JoinSet<()>, max: usize) -> TcpStream {
     loop {
         tokio::select! {
-            // What has ended gives its place back.
+            // A connection that has ended frees its place.
             Some(_) = served.join_next() => {}
             accepted = listener.accept() => match accepted {
                 Ok((stream, _)) if served.len() < max => return stream,
                 Ok((_, peer)) => tracing::warn!(%peer, max, "connection refused: as many as are taken are open"),
                 Err(error) => {
-                    // Of the process (too many files) or of one peer: neither is better if it is
-                    // tried at once.
+                    // The cause is the process (too many open files) or one peer. An immediate
+                    // retry helps in neither case.
                     tracing::warn!(%error, "cannot take a connection");
                     tokio::time::sleep(Duration::from_millis(100)).await;
                 }

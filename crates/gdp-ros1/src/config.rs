@@ -3,46 +3,47 @@
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::time::Duration;
 
-/// How a node is set up.
+/// The configuration of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeConfig {
-    /// In full, such as `/gdp_proxy`. Of two nodes with the same name at a master, the one that
-    /// came first is told to end.
+    /// The global name, such as `/gdp_proxy`. If a second node registers the same name, the master
+    /// sends `shutdown` to the first.
     pub name: String,
-    /// Such as `http://localhost:11311/`.
+    /// The URI of the master, such as `http://localhost:11311/`.
     pub master_uri: String,
-    /// What others are told to connect to: a host name that they can resolve, or an address.
+    /// The host that other nodes connect to: a resolvable host name or an address.
     pub host: String,
-    /// Where this node takes connections, both those of the slave API and of TCPROS, at ports that
-    /// the system chooses.
+    /// The address on which the slave API and TCPROS listen. The system chooses both ports.
     pub bind: IpAddr,
-    /// How often the master is asked for its state: to find out that it has forgotten this node,
-    /// and what there is. Taken as 50 ms to 60 s.
+    /// The interval between two polls of the master's state, which detect lost registrations and
+    /// update the graph. It is clamped to 50 ms to 60 s.
     pub poll: Duration,
-    /// For each call of the master or another node's slave API, and for each handshake.
+    /// The timeout of each call to the master or to another node's slave API, and of each
+    /// handshake.
     pub timeout: Duration,
-    /// Of one message, request or response, in bytes.
+    /// Maximum size of a message, request or response, in bytes.
     pub max_message: usize,
 }
 
-/// roscore's own.
+/// The default port of roscore.
 const MASTER_PORT: u16 = 11311;
 
 impl NodeConfig {
-    /// As the environment says, like every ROS 1 node: `ROS_MASTER_URI`, then `ROS_HOSTNAME` before
-    /// `ROS_IP` before the name of this machine, and `ROS_IPV6`. A host that means this machine
-    /// alone is also all that is listened at.
+    /// Reads the configuration from the environment, like every ROS 1 node. The variables are
+    /// `ROS_MASTER_URI` and `ROS_IPV6`, and for the host `ROS_HOSTNAME`, then `ROS_IP`, then the
+    /// host name of this machine. The node listens only on loopback if the host is a loopback
+    /// address.
     pub fn from_env(name: &str) -> Self {
         Self::on_this_machine(name, |variable| std::env::var(variable).ok())
     }
 
-    /// The same, with variables that need not be in the environment.
+    /// Reads the configuration from variables that need not be in the environment.
     pub fn on_this_machine(name: &str, variable: impl Fn(&str) -> Option<String>) -> Self {
         let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
         Self::from_variables(name, variable, machine.trim())
     }
 
-    /// As variables say that need not be in the environment. `machine`: its host name.
+    /// Reads the configuration from variables. `machine` is the host name of this machine.
     pub fn from_variables(name: &str, variable: impl Fn(&str) -> Option<String>, machine: &str) -> Self {
         let set = |name| variable(name).filter(|value| !value.is_empty());
         let machine = if machine.is_empty() { "localhost" } else { machine };
@@ -64,7 +65,7 @@ impl NodeConfig {
         }
     }
 
-    /// An address of this node: `SCHEME://HOST:PORT`.
+    /// Returns an address of this node as `SCHEME://HOST:PORT`.
     pub(crate) fn uri(&self, scheme: &str, port: u16) -> String {
         match &self.host {
             host if host.contains(':') => format!("{scheme}://[{host}]:{port}"),

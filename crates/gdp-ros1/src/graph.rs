@@ -1,9 +1,9 @@
-//! The graph of a master: topics with types, publishers and subscribers, and services; and the
-//! changes of it.
+//! The graph of a master and its changes: topics with types, publishers and subscribers, and
+//! services.
 //!
-//! A master tells nobody of changes but those who publish or subscribe themselves, so its state is
-//! asked for from time to time, as ROS tools do. It does not know the types of services:
-//! [`ServiceClient::probe`](crate::ServiceClient::probe) asks the server.
+//! A master notifies only publishers and subscribers of changes, so the node polls its state as ROS
+//! tools do. A master does not know the types of services;
+//! [`ServiceClient::probe`](crate::ServiceClient::probe) requests them from the server.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -13,39 +13,40 @@ use tokio::sync::watch;
 use crate::api::master::SystemState;
 use crate::topic::subscription::PublisherInfo;
 
-/// A topic, as the master knows it, and with the publishers that this node is connected to.
+/// A topic of the master, with the publishers that this node is connected to.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Topic {
-    /// Such as `std_msgs/String`; `None` until somebody who publishes or subscribes has said it.
+    /// The type, such as `std_msgs/String`. It is `None` until a publisher or subscriber has
+    /// announced it.
     pub kind: Option<String>,
-    /// Nodes.
+    /// Names of the publishing nodes.
     pub publishers: BTreeSet<String>,
-    /// Nodes.
+    /// Names of the subscribing nodes.
     pub subscribers: BTreeSet<String>,
 }
 
-/// All that the master knows at a time, and what this node's own connections show besides.
+/// The state of the master, with the publishers that this node is connected to.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Snapshot {
-    /// Those that somebody publishes or subscribes to.
+    /// Topics with a publisher or a subscriber.
     pub topics: BTreeMap<String, Topic>,
-    /// With the nodes that serve them.
+    /// Services with the names of the nodes that serve them.
     pub services: BTreeMap<String, BTreeSet<String>>,
 }
 
-/// What is different in a snapshot.
+/// A difference between two snapshots.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// It is new, or something about it is: its type is known now, or others publish or subscribe.
+    /// The topic is new, or its type, publishers or subscribers have changed.
     Topic {
         name: String,
         topic: Topic,
     },
-    /// Nobody publishes it or subscribes to it any more.
+    /// The topic has no publisher and no subscriber any more.
     TopicRemoved {
         name: String,
     },
-    /// It is new, or others serve it.
+    /// The service is new, or other nodes serve it.
     Service {
         name: String,
         nodes: BTreeSet<String>,
@@ -56,7 +57,8 @@ pub enum Change {
 }
 
 impl Snapshot {
-    /// `connected`: who publishes what this node subscribes to, as far as it is connected.
+    /// Creates a snapshot. `connected` lists the publishers that this node's subscriptions are
+    /// connected to, each with its topic.
     pub(crate) fn new(
         state: &SystemState,
         kinds: &BTreeMap<String, String>,
@@ -81,7 +83,7 @@ impl Snapshot {
         Self { topics, services: services.collect() }
     }
 
-    /// What is different from an earlier one, by name.
+    /// Returns the differences to an earlier snapshot, sorted by name.
     pub fn changes_since(&self, earlier: &Self) -> Vec<Change> {
         let topics = self.topics.iter().filter(|&(name, topic)| earlier.topics.get(name) != Some(topic));
         let topics = topics.map(|(name, topic)| Change::Topic { name: name.clone(), topic: topic.clone() });
@@ -95,12 +97,12 @@ impl Snapshot {
     }
 }
 
-/// Watches a master's graph. While the master does not answer, nothing changes.
+/// Watches the graph of a master. While the master does not respond, the graph does not change.
 ///
-/// A master that was started anew knows only who registers with it again, and most ROS 1 nodes do
-/// not, though their connections go on. So whoever this node is connected to as a subscriber is
-/// there, whether or not the master lists it. What it is not connected to looks gone then: what was
-/// bridged should be kept while its [`Publisher`](crate::Publisher) has a subscriber.
+/// A restarted master knows only the nodes that register again. Most ROS 1 nodes do not, though
+/// their connections continue. So the graph includes the publishers that this node is connected to,
+/// even if the master does not list them. Other nodes disappear from the graph. A bridge should
+/// therefore keep a topic while its [`Publisher`](crate::Publisher) has a subscriber.
 pub struct Graph {
     snapshots: watch::Receiver<Arc<Snapshot>>,
     seen: Arc<Snapshot>,
@@ -111,8 +113,8 @@ impl Graph {
         Self { snapshots, seen: Arc::default() }
     }
 
-    /// Waits until the graph differs from what was returned last; at first, all of it is new. Many
-    /// changes in a short time may be seen as one. `None` when the node has left.
+    /// Waits until the graph differs from the last one returned; the first one is all new. May
+    /// return several changes at once. Returns `None` when the node has left.
     pub async fn changes(&mut self) -> Option<Vec<Change>> {
         let now = self.snapshots.wait_for(|now| **now != *self.seen).await.ok()?.clone();
         let changes = now.changes_since(&self.seen);
@@ -120,7 +122,7 @@ impl Graph {
         Some(changes)
     }
 
-    /// As last returned by [`Self::changes`].
+    /// Returns the snapshot of the last [`Self::changes`].
     pub fn snapshot(&self) -> &Snapshot {
         &self.seen
     }

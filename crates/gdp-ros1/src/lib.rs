@@ -1,19 +1,19 @@
-//! A ROS 1 node for bridges: it publishes, subscribes, serves and calls without knowing any type at
-//! compile time.
+//! A ROS 1 node for bridges. It publishes, subscribes, serves and calls without any type at compile
+//! time.
 //!
 //! It is a node like those of roscpp and rospy: one name, one slave API (XML-RPC), one TCPROS port,
-//! at one master. A process may have several, at several masters. What differs is that messages,
-//! requests and responses are bytes, as ROS 1 serializes them, and that types are strings:
+//! at one master. A process may have several nodes, at several masters. Unlike there, messages,
+//! requests and responses are bytes in ROS 1 serialization, and types are strings:
 //!
-//! - a [`Subscription`] asks publishers with `type=*` and `md5sum=*`, as `rostopic` does, and
-//!   learns type, md5sum, message definition and whether it latches from the connection header of
-//!   each ([`PublisherInfo`]). Each message says which publisher it is from, so a bridge can tell
-//!   what another bridge has put there. What the node itself publishes never comes back.
-//! - a [`Publisher`] is given its type ([`MessageType`]). With `latch`, everybody who connects
-//!   later receives the last message.
-//! - a [`ServiceServer`] calls a function with each request; a [`ServiceClient`] finds out the type
+//! - A [`Subscription`] connects with `type=*` and `md5sum=*`, as `rostopic` does. It reads the
+//!   type, md5sum, message definition and latching of each publisher from the connection header
+//!   ([`PublisherInfo`]). Each message names its publisher, so a bridge can recognize messages of
+//!   another bridge. A node never receives its own messages.
+//! - A [`Publisher`] has a fixed type ([`MessageType`]). With `latch`, each new subscriber receives
+//!   the last message.
+//! - A [`ServiceServer`] calls a function for each request. A [`ServiceClient`] finds out the type
 //!   of a service by a probe.
-//! - a [`Graph`] watches the master for topics and services that come and go.
+//! - A [`Graph`] watches the master for new and removed topics and services.
 //!
 //! ```no_run
 //! # async fn bridge() -> Result<(), Box<dyn std::error::Error>> {
@@ -33,48 +33,51 @@
 //!
 //! # The master
 //!
-//! Nothing here waits for it. What is published, subscribed to and served is noted and registered
-//! as soon as the master can be reached; [`Node::status`] says how that stands. Once each
-//! [`NodeConfig::poll`] the node asks for the master's state, and registers again what is not in
-//! it: so a master that was restarted knows the node again after one period. A subscription also
-//! asks again when the state shows other publishers than before: a `publisherUpdate` that was lost
-//! costs one period, and not the topic.
+//! No function waits for the master. The node registers its topics and services as soon as it can
+//! reach the master; [`Node::status`] shows the state. Every [`NodeConfig::poll`] the node requests
+//! the master's system state, and registers again what that lacks. So a restarted master knows the
+//! node after one period. A subscription also registers again when the state shows other publishers
+//! than before. So a lost `publisherUpdate` delays a new publisher by one period at most.
 //!
-//! Connections do not depend on the master. A restarted one lists only those publishers that
-//! registered with it, and roscpp and rospy nodes register once; so a connection ends when its
-//! publisher closes it, when it breaks, or when a master that has listed the publisher stops doing
-//! so, but not because a new master never heard of it. While a publisher is listed, it is tried
-//! again, after 200 ms and then ever more rarely, to once in 10 s ([`SourceState::Failed`] says
-//! what is wrong).
+//! Connections do not depend on the master. A restarted master lists only the publishers that
+//! registered with it, and roscpp and rospy nodes register only once. So a connection ends when its
+//! publisher closes it or when it breaks. It also ends when a master that has listed the publisher
+//! stops doing so, but not because a new master never listed it. While a publisher is listed, the
+//! subscription reconnects after 200 ms, with a backoff that grows to 10 s ([`SourceState::Failed`]
+//! holds the error).
 //!
-//! Of two nodes with one name the later has it, as everywhere in ROS 1. The earlier one shows
-//! [`MasterState::NameTaken`] and waits until the name is free; it does not take it back.
-//! `shutdown` (`rosnode kill`) is shown in [`Status::shutdown`] and nothing else: whether a bridge
-//! ends because anybody in the network says so is its own decision.
+//! If two nodes have the same name, the later one owns it, as everywhere in ROS 1. The earlier one
+//! shows [`MasterState::NameTaken`] and waits until the name is free. A `shutdown` call (`rosnode
+//! kill`) only sets [`Status::shutdown`]. The application decides whether to end, because anybody
+//! in the network can make this call.
 //!
 //! # Bounds
 //!
-//! ROS 1 authenticates nobody, so whoever reaches the ports of a node is believed as little as
-//! possible. Memory for a message grows with the bytes that came, to [`NodeConfig::max_message`]; a
-//! longer one ends its connection, and [`Subscription::sources`] says so. Whoever reads slowly has
-//! a queue of [`QueueLimits`], and the oldest are dropped and counted. Headers, XML-RPC bodies,
-//! their depth and number of values, connections, handshakes and all waiting are bounded as well;
-//! the constants say where.
+//! ROS 1 has no authentication, so a node does not trust its peers. Memory for a message grows with
+//! the bytes received, up to [`NodeConfig::max_message`]. A longer message ends its connection, and
+//! [`Subscription::sources`] shows the error. A slow subscriber has a queue of [`QueueLimits`],
+//! which drops and counts the oldest messages. Headers, XML-RPC bodies, their depth and number of
+//! values, connections, handshakes and timeouts are bounded as well, by constants in the modules.
 //!
 //! # What is not here
 //!
-//! Parameters, UDPROS, `/rosout`, simulated time, remappings (their user applies them; names are
-//! resolved and validated), and intraprocess shortcuts. `getBusStats` answers with empty lists.
+//! Parameters, UDPROS, `/rosout`, simulated time, remappings and intraprocess shortcuts. The
+//! application applies remappings; this crate resolves and validates names. `getBusStats` returns
+//! empty lists.
 //!
 //! # How it is built
 //!
-//! Without I/O: [`xmlrpc`], the header codec ([`Header`]), the slave API's calls (`api::slave`),
-//! what the master is to know (`registration`), whom to connect to (`topic::sources`), what has
-//! changed (`graph`), names. Around these the tasks: one that keeps the master informed
-//! (`registrar`), one for each server (`api::server`, `tcpros::listener`), one for each
-//! subscription with one for each of its connections.
+//! These parts do no I/O:
+//!
+//! - [`xmlrpc`] and the header codec ([`Header`]);
+//! - the calls of the slave API (`api::slave`) and the registrations (`registration`);
+//! - the choice of publishers (`topic::sources`), the changes of the graph (`graph`), and names.
+//!
+//! Tasks run around them. One keeps the registrations in force (`registrar`). One runs for each
+//! server (`api::server`, `tcpros::listener`). One runs for each subscription, and one for each of
+//! its connections.
 #![deny(unsafe_code)]
-// They panic where stdout or stderr cannot be written.
+// These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod accept;

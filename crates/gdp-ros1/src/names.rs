@@ -1,11 +1,11 @@
-//! Graph resource names: validation, and resolution to a global name. <https://wiki.ros.org/Names>
+//! Validates graph resource names and resolves them to global names. <https://wiki.ros.org/Names>
 //!
-//! Remappings are not known here: whoever uses this crate applies them before.
+//! The application applies remappings before it calls this crate.
 
-/// Bytes of a name in full. ROS has no limit; real names stay far below.
+/// Maximum length of a global name, in bytes. ROS has no limit; real names are far shorter.
 pub const MAX_NAME: usize = 1024;
 
-/// Why a name is not one.
+/// The reason why a name is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NameError {
     #[error("an empty name")]
@@ -23,8 +23,8 @@ pub enum NameError {
     NotFull(String),
 }
 
-/// The full name, from `/`. `name` is global (`/a`), relative to the node's namespace (`a`), or
-/// private to the node (`~a`); `node` is the node's full name.
+/// Returns the global name of `name`. A name is global (`/a`), relative to the node's namespace
+/// (`a`), or private to the node (`~a`). `node` is the node's global name.
 pub fn resolve(name: &str, node: &str) -> Result<String, NameError> {
     validate(name)?;
     let namespace = &node[..=node.rfind('/').unwrap_or(0)];
@@ -36,7 +36,7 @@ pub fn resolve(name: &str, node: &str) -> Result<String, NameError> {
     if full.len() > MAX_NAME { Err(NameError::TooLong(full.len())) } else { Ok(full) }
 }
 
-/// A node's own name: valid and in full.
+/// Checks that a node's name is valid and global.
 pub fn validate_node(name: &str) -> Result<(), NameError> {
     validate(name)?;
     if name.starts_with('/') { Ok(()) } else { Err(NameError::NotFull(name.to_owned())) }

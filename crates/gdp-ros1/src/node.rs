@@ -29,13 +29,13 @@ use crate::topic::publication::{MessageType, Publication, PublishOptions, Subscr
 use crate::topic::sources::Sources;
 use crate::topic::subscription::{ConnectionSupervisor, Listed, Message, SourceStates, SubscribeOptions};
 
-/// How often and how rarely a master may be asked for its state.
+/// Shortest and longest interval between two polls of the master.
 const POLL: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(60));
 
-/// Time for those who are being answered to get that before connections end.
+/// Timeout for the responses to service calls in progress when the node leaves.
 const LAST_ANSWERS: Duration = Duration::from_secs(1);
 
-/// Why a node, or something of it, cannot be.
+/// The reason why a node, publication, subscription or service cannot be created.
 #[derive(Debug, thiserror::Error)]
 pub enum NodeError {
     #[error(transparent)]
@@ -52,7 +52,7 @@ pub enum NodeError {
     Type(String),
 }
 
-/// A message is too long to be published.
+/// The error for a message that exceeds [`NodeConfig::max_message`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a message of {length} bytes, and at most {max} are published: raise `max_message` if it was meant")]
 pub struct TooLong {
@@ -60,18 +60,18 @@ pub struct TooLong {
     pub max: usize,
 }
 
-/// A ROS 1 node. Ends with everything that it publishes, subscribes to and serves when it is
-/// dropped; the master is told in the background then. [`Node::leave`] waits for that.
+/// A ROS 1 node. Dropping it ends all its publications, subscriptions and services, and unregisters
+/// them in the background. [`Node::leave`] waits for that.
 pub struct Node {
     shared: Arc<Shared>,
-    /// The servers end when this is dropped.
+    /// Tasks of the two servers, which end when this is dropped.
     servers: JoinSet<()>,
     registrar: Option<JoinHandle<()>>,
 }
 
 impl Node {
-    /// Begins to listen, and looks for the master in the background: whether it is there shows in
-    /// [`Node::status`]. To be called within a tokio runtime.
+    /// Starts to listen and connects to the master in the background; [`Node::status`] shows the
+    /// result. Must be called within a tokio runtime.
     pub async fn start(config: NodeConfig) -> Result<Self, NodeError> {
         validate_node(&config.name)?;
         let poll = config.poll.clamp(POLL.0, POLL.1);
@@ -103,17 +103,17 @@ impl Node {
         Ok(Self { shared, servers, registrar })
     }
 
-    /// In full.
+    /// Returns the global name of the node.
     pub fn name(&self) -> &str {
         &self.shared.config.name
     }
 
-    /// Of the slave API.
+    /// Returns the URI of the slave API.
     pub fn uri(&self) -> &str {
         &self.shared.uri
     }
 
-    /// Publishes a topic. Only one `Publisher` of a node may have it.
+    /// Publishes a topic. A node can have only one `Publisher` per topic.
     pub fn publish(&self, topic: &str, kind: MessageType, options: PublishOptions) -> Result<Publisher, NodeError> {
         let topic = resolve(topic, self.name())?;
         validate_type(&kind.name)?;
@@ -129,8 +129,8 @@ impl Node {
         Ok(Publisher { publication, registered })
     }
 
-    /// Subscribes to a topic, of whatever type unless `options` say which. Only one `Subscription`
-    /// of a node may have it. What this node publishes itself does not come.
+    /// Subscribes to a topic, of any type unless `options` specify one. A node can have only one
+    /// `Subscription` per topic, and does not receive its own messages.
     pub fn subscribe(&self, topic: &str, options: SubscribeOptions) -> Result<Subscription, NodeError> {
         let topic = resolve(topic, self.name())?;
         let (kind, md5sum) = options.kind.unwrap_or_else(|| ("*".to_owned(), "*".to_owned()));
@@ -160,8 +160,8 @@ impl Node {
         Ok(Subscription { common, ended: states.clone(), states, registered })
     }
 
-    /// Serves a service: `handler` is called with each request, at most `concurrency` (at least 1)
-    /// at once; others wait. An error is told to the caller.
+    /// Serves a service. At most `concurrency` calls of `handler` (at least 1) run at once; other
+    /// requests wait. The caller receives the error text of `handler`.
     pub fn serve<F>(
         &self,
         service: &str,
@@ -195,29 +195,28 @@ impl Node {
         })
     }
 
-    /// To call a service with. Asks nobody yet.
+    /// Returns a client of a service. Sends nothing yet.
     pub fn client(&self, service: &str) -> Result<ServiceClient, NodeError> {
         let service = resolve(service, self.name())?;
         Ok(ServiceClient { master: self.shared.master.clone(), service, max_message: self.shared.config.max_message })
     }
 
-    /// Watches what is there at the master.
+    /// Returns a watch on the graph of the master.
     pub fn graph(&self) -> Graph {
         Graph::new(self.shared.graph.subscribe())
     }
 
-    /// How it stands with the master; changes can be waited for.
+    /// Returns a watch on the state at the master.
     pub fn status(&self) -> watch::Receiver<Status> {
         self.shared.status.subscribe()
     }
 
-    /// Takes everything back at the master, as far as it can be reached within a few seconds, and
-    /// ends all connections; those who are being answered get that before, if it takes no more than
-    /// a second.
+    /// Unregisters everything at the master within a few seconds, and closes all connections.
+    /// Service calls in progress have one second to finish first.
     pub async fn leave(mut self) {
         self.shared.leaving.send_replace(true);
         if let Some(registrar) = self.registrar.take() {
-            // It ends by itself, or has panicked: either way nothing more can be done.
+            // The registrar task ends by itself or has panicked; both cases need no action.
             _ = registrar.await;
         }
         _ = tokio::time::timeout(LAST_ANSWERS, self.shared.answers.write()).await;
@@ -228,14 +227,14 @@ impl Node {
 impl Drop for Node {
     fn drop(&mut self) {
         self.shared.leaving.send_replace(true);
-        // Handles may live on: what they stand for ends here.
+        // Handles may live longer than the node, so their connections end here.
         self.shared.publications.lock().clear();
         self.shared.subscriptions.lock().clear();
         self.shared.services.lock().clear();
     }
 }
 
-/// A registration that ends with its handle.
+/// A registration that ends when its handle is dropped.
 struct Registered {
     shared: Arc<Shared>,
     key: Key,
@@ -250,8 +249,8 @@ impl Registered {
 
 impl Drop for Registered {
     fn drop(&mut self) {
-        // Under the lock, so that another of the same name is registered after this one is taken
-        // back.
+        // Holds the lock, so that a new handle of the same name registers only after this one has
+        // unregistered.
         fn remove<T>(of: &Mutex<HashMap<String, T>>, name: &str, leave: impl FnOnce()) {
             let mut handles = of.lock();
             handles.remove(name);
@@ -267,21 +266,21 @@ impl Drop for Registered {
     }
 }
 
-/// A topic that this node publishes, until it is dropped. What waits for subscribers then is lost.
+/// A topic that this node publishes until this handle is dropped. Dropping it discards all queued
+/// messages.
 pub struct Publisher {
     publication: Arc<Publication>,
     registered: Registered,
 }
 
 impl Publisher {
-    /// In full.
+    /// Returns the global name of the topic.
     pub fn topic(&self) -> &str {
         &self.publication.topic
     }
 
-    /// Hands a message, as serialized by ROS 1 without the length in front, to all who are
-    /// connected. Does not wait: for those who are too slow, the oldest that wait are dropped and
-    /// counted.
+    /// Queues a message for all subscribers, in ROS 1 serialization without the length prefix.
+    /// Never waits: the queue of a slow subscriber drops and counts its oldest messages.
     pub fn publish(&self, message: Bytes) -> Result<(), TooLong> {
         let max = self.registered.shared.config.max_message;
         if message.len() > max {
@@ -291,39 +290,40 @@ impl Publisher {
         Ok(())
     }
 
-    /// Who comes from now on receives nothing, until something is published again.
+    /// Discards the latched message. New subscribers receive nothing until the next one is
+    /// published.
     pub fn forget_latched(&self) {
         self.publication.forget_latched();
     }
 
-    /// Those who are connected now.
+    /// Returns the connected subscribers.
     pub fn subscribers(&self) -> Vec<Subscriber> {
         self.publication.connected()
     }
 
-    /// Messages that subscribers were too slow for, since the beginning.
+    /// Returns the number of messages that the queues of slow subscribers dropped.
     pub fn dropped(&self) -> u64 {
         self.publication.dropped()
     }
 }
 
-/// A topic that this node subscribes to, until it is dropped.
+/// A topic that this node subscribes to until this handle is dropped.
 pub struct Subscription {
     common: Arc<Common>,
     states: watch::Receiver<SourceStates>,
-    /// The same, for what it says when it ends.
+    /// A second receiver of `states`, which shows the end of the subscription.
     ended: watch::Receiver<SourceStates>,
     registered: Registered,
 }
 
 impl Subscription {
-    /// In full.
+    /// Returns the global name of the topic.
     pub fn topic(&self) -> &str {
         &self.registered.key.1
     }
 
-    /// Waits for the next message; `None` when the node has left. It may be dropped while it waits,
-    /// without a loss.
+    /// Waits for the next message. Returns `None` when the node has left. This function is
+    /// cancel-safe.
     pub async fn next(&mut self) -> Option<Message> {
         tokio::select! {
             biased;
@@ -332,24 +332,24 @@ impl Subscription {
         }
     }
 
-    /// Who publishes the topic, and whether they are connected; changes can be waited for.
+    /// Returns a watch on the publishers of the topic and their connections.
     pub fn sources(&self) -> watch::Receiver<SourceStates> {
         self.states.clone()
     }
 
-    /// Messages that were not taken in time, since the beginning.
+    /// Returns the number of messages that a full queue dropped.
     pub fn dropped(&self) -> u64 {
         self.common.queue.dropped()
     }
 }
 
-/// A service that this node serves, until it is dropped. Calls that run then are answered.
+/// A service that this node serves until this handle is dropped. Calls in progress still finish.
 pub struct ServiceServer {
     registered: Registered,
 }
 
 impl ServiceServer {
-    /// In full.
+    /// Returns the global name of the service.
     pub fn service(&self) -> &str {
         &self.registered.key.1
     }
@@ -365,7 +365,7 @@ async fn bind(config: &NodeConfig) -> Result<(TcpListener, u16), NodeError> {
     bound.await.map_err(|source| NodeError::Listen { address, source })
 }
 
-/// Masters refuse other types, and headers end at the wrong place with some.
+/// Masters refuse other types, and some break the connection header.
 fn validate_type(kind: &str) -> Result<(), NodeError> {
     let is_part = |part: &str| !part.is_empty() && part.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_');
     match kind.split_once('/') {

@@ -6,17 +6,17 @@ use std::collections::VecDeque;
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
-/// How much may wait.
+/// The limits of a queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QueueLimits {
-    /// Messages; at least one.
+    /// Maximum number of messages; 0 means 1.
     pub messages: usize,
-    /// Bytes of all messages. One message that is larger by itself still fits, alone.
+    /// Maximum size of all messages, in bytes. A single larger message still fits alone.
     pub bytes: usize,
 }
 
 impl Default for QueueLimits {
-    /// 100 messages, 128 MiB.
+    /// Returns 100 messages and 128 MiB.
     fn default() -> Self {
         Self { messages: 100, bytes: 128 << 20 }
     }
@@ -29,7 +29,7 @@ pub struct Queue<T> {
 }
 
 struct QueuedItem<T> {
-    /// Each with its bytes.
+    /// The items, each with its size in bytes.
     items: VecDeque<(T, usize)>,
     bytes: usize,
     dropped: u64,
@@ -41,7 +41,7 @@ impl<T> Queue<T> {
         Self { limits, waiting: Mutex::new(waiting), pushed: Notify::new() }
     }
 
-    /// Adds what has so many bytes, and drops from the front what no longer fits.
+    /// Adds an item of `bytes` bytes, and drops the oldest items that exceed the limits.
     pub fn push(&self, item: T, bytes: usize) {
         let mut waiting = self.waiting();
         waiting.items.push_back((item, bytes));
@@ -57,7 +57,7 @@ impl<T> Queue<T> {
         self.pushed.notify_one();
     }
 
-    /// Waits for the next. For one reader.
+    /// Waits for the oldest item and removes it. Only one reader may wait.
     pub async fn pop(&self) -> T {
         loop {
             if let Some(item) = self.try_pop() {
@@ -74,7 +74,7 @@ impl<T> Queue<T> {
         Some(item)
     }
 
-    /// How many have been dropped so far.
+    /// Returns the number of dropped items.
     pub fn dropped(&self) -> u64 {
         self.waiting().dropped
     }

@@ -13,15 +13,15 @@ use crate::graph::Snapshot;
 use crate::registration::RegistrationStep;
 use crate::shared::{MasterState, Shared};
 
-/// To take everything back when the node leaves.
+/// Timeout for unregistering everything when the node leaves.
 const LEAVE: Duration = Duration::from_secs(5);
 
 pub struct Registrar {
     shared: Arc<Shared>,
-    /// The graph, as it was last looked at, with the types of topics.
+    /// The last system state of the master, and the types of its topics.
     state: SystemState,
     kinds: BTreeMap<String, String>,
-    /// Whether the master has taken anything that is not taken back.
+    /// Whether the master has accepted any registration that is not unregistered.
     is_known: bool,
 }
 
@@ -30,21 +30,22 @@ impl Registrar {
         Self { shared, state: SystemState::default(), kinds: BTreeMap::new(), is_known: false }
     }
 
-    /// Until the node leaves and everything is taken back, as far as the master can be reached.
+    /// Runs until the node leaves and has unregistered everything, as far as it can reach the
+    /// master.
     pub async fn run(mut self) {
         let mut leaving = self.shared.leaving.subscribe();
         tokio::select! {
             () = self.keep() => {}
-            // A call that is cut off here may have been carried out: it is taken back with the
-            // others.
+            // The master may have executed a call that is cancelled here. So `leave_all` includes
+            // it.
             _ = leaving.wait_for(|leaving| *leaving) => {}
         }
         self.shared.registrations().leave_all();
-        // What cannot be taken back in time stays with a master that does not answer.
+        // A registration that the timeout leaves over stays at a master that does not respond.
         _ = timeout(LEAVE, self.work_off()).await;
     }
 
-    /// Does not end.
+    /// Keeps the registrations in force. Never returns.
     async fn keep(&mut self) {
         let (mut master, mut next_look) = (MasterState::Unknown, Instant::now());
         loop {
@@ -52,7 +53,7 @@ impl Registrar {
                 next_look = Instant::now() + self.shared.config.poll;
                 master = self.look().await;
             }
-            // While it cannot be reached, the next look is soon enough.
+            // If the master is unreachable, the next poll is soon enough.
             if master == MasterState::Reached {
                 master = self.work_off().await;
             }
@@ -64,8 +65,7 @@ impl Registrar {
         }
     }
 
-    /// Whether the master still knows this node as it should; what it has forgotten is wanted
-    /// again.
+    /// Polls the master, and makes the registrations that it lost wanted again.
     async fn look(&mut self) -> MasterState {
         self.try_to_look().await.unwrap_or_else(|error| MasterState::Unreachable(error.to_string()))
     }
@@ -73,13 +73,14 @@ impl Registrar {
     async fn try_to_look(&mut self) -> Result<MasterState, MasterError> {
         let Shared { master, config, uri, .. } = &*self.shared;
         let state = master.system_state().await?;
-        // After the state: if the name is this node's now, the state does not lack it because
-        // another has taken it. Who has nothing registered yet takes the name itself, perhaps from
-        // its own run before.
+        // This call follows `system_state`. If the name is this node's now, then no other node's
+        // registration has changed the state. A node without registrations takes the name itself,
+        // perhaps from its own earlier run.
         if self.is_known {
             match master.lookup_node(&config.name).await {
                 Ok(other) if other != *uri => return Ok(MasterState::NameTaken(other)),
-                // Unknown: all is forgotten, as the state will show.
+                // The master does not know the node. Then it lost everything, which the state
+                // shows.
                 Ok(_) | Err(MasterError::Refused { .. }) => {}
                 Err(error) => return Err(error),
             }
@@ -94,7 +95,7 @@ impl Registrar {
         Ok(MasterState::Reached)
     }
 
-    /// Has the graph shown to those who watch it.
+    /// Sends the graph to its watchers.
     async fn show(&mut self, state: SystemState) -> Result<(), MasterError> {
         let has_all_kinds = {
             let graph = self.shared.graph.borrow();
@@ -113,7 +114,7 @@ impl Registrar {
         Ok(())
     }
 
-    /// Tells the master what it has to know. Ends early if it cannot be reached.
+    /// Makes all pending calls to the master. Stops early if it is unreachable.
     async fn work_off(&mut self) -> MasterState {
         loop {
             let (next, is_empty) = {

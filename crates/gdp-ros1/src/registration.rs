@@ -1,11 +1,11 @@
-//! The registrations of a node without I/O: those that the node wants, those that the master has
-//! accepted, and those that it has forgotten.
+//! The registrations of a node, without I/O: those that the node wants, those that the master has
+//! accepted, and those that the master has lost.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::api::master::SystemState;
 
-/// What is registered, under a full name.
+/// What a node registers, under a global name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum RegistrationKind {
     Publisher,
@@ -13,13 +13,13 @@ pub enum RegistrationKind {
     Service,
 }
 
-/// One registration: what, and of which topic or service.
+/// The key of one registration: its kind, and the name of the topic or service.
 pub type Key = (RegistrationKind, String);
 
-/// What to ask the master for.
+/// The next call to the master.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RegistrationStep {
-    /// `kind`: the type of a topic, or `*`; empty for services.
+    /// `kind` is the type of a topic or `*`. It is empty for a service.
     Register {
         key: Key,
         kind: String,
@@ -38,9 +38,9 @@ pub struct Registrations {
 struct MasterEntry {
     kind: String,
     state: RegistrationState,
-    /// How often the master has forgotten it.
+    /// Number of times that the master has lost this registration.
     run: u64,
-    /// Of a subscriber's topic: who publishes it, as the master said last.
+    /// The publishers of a subscriber's topic in the last system state of the master.
     publishers: BTreeSet<String>,
 }
 
@@ -48,34 +48,35 @@ struct MasterEntry {
 enum RegistrationState {
     Wanted,
     Registered,
-    /// The master's reason. Asked again at the next look at the master.
+    /// The master's reason for its refusal. The next system state makes the node try again.
     Refused(String),
-    /// To be unregistered.
+    /// The node must unregister it.
     Leaving,
 }
 
 impl Registrations {
-    /// Asks for a registration. One that is just being taken back is wanted again.
+    /// Adds a registration. An entry that is being unregistered becomes wanted again.
     pub fn want(&mut self, key: Key, kind: String) {
         let run = self.entries.get(&key).map_or(0, |entry| entry.run);
         self.entries
             .insert(key, MasterEntry { kind, state: RegistrationState::Wanted, run, publishers: BTreeSet::new() });
     }
 
-    /// Takes one back. Also of one that is not known to be registered: the answer may have been
-    /// lost.
+    /// Marks a registration for unregistration. This includes one that is not known to be
+    /// registered, because the master's response may have been lost.
     pub fn leave(&mut self, key: &Key) {
         if let Some(entry) = self.entries.get_mut(key) {
             entry.state = RegistrationState::Leaving;
         }
     }
 
-    /// Takes all back.
+    /// Marks all registrations for unregistration.
     pub fn leave_all(&mut self) {
         self.entries.values_mut().for_each(|entry| entry.state = RegistrationState::Leaving);
     }
 
-    /// What to ask for next. It stays next until [`Self::done`] or [`Self::refused`].
+    /// Returns the next call to the master. It stays the same until [`Self::done`] or
+    /// [`Self::refused`].
     pub fn next(&self) -> Option<RegistrationStep> {
         self.entries.iter().find_map(|(key, entry)| match entry.state {
             RegistrationState::Wanted => {
@@ -86,8 +87,8 @@ impl Registrations {
         })
     }
 
-    /// The master did it. What was asked for meanwhile counts: a step whose opposite is wanted now
-    /// does not end anything.
+    /// Records that the master accepted a call. Ignores it if the opposite has been requested
+    /// since.
     pub fn done(&mut self, step: &RegistrationStep) {
         match step {
             RegistrationStep::Register { key, .. } => {
@@ -104,7 +105,7 @@ impl Registrations {
         }
     }
 
-    /// The master will not do it.
+    /// Records that the master refused a call.
     pub fn refused(&mut self, step: &RegistrationStep, reason: String) {
         match step {
             RegistrationStep::Register { key, .. } => {
@@ -113,15 +114,15 @@ impl Registrations {
                     entry.state = RegistrationState::Refused(reason);
                 }
             }
-            // It is not there, or not ours.
+            // The master does not have this registration, or it belongs to another node.
             RegistrationStep::Unregister { .. } => self.done(step),
         }
     }
 
-    /// Compares with what the master says of `node`: what it has forgotten is wanted again, and so
-    /// is what it refused. A subscriber asks again too when others publish its topic than before,
-    /// because the master's word that they do may have been lost. Returns how many registrations
-    /// were forgotten.
+    /// Compares the registrations of `node` with the master's system state. Registrations that the
+    /// master lost or refused become wanted again. A subscriber also registers again when the
+    /// publishers of its topic have changed, because a `publisherUpdate` may have been lost.
+    /// Returns the number of lost registrations.
     pub fn observe(&mut self, node: &str, master: &SystemState) -> usize {
         let by_name = |listed: &'_ [(String, Vec<String>)]| -> BTreeMap<String, BTreeSet<String>> {
             listed.iter().map(|(name, nodes)| (name.clone(), nodes.iter().cloned().collect())).collect()
@@ -156,22 +157,22 @@ impl Registrations {
         forgotten
     }
 
-    /// How often the master has forgotten a subscription.
+    /// Returns how often the master has lost a registration.
     pub fn run_of(&self, key: &Key) -> u64 {
         self.entries.get(key).map_or(0, |entry| entry.run)
     }
 
-    /// Whether there are none, not even such as are being taken back.
+    /// Returns whether there are no registrations, including those that are being unregistered.
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
 
-    /// How many the master has still to be told of, or has refused.
+    /// Returns the number of registrations that are not in force at the master.
     pub fn pending(&self) -> usize {
         self.entries.values().filter(|entry| entry.state != RegistrationState::Registered).count()
     }
 
-    /// What the master refused, with its reasons.
+    /// Returns the registrations that the master refused, with its reasons.
     pub fn refusals(&self) -> Vec<(Key, String)> {
         let refused = |(key, entry): (&Key, &MasterEntry)| match &entry.state {
             RegistrationState::Refused(reason) => Some((key.clone(), reason.clone())),

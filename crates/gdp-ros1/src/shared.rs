@@ -21,54 +21,56 @@ use crate::xmlrpc::Value;
 pub struct Shared {
     pub config: NodeConfig,
     pub master: Master,
-    /// Of the slave API.
+    /// The URI of the slave API.
     pub uri: String,
-    /// Of TCPROS.
+    /// The TCPROS port.
     pub port: u16,
     pub registrations: Mutex<Registrations>,
-    /// There is something new to tell the master.
+    /// Notified when there is a new call to make to the master.
     pub wake: Notify,
     pub publications: Mutex<HashMap<String, Arc<Publication>>>,
     pub subscriptions: Mutex<HashMap<String, Subscribed>>,
     pub services: Mutex<HashMap<String, Arc<Service>>>,
-    /// Of all services, whether they are there still or not.
+    /// Locks of the calls in progress at all services, including dropped ones.
     pub answers: Answers,
     pub status: watch::Sender<Status>,
     pub graph: watch::Sender<Arc<Snapshot>>,
-    /// Whether the node leaves.
+    /// Whether the node is leaving.
     pub leaving: watch::Sender<bool>,
 }
 
-/// A subscription, as masters and tools need it.
+/// A subscription, as the slave API and the master need it.
 pub struct Subscribed {
     pub kind: String,
     pub listed: watch::Sender<Listed>,
     pub states: watch::Receiver<SourceStates>,
 }
 
-/// How it stands between a node and its master.
+/// The state of a node at its master.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Status {
     pub master: MasterState,
-    /// Registrations that the master has yet to take, or refuses.
+    /// Number of registrations that the master has not accepted yet, or refuses.
     pub pending: usize,
-    /// What it refuses (the name of a topic or service), and why; it is asked again at each look.
+    /// Names of topics and services that the master refuses, with its reasons. The node tries again
+    /// at each poll.
     pub refused: Vec<(String, String)>,
-    /// Somebody wants this node to end (`rosnode kill`, or a master where another took its name),
-    /// and why. It is up to whoever uses the node.
+    /// The reason of a request to shut down this node, from `rosnode kill` or from a master where
+    /// another node took its name. The application decides what to do.
     pub shutdown: Option<String>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum MasterState {
-    /// Not asked yet.
+    /// The node has not contacted the master yet.
     #[default]
     Unknown,
     Reached,
-    /// And why. What is connected stays so; everything is registered when the master is back.
+    /// The master is unreachable, with the reason. Existing connections stay. The node registers
+    /// everything when the master is back.
     Unreachable(String),
-    /// Another node has registered with this one's name: that is its slave API. This node leaves
-    /// the name to it until it is gone.
+    /// Another node has registered this node's name; the value is the URI of its slave API. This
+    /// node waits until the name is free.
     NameTaken(String),
 }
 
@@ -77,7 +79,7 @@ impl Shared {
         self.registrations.lock()
     }
 
-    /// Asks for a registration, or takes one back, and has the master told.
+    /// Changes the registrations and wakes the registrar.
     pub fn register(&self, change: impl FnOnce(&mut Registrations)) {
         let pending = {
             let mut registrations = self.registrations();
@@ -112,8 +114,8 @@ impl Shared {
         });
     }
 
-    /// Who publishes a topic now. `asked`: the version of the list when the master was asked; if
-    /// one has come by itself since, that is newer.
+    /// Stores the publishers of a topic. `asked` is the version of the list when the node called
+    /// the master. If a `publisherUpdate` has arrived since, that list is newer and stays.
     pub fn listed(&self, topic: &str, publishers: Vec<String>, asked: Option<u64>) {
         let run = self.registrations().run_of(&(RegistrationKind::Subscriber, topic.to_owned()));
         let subscriptions = self.subscriptions.lock();
@@ -127,12 +129,12 @@ impl Shared {
         });
     }
 
-    /// Of the list of a topic's publishers.
+    /// Returns the version of the list of a topic's publishers.
     pub fn version(&self, topic: &str) -> u64 {
         self.subscriptions.lock().get(topic).map_or(0, |subscribed| subscribed.listed.borrow().version)
     }
 
-    /// Who publishes what this node subscribes to, as far as it is connected: by topic.
+    /// Returns the publishers that this node's subscriptions are connected to, each with its topic.
     pub fn connected(&self) -> Vec<(String, Arc<PublisherInfo>)> {
         let mut connected = Vec::new();
         for (topic, subscribed) in self.subscriptions.lock().iter() {
@@ -145,7 +147,7 @@ impl Shared {
         connected
     }
 
-    /// Takes a connection whose header says what for.
+    /// Passes a TCPROS connection to the topic or service that its header names.
     pub async fn serve(self: Arc<Self>, stream: Stream, header: Header) -> Result<(), TcprosError> {
         if let Some(service) = header.get("service") {
             let found = self.services.lock().get(service).cloned();
@@ -164,7 +166,7 @@ impl Shared {
         }
     }
 
-    /// Answers the slave API.
+    /// Executes a call of the slave API and returns the response.
     pub fn answer(&self, call: SlaveCall) -> Value {
         match call {
             SlaveCall::Pid => success("", std::process::id() as i32),
@@ -193,8 +195,8 @@ impl Shared {
                 success("", topics(subscriptions.iter().map(|(topic, s)| (topic.as_str(), s.kind.as_str()))))
             }
             SlaveCall::BusInfo => success("", self.bus_info()),
-            // Publications, subscriptions, services: no counters are kept in the form that this
-            // asks for.
+            // Empty lists for publications, subscriptions and services. The node has no counters of
+            // the kind that this call reports.
             SlaveCall::BusStats => success("", vec![Value::Array(vec![]), Value::Array(vec![]), Value::Array(vec![])]),
             SlaveCall::Shutdown { caller, reason } => {
                 let text = if reason.is_empty() { format!("by {caller}") } else { format!("by {caller}: {reason}") };
@@ -205,8 +207,8 @@ impl Shared {
         }
     }
 
-    /// Connections, as `rosnode info` shows them: number, peer, direction, transport, topic,
-    /// connected.
+    /// Returns the connections as `rosnode info` shows them: number, peer, direction, transport,
+    /// topic, connected.
     fn bus_info(&self) -> Vec<Value> {
         let mut connections = Vec::new();
         let mut add = |peer: &str, direction: &str, topic: &str, is_connected: bool| {
@@ -228,7 +230,7 @@ impl Shared {
         connections
     }
 
-    /// Has a registration made at the master: what it said besides goes where it belongs.
+    /// Registers at the master. Stores the publishers that the master returns for a subscription.
     pub async fn register_at_master(&self, key: &Key, kind: &str) -> Result<(), MasterError> {
         let (of, name) = key;
         match of {

@@ -1,4 +1,4 @@
-//! One call by XML-RPC: a connection of its own, bounded in time and in the size of the answer.
+//! One XML-RPC call on its own connection, with a timeout and a maximum size of the response.
 
 use std::io;
 use std::time::Duration;
@@ -13,10 +13,10 @@ use tokio::time::timeout;
 
 use crate::xmlrpc::{Call, Fault, Mismatch, Value, XmlRpcError, decode_response, encode_call};
 
-/// Bytes of one answer. A graph of ten thousand topics has about two million.
+/// Maximum size of a response, in bytes. A graph of ten thousand topics takes about two million.
 const MAX_ANSWER: usize = 16 << 20;
 
-/// Why a call came to nothing.
+/// The reason why a call failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RpcError {
     #[error("{0:?} is not a URI of the form http://HOST:PORT/")]
@@ -37,12 +37,12 @@ pub enum RpcError {
     Mismatch(#[from] Mismatch),
     #[error("{0}")]
     Fault(#[from] Fault),
-    /// The answer's code was not 1, and this its text.
+    /// The text of a response whose status code is not 1.
     #[error("refused: {0}")]
     Refused(String),
 }
 
-/// Calls a method of the master or slave API at `uri` and returns the third part of its answer
+/// Calls a method of the master or slave API at `uri`. Returns the third part of the response
 /// (code, text, value).
 pub async fn call(
     uri: &str,
@@ -64,10 +64,10 @@ async fn exchange(uri: &str, body: String) -> Result<Bytes, RpcError> {
     let parsed: Uri = uri.parse().map_err(|_| bad())?;
     let (host, port) = host_and_port(&parsed).ok_or_else(bad)?;
     let stream = TcpStream::connect((host, port)).await.map_err(RpcError::Connect)?;
-    // One small write each way: nothing is won by waiting for more. Not being able to say so costs
-    // time only.
+    // Each side sends one small write, so a delay saves nothing. If the option cannot be set, only
+    // time is lost.
     _ = stream.set_nodelay(true);
-    // `Content-Length`, not `content-length`: not every small server of ROS reads both.
+    // Some small servers of ROS accept `Content-Length` but not `content-length`.
     let (mut sender, connection) =
         http1::Builder::new().title_case_headers(true).handshake(TokioIo::new(stream)).await?;
     let request = Request::post(parsed.path_and_query().map_or("/", |path| path.as_str()))
@@ -84,7 +84,7 @@ async fn exchange(uri: &str, body: String) -> Result<Bytes, RpcError> {
         Ok(Limited::new(response.into_body(), MAX_ANSWER).collect().await.map_err(RpcError::Body)?.to_bytes())
     };
     tokio::pin!(answer, connection);
-    // The connection has to be driven, and may end before what it has brought is read.
+    // The connection must be polled. It may end before the response has been read.
     tokio::select! {
         answer = &mut answer => answer,
         ended = &mut connection => match ended {
@@ -94,7 +94,8 @@ async fn exchange(uri: &str, body: String) -> Result<Bytes, RpcError> {
     }
 }
 
-/// Of `http://HOST:PORT/` and `rosrpc://HOST:PORT`; the brackets of an IPv6 address are taken off.
+/// Returns the host and port of `http://HOST:PORT/` or `rosrpc://HOST:PORT`. Removes the brackets
+/// of an IPv6 address.
 pub fn host_and_port(uri: &Uri) -> Option<(&str, u16)> {
     let host = uri.host()?;
     let host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);

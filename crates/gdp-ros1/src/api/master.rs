@@ -6,18 +6,18 @@ use super::RpcError;
 use super::client::call;
 use crate::xmlrpc::{Mismatch, Value};
 
-/// A master, as one node sees it.
+/// The master of a node.
 #[derive(Clone, Debug)]
 pub struct Master {
-    /// Such as `http://localhost:11311/`.
+    /// The URI, such as `http://localhost:11311/`.
     pub uri: String,
-    /// The node's full name.
+    /// The node's global name.
     pub caller_id: String,
-    /// For each call.
+    /// The timeout of each call.
     pub timeout: Duration,
 }
 
-/// The master did not do what it was asked.
+/// The reason why a call to the master failed.
 #[derive(Debug, thiserror::Error)]
 pub enum MasterError {
     #[error("cannot reach the master at {uri}: is roscore running, is ROS_MASTER_URI right? ({source})")]
@@ -26,7 +26,8 @@ pub enum MasterError {
     Refused { uri: String, method: &'static str, text: String },
 }
 
-/// Who publishes, subscribes and serves what: names of nodes by name of topic or service.
+/// The publishers, subscribers and services: names of topics or services, each with the names of
+/// its nodes.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SystemState {
     pub publishers: Vec<(String, Vec<String>)>,
@@ -35,7 +36,7 @@ pub struct SystemState {
 }
 
 impl Master {
-    /// Returns the slave APIs of those that subscribe.
+    /// Registers a publisher and returns the slave APIs of the subscribers.
     pub async fn register_publisher(&self, topic: &str, kind: &str, api: &str) -> Result<Vec<String>, MasterError> {
         self.ask("registerPublisher", [topic, kind, api], Value::into_strings).await
     }
@@ -44,7 +45,7 @@ impl Master {
         self.ask("unregisterPublisher", [topic, api], ignore).await
     }
 
-    /// Returns the slave APIs of those that publish.
+    /// Registers a subscriber and returns the slave APIs of the publishers.
     pub async fn register_subscriber(&self, topic: &str, kind: &str, api: &str) -> Result<Vec<String>, MasterError> {
         self.ask("registerSubscriber", [topic, kind, api], Value::into_strings).await
     }
@@ -53,7 +54,7 @@ impl Master {
         self.ask("unregisterSubscriber", [topic, api], ignore).await
     }
 
-    /// `service_api`: `rosrpc://HOST:PORT`.
+    /// Registers a service. `service_api` is `rosrpc://HOST:PORT`.
     pub async fn register_service(&self, service: &str, service_api: &str, api: &str) -> Result<(), MasterError> {
         self.ask("registerService", [service, service_api, api], ignore).await
     }
@@ -62,12 +63,13 @@ impl Master {
         self.ask("unregisterService", [service, service_api], ignore).await
     }
 
-    /// Where it is served, as `rosrpc://HOST:PORT`; refused if nobody does.
+    /// Returns the URI of a service as `rosrpc://HOST:PORT`. The master refuses the call if no node
+    /// serves it.
     pub async fn lookup_service(&self, service: &str) -> Result<String, MasterError> {
         self.ask("lookupService", [service], Value::into_string).await
     }
 
-    /// The slave API of a node; refused if there is none of this name.
+    /// Returns the slave API of a node. The master refuses the call if it does not know the name.
     pub async fn lookup_node(&self, node: &str) -> Result<String, MasterError> {
         self.ask("lookupNode", [node], Value::into_string).await
     }
@@ -81,7 +83,7 @@ impl Master {
         .await
     }
 
-    /// Topics with their types; `*` where nobody has said one yet.
+    /// Returns the topics with their types. The type is `*` if no node has announced one.
     pub async fn topic_types(&self) -> Result<Vec<(String, String)>, MasterError> {
         self.ask("getTopicTypes", [], |value| {
             let pair = |value: Value| {
@@ -108,7 +110,7 @@ impl Master {
     }
 }
 
-/// How many registrations were taken back: none, if the master has started anew since.
+/// Ignores the number of removed registrations. It is 0 if the master has restarted.
 fn ignore(_: Value) -> Result<(), Mismatch> {
     Ok(())
 }

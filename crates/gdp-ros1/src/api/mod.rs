@@ -1,5 +1,4 @@
-//! The two XML-RPC interfaces of ROS 1: the master's, which a node calls, and the slave's, which
-//! every node serves.
+//! The two XML-RPC interfaces of ROS 1. A node calls the master API, and serves the slave API.
 
 pub mod client;
 pub mod master;

@@ -20,16 +20,17 @@ use super::slave::{Refusal, SlaveCall, failure};
 use crate::accept::accept;
 use crate::xmlrpc::{Fault, Value, decode_call, encode_response};
 
-/// Masters and tools call and go; roscpp keeps a connection.
+/// Maximum number of connections. Masters and tools close theirs after a call; roscpp keeps one
+/// open.
 const MAX_CONNECTIONS: usize = 128;
 
-/// Bytes of one call: a `publisherUpdate` of ten thousand publishers has less.
+/// Maximum size of a call, in bytes. A `publisherUpdate` of ten thousand publishers is smaller.
 const MAX_CALL: usize = 1 << 20;
 
-/// For the header of a request, which is also how long a connection may idle, and for its body.
+/// Timeout for the header of a request, which includes idle time, and for its body.
 const TIMEOUT: Duration = Duration::from_secs(20);
 
-/// Serves until it is dropped. `answer` must not wait for anything.
+/// Accepts connections until it is dropped. `answer` must not block.
 pub async fn serve(listener: TcpListener, answer: impl Fn(SlaveCall) -> Value + Send + Sync + 'static) {
     let answer = Arc::new(answer);
     let mut connections = JoinSet::new();
@@ -77,7 +78,7 @@ async fn respond(
     Ok(response)
 }
 
-/// An answer without a body.
+/// Returns a response without a body.
 fn status(status: StatusCode) -> Response<Full<Bytes>> {
     let mut response = Response::new(Full::default());
     *response.status_mut() = status;

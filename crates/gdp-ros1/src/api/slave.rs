@@ -12,7 +12,7 @@ pub enum SlaveCall {
     BusStats,
     BusInfo,
     MasterUri,
-    /// Somebody wants this node to end.
+    /// A request to shut down this node.
     Shutdown {
         caller: String,
         reason: String,
@@ -20,14 +20,14 @@ pub enum SlaveCall {
     Pid,
     Subscriptions,
     Publications,
-    /// A parameter has changed. This node subscribes to none.
+    /// A changed parameter. This node subscribes to none.
     ParamUpdate,
-    /// All who publish a topic now, by their slave APIs.
+    /// The slave APIs of all current publishers of a topic.
     PublisherUpdate {
         topic: String,
         publishers: Vec<String>,
     },
-    /// Somebody who subscribes asks where to connect; protocols by preference.
+    /// A subscriber's request for the address of a topic, with its protocols by preference.
     RequestTopic {
         caller: String,
         topic: String,
@@ -35,12 +35,12 @@ pub enum SlaveCall {
     },
 }
 
-/// Why a call is not one of these.
+/// The reason why a call is refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// There is no such method.
+    /// The method does not exist.
     Unknown(Fault),
-    /// The parameters are not the method's: answered as the API answers errors.
+    /// The parameters do not fit the method. The response has the API's form of an error.
     Params(String),
 }
 
@@ -60,7 +60,7 @@ impl TryFrom<Call> for SlaveCall {
                 "getPublications" => Self::Publications,
                 "paramUpdate" => Self::ParamUpdate,
                 "shutdown" => {
-                    // The reason may be left out.
+                    // The reason is optional.
                     let mut texts = params.into_strings()?.into_iter();
                     let caller = texts.next().ok_or(Mismatch("a caller id"))?;
                     Self::Shutdown { caller, reason: texts.next().unwrap_or_default() }
@@ -85,17 +85,18 @@ impl TryFrom<Call> for SlaveCall {
     }
 }
 
-/// An answer of the API: done, and with what.
+/// Returns the response to a successful call.
 pub fn success(text: &str, value: impl Into<Value>) -> Value {
     Value::Array(vec![Value::Int(1), text.into(), value.into()])
 }
 
-/// An answer of the API: not done, and why (code 0: this side could not; -1: the caller was wrong).
+/// Returns the response to a failed call. Code 0 means that the node failed, and -1 that the caller
+/// made an error.
 pub fn failure(code: i32, text: &str) -> Value {
     Value::Array(vec![Value::Int(code), text.into(), Value::Int(0)])
 }
 
-/// Asks a publisher where it hands out a topic over TCPROS: host and port.
+/// Requests a topic's TCPROS address from a publisher. Returns host and port.
 pub async fn request_topic(
     publisher: &str,
     caller_id: &str,

@@ -1,4 +1,4 @@
-//! Calls services of other nodes. The types need not be known before.
+//! Calls the services of other nodes, without their types at compile time.
 
 use std::time::Duration;
 
@@ -11,8 +11,8 @@ use crate::api::client::host_and_port;
 use crate::api::master::{Master, MasterError};
 use crate::tcpros::{Header, Stream, TcprosError};
 
-/// Calls one service. Each call looks the server up and connects anew, so that it reaches the one
-/// that serves now.
+/// A client of one service. Each call looks up the server and opens a new connection, so it always
+/// reaches the current server.
 #[derive(Clone, Debug)]
 pub struct ServiceClient {
     pub(crate) master: Master,
@@ -20,17 +20,17 @@ pub struct ServiceClient {
     pub(crate) max_message: usize,
 }
 
-/// What a server says of its service.
+/// The type of a service, as its server announces it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceInfo {
-    /// Such as `std_srvs/SetBool`.
+    /// The type, such as `std_srvs/SetBool`.
     pub kind: String,
     pub md5sum: String,
-    /// The serving node's name; empty if it does not say.
+    /// The name of the serving node, or empty if the header lacks it.
     pub caller_id: String,
 }
 
-/// Why a call has no response.
+/// The reason why a call has no response.
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {
     #[error("nobody serves {service}: is its node running?")]
@@ -41,16 +41,16 @@ pub enum CallError {
     Uri { service: String, uri: String },
     #[error("{service} at {uri}: {source}")]
     Connection { service: String, uri: String, source: TcprosError },
-    /// The server has the request, and says this.
+    /// The server received the request and returned this error.
     #[error("{service} failed: {text}")]
     Failed { service: String, text: String },
-    /// The server may have the request.
+    /// The server may have received the request.
     #[error("no response of {service} within {limit:?}")]
     Timeout { service: String, limit: Duration },
 }
 
 impl ServiceClient {
-    /// Asks the server for type and md5sum, without a call.
+    /// Requests the type and MD5 sum from the server, without a call.
     pub async fn probe(&self, limit: Duration) -> Result<ServiceInfo, CallError> {
         self.within(limit, async {
             let (_, _, header) = self.connect(&[("probe", "1")]).await?;
@@ -60,8 +60,8 @@ impl ServiceClient {
         .await
     }
 
-    /// Calls with a request as serialized by ROS 1, and returns the response likewise, both without
-    /// their lengths. `md5sum`: refused by the server if it has another; `*` for any.
+    /// Calls the service. Request and response are in ROS 1 serialization without length prefixes.
+    /// The server refuses an `md5sum` other than its own, except `*`.
     pub async fn call(&self, md5sum: &str, request: Bytes, limit: Duration) -> Result<Bytes, CallError> {
         self.within(limit, async {
             let (mut stream, uri, _) = self.connect(&[("md5sum", md5sum)]).await?;
@@ -91,7 +91,7 @@ impl ServiceClient {
         timeout(limit, call).await.map_err(late)?
     }
 
-    /// The server's address comes with it.
+    /// Connects to the server. Also returns its URI and connection header.
     async fn connect(&self, fields: &[(&str, &str)]) -> Result<(Stream, String, Header), CallError> {
         let service = || self.service.clone();
         let uri = self.master.lookup_service(&self.service).await.map_err(|error| match error {

@@ -1,4 +1,4 @@
-//! Services: those that this node serves, and calls of others.
+//! The services that this node serves, and its calls to services of other nodes.
 
 pub mod client;
 pub mod server;

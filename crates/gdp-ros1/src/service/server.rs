@@ -1,4 +1,4 @@
-//! A service that this node serves: requests and responses as bytes.
+//! A service that this node serves. Requests and responses are bytes.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -13,30 +13,30 @@ use crate::tcpros::listener::refuse;
 use crate::tcpros::{Header, Stream, TcprosError};
 use crate::topic::publication::check;
 
-/// Time for a caller to take its response.
+/// Timeout for a client to read its response.
 const TAKEN: Duration = Duration::from_secs(60);
 
-/// A service's type.
+/// The type of a service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceType {
-    /// Such as `std_srvs/SetBool`.
+    /// The name, such as `std_srvs/SetBool`.
     pub name: String,
-    /// Of request and response, in hexadecimal.
+    /// The MD5 sum of request and response, in hexadecimal.
     pub md5sum: String,
 }
 
-/// A call of a service of ours.
+/// A request to a service of this node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceRequest {
-    /// As serialized by ROS 1, without the length in front.
+    /// The request in ROS 1 serialization, without the length prefix.
     pub data: Bytes,
-    /// The calling node's name.
+    /// The name of the calling node.
     pub caller_id: String,
 }
 
 type Answer = Pin<Box<dyn Future<Output = Result<Bytes, String>> + Send>>;
 
-/// Answers a request, or says why not: the caller sees that text.
+/// Returns the response to a request, or an error text for the client.
 pub type Handler = Box<dyn Fn(ServiceRequest) -> Answer + Send + Sync>;
 
 pub struct Service {
@@ -45,14 +45,14 @@ pub struct Service {
     caller_id: String,
     max_message: usize,
     handler: Handler,
-    /// Requests that are answered at once.
+    /// Permits for the calls of `handler` that may run at once.
     running: Semaphore,
-    /// Connections end when it goes.
+    /// Closed when the service is dropped, which ends its connections.
     alive: watch::Sender<()>,
     answers: Answers,
 }
 
-/// Held to read by whoever has a request, until its answer is written.
+/// A lock that each call holds for reading until its response is written.
 pub type Answers = Arc<RwLock<()>>;
 
 impl Service {
@@ -69,8 +69,8 @@ impl Service {
         Self { name, kind, caller_id, max_message, handler, running, alive, answers }
     }
 
-    /// Serves one who asks for this service by `header`: one request, or as many as come if it says
-    /// so.
+    /// Serves a client that connected with `header`: one request, or several if the header has
+    /// `persistent`.
     pub async fn serve(self: Arc<Self>, mut stream: Stream, header: Header) -> Result<(), TcprosError> {
         let caller_id = match check(&header, &self.kind.name, &self.kind.md5sum) {
             Ok(caller_id) => caller_id.to_owned(),
@@ -95,12 +95,13 @@ impl Service {
                 let request = ServiceRequest { data, caller_id: caller_id.clone() };
                 let answer = tokio::select! {
                     answer = service.answer(request) => answer,
-                    // Nobody waits for the answer any more.
+                    // The client has closed the connection.
                     () = closed(&mut stream.reader) => return Ok(()),
                 };
                 let written = timeout(TAKEN, stream.writer.write_all(&encode(answer))).await;
                 written.map_err(|_| TcprosError::Timeout(TAKEN))??;
-                // Only now, so that it is answered even if the service is given up meanwhile.
+                // The service must live until here, so that dropping its handle does not cancel the
+                // response.
                 drop(service);
                 if !header.is_set("persistent") {
                     return Ok(());
@@ -108,7 +109,7 @@ impl Service {
             }
         };
         tokio::select! {
-            // The sender has gone: nothing is ever sent.
+            // The channel closes when the service is dropped; it never carries a value.
             _ = alive.changed() => Ok(()),
             served = serving => served,
         }
@@ -133,7 +134,8 @@ impl Service {
     }
 }
 
-/// Until the peer hangs up. One that asks on before it is answered stays.
+/// Waits until the peer closes the connection. Never returns if the peer sends another request
+/// first.
 async fn closed(reader: &mut (impl AsyncBufReadExt + Unpin)) {
     match reader.fill_buf().await {
         Ok([]) | Err(_) => {}
@@ -141,7 +143,7 @@ async fn closed(reader: &mut (impl AsyncBufReadExt + Unpin)) {
     }
 }
 
-/// One byte says whether it is a response (1) or the text of an error (0).
+/// Encodes a response after the byte 1, or the text of an error after the byte 0.
 fn encode(answer: Result<Bytes, String>) -> Bytes {
     let (ok, data) = match answer {
         Ok(data) => (1, data),

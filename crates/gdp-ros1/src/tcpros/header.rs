@@ -1,19 +1,21 @@
-//! The connection header: fields `name=value`, each behind its length, all behind the length of the
-//! whole; lengths are little-endian of 32 bits. <https://wiki.ros.org/ROS/Connection%20Header>
+//! The connection header. It is a list of fields `name=value`, each with a length prefix, and a
+//! length prefix for the whole. Lengths are 32-bit little-endian.
+//! <https://wiki.ros.org/ROS/Connection%20Header>
 
 use std::collections::BTreeMap;
 
-/// Bytes of a whole header without its own length. A publisher's contains the message definition.
+/// Maximum size of a header without its length prefix, in bytes. A publisher's header contains the
+/// message definition.
 pub const MAX_HEADER: usize = 1 << 20;
 
-/// Fields of one header; the standard ones are a dozen.
+/// Maximum number of fields in a header. A dozen are standard.
 pub const MAX_FIELDS: usize = 64;
 
-/// What two peers tell each other before the first message.
+/// The connection header, which two peers exchange before the first message.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Header(BTreeMap<String, String>);
 
-/// Why bytes are not a connection header.
+/// The reason why bytes are not a connection header.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum HeaderError {
     #[error("a header of {0} bytes: at most {MAX_HEADER} are taken")]
@@ -39,12 +41,12 @@ impl Header {
         self.0.get(name).map(String::as_str)
     }
 
-    /// Whether a field says yes, as ROS writes it: `1`.
+    /// Returns whether a field has the value `1`, which means true in ROS.
     pub fn is_set(&self, name: &str) -> bool {
         self.get(name) == Some("1")
     }
 
-    /// Behind its length, as it goes over the wire.
+    /// Encodes the header with its length prefix.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = vec![0; 4];
         for (name, value) in &self.0 {
@@ -58,7 +60,7 @@ impl Header {
         bytes
     }
 
-    /// Of the bytes after the length.
+    /// Decodes a header without its length prefix.
     pub fn decode(mut bytes: &[u8]) -> Result<Self, HeaderError> {
         if bytes.len() > MAX_HEADER {
             return Err(HeaderError::TooLong(bytes.len() as u32));
@@ -70,7 +72,7 @@ impl Header {
             let (field, rest) = rest.split_at_checked(length).ok_or(HeaderError::Truncated)?;
             let equals = field.iter().position(|&byte| byte == b'=').ok_or(HeaderError::NoValue)?;
             let name = std::str::from_utf8(&field[..equals]).map_err(|_| HeaderError::NotText)?;
-            // Message definitions have comments, and some of these are in Latin-1.
+            // Some message definitions have comments in Latin-1.
             let value = String::from_utf8_lossy(&field[equals + 1..]);
             if fields.len() == MAX_FIELDS {
                 return Err(HeaderError::TooMany);

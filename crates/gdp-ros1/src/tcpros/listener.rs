@@ -1,4 +1,5 @@
-//! Accepts the connections of other nodes to topics and services; the connection header says which.
+//! Accepts the connections of other nodes to topics and services. The connection header names the
+//! topic or service.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,17 +12,17 @@ use tokio::time::timeout;
 use super::{Header, Stream, TcprosError};
 use crate::accept::accept;
 
-/// Of all topics and services.
+/// Maximum number of connections to all topics and services.
 const MAX_CONNECTIONS: usize = 4096;
 
-/// Connections that have not said yet what they are for.
+/// Maximum number of connections that have not sent their header yet.
 const MAX_HANDSHAKES: usize = 256;
 
-/// Time to say so.
+/// Timeout of the handshake.
 const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Serves until it is dropped; then all connections end. `serve` takes a connection whose header
-/// has come.
+/// Accepts connections until it is dropped, which ends all of them. Calls `serve` with each
+/// connection and its header.
 pub async fn listen<F>(listener: TcpListener, serve: impl Fn(Stream, Header) -> F + Send + Sync + 'static)
 where
     F: Future<Output = Result<(), TcprosError>> + Send + 'static,
@@ -56,7 +57,7 @@ async fn begin(socket: TcpStream) -> Result<(Stream, Header), TcprosError> {
     Ok((stream, header))
 }
 
-/// Tells the peer why it is not served.
+/// Sends the reason of a refusal to the peer.
 pub async fn refuse(mut stream: Stream, reason: &str) -> Result<(), TcprosError> {
     timeout(TIMEOUT, stream.write_header(&Header::new([("error", reason)])))
         .await

@@ -1,4 +1,4 @@
-//! TCPROS: connection headers, then messages behind their lengths.
+//! TCPROS: connection headers, then messages with length prefixes.
 //! <https://wiki.ros.org/ROS/TCPROS>
 
 pub mod header;

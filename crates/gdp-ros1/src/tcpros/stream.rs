@@ -11,17 +11,18 @@ use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 
 use super::header::{Header, HeaderError, MAX_HEADER};
 
-/// Read at once; what is larger goes to its message directly.
+/// Size of the read buffer, in bytes. Larger reads go directly to the message.
 const READ: usize = 64 << 10;
 
-/// Memory that a message gets before its bytes are there; then it doubles.
+/// Maximum memory that is allocated before the bytes of a message arrive. It then doubles as
+/// needed.
 const FIRST: usize = 1 << 20;
 
-/// A peer that vanished without a word is missed after 60 + 9 × 10 seconds, as with rospy.
+/// TCP keepalive. It detects a vanished peer after 60 + 9 × 10 seconds, as with rospy.
 const KEEPALIVE: TcpKeepalive =
     TcpKeepalive::new().with_time(Duration::from_secs(60)).with_interval(Duration::from_secs(10)).with_retries(9);
 
-/// Why a connection is of no use any more.
+/// The reason why a connection has failed.
 #[derive(Debug, thiserror::Error)]
 pub enum TcprosError {
     #[error("the connection broke: {0}")]
@@ -30,7 +31,7 @@ pub enum TcprosError {
     Closed,
     #[error("no connection header: {0}")]
     Header(#[from] HeaderError),
-    /// What stands in the field `error` of its header.
+    /// The field `error` of the peer's header.
     #[error("the peer refuses: {0}")]
     Refused(String),
     #[error("the peer's header has no field {0:?}")]
@@ -43,14 +44,14 @@ pub enum TcprosError {
     Timeout(Duration),
 }
 
-/// A connection.
+/// A TCPROS connection.
 pub struct Stream {
     pub reader: BufReader<OwnedReadHalf>,
     pub writer: OwnedWriteHalf,
 }
 
 impl Stream {
-    /// Of a socket that is connected.
+    /// Wraps a connected socket.
     pub fn new(socket: TcpStream) -> io::Result<Self> {
         socket.set_nodelay(true)?;
         SockRef::from(&socket).set_tcp_keepalive(&KEEPALIVE)?;
@@ -75,7 +76,8 @@ impl Stream {
         Ok(self.writer.write_all(&header.encode()).await?)
     }
 
-    /// As the one who connects: says the header, and returns the peer's unless it refuses.
+    /// Does the client's side of the handshake. Sends `header`, and returns the peer's header
+    /// unless that is an error.
     pub async fn greet(&mut self, header: &Header) -> Result<Header, TcprosError> {
         self.write_header(header).await?;
         let theirs = self.read_header().await?;
@@ -99,14 +101,14 @@ impl Stream {
     }
 }
 
-/// At most 4 GiB.
+/// Writes a message of at most 4 GiB with its length prefix.
 pub async fn write_message(writer: &mut OwnedWriteHalf, message: &Bytes) -> Result<(), TcprosError> {
     let too_long = |_| TcprosError::TooLong { length: message.len(), max: u32::MAX as usize };
     let length = u32::try_from(message.len()).map_err(too_long)?.to_le_bytes();
     Ok(writer.write_all_buf(&mut Buf::chain(&length[..], &message[..])).await?)
 }
 
-/// Memory grows with what has come, not with what was promised.
+/// Reads `length` bytes. Memory grows with the bytes received, not with the length announced.
 async fn read_bytes(reader: &mut BufReader<OwnedReadHalf>, length: usize) -> Result<Bytes, TcprosError> {
     let mut bytes = BytesMut::with_capacity(length.min(FIRST));
     while bytes.len() < length {

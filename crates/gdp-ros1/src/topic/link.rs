@@ -1,4 +1,4 @@
-//! One connection to a publisher. It asks for the publisher's address, connects, and reads until
+//! One connection to a publisher. It requests the publisher's address, connects, and reads until
 //! the connection ends.
 
 use std::sync::Arc;
@@ -13,22 +13,22 @@ use crate::queue::Queue;
 use crate::tcpros::{Header, Stream, TcprosError};
 use crate::topic::message::{Message, PublisherInfo};
 
-/// What all connections of one subscription have in common.
+/// The state that all connections of one subscription share.
 pub struct Common {
     pub topic: String,
-    /// `*` if any will do.
+    /// The type, or `*` for any.
     pub kind: String,
-    /// `*` if any will do.
+    /// The MD5 sum, or `*` for any.
     pub md5sum: String,
     pub caller_id: String,
-    /// Of one message, in bytes.
+    /// Maximum size of a message, in bytes.
     pub max_message: usize,
-    /// For the question where, and for connecting with the handshake.
+    /// Timeout of `requestTopic`, and of the connection with its handshake.
     pub timeout: Duration,
     pub queue: Queue<Message>,
 }
 
-/// Why there is no connection to a publisher.
+/// The reason why a connection to a publisher failed.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
     #[error("it does not say where to connect: {0}")]
@@ -37,7 +37,7 @@ pub enum LinkError {
     Connection { address: String, source: TcprosError },
 }
 
-/// Connects, says so to `connected`, and puts what comes into the queue. Returns why it ended.
+/// Connects, reports that to `connected`, and queues the messages. Returns the reason of the end.
 pub async fn run(
     common: &Common,
     publisher: &str,
@@ -48,7 +48,7 @@ pub async fn run(
     let greeted = timeout(common.timeout, common.greet(&host, port)).await;
     let (mut stream, header) = greeted.unwrap_or(Err(TcprosError::Timeout(common.timeout))).map_err(failed)?;
     let info = Arc::new(common.info(publisher, &header).map_err(failed)?);
-    // Nobody to tell: the subscription is ending, and this with it.
+    // Without a receiver the subscription is ending, and this task with it.
     _ = connected.send(info.clone()).await;
     loop {
         let data = stream.read_message(common.max_message).await.map_err(failed)?;
@@ -82,7 +82,7 @@ impl Common {
         };
         let info = PublisherInfo {
             uri: publisher.to_owned(),
-            // Not all implementations say it.
+            // Not all implementations send it.
             caller_id: header.get("callerid").unwrap_or_default().to_owned(),
             kind: field("type")?,
             md5sum: field("md5sum")?,

@@ -1,28 +1,28 @@
-//! A message with the publisher it came from.
+//! A message with its publisher.
 
 use bytes::Bytes;
 use std::sync::Arc;
 
-/// One message, and who published it.
+/// A message with its publisher.
 #[derive(Clone, Debug)]
 pub struct Message {
-    /// As serialized by ROS 1, without the length in front.
+    /// The message in ROS 1 serialization, without the length prefix.
     pub data: Bytes,
     pub publisher: Arc<PublisherInfo>,
 }
 
-/// What a publisher's connection header says.
+/// The fields of a publisher's connection header.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PublisherInfo {
-    /// Of its slave API.
+    /// The URI of its slave API.
     pub uri: String,
-    /// Its node's name; empty if it does not say.
+    /// The name of its node, or empty if the header lacks it.
     pub caller_id: String,
-    /// Such as `std_msgs/String`.
+    /// The type, such as `std_msgs/String`.
     pub kind: String,
     pub md5sum: String,
-    /// With those of all types in it; empty if it does not say.
+    /// The definition with those of all nested types, or empty if the header lacks it.
     pub definition: String,
-    /// The first message on each connection may be an old one.
+    /// Whether the publisher latches. Then the first message on a connection may be old.
     pub latching: bool,
 }

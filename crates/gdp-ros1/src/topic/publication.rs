@@ -14,36 +14,36 @@ use crate::tcpros::listener::refuse;
 use crate::tcpros::stream::write_message;
 use crate::tcpros::{Header, Stream, TcprosError};
 
-/// Connections to one topic.
+/// Maximum number of connections to one topic.
 const MAX_SUBSCRIBERS: usize = 1024;
 
-/// A topic's type, as connection headers say it.
+/// The type of a topic, as in connection headers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MessageType {
-    /// Such as `std_msgs/String`.
+    /// The name, such as `std_msgs/String`.
     pub name: String,
-    /// Of the definition, in hexadecimal.
+    /// The MD5 sum of the definition, in hexadecimal.
     pub md5sum: String,
-    /// The definition with those of all types in it, as `gendeps --cat` prints it. May be empty:
-    /// then tools cannot show the topic.
+    /// The definition with those of all nested types, as `gendeps --cat` prints it. If it is empty,
+    /// tools cannot show the topic.
     pub definition: String,
 }
 
-/// How a topic is published.
+/// The options of a publication.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PublishOptions {
-    /// Who comes later receives the last message.
+    /// Whether a new subscriber receives the last message.
     pub latch: bool,
-    /// For each subscriber.
+    /// The limits of the queue of each subscriber.
     pub queue: QueueLimits,
 }
 
-/// One who is connected to a topic of ours.
+/// A subscriber that is connected to a topic of this node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Subscriber {
-    /// Its node's name.
+    /// The name of its node.
     pub caller_id: String,
-    /// Messages that it was too slow for.
+    /// Number of messages that its queue dropped.
     pub dropped: u64,
 }
 
@@ -53,7 +53,7 @@ pub struct Publication {
     options: PublishOptions,
     caller_id: String,
     subscribers: Mutex<Subscribers>,
-    /// Connections end when it goes.
+    /// Closed when the publication is dropped, which ends its connections.
     alive: watch::Sender<()>,
 }
 
@@ -62,7 +62,7 @@ struct Subscribers {
     connected: HashMap<u64, Connected>,
     next: u64,
     last: Option<Bytes>,
-    /// By those that are gone.
+    /// Number of messages that the queues of departed subscribers dropped.
     dropped: u64,
 }
 
@@ -76,7 +76,7 @@ impl Publication {
         Self { topic, kind, options, caller_id, subscribers: Mutex::default(), alive: watch::channel(()).0 }
     }
 
-    /// For each that is connected, and if it latches for each that comes.
+    /// Queues a message for each subscriber. A latching publication also stores it for later ones.
     pub fn publish(&self, message: Bytes) {
         let mut subscribers = self.subscribers();
         for connected in subscribers.connected.values() {
@@ -99,13 +99,13 @@ impl Publication {
         self.subscribers().connected.values().map(subscriber).collect()
     }
 
-    /// Messages that subscribers were too slow for, those that are gone included.
+    /// Returns the number of messages dropped for all subscribers, including departed ones.
     pub fn dropped(&self) -> u64 {
         let subscribers = self.subscribers();
         subscribers.dropped + subscribers.connected.values().map(|connected| connected.queue.dropped()).sum::<u64>()
     }
 
-    /// Serves one who asks for this topic by `header`, until either goes.
+    /// Sends the topic to a subscriber that connected with `header`, until one side ends.
     pub async fn serve(self: Arc<Self>, stream: Stream, header: Header) -> Result<(), TcprosError> {
         let (queue, id) = match self.accept(&header) {
             Ok(accepted) => accepted,
@@ -117,7 +117,7 @@ impl Publication {
         drop(self);
         let Stream { mut reader, mut writer } = stream;
         tokio::select! {
-            // The sender has gone: nothing is ever sent.
+            // The channel closes when the publication is dropped; it never carries a value.
             _ = alive.changed() => Ok(()),
             served = async {
                 writer.write_all(&ours).await?;
@@ -129,7 +129,7 @@ impl Publication {
         }
     }
 
-    /// Takes a subscriber in, or says why not.
+    /// Adds a subscriber, or returns the reason of the refusal.
     fn accept(&self, header: &Header) -> Result<(Arc<Queue<Bytes>>, u64), String> {
         let caller_id = check(header, &self.kind.name, &self.kind.md5sum)?;
         let mut subscribers = self.subscribers();
@@ -163,8 +163,8 @@ impl Publication {
     }
 }
 
-/// Whether the header of one who connects asks for this type; returns who it is. The error is for
-/// the peer to read.
+/// Checks that a peer's connection header asks for this type, and returns its caller ID. The error
+/// is a text for the peer.
 pub fn check<'a>(header: &'a Header, name: &str, md5sum: &str) -> Result<&'a str, String> {
     let Some(theirs) = header.get("md5sum") else { return Err("Missing required 'md5sum' field".to_owned()) };
     if theirs != "*" && theirs != md5sum {
@@ -174,7 +174,7 @@ pub fn check<'a>(header: &'a Header, name: &str, md5sum: &str) -> Result<&'a str
     header.get("callerid").ok_or_else(|| "Missing required 'callerid' field".to_owned())
 }
 
-/// A subscriber's place. Leaves it when the connection ends, however it does.
+/// A subscriber's entry, which removes itself when the connection ends.
 struct SubscriberEntry {
     publication: std::sync::Weak<Publication>,
     id: u64,
@@ -190,7 +190,8 @@ impl Drop for SubscriberEntry {
     }
 }
 
-/// Subscribers say nothing after their header; whatever they do say is thrown away.
+/// Waits for the end of the connection. Subscribers send nothing after their header; other bytes
+/// are discarded.
 async fn until_closed(reader: &mut (impl AsyncReadExt + Unpin)) -> Result<(), TcprosError> {
     let mut nothing = [0; 256];
     while reader.read(&mut nothing).await? > 0 {}

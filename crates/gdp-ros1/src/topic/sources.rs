@@ -1,10 +1,10 @@
-//! Selects the publishers of a topic to connect to, without I/O. It knows the master's list, the
+//! Selects the publishers of a topic to connect to, without I/O. It stores the master's list, the
 //! state of each connection, and the time of the next attempt.
 //!
-//! What the master lists is not believed in one case. A master that was started anew knows only who
-//! has registered since, and most ROS 1 nodes never register twice: their connections are fine all
-//! the same. So only a master that has listed a publisher itself can end the connection to it by
-//! not listing it any more. One that it never listed keeps its connection as long as that lives.
+//! A publisher may be missing from the master's list though its connection works. A restarted
+//! master knows only the nodes that registered since, and most ROS 1 nodes register only once. So
+//! the current run of the master ends a connection only if it listed that publisher before. A
+//! publisher that it never listed stays until its connection ends.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -12,13 +12,13 @@ use std::time::{Duration, Instant};
 
 use gdp_util::backoff::Backoff;
 
-/// Before a publisher is connected to again.
+/// The backoff before a new connection to a publisher.
 const RETRY: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(10));
 
-/// Publishers of one topic.
+/// Maximum number of publishers of one topic.
 pub const MAX_SOURCES: usize = 1024;
 
-/// A connection that held so long was a good one: the next attempt is made soon.
+/// Minimum duration of a connection that resets the backoff.
 const STABLE_AFTER: Duration = Duration::from_secs(5);
 
 /// The publishers of one topic, by the URIs of their slave APIs.
@@ -28,9 +28,9 @@ pub struct Sources {
 }
 
 struct PublisherSource {
-    /// The last run of the master in which it was listed.
+    /// The last run of the master that listed the publisher.
     listed: u64,
-    /// Whether it still is.
+    /// Whether the master lists the publisher.
     wanted: bool,
     state: SourceState,
     backoff: Backoff,
@@ -42,22 +42,23 @@ enum SourceState {
     Connected { since: Instant },
 }
 
-/// What is to be done.
+/// An action that the caller must take.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceAction {
-    /// Connect; when that has ended, [`Sources::ended`] is to be called.
+    /// Connect to the publisher. The caller must call [`Sources::ended`] when the connection ends.
     Connect(String),
-    /// Forget it, and end the connection if there is one. No more is heard of it.
+    /// End the connection, if there is one, and forget the publisher.
     Drop(String),
 }
 
 impl Sources {
-    /// `own`: this node's slave API, which is never connected to.
+    /// Creates an empty list. `own` is the URI of this node's slave API, to which it never
+    /// connects.
     pub fn new(own: String) -> Self {
         Self { own, known: BTreeMap::new() }
     }
 
-    /// The master lists these, in its run of this number.
+    /// Applies the master's list of publishers. `run` is the number of the master's run.
     pub fn listed(&mut self, run: u64, publishers: &[String], now: Instant) -> Vec<SourceAction> {
         for source in self.known.values_mut() {
             source.wanted = false;
@@ -93,7 +94,7 @@ impl Sources {
         dropped
     }
 
-    /// Whom to connect to now.
+    /// Returns the connections whose next attempt is due.
     pub fn due(&mut self, now: Instant) -> Vec<SourceAction> {
         let mut actions = Vec::new();
         for (publisher, source) in &mut self.known {
@@ -105,7 +106,7 @@ impl Sources {
         actions
     }
 
-    /// When somebody is to be connected to, if nothing happens before.
+    /// Returns the time of the next attempt.
     pub fn next_due(&self) -> Option<Instant> {
         let waiting = |source: &PublisherSource| match source.state {
             SourceState::Waiting { until } => Some(until),
@@ -114,14 +115,14 @@ impl Sources {
         self.known.values().filter_map(waiting).min()
     }
 
-    /// A connection is made.
+    /// Records that a connection was established.
     pub fn connected(&mut self, publisher: &str, now: Instant) {
         if let Some(source) = self.known.get_mut(publisher) {
             source.state = SourceState::Connected { since: now };
         }
     }
 
-    /// A connection has ended, or was never made. Returns whether it will be tried again.
+    /// Records that a connection has ended or failed. Returns whether there will be a new attempt.
     pub fn ended(&mut self, publisher: &str, now: Instant) -> bool {
         let Some(source) = self.known.get_mut(publisher) else { return false };
         if !source.wanted {

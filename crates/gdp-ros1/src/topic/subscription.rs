@@ -13,39 +13,38 @@ use super::link::{self, Common, LinkError};
 use super::sources::{SourceAction, Sources};
 use crate::queue::QueueLimits;
 
-/// What to subscribe to.
+/// The options of a subscription.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SubscribeOptions {
-    /// Type and md5sum that publishers must have; without it, any.
+    /// The type and MD5 sum that publishers must have, or `None` for any.
     pub kind: Option<(String, String)>,
-    /// For messages that have come and were not taken yet.
+    /// The limits of the queue of received messages.
     pub queue: QueueLimits,
 }
 
-/// How it stands with a publisher.
+/// The state of the connection to a publisher.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceState {
     Connecting,
     Connected(Arc<PublisherInfo>),
-    /// Why not; it is tried again.
+    /// The reason of the failure. The subscription tries again.
     Failed(String),
 }
 
-/// All publishers of a topic, by the URIs of their slave APIs.
+/// The states of all publishers of a topic, by the URIs of their slave APIs.
 pub type SourceStates = BTreeMap<String, SourceState>;
 
-/// What the master last said about a topic.
+/// The master's last list of a topic's publishers.
 #[derive(Clone, Debug, Default)]
 pub struct Listed {
-    /// How often the master has forgotten this subscription.
+    /// Number of times that the master has lost this subscription.
     pub run: u64,
-    /// Rises with every list.
+    /// The version of the list, which rises with each one.
     pub version: u64,
     pub publishers: Vec<String>,
 }
 
-/// What keeps the connections of one subscription as the master lists them. Ends when `listed`
-/// does.
+/// Connects to the publishers that the master lists. Ends when the sender of `listed` is dropped.
 pub struct ConnectionSupervisor {
     pub common: Arc<Common>,
     pub sources: Sources,
@@ -55,7 +54,7 @@ pub struct ConnectionSupervisor {
 
 type Ended = Result<std::convert::Infallible, LinkError>;
 
-/// The connections, each a task.
+/// The connections, one task for each.
 struct Links {
     tasks: JoinSet<Ended>,
     by_id: HashMap<Id, String>,
@@ -70,7 +69,7 @@ impl ConnectionSupervisor {
         loop {
             let due = self.sources.next_due();
             let actions = tokio::select! {
-                // That a connection was made is heard before that it ended.
+                // The start of a connection is handled before its end.
                 biased;
                 changed = self.listed.changed() => {
                     if changed.is_err() {
@@ -103,7 +102,7 @@ impl ConnectionSupervisor {
                 links.by_id.insert(task.id(), publisher.clone());
                 links.by_uri.insert(publisher.clone(), task);
                 self.states.send_if_modified(|states| {
-                    // What went wrong stays to be seen until something else happens.
+                    // The last error stays visible until the state changes.
                     let is_new = !states.contains_key(&publisher);
                     states.entry(publisher).or_insert(SourceState::Connecting);
                     is_new
@@ -133,7 +132,7 @@ impl ConnectionSupervisor {
             Ok((_, Ok(never))) => match never {},
             Err(error) => (error.id(), error.to_string()),
         };
-        // Dropped on purpose: forgotten already.
+        // A connection that was dropped on purpose has no entry any more.
         let Some(publisher) = links.by_id.remove(&id) else { return };
         links.by_uri.remove(&publisher);
         tracing::debug!(topic = self.common.topic, publisher, reason, "not connected");

@@ -1,4 +1,5 @@
-//! XML to calls and answers, by a descent that is bounded in depth and in the number of values.
+//! Decodes XML to calls and responses, by recursive descent with bounds on depth and number of
+//! values.
 
 use std::str::Utf8Error;
 
@@ -8,13 +9,13 @@ use quick_xml::events::Event;
 
 use super::{Call, Fault, Value, is_allowed};
 
-/// Arrays and structures in each other; `getSystemState` needs five.
+/// Maximum depth of nested arrays and structures. `getSystemState` needs five.
 pub const MAX_DEPTH: usize = 16;
 
-/// Values in one call or answer, whole arrays and their elements alike.
+/// Maximum number of values in one call or response. An array and each of its elements count.
 pub const MAX_VALUES: usize = 1 << 18;
 
-/// Why something is not XML-RPC, or not such as is taken.
+/// The reason why a body is not XML-RPC, or exceeds a bound.
 #[derive(Debug, thiserror::Error)]
 pub enum XmlRpcError {
     #[error("not XML: {0}")]
@@ -35,7 +36,7 @@ pub enum XmlRpcError {
     Type(String),
 }
 
-/// Of the body of a request.
+/// Decodes the body of a request.
 pub fn decode_call(body: &[u8]) -> Result<Call, XmlRpcError> {
     let mut tokens = Tokens::new(body)?;
     tokens.open("methodCall")?;
@@ -43,7 +44,7 @@ pub fn decode_call(body: &[u8]) -> Result<Call, XmlRpcError> {
     let method = tokens.text()?.trim().to_owned();
     tokens.close()?;
     let mut params = Vec::new();
-    // A call without parameters may leave them out.
+    // A call without parameters may omit `params`.
     if tokens.opens("params")? {
         while tokens.opens("param")? {
             params.push(tokens.value(0)?);
@@ -56,7 +57,7 @@ pub fn decode_call(body: &[u8]) -> Result<Call, XmlRpcError> {
     Ok(Call { method, params })
 }
 
-/// Of the body of an answer: its one value, or the fault.
+/// Decodes the body of a response: one value or a fault.
 pub fn decode_response(body: &[u8]) -> Result<Result<Value, Fault>, XmlRpcError> {
     let mut tokens = Tokens::new(body)?;
     tokens.open("methodResponse")?;
@@ -97,7 +98,7 @@ enum Token {
     End,
 }
 
-/// What matters of XML, one piece at a time; one piece can be looked at ahead.
+/// A tokenizer of XML with one token of lookahead.
 struct Tokens<'a> {
     reader: Reader<&'a [u8]>,
     ahead: Option<Token>,
@@ -153,7 +154,7 @@ impl<'a> Tokens<'a> {
         }
     }
 
-    /// The next piece that is not the white space between elements.
+    /// Returns the next token, and skips white space between elements.
     fn next_element(&mut self) -> Result<Token, XmlRpcError> {
         match self.next()? {
             Token::Text(text) if text.trim().is_empty() => self.next(),
@@ -172,13 +173,12 @@ impl<'a> Tokens<'a> {
         }
     }
 
-    /// Whether this element comes next; it is open then, and otherwise nothing has happened.
+    /// Opens the element if it comes next. Otherwise consumes nothing and returns false.
     fn opens(&mut self, name: &str) -> Result<bool, XmlRpcError> {
         match self.next_element()? {
             Token::Open(found) if found == name => Ok(true),
             token => {
-                // White space may lie between: `next_element` has taken it away, and it means
-                // nothing here.
+                // `next_element` may have skipped white space, which has no meaning here.
                 self.ahead = Some(token);
                 Ok(false)
             }
@@ -199,7 +199,7 @@ impl<'a> Tokens<'a> {
         }
     }
 
-    /// Up to the next tag.
+    /// Returns the text up to the next tag.
     fn text(&mut self) -> Result<String, XmlRpcError> {
         match self.next()? {
             Token::Text(text) => Ok(text),
@@ -210,7 +210,7 @@ impl<'a> Tokens<'a> {
         }
     }
 
-    /// A `value` element, whole.
+    /// Reads a whole `value` element.
     fn value(&mut self, depth: usize) -> Result<Value, XmlRpcError> {
         self.values += 1;
         if self.values > MAX_VALUES {
@@ -219,7 +219,7 @@ impl<'a> Tokens<'a> {
         self.open("value")?;
         let text = self.text()?;
         match self.next()? {
-            // Without a type it is a string, white space and all.
+            // A value without a type is a string, including its white space.
             Token::Close => Ok(Value::String(text)),
             Token::Open(kind) if text.trim().is_empty() => {
                 let value = self.typed(&kind, depth)?;
@@ -231,7 +231,7 @@ impl<'a> Tokens<'a> {
         }
     }
 
-    /// What is in the element that says the type; it stays open.
+    /// Reads the content of the element that names the type. The element stays open.
     fn typed(&mut self, kind: &str, depth: usize) -> Result<Value, XmlRpcError> {
         Ok(match kind {
             "i4" | "int" => match self.text()?.trim().parse() {
@@ -277,7 +277,7 @@ impl<'a> Tokens<'a> {
     }
 }
 
-/// Names that are known are short; of another one, so much is shown.
+/// Returns the first 32 characters of an unknown element name, for an error message.
 fn short(name: &str) -> String {
     name.chars().take(32).collect()
 }

@@ -1,5 +1,5 @@
-//! Calls and answers as XML: compact, and in the form that roscpp's own small parser takes (no
-//! empty-element tags).
+//! Encodes calls and responses as compact XML. It writes no empty-element tags, because roscpp's
+//! own small parser does not accept them.
 
 use std::fmt::Write;
 
@@ -9,7 +9,7 @@ use super::{Call, Fault, Value, is_allowed};
 
 const DECLARATION: &str = "<?xml version=\"1.0\"?>\n";
 
-/// The body of a request.
+/// Encodes the body of a request.
 pub fn encode_call(call: &Call) -> String {
     let mut xml = format!("{DECLARATION}<methodCall><methodName>{}</methodName><params>", text(&call.method));
     for param in &call.params {
@@ -21,7 +21,7 @@ pub fn encode_call(call: &Call) -> String {
     xml
 }
 
-/// The body of an answer.
+/// Encodes the body of a response.
 pub fn encode_response(response: &Result<Value, Fault>) -> String {
     let mut xml = format!("{DECLARATION}<methodResponse>");
     match response {
@@ -44,7 +44,7 @@ pub fn encode_response(response: &Result<Value, Fault>) -> String {
 fn value(xml: &mut String, value: &Value) {
     xml.push_str("<value>");
     match value {
-        // Writing to a string does not fail.
+        // Writing to a string cannot fail.
         Value::Int(int) => _ = write!(xml, "<i4>{int}</i4>"),
         Value::Bool(bool) => _ = write!(xml, "<boolean>{}</boolean>", u8::from(*bool)),
         Value::String(string) => _ = write!(xml, "<string>{}</string>", text(string)),
@@ -66,8 +66,8 @@ fn value(xml: &mut String, value: &Value) {
     xml.push_str("</value>");
 }
 
-/// Escaped. A carriage return would be read as a line feed; what cannot stand in XML at all is left
-/// out.
+/// Escapes a text. Carriage returns become character references, because a parser would read them
+/// as line feeds. Characters that XML forbids are left out.
 fn text(raw: &str) -> String {
     let kept: String = raw.chars().filter(|&c| is_allowed(c)).collect();
     escape(&kept).replace('\r', "&#13;")

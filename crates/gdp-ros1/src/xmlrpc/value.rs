@@ -1,17 +1,17 @@
-//! The values of calls and responses, and accessors for them.
+//! The values of calls and responses, with accessors.
 
-/// A value of XML-RPC.
+/// An XML-RPC value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Value {
     Int(i32),
     Bool(bool),
     String(String),
     Array(Vec<Value>),
-    /// Members in their order.
+    /// The members in their order.
     Struct(Vec<(String, Value)>),
 }
 
-/// A value is not what the ROS API says it is.
+/// The error for a value that differs from the ROS API.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0} was expected")]
 pub struct Mismatch(pub &'static str);
@@ -24,7 +24,7 @@ impl Value {
     pub fn into_int(self) -> Result<i32, Mismatch> {
         match self {
             Self::Int(int) => Ok(int),
-            // Some masters answer with a truth value where the API says 0 or 1.
+            // Some masters return a boolean where the API specifies 0 or 1.
             Self::Bool(bool) => Ok(bool.into()),
             _ => Err(Mismatch("an integer")),
         }
@@ -44,7 +44,7 @@ impl Value {
         }
     }
 
-    /// An array of exactly `N` values.
+    /// Returns the elements of an array of exactly `N` values.
     pub fn into_tuple<const N: usize>(self) -> Result<[Value; N], Mismatch> {
         self.into_array()?.try_into().map_err(|_| Mismatch("an array of another length"))
     }
