@@ -2,12 +2,13 @@
 
 use std::fmt;
 
-/// Whose rules a definition follows.
+/// The ROS generation whose rules a definition follows.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub enum Dialect {
-    /// `time` and `duration` are built in, `byte` is signed, `std_msgs/Header` has `seq`.
+    /// `time` and `duration` are built in, `byte` is signed, and `std_msgs/Header` has `seq`.
     Ros1,
-    /// Bounded strings and sequences, `wstring`, default values; `byte` and `char` are `uint8`.
+    /// Strings and sequences can have bounds. `wstring` and default values exist; `byte` and `char`
+    /// are `uint8`.
     Ros2,
 }
 

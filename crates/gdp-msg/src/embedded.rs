@@ -1,5 +1,5 @@
-//! Definitions of the common interfaces, so that the usual types need no files.
-//! `definitions/README.md` says where they come from.
+//! Embeds the definitions of the common interfaces, so that these types need no files.
+//! `definitions/README.md` lists their sources.
 
 use std::sync::LazyLock;
 
@@ -13,13 +13,13 @@ macro_rules! packages {
     };
 }
 
-/// Noetic.
+/// The packages of ROS 1 Noetic.
 const ROS1: &[(&str, &str)] = packages!("ros1":
     "actionlib_msgs" "diagnostic_msgs" "geometry_msgs" "nav_msgs" "rosgraph_msgs" "sensor_msgs" "shape_msgs" "std_msgs" "std_srvs"
     "stereo_msgs" "tf" "tf2_msgs" "trajectory_msgs" "visualization_msgs"
 );
 
-/// Kilted, whose definitions of what Jazzy has are Jazzy's.
+/// The packages of ROS 2 Kilted. Definitions that Jazzy has too are Jazzy's.
 const ROS2: &[(&str, &str)] = packages!("ros2":
     "action_msgs" "actionlib_msgs" "builtin_interfaces" "diagnostic_msgs" "example_interfaces" "geometry_msgs" "lifecycle_msgs"
     "nav_msgs" "rcl_interfaces" "rosgraph_msgs" "sensor_msgs" "service_msgs" "shape_msgs" "std_msgs" "std_srvs" "stereo_msgs"
@@ -43,7 +43,7 @@ static REGISTRY: LazyLock<Registry> = LazyLock::new(|| {
 });
 
 impl Registry {
-    /// With the common interfaces of ROS 1 Noetic and ROS 2 Jazzy.
+    /// Returns a registry with the common interfaces of ROS 1 Noetic, ROS 2 Jazzy and ROS 2 Kilted.
     pub fn embedded() -> Self {
         REGISTRY.clone()
     }

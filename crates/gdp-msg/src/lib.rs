@@ -1,13 +1,13 @@
-//! ROS messages of any type, without generated code: definitions, hashes, and transcoding between
-//! CDR, ROS 1 serialization and JSON at run time. The only I/O is loading files. The crate is
-//! synchronous, and depends on nothing of the Global Data Plane.
+//! Reads and writes ROS messages of any type without generated code. It parses definitions,
+//! computes hashes, and transcodes between CDR, ROS 1 serialization and JSON at run time. Its only
+//! I/O is loading files. The crate is synchronous and does not depend on the Global Data Plane.
 //!
-//! A bridge learns what a type looks like from text: a ROS 1 connection header, a `.msg` file in a
-//! share folder, a file that the user gives, or [`Registry::embedded`], which has the common
-//! interfaces. [`Schema::resolve`] collects a message with all that it consists of;
-//! [`Schema::bundle`] is that as text, for a far side that has no definitions. [`Mapping::new`]
-//! compares two schemas once and makes a flat program; [`Mapping::transcode`] runs it over each
-//! message, from the input straight to the output.
+//! A bridge reads the layout of a type from a text. The text is a ROS 1 connection header, a `.msg`
+//! file in a share folder, a file from the user, or [`Registry::embedded`], which has the common
+//! interfaces. [`Schema::resolve`] collects a message type with all nested types.
+//! [`Schema::bundle`] prints a schema as text for a peer without definitions. [`Mapping::new`]
+//! compares two schemas once and compiles a flat program. [`Mapping::transcode`] runs the program
+//! for each message, directly from the input to the output.
 //!
 //! ```
 //! use gdp_msg::{Dialect, Encoding, Mapping, Options, Registry, Schema, TypeName};
@@ -26,59 +26,63 @@
 //!
 //! # Between ROS 1 and ROS 2
 //!
-//! - `time` is `builtin_interfaces/msg/Time`, `duration` is `…/Duration`. Their seconds are signed
-//!   in one and not in the other; what does not fit is refused, not wrapped.
-//! - `std_msgs/Header` loses its `seq` towards ROS 2, and gets the caller's
-//!   ([`Options::header_seq`]) towards ROS 1.
-//! - Fields pair by name, whatever its case (`K` and `k` of `CameraInfo`), or by position if as
-//!   many are left on both sides and their types agree. If one side's version of a type has more
-//!   fields (`Marker`), these are dropped, or zero and empty; [`Mapping::notes`] says which.
-//!   `ros1_bridge` does the same. What is left over on both sides, or of two types of different
-//!   names, is refused.
-//! - `byte` is signed in ROS 1: the same eight bits. `string` and `wstring` map to each other.
-//! - A message without fields is one byte of CDR and none of ROS 1.
+//! - `time` maps to `builtin_interfaces/msg/Time`, and `duration` to `…/Duration`. Some of their
+//!   numbers are signed in only one dialect. A value that does not fit is refused, not wrapped.
+//! - `std_msgs/Header` loses its `seq` towards ROS 2. Towards ROS 1 the caller supplies it
+//!   ([`Options::header_seq`]).
+//! - Fields pair by name, ignoring case (`K` and `k` of `CameraInfo`). The others pair by position
+//!   if both sides have the same number left and their types agree. If one version of a type has
+//!   more fields (`Marker`), the mapping drops them, or fills them with zero or empty values;
+//!   [`Mapping::notes`] lists them. `ros1_bridge` does the same. Fields left over on both sides, or
+//!   between types of different names, make the mapping fail.
+//! - `byte` is signed in ROS 1, but has the same eight bits. `string` and `wstring` map to each
+//!   other.
+//! - A message without fields takes one byte in CDR and none in ROS 1.
 //!
-//! Any schema can be had in any encoding: [`Encoding::Cdr`] of a ROS 1 schema has a `seq` in its
+//! Every schema works in every encoding: [`Encoding::Cdr`] of a ROS 1 schema has a `seq` in its
 //! headers, as its definition says.
 //!
 //! # Frames
 //!
-//! On the way, coordinate frames can get a prefix ([`Mapping::with_frame_prefix`]), so that those
-//! of several robots are told apart.
+//! A mapping can add a prefix to coordinate frames ([`Mapping::with_frame_prefix`]). It
+//! distinguishes the frames of several robots.
 //!
 //! # Text
 //!
-//! Binary encodings pass on whatever a sender took for a string, as ROS does. JSON and wide strings
-//! are Unicode: other text is refused there, and so are lone surrogates.
+//! Binary encodings copy strings without a check, as ROS does. JSON and wide strings are Unicode,
+//! so the mapping refuses other text there, including lone surrogates.
 //!
 //! # JSON
 //!
-//! One object for each message, its members named as the fields, all of them, in any order. As
-//! rosbridge writes it, with what rosbridge loses:
+//! A message is one object whose members have the names of the fields. All fields are required, in
+//! any order. The form is that of rosbridge, without its losses:
 //!
-//! - Arrays of `uint8`, `char` and `byte` are base64 strings; arrays of numbers are read as well.
-//! - 64-bit integers beyond ±2^53 are strings, because most readers of JSON round them; strings are
-//!   read for smaller ones, too.
-//! - What is no number is `"NaN"`, `"Infinity"` or `"-Infinity"`. The bits of a NaN are not kept.
-//! - A time is an object with the names of the dialect: `secs` and `nsecs`, `sec` and `nanosec`.
-//! - Floating point numbers are the shortest text that reads as the same number of their size.
+//! - Arrays of `uint8`, `char` and `byte` are base64 strings; the reader also accepts arrays of
+//!   numbers.
+//! - 64-bit integers beyond ±2^53 are strings, because most JSON readers round them. The reader
+//!   also accepts strings for smaller ones.
+//! - Special floating-point values are `"NaN"`, `"Infinity"` and `"-Infinity"`. The bits of a NaN
+//!   are lost.
+//! - A time is an object with the names of the dialect: `secs` and `nsecs`, or `sec` and `nanosec`.
+//! - A floating-point number is the shortest text that reads as the same number of its size.
 //!
-//! # What is hostile
+//! # Untrusted input
 //!
-//! Everything: texts of definitions are bounded in length, fields, types and depth; messages in
-//! what their lengths may claim (never more than the rest of the input can hold), in elements that
-//! take no bytes, and in what they may grow to. Memory is taken as input is read, never for a
-//! length that was only claimed. A refusal says which field, at which byte, and why. Nothing may
-//! follow a message but the padding of CDR.
+//! All input is untrusted. Definitions are bounded in length, fields, types and depth. A length in
+//! a message may not exceed what the rest of the input can hold. Elements without bytes and the
+//! size of the output are bounded too. Memory grows as input is read, never by an announced length
+//! alone. An error names the field, the byte offset and the reason. Only the padding of CDR may
+//! follow a message.
 //!
 //! # What is left out
 //!
-//! `.idl` files: of the distributions' packages only `test_msgs` has types that exist in no other
-//! form. `long double` and `wchar`, which `.msg` does not have. XCDR2 and parameter lists, which
-//! ROS 2 does not send by default. Fields in another order on the two sides. Default values are
-//! checked and kept, but no message is filled in with them.
+//! - `.idl` files. Of the distributions' packages only `test_msgs` has types without another form.
+//! - `long double` and `wchar`, which `.msg` does not have.
+//! - XCDR2 and parameter lists, which ROS 2 does not send by default.
+//! - Fields in a different order on the two sides.
+//! - Default values in messages. They are checked and stored, but not used.
 #![deny(unsafe_code)]
-// They panic where stdout or stderr cannot be written.
+// These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod definition;

@@ -4,10 +4,10 @@ use std::fmt;
 
 use crate::Dialect;
 
-/// Longest package or type name, in bytes.
+/// Maximum length of a package name or a type name, in bytes.
 pub const MAX_NAME: usize = 255;
 
-/// What kind of file a type was defined in.
+/// The kind of file that defines a type.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub enum Kind {
     Message,
@@ -16,7 +16,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The folder of such files in a package, and the middle of a ROS 2 name.
+    /// Returns the folder of such files in a package, which is also the middle part of a ROS 2
+    /// name.
     pub fn folder(self) -> &'static str {
         match self {
             Self::Message => "msg",
@@ -30,8 +31,8 @@ impl Kind {
     }
 }
 
-/// The name of a message, or of what is made of a service or an action: `std_msgs/msg/String`,
-/// `std_srvs/srv/SetBool_Request`. The same name for both dialects, which write it differently.
+/// The name of a message, or of a part of a service or action: `std_msgs/msg/String`,
+/// `std_srvs/srv/SetBool_Request`. It is the same for both dialects, which write it differently.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct TypeName {
     package: Box<str>,
@@ -39,15 +40,17 @@ pub struct TypeName {
     name: Box<str>,
 }
 
-/// A text that names no type.
+/// The error for a text that is not a type name.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 #[error("`{0}` is not the name of a type: write package/Type or package/msg/Type, of letters, digits and underscores")]
 pub struct NameError(pub String);
 
 impl TypeName {
+    /// Creates a name.
+    ///
     /// # Errors
-    /// For a package or a name that is not letters, digits and underscores behind a letter, or is
-    /// longer than [`MAX_NAME`].
+    /// If the package or the name is longer than [`MAX_NAME`]. Also if it does not consist of
+    /// letters, digits and underscores after a letter.
     pub fn new(package: &str, kind: Kind, name: &str) -> Result<Self, NameError> {
         if is_identifier(package) && is_identifier(name) {
             return Ok(Self { package: package.into(), kind, name: name.into() });
@@ -55,16 +58,16 @@ impl TypeName {
         Err(NameError(excerpt(&format!("{package}/{name}"))))
     }
 
-    /// Of a message of this package.
+    /// Returns the name of a message of this package.
     pub(crate) fn message(package: &str, name: &str) -> Self {
         Self { package: package.into(), kind: Kind::Message, name: name.into() }
     }
 
-    /// The name as ROS 1 (`std_msgs/String`), ROS 2 (`std_msgs/msg/String`) or DDS
+    /// Parses a name as ROS 1 (`std_msgs/String`), ROS 2 (`std_msgs/msg/String`) or DDS
     /// (`std_msgs::msg::dds_::String_`) writes it.
     ///
     /// # Errors
-    /// For anything else.
+    /// If the text is not such a name.
     pub fn parse(text: &str) -> Result<Self, NameError> {
         let refused = || NameError(excerpt(text));
         if text.len() > 3 * MAX_NAME {
@@ -92,8 +95,8 @@ impl TypeName {
         name.map_err(|_| refused())
     }
 
-    /// Of request and response of the service with this package and name, whatever kind this name
-    /// says.
+    /// Returns the names of request and response of the service with this package and name. Ignores
+    /// the kind of this name.
     pub fn service_halves(&self) -> [Self; 2] {
         ["_Request", "_Response"].map(|half| self.with(Kind::Service, half))
     }
@@ -106,13 +109,13 @@ impl TypeName {
         self.kind
     }
 
-    /// Without package and kind.
+    /// Returns the name without package and kind.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// As this dialect's tools write it. ROS 1 leaves the kind out, and calls the halves of a
-    /// service `std_srvs/SetBoolRequest` and `…Response`.
+    /// Returns the name as this dialect's tools write it. ROS 1 omits the kind, and names the parts
+    /// of a service `std_srvs/SetBoolRequest` and `…Response`.
     pub fn display(&self, dialect: Dialect) -> String {
         match dialect {
             Dialect::Ros2 => self.to_string(),
@@ -123,38 +126,39 @@ impl TypeName {
         }
     }
 
-    /// As a ROS 2 participant of DDS announces it.
+    /// Returns the name that a ROS 2 participant announces over DDS.
     pub fn dds(&self) -> String {
         format!("{}::{}::dds_::{}_", self.package, self.kind.folder(), self.name)
     }
 
-    /// With `suffix` behind its name, and of this kind: what services and actions consist of.
+    /// Returns the name with `suffix` and of this kind, for a part of a service or action.
     pub(crate) fn with(&self, kind: Kind, suffix: &str) -> Self {
         Self { package: self.package.clone(), kind, name: format!("{}{suffix}", self.name).into() }
     }
 
-    /// Whether this is `package/Name` of messages.
+    /// Returns whether this is the message `package/Name`.
     pub(crate) fn is_message(&self, package: &str, name: &str) -> bool {
         self.kind == Kind::Message && &*self.package == package && &*self.name == name
     }
 }
 
-/// The ROS 2 form, which says most.
+/// Writes the ROS 2 form, which has the most information.
 impl fmt::Display for TypeName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}/{}/{}", self.package, self.kind.folder(), self.name)
     }
 }
 
-/// Letters, digits and underscores behind a letter: names of packages, types and fields in both
-/// dialects. Each dialect's compilers are stricter about case, but not always have been.
+/// Returns whether a text is an identifier: letters, digits and underscores after a letter. Both
+/// dialects use these for packages, types and fields. Their current compilers are stricter about
+/// case; earlier ones were not.
 pub(crate) fn is_identifier(text: &str) -> bool {
     text.len() <= MAX_NAME
         && text.starts_with(|first: char| first.is_ascii_alphabetic())
         && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
 }
 
-/// So much of a text as an error may repeat.
+/// Returns the first 80 characters of a text for an error message, without control characters.
 pub(crate) fn excerpt(text: &str) -> String {
     const MOST: usize = 80;
     let mut excerpt: String = text.chars().take(MOST).map(|c| if c.is_control() { ' ' } else { c }).collect();

@@ -7,17 +7,17 @@ use crate::definition::{self, Definition, DefinitionError};
 use crate::dialect::Dialect;
 use crate::name::TypeName;
 
-/// Most definitions of one registry: several times those of a whole distribution.
+/// Maximum number of definitions in one registry, several times that of a whole distribution.
 pub const MAX_DEFINITIONS: usize = 1 << 15;
 
-/// Definitions by dialect and name. A later one of the same name takes the place of an earlier one,
-/// so that what a user gives wins over what is embedded. To clone one is cheap.
+/// Definitions by dialect and name. A new definition replaces one of the same name, so a user's
+/// definition overrides an embedded one. Cloning is cheap.
 #[derive(Clone, Default, Debug)]
 pub struct Registry {
     definitions: HashMap<(Dialect, TypeName), Arc<Definition>>,
 }
 
-/// Why a registry takes no more.
+/// The reason why a registry refuses definitions.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 pub enum AddError {
     #[error(transparent)]
@@ -27,20 +27,20 @@ pub enum AddError {
 }
 
 impl Registry {
-    /// What a `.msg`, `.srv` or `.action` file says. `name` has the package, the file's name
-    /// without its ending, and its kind.
+    /// Adds the definitions of a `.msg`, `.srv` or `.action` file. `name` consists of the package,
+    /// the kind, and the file's name without its extension.
     ///
     /// # Errors
-    /// For a text that is no such definition; then nothing is added.
+    /// If the text is invalid or the registry is full; then nothing is added.
     pub fn add_file(&mut self, dialect: Dialect, name: &TypeName, text: &str) -> Result<(), AddError> {
         self.insert(dialect, definition::definitions(dialect, name, text)?)
     }
 
-    /// What a connection header or a bag says of a message: its own definition, and those of what
-    /// it consists of.
+    /// Adds the definitions of a ROS 1 connection header or a bag: that of `name` and those of all
+    /// nested types.
     ///
     /// # Errors
-    /// For a text that is no such definition; then nothing is added.
+    /// If the text is invalid or the registry is full; then nothing is added.
     pub fn add_text(&mut self, dialect: Dialect, name: &TypeName, text: &str) -> Result<(), AddError> {
         self.insert(dialect, definition::split(dialect, name, text)?)
     }
@@ -49,7 +49,7 @@ impl Registry {
         self.definitions.get(&(dialect, name.clone()))
     }
 
-    /// In no particular order.
+    /// Returns the names of all definitions of a dialect, in no particular order.
     pub fn names(&self, dialect: Dialect) -> impl Iterator<Item = &TypeName> {
         self.definitions.keys().filter(move |(of, _)| *of == dialect).map(|(_, name)| name)
     }

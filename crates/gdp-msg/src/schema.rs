@@ -1,5 +1,5 @@
-//! A resolved message: the definition with all nested types. It has exactly the information that
-//! reading and writing need.
+//! A resolved message type: the definition with all nested types. It has exactly the information
+//! that readers and writers need.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -9,20 +9,20 @@ use crate::dialect::Dialect;
 use crate::name::{NameError, TypeName, excerpt};
 use crate::registry::{AddError, Registry};
 
-/// Most types that a message consists of.
+/// Maximum number of types in one schema.
 pub const MAX_TYPES: usize = 1024;
-/// How deep types may nest.
+/// Maximum depth of nested types.
 pub const MAX_DEPTH: usize = 32;
 
-/// A message type and the closed set of types that it consists of, none of them within itself.
+/// A message type with all types that it consists of. No type contains itself.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Schema {
     dialect: Dialect,
-    /// The message's own first, the others in the order in which they are first used.
+    /// The message's own definition, then the others in the order of their first use.
     definitions: Vec<Arc<Definition>>,
 }
 
-/// Why there is no schema.
+/// The reason why a schema cannot be resolved.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 pub enum SchemaError {
     #[error("there is no {dialect} definition of {name}: give its .msg file, or the share folder of its package")]
@@ -48,10 +48,12 @@ pub enum SchemaError {
     Add(#[from] AddError),
 }
 
-/// What a bundle begins with; the number is that of its form.
+/// The start of a bundle. The number is the version of its form.
 const BUNDLE: &str = "gdp-msg 1";
 
 impl Schema {
+    /// Collects the definition of `name` with those of all nested types.
+    ///
     /// # Errors
     /// If a type is missing, contains itself, or is too large.
     pub fn resolve(registry: &Registry, dialect: Dialect, name: &TypeName) -> Result<Arc<Self>, SchemaError> {
@@ -70,23 +72,23 @@ impl Schema {
         Ok(Arc::new(Self { dialect, definitions: resolving.definitions }))
     }
 
-    /// From a text that contains all definitions, as in a ROS 1 connection header or a bag.
+    /// Resolves a schema from a text with all definitions, as in a ROS 1 connection header or a
+    /// bag.
     ///
     /// # Errors
-    /// As [`Schema::resolve`], and for a text that is no such definition.
+    /// As [`Schema::resolve`], and if the text is invalid.
     pub fn from_text(dialect: Dialect, name: &TypeName, text: &str) -> Result<Arc<Self>, SchemaError> {
         let mut registry = Registry::default();
         registry.add_text(dialect, name, text)?;
         Self::resolve(&registry, dialect, name)
     }
 
-    /// The definitions of all types, as tools of the dialect write them, without comments.
+    /// Returns the definitions of all types as the dialect's tools write them, without comments.
     pub fn text(&self) -> String {
         definition::print_all(self.definitions.iter().map(|definition| &**definition))
     }
 
-    /// The whole schema as text: what travels to whoever has no definitions.
-    /// [`Schema::from_bundle`] reads it.
+    /// Returns the schema as text for a peer without definitions. [`Schema::from_bundle`] reads it.
     pub fn bundle(&self) -> String {
         let dialect = match self.dialect {
             Dialect::Ros1 => "ros1",
@@ -95,8 +97,10 @@ impl Schema {
         format!("{BUNDLE} {dialect} {}\n{}", self.name(), self.text())
     }
 
+    /// Reads the text of [`Schema::bundle`].
+    ///
     /// # Errors
-    /// As [`Schema::from_text`], and for a text that is no bundle.
+    /// As [`Schema::from_text`], and if the text is not a bundle.
     pub fn from_bundle(bundle: &str) -> Result<Arc<Self>, SchemaError> {
         let (first, text) = bundle.split_once('\n').unwrap_or((bundle, ""));
         let refused = || SchemaError::Bundle(excerpt(first));
@@ -113,22 +117,22 @@ impl Schema {
         self.dialect
     }
 
-    /// Of the message.
+    /// Returns the name of the message.
     pub fn name(&self) -> &TypeName {
         &self.root().name
     }
 
-    /// The message's own definition.
+    /// Returns the message's own definition.
     pub fn root(&self) -> &Definition {
         &self.definitions[0]
     }
 
-    /// All types, the message's own first.
+    /// Returns the definitions of all types, the message's own first.
     pub fn definitions(&self) -> impl ExactSizeIterator<Item = &Definition> {
         self.definitions.iter().map(|definition| &**definition)
     }
 
-    /// Of a type that a field of this schema names.
+    /// Returns the definition of a type that a field of this schema names.
     pub(crate) fn get(&self, name: &TypeName) -> &Definition {
         let found = self.definitions.iter().find(|definition| definition.name == *name);
         found.expect("a schema contains every type that its fields name: it was resolved")
@@ -139,14 +143,14 @@ struct Resolving<'a> {
     registry: &'a Registry,
     dialect: Dialect,
     root: &'a TypeName,
-    /// How deep each type is that is done, itself included.
+    /// The depth of each finished type, counting itself.
     found: HashMap<TypeName, usize>,
     definitions: Vec<Arc<Definition>>,
     stack: Vec<TypeName>,
 }
 
 impl Resolving<'_> {
-    /// How deep the type is.
+    /// Adds a type with all nested types, and returns its depth.
     fn visit(&mut self, definition: &Arc<Definition>) -> Result<usize, SchemaError> {
         if self.stack.contains(&definition.name) {
             return Err(SchemaError::Cycle(definition.name.clone()));

@@ -10,11 +10,11 @@ use crate::dialect::Dialect;
 use crate::name::{Kind, TypeName};
 use crate::registry::{AddError, Registry};
 
-/// Most entries of one folder that are looked at: a share folder of a full desktop installation has
-/// a few hundred.
+/// Maximum number of entries in one folder. The share folder of a full desktop installation has a
+/// few hundred.
 const MAX_ENTRIES: usize = 10_000;
 
-/// Why definitions were not loaded.
+/// The reason why definitions were not loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
     #[error("cannot read {path}: {error}")]
@@ -29,21 +29,22 @@ pub enum LoadError {
     Definition { path: PathBuf, error: AddError },
 }
 
-/// What a folder had.
+/// The result of loading a folder.
 #[derive(Default, Debug)]
 pub struct Loaded {
-    /// Files whose definitions were added.
+    /// Number of files whose definitions were added.
     pub files: usize,
-    /// Files that define nothing, with why: one package's mistake must not keep out the others.
+    /// Files that were refused, with the reasons. A mistake in one package does not affect the
+    /// others.
     pub refused: Vec<LoadError>,
 }
 
 impl Registry {
-    /// All packages of a share folder, as `/opt/ros/jazzy/share`. Files that are no definitions,
-    /// also of IDL alone, are left alone.
+    /// Loads all packages of a share folder, such as `/opt/ros/jazzy/share`. Ignores other files,
+    /// including `.idl` files.
     ///
     /// # Errors
-    /// If the folder cannot be read.
+    /// If a folder cannot be read, or has too many entries.
     pub fn load_share(&mut self, dialect: Dialect, folder: &Path) -> Result<Loaded, LoadError> {
         let mut loaded = Loaded::default();
         for package in entries(folder)? {
@@ -54,10 +55,10 @@ impl Registry {
         Ok(loaded)
     }
 
-    /// One package, as `/opt/ros/jazzy/share/std_msgs`.
+    /// Loads one package, such as `/opt/ros/jazzy/share/std_msgs`.
     ///
     /// # Errors
-    /// If the folder cannot be read.
+    /// If a folder cannot be read, or has too many entries.
     pub fn load_package(&mut self, dialect: Dialect, folder: &Path) -> Result<Loaded, LoadError> {
         let mut loaded = Loaded::default();
         entries(folder)?;
@@ -65,10 +66,10 @@ impl Registry {
         Ok(loaded)
     }
 
-    /// One file; its path says package and type: `…/PACKAGE/msg/Type.msg`.
+    /// Loads one file. Its path gives package and type: `…/PACKAGE/msg/Type.msg`.
     ///
     /// # Errors
-    /// If it cannot be read, or is no definition.
+    /// If the file cannot be read, or is not a definition.
     pub fn load_file(&mut self, dialect: Dialect, file: &Path) -> Result<(), LoadError> {
         let refused = || LoadError::Path(file.to_owned());
         let part = |path: Option<&Path>| path?.file_name()?.to_str().map(str::to_owned);
@@ -112,7 +113,8 @@ fn kind(ending: &str) -> Option<Kind> {
     [Kind::Message, Kind::Service, Kind::Action].into_iter().find(|kind| kind.folder() == ending)
 }
 
-/// Sorted, so that what is loaded does not depend on the file system.
+/// Returns the sorted entries of a folder, so that loading does not depend on the file system's
+/// order.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, LoadError> {
     let failed = |error| LoadError::Io { path: folder.to_owned(), error };
     let mut entries = Vec::new();
@@ -126,7 +128,7 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>, LoadError> {
     Ok(entries)
 }
 
-/// No more than [`MAX_TEXT`], whatever the file is.
+/// Reads a file of at most [`MAX_TEXT`] bytes.
 fn read(file: &Path) -> io::Result<String> {
     let mut text = Vec::new();
     File::open(file)?.take(MAX_TEXT as u64 + 1).read_to_end(&mut text)?;

@@ -9,10 +9,10 @@ use crate::registry::Registry;
 use crate::schema::{Schema, SchemaError};
 
 impl Schema {
-    /// The same type in another dialect: as `known` has it, and where that does not, made from this
-    /// one. `time`, `duration`, `byte` and bounds become what the other dialect has for them; names
-    /// stay. What is made has the hash that ROS would compute of it, so subscribers that have
-    /// defined the type take it if they have defined it alike.
+    /// Returns the same type in another dialect. Definitions come from `known`, or else are made
+    /// from this schema. `time`, `duration`, `byte` and bounds become the other dialect's
+    /// equivalents; names stay. A made definition has the hash that ROS would compute for it. So
+    /// subscribers accept it if their own definition is the same.
     ///
     /// # Errors
     /// As [`Schema::resolve`].
@@ -34,7 +34,7 @@ fn made(definition: &Definition, convert: impl Fn(&Base, Count) -> (Base, Count)
         let (base, count) = convert(&field.base, field.count);
         Field::new(base, count, &field.name)
     });
-    // Of strings, the dialects write constants in different ways.
+    // The dialects write string constants differently, so these are left out.
     let constants = definition.constants.iter().filter(|constant| matches!(constant.base, Base::Scalar(_)));
     let constants =
         constants.map(|constant| Constant { base: convert(&constant.base, Count::One).0, ..constant.clone() });

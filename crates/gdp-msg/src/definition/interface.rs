@@ -1,22 +1,23 @@
-//! Resolves interface files to messages: a `.msg` is one message; a `.srv` and an `.action` are
-//! several, which nodes exchange.
+//! Resolves interface files to messages. A `.msg` file is one message; a `.srv` or `.action` file
+//! is several.
 
 use super::{Base, Count, Definition, DefinitionError, Field, Problem, Scalar, parse};
 use crate::dialect::Dialect;
 use crate::name::{Kind, TypeName};
 
-/// All messages that a file defines. `name` has the file's name and kind.
+/// Returns all messages that a file defines. `name` consists of the package, the kind, and the
+/// file's name without its extension.
 ///
-/// - ROS 2 service `S`: `S_Request`, `S_Response`, `S_Event`, and `S` itself, which holds one of
-///   each. Nobody sends that; its hash is the service's.
+/// - ROS 2 service `S`: `S_Request`, `S_Response`, `S_Event`, and `S` itself, which contains one of
+///   each. No node sends `S`; its hash is that of the service.
 /// - ROS 2 action `A`: `A_Goal`, `A_Result`, `A_Feedback`, the services `A_SendGoal` and
 ///   `A_GetResult`, `A_FeedbackMessage`, and `A` itself.
 /// - ROS 1 service `S`: `S_Request` and `S_Response`, which ROS 1 writes without `_`.
-/// - ROS 1 action `A`, as `genaction` makes it: `AGoal`, `AResult`, `AFeedback`, each with `Action`
-///   between, and `AAction`: plain messages.
+/// - ROS 1 action `A`, as `genaction` makes it: the plain messages `AGoal`, `AResult` and
+///   `AFeedback`, each also with `Action` in its name, and `AAction`.
 ///
 /// # Errors
-/// Names type, line and what would be right.
+/// If a definition is invalid. The error names the type and the line, and suggests a correction.
 pub fn definitions(dialect: Dialect, name: &TypeName, text: &str) -> Result<Vec<Definition>, DefinitionError> {
     if name.kind() == Kind::Message {
         return Ok(vec![parse(dialect, name, text, 1)?]);
@@ -40,7 +41,7 @@ pub fn definitions(dialect: Dialect, name: &TypeName, text: &str) -> Result<Vec<
     Ok(all)
 }
 
-/// Between lines of `---`, each with the number of its first line.
+/// Splits a text at lines of `---`. Returns each part with the number of its first line.
 fn parts<'a>(name: &TypeName, text: &'a str) -> Result<Vec<(usize, &'a str)>, DefinitionError> {
     let mut parts = vec![];
     let (mut first, mut from, mut at) = (1, 0, 0);

@@ -1,7 +1,7 @@
 //! Parses one line of a `.msg` text: a field, a constant, or nothing.
 //!
-//! The rules are those of the compilers that the text was written for: `genmsg` (ROS 1) and
-//! `rosidl_adapter` (ROS 2). They differ in where a comment begins and in what a bare `Header` is.
+//! The rules are those of the dialect's compiler: `genmsg` (ROS 1) or `rosidl_adapter` (ROS 2).
+//! They differ in the start of a comment and in the meaning of a bare `Header`.
 
 use std::collections::HashSet;
 
@@ -12,11 +12,14 @@ use super::{
 use crate::dialect::Dialect;
 use crate::name::{TypeName, excerpt, is_identifier};
 
-/// What ROS 2's compilers put into an empty message, and what is therefore none of its fields.
+/// The member that ROS 2's compilers insert into an empty message. It is not a field.
 pub(super) const PLACEHOLDER: &str = "structure_needs_at_least_one_member";
 
+/// Parses the definition of one message.
+///
 /// # Errors
-/// Names the line, counted from `first_line`, and what would be right.
+/// If a line is invalid. The error names the line, counted from `first_line`, and suggests a
+/// correction.
 pub(crate) fn parse(
     dialect: Dialect,
     name: &TypeName,
@@ -27,7 +30,7 @@ pub(crate) fn parse(
         return Err(DefinitionError::new(name, 0, Problem::TooLong));
     }
     let mut definition = Definition { name: name.clone(), constants: Vec::new(), fields: Vec::new() };
-    // Constants and fields may share a name: `int32 x` and `int32 x=1` are in use.
+    // A constant and a field may share a name: `int32 x` and `int32 x=1` are in use.
     let mut names = HashSet::new();
     for (number, line) in text.lines().enumerate() {
         let refused = |problem| DefinitionError::new(name, first_line + number, problem);
@@ -71,7 +74,7 @@ fn element(dialect: Dialect, context: &TypeName, line: &str) -> Result<Option<El
     let rest = rest.trim_start();
     if let Some((name, value)) = rest.split_once('=') {
         let name = name.trim_end();
-        // In ROS 1, a string is all that follows, also what looks like a comment.
+        // In ROS 1, a string constant is the rest of the line, including what looks like a comment.
         let value = match line.split_once('=') {
             Some((_, all)) if dialect == Dialect::Ros1 && type_text == "string" => all,
             _ => value,
@@ -103,7 +106,7 @@ fn element(dialect: Dialect, context: &TypeName, line: &str) -> Result<Option<El
     Ok(Some(Element::Field(Field { base, count, name, default: default.map(Into::into) })))
 }
 
-/// Takes `[…]` off a type.
+/// Splits `[…]` off a type.
 fn count(dialect: Dialect, text: &str) -> Result<(&str, Count), Problem> {
     let Some((base, inside)) = text.strip_suffix(']').and_then(|text| text.rsplit_once('[')) else {
         return Ok((text, Count::One));

@@ -1,10 +1,10 @@
-//! Checks the literals of constants and defaults. Definitions keep them as text, since hashes and
-//! tools need the text.
+//! Checks the literals of constants and default values. Definitions store them as text, since
+//! hashes and tools need the text.
 
 use super::{Base, Count, Scalar};
 use crate::dialect::Dialect;
 
-/// Whether `text` is a value of the type, as this dialect's compilers read it.
+/// Returns whether `text` is a value of the type, as this dialect's compilers read it.
 pub(super) fn is_value(dialect: Dialect, base: &Base, count: Count, text: &str) -> bool {
     let (most, exact) = match count {
         Count::One => return is_single(dialect, base, text),
@@ -25,7 +25,7 @@ pub(super) fn is_value(dialect: Dialect, base: &Base, count: Count, text: &str) 
     if exact { length == most } else { length <= most }
 }
 
-/// Up to the next comma that is in no quotes, and what is behind it.
+/// Splits a text at the first comma outside quotes.
 fn first_element(text: &str) -> (&str, &str) {
     let mut quote = None;
     let mut escaped = false;
@@ -67,7 +67,7 @@ fn is_scalar(scalar: Scalar, text: &str) -> bool {
     integer(text).is_some_and(|value| (low..=high).contains(&value))
 }
 
-/// Decimal, or `0x…`, `0o…`, `0b…`, with a sign or without.
+/// Parses an integer: decimal, `0x…`, `0o…` or `0b…`, with an optional sign.
 fn integer(text: &str) -> Option<i128> {
     let (sign, digits) = match text.strip_prefix('-') {
         Some(digits) => (-1, digits),
@@ -85,7 +85,7 @@ fn integer(text: &str) -> Option<i128> {
     Some(sign * i128::from(magnitude?.ok()?))
 }
 
-/// Without quotes of either kind around it.
+/// Removes the quotes of either kind around a text.
 fn unquoted(text: &str) -> &str {
     let inside = |quote: char| text.strip_prefix(quote).and_then(|text| text.strip_suffix(quote));
     inside('"').or_else(|| inside('\'')).unwrap_or(text)

@@ -15,31 +15,31 @@ pub use text::split;
 
 use crate::name::{Kind, TypeName};
 
-/// Longest text of definitions that is read, in bytes: `sensor_msgs` whole, with all its comments,
-/// is a tenth of it.
+/// Maximum length of a text of definitions, in bytes. All of `sensor_msgs` with its comments takes
+/// a tenth of it.
 pub const MAX_TEXT: usize = 1 << 20;
-/// Most fields, and most constants, of one type.
+/// Maximum number of fields of one type, and of its constants.
 pub const MAX_FIELDS: usize = 1024;
-/// Longest fixed array, and largest bound that means more than none.
+/// Maximum length of a fixed array, and maximum bound of a sequence.
 pub const MAX_ARRAY: u32 = 1 << 26;
 
-/// One message: a type of its own, or a part of a service or an action.
+/// The definition of one message: a type of its own, or a part of a service or an action.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Definition {
     pub name: TypeName,
     pub constants: Vec<Constant>,
-    /// In the order in which they are serialized. Empty for an empty message, also of ROS 2, whose
-    /// compilers insert a `structure_needs_at_least_one_member` that has no meaning.
+    /// The fields, in the order of serialization. An empty message has none. In ROS 2, compilers
+    /// then insert a `structure_needs_at_least_one_member` without a meaning.
     pub fields: Vec<Field>,
 }
 
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Constant {
-    /// Never [`Base::Named`].
+    /// The type, which is never [`Base::Named`].
     pub base: Base,
     pub name: Box<str>,
-    /// As it was written, without white space around it: part of a ROS 1 md5sum. Checked to be a
-    /// value of the type.
+    /// The value as written, without surrounding white space. It is part of a ROS 1 md5sum, and
+    /// valid for the type.
     pub text: Box<str>,
 }
 
@@ -48,8 +48,7 @@ pub struct Field {
     pub base: Base,
     pub count: Count,
     pub name: Box<str>,
-    /// As it was written, and checked to be a value of the type. ROS 2 nodes begin new messages
-    /// with it; nothing else does.
+    /// The default value as written, valid for the type. Only ROS 2 nodes use it, for new messages.
     pub default: Option<Box<str>>,
 }
 
@@ -59,37 +58,37 @@ impl Field {
     }
 }
 
-/// How many of a field there are.
+/// The number of values of a field.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Count {
     One,
-    /// `[5]`. At least 1, at most [`MAX_ARRAY`].
+    /// `[5]`: at least 1 and at most [`MAX_ARRAY`] values.
     Fixed(u32),
-    /// `[]`, or with a bound `[<=5]`.
+    /// `[]`, or `[<=5]` with a bound.
     Sequence(Option<u32>),
 }
 
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub enum Base {
     Scalar(Scalar),
-    /// With its bound in bytes, if any.
+    /// A string with its optional bound in bytes.
     String(Option<u32>),
-    /// With its bound in UTF-16 code units, if any.
+    /// A wide string with its optional bound in UTF-16 code units.
     WString(Option<u32>),
-    /// Built into ROS 1. In ROS 2 `builtin_interfaces/msg/Time` is a message.
+    /// A built-in type of ROS 1. ROS 2 has the message `builtin_interfaces/msg/Time` instead.
     Time,
-    /// Built into ROS 1.
+    /// A built-in type of ROS 1.
     Duration,
     Named(TypeName),
 }
 
-/// What has a fixed size.
+/// A type of fixed size.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub enum Scalar {
     Bool,
-    /// 8 bits: signed in ROS 1, unsigned in ROS 2.
+    /// An octet, signed in ROS 1 and unsigned in ROS 2.
     Byte,
-    /// An unsigned octet in both, of deprecated name.
+    /// An unsigned octet in both dialects, with a deprecated name.
     Char,
     Int8,
     UInt8,
@@ -120,7 +119,7 @@ impl Scalar {
         Self::Float64,
     ];
 
-    /// As definitions call it.
+    /// Returns the name in definitions.
     pub fn name(self) -> &'static str {
         match self {
             Self::Bool => "bool",
@@ -143,7 +142,7 @@ impl Scalar {
         Self::ALL.into_iter().find(|scalar| scalar.name() == name)
     }
 
-    /// In bytes, in every binary encoding; also its alignment in CDR.
+    /// Returns the size in bytes in every binary encoding, which is also the alignment in CDR.
     pub fn size(self) -> usize {
         match self {
             Self::Bool | Self::Byte | Self::Char | Self::Int8 | Self::UInt8 => 1,
@@ -153,8 +152,7 @@ impl Scalar {
         }
     }
 
-    /// The same with a name that means one thing in both dialects: what [`Scalar::Byte`] and
-    /// [`Scalar::Char`] are.
+    /// Replaces [`Scalar::Byte`] and [`Scalar::Char`] with the scalar that they mean in `dialect`.
     pub(crate) fn plain(self, dialect: Dialect) -> Self {
         match (self, dialect) {
             (Self::Byte, Dialect::Ros1) => Self::Int8,
@@ -164,18 +162,18 @@ impl Scalar {
     }
 }
 
-/// A definition that is none, and why.
+/// The error for an invalid definition.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 #[error("{name}{}: {problem}", if *line > 0 { format!(", line {line}") } else { String::new() })]
 pub struct DefinitionError {
-    /// Of the type, as far as it is known.
+    /// The name of the type, as far as it is known.
     pub name: String,
-    /// From 1; 0 where the whole is meant.
+    /// The line, counted from 1, or 0 for the whole text.
     pub line: usize,
     pub problem: Problem,
 }
 
-/// What is wrong with a definition, and what would be right.
+/// A mistake in a definition, with a suggestion.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 pub enum Problem {
     #[error("the text is longer than {MAX_TEXT} bytes: give each package's definitions by themselves")]
@@ -213,7 +211,7 @@ impl DefinitionError {
 }
 
 impl Kind {
-    /// How many parts a file of this kind has.
+    /// Returns the number of parts in a file of this kind.
     fn parts(self) -> usize {
         match self {
             Self::Message => 1,

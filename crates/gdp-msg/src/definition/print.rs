@@ -5,10 +5,10 @@ use std::fmt::{self, Write};
 use super::{Base, Constant, Count, Definition, Field};
 use crate::name::Kind;
 
-/// Between definitions in a text of several, as `rosmsg` and `rosbag` write it.
+/// The line between two definitions, as `rosmsg` and `rosbag` write it.
 const SEPARATOR: &str = "================================================================================";
 
-/// The first by itself, the others behind a line that names each.
+/// Prints the first definition, then the others, each after a line with its name.
 pub(crate) fn print_all<'a>(definitions: impl IntoIterator<Item = &'a Definition>) -> String {
     let mut text = String::new();
     for (index, definition) in definitions.into_iter().enumerate() {
@@ -40,7 +40,7 @@ impl fmt::Display for Printed<'_> {
     }
 }
 
-/// As in a definition, with the package of what is named.
+/// Returns a type as in a definition, with the package of a named type.
 pub(crate) fn type_text(base: &Base, count: Count) -> String {
     let mut text = match base {
         Base::Scalar(scalar) => scalar.name().to_owned(),

@@ -1,18 +1,18 @@
-//! Parses texts of several definitions, as ROS 1 connection headers, bags and MCAP's `ros2msg`
-//! carry them. The type itself comes first. Each type that it uses follows a line of `=` and `MSG:
+//! Parses texts with several definitions, as in ROS 1 connection headers, bags and MCAP's
+//! `ros2msg`. The type itself comes first. Each type that it uses follows a line of `=` and `MSG:
 //! package/Type`.
 
 use super::{Definition, DefinitionError, MAX_TEXT, Problem, parse};
 use crate::dialect::Dialect;
 use crate::name::{TypeName, excerpt};
 
-/// Most definitions in one text.
+/// Maximum number of definitions in one text.
 const MAX_DEFINITIONS: usize = 1024;
 
-/// All definitions of a text, that of `name` first.
+/// Returns all definitions of a text, that of `name` first.
 ///
 /// # Errors
-/// Names type and line, counted over the whole text.
+/// If a definition is invalid. The error names the type and the line, counted over the whole text.
 pub fn split(dialect: Dialect, name: &TypeName, text: &str) -> Result<Vec<Definition>, DefinitionError> {
     let refused = |line, problem| DefinitionError::new(name, line, problem);
     if text.len() > MAX_TEXT {
@@ -52,7 +52,7 @@ fn is_separator(line: &str) -> bool {
     line.len() >= 3 && line.bytes().all(|byte| byte == b'=')
 }
 
-/// With where each begins, and its number from 1.
+/// Iterates over lines, each with its byte offset and its number from 1.
 struct Lines<'a> {
     text: &'a str,
     at: usize,

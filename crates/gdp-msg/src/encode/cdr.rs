@@ -1,27 +1,27 @@
 //! Classic CDR (XCDR1) as the vendors of ROS 2 write it. Scalars are aligned to their size, counted
-//! from behind the encapsulation. The length of a string includes its terminating zero. A wide
-//! string has four bytes for each UTF-16 code unit and no terminator (Fast CDR and `rmw_cyclonedds`
-//! agree). A message without fields is one byte.
+//! from the end of the encapsulation header. The length of a string includes its terminating zero.
+//! A wide string has four bytes for each UTF-16 code unit and no terminator (Fast CDR and
+//! `rmw_cyclonedds` agree). A message without fields is one byte.
 
 use super::input::Input;
 use super::output::Output;
 use super::{Block, Fault, Result, Sink, Source};
 use crate::definition::{Count, Scalar};
 
-/// Bytes in front of every payload: representation and options.
+/// Size of the encapsulation header, in bytes: representation and options.
 const ENCAPSULATION: usize = 4;
-/// A writer may fill its payload up to a multiple of four. What is serialized apart from being
-/// sent, as by `rclpy.serialization` for a bag that is played later, may have more behind it:
-/// `rmw_fastrtps` makes it as long as its estimate of the size, which counts the alignment of
-/// sequences that are empty, and a terminator of wide texts that is never written.
+/// Maximum padding that a writer adds to a payload, to a multiple of four bytes. Payloads that are
+/// serialized but not sent, as by `rclpy.serialization` for a bag, may have more. `rmw_fastrtps`
+/// makes these as long as its size estimate. That counts the alignment of empty sequences, and
+/// terminators of wide strings that are never written.
 const MAX_PADDING: usize = 3;
 
 pub(crate) struct CdrSource<'a> {
     input: Input<'a>,
     big_endian: bool,
-    /// The last wide text.
+    /// Buffer for the last wide string.
     text: String,
-    /// How many bytes may follow the last field.
+    /// Number of bytes that may follow the last field.
     padding: usize,
 }
 
@@ -96,8 +96,8 @@ impl Source for CdrSource<'_> {
         }
         let length = self.word()?;
         if length == 0 {
-            // Not what the standard says, but how some writers put an empty text, and all readers
-            // of ROS 2 take it.
+            // The standard has no length of 0. Some writers send it for an empty string, and all
+            // readers of ROS 2 accept it.
             return Ok(&[]);
         }
         match self.input.take(self.input.length(length.into(), 1)?)?.split_last() {

@@ -1,4 +1,4 @@
-//! A cursor over bytes. Each read is checked against the bytes that are left.
+//! A cursor over bytes. It checks each read against the remaining bytes.
 
 use super::{Fault, Result};
 use crate::definition::Scalar;
@@ -27,7 +27,7 @@ impl<'a> Input<'a> {
         Ok(taken)
     }
 
-    /// A scalar's bits in this byte order; of a boolean, nothing but 0 and 1.
+    /// Reads the bits of a scalar in this byte order. A boolean must be 0 or 1.
     pub fn scalar(&mut self, kind: Scalar, big_endian: bool) -> Result<u64> {
         let taken = self.take(kind.size())?;
         let mut bits = [0; 8];
@@ -39,14 +39,15 @@ impl<'a> Input<'a> {
         booleans(kind, taken).map(|()| u64::from_le_bytes(bits))
     }
 
-    /// So many scalars in a row.
+    /// Reads `count` consecutive scalars.
     pub fn scalars(&mut self, kind: Scalar, count: u64) -> Result<&'a [u8]> {
         let taken = self.take(self.length(count, kind.size() as u64)?)?;
         booleans(kind, taken)?;
         Ok(taken)
     }
 
-    /// Of `count` pieces that take `least` bytes each, all of which have to be there still.
+    /// Returns the size of `count` elements of `least` bytes each, which must fit into the
+    /// remaining bytes.
     pub fn length(&self, count: u64, least: u64) -> Result<usize> {
         let length = count.checked_mul(least).and_then(|length| usize::try_from(length).ok());
         length.filter(|length| *length <= self.left()).ok_or(Fault::Length(count))

@@ -1,6 +1,6 @@
-//! The encodings. Each reads and writes one value after the other, as a program of
-//! [`crate::mapping`] asks for them. No encoding knows types or builds values: each value goes from
-//! the source straight to the sink.
+//! The encodings. Each reads and writes single values as a program of [`crate::mapping`] requests
+//! them. No encoding knows types or builds values: each value goes directly from the source to the
+//! sink.
 
 pub(crate) mod cdr;
 pub(crate) mod input;
@@ -13,17 +13,17 @@ use std::fmt;
 
 use crate::definition::{Count, Scalar};
 
-/// How the bytes of a message are laid out.
+/// The encoding of a message.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub enum Encoding {
-    /// What ROS 2 sends over DDS: classic CDR (XCDR1) behind its four bytes of encapsulation. Read
-    /// in either byte order, written in little endian.
+    /// Classic CDR (XCDR1) after a four-byte encapsulation header, which ROS 2 sends over DDS.
+    /// Readers accept both byte orders; the writer uses little-endian.
     Cdr,
-    /// The same, written in big endian.
+    /// The same with a big-endian writer.
     CdrBigEndian,
-    /// What ROS 1 sends over TCPROS, without the length in front.
+    /// ROS 1 serialization, which ROS 1 sends over TCPROS, without the length prefix.
     Ros1,
-    /// One JSON object, as rosbridge writes it, but without loss: see [`crate`].
+    /// One JSON object in the form of rosbridge, but without loss: see [`crate`].
     Json,
 }
 
@@ -38,7 +38,7 @@ impl fmt::Display for Encoding {
     }
 }
 
-/// What is wrong with a message.
+/// The reason why a message is invalid.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 pub enum Fault {
     #[error("the message ends within it: it was cut off, or is of another type")]
@@ -79,10 +79,10 @@ pub enum Fault {
 
 pub(crate) type Result<T, E = Fault> = std::result::Result<T, E>;
 
-/// Names of an object's members, in the order of the definition.
+/// The names of an object's members, in the order of the definition.
 pub(crate) type Members = [Box<str>];
 
-/// Scalars in a row, as a binary encoding has them.
+/// Consecutive scalars in a binary encoding.
 #[derive(Clone, Copy)]
 pub(crate) struct Block<'a> {
     pub bytes: &'a [u8],
@@ -90,60 +90,60 @@ pub(crate) struct Block<'a> {
 }
 
 impl Block<'_> {
-    /// Of one scalar of the block.
+    /// Returns the bits of one scalar of the block.
     pub fn bits(&self, scalar: &[u8]) -> u64 {
         let append = |bits: u64, byte: &u8| bits << 8 | u64::from(*byte);
         if self.big_endian { scalar.iter().fold(0, append) } else { scalar.iter().rev().fold(0, append) }
     }
 }
 
-/// Where messages come from. Scalars are their bits, zero-extended. What has a body here, only JSON
-/// has: the others do not see where messages and their fields begin and end.
+/// Reads messages. Scalars are their bits, zero-extended. The default methods do nothing, because
+/// only JSON marks where objects and their members begin and end.
 pub(crate) trait Source {
     fn scalar(&mut self, kind: Scalar) -> Result<u64>;
-    /// `per` scalars for each element of a fixed array or a sequence, in one piece; `None`, with
-    /// nothing consumed, where they have to be read one by one.
+    /// Reads an array or a sequence with `per` scalars for each element as one block. Returns
+    /// `None` and consumes nothing if the scalars must be read one by one.
     fn array(&mut self, kind: Scalar, count: Count, per: u32) -> Result<Option<Block<'_>>>;
-    /// UTF-8 if it was `wide`, and else whatever the sender took for text.
+    /// Reads a text. A `wide` text is returned as UTF-8; other text is unchecked bytes.
     fn text(&mut self, wide: bool) -> Result<&[u8]>;
-    /// Begins a fixed array or a sequence; how many elements follow, where that is known before.
-    /// `least`: bytes that an element takes at least.
+    /// Begins an array or a sequence, and returns the number of elements if the encoding states it.
+    /// `least` is the minimum size of an element in bytes.
     fn begin(&mut self, count: Count, least: u64) -> Result<Option<u32>>;
-    /// Whether there is one more, where the number was not known. `_done`: how many there were.
+    /// Returns whether another element follows after `_done` elements, if the number is not stated.
     fn more(&mut self, _done: u32) -> Result<bool> {
         Ok(false)
     }
     fn open(&mut self, _members: &Members) -> Result<()> {
         Ok(())
     }
-    /// Goes to the value of this member of the object that was opened last.
+    /// Moves to the value of this member of the innermost open object.
     fn take(&mut self, _members: &Members, _member: usize) -> Result<()> {
         Ok(())
     }
     fn close(&mut self, _members: &Members) -> Result<()> {
         Ok(())
     }
-    /// A message without fields.
+    /// Reads a message without fields.
     fn empty(&mut self) -> Result<()> {
         Ok(())
     }
-    /// How far it has been read, in bytes.
+    /// Returns the position in the input, in bytes.
     fn offset(&self) -> usize;
-    /// After the last value.
+    /// Checks that nothing but padding follows the last value.
     fn finish(&mut self) -> Result<()>;
 }
 
-/// Where messages go. What has a body here, only JSON has.
+/// Writes messages. The default methods do nothing, because only JSON needs them.
 pub(crate) trait Sink {
-    /// Nothing of what is written is kept.
+    /// Whether the sink discards everything.
     const DISCARDS: bool = false;
 
     fn scalar(&mut self, kind: Scalar, bits: u64) -> Result<()>;
-    /// What [`Source::array`] gave.
+    /// Writes the block of [`Source::array`].
     fn array(&mut self, kind: Scalar, count: Count, per: u32, block: Block<'_>) -> Result<()>;
     fn text(&mut self, wide: bool, text: &[u8]) -> Result<()>;
-    /// Begins a fixed array or a sequence of so many elements, if that is known. What is returned
-    /// goes to [`Sink::end`].
+    /// Begins an array or a sequence, with the number of elements if known. The return value goes
+    /// to [`Sink::end`].
     fn begin(&mut self, count: Count, known: Option<u32>) -> Result<usize>;
     fn element(&mut self, _index: u32) -> Result<()> {
         Ok(())

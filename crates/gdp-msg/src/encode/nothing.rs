@@ -1,13 +1,13 @@
-//! The source of fields that only the target type has, and the sink of fields that only the source
-//! type has.
+//! The source of fields that only the receiving type has, and the sink of fields that only the
+//! sending type has.
 
 use super::{Block, Result, Sink, Source};
 use crate::definition::{Count, Scalar};
 
-/// For arrays in one piece; longer ones are given number by number.
+/// The source of whole arrays. Longer arrays are read one number at a time.
 static ZEROS: [u8; 1 << 16] = [0; 1 << 16];
 
-/// Gives zeros, empty texts and empty sequences: what a ROS 1 node begins a message with.
+/// A source of zeros, empty texts and empty sequences, the initial values of ROS 1 messages.
 pub(crate) struct Zeros;
 
 impl Source for Zeros {
@@ -38,7 +38,7 @@ impl Source for Zeros {
     }
 }
 
-/// Takes everything, and keeps none of it.
+/// A sink that discards everything.
 pub(crate) struct Nowhere;
 
 impl Sink for Nowhere {

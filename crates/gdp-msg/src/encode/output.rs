@@ -9,7 +9,7 @@ pub(crate) struct Output<'a> {
 }
 
 impl Output<'_> {
-    /// Says whether `more` bytes may follow.
+    /// Checks that `more` bytes fit into the size limit.
     pub fn room(&self, more: usize) -> Result<()> {
         if more <= self.most.saturating_sub(self.bytes.len()) { Ok(()) } else { Err(Fault::Output(self.most)) }
     }
@@ -25,7 +25,7 @@ impl Output<'_> {
         if big_endian { self.put(&bits.to_be_bytes()[8 - size..]) } else { self.put(&bits.to_le_bytes()[..size]) }
     }
 
-    /// Scalars in a row, each turned round if the byte orders differ.
+    /// Writes consecutive scalars, and swaps the bytes of each if the byte orders differ.
     pub fn block(&mut self, kind: Scalar, block: Block<'_>, big_endian: bool) -> Result<()> {
         self.put(block.bytes)?;
         if block.big_endian == big_endian {

@@ -1,4 +1,4 @@
-//! ROS 1 serialization: little-endian and unaligned; strings and sequences follow a 32-bit length.
+//! ROS 1 serialization: little-endian and unaligned. Strings and sequences follow a 32-bit length.
 
 use super::input::Input;
 use super::output::Output;

@@ -1,4 +1,4 @@
-//! The md5sum of ROS 1 types, as `genmsg` computes it.
+//! Computes the md5sum of ROS 1 types as `genmsg` does.
 
 use std::collections::HashMap;
 use std::fmt::Write;
@@ -7,19 +7,19 @@ use crate::definition::{Base, Constant, Definition, Field, type_text};
 use crate::name::TypeName;
 use crate::schema::Schema;
 
-/// Of a ROS 1 message: of its definition without comments, constants first, each message inside
-/// replaced by its md5sum. As 32 hex digits.
+/// Returns the md5sum of a ROS 1 message as 32 hex digits. It covers the definition without
+/// comments, constants first, with each nested message replaced by its md5sum.
 pub fn md5sum(schema: &Schema) -> String {
     hex::encode(md5::compute(text(schema, schema.root(), &mut HashMap::new())).0)
 }
 
-/// Of a ROS 1 service: over its two halves.
+/// Returns the md5sum of a ROS 1 service, which covers request and response.
 pub fn service_md5sum(request: &Schema, response: &Schema) -> String {
     let of = |schema| text(schema, schema.root(), &mut HashMap::new());
     hex::encode(md5::compute(of(request) + &of(response)).0)
 }
 
-/// `done`: of types that were hashed already, so that each is hashed once.
+/// Returns the text to hash. `done` caches the md5sums of nested types.
 fn text<'a>(schema: &'a Schema, definition: &'a Definition, done: &mut HashMap<&'a TypeName, String>) -> String {
     let mut all = String::new();
     for Constant { base, name, text } in &definition.constants {
@@ -32,7 +32,7 @@ fn text<'a>(schema: &'a Schema, definition: &'a Definition, done: &mut HashMap<&
                     let sum = md5::compute(text(schema, schema.get(inner), done));
                     done.insert(inner, hex::encode(sum.0));
                 }
-                // Without the brackets of an array.
+                // `genmsg` omits the brackets of an array here.
                 writeln!(all, "{} {name}", done[inner])
             }
             base => writeln!(all, "{} {name}", type_text(base, *count)),

@@ -1,4 +1,4 @@
-//! Type hashes: ROS compares them to find out whether two nodes mean the same type.
+//! Type hashes, which ROS compares to check that two nodes use the same type.
 
 mod md5sum;
 mod rihs01;

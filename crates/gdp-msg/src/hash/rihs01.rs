@@ -1,6 +1,6 @@
-//! The type hash of ROS 2: version 1 of the ROS Interface Hashing Standard (REP-2011, REP-2016),
-//! SHA-256 over the JSON that `rosidl_generator_type_description` makes of a type and all that it
-//! refers to.
+//! Computes the type hash of ROS 2: version 1 of the ROS Interface Hashing Standard (REP-2011,
+//! REP-2016). It is the SHA-256 of the JSON that `rosidl_generator_type_description` makes of a
+//! type and all nested types.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -11,8 +11,8 @@ use crate::definition::{Base, Count, Definition, Scalar};
 use crate::dialect::Dialect;
 use crate::schema::Schema;
 
-/// `RIHS01_` and 64 hex digits. That of a service or an action is that of the type with its name,
-/// which contains all its parts.
+/// Returns `RIHS01_` and 64 hex digits. The hash of a service or an action is that of the type with
+/// its name, which contains all its parts.
 pub fn type_hash(schema: &Schema) -> String {
     let mut json = String::from(r#"{"type_description": "#);
     describe(&mut json, schema, schema.root());
@@ -60,11 +60,11 @@ fn field(json: &mut String, dialect: Dialect, name: &str, base: &Base, count: Co
     );
 }
 
-/// As in `type_description_interfaces/msg/FieldType`.
+/// Returns the type ID of `type_description_interfaces/msg/FieldType`.
 fn type_id(dialect: Dialect, base: &Base) -> u32 {
     match base {
         Base::Named(_) | Base::Time | Base::Duration => 1,
-        // An IDL octet, which `byte` stays; `char` becomes an IDL uint8.
+        // `byte` is an IDL octet; `char` becomes an IDL uint8.
         Base::Scalar(Scalar::Byte) => 16,
         Base::Scalar(scalar) => match scalar.plain(dialect) {
             Scalar::Int8 => 2,

@@ -9,11 +9,11 @@ use crate::mapping::options::Note;
 use crate::name::TypeName;
 use crate::schema::Schema;
 
-/// Most steps of a program: hundreds of times those of the largest message of a distribution. Types
-/// within types, several of each, multiply.
+/// Maximum number of steps in a program, hundreds of times that of a distribution's largest
+/// message. Nested types with several fields each multiply.
 const MAX_OPS: usize = 1 << 16;
 
-/// Why messages of one type cannot become messages of another.
+/// The reason why there is no mapping between two types.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 pub enum MapError {
     #[error("`{path}` is {from} on the sending side and {to} on the receiving side: bring both to the same definition")]
@@ -50,17 +50,17 @@ pub(super) fn compile(
     Ok((compiler.program, compiler.notes))
 }
 
-/// What a type is to a program.
+/// The form of a type in a program.
 #[derive(Clone, Copy)]
 enum Shape<'a> {
-    /// `signless`: a `byte`, which is signed in one dialect and not in the other, and the same
-    /// eight bits in both.
+    /// A scalar. `signless` is true for a `byte`, which only one dialect has as signed, with the
+    /// same eight bits.
     Scalar {
         kind: Scalar,
         signless: bool,
     },
     Text(Text),
-    /// A time or a duration: its two numbers.
+    /// A time or a duration, with its two numbers.
     Stamp([(&'static str, Scalar); 2]),
     Message(&'a Definition),
 }
@@ -68,7 +68,7 @@ enum Shape<'a> {
 impl<'a> Shape<'a> {
     fn of(schema: &'a Schema, base: &Base, count: Count) -> Self {
         match base {
-            // Arrays of bytes are octets in both dialects, above all in JSON.
+            // Arrays of bytes are octets in both dialects and in JSON.
             Base::Scalar(Scalar::Byte) if count != Count::One => Self::Scalar { kind: Scalar::UInt8, signless: true },
             Base::Scalar(scalar) => {
                 Self::Scalar { kind: scalar.plain(schema.dialect()), signless: *scalar == Scalar::Byte }
@@ -108,21 +108,21 @@ impl Shape<'_> {
 }
 
 struct Compiler<'a> {
-    /// Of the message.
+    /// The name of the message.
     root: &'a TypeName,
-    /// One of the encodings has names and brackets.
+    /// Whether one of the encodings is JSON, which has names and brackets.
     json: bool,
     program: Program,
     notes: Vec<Note>,
-    /// That is being compiled.
+    /// The index of the field that is being compiled.
     field: u32,
-    /// Whether it names a frame that gets a prefix.
+    /// Whether the field names a frame that gets a prefix.
     is_frame: bool,
-    /// Scalars from here on may be put together with those behind them.
+    /// The first step that may merge with later scalars.
     barrier: usize,
 }
 
-/// How many bytes a value takes at least where it comes from.
+/// Minimum size of a value in the source encoding, in bytes.
 type Least = u64;
 
 impl Compiler<'_> {
@@ -136,7 +136,7 @@ impl Compiler<'_> {
         Ok(ops.len() - 1)
     }
 
-    /// Begins a body; [`Compiler::body`] says how long it has become.
+    /// Begins a step with a body; [`Compiler::body`] returns the length of the body.
     fn push_bodied(&mut self, op: Op) -> Result<usize, MapError> {
         let at = self.push(op)?;
         self.barrier = at + 1;
@@ -155,7 +155,7 @@ impl Compiler<'_> {
             && is_open
             && !self.json
             && before.size() == from.size()
-            // Booleans are looked at.
+            // Booleans are validated, so they do not merge with other scalars.
             && (*before == Scalar::Bool) == (from == Scalar::Bool)
             && let Some(sum) = so_far.checked_add(count)
         {
@@ -320,7 +320,7 @@ impl Compiler<'_> {
 
     fn filled(&mut self, schema: &Schema, of: &Definition, field: &Field, other: Dialect) -> Result<(), MapError> {
         if is_seq(schema, of, field, other) {
-            // The header is a field of the message itself.
+            // Whether the header is a field of the message itself.
             let is_first = self.field != 0 && self.program.fields[self.field as usize].parent == 0;
             return self.push(Op::Seq { is_first }).map(|_| ());
         }
@@ -360,14 +360,14 @@ impl Compiler<'_> {
     }
 }
 
-/// Whether this is the `seq` that ROS 1 headers have and ROS 2 headers have not.
+/// Returns whether this is the `seq` of a ROS 1 header, which ROS 2 headers lack.
 fn is_seq(schema: &Schema, of: &Definition, field: &Field, other: Dialect) -> bool {
     let is_header = of.name.is_message("std_msgs", "Header") && &*field.name == "seq";
     let is_number = field.base == Base::Scalar(Scalar::UInt32) && field.count == Count::One;
     is_header && is_number && schema.dialect() == Dialect::Ros1 && other == Dialect::Ros2
 }
 
-/// Whether the field names a coordinate frame, as `tf2` has them.
+/// Returns whether the field names a coordinate frame, as in `tf2`.
 fn is_frame(of: &Definition, field: &Field) -> bool {
     let is_text = matches!(field.base, Base::String(_) | Base::WString(_));
     let is_header = of.name.is_message("std_msgs", "Header");

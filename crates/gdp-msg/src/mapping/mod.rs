@@ -1,5 +1,5 @@
-//! Transcodes from one type and encoding to another. [`Mapping::new`] compiles a program once;
-//! [`Mapping::transcode`] runs it for each message.
+//! Transcodes messages from one type and encoding to another. [`Mapping::new`] compiles a program
+//! once; [`Mapping::transcode`] runs it for each message.
 
 mod compile;
 mod options;
@@ -21,8 +21,7 @@ use program::{Op, Program};
 
 pub use compile::MapError;
 
-/// How messages of one type and encoding become messages of another. `Send` and `Sync`; nothing in
-/// it changes.
+/// A compiled mapping from one type and encoding to another. It is immutable, `Send` and `Sync`.
 #[derive(Debug)]
 pub struct Mapping {
     from: Encoding,
@@ -31,32 +30,32 @@ pub struct Mapping {
     notes: Vec<Note>,
 }
 
-/// A message that was refused.
+/// The reason why a message was refused.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 #[error("{}at byte {offset}: {fault}", if path.is_empty() { String::new() } else { format!("`{path}`, ") })]
 pub struct TranscodeError {
-    /// Of the field, with the indices of its elements: `poses[3].position.x`. Empty where the
-    /// message as a whole is meant.
+    /// The path of the field, with the indices of elements: `poses[3].position.x`. It is empty if
+    /// the error concerns the whole message.
     pub path: String,
-    /// How far the message was read, in bytes.
+    /// The position of the reader in the input, in bytes.
     pub offset: usize,
     pub fault: Fault,
 }
 
 impl Mapping {
-    /// Types map if they have the same fields, by name (whatever its case) or, where as many are
-    /// left on both sides, by position. Of two versions of one type, also if one of them has more
+    /// Compiles a mapping. Fields pair by name, ignoring case. The others pair by position if both
+    /// sides have the same number left. Between two versions of one type, one side may have more
     /// fields; see [`Mapping::notes`].
     ///
     /// # Errors
-    /// Says where the types differ.
+    /// If the types differ; the error says where.
     pub fn new(from: &Schema, from_encoding: Encoding, to: &Schema, to_encoding: Encoding) -> Result<Self, MapError> {
         Self::with_frame_prefix(from, from_encoding, to, to_encoding, "")
     }
 
-    /// The same, and `prefix` goes in front of each coordinate frame: `frame_id` of every
-    /// `std_msgs/Header`, and every text called `child_frame_id`. A `/` that a frame begins with,
-    /// as in old ROS 1, is dropped; a frame that is empty stays so.
+    /// Compiles a mapping that also puts `prefix` before each coordinate frame. Frames are the
+    /// `frame_id` of every `std_msgs/Header`, and every text named `child_frame_id`. The mapping
+    /// drops a leading `/` of a frame, as in old ROS 1. An empty frame stays empty.
     ///
     /// # Errors
     /// As [`Mapping::new`].
@@ -71,7 +70,7 @@ impl Mapping {
         Ok(Self { from: from_encoding, to: to_encoding, program, notes })
     }
 
-    /// Of messages that stay of one type.
+    /// Compiles a mapping between two encodings of one type.
     ///
     /// # Errors
     /// If a message of the type takes too many steps.
@@ -79,24 +78,25 @@ impl Mapping {
         Self::new(schema, from, schema, to)
     }
 
-    /// What gets lost, and what is made up. Not a header's `seq`, which is known to.
+    /// Returns the fields that are dropped or filled, except a header's `seq`.
     pub fn notes(&self) -> &[Note] {
         &self.notes
     }
 
-    /// Whether messages of the type have frames that get the prefix.
+    /// Returns whether the type has frames that get the prefix.
     pub fn prefixes_frames(&self) -> bool {
         self.program.ops.iter().any(|op| matches!(op, Op::Frame { .. }))
     }
 
-    /// Writes `input` into `output`, instead of what is in there. Its memory is used again; more is
-    /// taken as input is read, a few times its length at most, and never beyond the limit.
+    /// Replaces the content of `output` with the transcoded `input`. Reuses the memory of `output`.
+    /// Further memory is allocated as input is read, up to a few times its length and never beyond
+    /// the limit.
     ///
     /// # Errors
-    /// For input that is no message of the type; then `output` is empty.
+    /// If the input is not a message of the type; then `output` is empty.
     pub fn transcode(&self, input: &[u8], output: &mut Vec<u8>, options: &Options) -> Result<(), TranscodeError> {
         output.clear();
-        // What most messages need, so that memory is not moved while they grow.
+        // Enough for most messages, so that the buffer need not move while it grows.
         output.reserve(input.len().saturating_add(input.len() / 8).saturating_add(64).min(options.max_output));
         let out = Output { bytes: output, most: options.max_output };
         let done = match self.to {
@@ -116,7 +116,7 @@ impl Mapping {
     /// Reads `input` without writing anything.
     ///
     /// # Errors
-    /// For input that is no message of the type.
+    /// If the input is not a message of the type.
     pub fn validate(&self, input: &[u8]) -> Result<(), TranscodeError> {
         self.to(input, Nowhere, &Options::default())
     }

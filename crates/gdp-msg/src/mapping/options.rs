@@ -1,14 +1,13 @@
-//! Options of a mapping: the limits of a message, and the policy for fields that only one type has.
+//! Options of transcoding, and the notes about fields that only one type has.
 
 use std::fmt;
 
-/// What may become of one message.
+/// Options for transcoding one message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Options {
-    /// Most bytes that a message may take when it is written.
+    /// Maximum size of the written message, in bytes.
     pub max_output: usize,
-    /// `seq` of a header that is a field of the message itself, where ROS 2 has none and ROS 1 has
-    /// one. Headers further inside get 0.
+    /// The `seq` of the message's own header field, from ROS 2 to ROS 1. Nested headers get 0.
     pub header_seq: u32,
 }
 
@@ -18,12 +17,12 @@ impl Default for Options {
     }
 }
 
-/// A field that only one of the two types has.
+/// A note about a field that only one of the two types has.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub enum Note {
-    /// The receiving type has no such field, so what it says is lost.
+    /// The receiving type lacks this field, so its value is lost.
     Dropped(String),
-    /// The sending type has no such field, so it is zero or empty.
+    /// The sending type lacks this field, so its value is zero or empty.
     Filled(String),
 }
 

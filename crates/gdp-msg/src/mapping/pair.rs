@@ -1,28 +1,28 @@
-//! Pairs each field of one message with the same field of another.
+//! Pairs each field of one message type with the same field of another.
 
 use crate::definition::{Base, Count, Definition, Field};
 use crate::dialect::Dialect;
 
-/// One field, or the two that are one.
+/// A pair of fields, or a field without a counterpart.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Step {
     Both(usize, usize),
-    /// Only the sending type has it.
+    /// A field that only the sending type has.
     From(usize),
-    /// Only the receiving type has it.
+    /// A field that only the receiving type has.
     To(usize),
 }
 
-/// Fields that do not pair.
+/// The reason why fields do not pair.
 pub(super) enum Unpaired {
-    /// Those that are left on each side.
+    /// The fields without a counterpart on each side.
     Left(Vec<usize>, Vec<usize>),
-    /// A field that comes earlier on one side than on the other.
+    /// A field whose order differs between the sides.
     Order(usize),
 }
 
-/// Steps in the order of both sides. Fields pair by name; those that are left, if there are as many
-/// on both sides, one after the other if their types agree.
+/// Pairs the fields of two types, in the order of both sides. Fields pair by name. The others pair
+/// by position if both sides have the same number left and their types agree.
 pub(super) fn pair(from: (Dialect, &Definition), to: (Dialect, &Definition)) -> Result<Vec<Step>, Unpaired> {
     let (f, t) = (&from.1.fields, &to.1.fields);
     let mut of: Vec<Option<usize>> = vec![None; t.len()];
@@ -51,7 +51,7 @@ pub(super) fn pair(from: (Dialect, &Definition), to: (Dialect, &Definition)) -> 
     steps(f.len(), &of)
 }
 
-/// `of`: for each receiving field, the sending one.
+/// Orders the pairs. `of` has the sending field for each receiving one.
 fn steps(from: usize, of: &[Option<usize>]) -> Result<Vec<Step>, Unpaired> {
     let mut steps = Vec::new();
     let mut next = 0;
@@ -75,8 +75,8 @@ fn steps(from: usize, of: &[Option<usize>]) -> Result<Vec<Step>, Unpaired> {
     Ok(steps)
 }
 
-/// Whether two fields of different names may be one: as far as can be said without looking into
-/// messages.
+/// Returns whether two fields of different names may be the same one. Compares their types without
+/// a look into nested messages.
 fn agree(from: Dialect, a: &Field, to: Dialect, b: &Field) -> bool {
     let counts = match (a.count, b.count) {
         (Count::Sequence(_), Count::Sequence(_)) => true,

@@ -4,24 +4,24 @@ use std::fmt::Write;
 
 use crate::definition::{Count, Scalar};
 
-/// One step. Bodies are the steps behind, so many of them.
+/// One step of a program. The body of a step is the `body` steps that follow it.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Op {
-    /// So many in a row; between binary encodings, also those of several fields that are equally
-    /// large.
+    /// Copies `count` consecutive scalars. Between binary encodings these may be several fields of
+    /// equal size.
     Scalars {
         from: Scalar,
         to: Scalar,
         count: u32,
     },
-    /// An array or a sequence with `per` scalars for each element.
+    /// Copies an array or a sequence with `per` scalars for each element.
     Array {
         from: Scalar,
         to: Scalar,
         count: Count,
         per: u32,
     },
-    /// An integer of 32 bits whose sign the other side has not, or has.
+    /// Copies a 32-bit integer that only one side has as signed.
     Narrow {
         from: Scalar,
         to: Scalar,
@@ -30,22 +30,22 @@ pub(super) enum Op {
         from: Text,
         to: Text,
     },
-    /// A text that names a frame, with the program's prefix in front.
+    /// Copies the name of a frame and puts the program's prefix before it.
     Frame {
         from: Text,
         to: Text,
     },
-    /// Does the body for each element; each takes at least so many bytes.
+    /// Runs the body for each element. An element takes at least `least` bytes of input.
     Repeat {
         count: Count,
         body: u32,
         least: u64,
     },
-    /// The message of the body, with these members.
+    /// Opens an object with the members `members[from]`.
     Open {
         from: u32,
     },
-    /// Goes to this member.
+    /// Moves the source to this member.
     Take {
         from: u32,
         member: u32,
@@ -57,13 +57,13 @@ pub(super) enum Op {
     Close {
         from: u32,
     },
-    /// A message without fields.
+    /// Copies a message without fields.
     Empty,
-    /// Reads with the body, and writes nothing.
+    /// Runs the body to read, and writes nothing.
     Drop {
         body: u32,
     },
-    /// Writes with the body, and reads nothing.
+    /// Runs the body to write, and reads nothing.
     Fill {
         body: u32,
     },
@@ -73,39 +73,39 @@ pub(super) enum Op {
     },
 }
 
-/// How one side has a text.
+/// The form of a text on one side.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Text {
     pub wide: bool,
-    /// In bytes, or of wide text in UTF-16 code units.
+    /// Maximum length in bytes, or for wide text in UTF-16 code units.
     pub most: Option<u32>,
 }
 
 #[derive(Default, Debug)]
 pub(super) struct Program {
     pub ops: Vec<Op>,
-    /// Of each step, the field that it is for: an index of `fields`.
+    /// The field of each step, as an index of `fields`.
     pub of: Vec<u32>,
-    /// The first is the message itself.
+    /// The fields. The first one is the message itself.
     pub fields: Vec<FieldPath>,
-    /// Members of objects, as steps refer to them.
+    /// The members of objects, to which steps refer by index.
     pub members: Vec<Vec<Box<str>>>,
-    /// Of [`Op::Frame`].
+    /// The prefix for [`Op::Frame`].
     pub frame_prefix: Box<str>,
 }
 
-/// Where a field is.
+/// The position of a field in the message.
 #[derive(Debug)]
 pub(super) struct FieldPath {
-    /// The field that it is inside of.
+    /// The index of the field that contains it.
     pub parent: u32,
     pub name: Box<str>,
     pub repeated: bool,
 }
 
 impl Program {
-    /// Of the field that a step is for. `indices`: of the elements on the way to it, the innermost
-    /// first.
+    /// Returns the path of a step's field. `indices` are those of the elements on the path,
+    /// innermost first.
     pub fn path(&self, op: usize, indices: &[u32]) -> String {
         self.path_of(self.of.get(op).copied().unwrap_or(0), indices)
     }

@@ -6,14 +6,14 @@ use crate::encode::nothing::{Nowhere, Zeros};
 use crate::encode::{Fault, Result, Sink, Source};
 use crate::mapping::options::Options;
 
-/// Most elements, and most messages without fields, that one message contains: in ROS 1 they take
-/// no bytes, so the message's length does not bound their number.
+/// Maximum number of elements and empty messages without bytes in one message. ROS 1 encodes these
+/// in no bytes, so the length of the message does not bound them.
 const MAX_NOTHING: u32 = 1 << 16;
 
-/// Where a program stopped.
+/// The step at which a program failed.
 pub(super) struct Failure {
     pub op: usize,
-    /// Of the elements on the way there, the innermost first.
+    /// The indices of the elements on the path to it, innermost first.
     pub indices: Vec<u32>,
     pub fault: Fault,
 }
@@ -31,14 +31,14 @@ pub(super) fn run(
 struct Run<'a> {
     program: &'a Program,
     header_seq: u32,
-    /// How many elements may still come that take no bytes.
+    /// Number of further elements without bytes that are allowed.
     nothing: u32,
-    /// The last frame with its prefix.
+    /// Buffer for a frame with its prefix.
     frame: Vec<u8>,
 }
 
 impl Run<'_> {
-    /// The steps from `at` on, up to `end`.
+    /// Runs the steps from `at` up to `end`.
     fn body<S: Source, K: Sink>(
         &mut self,
         mut at: usize,

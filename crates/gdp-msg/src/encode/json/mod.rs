@@ -1,5 +1,5 @@
-//! JSON: one object for each message, with the names of the definition. See [`crate`] for how
-//! values are written.
+//! JSON: one object for each message, with the names of the definition. [`crate`] describes the
+//! form of the values.
 
 mod scan;
 mod sink;
@@ -10,11 +10,11 @@ pub(crate) use source::JsonSource;
 
 use crate::definition::Scalar;
 
-/// Up to here, either side of zero, every reader of JSON takes integers for what they are. Beyond
-/// it they are written as strings.
+/// Largest absolute value of an integer that every JSON reader takes exactly. Larger ones are
+/// written as strings.
 const EXACT: u64 = 1 << 53;
 
-/// Whether arrays of these are a base64 string.
+/// Returns whether arrays of this scalar are base64 strings.
 fn is_octet(kind: Scalar) -> bool {
     matches!(kind, Scalar::Byte | Scalar::Char | Scalar::UInt8)
 }

@@ -1,17 +1,17 @@
-//! A scanner for tokens of JSON (RFC 8259). It builds no values.
+//! A scanner for JSON tokens (RFC 8259). It builds no values.
 
 use crate::encode::{Fault, Result};
 
-/// How deep values may nest that are only passed over: more than types do.
+/// Maximum depth of a skipped value, which exceeds that of all types.
 const MAX_SKIPPED: usize = 128;
 
-/// A JSON text that is read from the front.
+/// A JSON text with the position of the scanner.
 pub(super) struct Scan<'a> {
     text: &'a str,
     pub at: usize,
 }
 
-/// A string as it is written, without its quotes.
+/// A string as written, without its quotes.
 #[derive(Clone, Copy)]
 pub(super) struct Quoted<'a> {
     pub raw: &'a str,
@@ -23,7 +23,7 @@ impl<'a> Scan<'a> {
         Self { text, at: 0 }
     }
 
-    /// The next byte that is no white space, not taken.
+    /// Returns the next byte after white space, without consuming it.
     pub fn peek(&mut self) -> Option<u8> {
         let rest = &self.text.as_bytes()[self.at..];
         let space = rest.iter().take_while(|byte| matches!(byte, b' ' | b'\t' | b'\n' | b'\r')).count();
@@ -31,7 +31,7 @@ impl<'a> Scan<'a> {
         rest.get(space).copied()
     }
 
-    /// Takes the next byte if it is this.
+    /// Consumes the next byte if it is `byte`.
     pub fn accept(&mut self, byte: u8) -> bool {
         let is = self.peek() == Some(byte);
         self.at += usize::from(is);
@@ -46,7 +46,7 @@ impl<'a> Scan<'a> {
         }
     }
 
-    /// Takes a string.
+    /// Reads a string.
     pub fn quoted(&mut self, else_: &'static str) -> Result<Quoted<'a>> {
         self.expect(b'"', else_)?;
         let start = self.at;
@@ -71,7 +71,7 @@ impl<'a> Scan<'a> {
         Ok(Quoted { raw, escaped })
     }
 
-    /// Takes a number, `true`, `false` or `null`: whatever is in no quotes and no brackets.
+    /// Reads a number, `true`, `false` or `null`: any value without quotes or brackets.
     pub fn bare(&mut self) -> Result<&'a str> {
         let first = self.peek().ok_or(Fault::Truncated)?;
         let rest = &self.text[self.at..];
@@ -89,8 +89,8 @@ impl<'a> Scan<'a> {
         Ok(&rest[..length])
     }
 
-    /// Passes over a value. Only its brackets and strings are looked at: whoever takes it looks at
-    /// the rest.
+    /// Skips a value. It checks only brackets and strings; a later reader of the value checks the
+    /// rest.
     pub fn skip(&mut self) -> Result<()> {
         let mut depth = 0_usize;
         loop {
@@ -114,7 +114,7 @@ impl<'a> Scan<'a> {
 }
 
 impl Quoted<'_> {
-    /// Appends what the string says.
+    /// Appends the text of the string with its escapes resolved.
     pub fn unescape(&self, into: &mut String) -> Result<()> {
         const NO_ESCAPE: Fault = Fault::Syntax("an escape that JSON does not have");
         let mut rest = self.raw;
@@ -143,7 +143,8 @@ impl Quoted<'_> {
     }
 }
 
-/// The character of `XXXX`, or of `XXXX\uXXXX` for a pair of surrogates, and what is behind it.
+/// Returns the character of `XXXX`, or of `XXXX\uXXXX` for a surrogate pair, and the rest of the
+/// text.
 fn unicode(text: &str) -> Option<(char, &str)> {
     let unit = |text: &str| {
         let digits = text.get(..4)?.bytes().all(|byte| byte.is_ascii_hexdigit());

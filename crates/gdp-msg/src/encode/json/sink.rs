@@ -1,4 +1,4 @@
-//! Writes JSON, compactly.
+//! Writes compact JSON.
 
 use std::io::Write;
 
@@ -11,7 +11,7 @@ use crate::encode::{Block, Fault, Members, Result, Sink};
 
 pub(crate) struct JsonSink<'a>(pub Output<'a>);
 
-/// Longest scalar as text, with quotes and more.
+/// Maximum length of a scalar as text with its quotes, in bytes.
 const MAX_SCALAR: usize = 40;
 
 impl JsonSink<'_> {
@@ -35,7 +35,7 @@ impl JsonSink<'_> {
     }
 
     fn base64(&mut self, octets: &[u8]) -> Result<()> {
-        // In integers before it is looked whether there is room: a length may be anything.
+        // The length is checked before any allocation, because the input may have any size.
         let length = octets.len().div_ceil(3).saturating_mul(4);
         self.0.room(length.saturating_add(2))?;
         self.0.put(b"\"")?;
@@ -47,7 +47,7 @@ impl JsonSink<'_> {
     }
 
     fn integer(&mut self, value: impl std::fmt::Display, exact: bool) {
-        // Writing to a vector does not fail.
+        // Writing to a vector cannot fail.
         let _ = if exact { write!(self.0.bytes, "{value}") } else { write!(self.0.bytes, "\"{value}\"") };
     }
 

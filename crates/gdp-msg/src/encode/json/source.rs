@@ -1,5 +1,5 @@
-//! Reads JSON. Fields in the order of the definition, which is the usual order, are read as they
-//! come. For other objects a first pass finds the position of each field's value.
+//! Reads JSON. It reads fields directly if they have the order of the definition, which is usual.
+//! For other objects a first pass finds the position of each field's value.
 
 use base64ct::{Base64, Encoding as _};
 
@@ -11,18 +11,18 @@ use crate::name::excerpt;
 
 pub(crate) struct JsonSource<'a> {
     scan: Scan<'a>,
-    /// Those that are open.
+    /// The open objects, innermost last.
     objects: Vec<Object>,
     text: String,
     octets: Vec<u8>,
 }
 
 struct Object {
-    /// Behind its brace.
+    /// The position after the opening brace.
     start: usize,
-    /// How many members have been taken, in order.
+    /// Number of members that were read in order.
     taken: usize,
-    /// Where the value of each member is, if they are in another order, and where the object ends.
+    /// The position of each member's value if they have another order, and the end of the object.
     found: Option<(Vec<usize>, usize)>,
 }
 
@@ -32,7 +32,7 @@ impl<'a> JsonSource<'a> {
         Ok(Self { scan: Scan::new(text), objects: Vec::new(), text: String::new(), octets: Vec::new() })
     }
 
-    /// Takes a string.
+    /// Reads a string.
     fn string(&mut self) -> Result<&str> {
         let quoted = self.scan.quoted("a string is expected")?;
         self.unescaped(quoted)
@@ -47,14 +47,15 @@ impl<'a> JsonSource<'a> {
         Ok(&self.text)
     }
 
-    /// Takes a member's name and its colon.
+    /// Reads the name of a member and the colon.
     fn key(&mut self) -> Result<scan::Quoted<'a>> {
         let key = self.scan.quoted("the name of a field is expected")?;
         self.scan.expect(b':', "a colon is expected")?;
         Ok(key)
     }
 
-    /// Looks through the whole object that begins at `start`, for the value of each member.
+    /// Scans the object that begins at `start`, and returns the position of each member's value and
+    /// of its end.
     fn find(&mut self, members: &Members, start: usize) -> Result<(Vec<usize>, usize)> {
         let mut found = vec![None; members.len()];
         self.scan.at = start;
@@ -153,7 +154,7 @@ impl Source for JsonSource<'_> {
         match self.objects.pop() {
             Some(Object { found: Some((_, end)), .. }) => self.scan.at = end,
             Some(object) if !self.scan.accept(b'}') => {
-                // Says what there is too much.
+                // The scan returns an error that names the surplus member.
                 self.find(members, object.start)?;
                 return Err(Fault::Syntax("the end of an object is expected"));
             }
@@ -171,7 +172,7 @@ impl Source for JsonSource<'_> {
     }
 }
 
-/// The bits of a value that is not quoted.
+/// Returns the bits of an unquoted value.
 fn number(kind: Scalar, text: &str) -> Option<u64> {
     if kind == Scalar::Bool {
         return ["false", "true"].iter().position(|word| *word == text).map(|bit| bit as u64);
@@ -196,7 +197,7 @@ fn number(kind: Scalar, text: &str) -> Option<u64> {
     }
 }
 
-/// The bits of a value in quotes: an integer of 64 bits, or what is no number.
+/// Returns the bits of a quoted value: a 64-bit integer or a special floating-point value.
 fn quoted_number(kind: Scalar, text: &str) -> Option<u64> {
     let special = match text {
         "NaN" => f64::NAN,
@@ -212,7 +213,7 @@ fn quoted_number(kind: Scalar, text: &str) -> Option<u64> {
     }
 }
 
-/// Whether JSON calls it a number.
+/// Returns whether the text is a JSON number.
 fn is_number(text: &str) -> bool {
     let digits = |text: &str| text.bytes().take_while(u8::is_ascii_digit).count();
     let rest = text.strip_prefix('-').unwrap_or(text);
