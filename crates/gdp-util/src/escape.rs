@@ -1,13 +1,13 @@
-//! Shows text of strangers without the characters that a terminal or an editor obeys.
+//! Escapes the control characters in untrusted text that a terminal or an editor would execute.
 //!
 //! Names, labels and reasons come from cards, certificates and peers. A raw ESC in one of them
-//! moves the cursor or sets the title, a line feed forges a line, and a bidirectional control makes
+//! moves the cursor or sets the title, and a line feed forges a line. A bidirectional control makes
 //! `a` look like `b` (Unicode TR 36, TR 55).
 
 use std::borrow::Cow;
 use std::fmt::{self, Write};
 
-/// Displays `T` on one line; each character that [`is_control`] appears as `\u{1b}`, `\n`, `\r` or
+/// Displays `T` on one line. Each character that [`is_control`] appears as `\u{1b}`, `\n`, `\r` or
 /// `\t`.
 #[derive(Clone, Copy, Debug)]
 pub struct Escaped<T>(pub T);
@@ -18,7 +18,7 @@ impl<T: fmt::Display> fmt::Display for Escaped<T> {
     }
 }
 
-/// Passes text on to `W`, escaped as by [`Escaped`].
+/// Writes text to `W`, escaped as by [`Escaped`].
 pub struct EscapingWriter<W>(pub W);
 
 impl<W: fmt::Write> fmt::Write for EscapingWriter<W> {
@@ -36,10 +36,11 @@ impl<W: fmt::Write> fmt::Write for EscapingWriter<W> {
     }
 }
 
-/// JSON text of the same value, in which each character that [`is_control`] is written as `\u001b`.
+/// Returns JSON text of the same value, in which each character that [`is_control`] is written as
+/// `\u001b`.
 ///
-/// Serialisers write DEL, C1 and bidirectional controls as they are. Outside of strings JSON has
-/// none of them; line feeds, which separate its tokens, stay.
+/// Serializers do not escape DEL, C1 and bidirectional controls. JSON has no such characters
+/// outside strings, except line feeds between tokens, which stay.
 pub fn escape_json(json: &str) -> Cow<'_, str> {
     if !json.contains(|c| is_control(c) && c != '\n') {
         return json.into();
@@ -48,14 +49,15 @@ pub fn escape_json(json: &str) -> Cow<'_, str> {
     for c in json.chars() {
         match c {
             c if c == '\n' || !is_control(c) => escaped.push(c),
-            // None of them is beyond the basic plane, so four digits do.
+            // All these characters are in the basic multilingual plane, so four digits suffice.
             c => escaped.extend(format!("\\u{:04x}", c as u32).chars()),
         }
     }
     escaped.into()
 }
 
-/// C0, DEL, C1, line and paragraph separators, and the controls of bidirectional text.
+/// Returns whether a character is a C0, DEL or C1 control, a line or paragraph separator, or a
+/// bidirectional control.
 pub fn is_control(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')

@@ -1,8 +1,9 @@
-//! Files of a long-running program that others replace: certificates, configurations, memberships.
+//! Watches files that other programs replace while this one runs: certificates, configurations,
+//! memberships.
 //!
-//! One task watches the files' folders by inotify, so that a file that is replaced by `rename` is
-//! seen, too. It also looks at every file from time to time: a bind mount, a network file system or
-//! a link into another folder brings no event.
+//! One task watches the files' folders by inotify, so it also detects a replacement by `rename`. It
+//! also polls every file, because a bind mount, a network file system or a link into another folder
+//! sends no event.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::fs;
@@ -19,28 +20,29 @@ use tokio::sync::{Notify, watch};
 use tokio::task::AbortHandle;
 use tokio::time::{Instant, sleep, sleep_until};
 
-/// How often every file is looked at although no event came.
+/// Interval between two polls of every file.
 const SLOW_LOOK: Duration = Duration::from_secs(5);
 
-/// A file is often replaced in several steps: what follows an event within this time is one change.
+/// Time to wait after an event. A file is often replaced in several steps, which count as one
+/// change.
 const SETTLE: Duration = Duration::from_millis(20);
 
-/// A set of files has changed when no more of it changed for this long: one is perhaps still being
-/// written.
+/// Time without a change after which a set of files has changed. Before that, a program may still
+/// be writing one of them.
 const QUIET: Duration = Duration::from_millis(200);
 
-/// Another file, or other content, has another stamp.
+/// The identity of a file's content. Another file or other content has another stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FileStamp {
     modified: SystemTime,
-    /// Also tells of changed permissions.
+    /// The `ctime`, which also changes with the permissions.
     changed_ns: (i64, i64),
     inode: u64,
     length: u64,
 }
 
 impl FileStamp {
-    /// The stamp of the file that is there now; `None` if there is none, or it cannot be looked at.
+    /// Returns the stamp of a file, or `None` if it does not exist or is not accessible.
     pub fn of(path: &Path) -> Option<Self> {
         let metadata = fs::metadata(path).ok()?;
         let changed_ns = (metadata.ctime(), metadata.ctime_nsec());
@@ -48,7 +50,7 @@ impl FileStamp {
     }
 }
 
-/// Watches files for one program. Clones share the task, which ends with the last of them.
+/// Watches files. Clones share one task, which ends with the last clone.
 #[derive(Clone)]
 pub struct FileWatcher(Arc<Owner>);
 
@@ -60,7 +62,7 @@ struct Owner {
 #[derive(Default)]
 struct Shared {
     files: Mutex<HashMap<PathBuf, Watched>>,
-    /// A file was added: its folder is to be watched.
+    /// Notified when a file was added, so that the task watches its folder.
     added: Notify,
 }
 
@@ -69,7 +71,7 @@ struct Watched {
     changes: watch::Sender<()>,
 }
 
-/// One file that is watched, until this is dropped.
+/// One watched file. Dropping it ends the watch.
 #[derive(Clone)]
 pub struct WatchedFile {
     path: PathBuf,
@@ -77,14 +79,14 @@ pub struct WatchedFile {
 }
 
 impl FileWatcher {
-    /// Begins without a file. Has to be called on a tokio runtime.
+    /// Starts a watcher without files. Must be called within a tokio runtime.
     pub fn start() -> Self {
         let shared = Arc::<Shared>::default();
         let task = tokio::spawn(run(Arc::downgrade(&shared))).abort_handle();
         Self(Arc::new(Owner { shared, task }))
     }
 
-    /// Watches a file, which need not exist. Changes from now on are told.
+    /// Watches a file for changes from now on. The file need not exist.
     pub fn watch(&self, path: &Path) -> WatchedFile {
         let mut files = self.0.shared.files.lock();
         let begin = || Watched { stamp: FileStamp::of(path), changes: watch::Sender::new(()) };
@@ -94,24 +96,24 @@ impl FileWatcher {
     }
 }
 
-/// Files that belong together, such as a configuration and what it names. They are watched until
-/// this is dropped.
+/// A set of related files, such as a configuration and the files that it names. Dropping it ends
+/// the watch.
 pub struct FileSet {
     watcher: FileWatcher,
-    /// Each with its stamp when it counted as unchanged last.
+    /// The files, each with its stamp at the last reported change.
     files: Vec<(WatchedFile, Option<FileStamp>)>,
 }
 
 impl FileSet {
-    /// Watches these files. What is in them now counts as unchanged, so create it before reading
-    /// them.
+    /// Watches these files. Their current content counts as unchanged, so create the set before
+    /// reading them.
     pub fn new<'a>(watcher: &FileWatcher, paths: impl IntoIterator<Item = &'a Path>) -> Self {
         let mut set = Self { watcher: watcher.clone(), files: Vec::new() };
         set.replace(paths);
         set
     }
 
-    /// Watches these files from now on. Of those that were in the set, earlier changes still count.
+    /// Replaces the files of the set. Unreported changes of files that stay in the set still count.
     pub fn replace<'a>(&mut self, paths: impl IntoIterator<Item = &'a Path>) {
         let known = std::mem::take(&mut self.files);
         for path in paths.into_iter().collect::<BTreeSet<_>>() {
@@ -123,14 +125,14 @@ impl FileSet {
         }
     }
 
-    /// Whether one of the files that are there has changed. A file that is missing is perhaps about
-    /// to be replaced.
+    /// Returns whether an existing file of the set has changed. A missing file does not count,
+    /// because it may be about to be replaced.
     pub fn has_changed(&self) -> bool {
         self.files.iter().any(|(file, seen)| FileStamp::of(file.path()).is_some_and(|now| Some(now) != *seen))
     }
 
-    /// Waits until [`Self::has_changed`] and none of the files was written just now. Each change is
-    /// reported once. Cancel-safe.
+    /// Waits until [`Self::has_changed`] returns true and no file has changed for 200 ms. Reports
+    /// each change once. This function is cancel-safe.
     pub async fn changed(&mut self) {
         loop {
             while !self.has_changed() {
@@ -151,7 +153,7 @@ impl FileSet {
         self.files.iter().map(|(file, _)| FileStamp::of(file.path())).collect()
     }
 
-    /// Waits until the watcher has seen a change.
+    /// Waits until the watcher has detected a change.
     async fn event(&mut self) {
         if self.files.is_empty() {
             return std::future::pending().await;
@@ -171,14 +173,14 @@ impl WatchedFile {
         &self.path
     }
 
-    /// Waits until the file is another one, or has other content. Cancel-safe.
+    /// Waits until the file is replaced or its content changes. This function is cancel-safe.
     pub async fn changed(&mut self) {
         if self.changes.changed().await.is_err() {
             std::future::pending().await
         }
     }
 
-    /// Whether it has changed since this was asked last, without waiting.
+    /// Returns whether the file has changed since the last call, without waiting.
     pub fn has_changed(&mut self) -> bool {
         let changed = self.changes.has_changed().unwrap_or(false);
         self.changes.mark_unchanged();
@@ -202,7 +204,7 @@ async fn run(shared: Weak<Shared>) {
 }
 
 impl Shared {
-    /// Looks at every file, and forgets those that nobody watches any more.
+    /// Polls every file, and removes those that have no watcher any more.
     fn look(&self) {
         let mut files = self.files.lock();
         files.retain(|_, watched| watched.changes.receiver_count() > 0);
@@ -216,8 +218,8 @@ impl Shared {
     }
 }
 
-/// The folders that inotify watches. Where the kernel gives no instance, the slow look is all there
-/// is.
+/// The folders that inotify watches. If the kernel provides no inotify instance, only polling
+/// detects changes.
 struct Folders {
     events: Option<(EventStream<[u8; 4096]>, Watches)>,
     watched: HashMap<PathBuf, WatchDescriptor>,
@@ -232,12 +234,12 @@ impl Folders {
         Self { events: events.ok(), watched: HashMap::new() }
     }
 
-    /// Watches the folders of these files and no others.
+    /// Watches exactly the folders of these files.
     fn follow(&mut self, files: &HashMap<PathBuf, Watched>) {
         let Some((_, watches)) = &mut self.events else { return };
         let wanted: HashSet<&Path> = files.keys().map(|file| folder_of(file)).collect();
         for (_, descriptor) in self.watched.extract_if(|folder, _| !wanted.contains(folder.as_path())) {
-            // A folder that is gone has lost its watch already.
+            // The kernel has already removed the watch of a deleted folder.
             let _ = watches.remove(descriptor);
         }
         let mask = WatchMask::CLOSE_WRITE

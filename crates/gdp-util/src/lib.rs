@@ -1,14 +1,14 @@
-//! Helpers that the daemon, the proxy and the command line share. They know nothing of GDP.
+//! Helpers that the daemon, the proxy and the command line share. They do not depend on GDP.
 //!
 //! - [`backoff`]: delays between attempts
-//! - [`escape`]: text of strangers, without the characters that a terminal obeys
-//! - [`file_watch`]: files that others replace (feature `watch`)
+//! - [`escape`]: untrusted text without terminal control characters
+//! - [`file_watch`]: watches for changed files (feature `watch`)
 //! - [`log`]: the log of a long-running program, which neither blocks nor panics (feature
 //!   `program`)
-//! - [`panics`]: a task or thread that panics ends the process (feature `program`)
-//! - [`terminal`]: lines for people (feature `program`)
-//! - [`unix_time`]: this machine's clock
-// They panic where stdout or stderr cannot be written.
+//! - [`panics`]: ends the process when a task or thread panics (feature `program`)
+//! - [`terminal`]: output lines for users (feature `program`)
+//! - [`unix_time`]: the clock of this machine
+// These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod backoff;

@@ -1,21 +1,21 @@
-//! A task or thread that panics ends the process, so that a supervisor starts it again.
+//! Ends the process when a task or thread panics, so that a supervisor restarts it.
 //!
-//! `tokio` and `std` catch the panic of a task or thread. The rest would live on without it: a
-//! daemon that answers `status` and takes no link. What forwards in the kernel forwards on, and so
-//! nothing is lost by an end.
+//! `tokio` and `std` catch the panic of a task or thread, and the process would continue without
+//! it. A daemon could then answer `status` but accept no link. The data plane in the kernel keeps
+//! forwarding, so ending the process loses nothing.
 
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::panic::PanicHookInfo;
 
 use crate::log;
 
-/// That of a Rust program whose main thread panics.
+/// Exit status of a Rust program whose main thread panics.
 const STATUS: i32 = 101;
 
-/// From now on each panic is logged on one line and ends the process with status 101.
+/// Installs a panic hook that logs each panic on one line and ends the process with status 101.
 ///
-/// A hook, and not `panic = "abort"`: Cargo would compile every dependency of the tests twice, and
-/// an abort leaves a core with private keys in it.
+/// The alternative `panic = "abort"` has two drawbacks. Cargo would compile every dependency of the
+/// tests twice, and an abort leaves a core file with private keys.
 pub fn end_process() {
     std::panic::set_hook(Box::new(|panic| {
         log::write("ERROR", module_path!(), describe(panic));
@@ -24,8 +24,8 @@ pub fn end_process() {
             backtrace.to_string().lines().for_each(|line| log::write("ERROR", module_path!(), line));
         }
         log::flush();
-        // SAFETY: it ends the process at once and has no preconditions. No destructor and no
-        // `atexit` handler runs, which could wait for the thread that panicked.
+        // SAFETY: `_exit` ends the process at once and has no preconditions. It runs no destructor
+        // and no `atexit` handler, which could wait for the panicking thread.
         unsafe { libc::_exit(STATUS) }
     }));
 }
@@ -38,10 +38,10 @@ fn describe(panic: &PanicHookInfo<'_>) -> String {
     format!("this program has a bug and ends: thread {thread} panicked{place}: {what}")
 }
 
-/// Panics as soon as the file exists that the environment's `GDP_TEST_PANIC` names; never without
-/// it.
+/// Panics as soon as the file exists that the environment variable `GDP_TEST_PANIC` names. Returns
+/// if the variable is not set.
 ///
-/// For tests that show what the panic of a task does to a program. Shipped programs do not have it.
+/// Tests use it to panic in a task of a program. Release builds do not contain it.
 #[cfg(debug_assertions)]
 pub async fn inject() {
     let Some(file) = std::env::var_os("GDP_TEST_PANIC") else { return };

@@ -1,5 +1,5 @@
-//! Lines for people, on stdout and stderr. Whatever a stranger wrote stays on the line and is shown
-//! as text.
+//! Prints lines for users on stdout and stderr. It escapes untrusted text, so that the text stays
+//! on its line.
 
 use std::fmt::Display;
 use std::io::{ErrorKind, Result, Write};
@@ -7,8 +7,7 @@ use std::io::{ErrorKind, Result, Write};
 use crate::escape::{Escaped, escape_json};
 use crate::log;
 
-/// Prints lines, each escaped as a whole but for tabs that indent it. A reader that stopped reading
-/// is no error.
+/// Prints lines to stdout, each escaped except for leading tabs. Ignores a closed pipe.
 pub fn print(lines: impl IntoIterator<Item = impl Display>) -> Result<()> {
     write(&lines.into_iter().map(|line| escape_line(&line.to_string())).collect::<String>())
 }
@@ -19,7 +18,7 @@ fn escape_line(line: &str) -> String {
     format!("{indent}{}\n", Escaped(text))
 }
 
-/// Prints JSON text and a line feed. A reader that stopped reading is no error.
+/// Prints JSON text and a line feed to stdout. Ignores a closed pipe.
 pub fn print_json(json: &str) -> Result<()> {
     write(&format!("{}\n", escape_json(json)))
 }
@@ -32,8 +31,7 @@ fn write(text: &str) -> Result<()> {
     }
 }
 
-/// Tells the user something on stderr, on one line. Never panics: where stderr cannot be written it
-/// is lost.
+/// Prints one escaped line to stderr. Never panics: if stderr cannot be written, the line is lost.
 pub fn note(text: impl Display) {
     if log::is_started() {
         log::write_plain(text);

@@ -1,5 +1,5 @@
-//! Formats the fields of events and spans as `tracing-subscriber` does, and escapes what strangers
-//! wrote into them.
+//! Formats the fields of events and spans as `tracing-subscriber` does, and escapes untrusted text
+//! in them.
 
 use std::fmt::{self, Debug, Write as _};
 
@@ -10,7 +10,7 @@ use tracing_subscriber::fmt::format::Writer;
 
 use crate::escape::EscapingWriter;
 
-/// `message key=value key=value`, on one line.
+/// Formats fields as `message key=value key=value` on one line.
 pub struct EscapedFields;
 
 impl<'w> FormatFields<'w> for EscapedFields {
@@ -50,7 +50,7 @@ impl Visit for Visitor<'_> {
     }
 
     fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
-        // The `log` crate's metadata, which the event's own has already.
+        // Skips the metadata of the `log` crate, which the event's own metadata repeats.
         if self.result.is_ok() && !field.name().starts_with("log.") {
             self.result = self.write(field, value);
         }

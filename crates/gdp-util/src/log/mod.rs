@@ -1,9 +1,9 @@
-//! The log of a long-running program, on stderr. A log that cannot be written costs lines of the
-//! log, and nothing else.
+//! The log of a long-running program, on stderr. If the log cannot be written, only lines of the
+//! log are lost.
 //!
-//! One thread writes, so that a full disk, a reader of the pipe that stopped or ended, or a
-//! terminal that was halted neither blocks nor ends whoever logs. The Rust runtime ignores SIGPIPE;
-//! a pipe without a reader is an error of `write`.
+//! One thread writes all lines. So a full disk, a pipe whose reader has stopped or ended, or a
+//! halted terminal cannot block or end the program. The Rust runtime ignores SIGPIPE; writing to a
+//! pipe without a reader returns an error.
 
 mod fields;
 mod queue;
@@ -21,20 +21,21 @@ use crate::escape::Escaped;
 use fields::EscapedFields;
 use queue::Queue;
 
-/// What is logged if `RUST_LOG` is not set: this project's own information, and only errors of
-/// other crates, whose warnings are often about single datagrams or about what we handle.
+/// The filter if `RUST_LOG` is not set: `info` for this project, and `error` for other crates.
+/// Warnings of other crates are often about single datagrams, or about errors that this project
+/// handles.
 const DEFAULT_FILTER: &str = "error,gdp=info";
 
-/// How long a program that ends waits for its last lines to be written.
+/// Timeout for writing the last lines when a program ends.
 const LAST_LINES: Duration = Duration::from_millis(500);
 
 static QUEUE: Queue = Queue::new();
 
-/// Logs from now on, until it is dropped; then what is logged last is written.
+/// The running log. Dropping it writes the last lines.
 #[must_use = "the last lines are written when it is dropped"]
 pub struct Log(());
 
-/// Logs what `RUST_LOG` says to stderr. Once in a process.
+/// Starts the log with the filter of `RUST_LOG`. Must be called once in a process.
 pub fn start() -> Log {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
     format(filter, std::io::stderr().is_terminal()).with_writer(Lines).init();
@@ -47,8 +48,7 @@ fn format(filter: EnvFilter, colours: bool) -> SubscriberBuilder<EscapedFields, 
         .with_env_filter(filter)
         .with_ansi(colours)
         .fmt_fields(EscapedFields)
-        // Or what cannot be formatted or written is reported by `eprintln!`, which panics if stderr
-        // fails.
+        // Otherwise `eprintln!` reports formatting and write errors, and it panics if stderr fails.
         .log_internal_errors(false)
 }
 
@@ -58,29 +58,29 @@ impl Drop for Log {
     }
 }
 
-/// Waits a moment for the last lines, before a process ends without dropping its [`Log`].
+/// Waits up to 500 ms for the last lines, before a process ends without dropping its [`Log`].
 pub fn flush() {
     QUEUE.flush(LAST_LINES);
 }
 
-/// Whether this process logs; then nothing else may write to stderr, because it could block.
+/// Returns whether this process logs. Then nothing else may write to stderr, because that could
+/// block.
 pub(crate) fn is_started() -> bool {
     WRITER.get() == Some(&true)
 }
 
-/// Writes a line, escaped, that looks like an event of this level and target, without going through
-/// `tracing`.
+/// Writes an escaped line in the form of an event, without `tracing`.
 pub(crate) fn write(level: &str, target: &str, text: impl std::fmt::Display) {
     start_writer();
     QUEUE.push(line(level, target, text));
 }
 
-/// Writes a line, escaped, with nothing before it.
+/// Writes an escaped line without a prefix.
 pub(crate) fn write_plain(text: impl std::fmt::Display) {
     QUEUE.push(format!("{}\n", Escaped(text)).into_bytes());
 }
 
-/// Whether the thread that writes could be started; it runs as long as the process.
+/// Whether the writer thread was started. The thread runs until the process ends.
 static WRITER: OnceLock<bool> = OnceLock::new();
 
 fn start_writer() {
@@ -88,19 +88,19 @@ fn start_writer() {
         let missing = |n| format!("{n} lines of the log were dropped: it could not be written");
         let dropped = move |n| line("WARN", module_path!(), missing(n));
         let writer = std::thread::Builder::new().name("gdp-log".into());
-        // Without the thread nothing is logged: the program is more than its log.
+        // If the thread cannot start, the program runs without a log.
         writer.spawn(move || QUEUE.write_to(std::io::stderr(), dropped)).is_ok()
     });
 }
 
 fn line(level: &str, target: &str, text: impl std::fmt::Display) -> Vec<u8> {
     let mut time = String::new();
-    // It writes to a string, which cannot fail.
+    // Writing to a string cannot fail.
     let _ = SystemTime.format_time(&mut Writer::new(&mut time));
     format!("{time} {level:>5} {target}: {}\n", Escaped(text)).into_bytes()
 }
 
-/// Each call of its `write` is one event.
+/// A writer that queues each call of `write` as one event.
 struct Lines;
 
 impl MakeWriter<'_> for Lines {

@@ -1,18 +1,18 @@
-//! Lines on their way to a writer that may fail or stand still: bounded, and never waited for.
+//! A bounded queue of lines for a writer that may fail or block. Pushing a line never waits.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Write};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Bytes that may wait. A writer that stands still costs no more memory than this.
+/// Maximum size of all queued lines, in bytes, while the writer is blocked.
 const CAPACITY: usize = 1 << 20;
 
-/// How long a writer that is not ready is left alone: a pipe that another process made
-/// non-blocking.
+/// Delay before another attempt if the output is not ready, such as a pipe that another process
+/// made non-blocking.
 const NOT_READY: Duration = Duration::from_millis(100);
 
-/// Many threads push, one thread writes.
+/// A queue for many threads that push and one thread that writes.
 pub struct Queue {
     state: Mutex<State>,
     changed: Condvar,
@@ -20,11 +20,11 @@ pub struct Queue {
 
 struct State {
     lines: VecDeque<Vec<u8>>,
-    /// Of `lines`.
+    /// Size of `lines`, in bytes.
     bytes: usize,
-    /// Lines that found no room or could not be written, since this was last logged.
+    /// Number of lines dropped or not written since the last notice about them.
     dropped: u64,
-    /// The writer is at a line that it has taken out of `lines`.
+    /// Whether the writer is writing a line that is no longer in `lines`.
     is_writing: bool,
 }
 
@@ -34,7 +34,8 @@ impl Queue {
         Self { state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    /// Never blocks: drops the line if there is no room for it. A line ends with a line feed.
+    /// Queues a line, which ends with a line feed. Never blocks: drops the line if there is no
+    /// room.
     pub fn push(&self, line: Vec<u8>) {
         let mut state = self.state();
         if state.bytes + line.len() > CAPACITY {
@@ -47,7 +48,7 @@ impl Queue {
         self.changed.notify_all();
     }
 
-    /// Waits until everything is written or dropped, for `limit` at most.
+    /// Waits until all lines are written or dropped, but at most for `limit`.
     pub fn flush(&self, limit: Duration) {
         let deadline = Instant::now() + limit;
         let mut state = self.state();
@@ -60,7 +61,7 @@ impl Queue {
         }
     }
 
-    /// Writes for ever. `dropped` makes the line that says how many lines are missing.
+    /// Writes lines forever. `dropped` formats the notice about a number of missing lines.
     pub fn write_to(&self, mut output: impl Write, dropped: impl Fn(u64) -> Vec<u8>) -> ! {
         let mut is_torn = false;
         loop {
@@ -81,7 +82,7 @@ impl Queue {
         }
     }
 
-    /// The next line, and how many were dropped before it.
+    /// Waits for the next line, and returns it with the number of lines dropped before it.
     fn next(&self) -> (Vec<u8>, u64) {
         let mut state = self.state();
         loop {
@@ -99,7 +100,7 @@ impl Queue {
     }
 }
 
-/// Begins a new line if the last one was cut off, as it is on a disk that becomes full.
+/// Writes a line. Begins a new line first if the last write was incomplete, as on a full disk.
 fn write_line(output: &mut impl Write, line: &[u8], is_torn: &mut bool) -> Result<(), ErrorKind> {
     let end: &[u8] = if *is_torn { b"\n" } else { b"" };
     for mut rest in [end, line] {
