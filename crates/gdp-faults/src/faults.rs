@@ -1,61 +1,62 @@
-//! What is wrong with one direction of a link.
+//! The faults of one direction of a link.
 
-/// The default is a perfect link: no delay, no limit, no fault. Probabilities are of each frame, 0
-/// to 1.
+/// The faults of one direction of a link. The default is a perfect link: no delay, no limit, no
+/// fault. Probabilities apply to each frame and are from 0 to 1.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Faults {
-    /// Bits per second; frames beyond wait in the queue. `None`: as many as come.
+    /// Rate in bits per second; further frames wait in the queue. `None` means unlimited.
     pub rate: Option<u64>,
-    /// Bytes that may wait or be under way onto a link with a rate; a frame that finds no room is
-    /// lost. `None`: any number.
+    /// Maximum size of the queue of a link with a rate, in bytes, including the frame being sent.
+    /// Frames that do not fit are lost. `None` means unlimited.
     pub queue: Option<u64>,
-    /// A frame that finds more bytes than this before it is marked (congestion experienced, RFC
-    /// 3168), instead of nothing.
+    /// Queue size in bytes above which a new frame is marked as "congestion experienced" (RFC
+    /// 3168). `None` means never.
     pub mark_above: Option<u64>,
-    /// Nanoseconds from one end to the other.
+    /// Delay from one end to the other, in nanoseconds.
     pub delay: u64,
-    /// Up to as many nanoseconds more, evenly. As in a queue it keeps the order; what changes that
-    /// is [`Self::reorder`].
+    /// Maximum additional delay in nanoseconds, evenly distributed. Like a queue it preserves the
+    /// order; only [`Self::reorder`] changes that.
     pub jitter: u64,
-    /// Loss of single frames.
+    /// Probability that a frame is lost.
     pub loss: f64,
-    /// Loss of many in a row.
+    /// Loss of many frames in a row.
     pub burst: Option<Burst>,
     pub reorder: Option<Reorder>,
-    /// A frame arrives twice.
+    /// Probability that a frame arrives twice.
     pub duplicate: f64,
-    /// A bit of a frame is another when it arrives.
+    /// Probability that a frame arrives with one bit changed.
     pub corrupt: f64,
-    /// From the first time on until before the second nothing gets through, and no frame is told.
+    /// Intervals in nanoseconds, each without its end, in which every frame is lost.
     pub partitions: Vec<(u64, u64)>,
 }
 
-/// Gilbert and Elliott's model: a link is in a good state or in a bad one.
+/// The Gilbert–Elliott model: a link is in a good state or in a bad state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Burst {
-    /// From good to bad, at each frame.
+    /// Probability at each frame of a change from good to bad.
     pub enter: f64,
-    /// From bad to good, at each frame: bad times last `1 / leave` frames in the mean.
+    /// Probability at each frame of a change from bad to good. A bad state lasts `1 / leave` frames
+    /// on average.
     pub leave: f64,
-    /// Of each frame in a bad time.
+    /// Probability that a frame is lost in the bad state.
     pub loss: f64,
 }
 
-/// Some frames take longer than others, and those behind overtake them.
+/// Delays some frames, so that later ones overtake them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reorder {
     pub probability: f64,
-    /// Up to as many nanoseconds longer, evenly.
+    /// Maximum additional delay in nanoseconds, evenly distributed.
     pub by: u64,
 }
 
 impl Faults {
-    /// Nothing but the time it takes.
+    /// Returns faults that only delay frames.
     pub fn delay(nanoseconds: u64) -> Self {
         Self { delay: nanoseconds, ..Self::default() }
     }
 
-    /// What a mistake in a test would make meaningless.
+    /// Panics on values that make no sense, which indicate a mistake in a test.
     pub(crate) fn check(&self) {
         let mut probabilities = vec![self.loss, self.duplicate, self.corrupt];
         probabilities.extend(self.burst.iter().flat_map(|burst| [burst.enter, burst.leave, burst.loss]));

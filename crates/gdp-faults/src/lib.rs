@@ -1,13 +1,14 @@
-//! Bad links, as a model: what happens to frames, decided by a seed and a given time alone. For
-//! tests; no part of the product.
+//! A model of bad links for tests. A seed and the given times alone decide the fate of each frame.
+//! It is not part of the product.
 //!
-//! - [`Faults`]: what is wrong with one direction of a link; [`Link`]: frames through it
+//! - [`Faults`]: the faults of one direction of a link
+//! - [`Link`]: a queue of frames with these faults
 //! - [`Network`]: nodes joined by links, in simulated time
-//! - [`Random`]: the numbers that decide
+//! - [`Random`]: the random numbers that decide
 //!
-//! No I/O and no clock. Time is nanoseconds since any beginning, in `u64`. Property tests drive it
-//! in simulated time; the harness in `tests` drives the same model by the real clock, between
-//! network namespaces.
+//! The crate does no I/O and has no clock. Time is in nanoseconds since any start, as `u64`.
+//! Property tests run the model in simulated time. The harness in `tests` runs the same model by
+//! the real clock, between network namespaces.
 #![deny(unsafe_code)]
 
 mod faults;
@@ -24,7 +25,7 @@ pub use link::{Counts, Delivery, Link};
 pub use network::{Arrival, Cable, Network};
 pub use random::Random;
 
-/// In nanoseconds, as all times here.
+/// One microsecond in nanoseconds, the unit of all times in this crate.
 pub const MICROSECOND: u64 = 1_000;
 pub const MILLISECOND: u64 = 1_000_000;
 pub const SECOND: u64 = 1_000_000_000;

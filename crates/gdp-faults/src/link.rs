@@ -1,67 +1,67 @@
-//! Frames through one direction of a link.
+//! The model of one direction of a link, from one end to the other.
 //!
 //! ```text
 //!  push ─► queue, mark ─► rate ─► partition, loss, burst ─► corrupt, duplicate ─► delay, jitter, reorder ─► pop
 //! ```
 //!
-//! A lost frame has used the link all the same, as on the air; a duplicate has not. Each kind of
-//! fault has numbers of its own, so that the same frames are lost whether or not some are
-//! duplicated as well.
+//! A lost frame uses the rate of the link, as on the air; a duplicate does not. Each kind of fault
+//! has its own random numbers. So duplicating some frames does not change which frames are lost.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::{Faults, Random};
 
-/// One direction. `T`: what stands for a frame; often its bytes, in simulations less.
+/// One direction of a link. `T` represents a frame: often its bytes, in simulations less.
 #[derive(Clone, Debug)]
 pub struct Link<T> {
     faults: Faults,
     random: Streams,
     counts: Counts,
-    /// When the last frame accepted will have left the queue.
+    /// Time at which the last accepted frame leaves the queue, in nanoseconds.
     busy_until: u64,
-    /// Of Gilbert and Elliott's two states.
+    /// Whether the link is in the bad state of the Gilbert–Elliott model.
     bad: bool,
-    /// When the last frame arrives that came in order.
+    /// Arrival time of the last frame that was not reordered, in nanoseconds.
     in_order: u64,
-    /// The number of the next one: of frames that arrive at the same time the first sent comes
+    /// The number of the next frame. Of frames with the same arrival time, the first sent arrives
     /// first.
     next: u64,
     under_way: BinaryHeap<Reverse<UnderWay<T>>>,
 }
 
-/// A frame at the other end.
+/// A frame that has arrived at the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Delivery<T> {
     pub frame: T,
-    /// When it arrived.
+    /// The time of arrival, in nanoseconds.
     pub at: u64,
-    /// It met congestion: a carrier of real frames sets their CE bits.
+    /// Whether the frame met congestion. A test with real frames then sets their CE bits.
     pub marked: bool,
-    /// It is not as it was: a number to choose by what has changed ([`Delivery::damage`] for
-    /// bytes).
+    /// A random number that chooses the changed bit, if the frame is corrupted
+    /// ([`Delivery::damage`] does so for bytes).
     pub corrupted: Option<u64>,
 }
 
-/// What became of frames. Those under way are counted as what they will be; `sent` = the five after
-/// it together − `duplicated`.
+/// Counters of frames. Frames under way count as what they will be. `sent` equals the sum of the
+/// following five counters minus `duplicated`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     pub sent: u64,
-    /// Twice, if duplicated.
+    /// Number of delivered frames. A duplicated frame counts twice.
     pub delivered: u64,
     pub lost: u64,
     pub lost_in_bursts: u64,
     pub partitioned: u64,
-    /// Found no room in the queue.
+    /// Number of frames that did not fit into the queue.
     pub overflowed: u64,
     pub duplicated: u64,
-    /// Held back, whether or not another overtook it. Copies included, as in the two below.
+    /// Number of frames delayed by [`Reorder`], even if none overtook them. This and the next two
+    /// counters include duplicates.
     pub held_back: u64,
     pub corrupted: u64,
     pub marked: u64,
-    /// Bytes of `delivered`.
+    /// Size of all delivered frames, in bytes.
     pub bytes: u64,
 }
 
@@ -82,10 +82,11 @@ struct UnderWay<T> {
 }
 
 impl<T: Clone> Link<T> {
+    /// Creates a link.
+    ///
     /// # Panics
     ///
-    /// If the faults make no sense: probabilities beyond 0..=1, a rate of 0, a queue without a
-    /// rate.
+    /// If a probability is outside 0..=1, the rate is 0, or there is a queue without a rate.
     pub fn new(faults: Faults, seed: u64) -> Self {
         faults.check();
         Self {
@@ -100,7 +101,7 @@ impl<T: Clone> Link<T> {
         }
     }
 
-    /// A frame of `bytes` enters. `now` never goes back from one call to the next.
+    /// Sends a frame of `bytes` bytes. `now` must never decrease between calls.
     pub fn push(&mut self, now: u64, frame: T, bytes: usize) {
         self.counts.sent += 1;
         let Some((left, marked)) = self.serialize(now, bytes) else {
@@ -117,7 +118,7 @@ impl<T: Clone> Link<T> {
         }
     }
 
-    /// From the next frame on other faults. What is under way arrives as it would have.
+    /// Sets the faults for later frames. Frames under way keep their arrival times.
     ///
     /// # Panics
     ///
@@ -127,13 +128,13 @@ impl<T: Clone> Link<T> {
         self.faults = faults;
     }
 
-    /// What has arrived by `now`, one at a time and in the order of arrival.
+    /// Returns the next frame that has arrived by `now`, in the order of arrival.
     pub fn pop(&mut self, now: u64) -> Option<Delivery<T>> {
         self.next().filter(|at| *at <= now)?;
         self.under_way.pop().map(|Reverse(frame)| frame.delivery)
     }
 
-    /// When the next frame arrives.
+    /// Returns the arrival time of the next frame.
     pub fn next(&self) -> Option<u64> {
         self.under_way.peek().map(|Reverse(frame)| frame.delivery.at)
     }
@@ -142,8 +143,8 @@ impl<T: Clone> Link<T> {
         self.counts
     }
 
-    /// When the frame has left the queue and whether it was marked there; `None` if it found no
-    /// room.
+    /// Queues a frame. Returns the time at which it leaves the queue and whether it is marked, or
+    /// `None` if it does not fit.
     fn serialize(&mut self, now: u64, bytes: usize) -> Option<(u64, bool)> {
         let Some(rate) = self.faults.rate else { return Some((now, false)) };
         let begin = self.busy_until.max(now);
@@ -156,7 +157,8 @@ impl<T: Clone> Link<T> {
         Some((self.busy_until, self.faults.mark_above.is_some_and(|most| waiting > most)))
     }
 
-    /// Draws for every fault, so that none changes what the others do.
+    /// Decides whether a frame is lost. Draws a number for every fault, so that no fault affects
+    /// the others.
     fn is_lost(&mut self, left: u64) -> bool {
         let lost = self.random.loss.chance(self.faults.loss);
         let burst = self.faults.burst.is_some_and(|burst| {
@@ -200,8 +202,7 @@ impl<T: Clone> Link<T> {
 }
 
 impl<T: AsMut<[u8]>> Delivery<T> {
-    /// Turns one bit of a corrupted frame, from byte `from` on: what stands before it is not the
-    /// model's to change.
+    /// Changes one bit of a corrupted frame, from byte `from` on. The bytes before it never change.
     pub fn damage(&mut self, from: usize) {
         let Some(choice) = self.corrupted else { return };
         let Some(body) = self.frame.as_mut().get_mut(from..).filter(|body| !body.is_empty()) else { return };
@@ -211,7 +212,7 @@ impl<T: AsMut<[u8]>> Delivery<T> {
 }
 
 impl Counts {
-    /// Frames that never arrived.
+    /// Returns the number of frames that never arrived.
     pub fn missing(&self) -> u64 {
         self.lost + self.lost_in_bursts + self.partitioned + self.overflowed
     }

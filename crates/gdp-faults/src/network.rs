@@ -1,13 +1,13 @@
 //! Nodes joined by links, in simulated time.
 //!
-//! A node is what the test makes of it, known here by a number of the test's own. The test's loop:
-//! [`Network::arrival`] until the earliest of its nodes' own times; give the node what came or wake
-//! it; [`Network::send`] what it answers. One that only forwards makes several flows share the link
-//! behind it.
+//! A test implements the nodes and numbers them. It loops over three steps. [`Network::arrival`]
+//! advances to the next frame, or to the earliest timer of the nodes. The test then passes the
+//! frame to its node, or wakes the node. [`Network::send`] sends the node's responses. A node that
+//! only forwards lets several flows share the link behind it.
 
 use crate::{Counts, Delivery, Faults, Link, Random};
 
-/// Links between nodes, and the time.
+/// Links between nodes, and the simulated time.
 #[derive(Clone, Debug)]
 pub struct Network<T> {
     now: u64,
@@ -15,11 +15,11 @@ pub struct Network<T> {
     directions: Vec<Direction<T>>,
 }
 
-/// Two links, one each way. Two nodes may be joined by several.
+/// A pair of links, one in each direction. Several cables may join two nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Cable(usize);
 
-/// A frame that has reached a node.
+/// A frame that has arrived at a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Arrival<T> {
     pub to: usize,
@@ -40,11 +40,12 @@ impl<T: Clone> Network<T> {
         Self { now: 0, seeds: Random::new(seed), directions: Vec::new() }
     }
 
-    /// `there`: from the first node to the second; `back`: from the second to the first.
+    /// Joins two nodes. `there` applies from the first node to the second, and `back` in the other
+    /// direction.
     ///
     /// # Panics
     ///
-    /// As [`Link::new`]; and if a node is joined to itself.
+    /// As [`Link::new`], and if both nodes are the same.
     pub fn join(&mut self, [a, b]: [usize; 2], there: Faults, back: Faults) -> Cable {
         assert!(a != b, "node {a} is joined to itself");
         let cable = Cable(self.directions.len() / 2);
@@ -54,7 +55,7 @@ impl<T: Clone> Network<T> {
         cable
     }
 
-    /// From a node at one end of a cable to the node at the other, now.
+    /// Sends a frame of `bytes` bytes from the node `from` to the other end of a cable.
     ///
     /// # Panics
     ///
@@ -64,7 +65,8 @@ impl<T: Clone> Network<T> {
         self.directions[direction].link.push(self.now, frame, bytes);
     }
 
-    /// Lets time go on to the next arrival, or to `until` if there is none before.
+    /// Advances the time to the next arrival and returns it. Advances to `until` if none comes
+    /// before.
     pub fn arrival(&mut self, until: u64) -> Option<Arrival<T>> {
         let next = |(index, direction): (usize, &Direction<T>)| direction.link.next().map(|at| (at, index));
         let first = self.directions.iter().enumerate().filter_map(next).min();
@@ -81,11 +83,11 @@ impl<T: Clone> Network<T> {
         self.now
     }
 
-    /// Of the direction of a cable that begins at `from`.
+    /// Returns the counters of the direction that begins at `from`.
     ///
     /// # Panics
     ///
-    /// If none does.
+    /// If the cable does not begin at `from`.
     pub fn counts(&self, from: usize, cable: Cable) -> Counts {
         self.directions[self.index(from, cable)].link.counts()
     }

@@ -1,7 +1,7 @@
-//! The numbers that decide: SplitMix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number
-//! generators", 2014), the same on every machine and in every version.
+//! A random number generator: SplitMix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number
+//! generators", 2014). It is the same on every machine and in every version.
 
-/// A stream of numbers.
+/// A stream of random numbers.
 #[derive(Clone, Debug)]
 pub struct Random(u64);
 
@@ -10,7 +10,7 @@ impl Random {
         Self(seed)
     }
 
-    /// Another stream; what is taken from it changes nothing in this one.
+    /// Returns another stream, whose use does not affect this one.
     pub fn fork(&mut self) -> Self {
         Self(self.number())
     }
@@ -23,19 +23,19 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// True with this probability. Always takes one number, so that streams with other
+    /// Returns true with this probability. Always draws one number, so that streams with different
     /// probabilities stay in step.
     pub fn chance(&mut self, probability: f64) -> bool {
         const UNIT: f64 = 1.0 / (1_u64 << 53) as f64;
         ((self.number() >> 11) as f64 * UNIT) < probability
     }
 
-    /// Evenly from `0..=most`, but for a bias below 2^-64 a value.
+    /// Returns an evenly distributed number in `0..=most`, with a bias below 2^-64 per value.
     pub fn up_to(&mut self, most: u64) -> u64 {
         ((u128::from(self.number()) * (u128::from(most) + 1)) >> 64) as u64
     }
 
-    /// From `0..bound`, with a bias that tests do not notice.
+    /// Returns a number in `0..bound`, with a bias that does not affect tests.
     pub fn below(&mut self, bound: u64) -> u64 {
         self.number() % bound
     }
