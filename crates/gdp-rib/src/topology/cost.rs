@@ -1,50 +1,50 @@
-//! What it costs to cross a link, as its round-trip time says: steady, because every change may
-//! move traffic to another path.
+//! Computes the cost of a link from its round-trip time. The cost is steady, because every change
+//! may move traffic to another path.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// A hop costs this much besides what its round-trip time adds: as much as 2 ms do. So the
-/// differences between cables on one site, which are mostly those of how busy the daemons are,
-/// choose no path.
+/// The fixed cost of a hop, which equals 2 ms of round-trip time. Round-trip times on one site
+/// differ mostly by the load of the daemons. This fixed part keeps such differences from choosing a
+/// path.
 pub const HOP: u32 = 200;
 
-/// A link costs this much at most: that of 1 s.
+/// Maximum cost of a link, which equals a round-trip time of 1 s.
 pub const MOST: u32 = HOP + 100_000;
 
-/// What adds 1 to the cost.
+/// The round-trip time that adds 1 to the cost.
 const STEP: Duration = Duration::from_micros(10);
 
-/// The shortest time of so long counts: what radio links add now and then is no property of the
-/// path.
+/// The window whose shortest round-trip time counts. Radio links sometimes add delays that are not
+/// a property of the path.
 const WINDOW: Duration = Duration::from_secs(30);
 
-/// Another cost is stated once it has differed by more than a quarter for so long.
+/// Time for which the cost must differ by more than a quarter before the meter changes it.
 const STEADY: Duration = Duration::from_secs(5);
 
 /// The measured cost of the link to one neighbour.
 #[derive(Debug)]
 pub struct Meter {
     cost: u32,
-    /// When, and what it would have cost then; in both rising from the first to the last.
+    /// Samples as time and cost, both in ascending order.
     recent: VecDeque<(Duration, u32)>,
     differs_since: Option<Duration>,
-    /// Nothing but the link's handshake has been measured.
+    /// Whether only the link's handshake has been measured.
     is_first: bool,
 }
 
 impl Meter {
-    /// Of a link that has just been made, with the round-trip time that showed; or of one that a
-    /// daemon before this one made, of which nothing is known: it costs what a hop does, and what
-    /// its other end has measured counts.
+    /// Creates the meter of a new link, with the round-trip time of its handshake. `rtt` is `None`
+    /// for a link that an earlier daemon made. Such a link costs [`HOP`], and the measurement of
+    /// its other end decides.
     pub fn new(now: Duration, rtt: Option<Duration>) -> Self {
         let recent = rtt.map(|rtt| (now, cost_of(rtt))).into_iter().collect();
         Self { cost: rtt.map_or(HOP, cost_of), recent, differs_since: None, is_first: rtt.is_some() }
     }
 
-    /// The first request over a new link was answered within this time. The handshake took longer
-    /// than what follows it, because both sides computed; so this counts at once. Whether the link
-    /// costs something else from now on.
+    /// Adds the round-trip time of the first request over a new link. A lower cost counts at once,
+    /// because both sides compute during the handshake, which makes that slower. Returns whether
+    /// the cost changed.
     pub fn answered(&mut self, now: Duration, rtt: Duration) -> bool {
         let cost = cost_of(rtt);
         if !std::mem::take(&mut self.is_first) || cost >= self.cost {
@@ -54,13 +54,12 @@ impl Meter {
         true
     }
 
-    /// What crossing the link costs.
+    /// Returns the cost of the link.
     pub fn cost(&self) -> u32 {
         self.cost
     }
 
-    /// Takes one more sample of the link's round-trip time; whether the link costs something else
-    /// from now on.
+    /// Adds a sample of the round-trip time. Returns whether the cost changed.
     pub fn sample(&mut self, now: Duration, rtt: Duration) -> bool {
         let cost = cost_of(rtt);
         while self.recent.back().is_some_and(|(_, larger)| *larger >= cost) {

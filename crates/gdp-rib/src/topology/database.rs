@@ -1,5 +1,5 @@
-//! The newest statement of each switch, until it expires. Bounded; whoever is not reached makes
-//! room for whoever is new.
+//! The newest link state of each switch, until it expires. The database is bounded; a new switch
+//! replaces one that is not reachable.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -10,8 +10,7 @@ use gdp_proto::control::Flooded;
 use gdp_wire::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
 
-/// Switches of which something is known: those that have an egress bit, and as many that only pass
-/// frames on.
+/// Maximum number of switches: those with an egress bit, and transit switches.
 const MAX_SWITCHES: usize = 4 * EGRESS_SET_SIZE as usize;
 
 #[derive(Default)]
@@ -23,10 +22,11 @@ struct StoredState {
     expires: Duration,
 }
 
-/// What became of a statement.
+/// The result of [`Database::take`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Taken {
-    /// It is the newest. `changed`: it says something else than the one before.
+    /// The link state is the newest. `changed` is true if its content differs from the previous
+    /// one.
     News {
         changed: bool,
     },
@@ -36,8 +36,8 @@ pub enum Taken {
 }
 
 impl Database {
-    /// Keeps a statement that is newer than what is held. If there is no room, one of those goes
-    /// that are not `reached`.
+    /// Stores a link state that is newer than the stored one. If the database is full, it replaces
+    /// a switch for which `reached` returns false.
     pub fn take(
         &mut self,
         now: Duration,
@@ -62,7 +62,7 @@ impl Database {
         Taken::News { changed }
     }
 
-    /// Forgets what is over; whether there was any.
+    /// Removes expired link states. Returns whether there were any.
     pub fn expire(&mut self, now: Duration) -> bool {
         let before = self.0.len();
         self.0.retain(|_, held| held.expires > now);
@@ -73,16 +73,17 @@ impl Database {
         self.0.values().map(|held| held.expires).min()
     }
 
-    /// Whether a statement is newer than what is held, the same, or older. A switch that lost its
-    /// numbers may state other things under one it has used: then all agree on one of the two, and
-    /// the switch itself goes above.
+    /// Compares the age of a link state with the stored one. A switch that lost its sequence number
+    /// may reuse one with different content. Then all switches prefer the same of the two, and the
+    /// switch itself chooses a higher number.
     pub fn compare(&self, flooded: &Flooded, claims: &LinkState) -> Ordering {
         let Some(held) = self.0.get(&claims.switch) else { return Ordering::Greater };
         let age = |claims: &LinkState, flooded: &Flooded| (claims.version(), flooded.state.as_bytes().to_vec());
         age(claims, flooded).cmp(&age(&held.claims, &held.flooded))
     }
 
-    /// What a neighbour is to be told of a switch; nothing if that is over in a moment.
+    /// Returns the link state of a switch to send to a neighbour. Returns `None` if it expires
+    /// within a second.
     pub fn told(&self, now: Duration, switch: &Name) -> Option<Flooded> {
         let held = self.0.get(switch)?;
         let expires_in = u32::try_from(held.expires.saturating_sub(now).as_secs()).unwrap_or(u32::MAX);

@@ -1,6 +1,6 @@
-//! Which link's neighbour is still to be told of which switches. A neighbour that says nothing is
-//! told again; what it tells this switch it need not be told. Pure bookkeeping of names; what is
-//! told of them is in [`super::database`].
+//! Tracks which link states each neighbour still needs. Unacknowledged ones are sent again, and
+//! those that the neighbour has sent itself are skipped. It stores only names of switches; the link
+//! states are in [`super::database`].
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -10,19 +10,19 @@ use gdp_wire::Name;
 
 use super::database::Database;
 
-/// Batches that one neighbour has not answered yet: news need not wait for the answer to what was
-/// told before.
+/// Maximum number of unacknowledged batches per neighbour. New link states need not wait for
+/// earlier acknowledgements.
 const MOST_OUT: usize = 4;
 
-/// Bytes of the statements in one batch, and what each has around it; a message has at most 64 KiB.
+/// Maximum size of the link states in one batch, in bytes. `STATE_SIZE` is the overhead of each. A
+/// message has at most 64 KiB.
 const BATCH_SIZE: usize = 48 * 1024;
 const STATE_SIZE: usize = 200;
 
-/// How long after a batch that did not arrive the next is sent: doubled from the first to the
-/// second.
+/// Delays before retransmission of a lost batch: the first, and the maximum to which it doubles.
 const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
-/// Statements to send to a neighbour.
+/// Link states to send to a neighbour.
 #[derive(Clone, Debug)]
 pub struct Batch {
     pub id: BatchId,
@@ -41,10 +41,10 @@ pub struct Flooding {
     number: u64,
 }
 
-/// What one neighbour is to be told.
+/// The link states that one neighbour still needs.
 struct PendingAcks {
     owed: BTreeSet<Name>,
-    /// Told, and not answered.
+    /// Batches that were sent and not acknowledged.
     out: BTreeMap<BatchId, Vec<Name>>,
     retry: Option<Duration>,
     wait: Duration,
@@ -60,28 +60,28 @@ impl Flooding {
         self.links.remove(&link);
     }
 
-    /// There is something new of a switch.
+    /// Schedules a switch's new link state for all neighbours.
     pub fn owe_all(&mut self, switch: Name) {
         for desk in self.links.values_mut() {
             desk.owed.insert(switch);
         }
     }
 
-    /// The neighbour on this link has shown that it does not hold the newest of a switch.
+    /// Schedules a switch's link state for the neighbour on this link, which lacks the newest one.
     pub fn owe(&mut self, link: u32, switch: Name) {
         if let Some(desk) = self.links.get_mut(&link) {
             desk.owed.insert(switch);
         }
     }
 
-    /// The neighbour on this link has shown that it holds the newest of a switch.
+    /// Unschedules a switch's link state for the neighbour on this link, which has the newest one.
     pub fn holds(&mut self, link: u32, switch: &Name) {
         if let Some(desk) = self.links.get_mut(&link) {
             desk.owed.remove(switch);
         }
     }
 
-    /// What is to be sent now.
+    /// Returns the batches to send now.
     pub fn next(&mut self, now: Duration, database: &Database) -> Vec<Batch> {
         let mut batches = Vec::new();
         for (link, desk) in &mut self.links {
@@ -121,8 +121,8 @@ impl Flooding {
 }
 
 impl PendingAcks {
-    /// Takes out as many of those that are owed as fit a message. What is forgotten meanwhile is
-    /// owed no more.
+    /// Removes as many scheduled switches as fit into a message. Skips those whose link states have
+    /// expired since.
     fn page(&mut self, now: Duration, database: &Database) -> (Vec<Flooded>, Vec<Name>) {
         let (mut states, mut names, mut room) = (Vec::new(), Vec::new(), BATCH_SIZE);
         while let Some(switch) = self.owed.first().copied() {

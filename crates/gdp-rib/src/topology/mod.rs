@@ -1,15 +1,15 @@
-//! Which switches there are in the domain and which paths lead to them: what every switch states of
-//! its links, flooded between the switches, and the shortest paths that this switch computes from
-//! it. Sans-IO: time, links and messages go in; messages and masks come out. Needs no RIB, and
-//! knows nothing of names of topics; `gdp-daemon` moves what travels, and the RIB beside
-//! this switch reads which switches are reached.
+//! The switches of the domain and the paths to them. Every switch floods its signed link state, and
+//! each computes the shortest paths from all of these. The module is sans-IO: time, links and
+//! messages go in; messages and masks come out. It does not need a RIB and does not use topic
+//! names. `gdp-daemon` transports the messages. The RIB beside this switch reads which switches are
+//! reachable.
 //!
-//! [`database`] holds the newest statement of each switch, [`flooding`] knows which neighbour lacks
-//! which, [`paths`] turns statements into masks, [`cost`] a round-trip time into what crossing a
-//! link costs.
+//! [`database`] stores the newest link state of each switch. [`flooding`] tracks which neighbour
+//! lacks which link state. [`paths`] computes masks from link states, and [`cost`] computes the
+//! cost of a link from its round-trip time.
 //!
-//! Every statement is verified before it gets here ([`Verified`]). What a switch that lies can do
-//! is to state links that it has not: an adjacency counts only if both ends state it.
+//! Every link state is verified before it gets here ([`Verified`]). A malicious switch can state
+//! links that do not exist, so an adjacency counts only if both ends state it.
 
 pub mod cost;
 mod database;
@@ -33,53 +33,53 @@ use flooding::Flooding;
 pub use flooding::{Batch, BatchId};
 pub use paths::Paths;
 
-/// Seconds that a statement holds; it is stated again after a third of it. What is left then
-/// outlives the time for which the links of a daemon that died are held, so a switch that forwards
-/// on without its daemon stays on the map.
+/// Lifetime of a link state, in seconds. A switch renews it after a third. The rest exceeds the
+/// graceful-restart time of a dead daemon's links. So a switch that forwards without its daemon
+/// stays in the topology.
 pub const LIFETIME: u32 = 180;
 
 const REFRESH: Duration = Duration::from_secs(LIFETIME as u64 / 3);
 
 const _: () = assert!(LIFETIME as u64 * 2 / 3 > gdp_core::peer::GRACEFUL_RESTART_TIME.as_secs());
 
-/// Between two statements of this switch, if what it states changes: from the first to the second,
-/// doubled with each that comes within twice the time. The first change after a quiet time is
-/// stated at once; that a neighbour is gone always after the first time, so what flaps is stated as
-/// gone rather than as there.
+/// Minimum and maximum delay between two link states of this switch if its links change. The delay
+/// doubles with each change that comes within twice its time. The first change after a quiet time
+/// is sent at once. A lost neighbour is announced after the minimum delay, so that a flapping one
+/// counts as lost.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(5));
 
-/// A statement that its switch has signed.
+/// A link state with a verified signature.
 pub struct Verified {
     flooded: Flooded,
     claims: LinkState,
 }
 
 impl Verified {
-    /// Takes no lock and some time: a signature is verified.
+    /// Verifies the signature of a link state. This takes some time but no lock.
     pub fn new(flooded: Flooded) -> Result<Self, CertError> {
         let claims = flooded.verify()?;
         Ok(Self { flooded, claims })
     }
 }
 
-/// What this switch knows of the domain's switches.
+/// The topology of the domain, as this switch knows it.
 pub struct Topology {
     own: Own,
     database: Database,
     flooding: Flooding,
     paths: Paths,
-    /// The paths do not follow from what is in the database yet.
+    /// Whether the database has changed since the paths were computed.
     is_stale: bool,
 }
 
-/// What this switch is to state of itself, and what it has.
+/// The state that this switch announces about itself.
 struct Own {
     identity: Identity,
     version: (u64, u64),
     has: Stated,
-    /// What it last stated; none: it is to be stated whatever it has.
+    /// The last announced state. `None` forces an announcement.
     stated: Option<Stated>,
-    /// When it last did, or tried.
+    /// Time of the last announcement or attempt.
     stated_at: Option<Duration>,
     wait: Duration,
 }
@@ -90,12 +90,13 @@ struct Stated {
     neighbours: BTreeMap<Name, u32>,
     silent: BTreeSet<Name>,
     rib: bool,
-    /// By domain and switch.
+    /// The border links, by domain and switch.
     borders: BTreeMap<(Name, Name), Adjoining>,
 }
 
 impl Stated {
-    /// Whether somebody who was there is not any more, or does not answer.
+    /// Returns whether a neighbour or border of `before` is missing, or a neighbour has become
+    /// silent.
     fn lacks_one_of(&self, before: &Self) -> bool {
         before.neighbours.keys().any(|near| !self.neighbours.contains_key(near))
             || !self.silent.is_subset(&before.silent)
@@ -104,8 +105,8 @@ impl Stated {
 }
 
 impl Topology {
-    /// `run`: higher than that of this switch's last start. If it is not, the switch finds out as
-    /// soon as a neighbour tells it.
+    /// Creates a topology. `run` must exceed that of this switch's last start. Otherwise the switch
+    /// corrects it as soon as a neighbour sends back an old link state.
     pub fn new(identity: Identity, run: u64) -> Self {
         let own =
             Own { identity, version: (run, 0), has: Stated::default(), stated: None, stated_at: None, wait: BACKOFF.0 };
@@ -113,8 +114,8 @@ impl Topology {
         Self { own, database, flooding, paths: Paths::default(), is_stale: true }
     }
 
-    /// The neighbours that frames may go to now, and what that costs. Those beyond
-    /// [`MAX_NEIGHBOURS`] are not stated.
+    /// Sets the neighbours that accept frames now, each with its cost. Those beyond
+    /// [`MAX_NEIGHBOURS`] are not announced.
     pub fn set_neighbours(&mut self, neighbours: impl IntoIterator<Item = (Name, u32)>) {
         let own = self.own.identity.name();
         let usable = neighbours.into_iter().filter(|(name, _)| *name != own);
@@ -122,14 +123,13 @@ impl Topology {
         self.own.has.neighbours = all.into_iter().take(MAX_NEIGHBOURS).collect();
     }
 
-    /// Those of the neighbours whose daemons do not answer, so that nothing but frames may go to
-    /// them.
+    /// Sets the neighbours whose daemons do not respond, so that they forward only frames.
     pub fn set_silent(&mut self, silent: impl IntoIterator<Item = Name>) {
         self.own.has.silent = silent.into_iter().filter(|near| self.own.has.neighbours.contains_key(near)).collect();
     }
 
-    /// The links into other domains that frames may go by now. Those beyond [`MAX_BORDERS`] are not
-    /// stated.
+    /// Sets the links into other domains that accept frames now. Those beyond [`MAX_BORDERS`] are
+    /// not announced.
     pub fn set_borders(&mut self, borders: impl IntoIterator<Item = Adjoining>) {
         let own = self.own.identity.name();
         let usable = borders.into_iter().filter(|border| border.switch != own);
@@ -139,22 +139,22 @@ impl Topology {
         self.own.has.borders = all.into_iter().take(MAX_BORDERS).collect();
     }
 
-    /// Whether the domain's RIB is beside this switch.
+    /// Sets whether the domain's RIB is beside this switch.
     pub fn set_rib(&mut self, rib: bool) {
         self.own.has.rib = rib;
     }
 
-    /// The egress bit that the RIB has given this switch.
+    /// Sets the egress bit that the RIB has assigned to this switch.
     pub fn set_bit(&mut self, bit: Option<u8>) {
         self.own.has.bit = bit;
     }
 
-    /// The bit that this switch has, whether or not it has stated it.
+    /// Returns the egress bit of this switch, even if it is not announced yet.
     pub fn bit(&self) -> Option<u8> {
         self.own.has.bit
     }
 
-    /// A link to a neighbouring switch is up: it is told all there is.
+    /// Adds a link to a neighbouring switch, which receives all link states.
     pub fn link_up(&mut self, link: u32) {
         self.flooding.up(link, self.database.switches());
     }
@@ -163,8 +163,8 @@ impl Topology {
         self.flooding.down(link);
     }
 
-    /// Those of the statements that came over a link that may be news. They are to be verified, and
-    /// then [learnt](Self::learn).
+    /// Returns those of the received link states that may be new. The caller must verify them and
+    /// pass them to [`Self::learn`].
     pub fn news(&mut self, link: u32, states: Vec<Flooded>) -> Result<Vec<Flooded>, CertError> {
         let mut news = Vec::new();
         for flooded in states {
@@ -178,8 +178,8 @@ impl Topology {
         Ok(news)
     }
 
-    /// Takes in statements that came over a link, and passes them on over the others. Follow with
-    /// [`Self::tick`].
+    /// Stores link states received over a link, and floods them over the other links. Call
+    /// [`Self::tick`] afterwards.
     pub fn learn(&mut self, now: Duration, link: u32, states: Vec<Verified>) {
         let own = self.own.identity.name();
         for Verified { flooded, claims } in states {
@@ -203,8 +203,8 @@ impl Topology {
         }
     }
 
-    /// Brings everything up to date: states what this switch has to state, lets end what is over,
-    /// computes paths. Returns whether there are other paths than before, or another RIB.
+    /// Announces this switch's link state if it is due, removes expired ones, and computes the
+    /// paths. Returns whether the paths or the RIB changed.
     pub fn tick(&mut self, now: Duration) -> bool {
         self.is_stale |= self.database.expire(now);
         if self.own.next(now).is_some_and(|at| at <= now) {
@@ -227,50 +227,50 @@ impl Topology {
         changed
     }
 
-    /// When [`Self::tick`] or [`Self::batches`] have something to do, if nothing else happens
-    /// before.
+    /// Returns when [`Self::tick`] or [`Self::batches`] must run next if nothing else happens.
     pub fn next_tick(&self, now: Duration) -> Option<Duration> {
         let all = [self.own.next(now), self.database.next_expiry(), self.flooding.retry_at()];
         all.into_iter().flatten().min()
     }
 
-    /// Takes out what is to be sent now. Each is to be answered with [`Self::answered`].
+    /// Returns the batches to send now. The caller must report the result of each to
+    /// [`Self::answered`].
     pub fn batches(&mut self, now: Duration) -> Vec<Batch> {
         self.flooding.next(now, &self.database)
     }
 
-    /// Whether a batch arrived; if not, it is sent again a while later.
+    /// Records whether a batch arrived. A lost batch is sent again after a backoff.
     pub fn answered(&mut self, now: Duration, batch: BatchId, arrived: bool) {
         self.flooding.answered(now, batch, arrived);
     }
 
-    /// As of the last [`Self::tick`].
+    /// Returns the paths as of the last [`Self::tick`].
     pub fn paths(&self) -> &Paths {
         &self.paths
     }
 
-    /// The nearest RIB that control reaches: its switch, and which run of it; as of the last
-    /// [`Self::tick`].
+    /// Returns the switch of the nearest RIB that control messages can reach, and its run. The
+    /// value is as of the last [`Self::tick`].
     pub fn rib(&self) -> Option<(Name, u64)> {
         self.paths.rib
     }
 
-    /// The links of all switches that are reached into other domains, this one's among them, each
-    /// with its switch; as of the last [`Self::tick`].
+    /// Returns the links into other domains of all reachable switches, each with its switch. The
+    /// value is as of the last [`Self::tick`].
     pub fn borders(&self) -> impl Iterator<Item = (Name, &Adjoining)> {
         let reached = self.states().filter(|state| self.paths.reaches(&state.switch));
         reached.flat_map(|state| state.borders.iter().map(|border| (state.switch, border)))
     }
 
-    /// What each switch states, this one among them.
+    /// Returns the link states of all switches, including this one.
     pub fn states(&self) -> impl Iterator<Item = &LinkState> {
         self.database.claims()
     }
 }
 
 impl Own {
-    /// An older self has stated something under a higher version: the clock went back, or the
-    /// number was lost.
+    /// Handles a link state of an earlier run of this switch with a higher version. The clock went
+    /// back, or the number was lost.
     fn heard_of_itself(&mut self, older: &LinkState) {
         if older.version() >= self.version {
             self.version = older.version();
@@ -278,7 +278,7 @@ impl Own {
         }
     }
 
-    /// When the next statement is to be made.
+    /// Returns when the next announcement is due.
     fn next(&self, now: Duration) -> Option<Duration> {
         let Some(stated_at) = self.stated_at else { return Some(now) };
         let wait = match &self.stated {

@@ -1,5 +1,5 @@
-//! Shortest paths from one switch to all others: the next hop toward each, and as masks which
-//! egress bits lie behind which of its neighbours. Pure: statements in, paths out.
+//! Computes the shortest paths from one switch to all others: the next hop toward each, and the
+//! egress bits behind each neighbour as masks. Pure: link states in, paths out.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,24 +8,26 @@ use gdp_wire::Name;
 use petgraph::algo::dijkstra;
 use petgraph::graphmap::UnGraphMap;
 
-/// Switches, and the adjacencies that both ends state, with the larger of the two costs.
+/// Switches, and the adjacencies that both ends state, each with the larger of the two costs.
 type Graph = UnGraphMap<Name, u64>;
 
-/// What follows for one switch from what all state.
+/// The paths of one switch, computed from all link states.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Paths {
-    /// Egress bits by neighbour. No bit is behind two of them, and none is the switch's own.
+    /// Masks of egress bits by neighbour. No bit is in two masks, and the switch's own bit is in
+    /// none.
     pub reach: BTreeMap<Name, u64>,
-    /// The switches there is a path to, this one among them, and what the path costs.
+    /// The reachable switches, including this one, each with the cost of its path.
     pub costs: BTreeMap<Name, u64>,
-    /// Whose each egress bit is: if two switches state the same, that of the one that has run
-    /// longest counts.
+    /// The switch of each egress bit. If two switches state the same bit, the one with the lower
+    /// run number has it.
     pub bits: BTreeMap<u8, Name>,
-    /// The neighbour by which control gets to each other switch: no switch whose daemon does not
-    /// answer is on the way, or its end.
+    /// The neighbour through which control messages reach each other switch. Every daemon on such a
+    /// path, including the last, responds.
     pub next: BTreeMap<Name, Name>,
-    /// The nearest switch with the domain's RIB that control gets to, the lower name of two; this
-    /// one, if it is here. And which run of that switch: a RIB that has started anew is another.
+    /// The nearest switch with the domain's RIB that control messages reach, and its run. Of two at
+    /// the same cost, the lower name counts. It may be this switch. A restarted RIB has another
+    /// run.
     pub rib: Option<(Name, u64)>,
 }
 
@@ -50,22 +52,23 @@ impl Paths {
         Self { reach, rib: rib.map(|(_, switch, run)| (switch, run)), costs, bits, next }
     }
 
-    /// Whether there is a path to a switch.
+    /// Returns whether there is a path to a switch.
     pub fn reaches(&self, switch: &Name) -> bool {
         self.costs.contains_key(switch)
     }
 
-    /// The egress bit that counts for a switch.
+    /// Returns the egress bit of a switch, if no other switch has the same bit.
     pub fn bit(&self, switch: &Name) -> Option<u8> {
         self.bits.iter().find(|(_, of)| *of == switch).map(|(bit, _)| *bit)
     }
 }
 
-/// The neighbour that leads to each of the switches that are reached.
+/// Returns the neighbour on the shortest path to each reachable switch.
 fn next_hops(graph: &Graph, own: Name, reached: &BTreeMap<Name, u64>) -> BTreeMap<Name, Name> {
     let onward: Vec<_> = graph.edges(own).map(|(_, via, cost)| (via, *cost, costs_from(graph, via))).collect();
     let hop = |switch: &Name| {
-        // Every hop is strictly nearer to the switch, so paths have no loops whichever tie wins.
+        // Every hop is strictly nearer to the switch, so paths have no loops whichever neighbour
+        // wins a tie.
         let ways = onward.iter().filter_map(|(via, cost, costs)| Some((costs.get(switch)? + cost, *via)));
         Some((*switch, ways.min()?.1))
     };
@@ -86,7 +89,7 @@ fn bits<'a>(states: impl Iterator<Item = &'a &'a LinkState>) -> BTreeMap<u8, Nam
     bits
 }
 
-/// `counts`: whether what a switch states of the neighbour with this index does.
+/// Builds the graph. `counts` selects the neighbours of a link state by their index.
 fn graph(states: &BTreeMap<Name, &LinkState>, counts: impl Fn(&LinkState, usize) -> bool) -> Graph {
     let cost_to = |state: &LinkState, neighbour: &Name| {
         let at = state.neighbours.binary_search_by(|(name, _)| name.cmp(neighbour)).ok()?;
