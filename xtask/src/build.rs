@@ -1,4 +1,4 @@
-//! `cargo xtask build`: the XDP programs, then the executables that embed them.
+//! `cargo xtask build`: builds the XDP programs, then the executables that embed them.
 
 use std::path::Path;
 use std::process::Command;
@@ -21,15 +21,15 @@ pub struct Options {
     /// Build with overflow checks and debug assertions, as the tests do
     #[arg(long)]
     checked: bool,
-    /// Build what is shipped and measured: with link-time optimisation, stripped, and debug symbols
-    /// in files of their own
+    /// Build as for releases and benchmarks: with link-time optimisation, stripped, and debug
+    /// symbols in separate files
     #[arg(long, conflicts_with = "checked")]
     dist: bool,
     #[command(flatten)]
     features: Features,
 }
 
-/// What `gdp-ctl` has besides.
+/// Optional features of `gdp-ctl`.
 #[derive(clap::Args, Clone, Copy, Default)]
 pub struct Features {
     /// Build gdp-ctl with the DPDK data plane
@@ -41,17 +41,17 @@ pub struct Features {
 }
 
 impl Features {
-    /// Installs what they need.
+    /// Installs the packages that the features need.
     pub fn ensure(self) -> Result<()> {
         let purposes = [(self.dpdk, Purpose::Dpdk), (self.etcd, Purpose::Etcd)];
         purposes.into_iter().filter(|(is_wanted, _)| *is_wanted).try_for_each(|(_, purpose)| setup::ensure(purpose))
     }
 }
 
-/// Which executables to build.
+/// The executables to build.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Executables {
-    /// `gdp-ctl` alone: all that a switch needs.
+    /// Only `gdp-ctl`, which is all that a switch needs.
     Switch,
     All,
 }
@@ -70,15 +70,14 @@ pub fn run(options: Options) -> Result<()> {
     executables(Executables::All, profile, options.features)
 }
 
-/// Executables with the XDP programs inside. Fails if the programs are not
-/// inside.
+/// Builds executables that embed the XDP programs. Fails if the result does not contain them.
 pub fn executables(which: Executables, profile: Profile, features: Features) -> Result<()> {
     ebpf()?;
     let mut command = shell::cargo();
     command.args(["build", "--profile", profile.name(), "--bin", SWITCH]);
     match which {
-        // Of this package alone: features of dependencies that others ask for would have to be
-        // compiled as well.
+        // Builds only this package. Otherwise Cargo would also compile the dependencies' features
+        // that other packages request.
         Executables::Switch => command.args(["--package", SWITCH]),
         Executables::All => command.args(["--bin", PROXY]),
     };
@@ -99,8 +98,8 @@ pub fn executables(which: Executables, profile: Profile, features: Features) -> 
 const SWITCH: &str = "gdp-ctl";
 const PROXY: &str = "gdp-proxy";
 
-/// Compiles `gdp-ebpf` with the compiler that [`EbpfCompiler`] finds, to [`workspace::ebpf_object`]
-/// and to where the build script of the executables looks.
+/// Compiles `gdp-ebpf` with the compiler that [`EbpfCompiler`] finds. Copies the object to
+/// [`workspace::ebpf_object`], and to the folder where the executables' build script looks for it.
 pub fn ebpf() -> Result<()> {
     shell::run(&mut ebpf_cargo("build", "bpf")?)?;
     let built = workspace::target().join("bpf/bpfel-unknown-none/release/gdp-ebpf");
@@ -109,7 +108,7 @@ pub fn ebpf() -> Result<()> {
     let folder = workspace::root().join(fingerprint::FOLDER);
     for entry in std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))? {
         let file = entry?.path();
-        // Objects of earlier source.
+        // Objects of earlier source versions.
         if file.extension().is_some_and(|extension| extension == "o") && file != embedded {
             std::fs::remove_file(&file).with_context(|| format!("cannot remove {}", file.display()))?;
         }
@@ -117,8 +116,9 @@ pub fn ebpf() -> Result<()> {
     copy_if_changed(&built, &embedded)
 }
 
-/// The same programs in other instructions, as a later build has them: what a daemon that takes
-/// over may come with. Beside [`workspace::ebpf_object`], as `gdp-ebpf-rebuilt`.
+/// Compiles the XDP programs to different instructions, as a later release would have them. Tests
+/// use them for a daemon that takes over. The object is beside [`workspace::ebpf_object`], as
+/// `gdp-ebpf-rebuilt`.
 pub fn ebpf_rebuilt() -> Result<()> {
     let mut command = ebpf_cargo("build", "bpf-rebuilt")?;
     shell::run(command.args(["--bin", "gdp-ebpf", "--config", "profile.release.opt-level=2"]))?;
@@ -126,18 +126,18 @@ pub fn ebpf_rebuilt() -> Result<()> {
     copy_if_changed(&built, &workspace::ebpf_object().with_file_name("gdp-ebpf-rebuilt"))
 }
 
-/// The shipped programs with a hop tag that costs nothing, for `bench forward`, to
+/// Compiles the XDP programs with a hop tag without cost, for `bench forward`, to
 /// [`workspace::ebpf_untagged_object`].
 pub fn ebpf_untagged() -> Result<()> {
     shell::run(ebpf_cargo("build", "bpf")?.args(["--package", "gdp-ebpf-untagged"]))
 }
 
-/// `cargo VERB --release` for the eBPF target, in the eBPF workspace, into a folder of Cargo's
-/// target folder.
+/// Returns `cargo VERB --release` for the eBPF target in the eBPF workspace. The output goes to the
+/// folder `into` of Cargo's target folder.
 fn ebpf_cargo(verb: &str, into: &str) -> Result<Command> {
     let Some(compiler) = EbpfCompiler::find() else { bail!("no compiler for eBPF: run `cargo xtask setup run`") };
     let Some(linker) = setup::bpf_linker() else { bail!("no bpf-linker: run `cargo xtask setup run`") };
-    // The one that knows `+nightly`.
+    // rustup's cargo, which accepts `+nightly`.
     let mut command = Program::Cargo.command();
     if compiler == EbpfCompiler::Nightly {
         command.arg("+nightly");
@@ -151,8 +151,8 @@ fn ebpf_cargo(verb: &str, into: &str) -> Result<Command> {
         .env_remove("CARGO_ENCODED_RUSTFLAGS");
     match compiler {
         EbpfCompiler::Debian => {
-            // Debian's stable compiler; the crates use a few features that only nightly has
-            // otherwise.
+            // This is Debian's stable compiler. The crates use a few features that otherwise only
+            // nightly has.
             command.env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");
         }
         EbpfCompiler::Nightly => {
@@ -162,7 +162,8 @@ fn ebpf_cargo(verb: &str, into: &str) -> Result<Command> {
     Ok(command)
 }
 
-/// Asks the program: what its build script has done, Cargo does not say.
+/// Runs the executable to check that it embeds the XDP programs, because Cargo does not report what
+/// its build script did.
 fn ensure_embedded(executable: &Path) -> Result<()> {
     let version = shell::output(own(executable).arg("--version"));
     let version = version.with_context(|| format!("{} does not tell its version", executable.display()))?;
@@ -170,7 +171,7 @@ fn ensure_embedded(executable: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Replaces `to` at once, so that whoever reads it meanwhile never reads half a file.
+/// Replaces `to` atomically, so that a concurrent reader never sees an incomplete file.
 fn copy_if_changed(from: &Path, to: &Path) -> Result<()> {
     let new = std::fs::read(from).with_context(|| format!("cannot read {}", from.display()))?;
     if std::fs::read(to).is_ok_and(|old| old == new) {
@@ -180,7 +181,7 @@ fn copy_if_changed(from: &Path, to: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     let temporary = to.with_extension("new");
     std::fs::write(&temporary, new).with_context(|| format!("cannot write {}", temporary.display()))?;
-    // As old as what it is a copy of, so that Cargo compiles nothing again that embeds it.
+    // Keeps the time of the source file, so that Cargo does not recompile the crates that embed it.
     let time = std::fs::metadata(from).and_then(|from| from.modified());
     let set = time.and_then(|time| std::fs::File::open(&temporary)?.set_modified(time));
     set.with_context(|| format!("cannot set the time of {}", temporary.display()))?;

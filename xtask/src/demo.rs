@@ -1,8 +1,8 @@
-//! `cargo xtask demo`: a robot that roams between two trust domains while its ROS 2 topic flows to
-//! the cloud, as in the paper's Figure 4; with `--chain` the simplest network there is.
+//! `cargo xtask demo`: a robot roams between two trust domains while its ROS 2 topic flows to the
+//! cloud, as in the paper's Figure 4. With `--chain` it shows the simplest network.
 //!
-//! Everything runs in network namespaces of its own, with real programs; nothing stays behind,
-//! Ctrl-C included.
+//! The demo runs the real programs in separate network namespaces, and removes everything when it
+//! ends, even by Ctrl-C.
 
 mod chain;
 mod federation;

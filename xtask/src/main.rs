@@ -1,7 +1,7 @@
-//! `cargo xtask VERB`: everything a developer does with this project, one file a verb.
+//! `cargo xtask VERB`: all developer tasks of this project, one file for each verb.
 //!
-//! Each verb is a module with `Options` and `run`. What several verbs share is in [`shell`]
-//! (running commands) and [`workspace`] (where things are). Nothing here is part of the product.
+//! Each verb is a module with `Options` and `run`. Verbs share [`shell`] (running commands) and
+//! [`workspace`] (paths). Nothing here is part of the product.
 
 mod bench;
 mod build;
@@ -31,7 +31,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Verb {
-    /// Install what is missing on this machine, saying what and why before
+    /// Install what is missing on this machine, after announcing what and why
     Setup(setup::Options),
     /// Build the eBPF programs and the executables
     Build(build::Options),
@@ -39,12 +39,11 @@ enum Verb {
     Run(run::Options),
     /// Unit tests, kernel tests and network-namespace tests (needs root)
     Test(test::Options),
-    /// A ROS 2 topic crosses three switches from one DDS vendor to another, and what can be seen of
-    /// it (needs root)
+    /// Send a ROS 2 topic across a network of switches from one DDS vendor to another (needs root)
     Demo(demo::Options),
     /// Check the rules of the source tree: circles, lengths, words, the facade
     Check(check::Options),
-    /// Look for bytes from the wire that do what none may
+    /// Fuzz the parsers of untrusted input
     Fuzz(fuzz::Options),
     /// Set up, build, start and test on a clean Debian 12 (needs root)
     Fresh(fresh::Options),

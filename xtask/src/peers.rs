@@ -1,5 +1,5 @@
-//! The foreign DDS programs (sources in `tests/peers`): Fast DDS is compiled here, Cyclone DDS is
-//! Python.
+//! Compiles the foreign DDS programs (sources in `tests/peers`). Only those of Fast DDS need it;
+//! Cyclone DDS is Python.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -9,14 +9,14 @@ use gdp_tests::programs::{Executable as _, Program};
 
 use crate::{shell, workspace};
 
-/// Compiles the Fast DDS peers to `target/peers`, where a source is newer.
+/// Compiles the Fast DDS peers to `target/peers` if their sources are newer.
 pub fn build() -> Result<()> {
     compile("fastdds-peer", Some("String"), "fastdds.cpp")?;
     compile("fastdds-service-peer", Some("AddTwoInts"), "fastdds_service.cpp")?;
     compile("fastdds-any", None, "any/fastdds_any.cpp")
 }
 
-/// Compiles the zenoh bridge, which has a workspace of its own; its program.
+/// Compiles the zenoh bridge, which has its own workspace, and returns its path.
 pub fn build_zenoh() -> Result<PathBuf> {
     let (manifest, out) =
         (workspace::root().join("tests/peers/zenoh-bridge/Cargo.toml"), workspace::target().join("zenoh"));
@@ -26,7 +26,7 @@ pub fn build_zenoh() -> Result<PathBuf> {
     Ok(out.join("release/zenoh-bridge"))
 }
 
-/// `interface`: what has to be generated for it.
+/// Compiles one peer. `interface` is the IDL file to generate code from.
 fn compile(name: &str, interface: Option<&str>, source: &str) -> Result<()> {
     let sources = workspace::root().join("tests/peers");
     let out = workspace::target().join("peers");
@@ -38,8 +38,8 @@ fn compile(name: &str, interface: Option<&str>, source: &str) -> Result<()> {
         return Ok(());
     }
     std::fs::create_dir_all(&out).with_context(|| format!("cannot create {}", out.display()))?;
-    // Linked under another name and renamed, so that a failed build leaves nothing that looks
-    // current.
+    // Linked under another name and renamed, so that a failed build does not leave a file that
+    // looks current.
     let partial = out.join(format!("{name}.new"));
     let mut compiler = Program::Cxx.command();
     compiler.args(["-std=c++17", "-O1", "-Wall", "-Wno-deprecated-declarations", "-I"]).arg(&out);

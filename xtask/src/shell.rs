@@ -1,4 +1,4 @@
-//! Running commands so that the reader sees exactly what is run.
+//! Runs commands, and shows the user exactly which.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -6,7 +6,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 use gdp_tests::programs::{Executable, Program, own};
 
-/// Runs `command` with this terminal's streams; a failure names the command.
+/// Runs `command` with the streams of this terminal. An error names the command.
 pub fn run(command: &mut Command) -> Result<()> {
     let shown = show(command);
     let status = command.status().with_context(|| format!("cannot start `{shown}`"))?;
@@ -16,13 +16,13 @@ pub fn run(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
-/// Like [`run`], and prints the command on stderr before.
+/// Prints the command on stderr, then runs it as [`run`] does.
 pub fn say_and_run(command: &mut Command) -> Result<()> {
     eprintln!("+ {}", show(command));
     run(command)
 }
 
-/// The cargo that runs this xtask.
+/// Returns the cargo that runs this xtask.
 pub fn cargo() -> Command {
     let mut command =
         std::env::var_os("CARGO").map_or_else(|| Program::Cargo.command(), |cargo| own(PathBuf::from(cargo)));
@@ -30,7 +30,7 @@ pub fn cargo() -> Command {
     command
 }
 
-/// Trimmed stdout of a command that succeeds, or nothing.
+/// Returns the trimmed stdout of a command, or `None` if it fails.
 pub fn output(command: &mut Command) -> Option<String> {
     let output = command.output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())

@@ -1,4 +1,5 @@
-//! `cargo xtask test`: unit tests, then the tests that need root: real XDP, DPDK, namespaces, DDS.
+//! `cargo xtask test`: runs unit tests, then the tests that need root: real XDP, DPDK, namespaces,
+//! DDS.
 
 use std::process::Command;
 
@@ -30,16 +31,17 @@ pub fn run(options: Options) -> Result<()> {
     if options.unit {
         setup::ensure(Purpose::Unit)?;
         peers::build()?;
-        // The default members, without the DPDK data plane.
+        // Only the default members, without the DPDK data plane.
         return shell::say_and_run(tests(&options).arg(if options.no_run { "--no-run" } else { "--no-fail-fast" }));
     }
     if !workspace::is_root() {
-        // Skipping would look like success, above all in CI.
+        // Skipped tests would look like success, above all in CI.
         bail!("the kernel and namespace tests need root: run as root, or `cargo xtask test --unit` for the rest");
     }
     setup::ensure(Purpose::Test)?;
     peers::build()?;
-    // First, so that what is compiled once has the programs inside.
+    // This comes first, so that the executables embed the programs the first time they are
+    // compiled.
     build::ebpf()?;
     build::ebpf_rebuilt()?;
     if !options.root {
@@ -48,24 +50,25 @@ pub fn run(options: Options) -> Result<()> {
     if options.no_root {
         return Ok(());
     }
-    // Of the whole workspace, as above and below: with other packages Cargo would choose other
-    // features for the dependencies, and compile them all again.
+    // Builds the whole workspace, as the other commands do. With another selection of packages
+    // Cargo would choose other features for the dependencies, and recompile them all.
     let mut executables = shell::cargo();
     executables.args(["build", "--workspace", "--profile", Profile::Checked.name(), "--features", RELAY]);
     shell::say_and_run(executables.args(["--bin", "gdp-ctl", "--bin", "gdp-proxy", "--test", NETWORKS]))?;
     let mut networks = tests(&options);
     networks.args(["--workspace", "--test", NETWORKS]);
-    // Two cores: one network at a time, so that a deadline says something.
+    // Machines may have only two cores. So one network runs at a time, and a missed deadline is
+    // meaningful.
     shell::say_and_run(networks.args(["--", "--test-threads", "1"]))
 }
 
-/// The test target that needs root. It runs only when it is named.
+/// The test target that needs root. It runs only when named.
 const NETWORKS: &str = "networks";
 
-/// Puts a switch into `gdp-proxy`.
+/// The feature that adds a switch to `gdp-proxy`.
 const RELAY: &str = "gdp-proxy/relay";
 
-/// With the relay, whose test and code are behind a feature.
+/// Returns the command that runs tests, with the relay feature.
 fn tests(options: &Options) -> Command {
     let mut command = shell::cargo();
     command.args(["test", "--profile", Profile::Checked.name(), "--features", RELAY]);

@@ -1,5 +1,5 @@
-//! What the control plane does. The measurements themselves are a bench target of `gdp-tests`; here
-//! it and the daemons are built, and it is run.
+//! Measures the control plane. It builds and runs a bench target of `gdp-tests`, which does the
+//! measurements, and builds the daemons.
 
 use anyhow::Result;
 
@@ -14,13 +14,13 @@ pub struct Options {
     json: bool,
     #[command(flatten)]
     rows: super::program::Rows,
-    /// Whatever is compared is measured this often, in turn
+    /// Number of measurements of each alternative, in turn
     #[arg(long, default_value_t = 3)]
     rounds: u32,
-    /// How long one measurement takes
+    /// Milliseconds per measurement
     #[arg(long, default_value_t = 500)]
     milliseconds: u64,
-    /// Names where there are many; a million take some minutes to be signed and verified
+    /// Number of names in the large tables; a million take some minutes to sign and verify
     #[arg(long, default_value_t = 1_000_000)]
     names: usize,
 }

@@ -1,6 +1,6 @@
-//! What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on
-//! packet sockets. The measurements themselves are a bench target of `gdp-tests`, which has the
-//! eBPF loader; here it is built and run.
+//! Measures the cost of forwarding: XDP beside a bare redirect, the kernel's IPv4 routers and a
+//! forwarder on packet sockets. It builds and runs a bench target of `gdp-tests`, which has the
+//! eBPF loader and does the measurements.
 
 use anyhow::Result;
 
@@ -13,10 +13,10 @@ pub struct Options {
     json: bool,
     #[command(flatten)]
     rows: super::program::Rows,
-    /// Whatever is compared is measured this often, in turn
+    /// Number of measurements of each alternative, in turn
     #[arg(long, default_value_t = 7)]
     rounds: u32,
-    /// How long one measurement takes
+    /// Milliseconds per measurement
     #[arg(long, default_value_t = 200)]
     milliseconds: u64,
 }

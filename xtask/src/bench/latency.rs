@@ -1,5 +1,5 @@
-//! One-way latency from a DDS program's `write` to the other's callback, over three switches and
-//! over three routers.
+//! One-way latency from a DDS program's `write` to another's callback, over three switches and over
+//! three routers.
 //!
 //! ```text
 //!  gdp   talker ─lo─ gdp-proxy ── s1 ── s2 ── s3 ── gdp-proxy ─lo─ listener     (XDP)
@@ -7,10 +7,10 @@
 //!  ip    talker ──────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
 //! ```
 //!
-//! Everything is measured twice: on the machine as it is, and with its processors kept awake by
-//! threads that run only when nothing else wants to. The difference is what it costs to wake a
-//! sleeping processor, once at each hand-over from one thread to the next: much, on virtual
-//! machines, and nothing that any of these programs does.
+//! Everything is measured twice: on the unchanged machine, and with processors kept awake by
+//! threads of idle priority. The difference is the cost of waking a sleeping processor, once at
+//! each handover between threads. On virtual machines it is high, and none of these programs causes
+//! it.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -39,7 +39,7 @@ pub struct Options {
     /// Messages of each size per path and round
     #[arg(long, default_value_t = 300)]
     count: u64,
-    /// Each path is measured this often, in turn
+    /// Number of measurements of each path, in turn
     #[arg(long, default_value_t = 2)]
     rounds: u32,
     /// Only this path (may be repeated)
@@ -47,7 +47,7 @@ pub struct Options {
     paths: Vec<LatencyRoute>,
 }
 
-/// Bytes of a message, and messages per second.
+/// Bytes per message, and messages per second.
 const LOADS: [(usize, f64); 3] = [(64, 100.0), (8_000, 100.0), (1 << 20, 10.0)];
 
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -68,12 +68,13 @@ struct LatencyRow {
     sent: u64,
     received: u64,
     latency_us: Latency,
-    /// Medians of the stages, for what crosses the fabric, as its proxies count them.
+    /// Median latency of each stage in microseconds, from the proxies of the fabric. It is empty
+    /// for other paths.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     stages_us: BTreeMap<&'static str, f64>,
 }
 
-/// What one conversation showed.
+/// The result of one conversation.
 struct Measured {
     received: Vec<Received>,
     stages: BTreeMap<&'static str, f64>,
@@ -109,7 +110,8 @@ pub fn run(options: Options) -> Result<()> {
     for awake in [false, true] {
         let _awake = awake.then(keep_awake).transpose()?;
         for (bytes, rate) in LOADS {
-            // A megabyte ten times a second: fewer messages, or nobody waits for the end.
+            // A megabyte is sent ten times per second, so fewer messages keep the measurement
+            // short.
             let count = if bytes > 100_000 { options.count.div_ceil(3) } else { options.count };
             let mut samples: Vec<Vec<Measured>> = routes.iter().map(|_| Vec::new()).collect();
             for _ in 0..options.rounds {
@@ -146,8 +148,8 @@ fn measure(tools: &Tools, route: LatencyRoute, bytes: usize, rate: f64, count: u
             let chain = Chain::build(ChainOptions::default())?;
             chain.become_ip_routers()?;
             let (robot, cloud) = chain.ip_ends();
-            // DDS finds its peers by multicast, which routers do not forward: each is told of the
-            // other.
+            // DDS finds its peers by multicast, which routers do not forward. So each side gets the
+            // address of the other.
             let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
             let hears = Traffic { peer: Some(robot), ..traffic };
             let folder = logs()?;
@@ -171,7 +173,7 @@ fn converse(tools: &Tools, ends: [(&Namespace, &Traffic); 2], folder: &Path) -> 
     both.finish(Duration::from_secs_f64(talks.count as f64 / talks.rate), Duration::from_secs(10))
 }
 
-/// The stages of the way, once both proxies have written down what they carried.
+/// Returns the median latency of each stage, once both proxies have recorded all messages.
 fn stages(fabric: &Fabric, received: u64) -> Result<BTreeMap<&'static str, f64>> {
     let topic = |end: &str| fabric.proxy_stats(end)["topics"][0].clone();
     wait::wait_for("both proxies' statistics", Duration::from_secs(5), || {
@@ -185,12 +187,11 @@ fn stages(fabric: &Fabric, received: u64) -> Result<BTreeMap<&'static str, f64>>
         ("3 proxy to proxy", median("cloud", "arrival")),
         ("4 into DDS", median("cloud", "handling")),
     ];
-    // RustDDS knows no timestamp of samples that came in fragments.
+    // RustDDS provides no timestamp for samples that arrive in fragments.
     Ok(stages.into_iter().filter_map(|(stage, p50)| Some((stage, p50?))).collect())
 }
 
-/// Processes of the lowest priority that keep every processor from going to sleep, as long as they
-/// live.
+/// Starts processes of the lowest priority that keep every processor awake, until they are dropped.
 fn keep_awake() -> Result<Vec<Process>> {
     let folder = std::env::temp_dir();
     let spin = |i| {
@@ -212,7 +213,7 @@ fn row(route: LatencyRoute, awake: bool, bytes: usize, rate: f64, sent: u64, all
     let at = |percent| micros(peers::percentile(&sorted, percent));
     let mean = sorted.iter().map(|d| micros(*d)).sum::<f64>() / sorted.len().max(1) as f64;
     let latency_us = Latency { mean, p50: at(50.0), p90: at(90.0), p99: at(99.0), max: at(100.0) };
-    // Of the round in the middle.
+    // The stages of the middle round.
     let mut stages: Vec<_> = all.into_iter().map(|m| m.stages).collect();
     let stages_us = stages.swap_remove(stages.len() / 2);
     LatencyRow { route, awake, bytes, rate, sent, received, latency_us, stages_us }

@@ -1,6 +1,6 @@
-//! From one endpoint to another on the switch's own host: through the daemon, on packet sockets, by
-//! the pair of interfaces. The measurement itself is a bench target of `gdp-tests`, which has the
-//! eBPF loader; here it is built and run.
+//! Measures the path between two endpoints on the switch's own host: through the daemon, on packet
+//! sockets, and by the pair of interfaces. It builds and runs a bench target of `gdp-tests`, which
+//! has the eBPF loader and does the measurement.
 
 use anyhow::Result;
 
@@ -11,10 +11,10 @@ pub struct Options {
     /// One JSON object on stdout instead of a table
     #[arg(long)]
     json: bool,
-    /// Each way is measured this often, in turn
+    /// Number of measurements of each path, in turn
     #[arg(long, default_value_t = 7)]
     rounds: u32,
-    /// How long one measurement takes
+    /// Milliseconds per measurement
     #[arg(long, default_value_t = 300)]
     milliseconds: u64,
 }

@@ -1,7 +1,7 @@
-//! `cargo xtask bench NAME [--json]`: the figures in `docs/benchmarks`, one file a figure.
+//! `cargo xtask bench NAME [--json]`: measures the figures in `docs/benchmarks`, one file for each.
 //!
-//! What is compared is measured in one run under the same conditions, in turn, so that a busy
-//! machine slows both.
+//! The compared alternatives are measured in one run under the same conditions, in turn, so that a
+//! busy machine slows all of them.
 
 mod control;
 mod forward;
@@ -24,14 +24,13 @@ enum Figure {
     /// One-way latency, DDS to DDS: over three XDP switches, beside the same programs over three IP
     /// routers
     Latency(latency::Options),
-    /// What forwarding costs: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder
-    /// on packet sockets
+    /// Cost of forwarding: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on
+    /// packet sockets
     Forward(forward::Options),
-    /// The control plane: statements and queries per second, memory per name, recovery after a cut,
+    /// Control plane: statements and queries per second, memory per name, recovery after a cut,
     /// reconciliation
     Control(control::Options),
-    /// From one endpoint to another on the switch's host: through the daemon, on packet sockets,
-    /// past both
+    /// Between two endpoints on the switch's host: through the daemon, on packet sockets, past both
     Local(local::Options),
     /// ROS 2 messages through two proxies: latency and processor time, beside kernel routers and
     /// two zenoh bridges

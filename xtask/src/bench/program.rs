@@ -1,4 +1,4 @@
-//! The command line of a benchmark program.
+//! Builds the command line of a benchmark program.
 
 use crate::setup::Purpose;
 use crate::workspace::Profile;
@@ -6,7 +6,7 @@ use crate::{build, setup, shell, workspace};
 use anyhow::{Result, bail};
 use std::process::Command;
 
-/// How often and how long to measure, and how to show it.
+/// Passes the options for rounds, duration and output to a benchmark program.
 pub fn pass(command: &mut Command, rounds: u32, milliseconds: u64, json: bool) {
     command.args(["--rounds", &rounds.to_string(), "--milliseconds", &milliseconds.to_string()]);
     if json {
@@ -14,13 +14,13 @@ pub fn pass(command: &mut Command, rounds: u32, milliseconds: u64, json: bool) {
     }
 }
 
-/// Which rows to measure, and whether to draw them.
+/// The rows to measure, and whether to draw them.
 #[derive(clap::Args)]
 pub struct Rows {
     /// Only this row of the figures (can be given several times); an unknown one lists all
     #[arg(long, value_name = "ROW")]
     pub only: Vec<String>,
-    /// Draw the plots in docs/plots anew
+    /// Redraw the plots in docs/plots
     #[arg(long)]
     pub plots: bool,
 }
@@ -36,7 +36,8 @@ impl Rows {
     }
 }
 
-/// A bench target of `gdp-tests`, which runs as root in namespaces and is given the XDP switch.
+/// Returns the command of a bench target of `gdp-tests`, which runs as root in namespaces with the
+/// XDP switch.
 pub fn target(name: &str) -> Result<Command> {
     if !workspace::is_root() {
         bail!("network namespaces need root");

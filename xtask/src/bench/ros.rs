@@ -1,5 +1,5 @@
-//! ROS 2 messages through two proxies, beside the same DDS programs over kernel routers, and beside
-//! two zenoh bridges.
+//! Measures ROS 2 messages through two proxies. Compares them with the same DDS programs over
+//! kernel routers, and with two zenoh bridges.
 //!
 //! ```text
 //!  gdp    talker ─lo─ gdp-proxy ──── s1 ── s2 ── s3 ──── gdp-proxy ─lo─ listener     (XDP)
@@ -7,11 +7,10 @@
 //!  ip     talker ─────────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
 //! ```
 //!
-//! Both ends are Cyclone DDS. What has to keep up with a rate is measured with Fast DDS, whose
-//! program here is compiled: without zenoh, which only carries what belongs to a ROS node, as
-//! Cyclone's program is one. Processor time is that of what stands between the two programs:
-//! proxies and daemons of switches, or bridges; what the kernel does for a frame on its way is
-//! nobody's.
+//! Both ends are Cyclone DDS. Loads with a high rate use Fast DDS, because its program is compiled.
+//! Zenoh has no such loads, because it carries only topics of a ROS node, and only the Cyclone
+//! program is one. Processor time is that of the programs between the two ends: proxies and daemons
+//! of switches, or bridges. The kernel's time for forwarding frames does not count.
 
 mod zenoh;
 
@@ -41,7 +40,7 @@ pub struct Options {
     /// Seconds of each load, per path and round
     #[arg(long, default_value_t = 10)]
     seconds: u32,
-    /// Each path is measured this often, in turn
+    /// Number of measurements of each path, in turn
     #[arg(long, default_value_t = 2)]
     rounds: u32,
     /// Only messages of this size (may be repeated)
@@ -91,16 +90,16 @@ impl Load {
 struct RosRow {
     route: RosRoute,
     bytes: usize,
-    /// Per second, on all topics together.
+    /// Messages per second, on all topics together.
     rate: f64,
     topics: u32,
     sent: u64,
     received: u64,
-    /// Messages that are not as they were sent.
+    /// Number of messages that arrived damaged.
     damaged: u64,
-    /// From `write` to the callback.
+    /// Latency from `write` to the callback, in microseconds.
     latency_us: Latency,
-    /// Microseconds of processor time a message; of nobody over routers.
+    /// Processor time per message in microseconds, or `None` over routers.
     cpu_us: Option<f64>,
 }
 
@@ -112,7 +111,7 @@ struct Latency {
     max: f64,
 }
 
-/// What one conversation showed.
+/// The result of one conversation.
 struct Measured {
     received: Vec<Received>,
     cpu: Option<Duration>,
@@ -186,8 +185,8 @@ impl Bench {
             RosRoute::Ip => {
                 let chain = routers()?;
                 let (robot, cloud) = chain.ip_ends();
-                // DDS finds its peers by multicast, which routers do not forward: each is told of
-                // the other.
+                // DDS finds its peers by multicast, which routers do not forward. So each side gets
+                // the address of the other.
                 let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
                 let hears = Traffic { peer: Some(robot), ..traffic };
                 let folder = logs()?;
@@ -221,7 +220,7 @@ fn routers() -> Result<Chain> {
     Ok(chain)
 }
 
-/// `between`: whose processor time counts.
+/// Runs one conversation. `between` lists the processes whose processor time counts.
 fn converse(
     tools: &Tools,
     vendor: Vendor,
@@ -233,7 +232,8 @@ fn converse(
     let listener = Side { at: to, vendor, traffic: hears };
     let mut both = match Conversation::start(tools, talker, listener, folder) {
         Ok(both) => both,
-        // A row as well: what is too much for a path does not keep the others from being measured.
+        // A failure is also a row, so that a load that is too high for one path does not end the
+        // benchmark.
         Err(error) => {
             wait::check_interrupt()?;
             eprintln!("nothing arrives: {error:#}");

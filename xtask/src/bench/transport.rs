@@ -1,5 +1,5 @@
-//! Messages from one program to another: this SDK beside QUIC and beside TLS over TCP. The
-//! measurements themselves are a bench target of `gdp-tests`; here it is built and run.
+//! Measures messages between two programs: this SDK beside QUIC and beside TLS over TCP. It builds
+//! and runs a bench target of `gdp-tests`, which does the measurements.
 
 use anyhow::Result;
 
@@ -12,10 +12,10 @@ pub struct Options {
     json: bool,
     #[command(flatten)]
     rows: super::program::Rows,
-    /// Whatever is compared is measured this often, in turn
+    /// Number of measurements of each alternative, in turn
     #[arg(long, default_value_t = 7)]
     rounds: u32,
-    /// How long one measurement takes; those at a fixed rate take six times as long
+    /// Milliseconds per measurement; those at a fixed rate take six times as long
     #[arg(long, default_value_t = 500)]
     milliseconds: u64,
 }

@@ -1,10 +1,10 @@
-//! The rule on crates: what each may not depend on, however indirectly.
+//! The rule on crates: forbidden dependencies, direct or indirect.
 
 use anyhow::{Context, Result};
 
 use crate::shell;
 
-/// A crate, and crates that are not among its dependencies with default features.
+/// Crates, each with those that must not be among its dependencies with default features.
 const FORBIDDEN: [(&str, &[&str]); 6] = [
     ("gdp-wire", &["tokio", "serde_json"]),
     ("gdp-core", &["tokio", "quinn", "rtnetlink"]),

@@ -1,4 +1,4 @@
-//! The rule on the crate `gdp`: users see at most 60 items, and nothing but re-exports and what is
+//! The rule on the crate `gdp`: it exports at most 60 items, and only re-exports and the module
 //! marked unstable.
 
 use std::collections::HashMap;
@@ -10,7 +10,7 @@ use super::sources::SourceFile;
 
 const FACADE: &str = "gdp/src/lib.rs";
 const MOST_ITEMS: usize = 60;
-/// The one public module: what other crates of this workspace need, without a promise.
+/// The only public module, for other crates of this workspace, without a stability promise.
 const UNSTABLE: &str = "unstable";
 
 pub fn findings(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
@@ -36,7 +36,7 @@ fn is_public(visibility: &Visibility) -> bool {
     matches!(visibility, Visibility::Public(_))
 }
 
-/// How many names a `use` brings in; a glob counts as too many.
+/// Returns the number of names that a `use` imports. A glob counts as too many.
 fn names(tree: &UseTree) -> usize {
     match tree {
         UseTree::Path(part) => names(&part.tree),

@@ -1,5 +1,5 @@
-//! Import circles: files of one crate that use each other's definitions, found as strongly
-//! connected components.
+//! Finds import cycles: files of one crate that use each other's definitions, as strongly connected
+//! components.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
@@ -17,13 +17,13 @@ use super::sources::{SourceFile, is_for_tests};
 /// The names that one file uses of another.
 pub type Edges<'a> = BTreeMap<(&'a Path, &'a Path), BTreeSet<String>>;
 
-/// One circle: its files, and the uses that tie them.
+/// A cycle: its files, and the names that connect them.
 pub struct Circle<'a> {
     pub files: Vec<&'a Path>,
     pub edges: Edges<'a>,
 }
 
-/// The circles of every crate. `sources`: the product's files, by path.
+/// Returns the cycles of every crate. `sources` are the product's files by path.
 pub fn circles(sources: &HashMap<PathBuf, SourceFile>) -> Vec<Circle<'_>> {
     let mut roots: Vec<&SourceFile> = sources.values().filter(|source| is_root(&source.path)).collect();
     roots.sort_by(|a, b| a.path.cmp(&b.path));
@@ -68,7 +68,7 @@ struct Uses<'t, 'a> {
 impl Uses<'_, '_> {
     fn path(&mut self, path: &[String]) {
         let Some(absolute) = self.tree.absolute(self.module, path) else { return };
-        // A module that is brought into scope counts where something of it is used.
+        // An imported module counts only where one of its items is used.
         if self.tree.is_module(&absolute) {
             return;
         }
@@ -99,7 +99,8 @@ impl Uses<'_, '_> {
         }
     }
 
-    /// A re-export ties a module to its child only where the module itself uses the name.
+    /// Adds re-exports that the module itself uses. Other re-exports do not connect a module to its
+    /// child.
     fn reexports_used_here(&mut self, items: &[Item]) {
         let is_other = |item: &&Item| !matches!(item, Item::Use(_) | Item::Mod(_)) && !is_test_item(item);
         let mut words = BTreeSet::new();
@@ -110,7 +111,7 @@ impl Uses<'_, '_> {
         paths.iter().for_each(|path| self.path(path));
     }
 
-    /// Paths in a macro's input, which is not parsed.
+    /// Finds paths in a macro's input, which `syn` does not parse.
     fn tokens(&mut self, tokens: TokenStream) {
         let mut path: Vec<String> = Vec::new();
         let mut colons = 0;

@@ -1,4 +1,4 @@
-//! Rules on lines: how long a file is, how wide its lines are, and that tests lie outside of `src`.
+//! Rules on lines: the length of a file, the width of its lines, and tests outside of `src`.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ pub fn long_files(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     long.into_iter().map(|(length, path)| format!("{}: {length} lines", path.display())).collect()
 }
 
-/// Test modules whose text lies in a product file, and test files below `src`.
+/// Returns test modules with their text in a product file, which belong in a separate file.
 pub fn tests_in_product(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let mut found: Vec<String> = product.values().flat_map(inline_tests).collect();
     found.sort();
@@ -56,7 +56,7 @@ pub fn wide_lines() -> Result<Vec<String>> {
     Ok(wide)
 }
 
-/// String literals, drawings and code in comments are as wide as they are.
+/// Finds wide lines in code. String literals, drawings, and code in comments may have any width.
 fn wide_in_code(path: &Path, text: &str) -> Vec<String> {
     let mut in_code = false;
     let mut wide = Vec::new();
@@ -76,13 +76,13 @@ fn wide_in_code(path: &Path, text: &str) -> Vec<String> {
     wide
 }
 
-/// The text of a line that is nothing but a comment.
+/// Returns the text of a line that contains only a comment.
 fn comment(line: &str) -> Option<&str> {
     let text = line.trim_start().strip_prefix("//")?;
     Some(text.trim_start_matches(['/', '!']).trim())
 }
 
-/// Tables, code and links are as wide as they are.
+/// Finds wide lines in a document. Tables, code and links may have any width.
 fn wide_in_document(path: &Path, text: &str) -> Vec<String> {
     let mut in_code = false;
     let mut wide = Vec::new();

@@ -1,4 +1,5 @@
-//! `cargo xtask check`: the rules of the source tree that a compiler does not know. Takes seconds.
+//! `cargo xtask check`: checks rules of the source tree that the compiler does not check. It takes
+//! seconds.
 
 mod dependencies;
 mod facade;
@@ -16,7 +17,7 @@ use anyhow::{Result, bail};
 
 use self::sources::SourceFile;
 
-/// How many findings of a rule over its limit are printed without `--all`.
+/// Maximum number of findings that are printed for a rule over its limit, without `--all`.
 const MAX_PRINTED: usize = 20;
 
 #[derive(clap::Args)]
@@ -26,11 +27,11 @@ pub struct Options {
     all: bool,
 }
 
-/// One rule and everything that breaks it.
+/// A rule with all its findings.
 struct Rule {
     name: &'static str,
-    /// Findings that the tree had when the rule began to hold. To be lowered with every finding
-    /// that is removed.
+    /// Number of findings when the rule was introduced. It must be lowered with every finding that
+    /// is removed.
     limit: usize,
     findings: Vec<String>,
 }
@@ -82,7 +83,7 @@ impl Rule {
         if self.findings.len() < self.limit {
             println!("         lower the limit in xtask/src/check/mod.rs to {}", self.findings.len());
         }
-        // What is within the limit has been there before.
+        // Findings within the limit are old, so they are not printed.
         let shown = match self.findings.len() > self.limit {
             _ if all => self.findings.len(),
             true => MAX_PRINTED,

@@ -1,4 +1,4 @@
-//! The module tree of one crate, and which file defines what a path names.
+//! Reads the module tree of one crate, and finds the file that defines a path.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -7,24 +7,23 @@ use syn::{Attribute, Expr, Item, ItemMod, Lit, Meta, UseTree, Visibility};
 
 use super::sources::{SourceFile, is_for_tests};
 
-/// A module's path inside its crate; empty for the root.
+/// A module's path inside its crate, which is empty for the root.
 pub type ModulePath = Vec<String>;
 
-/// What one module declares. Modules that are written inline share their file with the module
-/// around them.
+/// The declarations of one module. An inline module has the file of the module around it.
 pub struct Module<'a> {
     pub file: &'a Path,
     pub items: &'a [Item],
-    /// What `use` brings into scope: the name here, and the whole path as it is written.
+    /// The imports of `use` by local name.
     pub imports: HashMap<String, Import>,
-    /// Modules that are brought into scope whole.
+    /// The modules that glob imports name.
     globs: Vec<Vec<String>>,
     defined: Vec<String>,
 }
 
 pub struct Import {
     pub path: Vec<String>,
-    /// Others may take the name from here.
+    /// Whether other modules may import the name from here.
     pub is_reexport: bool,
 }
 
@@ -34,20 +33,20 @@ pub struct Crate<'a> {
 }
 
 impl<'a> Crate<'a> {
-    /// `root`: the path of `lib.rs` or `main.rs`. Modules that are compiled for tests only are left
-    /// out.
+    /// Reads the modules of a crate. `root` is its `lib.rs` or `main.rs`. Skips modules that are
+    /// compiled only for tests.
     pub fn read(root: &'a SourceFile, sources: &'a HashMap<PathBuf, SourceFile>) -> Self {
         let mut modules = BTreeMap::new();
         add(&mut modules, sources, Vec::new(), &root.path, &root.syntax.items, &folder_of_root(&root.path));
         Self { modules }
     }
 
-    /// The file that defines what `path` (from the crate's root) names; re-exports are followed.
+    /// Returns the file that defines `path`, which starts at the crate's root. Follows re-exports.
     pub fn definer(&self, path: &[String]) -> Option<&'a Path> {
         self.follow(path, 0)
     }
 
-    /// Makes a path absolute that is written in `module`. Nothing for paths that lead out of the
+    /// Makes a path that is written in `module` absolute. Returns `None` for a path outside the
     /// crate.
     pub fn absolute(&self, module: &[String], path: &[String]) -> Option<Vec<String>> {
         let rest = |from: usize| path[from..].iter().cloned();
@@ -65,7 +64,7 @@ impl<'a> Crate<'a> {
                     return Some(child.into_iter().chain(rest(1)).collect());
                 }
                 let import = self.modules.get(module)?.imports.get(first)?;
-                // An import of an outside crate's name would be looked up for ever.
+                // Following an import of an external crate's name would never end.
                 (import.path.first().map(String::as_str) != Some(first)).then_some(())?;
                 let target = self.absolute(module, &import.path)?;
                 Some(target.into_iter().chain(rest(1)).collect())
@@ -73,7 +72,7 @@ impl<'a> Crate<'a> {
         }
     }
 
-    /// Whether `path` names a module, and not something in one.
+    /// Returns whether `path` names a module.
     pub fn is_module(&self, path: &[String]) -> bool {
         self.modules.contains_key(path)
     }
@@ -82,7 +81,7 @@ impl<'a> Crate<'a> {
         let known = (0..=path.len()).rev().find(|length| self.modules.contains_key(&path[..*length]))?;
         let (here, module) = (&path[..known], &self.modules[&path[..known]]);
         let Some(name) = path.get(known) else { return Some(module.file) };
-        // A chain of re-exports is short; a loop of them does not compile.
+        // A chain of re-exports is short; a cycle of them does not compile.
         if depth > 8 || module.defined.contains(name) {
             return Some(module.file);
         }
@@ -173,8 +172,8 @@ impl Module<'_> {
     }
 }
 
-/// Where `mod name;` finds its file: `name.rs` or `name/mod.rs` in the module's folder, or what
-/// `#[path]` says.
+/// Returns the file of `mod name;`: `name.rs` or `name/mod.rs` in the module's folder, or the path
+/// of `#[path]`.
 fn file_of<'a>(module: &ItemMod, folder: &Path, sources: &'a HashMap<PathBuf, SourceFile>) -> Option<&'a SourceFile> {
     let name = module.ident.to_string();
     match module.attrs.iter().find_map(path_attribute) {

@@ -1,5 +1,5 @@
-//! Rules on names: types whose name is used too often, and words that engineers of the field do not
-//! use.
+//! Rules on names: type names that are defined too often, and words that are not terms of the
+//! field.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use super::sources::{SourceFile, is_for_tests};
 
 const MOST_DEFINITIONS: usize = 3;
 
-/// Words that were used in place of the field's terms. None of them is part of a definition's name.
+/// Retired words, which replaced terms of the field. No name of a definition may contain one.
 const RETIRED: [&str; 46] = [
     "abroad",
     "anew",
@@ -61,10 +61,10 @@ const RETIRED: [&str; 46] = [
     "vouch",
 ];
 
-/// Programs' option structs, errors and results bear the same name in each module by convention.
+/// Type names that each module may define by convention.
 const CONVENTIONAL: [&str; 5] = ["Options", "Error", "Result", "Command", "Config"];
 
-/// Type names that the product defines more often than three times.
+/// Returns the type names that the product defines more than three times.
 pub fn repeated_types(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let mut definitions: BTreeMap<String, Vec<&Path>> = BTreeMap::new();
     for source in product.values() {
@@ -93,7 +93,7 @@ fn type_name(item: &Item) -> Option<String> {
     }
 }
 
-/// Definitions and files whose name has a word of [`RETIRED`] in it.
+/// Returns the definitions and files whose name contains a word of [`RETIRED`].
 pub fn retired_words(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let mut found = Vec::new();
     for source in product.values() {
@@ -114,7 +114,7 @@ fn is_retired(name: &str) -> bool {
     words(name).iter().any(|word| RETIRED.contains(&word.as_str()))
 }
 
-/// The words of `snake_case` and `CamelCase` names, in small letters.
+/// Returns the words of a `snake_case` or `CamelCase` name in lower case.
 fn words(name: &str) -> Vec<String> {
     let mut words = vec![String::new()];
     for letter in name.chars() {
@@ -129,7 +129,7 @@ fn words(name: &str) -> Vec<String> {
     words.into_iter().map(|word| word.to_lowercase()).collect()
 }
 
-/// Collects the names of everything that a file defines.
+/// Collects the names of all definitions in a file.
 struct DefinedNames(Vec<String>);
 
 impl DefinedNames {

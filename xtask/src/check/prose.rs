@@ -11,7 +11,8 @@ use crate::workspace;
 
 const MOST_WORDS: usize = 25;
 
-/// Files without a first sentence, and first sentences of files and public items that are too long.
+/// Returns files without a first sentence, and first sentences of files and public items that are
+/// too long.
 pub fn findings(product: &HashMap<PathBuf, SourceFile>) -> Vec<String> {
     let mut found: Vec<String> = product.values().flat_map(of_source).collect();
     found.sort();
@@ -34,7 +35,8 @@ fn of_source(source: &SourceFile) -> Vec<String> {
     found
 }
 
-/// Sentences of tracked Markdown documents with too many words. Tables and code are left out.
+/// Returns the sentences of tracked Markdown documents with too many words. Ignores tables and
+/// code.
 pub fn documents() -> Result<Vec<String>> {
     let mut found = Vec::new();
     for path in tracked("*.md")? {
@@ -52,7 +54,7 @@ pub fn documents() -> Result<Vec<String>> {
     Ok(found)
 }
 
-/// Runs of prose lines, each with the number of its first line.
+/// Returns the paragraphs of prose, each with the number of its first line.
 fn paragraphs(text: &str) -> Vec<(usize, String)> {
     let mut paragraphs: Vec<(usize, String)> = Vec::new();
     let (mut in_code, mut goes_on) = (false, false);
@@ -75,7 +77,8 @@ fn paragraphs(text: &str) -> Vec<(usize, String)> {
     paragraphs
 }
 
-/// A sentence ends with a full stop, question or exclamation mark or colon before a space.
+/// Splits a paragraph into sentences. A sentence ends with a full stop, question mark, exclamation
+/// mark or colon before a space.
 fn sentences(paragraph: &str) -> impl Iterator<Item = String> {
     let mut sentences = vec![String::new()];
     for word in paragraph.split_whitespace() {
@@ -91,7 +94,7 @@ fn sentences(paragraph: &str) -> impl Iterator<Item = String> {
     sentences.into_iter().filter(|sentence| !sentence.is_empty())
 }
 
-/// The number of words of the first sentence, if there is one.
+/// Returns the number of words of the first sentence, if there is one.
 fn first_sentence(text: &str) -> Option<usize> {
     let paragraph = text.trim_start().split("\n\n").next().filter(|paragraph| !paragraph.trim().is_empty())?;
     sentences(paragraph).next().map(|sentence| count_words(&sentence))

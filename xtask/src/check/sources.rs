@@ -1,4 +1,4 @@
-//! The product's source files, parsed once: what every rule of `cargo xtask check` reads.
+//! Reads and parses the product's source files once, for all rules of `cargo xtask check`.
 
 use std::path::{Path, PathBuf};
 
@@ -8,9 +8,9 @@ use syn::{Attribute, File};
 
 use crate::{shell, workspace};
 
-/// One `.rs` file that is compiled into the product, without its tests.
+/// One `.rs` file of the product, without its tests.
 pub struct SourceFile {
-    /// Relative to the workspace's root.
+    /// The path relative to the workspace's root.
     pub path: PathBuf,
     pub text: String,
     pub syntax: File,
@@ -19,7 +19,7 @@ pub struct SourceFile {
 /// Folders whose Rust files are not part of the product.
 const NOT_PRODUCT: [&str; 3] = ["tests", "fuzz", "third_party"];
 
-/// Every product file that Git tracks, in the order of the paths.
+/// Returns every product file that Git tracks, ordered by path.
 pub fn product() -> Result<Vec<SourceFile>> {
     let mut sources = Vec::new();
     for path in tracked("*.rs")? {
@@ -31,8 +31,8 @@ pub fn product() -> Result<Vec<SourceFile>> {
     Ok(sources)
 }
 
-/// The files that Git tracks and that match `pattern`, relative to the workspace's root. Deleted
-/// ones are left out.
+/// Returns the files that Git tracks and that match `pattern`, relative to the workspace's root.
+/// Skips deleted files.
 pub fn tracked(pattern: &str) -> Result<Vec<PathBuf>> {
     let mut git = Program::Git.command();
     git.args(["ls-files", pattern]).current_dir(workspace::root());
@@ -40,7 +40,7 @@ pub fn tracked(pattern: &str) -> Result<Vec<PathBuf>> {
     Ok(listed.lines().map(PathBuf::from).filter(|path| workspace::root().join(path).is_file()).collect())
 }
 
-/// A product file lies below a `src` folder, or is a build script.
+/// Returns whether a file is below a `src` folder or is a build script, and in no excluded folder.
 fn is_product(path: &Path) -> bool {
     let mut folders = path.iter().map(|part| part.to_string_lossy());
     let top = folders.next().unwrap_or_default();
@@ -54,7 +54,7 @@ fn read(path: PathBuf) -> Result<SourceFile> {
     Ok(SourceFile { path, text, syntax })
 }
 
-/// Whether an item with these attributes is compiled for tests only.
+/// Returns whether an item with these attributes is compiled only for tests.
 pub fn is_for_tests(attributes: &[Attribute]) -> bool {
     attributes.iter().any(|attribute| {
         attribute.path().is_ident("cfg")

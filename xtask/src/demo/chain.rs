@@ -1,5 +1,5 @@
-//! `cargo xtask demo --chain`: a ROS 2 topic of one DDS vendor crosses three XDP switches to the
-//! other vendor's listener.
+//! `cargo xtask demo --chain`: sends a ROS 2 topic of one DDS vendor across three XDP switches to
+//! the other vendor's listener.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -18,26 +18,26 @@ use super::story::{Latency, Seen, Story, text};
 use crate::demo::options::{Options, TEXT};
 use crate::workspace::{self, Profile};
 
-/// What `--json` prints.
+/// The output of `--json`.
 #[derive(Serialize)]
 pub struct ChainOutcome {
     sent: u64,
     received: u64,
     lost: u64,
     latency_us: Latency,
-    /// Of the topic, 64 hex digits.
+    /// The name of the topic, 64 hex digits.
     name: String,
-    /// The nodes a message crosses, in order.
+    /// The nodes that a message crosses, in order.
     path: Vec<String>,
-    /// Data frames that never left the kernel, per switch.
+    /// Number of data frames that each switch forwarded in the kernel.
     forwarded_in_kernel: BTreeMap<String, u64>,
-    /// Of all switches, as the daemons say it; `mixed` if they differ.
+    /// The data plane of all switches, as their daemons report it, or `mixed` if they differ.
     data_plane: String,
     #[serde(flatten)]
     seen: Seen,
 }
 
-/// The link between s1 and s2 goes through a bridge, where an eavesdropper listens.
+/// The link between s1 and s2, which goes through a bridge with an eavesdropper.
 const TAPPED: usize = 1;
 
 pub fn play(options: &Options, story: &Story) -> Result<ChainOutcome> {
@@ -76,7 +76,7 @@ pub fn play(options: &Options, story: &Story) -> Result<ChainOutcome> {
     Ok(outcome)
 }
 
-/// Tells of messages while they arrive, and returns all.
+/// Prints messages while they arrive, and returns all of them.
 fn watch(conversation: &mut Conversation, sending: Duration, story: &Story) -> Result<Vec<Received>> {
     let started = Instant::now();
     let mut next = Duration::ZERO;
@@ -95,7 +95,7 @@ fn watch(conversation: &mut Conversation, sending: Duration, story: &Story) -> R
     conversation.finish(Duration::from_secs(5), Duration::from_secs(5))
 }
 
-/// Per switch, data frames forwarded without the daemon.
+/// Returns the number of data frames that each switch forwarded without its daemon.
 fn in_kernel(fabric: &Fabric) -> Result<Vec<u64>> {
     (0..fabric.switches.len()).map(|i| fabric.forwarded_in_kernel(i)).collect()
 }

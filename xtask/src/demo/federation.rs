@@ -1,6 +1,6 @@
 //! The paper's Figure 4: a robot at an enterprise and a cloud at a university, two trust domains
-//! below a third, NAT before both. In the middle of its talk the robot moves to the university;
-//! there its switch dies, and another takes over.
+//! below a third, both behind NAT. While messages flow, the robot moves to the university. There
+//! its switch fails, and another takes over.
 
 use std::time::{Duration, Instant};
 
@@ -16,32 +16,32 @@ use super::story::{Latency, Seen, Story, arrived, text};
 use crate::demo::options::{Options, TEXT};
 use crate::workspace::{self, Profile};
 
-/// What `--json` prints.
+/// The output of `--json`.
 #[derive(Serialize)]
 pub struct FederationOutcome {
     sent: u64,
     received: u64,
     lost: u64,
     latency_us: Latency,
-    /// Of the topic, 64 hex digits.
+    /// The name of the topic, 64 hex digits.
     name: String,
-    /// What happened, in order.
+    /// The chapters of the story, in order.
     chapters: Vec<Chapter>,
     #[serde(flatten)]
     seen: Seen,
 }
 
-/// A part of the story: from one event to the next.
+/// A part of the story, from one event to the next.
 #[derive(Serialize)]
 struct Chapter {
     what: &'static str,
-    /// The robot's address in its network, and the one that its switch sees.
+    /// The robot's address in its network. `seen_as` is the address that its switch sees.
     robot_address: String,
     seen_as: String,
-    /// The switches from the robot to the cloud.
+    /// The switches from the robot to the cloud, in order.
     path: Vec<String>,
-    /// The longest that a message took from the robot to the cloud, in milliseconds: what the event
-    /// cost.
+    /// The longest latency of a message from the robot to the cloud, in milliseconds. It shows the
+    /// cost of the event.
     gap_ms: f64,
 }
 
@@ -125,8 +125,8 @@ fn received(conversation: &Conversation) -> usize {
     peers::received(&conversation.listener).len()
 }
 
-/// Tells of messages for a while, and of what the switches say meanwhile. `before`: messages that
-/// had come when it began. `at`: the robot's switch.
+/// Prints messages for a while, and then what the switches report. `before` is the number of
+/// messages at the start of the chapter. `at` is the robot's switch.
 fn chapter(
     federation: &Federation,
     story: &Story,
@@ -151,7 +151,7 @@ fn chapter(
             story.message(latest);
             next = begun.elapsed() + Duration::from_secs(1);
         }
-        // Once all has settled.
+        // The switches' state has settled by now.
         if told.is_none() && begun.elapsed() >= length / 2 {
             told = Some((seen_as(federation, at)?, path(federation, at)?));
         }
@@ -167,7 +167,7 @@ fn chapter(
     Ok(Chapter { what, robot_address, seen_as, path, gap_ms })
 }
 
-/// The university's switch that the robot's messages go by.
+/// Returns the university's switch that carries the robot's messages.
 fn serving(federation: &Federation) -> Result<&'static str> {
     let forwarded = |label: &str| -> Result<u64> {
         let status = federation.ctl(label, &["status"])?;
@@ -184,22 +184,22 @@ fn serving(federation: &Federation) -> Result<&'static str> {
     })
 }
 
-/// Where the robot's frames come from, as its switch sees it.
+/// Returns the source address of the robot's frames, as its switch sees it.
 fn seen_as(federation: &Federation, at: &str) -> Result<String> {
     let links = federation.ctl(at, &["link", "list"])?;
     let of_robot = links["links"].as_array().into_iter().flatten().find(|link| link["role"] == "endpoint");
     Ok(text(&of_robot.with_context(|| format!("{at} has no link of the robot"))?["address"]))
 }
 
-/// The switches that `gdp-ctl trace` finds from here on: to the border, and on from the one behind
-/// it.
+/// Returns the switches that `gdp-ctl trace` finds from here on. It traces to the border of each
+/// domain, and continues at the switch behind it.
 fn path(federation: &Federation, from: &str) -> Result<Vec<String>> {
     let name = federation.name.as_deref().context("the name of the topic")?;
     let (mut path, mut at) = (Vec::<String>::new(), from.to_owned());
     loop {
         let trace = match federation.ctl(&at, &["trace", name]) {
             Ok(trace) => trace,
-            // The last switch has the reader's link, and nothing further on.
+            // The last switch has the reader's link and no further hop.
             Err(_) => {
                 path.push(at);
                 return Ok(path);

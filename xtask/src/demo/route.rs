@@ -1,17 +1,17 @@
-//! Follows the topic's name through the fabric: from the writer's switch, as each switch's table
-//! and the RIB's map say.
+//! Follows the topic's name through the fabric, from the writer's switch, by each switch's table
+//! and the RIB's topology.
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::fabric::Fabric;
 use serde_json::Value;
 
-/// A node on the way, and what it does with the message.
+/// A node on the path, and what it does with the message.
 pub struct Hop {
     pub node: String,
     pub what: String,
 }
 
-/// The way from the robot to the cloud. Fails if the tables lead nowhere, or in a circle.
+/// Returns the path from the robot to the cloud. Fails if the tables lead nowhere or in a circle.
 pub fn follow(fabric: &Fabric) -> Result<Vec<Hop>> {
     let rib = fabric.ctl(fabric.switches.len() - 1, &["rib", "dump"])?;
     let mut here = where_is(&rib, fabric, "publisher")?;
@@ -34,8 +34,8 @@ pub fn follow(fabric: &Fabric) -> Result<Vec<Hop>> {
                 let bits = entry["egress_bits"].as_str().unwrap_or_default();
                 (index(fabric, next)?, format!("looks the name up and stamps egress bits {bits}"))
             }
-            // In transit there is no entry per name; the map of the domain says where the bits
-            // lead.
+            // Transit switches have no entry per name. The topology of the domain determines where
+            // the bits lead.
             None => (step(&rib, fabric, here, reader_is_at)?, "sees bits, knows nothing of the name".into()),
         };
         hops.push(Hop { node: label, what: format!("{how}: to s{}", next + 1) });
@@ -45,7 +45,7 @@ pub fn follow(fabric: &Fabric) -> Result<Vec<Hop>> {
     Ok(hops)
 }
 
-/// The switch at which who has this role in the name is.
+/// Returns the switch of the endpoint with this role in the name.
 fn where_is(rib: &Value, fabric: &Fabric, role: &str) -> Result<usize> {
     let mut records = rib["records"].as_array().into_iter().flatten();
     let record = records.find(|record| record["name"] == fabric.name.as_str() && record["role"] == role);
@@ -53,7 +53,7 @@ fn where_is(rib: &Value, fabric: &Fabric, role: &str) -> Result<usize> {
     index(fabric, record["switch"].as_str().unwrap_or_default())
 }
 
-/// The neighbour of `from` on the shortest way to `to`.
+/// Returns the neighbour of `from` on the shortest path to `to`.
 fn step(rib: &Value, fabric: &Fabric, from: usize, to: usize) -> Result<usize> {
     let mut towards = vec![None; fabric.switches.len()];
     let mut queue = std::collections::VecDeque::from([to]);

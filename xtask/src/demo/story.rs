@@ -1,4 +1,4 @@
-//! What people read of a demo, and what is the same in each.
+//! Prints the story of a demo, and computes the figures that all demos share.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use crate::demo::options::TEXT;
 
-/// From a talker's `write` to a listener's callback, in microseconds.
+/// The latency from a talker's `write` to a listener's callback, in microseconds.
 #[derive(Serialize)]
 pub struct Latency {
     pub p50: f64,
@@ -28,12 +28,12 @@ impl Latency {
     }
 }
 
-/// Messages that came as they were sent.
+/// Returns the number of messages that arrived intact.
 pub fn arrived(received: &[Received]) -> u64 {
     received.iter().filter(|m| m.intact).map(|m| m.sequence).collect::<BTreeSet<_>>().len() as u64
 }
 
-/// Words looked for in a captured frame, and those that were there (none).
+/// The words searched for in a captured frame, and those found (none).
 #[derive(Serialize)]
 pub struct Seen {
     pub looked_for: Vec<String>,
@@ -56,7 +56,7 @@ pub fn text(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
 
-/// What people read.
+/// The printed story of a demo.
 pub struct Story {
     pub silent: bool,
 }
@@ -87,7 +87,7 @@ impl Story {
         self.say(&format!("One way, DDS to DDS: p50 {p50:.0} µs, p90 {p90:.0} µs, p99 {p99:.0} µs, max {max:.0} µs"));
     }
 
-    /// A frame that was captured `place`; its GDP header begins at `start`.
+    /// Prints a frame that was captured at `place`. Its GDP header begins at `start`.
     pub fn capture(&self, place: &str, seen: &Seen, frame: &[u8], start: usize) {
         self.say(&format!("\nOne frame {place} ({} bytes):", frame.len()));
         let parts = [

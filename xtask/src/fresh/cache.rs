@@ -1,5 +1,5 @@
-//! What one run downloads and compiles for the next: bounded, for one run at a time, and emptied
-//! when a run ends badly.
+//! The cache of downloads and compiled files between runs. It is bounded, locked by one run at a
+//! time, and emptied after a run that failed.
 
 use std::fs::{self, File};
 use std::hash::{DefaultHasher, Hasher as _};
@@ -10,10 +10,10 @@ use gdp_tests::programs::{Executable as _, Program};
 
 use crate::shell;
 
-/// A folder of the cache, what it may hold, and where it is in the root.
+/// A folder of the cache with its size limit and its mount point in the root.
 pub struct CachePart {
     name: &'static str,
-    /// Bytes. A larger folder is emptied before the next run.
+    /// Maximum size in bytes. A larger folder is emptied before the next run.
     limit: u64,
     pub at: &'static str,
 }
@@ -26,34 +26,34 @@ pub const PARTS: [CachePart; 3] = [
     CachePart { name: "wheels", limit: GIB, at: "root/.cache/pip" },
 ];
 
-/// What debootstrap downloads.
+/// The folder of debootstrap's downloads.
 const DEBOOTSTRAP: &str = "debootstrap";
 
-/// What Cargo compiles: folders of the clone's target folder, one for each profile and one for each
-/// build of the XDP programs. The rest of the target folder is setup's, and made anew in each run.
+/// Folders of the clone's target folder with compiled files: one for each profile, and one for each
+/// build of the XDP programs. Setup makes the rest of the target folder anew in each run.
 pub const COMPILED: [&str; 5] = ["debug", "release", "checked", "bpf", "bpf-rebuilt"];
 
 const COMPILED_LIMIT: u64 = 16 * GIB;
 
-/// Shows that the last run that used the cache left it in order.
+/// The file that shows that the last run left the cache complete.
 const COMPLETE: &str = "complete";
 
 pub struct Cache {
     folder: PathBuf,
-    /// Whether what is compiled is taken from the cache.
+    /// Whether the root mounts the compiled files of the cache.
     has_compiled: bool,
-    /// Locked as long as this lives.
+    /// The lock, held until this is dropped.
     _lock: File,
 }
 
-/// What compiled files depend on beside the source, which Cargo looks at.
+/// The key of compiled files: what they depend on besides the source, which Cargo checks.
 pub struct Compiled {
     key: String,
 }
 
 impl Compiled {
-    /// The compiler, and the table of what setup installs: an executable that was compiled when
-    /// setup installed more must not hide that it cannot be compiled any more.
+    /// Computes the key from the compiler and the table of setup steps. Otherwise an executable
+    /// compiled under an earlier table could hide that it no longer compiles.
     pub fn key(clone: &Path) -> Result<Self> {
         let steps = clone.join("xtask/src/setup/steps.rs");
         let steps = fs::read(&steps).with_context(|| format!("cannot read {}", steps.display()))?;
@@ -66,8 +66,8 @@ impl Compiled {
 }
 
 impl Cache {
-    /// Waits for another run. Removes what a run left that did not come to its end, and what is too
-    /// large.
+    /// Opens and locks the cache, and waits for another run. Empties folders that are too large,
+    /// and all folders if the last run did not complete.
     pub fn open(folder: &Path) -> Result<Self> {
         fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         let lock = folder.join("lock");
@@ -92,14 +92,14 @@ impl Cache {
         Ok(this)
     }
 
-    /// What it holds is good, for the next run.
+    /// Marks the cache as complete for the next run.
     pub fn complete(&self) -> Result<()> {
         let marker = self.folder.join(COMPLETE);
         fs::write(&marker, "").with_context(|| format!("cannot write {}", marker.display()))
     }
 
-    /// From now on compiled files are taken from the cache, unless they were compiled under other
-    /// conditions.
+    /// Mounts the compiled files of the cache from now on. Removes them first if they have another
+    /// key.
     pub fn use_compiled(&mut self, compiled: &Compiled) -> Result<()> {
         let key = self.compiled().join("key");
         if fs::read_to_string(&key).ok().as_deref() != Some(&compiled.key) {
@@ -114,7 +114,7 @@ impl Cache {
         Ok(())
     }
 
-    /// When the content of each file of the clone was first seen.
+    /// Returns the file that records when each content of the clone was first seen.
     pub fn times(&self) -> PathBuf {
         self.compiled().join("times")
     }
@@ -123,13 +123,13 @@ impl Cache {
         self.folder.join(DEBOOTSTRAP)
     }
 
-    /// The folder that roots are made in.
+    /// Returns the folder in which roots are made.
     pub fn roots(&self) -> PathBuf {
         self.folder.clone()
     }
 
-    /// Folders of the cache, and where they are mounted in the root. `clone`: where the tree is
-    /// there.
+    /// Returns the folders of the cache with their mount points in the root. `clone` is the path of
+    /// the tree in the root.
     pub fn mounts(&self, clone: &str) -> Vec<(PathBuf, String)> {
         let parts = PARTS.iter().map(|part| (self.folder.join(part.name), part.at.to_owned()));
         let compiled = COMPILED.iter().filter(|_| self.has_compiled);
@@ -142,7 +142,7 @@ impl Cache {
     }
 }
 
-/// Bytes of the files below `path`, those that vanish meanwhile left out.
+/// Returns the size of all files below `path` in bytes. Ignores files that vanish meanwhile.
 fn size(path: &Path) -> Result<u64> {
     let Ok(metadata) = fs::symlink_metadata(path) else { return Ok(0) };
     if !metadata.is_dir() {
@@ -152,7 +152,7 @@ fn size(path: &Path) -> Result<u64> {
     entries.flatten().map(|entry| size(&entry.path())).sum()
 }
 
-/// Removes a file or folder, which may not be there.
+/// Removes a file or folder, if it exists.
 fn remove(path: &Path) -> Result<()> {
     let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
     match removed {

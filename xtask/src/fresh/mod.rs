@@ -1,12 +1,12 @@
-//! `cargo xtask fresh`: does on a clean Debian 12 what somebody does who has just found this
-//! project.
+//! `cargo xtask fresh`: does on a clean Debian 12 what a new user of this project does.
 //!
-//! A root with gcc, git and this machine's Rust toolchain gets a clone of `HEAD`. There the switch
-//! is set up, built and started; then all of setup runs, twice; every external program is looked
-//! up; and the unit tests run. What a developer's machine has and setup forgets is missing there.
+//! A root with gcc, git and this machine's Rust toolchain gets a clone of `HEAD`. There the verb
+//! sets up, builds and starts the switch. Then it runs all of setup twice, looks up every external
+//! program, and runs the unit tests. So it detects what a developer's machine has but setup does
+//! not install.
 //!
-//! [`root`] makes the root and runs commands in it, [`source`] clones the tree, [`cache`] holds
-//! what one run downloads and compiles for the next, [`stages`] measures.
+//! [`root`] makes the root and runs commands in it. [`source`] clones the tree. [`cache`] stores
+//! downloads and compiled files for the next run. [`stages`] measures.
 
 mod cache;
 mod root;
@@ -28,18 +28,18 @@ use crate::workspace;
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// Compile everything, also what an earlier run has compiled; downloads are still cached
+    /// Compile everything, without the compiled files of an earlier run; downloads are still cached
     #[arg(long)]
     cold: bool,
-    /// End with the running switch
+    /// End when the switch runs
     #[arg(long)]
     switch: bool,
 }
 
-/// How long building and starting the switch may take on a busy machine.
+/// Timeout for building and starting the switch on a busy machine.
 const BUILD: Duration = Duration::from_secs(3600);
 
-/// The stages between a clone and a running switch, for the sum that README states.
+/// The stages between a clone and a running switch, whose sum README states.
 const TO_A_SWITCH: [&str; 4] = ["clone", "crates", "setup run", "run, to the ready line"];
 
 pub fn run(options: Options) -> Result<()> {
@@ -69,7 +69,7 @@ fn in_a_clean_root(options: &Options, stages: &mut Stages) -> Result<()> {
     }
     stages.time("crates", || {
         root.online(&cache, &["cargo", "fetch", "--locked"])?;
-        // What is built later, without a network.
+        // Fetches the crates that are built later without a network.
         root.online(&cache, &["cargo", "fetch", "--locked", "--manifest-path", "gdp-ebpf/Cargo.toml"])?;
         root.online(&cache, &["cargo", "fetch", "--manifest-path", "third_party/rustdds/published/Cargo.toml"])
     })?;
@@ -93,14 +93,14 @@ fn in_a_clean_root(options: &Options, stages: &mut Stages) -> Result<()> {
     stages.time("unit tests, compile", || {
         root.offline(&cache, &site.host, &["cargo", "xtask", "test", "--unit", "--no-run"])
     })?;
-    // What is compiled is good; that a test fails says nothing about it.
+    // The compiled files are good, even if a test fails.
     cache.complete()?;
     stages.time("unit tests", || root.offline(&cache, &site.host, &["cargo", "xtask", "test", "--unit"]))?;
     root.remove()
 }
 
-/// Builds and starts the switch as README says, waits for its ready line with what it is to say,
-/// and ends it.
+/// Builds and starts the switch as README describes. Waits for its ready line, which must contain
+/// `says`, and ends the switch.
 fn run_switch(root: &Root, cache: &Cache, site: &Site, options: &[&str], says: &str) -> Result<()> {
     let logs = tempfile::tempdir()?;
     let command = root.command(cache, Some(&site.host), &[&["cargo", "xtask", "run"], options].concat())?;
@@ -113,8 +113,8 @@ fn run_switch(root: &Root, cache: &Cache, site: &Site, options: &[&str], says: &
 
 const INTERFACE: &str = "e0";
 
-/// A host with one interface, and what is at the other end of its cable. `cargo xtask run` takes no
-/// interface of this machine.
+/// A host with one interface, and the other end of its cable. It keeps `cargo xtask run` away from
+/// the interfaces of this machine.
 struct Site {
     host: Namespace,
     _beyond: Namespace,

@@ -1,5 +1,5 @@
-//! A clean Debian 12 root, and commands that run in it: in namespaces of their own, so that no
-//! mount and no process stays.
+//! Makes a clean Debian 12 root, and runs commands in it. Each command runs in its own namespaces,
+//! so that no mount and no process remains.
 
 use std::fs;
 use std::os::unix::process::CommandExt as _;
@@ -16,22 +16,21 @@ use tempfile::TempDir;
 use super::cache::Cache;
 use crate::shell;
 
-/// Where the tree is in the root.
+/// The path of the tree in the root.
 const CLONE: &str = "root/gdp";
 
 const MIRROR: &str = "http://deb.debian.org";
 
-/// What a clean machine has beside the base system: what it takes to clone the tree and to link
-/// Rust programs.
+/// Packages besides the base system, which are needed to clone the tree and to link Rust programs.
 const PACKAGES: &str = "ca-certificates,gcc,git,libc6-dev";
 
-/// Certificates that this machine trusts beside Debian's own, without which Cargo refuses a
-/// registry behind a proxy.
+/// The folder of additional certificates that this machine trusts. Cargo needs them for a registry
+/// behind a proxy.
 const CERTIFICATES: &str = "usr/local/share/ca-certificates";
 
-/// Makes the mounts that programs expect, in a mount namespace of its own, and runs the rest of its
-/// arguments in the root. It stays the first process of its namespace, and the rest ends with it.
-/// `$MOUNTS` has a line for each folder to mount: what, a tab, where.
+/// A script that mounts what programs expect, in its own mount namespace, and runs its arguments in
+/// the root. It stays the first process of its PID namespace, so its end kills all other processes
+/// there. `$MOUNTS` has a line for each folder to mount: source, a tab, target.
 const ENTER: &str = r#"
 cd "$ROOT"
 mount -t proc proc proc
@@ -64,7 +63,7 @@ chroot . /usr/bin/env -i "$@"
 pub struct Root {
     folder: Option<TempDir>,
     path: PathBuf,
-    /// The toolchain that runs this xtask, at the same place in the root.
+    /// The toolchain that runs this xtask, which has the same path in the root.
     toolchain: PathBuf,
 }
 
@@ -80,7 +79,8 @@ impl Root {
         debootstrap.args(["--variant=minbase", &format!("--include={PACKAGES}")]);
         debootstrap.arg(format!("--cache-dir={}", cache.debootstrap().display())).arg("bookworm").arg(this.path());
         debootstrap.arg(format!("{MIRROR}/debian"));
-        // Alone as well: it mounts, and starts daemons' scripts.
+        // debootstrap also runs in its own namespaces, because it mounts and starts scripts of
+        // daemons.
         let mut alone = alone();
         alone.arg(debootstrap.get_program()).args(debootstrap.get_args()).stdout(Stdio::null());
         run(&mut alone)?;
@@ -100,7 +100,7 @@ impl Root {
             fs::copy(entry.path(), &to).with_context(|| format!("cannot copy {}", entry.path().display()))?;
         }
         for file in ["etc/resolv.conf", "etc/hosts"] {
-            // A machine may have neither.
+            // These files are optional.
             if let Ok(text) = fs::read_to_string(Path::new("/").join(file)) {
                 self.write(file, &text)?;
             }
@@ -128,17 +128,17 @@ impl Root {
         run(&mut self.command(cache, None, words)?)
     }
 
-    /// Runs a command in the clone, in a network without a way out.
+    /// Runs a command in the clone, in a network without a route to the outside.
     pub fn offline(&self, cache: &Cache, network: &Namespace, words: &[&str]) -> Result<()> {
         run(&mut self.command(cache, Some(network), words)?)
     }
 
-    /// Like [`Root::online`]; its stdout.
+    /// Runs a command like [`Root::online`] and returns its stdout.
     pub fn output(&self, cache: &Cache, words: &[&str]) -> Result<String> {
         execute(&mut self.command(cache, None, words)?)
     }
 
-    /// A command that will run in the clone.
+    /// Returns a command that runs in the clone.
     pub fn command(&self, cache: &Cache, network: Option<&Namespace>, words: &[&str]) -> Result<Command> {
         let mut command = match network {
             Some(network) => network.command(Program::Unshare)?,
@@ -154,7 +154,7 @@ impl Root {
         Ok(command)
     }
 
-    /// What a login gives, and what this machine says of proxies.
+    /// Returns the environment of a login, with this machine's proxy settings.
     fn environment(&self, is_offline: bool) -> Vec<String> {
         let path = format!(
             "/root/.cargo/bin:{}/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
@@ -162,7 +162,7 @@ impl Root {
         );
         let mut all =
             vec![format!("PATH={path}"), "HOME=/root".into(), "LANG=C.UTF-8".into(), "RUST_BACKTRACE=1".into()];
-        // Pip has certificates of its own otherwise.
+        // Pip would otherwise use its own certificates.
         all.push("PIP_CERT=/etc/ssl/certs/ca-certificates.crt".into());
         if is_offline {
             all.push("CARGO_NET_OFFLINE=true".into());
@@ -173,7 +173,7 @@ impl Root {
         all
     }
 
-    /// Removes the root, and fails if anything of it is left: a mount or a process.
+    /// Removes the root. Fails if a mount or a process of it remains.
     pub fn remove(mut self) -> Result<()> {
         let path = self.path().to_owned();
         let processes = processes_in(&path);
@@ -187,12 +187,14 @@ impl Root {
 
 impl Drop for Root {
     fn drop(&mut self) {
-        // Those that are being killed may still write to the folder, which is removed next.
+        // Waits until processes that are being killed no longer write to the folder, which is
+        // removed next.
         processes_in(&self.path);
     }
 }
 
-/// In namespaces of its own; when it ends, or whoever started it, everything in them ends.
+/// Options of `unshare` for separate namespaces. When it or its parent ends, all processes in them
+/// end.
 const ALONE: [&str; 6] = ["--mount", "--pid", "--fork", "--kill-child", "--uts", "--ipc"];
 
 fn alone() -> Command {
@@ -201,9 +203,9 @@ fn alone() -> Command {
     command
 }
 
-/// Runs a command to its end. At Ctrl-C, it is killed.
+/// Runs a command to its end, and kills it on Ctrl-C.
 fn run(command: &mut Command) -> Result<()> {
-    // Ctrl-C in the terminal is for this process alone.
+    // The terminal sends Ctrl-C to this process only.
     command.stdin(Stdio::null()).process_group(0);
     // SAFETY: prctl is async-signal-safe and touches no memory of ours.
     unsafe {
@@ -227,13 +229,14 @@ struct Killed(Child);
 
 impl Drop for Killed {
     fn drop(&mut self) {
-        // One that has ended already is no error.
+        // An error because the process has already ended is ignored.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// Processes whose root is `folder`, once those that are being killed are gone.
+/// Returns the processes whose root is `folder`. Waits up to 10 s for processes that are being
+/// killed.
 fn processes_in(folder: &Path) -> Vec<PathBuf> {
     let deadline = Instant::now() + Duration::from_secs(10);
     loop {

@@ -1,4 +1,4 @@
-//! A clone of the tree, with files as old as their content.
+//! Clones the tree, and gives its files the times at which their content first appeared.
 
 use std::collections::HashMap;
 use std::fs::{self, File};
@@ -11,7 +11,7 @@ use gdp_tests::programs::{Executable as _, Program};
 
 use crate::{shell, workspace};
 
-/// Clones `HEAD` of the working copy, as somebody clones it from elsewhere.
+/// Clones `HEAD` of the working copy, as from a remote.
 pub fn clone(to: &Path) -> Result<()> {
     let root = workspace::root();
     let mut changed = Program::Git.command();
@@ -31,11 +31,10 @@ fn head(folder: &Path) -> Result<String> {
     execute(Program::Git.command().args(["rev-parse", "HEAD"]).current_dir(folder))
 }
 
-/// Gives each file of the clone the time at which its content was first seen. Cargo then sees which
-/// files have changed since the last run. `record` holds the times from run to
-/// run.
+/// Sets the time of each file of the clone to when its content was first seen. So Cargo recognizes
+/// which files have changed since the last run. `record` stores the times between runs.
 pub fn restore_times(clone: &Path, record: &Path) -> Result<()> {
-    // Without the record, all is new.
+    // Without the record, all files are new.
     let before = fs::read_to_string(record).unwrap_or_default();
     let before: HashMap<&str, u64> = before
         .lines()
@@ -46,7 +45,7 @@ pub fn restore_times(clone: &Path, record: &Path) -> Result<()> {
     let listed = execute(Program::Git.command().args(["ls-files", "--stage"]).current_dir(clone))?;
     let mut lines = String::new();
     for key in listed.lines() {
-        // MODE HASH STAGE<tab>PATH
+        // The format is `MODE HASH STAGE<tab>PATH`.
         let (_, path) = key.split_once('\t').with_context(|| format!("`git ls-files` says `{key}`"))?;
         let time = before.get(key).copied().unwrap_or(now);
         let file = clone.join(path);

@@ -1,15 +1,15 @@
-//! How long each stage of a run takes.
+//! Measures how long each stage of a run takes.
 
 use std::time::Instant;
 
 use anyhow::{Context, Result};
 
-/// Names and seconds, in order.
+/// The names of the stages and their durations in seconds, in order.
 #[derive(Default)]
 pub struct Stages(Vec<(&'static str, f64)>);
 
 impl Stages {
-    /// Runs a stage. An error names it.
+    /// Runs a stage and measures it. An error names the stage.
     pub fn time<T>(&mut self, name: &'static str, run: impl FnOnce() -> Result<T>) -> Result<T> {
         eprintln!("\n== {name}");
         let begun = Instant::now();
@@ -18,7 +18,7 @@ impl Stages {
         result.with_context(|| format!("on the clean root, stage `{name}`"))
     }
 
-    /// Seconds of these stages, if all of them have run.
+    /// Returns the sum of these stages in seconds, or `None` if one has not run.
     pub fn sum(&self, names: &[&str]) -> Option<f64> {
         let of = |name: &&str| self.0.iter().find(|(stage, _)| stage == name).map(|(_, seconds)| seconds);
         names.iter().map(of).sum()

@@ -1,4 +1,5 @@
-//! The toolchain of the XDP programs: a compiler with `core` for the target, and `bpf-linker`.
+//! Finds the toolchain of the XDP programs: a compiler with `core` for the target, and
+//! `bpf-linker`.
 
 use std::path::{Path, PathBuf};
 
@@ -7,13 +8,13 @@ use gdp_tests::programs::{Program, own};
 use crate::setup::paths::home;
 use crate::shell;
 
-/// The compiler for the eBPF target. Compiler and `bpf-linker` must share an LLVM major, so each
-/// comes as a pair.
+/// A compiler for the eBPF target. Compiler and `bpf-linker` must have the same major version of
+/// LLVM, so setup installs them as a pair.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum EbpfCompiler {
     /// Debian's `rustc-web` with the prebuilt `core` of `libstd-rust-web-dev-bpf` (LLVM 22).
     Debian,
-    /// A rustup nightly with `rust-src`; `core` is built on the way.
+    /// A rustup nightly with `rust-src`, which builds `core` itself.
     Nightly,
 }
 
@@ -32,7 +33,7 @@ impl EbpfCompiler {
     }
 }
 
-/// `bpf-linker` on `PATH`, or where `cargo install` puts it.
+/// Returns the path of `bpf-linker`, on `PATH` or in the folder of `cargo install`.
 pub fn bpf_linker() -> Option<PathBuf> {
     Program::BpfLinker
         .find()

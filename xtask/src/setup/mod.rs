@@ -1,9 +1,8 @@
-//! `cargo xtask setup [PURPOSE…]`: installs what this machine lacks, saying what and why before it
-//! acts.
+//! `cargo xtask setup [PURPOSE…]`: installs what this machine lacks, and prints what and why first.
 //!
-//! The table [`steps::STEPS`] is all there is: to need something new, add a step. Other verbs call
-//! [`ensure`] with their purpose; when nothing is missing that costs a few file look-ups and prints
-//! nothing.
+//! The table [`steps::STEPS`] is complete: a new requirement needs only a new step there. Other
+//! verbs call [`ensure`] with their purpose. If nothing is missing, that looks up a few files and
+//! prints nothing.
 
 mod ebpf;
 mod paths;
@@ -23,10 +22,10 @@ use crate::{shell, workspace};
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// What this machine is for; everything if nothing is said
+    /// The purposes of this machine; all if none is given
     #[arg(value_enum)]
     purposes: Vec<Purpose>,
-    /// Only say what is missing, and how it would be installed
+    /// Only print what is missing and how it would be installed
     #[arg(long)]
     dry_run: bool,
     /// Look up every external program that tests, benchmarks and `xtask` start, and install nothing
@@ -51,7 +50,7 @@ pub fn run(options: Options) -> Result<()> {
     install(&missing)
 }
 
-/// Installs what is missing for `purpose`.
+/// Installs what `purpose` needs and this machine lacks.
 pub fn ensure(purpose: Purpose) -> Result<()> {
     let missing = missing(&[purpose]);
     if missing.is_empty() { Ok(()) } else { install(&missing) }
@@ -78,7 +77,8 @@ fn missing(purposes: &[Purpose]) -> Vec<&'static SetupStep> {
     STEPS.iter().filter(|step| wanted(step.part) && !step.is_done()).collect()
 }
 
-/// What is missing and why, and the commands that install it. Whether they may be run here.
+/// Prints the missing steps with their reasons and commands. Returns whether this system may run
+/// the commands.
 fn announce(missing: &[&SetupStep]) -> bool {
     eprintln!("Missing on this machine:");
     for step in missing {
@@ -109,22 +109,22 @@ fn install(missing: &[&SetupStep]) -> Result<()> {
     }
 }
 
-/// Installs the Debian packages of all steps at once: dpkg takes most of its time for beginning and
-/// ending.
+/// Returns the commands that install the Debian packages of all steps at once, because dpkg takes
+/// most of its time to start and finish.
 fn packages(missing: &[&SetupStep]) -> Vec<String> {
     let names: BTreeSet<&str> = missing.iter().flat_map(|step| step.packages).copied().collect();
     if names.is_empty() {
         return Vec::new();
     }
-    // Only `apt-get` needs root; the rest must not have it.
+    // Only `apt-get` needs root; the other commands must not have it.
     let prefix = if workspace::is_root() { "" } else { "sudo " };
     let apt_get = format!("{prefix}DEBIAN_FRONTEND=noninteractive apt-get");
     let names = names.into_iter().collect::<Vec<_>>().join(" ");
     vec![format!("{apt_get} update -q"), format!("{apt_get} install -y --no-install-recommends {names}")]
 }
 
-/// Makes the Python environment, which Debian wants to be of its own, and installs the wheels of
-/// all steps at once.
+/// Returns the commands that make a Python environment and install the wheels of all steps at once.
+/// Debian requires a separate environment.
 fn wheels(missing: &[&SetupStep]) -> Vec<String> {
     let names: Vec<&str> = missing.iter().flat_map(|step| step.wheels).copied().collect();
     if names.is_empty() {

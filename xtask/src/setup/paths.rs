@@ -1,4 +1,4 @@
-//! The folders of toolchains.
+//! Returns the folders of toolchains.
 
 use std::path::{Path, PathBuf};
 

@@ -1,8 +1,8 @@
-//! The parts of this project's needs, and the purposes that ask for them.
+//! The parts of setup, and the purposes that need them.
 
 use clap::ValueEnum;
 
-/// What a verb is about to do.
+/// The purpose of a verb, or of a machine.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
 pub enum Purpose {
     /// Build and run a switch with XDP
@@ -15,17 +15,17 @@ pub enum Purpose {
     Unit,
     /// Run all tests
     Test,
-    /// Show the fabric at work
+    /// Show the fabric in operation
     Demo,
-    /// Measure
+    /// Run the benchmarks
     Bench,
-    /// Do on a clean Debian root what a new machine does
+    /// Test setup and build on a clean Debian root
     Fresh,
-    /// Do what `.ci/run` does
+    /// Run `.ci/run`
     Ci,
 }
 
-/// What is installed together.
+/// A group of steps that are installed together.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum SetupPart {
     /// Compile the workspace.
@@ -34,7 +34,7 @@ pub enum SetupPart {
     Ebpf,
     /// Check formatting and lints.
     Lints,
-    /// Look at the tree as a repository.
+    /// List the tracked files, and use the tree as a repository.
     Git,
     /// Build networks of namespaces.
     Namespaces,
@@ -44,13 +44,13 @@ pub enum SetupPart {
     Etcd,
     /// Compile the client of etcd.
     EtcdClient,
-    /// Run foreign DDS programs against ours.
+    /// Run foreign DDS programs against this project's.
     Dds,
-    /// Compare messages with those that another implementation makes.
+    /// Compare messages with those of another implementation.
     Rosbags,
-    /// Run a ROS 1 master and rospy nodes against ours.
+    /// Run a ROS 1 master and rospy nodes against this project's.
     Ros1,
-    /// Run rclpy nodes against ours.
+    /// Run rclpy nodes against this project's.
     Ros2,
     /// Compile the bridge that `bench ros` measures against.
     Zenoh,

@@ -1,5 +1,5 @@
-//! The table of what setup installs: Debian packages, then commands, and how to see that a step is
-//! done.
+//! The table of setup steps: Debian packages, Python wheels, commands, and a check whether a step
+//! is done.
 
 use std::path::{Path, PathBuf};
 
@@ -9,23 +9,23 @@ use super::ebpf::{EbpfCompiler, bpf_linker_present};
 use crate::setup::purpose::SetupPart;
 use crate::{shell, workspace};
 
-/// One thing that a machine may lack.
+/// A requirement that a machine may lack.
 pub struct SetupStep {
     pub part: SetupPart,
     pub what: &'static str,
     pub why: &'static str,
-    /// External programs that it installs.
+    /// External programs that the step installs.
     pub programs: &'static [Program],
-    /// What shows, beside the programs, that the step is done.
+    /// Returns whether the step is done, apart from its programs and wheels.
     pub present: fn() -> bool,
-    /// Debian 12's packages; recommended ones are not installed.
+    /// Packages of Debian 12, installed without recommended ones.
     pub packages: &'static [&'static str],
-    /// Python wheels for the environment under the target folder, as `NAME==VERSION`.
+    /// Python wheels for the environment in the target folder, as `NAME==VERSION`.
     pub wheels: &'static [&'static str],
-    /// Shell commands that follow, run as printed.
+    /// Shell commands that follow the packages and wheels, run as printed.
     pub commands: &'static [&'static str],
-    /// What to do on a system this program does not know; only printed. Wheels are the same
-    /// everywhere.
+    /// Instructions for a system other than Debian 12, which are only printed. Wheels are the same
+    /// on every system.
     pub elsewhere: &'static str,
 }
 
@@ -35,19 +35,19 @@ impl SetupStep {
         programs && self.marker().is_none_or(|marker| venv().join(marker).is_file()) && (self.present)()
     }
 
-    /// The file in the environment that shows that the wheels are in. It is made last, so that an
-    /// installation that was cut off does not count.
+    /// Returns the name of the file that marks the wheels as installed. Setup creates it last, so
+    /// that an interrupted installation does not count.
     pub fn marker(&self) -> Option<String> {
         self.wheels.first().map(|wheel| format!("gdp-{}", wheel.replace("==", "-")))
     }
 }
 
-/// The Python environment under the target folder.
+/// Returns the Python environment in the target folder.
 pub fn venv() -> PathBuf {
     workspace::target().join("venv")
 }
 
-/// What steps leave out.
+/// Defaults of all steps.
 const NOTHING: SetupStep = SetupStep {
     part: SetupPart::Workspace,
     what: "",
@@ -104,8 +104,8 @@ pub const STEPS: &[SetupStep] = &[
               it calls LLVM for the work",
         present: bpf_linker_present,
         packages: &["libllvm22"],
-        // The library is all of LLVM that the linker needs: its headers and tools would be 600 MB
-        // more.
+        // The linker needs only this library of LLVM. Its headers and tools would take another 600
+        // MB.
         commands: &[
             "mkdir -p \"$GDP_TARGET/llvm-22/lib\"",
             "ln -sf \"/usr/lib/$(uname -m)-linux-gnu/libLLVM.so.22.1\" \"$GDP_TARGET/llvm-22/lib/libLLVM.so\"",
@@ -153,7 +153,7 @@ pub const STEPS: &[SetupStep] = &[
         why: "the build script of `etcd-client` compiles etcd's interface with it; a switch without the cargo \
               feature `etcd` does not need it",
         programs: &[Program::Protoc],
-        // Debian has them in a package of their own.
+        // Debian has these files in a separate package.
         present: || {
             let mut command = Program::Protoc.command();
             shell::output(command.args(["-o/dev/null", "google/protobuf/descriptor.proto"])).is_some()
@@ -251,7 +251,7 @@ pub const STEPS: &[SetupStep] = &[
     },
 ];
 
-/// What steps of Python wheels leave out.
+/// Defaults of the steps that install Python wheels.
 const WHEELS: SetupStep = SetupStep {
     present: || Path::new("/usr/bin/python3").is_file(),
     packages: &["python3-venv"],
@@ -259,13 +259,14 @@ const WHEELS: SetupStep = SetupStep {
     ..NOTHING
 };
 
-/// Components lie beside the cargo that runs us: asking rustup would take half a second.
+/// Looks for a component beside the cargo that runs this xtask, because rustup takes half a second
+/// to answer.
 fn rust_component(program: &str) -> bool {
     let beside = std::env::var_os("CARGO").and_then(|cargo| Some(Path::new(&cargo).parent()?.join(program).is_file()));
     beside.unwrap_or(false)
 }
 
-/// What Debian's packages contain, by their folders: asking Python would take a third of a second.
+/// Looks for the folders of Debian's packages, because Python takes a third of a second to answer.
 fn ros1_present() -> bool {
     let python = Path::new("/usr/lib/python3/dist-packages");
     let modules = ["rosmaster", "rospy", "rostopic", "rosservice", "actionlib", "std_msgs", "sensor_msgs", "std_srvs"];
@@ -280,7 +281,7 @@ fn ros1_present() -> bool {
         && has_netifaces()
 }
 
-/// Where Debian's versions of LLVM lie.
+/// Looks for libclang in the folders of Debian's versions of LLVM.
 fn has_libclang() -> bool {
     let versions = std::fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
     versions.filter(|path| path.to_string_lossy().contains("/llvm-")).any(|path| path.join("lib/libclang.so").exists())

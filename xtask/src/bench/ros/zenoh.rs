@@ -1,4 +1,4 @@
-//! Two zenoh bridges, one at each end of a chain of routers: what is measured against.
+//! Starts two zenoh bridges, one at each end of a chain of routers, for comparison.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use gdp_tests::process::Process;
 use gdp_tests::programs::{Executable as _, Program};
 use serde_json::{Value, json};
 
-/// The port that zenoh's routers listen at.
+/// The port of zenoh's routers.
 const PORT: u16 = 7447;
 
 const TIMEOUT: Duration = Duration::from_secs(20);
@@ -20,14 +20,14 @@ const TIMEOUT: Duration = Duration::from_secs(20);
 pub struct Bridges([Process; 2]);
 
 impl Bridges {
-    /// The cloud's listens, the robot's dials. With `tls`, each shows a certificate, as both ends
-    /// of a link do in the fabric.
+    /// Starts both bridges. The cloud's bridge listens, and the robot's connects. With `tls`, each
+    /// presents a certificate, as both ends of a link in the fabric do.
     pub fn start(program: &Path, chain: &Chain, tls: bool, folder: &Path) -> Result<Self> {
         let (_, cloud) = chain.ip_ends();
         let (protocol, secrets) = if tls { ("tls", Some(Secrets::make(&cloud, folder)?)) } else { ("tcp", None) };
         let endpoint = |host: &str| json!({"endpoints": [format!("{protocol}/{host}:{PORT}")]});
         let listens = json!({"listen": endpoint("0.0.0.0")});
-        // A router listens somewhere, unless it is told not to.
+        // A router listens by default.
         let dials = json!({"connect": endpoint(&cloud), "listen": {"endpoints": []}});
         let start = |label, at, role| start(program, label, at, config(role, secrets.as_ref()), folder);
         let listening = start("bridge-cloud", chain.cloud(), listens)?;
@@ -39,7 +39,7 @@ impl Bridges {
     }
 }
 
-/// A key and its certificate, which both ends have and trust.
+/// A key and its certificate, which both ends use and trust.
 struct Secrets {
     key: PathBuf,
     certificate: PathBuf,
@@ -61,8 +61,8 @@ impl Secrets {
             "2",
         ]);
         command.args(["-subj", "/CN=bridge", "-addext", &format!("subjectAltName=IP:{host}")]);
-        // The one certificate is its own authority: as an authority alone, TLS would not take it
-        // for an end.
+        // The self-signed certificate is its own authority. It must not be a CA certificate,
+        // because TLS would not accept that for an endpoint.
         command.args(["-addext", "basicConstraints=critical,CA:FALSE"]);
         command.arg("-keyout").arg(&key).arg("-out").arg(&certificate);
         execute(&mut command)?;
