@@ -56,8 +56,8 @@ pub struct Counts {
     /// Number of frames that did not fit into the queue.
     pub overflowed: u64,
     pub duplicated: u64,
-    /// Number of frames delayed by [`Reorder`], even if none overtook them. This and the next two
-    /// counters include duplicates.
+    /// Number of frames delayed by [`Reorder`](crate::Reorder), even if none overtook them. This
+    /// and the next two counters include duplicates.
     pub held_back: u64,
     pub corrupted: u64,
     pub marked: u64,

@@ -1,6 +1,6 @@
-//! Compresses and decompresses message bodies. The encoding number says that a body is compressed.
-//! So every reader decompresses it, whatever its configuration. A reader that does not know the
-//! number refuses the body.
+//! Compresses and decompresses message bodies. The encoding number says whether a body is
+//! compressed. So every reader decompresses it, independent of its configuration. A reader that
+//! does not know the number refuses the body.
 
 use std::io;
 

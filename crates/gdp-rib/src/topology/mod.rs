@@ -269,8 +269,8 @@ impl Topology {
 }
 
 impl Own {
-    /// Handles a link state of an earlier run of this switch with a higher version. The clock went
-    /// back, or the number was lost.
+    /// Handles a link state of this switch that an earlier run signed. If its version is not lower
+    /// than the current one, the clock went back or the number was lost.
     fn heard_of_itself(&mut self, older: &LinkState) {
         if older.version() >= self.version {
             self.version = older.version();

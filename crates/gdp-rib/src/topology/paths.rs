@@ -57,7 +57,7 @@ impl Paths {
         self.costs.contains_key(switch)
     }
 
-    /// Returns the egress bit of a switch, if no other switch has the same bit.
+    /// Returns the egress bit of a switch, unless another switch has it by a lower run number.
     pub fn bit(&self, switch: &Name) -> Option<u8> {
         self.bits.iter().find(|(_, of)| *of == switch).map(|(bit, _)| *bit)
     }

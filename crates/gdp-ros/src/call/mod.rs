@@ -28,8 +28,8 @@ const MAX_KIND: usize = 256;
 const MAX_HASH: usize = 32;
 const MAX_DESCRIPTION: usize = 2 * MAX_DEFINITION + MAX_KIND + MAX_HASH + 128;
 
-/// A random number of a server's description. The server's proxy draws a new one whenever the
-/// server changes.
+/// A random number that identifies one offer of a server. The server's proxy draws a new one each
+/// time that it offers the server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Epoch(pub u64);
 
@@ -236,7 +236,7 @@ impl Reply {
 }
 
 impl Failure {
-    /// Creates a failure with the first [`MAX_TEXT`] bytes of `text`.
+    /// Creates a failure with at most the first [`MAX_TEXT`] bytes of `text`.
     pub fn new(code: FailureCode, text: impl ToString) -> Self {
         let mut text = text.to_string();
         text.truncate(text.floor_char_boundary(MAX_TEXT));

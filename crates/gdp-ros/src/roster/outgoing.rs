@@ -80,8 +80,8 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         self.writers.iter().map(|(number, offers)| (*number, *offers))
     }
 
-    /// Returns the interval between two rosters, a quarter of the shortest lease at most. So three
-    /// rosters in a row may be lost before a lease expires.
+    /// Returns the interval between two rosters: [`REFRESH`], or a quarter of the shortest lease if
+    /// that is less. So three rosters in a row may be lost before a lease expires.
     fn refresh(&self) -> Duration {
         let lease = self.writers.values().map(Offer::lease).min().unwrap_or(LEASE);
         REFRESH.min(lease / 4)
