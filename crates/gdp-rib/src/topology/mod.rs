@@ -123,7 +123,7 @@ impl Topology {
         self.own.has.neighbours = all.into_iter().take(MAX_NEIGHBOURS).collect();
     }
 
-    /// Sets the neighbours whose daemons do not respond, so that they forward only frames.
+    /// Sets the neighbours whose daemons do not respond. They get frames, but no control messages.
     pub fn set_silent(&mut self, silent: impl IntoIterator<Item = Name>) {
         self.own.has.silent = silent.into_iter().filter(|near| self.own.has.neighbours.contains_key(near)).collect();
     }
