@@ -16,10 +16,11 @@
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::{PerCpuArray, PerCpuHashMap};
 use aya_ebpf::programs::XdpContext;
+use gdp_wire::packet::ETHERNET_LEN;
 use gdp_wire::table::{CopyCount, MAX_PORTS};
 use gdp_wire::{GroupSlot, Header};
 
-use crate::carrier::ethernet::{self, Ethernet};
+use crate::carrier::ethernet::Ethernet;
 use crate::packet::{self, Packet};
 
 #[map]
@@ -43,7 +44,7 @@ pub struct Label {
     zero: u16,
 }
 
-const _: () = assert!(size_of::<Label>() <= ethernet::LEN);
+const _: () = assert!(size_of::<Label>() <= ETHERNET_LEN);
 
 /// Labels a frame that is about to be copied; `false` if that cannot be.
 #[inline(always)]
@@ -108,8 +109,8 @@ pub fn make_discardable(context: &XdpContext) -> bool {
     let mut packet = Packet::of(context);
     let Some(ethernet) = packet.get::<Ethernet>(0) else { return false };
     // SAFETY: `get` checked the bounds.
-    unsafe { ethernet::address(ethernet, DESTINATION, SOURCE, 0x88b6) };
-    let Some(header) = packet.header(ethernet::LEN) else { return false };
+    unsafe { (*ethernet).address(&DESTINATION, &SOURCE, 0x88b6) };
+    let Some(header) = packet.header(ETHERNET_LEN) else { return false };
     *header = Header::default();
     packet::cut(context, (context.data_end() - context.data()).saturating_sub(SHORTEST))
 }

@@ -39,12 +39,13 @@ use aya_ebpf::bindings::xdp_action::{XDP_DROP, XDP_PASS, XDP_REDIRECT};
 use aya_ebpf::macros::xdp;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
+use gdp_wire::packet::ETHERNET_LEN;
 use gdp_wire::table::{MAX_COPIED_FRAME, PORT_ROUTED};
 use gdp_wire::tables::Tables;
 use gdp_wire::{Counter, GroupSlot, Header, LinkEntry};
 
 use crate::carrier::FrameLocation;
-use crate::carrier::ethernet::{self, Ethernet};
+use crate::carrier::ethernet::Ethernet;
 use crate::copies::Label;
 use crate::next_hop::NextHop;
 use crate::packet::Packet;
@@ -221,7 +222,7 @@ fn forward_headed(
 /// one for its link in [`leave`].
 #[inline(always)]
 fn replicate(context: &XdpContext, group: u32, at: usize, behind: usize) -> Outcome {
-    let bare = packet::cut(context, behind) && packet::shift(context, at, ethernet::LEN);
+    let bare = packet::cut(context, behind) && packet::shift(context, at, ETHERNET_LEN);
     if bare && copies::label(&Packet::of(context), group) && groups::redirect(group) {
         Outcome::Redirected(Counter::Replicated)
     } else {
@@ -236,7 +237,7 @@ fn leave(context: &XdpContext) -> Departure {
     // SAFETY: the context of a program that runs in a device map has the field.
     let interface = unsafe { (*context.ctx).egress_ifindex };
     let Some(place) = label.place(interface) else { return Departure::Superfluous };
-    let Some(header) = packet.header(ethernet::LEN) else { return Departure::Superfluous };
+    let Some(header) = packet.header(ETHERNET_LEN) else { return Departure::Superfluous };
     match copy(context, header, place) {
         Some(counter) => Departure::Copied(counter),
         None => superfluous(context, place),
@@ -262,7 +263,7 @@ fn copy(context: &XdpContext, header: &mut Header, place: GroupSlot) -> Option<C
     let can_ask = link.port != PORT_ROUTED || next_hop::asks_at_egress();
     let mut hop = NextHop::default();
     let leaves_here = can_ask && tables.resolve(link, &mut hop) && hop.port == place.interface;
-    if leaves_here && carrier::exchange(context, ethernet::LEN, frame, 0, traffic, link, &hop) {
+    if leaves_here && carrier::exchange(context, ETHERNET_LEN, frame, 0, traffic, link, &hop) {
         return Some(counter);
     }
     if link.port == PORT_ROUTED {

@@ -7,9 +7,9 @@
 use aya_ebpf::bindings::bpf_fib_lookup as Lookup;
 use aya_ebpf::helpers::bpf_fib_lookup;
 use aya_ebpf::programs::XdpContext;
+use gdp_wire::packet::UDP;
 use gdp_wire::{Carrier, LinkEntry};
 
-use crate::carrier::udp::UDP;
 use crate::ports;
 
 /// The question's family for IPv4, and for IPv6.

@@ -22,6 +22,8 @@ pub mod hop;
 pub mod losses;
 #[path = "../../crates/gdp-wire/src/name.rs"]
 mod name;
+#[path = "../../crates/gdp-wire/src/packet.rs"]
+pub mod packet;
 #[path = "../../crates/gdp-wire/src/replay.rs"]
 pub mod replay;
 #[path = "../../crates/gdp-wire/src/table.rs"]

@@ -18,6 +18,7 @@ pub mod header;
 pub mod hop;
 pub mod losses;
 mod name;
+pub mod packet;
 pub mod replay;
 pub mod siphash;
 pub mod table;

@@ -4,8 +4,9 @@
 use aya_ebpf::helpers::generated::bpf_csum_diff;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::Carrier;
+use gdp_wire::packet::UDP;
 
-use crate::carrier::udp::{UDP, Udp};
+use crate::carrier::udp4::Udp;
 use crate::packet::Packet;
 
 /// What kernels before 6.13 sum up at once.

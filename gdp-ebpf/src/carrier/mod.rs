@@ -8,17 +8,16 @@
 mod checksum;
 pub mod ethernet;
 mod frame;
-pub mod udp;
 pub mod udp4;
 pub mod udp6;
 
 pub use crate::carrier::frame::FrameLocation;
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::header::FIRST_QUIC_BYTE;
+use gdp_wire::packet::{ETHERNET_LEN, IPV4, IPV6, TAGGED_LEN, UDP_LEN, UDP4_LEN, UDP6_LEN, VLAN};
 use gdp_wire::table::PORT_ROUTED;
 use gdp_wire::{Carrier, LinkEntry};
 
-use crate::carrier::udp::Udp;
 use crate::next_hop::NextHop;
 use crate::packet::{self, Packet};
 
@@ -31,9 +30,9 @@ pub fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32
         return ethernet::find(length);
     }
     match found {
-        ethernet::VLAN => ethernet::find_tagged(context, packet, length, ethertype),
-        ethernet::IPV4 => udp4::find(packet, length),
-        ethernet::IPV6 => udp6::find(packet, length),
+        VLAN => ethernet::find_tagged(context, packet, length, ethertype),
+        IPV4 => udp4::find(packet, length),
+        IPV6 => udp6::find(packet, length),
         _ => None,
     }
 }
@@ -50,8 +49,8 @@ pub fn is_quic(carried: &FrameLocation, first_byte: u8) -> bool {
 #[inline(always)]
 pub fn traffic(packet: &Packet, carried: &FrameLocation) -> u8 {
     match carried.at {
-        udp4::LEN => udp4::traffic(packet),
-        udp6::LEN => udp6::traffic(packet),
+        UDP4_LEN => udp4::traffic(packet),
+        UDP6_LEN => udp6::traffic(packet),
         _ => 0,
     }
 }
@@ -74,25 +73,25 @@ pub fn exchange(
         return false;
     }
     let udp = match carrier.kind {
-        Carrier::UDP4 => udp4::LEN - size_of::<Udp>(),
-        Carrier::UDP6 => udp6::LEN - size_of::<Udp>(),
+        Carrier::UDP4 => UDP4_LEN - UDP_LEN,
+        Carrier::UDP6 => UDP6_LEN - UDP_LEN,
         _ => 0,
     };
-    let dressed = match carrier.kind {
+    let done = match carrier.kind {
         Carrier::UDP4 => {
-            packet::shift(context, at, udp4::LEN)
+            packet::shift(context, at, UDP4_LEN)
                 && udp4::encapsulate(context, carrier, link.port == PORT_ROUTED, hop, traffic, length as u16)
         }
         Carrier::UDP6 => {
-            packet::shift(context, at, udp6::LEN) && udp6::encapsulate(context, carrier, hop, traffic, length as u16)
+            packet::shift(context, at, UDP6_LEN) && udp6::encapsulate(context, carrier, hop, traffic, length as u16)
         }
         _ if carrier.vlan != 0 => {
-            packet::shift(context, at, ethernet::TAGGED_LEN) && ethernet::encapsulate_tagged(context, carrier, traffic)
+            packet::shift(context, at, TAGGED_LEN) && ethernet::encapsulate_tagged(context, carrier, traffic)
         }
-        _ => packet::shift(context, at, ethernet::LEN) && ethernet::encapsulate(context, carrier),
+        _ => packet::shift(context, at, ETHERNET_LEN) && ethernet::encapsulate(context, carrier),
     };
-    if dressed && udp > 0 && carrier.flags & Carrier::CHECKSUM != 0 {
-        checksum::write(context, carrier, udp, length + size_of::<Udp>());
+    if done && udp > 0 && carrier.flags & Carrier::CHECKSUM != 0 {
+        checksum::write(context, carrier, udp, length + UDP_LEN);
     }
-    dressed
+    done
 }

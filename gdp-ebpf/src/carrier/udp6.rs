@@ -6,87 +6,48 @@
 //! the host's.
 
 use aya_ebpf::programs::XdpContext;
-use gdp_wire::{Carrier, LocalAddress};
+use gdp_wire::Carrier;
+use gdp_wire::packet::{self, ETHERNET_LEN, IPV6, IPV6_LEN, UDP6_LEN};
 
-use super::ethernet::{self, Ethernet};
+use crate::carrier::ethernet::Ethernet;
 use crate::carrier::frame::FrameLocation;
-use crate::carrier::udp::{HOP_LIMIT, UDP, Udp};
+use crate::carrier::udp4::Udp;
 use crate::local;
 use crate::next_hop::NextHop;
 use crate::packet::Packet;
 
-/// Bytes in front of the frame.
-pub const LEN: usize = ethernet::LEN + size_of::<Ipv6>() + size_of::<Udp>();
-
-/// In network order.
-#[repr(C)]
-struct Ipv6 {
-    /// Version, traffic class, flow label.
-    version_class: u32,
-    /// Of what follows this header.
-    length: u16,
-    next: u8,
-    hop_limit: u8,
-    source: [u32; 4],
-    destination: [u32; 4],
-}
-
-const _: () = assert!(LEN == 62);
+type Ipv6 = packet::Ipv6<u16, u32>;
 
 #[inline(always)]
 pub fn find(packet: &Packet, length: usize) -> Option<FrameLocation> {
-    let ip = packet.get::<Ipv6>(ethernet::LEN)?;
-    let udp = packet.get::<Udp>(ethernet::LEN + size_of::<Ipv6>())?;
+    let ip = packet.get::<Ipv6>(ETHERNET_LEN)?;
+    let udp = packet.get::<Udp>(ETHERNET_LEN + IPV6_LEN)?;
     // SAFETY: `get` checked the bounds.
-    let (ip, udp) = unsafe { (&*ip, &*udp) };
-    if u32::from_be(ip.version_class) >> 28 != 6 || ip.next != UDP {
-        return None;
-    }
-    let to = LocalAddress { ip: ip.destination, port: udp.destination, kind: Carrier::UDP6.into() };
-    let (ip_length, udp_length) = (u16::from_be(ip.length) as usize, u16::from_be(udp.length) as usize);
-    let fits = udp_length >= size_of::<Udp>()
-        && udp_length <= ip_length
-        && ethernet::LEN + size_of::<Ipv6>() + ip_length <= length;
-    (fits && local::is_ours(&to)).then_some(FrameLocation {
-        at: LEN,
-        available: udp_length - size_of::<Udp>(),
-        over_udp: true,
-    })
+    let (to, available) = unsafe { (*ip).datagram(&*udp, length - ETHERNET_LEN) }?;
+    local::is_ours(&to).then_some(FrameLocation { at: UDP6_LEN, available, over_udp: true })
 }
 
 /// The byte for DSCP and ECN.
 #[inline(always)]
 pub fn traffic(packet: &Packet) -> u8 {
     // SAFETY: `get` checked the bounds.
-    packet.get::<Ipv6>(ethernet::LEN).map_or(0, |ip| unsafe { (u32::from_be((*ip).version_class) >> 20) as u8 })
+    packet.get::<Ipv6>(ETHERNET_LEN).map_or(0, |ip| unsafe { (*ip).traffic() })
 }
 
 /// `length`: of the frame.
 #[inline(always)]
 pub fn encapsulate(context: &XdpContext, carrier: &Carrier, hop: &NextHop, traffic: u8, length: u16) -> bool {
     let packet = Packet::of(context);
-    let (Some(ethernet), Some(ip), Some(udp)) = (
-        packet.get::<Ethernet>(0),
-        packet.get::<Ipv6>(ethernet::LEN),
-        packet.get::<Udp>(ethernet::LEN + size_of::<Ipv6>()),
-    ) else {
+    let (Some(ethernet), Some(ip), Some(udp)) =
+        (packet.get::<Ethernet>(0), packet.get::<Ipv6>(ETHERNET_LEN), packet.get::<Udp>(ETHERNET_LEN + IPV6_LEN))
+    else {
         return false;
     };
-    let length = (length + size_of::<Udp>() as u16).to_be();
     // SAFETY: `get` checked the bounds.
     unsafe {
-        ethernet::address(ethernet, hop.destination, hop.source, ethernet::IPV6);
-        (*ip).version_class = (6 << 28 | u32::from(traffic) << 20).to_be();
-        (*ip).length = length;
-        (*ip).next = UDP;
-        (*ip).hop_limit = HOP_LIMIT;
-        let mut i = 0;
-        while i < 4 {
-            (*ip).source[i] = carrier.local_ip[i];
-            (*ip).destination[i] = carrier.peer_ip[i];
-            i += 1;
-        }
-        *udp = Udp { source: carrier.local_port, destination: carrier.peer_port, length, checksum: 0 };
+        (*ethernet).address(&hop.destination, &hop.source, IPV6);
+        (*ip).set(carrier, traffic, length);
+        *udp = Udp::new(carrier, length, 0);
     }
     true
 }

@@ -2,9 +2,7 @@
 //! ([`Carrier::CHECKSUM`], or IPv6 without [`Carrier::ZERO_CHECKSUM`]).
 
 use gdp_wire::Carrier;
-use zerocopy::network_endian::U16;
-
-use crate::carrier::udp::UDP;
+use gdp_wire::packet::{UDP, UDP_LEN};
 
 /// The sum of `bytes` as 16-bit words, not [folded](fold). The words are in the machine's order, as
 /// the order of bytes does not matter as long as it is one (RFC 1071, 2 (B)); an odd last byte is
@@ -32,22 +30,17 @@ pub fn fold(sum: u64) -> u16 {
     ((sum & 0xffff) + (sum >> 16)) as u16
 }
 
-/// [`sum`] of an IP address, as [`Carrier`] has it.
+/// The checksum of a datagram (RFC 768, RFC 8200) from us to the peer, in network order. `length`:
+/// of the payload. The words of addresses that IPv4 does not have are zero.
 #[inline]
-pub fn sum_of_words(address: &[u32]) -> u64 {
-    address.iter().copied().map(u64::from).sum()
-}
-
-/// The bytes of the checksum of a datagram (RFC 768, RFC 8200) from us to the peer. `addresses`:
-/// [`sum_of_words`] of both IP addresses; `length`: of UDP header and payload.
-#[inline]
-pub fn of_datagram(carrier: &Carrier, addresses: u64, length: U16, payload: &[u8]) -> [u8; 2] {
-    let length = u64::from(u16::from_ne_bytes(length.to_bytes()));
+pub fn of_datagram(carrier: &Carrier, length: u16, payload: &[u8]) -> u16 {
+    let addresses: u64 = carrier.local_ip.iter().chain(&carrier.peer_ip).copied().map(u64::from).sum();
+    let length = u64::from(length.wrapping_add(UDP_LEN as u16).to_be());
     let pseudo_header = addresses + u64::from(u16::from(UDP).to_be()) + length;
     let header = u64::from(carrier.local_port) + u64::from(carrier.peer_port) + length;
     match !fold(pseudo_header + header + sum(payload)) {
         // It would say that there is none.
-        0 => [0xff; 2],
-        checksum => checksum.to_ne_bytes(),
+        0 => 0xffff,
+        checksum => checksum,
     }
 }

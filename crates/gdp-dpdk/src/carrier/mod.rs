@@ -8,15 +8,15 @@
 mod checksum;
 mod ethernet;
 mod packet;
-mod udp;
 mod udp4;
 mod udp6;
 
 pub use crate::carrier::packet::{FrameLocation, Ours, Payload, Stations};
 use gdp_wire::Carrier;
+use gdp_wire::packet::{ETHERNET_LEN, IPV4, IPV6, TAGGED_LEN, UDP4_LEN, UDP6_LEN, VLAN};
 
 /// Bytes of the longest headers that [`encapsulate`] writes.
-pub const MAX_LEN: usize = udp6::LEN;
+pub const MAX_LEN: usize = UDP6_LEN;
 
 /// The frame in a whole packet, from its Ethernet header on; `None` if it is none of ours.
 #[inline(always)]
@@ -26,9 +26,9 @@ pub fn find(packet: &[u8], ours: &impl Ours) -> Option<FrameLocation> {
         return Some(ethernet::find(packet));
     }
     match found {
-        ethernet::VLAN => ethernet::find_tagged(packet, ours),
-        ethernet::IPV4 => udp4::find(packet, ours),
-        ethernet::IPV6 => udp6::find(packet, ours),
+        VLAN => ethernet::find_tagged(packet, ours),
+        IPV4 => udp4::find(packet, ours),
+        IPV6 => udp6::find(packet, ours),
         _ => None,
     }
 }
@@ -37,10 +37,10 @@ pub fn find(packet: &[u8], ours: &impl Ours) -> Option<FrameLocation> {
 #[inline(always)]
 pub fn len(carrier: &Carrier) -> usize {
     match carrier.kind {
-        Carrier::UDP4 => udp4::LEN,
-        Carrier::UDP6 => udp6::LEN,
-        _ if carrier.vlan != 0 => ethernet::TAGGED_LEN,
-        _ => ethernet::LEN,
+        Carrier::UDP4 => UDP4_LEN,
+        Carrier::UDP6 => UDP6_LEN,
+        _ if carrier.vlan != 0 => TAGGED_LEN,
+        _ => ETHERNET_LEN,
     }
 }
 
