@@ -21,7 +21,7 @@ const MAX_ENTRY: usize = 32 << 10;
 /// A revocation, and how the name it is about shows its owner's key.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Kept {
+pub struct SignedRevocation {
     pub proof: NameProof,
     pub revocation: Signed<Revocation>,
     /// Where it came in, if a RIB keeps it.
@@ -39,7 +39,7 @@ pub struct Origin {
     pub by_tool: bool,
 }
 
-impl Kept {
+impl SignedRevocation {
     /// What the owner of the name has taken back.
     pub fn verify(&self) -> Result<Revocation, CertError> {
         let (name, key) = (self.proof.name()?, self.proof.verify_key()?);
@@ -76,7 +76,7 @@ impl RevocationFile {
 
     /// All that were kept and still verify, in the order in which they were; none if there is no
     /// file.
-    pub fn load(&self) -> Result<Vec<(Kept, Revocation)>, SecretFileError> {
+    pub fn load(&self) -> Result<Vec<(SignedRevocation, Revocation)>, SecretFileError> {
         let bytes = match secret_file::read(&self.path, self.max) {
             Err(error) if error.is_not_found() => return Ok(Vec::new()),
             bytes => bytes?,
@@ -95,7 +95,7 @@ impl RevocationFile {
 
     /// Keeps these instead of what is there, as many of them as there is room for. Returns how many
     /// there was none for.
-    pub fn save<'a>(&self, kept: impl IntoIterator<Item = &'a Kept>) -> Result<usize, SecretFileError> {
+    pub fn save<'a>(&self, kept: impl IntoIterator<Item = &'a SignedRevocation>) -> Result<usize, SecretFileError> {
         let (mut bytes, mut omitted) = (HEAD.to_vec(), 0);
         for entry in kept {
             let encoded = cbor::encode(entry).map_err(|error| self.malformed(&error))?;
@@ -110,7 +110,7 @@ impl RevocationFile {
         Ok(omitted)
     }
 
-    fn entries(&self, bytes: &[u8]) -> Result<Vec<Kept>, SecretFileError> {
+    fn entries(&self, bytes: &[u8]) -> Result<Vec<SignedRevocation>, SecretFileError> {
         let damaged = || self.malformed(&"not a whole file of revocations; remove it to begin without");
         let mut rest = bytes.strip_prefix(HEAD).ok_or_else(damaged)?;
         let mut entries = Vec::new();

@@ -102,7 +102,7 @@ pub enum DataPlane {
 /// time says, see [`gdp_rib::topology::cost`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Neighbour {
-    pub place: NeighbourAddress,
+    pub address: NeighbourAddress,
     pub cost: Option<u32>,
     /// This side makes the link. Otherwise the one with the smaller name does.
     pub dial: bool,
@@ -196,7 +196,7 @@ impl Config {
     /// The Ethernet interfaces that somebody named, each once: those of `interfaces`; without that
     /// list those of neighbours, and of DPDK's ports if they are used.
     pub fn named_interfaces(&self) -> Vec<String> {
-        let neighbours = self.neighbours.iter().filter_map(|neighbour| match &neighbour.place.via {
+        let neighbours = self.neighbours.iter().filter_map(|neighbour| match &neighbour.address.via {
             Via::Interface(name) => Some(name),
             Via::Udp(_) => None,
         });
@@ -331,8 +331,8 @@ impl File {
         let mut neighbours = Vec::new();
         for entry in self.neighbours {
             let neighbour = entry.neighbour("neighbours")?;
-            if neighbours.iter().any(|n: &Neighbour| n.place.switch == neighbour.place.switch) {
-                return invalid(format!("neighbours: {} is listed twice", neighbour.place.switch));
+            if neighbours.iter().any(|n: &Neighbour| n.address.switch == neighbour.address.switch) {
+                return invalid(format!("neighbours: {} is listed twice", neighbour.address.switch));
             }
             neighbours.push(neighbour);
         }
@@ -352,9 +352,9 @@ impl File {
             _ => {}
         }
         if let Some(uplink) = uplink {
-            let switch = uplink.place.switch;
-            match neighbours.iter_mut().find(|n| n.place.switch == switch) {
-                Some(listed) if listed.place != uplink.place => {
+            let switch = uplink.address.switch;
+            match neighbours.iter_mut().find(|n| n.address.switch == switch) {
+                Some(listed) if listed.address != uplink.address => {
                     return invalid(format!("uplink: {switch} is another place in neighbours"));
                 }
                 Some(listed) if uplink_cost.is_some() && uplink_cost != listed.cost => {
@@ -364,19 +364,20 @@ impl File {
                 None => neighbours.push(uplink),
             }
         }
-        if let (Udp::Off, Some(over_udp)) = (&self.udp, neighbours.iter().find(|n| matches!(n.place.via, Via::Udp(_))))
+        if let (Udp::Off, Some(over_udp)) =
+            (&self.udp, neighbours.iter().find(|n| matches!(n.address.via, Via::Udp(_))))
         {
-            let switch = over_udp.place.switch;
+            let switch = over_udp.address.switch;
             return invalid(format!("udp: null turns UDP off, but the neighbour {switch} is reached over it"));
         }
         if let Some(interfaces) = &self.interfaces {
             for neighbour in &neighbours {
-                if let Via::Interface(name) = &neighbour.place.via
+                if let Via::Interface(name) = &neighbour.address.via
                     && !interfaces.contains(name)
                 {
                     return invalid(format!(
                         "neighbours: {} is on {name}, which interfaces does not list",
-                        neighbour.place.switch
+                        neighbour.address.switch
                     ));
                 }
             }
@@ -447,10 +448,10 @@ impl NeighbourAddressEntry {
             return Err(ParseError::Invalid(format!("{key}: cost of {} is 0; the least is 1", self.switch)));
         }
         let (dial, parent) = (self.dial, self.parent);
-        Ok(Neighbour { place: self.place(key)?, cost, dial, parent })
+        Ok(Neighbour { address: self.address(key)?, cost, dial, parent })
     }
 
-    fn place(self, key: &str) -> Result<NeighbourAddress, ParseError> {
+    fn address(self, key: &str) -> Result<NeighbourAddress, ParseError> {
         let via = match (self.interface, self.udp) {
             (Some(name), None) => Via::Interface(name),
             (None, Some(addr)) => Via::Udp(addr),

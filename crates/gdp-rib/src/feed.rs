@@ -211,7 +211,7 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
     }
 
     /// The generation that the other side holds, while it is known to.
-    pub fn held(&self) -> Option<u64> {
+    pub fn acknowledged(&self) -> Option<u64> {
         (self.phase == Phase::Following && self.in_flight.is_none()).then_some(self.generation)
     }
 

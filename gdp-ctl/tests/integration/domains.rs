@@ -106,7 +106,7 @@ fn an_invitation_is_one_line_that_makes_a_member() {
     assert_eq!(member["invite"]["serial"], shown["claims"]["serial"]);
 
     let config = Config::load(&user.file("s2/gdp.yaml")).unwrap();
-    let uplink = &config.neighbours[0].place;
+    let uplink = &config.neighbours[0].address;
     assert_eq!((uplink.switch.to_string(), uplink.via.to_string()), (edge, "udp 192.0.2.7:31415".into()));
     assert!(config.neighbours[0].dial && !config.rib);
     let files = config.domain.unwrap().files;

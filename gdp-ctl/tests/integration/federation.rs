@@ -242,7 +242,7 @@ impl Settings {
     /// The RIB of that place's domain is a parent of this one's.
     fn below(mut self, parent: &Place) -> Self {
         let neighbours = self.0.neighbours.iter_mut();
-        neighbours.filter(|near| near.place.switch == parent.name).for_each(|near| near.parent = true);
+        neighbours.filter(|near| near.address.switch == parent.name).for_each(|near| near.parent = true);
         self
     }
 }

@@ -103,9 +103,9 @@ fn neighbours(links: &[LinkEntry]) -> Vec<Neighbour> {
     for link in links {
         let (LinkTarget::Udp { host, port, interface: None }, Some(switch)) = (&link.to, link.switch) else { continue };
         let Ok(addr) = host.parse::<IpAddr>() else { continue };
-        if neighbours.iter().all(|other| other.place.switch != switch) {
+        if neighbours.iter().all(|other| other.address.switch != switch) {
             let place = NeighbourAddress { switch, via: Via::Udp(SocketAddr::new(addr, *port)) };
-            neighbours.push(Neighbour { place, cost: None, dial: true, parent: false });
+            neighbours.push(Neighbour { address: place, cost: None, dial: true, parent: false });
         }
     }
     neighbours

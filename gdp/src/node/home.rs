@@ -13,7 +13,7 @@ use gdp_core::domain::{Admission, Credentials, CurrentCredentials, DomainError, 
 use gdp_core::identity::Identity;
 use gdp_core::name::NameProof;
 use gdp_core::peer::Role;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_link::link::Link;
 use gdp_util::unix_time::unix_seconds;
 
@@ -92,7 +92,7 @@ impl Home {
     pub fn revocations(&self) -> Vec<Revocation> {
         let Some(trust) = &self.trust else { return Vec::new() };
         let trust = trust.lock();
-        let of = |kept: &Kept| trust.revocation(&kept.proof.name().ok()?).cloned();
+        let of = |kept: &SignedRevocation| trust.revocation(&kept.proof.name().ok()?).cloned();
         trust.revocations().filter_map(of).collect()
     }
 

@@ -10,7 +10,7 @@ use parking_lot::Mutex;
 
 use gdp_core::cert::{Revocation, Signed};
 use gdp_core::name::NameProof;
-use gdp_core::revocations::{Kept, RevocationFile};
+use gdp_core::revocations::{RevocationFile, SignedRevocation};
 use gdp_core::secret_file::SecretFileError;
 
 /// Names that revocations are kept of.
@@ -25,7 +25,7 @@ pub struct Revoked {
     /// Locked while it is written.
     file: Option<Mutex<RevocationFile>>,
     /// Those heard of last come last.
-    entries: Mutex<Vec<(Kept, Revocation)>>,
+    entries: Mutex<Vec<(SignedRevocation, Revocation)>>,
     unsaved: AtomicBool,
     /// They could not be saved the last time, and the log says so.
     failing: AtomicBool,
@@ -60,7 +60,7 @@ impl Revoked {
         } else if kept.len() >= MOST {
             kept.remove(0);
         }
-        kept.push((Kept { proof, revocation, origin: None }, claims));
+        kept.push((SignedRevocation { proof, revocation, origin: None }, claims));
         self.unsaved.store(true, Ordering::Relaxed);
     }
 
@@ -73,7 +73,7 @@ impl Revoked {
             return;
         }
         // The file has those first that count most.
-        let kept: Vec<Kept> = self.entries.lock().iter().rev().map(|(kept, _)| kept.clone()).collect();
+        let kept: Vec<SignedRevocation> = self.entries.lock().iter().rev().map(|(kept, _)| kept.clone()).collect();
         let saved = file.save(&kept);
         let failed_before = self.failing.swap(saved.is_err(), Ordering::Relaxed);
         match saved {

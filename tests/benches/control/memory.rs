@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail, ensure};
 use gdp_core::identity::Identity;
 use gdp_proto::control::{EntityRequest, Response};
-use gdp_rib::rib::{Limits, Now, Rib, Run};
+use gdp_rib::rib::{Limits, Now, Rib, RibRun};
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 
 use crate::Bench;
@@ -52,7 +52,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let (owner, switch) = (Owner::new()?, Identity::generate("switch")?);
     let now = Now { unix: owner.now(), clock: Duration::from_secs(1) };
     let before = held();
-    let mut rib = Rib::new(switch.name(), Run { id: 1, settling: Duration::ZERO }, Limits::default());
+    let mut rib = Rib::new(switch.name(), RibRun { id: 1, settling: Duration::ZERO }, Limits::default());
     ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Reported { .. }));
     let mut signed = 0;
     for share in shares(bench.names) {

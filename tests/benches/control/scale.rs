@@ -15,12 +15,12 @@ use anyhow::{Context, Result, bail, ensure};
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::{Host, MemberCert, Membership, Revocation, SwitchStatement, issue};
 use gdp_core::identity::Identity;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::control;
 use gdp_proto::control::{EntityRequest, RecordKey, Response, TierRequest, TierResponse};
-use gdp_rib::rib::{Limits, Now, Rib, Run};
+use gdp_rib::rib::{Limits, Now, Rib, RibRun};
 use gdp_rib::tiers;
-use gdp_rib::tiers::{Change, Effect, Hosted, Item, Reply, Revoked, Sent, Tiers};
+use gdp_rib::tiers::{Effect, Hosted, Item, Reply, Revoked, Sent, TierChange, Tiers};
 use gdp_rib::topology::Paths;
 use gdp_tests::measure::figure::{Figure, Measure, Unit};
 use gdp_wire::Name;
@@ -105,7 +105,7 @@ impl Revoked for Nothing {
         None
     }
 
-    fn kept(&self, _name: &Name) -> Option<&Kept> {
+    fn signed(&self, _name: &Name) -> Option<&SignedRevocation> {
         None
     }
 }
@@ -298,9 +298,9 @@ impl World {
         let changes = domain.tiers.take_changes(now);
         domain.account(before);
         for change in changes {
-            if let Change::Set(Item::Part { held, only_passes: false }) = change
-                && held.place.role.is_writer()
-                && let Some(since) = self.awaited.remove(&held.place.name)
+            if let TierChange::Set(Item::Part { record: held, only_passes: false }) = change
+                && held.key.role.is_writer()
+                && let Some(since) = self.awaited.remove(&held.key.name)
             {
                 self.settled.push(now.clock - since);
             }
@@ -383,13 +383,13 @@ impl Domain {
         };
         let hosts: Vec<_> = (0..SWITCHES).map(host).collect::<Result<_>>()?;
         let limits = Limits { names_per_entity: usize::MAX, ..Limits::default() };
-        let mut rib = Rib::new(hosts[0].0.name(), Run { id: 1, settling: Duration::ZERO }, limits);
+        let mut rib = Rib::new(hosts[0].0.name(), RibRun { id: 1, settling: Duration::ZERO }, limits);
         let costs = hosts.iter().map(|(switch, _)| (switch.name(), 1)).collect();
         rib.set_paths(now, Paths { costs, ..Paths::default() });
         for (switch, _) in &hosts {
             ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Reported { .. }));
         }
-        let tiers = Tiers::new(identity.name(), 1, tiers::Limits::default());
+        let tiers = Tiers::new(identity.name(), 1, tiers::TierLimits::default());
         let mut domain = Self {
             identity,
             parent,
@@ -405,7 +405,7 @@ impl Domain {
             bytes: 0,
         };
         // The first call gives all there are.
-        domain.rib.take_changed_places();
+        domain.rib.take_changed_keys();
         domain.account(before);
         Ok(domain)
     }
@@ -431,7 +431,7 @@ impl Domain {
 
     /// Tells the tiers what has changed in the RIB, as the daemon does.
     fn follow(&mut self, now: Now) -> Result<()> {
-        let changed: Vec<RecordKey> = self.rib.take_changed_places().into_iter().collect();
+        let changed: Vec<RecordKey> = self.rib.take_changed_keys().into_iter().collect();
         for place in changed {
             match self.rib.export(now, &place) {
                 Some(export) => {

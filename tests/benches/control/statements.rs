@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail, ensure};
 use gdp_core::identity::Identity;
 use gdp_proto::control::{EntityRequest, Response};
-use gdp_rib::rib::{Limits, Now, Rib, Run};
+use gdp_rib::rib::{Limits, Now, Rib, RibRun};
 use gdp_tests::measure::cpu;
 use gdp_tests::measure::figure::{Aim, Figure, Unit};
 use gdp_tests::measure::rounds::{Contender, Sample, alternate};
@@ -50,7 +50,7 @@ fn measure(bench: &Bench) -> Result<Vec<Figure>> {
         Ok(rate(begin, 2 * STATEMENTS))
     };
     let mut rib = || {
-        let run = Run { id: 1, settling: Duration::ZERO };
+        let run = RibRun { id: 1, settling: Duration::ZERO };
         let mut rib = Rib::new(switch.name(), run, Limits::default());
         ensure!(matches!(rib.report(now, &switch.proof(), &[], None), Response::Reported { .. }));
         let mut ask =

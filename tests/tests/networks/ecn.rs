@@ -201,7 +201,7 @@ impl Site {
             data_plane: self.data_plane,
             dpdk: Default::default(),
             rib: i == 1,
-            neighbours: vec![Neighbour { place: near, cost: None, dial: false, parent: false }],
+            neighbours: vec![Neighbour { address: near, cost: None, dial: false, parent: false }],
             ebpf_object: Some(Tools::beside_this_test()?.ebpf_object()?),
             fib_capacity: 1024,
             bpffs: None,

@@ -199,7 +199,7 @@ impl Site {
                 data_plane,
                 dpdk: DpdkConfig { ports: devices(label), ..DpdkConfig::default() },
                 rib: label == "cloud",
-                neighbours: vec![Neighbour { place: near.clone(), cost: None, dial: false, parent: false }],
+                neighbours: vec![Neighbour { address: near.clone(), cost: None, dial: false, parent: false }],
                 ebpf_object: ebpf_object.clone(),
                 fib_capacity: 1024,
                 bpffs: None,

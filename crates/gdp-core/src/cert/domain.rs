@@ -171,7 +171,7 @@ impl Signed<PeerCert> {
     ) -> Result<PeerCert, CertError> {
         let claims = self.verify_signature(&proof.verify_key()?)?;
         expect_domain(proof.name()?, claims.domain)?;
-        check_held(PeerCert::KIND, claims.serial, revocation)?;
+        check_not_revoked(PeerCert::KIND, claims.serial, revocation)?;
         claims.validity().check(now)?;
         Ok(claims)
     }
@@ -261,9 +261,9 @@ impl Membership {
     /// domain.
     pub fn check_revoked(&self, revocation: Option<&Revocation>) -> Result<(), CertError> {
         if let Some(invite) = self.invite_unverified()? {
-            check_held(Invite::KIND, invite.serial, revocation)?;
+            check_not_revoked(Invite::KIND, invite.serial, revocation)?;
         }
-        check_held(MemberCert::KIND, self.cert.claims_unverified()?.serial, revocation)
+        check_not_revoked(MemberCert::KIND, self.cert.claims_unverified()?.serial, revocation)
     }
 
     /// Bytes of what is signed in it.
@@ -297,6 +297,6 @@ impl Membership {
     }
 }
 
-fn check_held(what: &'static str, serial: u64, revocation: Option<&Revocation>) -> Result<(), CertError> {
+fn check_not_revoked(what: &'static str, serial: u64, revocation: Option<&Revocation>) -> Result<(), CertError> {
     revocation.map_or(Ok(()), |revocation| revocation.check(what, serial))
 }

@@ -62,9 +62,9 @@ pub enum CertError {
     )]
     Revoked { what: &'static str, serial: u64, floor: u64, number: u64 },
     #[error(
-        "rolled back: revocation {got} does not replace {held}, the highest known; publish one with a higher number"
+        "rolled back: revocation {got} does not replace {known}, the highest known; publish one with a higher number"
     )]
-    RolledBack { got: u64, held: u64 },
+    RolledBack { got: u64, known: u64 },
     #[error(
         "replayed serial: {got} is not above {floor}, the highest seen of this entity; sign anew with a higher serial"
     )]

@@ -210,7 +210,7 @@ impl Revocation {
     pub fn check_replaces(&self, held: Option<&Self>) -> Result<(), CertError> {
         match held {
             Some(held) if self.number < held.number || self.number == held.number && self != held => {
-                Err(CertError::RolledBack { got: self.number, held: held.number })
+                Err(CertError::RolledBack { got: self.number, known: held.number })
             }
             _ => Ok(()),
         }

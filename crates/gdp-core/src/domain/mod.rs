@@ -16,7 +16,7 @@ use crate::cert::domain::roles;
 use crate::cert::{CertError, MemberCert, Membership, PeerCert, PeerRights, Revocation, Signed};
 use crate::name::{Name, NameProof};
 use crate::peer::{Peer, Role};
-use crate::revocations::Kept;
+use crate::revocations::SignedRevocation;
 
 pub use files::{CredentialFiles, PaperFileError};
 pub use token::{Token, TokenError};
@@ -163,7 +163,7 @@ pub struct Trust {
     home: Name,
     papers: Arc<Credentials>,
     members_only: bool,
-    revocations: BTreeMap<Name, (Kept, Revocation)>,
+    revocations: BTreeMap<Name, (SignedRevocation, Revocation)>,
 }
 
 impl Trust {
@@ -272,7 +272,7 @@ impl Trust {
         if !self.knows(&proof.name()?) {
             return Ok(false);
         }
-        let kept = Kept { proof: *proof, revocation: signed.clone(), origin: None };
+        let kept = SignedRevocation { proof: *proof, revocation: signed.clone(), origin: None };
         let claims = kept.verify()?;
         let held = self.revocation(&claims.name);
         claims.check_replaces(held)?;
@@ -290,7 +290,7 @@ impl Trust {
     }
 
     /// The newest revocation of each domain, with the name proof that shows its key.
-    pub fn revocations(&self) -> impl Iterator<Item = &Kept> {
+    pub fn revocations(&self) -> impl Iterator<Item = &SignedRevocation> {
         self.revocations.values().map(|(kept, _)| kept)
     }
 

@@ -66,7 +66,7 @@ fn what_has_ended_or_was_taken_back_is_refused_by_serial_and_remedy() {
     assert!(refused.contains("revocation 1") && refused.contains("floor 0"), "{refused}");
     assert!(refused.contains("have a new one issued"), "{refused}");
     let older = trust.take_revocation(&home.proof(), &home.revoke(0, 0, vec![])).unwrap_err();
-    assert!(matches!(older, CertError::RolledBack { got: 0, held: 1 }), "{older}");
+    assert!(matches!(older, CertError::RolledBack { got: 0, known: 1 }), "{older}");
     assert_eq!(trust.take_revocation(&home.proof(), &home.revoke(2, ISSUED + 100, vec![])), Ok(true));
     assert!(meet(&trust, NOW).unwrap_err().to_string().contains(&format!("floor {}", ISSUED + 100)));
     // Only the domain itself says so, and only of itself.

@@ -14,9 +14,9 @@ fn what_was_kept_comes_back_and_is_verified() {
     assert_eq!(file.load().unwrap(), []);
     let origin = Some(Origin { through: Name::from_bytes([9; 32]), by_tool: true });
     let (one, full) = (kept(1, 1, vec![7]), kept(2, 3, (0..MAX_REVOKED as u64).collect()));
-    let full = Kept { origin, ..full };
+    let full = SignedRevocation { origin, ..full };
     // Signed by another owner.
-    let forged = Kept { proof: one.proof, ..full.clone() };
+    let forged = SignedRevocation { proof: one.proof, ..full.clone() };
     assert_eq!(file.save([&one, &forged, &full]).unwrap(), 0);
     assert_eq!(fs::metadata(file.path()).unwrap().permissions().mode() & 0o7777, 0o600);
     let loaded: Vec<_> = file.load().unwrap().into_iter().map(|(kept, claims)| (kept, claims.number)).collect();
@@ -46,9 +46,9 @@ fn files_are_bounded_and_damage_is_told() {
     assert!(matches!(file.load(), Err(SecretFileError::TooLong { .. })));
 }
 
-fn kept(seed: u8, number: u64, revoked: Vec<u64>) -> Kept {
+fn kept(seed: u8, number: u64, revoked: Vec<u64>) -> SignedRevocation {
     let owner = SigningKey::from_secret_bytes(&[seed; 32]).unwrap();
     let proof = NameProof { owner_key: owner.public(), digest: [seed; 32] };
     let claims = Revocation { name: proof.name().unwrap(), number, floor: 0, revoked };
-    Kept { proof, revocation: issue(&owner, &claims).unwrap(), origin: None }
+    SignedRevocation { proof, revocation: issue(&owner, &claims).unwrap(), origin: None }
 }

@@ -23,7 +23,7 @@ pub struct Facts {
     pub object: Result<Loaded, String>,
     pub left_over: Vec<LeftOver>,
     /// None if the configuration turns UDP off.
-    pub udp: Option<Udp>,
+    pub udp: Option<UdpFacts>,
     /// The interfaces to run on, or the name of one that is not there.
     pub interfaces: Result<Vec<Result<Interface, String>>, String>,
 }
@@ -122,7 +122,7 @@ pub struct LeftOver {
 }
 
 #[derive(Clone, Debug)]
-pub struct Udp {
+pub struct UdpFacts {
     pub address: SocketAddr,
     pub state: PortState,
     pub zero_checksum_v6: Result<(), String>,

@@ -9,7 +9,7 @@ use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 
 use super::facts::{
-    Bpffs, Clock, Dpdk, DpdkDevice, DpdkPort, Facts, Interface, LeftOver, Loaded, Owner, PortState, Udp, Wanted,
+    Bpffs, Clock, Dpdk, DpdkDevice, DpdkPort, Facts, Interface, LeftOver, Loaded, Owner, PortState, UdpFacts, Wanted,
 };
 use crate::config::{Config, DataPlane};
 use crate::folders;
@@ -148,7 +148,7 @@ fn left_over(bpffs: &Path) -> Vec<LeftOver> {
     found.collect()
 }
 
-fn udp(address: SocketAddr) -> Udp {
+fn udp(address: SocketAddr) -> UdpFacts {
     let state = match UdpSocket::bind(address) {
         Ok(_) => PortState::Free,
         Err(error) if error.kind() != io::ErrorKind::AddrInUse => PortState::Refused(error.to_string()),
@@ -158,7 +158,7 @@ fn udp(address: SocketAddr) -> Udp {
             None => PortState::Taken(None),
         },
     };
-    Udp { address, state, zero_checksum_v6: zero_checksum().map_err(|error| error.to_string()) }
+    UdpFacts { address, state, zero_checksum_v6: zero_checksum().map_err(|error| error.to_string()) }
 }
 
 /// The program that has a UDP port of this network namespace, if this process may know.

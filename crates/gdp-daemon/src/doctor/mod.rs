@@ -13,7 +13,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use facts::{
-    Bpffs, Clock, Dpdk, DpdkDevice, DpdkPort, Facts, Interface, LeftOver, Loaded, Owner, PortState, Udp, Wanted,
+    Bpffs, Clock, Dpdk, DpdkDevice, DpdkPort, Facts, Interface, LeftOver, Loaded, Owner, PortState, UdpFacts, Wanted,
 };
 use gdp_dataplane::kernel_failures::FLOOR;
 use gdp_dataplane::kernel_version::KernelVersion;
@@ -363,7 +363,7 @@ fn offloads(interface: &Interface) -> Vec<Finding> {
     findings
 }
 
-fn udp(udp: &Udp) -> Vec<Finding> {
+fn udp(udp: &UdpFacts) -> Vec<Finding> {
     let address = udp.address;
     vec![
         match &udp.state {

@@ -124,7 +124,7 @@ impl Daemon {
 
     /// Sends requests of the RIB here, and tells it the replies.
     pub fn send(self: &Arc<Self>, pending: Vec<PendingRequest>) {
-        self.rib_was_heard();
+        self.wake_after_rib();
         self.answered.notify_waiters();
         for PendingRequest { link, request, on_reply } in pending {
             let daemon = self.clone();

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_link::port::{Port, PortConfig};
 use gdp_proto::control::{PathCosts, Refusal};
 use gdp_wire::Name;
@@ -142,7 +142,7 @@ impl Daemon {
 
     /// A RIB has said something: this switch may have another egress bit, which it is to state; and
     /// may have to find out who is the RIB.
-    pub fn rib_was_heard(&self) {
+    pub fn wake_after_rib(&self) {
         let (other_bit, is_report_due) = {
             let core = self.core();
             (core.switch.routes.own_bit() != core.topology.bit(), core.rib_client.report == Report::Due)
@@ -161,7 +161,7 @@ impl Daemon {
         let taken = self.core().rib_host.rib.as_ref().map_or(0, |rib| rib.revocations_taken());
         let collect = || {
             let core = self.core();
-            core.rib_host.rib.as_ref().map(|rib| (rib.revocations_taken(), rib.kept_revocations()))
+            core.rib_host.rib.as_ref().map(|rib| (rib.revocations_taken(), rib.signed_revocations()))
         };
         self.revocations.save(taken, collect).await
     }
@@ -174,7 +174,7 @@ impl Daemon {
         let collect = || {
             let core = self.core();
             let domain = core.membership.domain.as_ref()?;
-            let revocations: Vec<Kept> = domain.trust.revocations().cloned().collect();
+            let revocations: Vec<SignedRevocation> = domain.trust.revocations().cloned().collect();
             let used: Vec<Used> = domain.invitations.all().copied().collect();
             Some((domain.changes, (revocations, used)))
         };

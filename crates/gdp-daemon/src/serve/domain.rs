@@ -8,7 +8,7 @@ use std::time::Duration;
 use gdp_core::cert::{CertError, Revocation, Signed};
 use gdp_core::domain::CurrentCredentials;
 use gdp_core::name::NameProof;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_link::link::Link;
 use gdp_proto::control::{EntityRequest, Refusal, RefusalCode, Request, Response};
 use gdp_util::file_watch::{FileSet, FileWatcher};
@@ -140,11 +140,11 @@ pub fn domain_revocation(daemon: &Daemon, request: &EntityRequest) -> Option<(Na
 
 /// Tells a new link what the domains have revoked that this daemon knows.
 pub fn tell_revocations(daemon: &Daemon, link: &Link) {
-    let known: Vec<Kept> = match &daemon.core().membership.domain {
+    let known: Vec<SignedRevocation> = match &daemon.core().membership.domain {
         Some(domain) => domain.trust.revocations().cloned().collect(),
         None => return,
     };
-    for Kept { proof, revocation, .. } in known {
+    for SignedRevocation { proof, revocation, .. } in known {
         daemon.spawn(tell(link.clone(), Request::DomainRevoked { proof, revocation }));
     }
 }

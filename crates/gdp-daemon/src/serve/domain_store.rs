@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use gdp_core::domain::PaperFileError;
 use gdp_core::identity::Identity;
-use gdp_core::revocations::{Kept, RevocationFile};
+use gdp_core::revocations::{RevocationFile, SignedRevocation};
 use gdp_core::secret_file::SecretFileError;
 use gdp_core::{cbor, secret_file};
 use gdp_proto::control::Refusal;
@@ -29,7 +29,7 @@ pub enum MembershipError {
     #[error("domain: {0}")]
     Domain(#[from] DomainError),
     #[error(transparent)]
-    Kept(#[from] SecretFileError),
+    Stored(#[from] SecretFileError),
 }
 
 /// The files beside the switch's key.
@@ -50,7 +50,7 @@ impl DomainStore {
         let papers = Arc::new(config.files.load()?);
         let mut trust = Trust::new(identity.name(), papers, config.members_only)?;
         let revocations = RevocationFile::new(identity_file.with_extension("domain-revocations"), MAX_REVOCATIONS);
-        for (Kept { proof, revocation, .. }, _) in revocations.load()? {
+        for (SignedRevocation { proof, revocation, .. }, _) in revocations.load()? {
             // Of a domain that is no peer any more, perhaps.
             let _ = trust.take_revocation(&proof, &revocation);
         }
@@ -71,10 +71,10 @@ impl DomainStore {
     pub async fn save(
         &self,
         changes: u64,
-        collect: impl FnOnce() -> Option<(u64, (Vec<Kept>, Vec<Used>))>,
+        collect: impl FnOnce() -> Option<(u64, (Vec<SignedRevocation>, Vec<Used>))>,
     ) -> Result<(), Refusal> {
         let (file, path) = (self.revocations.clone(), self.invitations.clone());
-        let write = move |(revocations, used): (Vec<Kept>, Vec<Used>)| {
+        let write = move |(revocations, used): (Vec<SignedRevocation>, Vec<Used>)| {
             file.save(&revocations)?;
             let malformed = |error| SecretFileError::malformed(&path, error);
             secret_file::replace(&path, &cbor::encode(&used).map_err(malformed)?)

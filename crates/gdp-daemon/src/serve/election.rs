@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use gdp_core::peer::GRACEFUL_RESTART_TIME;
-use gdp_rib::rib::{Item, Limits, RestoreError, Rib, Run, decode_item};
+use gdp_rib::rib::{Item, Limits, RestoreError, Rib, RibRun, decode_item};
 use gdp_wire::Name;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
@@ -22,7 +22,7 @@ use super::replica::{Replica, Stage};
 use super::term::{Term, within};
 use crate::domain::Used;
 use crate::store::client::EtcdClient;
-use crate::store::{StoreError, items::Change, items::Copy, items::KeySpace, items::Writer};
+use crate::store::{StoreError, items::Copy, items::ItemChange, items::KeySpace, items::Writer};
 
 /// Seconds of a leader's lease.
 const TTL: u64 = 5;
@@ -86,13 +86,13 @@ async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
 /// Keeps a copy of what is stored until there is no leader, and this replica is elected. `lease`:
 /// with which it stands, from before it does.
 async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -> Result<(Copy, Elected), StoreError> {
-    let (mut client, place, own) = (replica.client(), &replica.keys, daemon.name);
-    let mut copy = Copy::list(place, &mut client).await?;
-    let mut watch = client.watch(place.prefix(), copy.revision() + 1).await?;
+    let (mut client, keys, own) = (replica.client(), &replica.keys, daemon.name);
+    let mut copy = Copy::list(keys, &mut client).await?;
+    let mut watch = client.watch(keys.prefix(), copy.revision() + 1).await?;
     loop {
-        let is_led = place.has_leader(&mut client).await?;
+        let is_led = keys.has_leader(&mut client).await?;
         daemon.core().rib_host.no_rib = (!is_led).then(|| "no replica of it leads; one is about to".into());
-        if !is_led && let Some(elected) = Elected::stand(place, &mut client, &own, lease).await? {
+        if !is_led && let Some(elected) = Elected::stand(keys, &mut client, &own, lease).await? {
             let caught_up = async {
                 while copy.revision() < elected.revision {
                     copy.apply(watch.next().await?)?;
@@ -118,7 +118,7 @@ async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -
 
 impl Elected {
     async fn stand(
-        place: &KeySpace,
+        keys: &KeySpace,
         client: &mut EtcdClient,
         own: &Name,
         stands_with: &mut Option<i64>,
@@ -127,7 +127,7 @@ impl Elected {
         let lease = client.grant(TTL).await?;
         *stands_with = Some(lease);
         let term = Arc::new(Term::new(asked + Duration::from_secs(TTL) - MARGIN));
-        match place.stand(client, own, lease).await? {
+        match keys.stand(client, own, lease).await? {
             Some(revision) => Ok(Some(Self { lease, revision, term })),
             None => {
                 // Another was elected.
@@ -139,7 +139,7 @@ impl Elected {
     }
 
     /// Renews the lease until it is over all the same.
-    async fn hold(&self, client: &mut EtcdClient) -> StoreError {
+    async fn renew_lease(&self, client: &mut EtcdClient) -> StoreError {
         loop {
             sleep(BEAT).await;
             let asked = Instant::now();
@@ -164,7 +164,7 @@ async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elec
     let mut client = replica.client();
     let work = async {
         tokio::select! {
-            error = elected.hold(&mut client) => error,
+            error = elected.renew_lease(&mut client) => error,
             error = serve_term(daemon, replica, copy, &elected) => error,
         }
     };
@@ -212,7 +212,7 @@ async fn take_over(
         Vec::new()
     });
     let (now, root) = (daemon.core().now(), daemon.name);
-    let run = Run { id: run_id(elected.revision.unsigned_abs()), settling: now.clock + GRACEFUL_RESTART_TIME };
+    let run = RibRun { id: run_id(elected.revision.unsigned_abs()), settling: now.clock + GRACEFUL_RESTART_TIME };
     // Signatures are verified, perhaps many.
     let restoring = move || {
         let mut rib = Rib::new(root, run, Limits::default());
@@ -268,7 +268,7 @@ async fn take_over(
     Ok((copy.into_writer(replica.client(), elected.revision), changed))
 }
 
-fn unstored(core: &mut Core, changed: &mut BTreeSet<Item>) -> Option<(u64, Vec<Change>)> {
+fn unstored(core: &mut Core, changed: &mut BTreeSet<Item>) -> Option<(u64, Vec<ItemChange>)> {
     core.rib_host.unstored(core.clock.now(), core.membership.domain.as_ref(), changed)
 }
 

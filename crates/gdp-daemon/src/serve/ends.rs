@@ -76,8 +76,8 @@ impl Ends {
 
     /// The link is gone. Returns earlier ones of its lane that go with it: all, if it was ended
     /// while it was in use.
-    pub fn gone(&mut self, link: u32) -> Vec<u32> {
-        let with_it = self.lanes.values_mut().flat_map(|lane| lane.gone(link)).collect();
+    pub fn removed(&mut self, link: u32) -> Vec<u32> {
+        let with_it = self.lanes.values_mut().flat_map(|lane| lane.removed(link)).collect();
         self.lanes.retain(|_, lane| !lane.is_empty());
         with_it
     }
@@ -162,7 +162,7 @@ impl Lane {
 
     /// The link is gone. Returns earlier ones that go with it: all, if it was ended while it was in
     /// use.
-    fn gone(&mut self, link: u32) -> Vec<u32> {
+    fn removed(&mut self, link: u32) -> Vec<u32> {
         self.earlier.retain(|earlier| *earlier != link);
         let ended = self.newest.take_if(|newest| newest.link == link);
         if ended.is_some_and(|newest| newest.ready) { std::mem::take(&mut self.earlier) } else { Vec::new() }

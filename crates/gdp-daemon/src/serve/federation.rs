@@ -9,7 +9,7 @@ use gdp_core::cert::domain::roles;
 use gdp_core::cert::{CertError, Host, Locator, MAX_LOCATED, MAX_LOCATOR, Revocation, Signed, SwitchStatement};
 use gdp_core::domain::Trust;
 use gdp_core::keys::KeyBox;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::admin::status::TierStatus;
 use gdp_proto::admin::words::{TierKind, TierState};
 use gdp_proto::control::{RecordKey, Refusal, RefusalCode, Response, TierEntry, TierKey, TierResponse};
@@ -21,7 +21,7 @@ use super::retries::Retries;
 use gdp_rib::rib::{Foreign, Now, Rib};
 use gdp_rib::tiers;
 use gdp_rib::tiers::{
-    Change, Effect, Hosted, Item, Limits, Reply, Revoked, TableRecord, Ticket, Tiers, peering::Peering,
+    Effect, Hosted, Item, Reply, Revoked, TableRecord, Ticket, TierChange, TierLimits, Tiers, peering::Peering,
     peering::Peerings, peering::WantedPeerings, peering::choose,
 };
 
@@ -32,7 +32,7 @@ const REMINDER: Duration = Duration::from_secs(10);
 pub struct Federation {
     pub(super) tiers: Tiers,
     /// The switches of the domain that the RIB knows, as they have shown themselves to it.
-    hosts: BTreeMap<Name, Shown>,
+    hosts: BTreeMap<Name, StatedHost>,
     /// What entities have stated in this domain, by switch.
     stated: BTreeMap<Name, BTreeSet<RecordKey>>,
     /// What is to be told anew, besides what the RIB says has changed.
@@ -50,7 +50,7 @@ pub struct Federation {
 }
 
 /// What a switch of the domain has shown; it has been verified.
-struct Shown {
+struct StatedHost {
     host: Arc<Hosted>,
     is_border: bool,
     /// When it is over, on the clock of the RIB.
@@ -68,8 +68,8 @@ impl Revoked for Known<'_> {
         self.trust.revocation(name).or_else(|| self.rib.revocation(name))
     }
 
-    fn kept(&self, name: &Name) -> Option<&Kept> {
-        if self.trust.knows(name) { None } else { self.rib.kept_revocation(name) }
+    fn signed(&self, name: &Name) -> Option<&SignedRevocation> {
+        if self.trust.knows(name) { None } else { self.rib.signed_revocation(name) }
     }
 }
 
@@ -77,7 +77,7 @@ impl Federation {
     /// Of a RIB in the domain `home`, in this run.
     pub fn new(home: Name, run: u64) -> Self {
         Self {
-            tiers: Tiers::new(home, run, Limits::default()),
+            tiers: Tiers::new(home, run, TierLimits::default()),
             hosts: BTreeMap::new(),
             stated: BTreeMap::new(),
             due: BTreeSet::new(),
@@ -111,7 +111,7 @@ impl Federation {
         }
         let (is_border, ends) = (member.role == roles::BORDER, now.clock_at(claims.not_after));
         let host = Arc::new(Hosted { host, domain: home, not_after: claims.not_after });
-        self.hosts.insert(switch, Shown { host, is_border, ends });
+        self.hosts.insert(switch, StatedHost { host, is_border, ends });
         self.hosts_changed([switch]);
         Ok(())
     }
@@ -126,7 +126,7 @@ impl Federation {
         self.retain_hosts(|_, shown| shown.host.host.membership.check_revoked(revocation).is_ok());
     }
 
-    fn retain_hosts(&mut self, stands: impl Fn(&Name, &Shown) -> bool) {
+    fn retain_hosts(&mut self, stands: impl Fn(&Name, &StatedHost) -> bool) {
         let gone: Vec<Name> =
             self.hosts.iter().filter(|(name, shown)| !stands(name, shown)).map(|(name, _)| *name).collect();
         gone.iter().for_each(|switch| _ = self.hosts.remove(switch));
@@ -143,7 +143,7 @@ impl Federation {
 
     fn locator(&self) -> Locator {
         let mut locator = Locator::default();
-        for Shown { host, .. } in self.hosts.values().filter(|shown| shown.is_border) {
+        for StatedHost { host, .. } in self.hosts.values().filter(|shown| shown.is_border) {
             locator.borders.push(host.host.clone());
             if locator.borders.len() > MAX_LOCATED || locator.size() > MAX_LOCATOR {
                 locator.borders.pop();
@@ -202,7 +202,7 @@ impl Federation {
     /// Tells the tiers what has changed in the RIB.
     pub(super) fn follow(&mut self, now: Now, rib: &mut Rib) {
         let mut writers = BTreeSet::new();
-        let changed = rib.take_changed_places().into_iter().chain(std::mem::take(&mut self.due));
+        let changed = rib.take_changed_keys().into_iter().chain(std::mem::take(&mut self.due));
         for place in changed.collect::<BTreeSet<_>>() {
             let boxes = self.boxes.entry(place.entity).or_default();
             let export = rib.export(now, &place).filter(|export| export.origin.is_none());
@@ -247,19 +247,19 @@ impl Federation {
         let mut places: BTreeSet<RecordKey> = self.retries.take_due(now.clock).into_iter().collect();
         for change in self.tiers.take_changes(now) {
             match change {
-                Change::Remove(TierKey::Part(place)) => {
+                TierChange::Remove(TierKey::Part(place)) => {
                     places.remove(&place);
                     self.retries.settled(&place);
-                    rib.told_by(&place).iter().for_each(|next| rib.remove_foreign(now, &place, next));
+                    rib.sources_of(&place).iter().for_each(|next| rib.remove_foreign(now, &place, next));
                 }
-                Change::Set(Item::Part { held, .. }) => drop(places.insert(held.place)),
-                Change::Set(Item::Box(signed)) => {
+                TierChange::Set(Item::Part { record: held, .. }) => drop(places.insert(held.key)),
+                TierChange::Set(Item::Box(signed)) => {
                     let writer = signed.claims_unverified().map(|claims| claims.writer);
                     let parts = writer.into_iter().flat_map(|writer| self.tiers.known_of(writer).parts);
-                    places.extend(parts.map(|(held, _)| held.place));
+                    places.extend(parts.map(|(held, _)| held.key));
                 }
                 // The RIB lets go of boxes by itself, and of places it is told with which they go.
-                Change::Set(Item::Locator { .. } | Item::Revocation(_)) | Change::Remove(_) => {}
+                TierChange::Set(Item::Locator { .. } | Item::Revocation(_)) | TierChange::Remove(_) => {}
             }
         }
         let mut boxes = BTreeMap::new();
@@ -280,7 +280,7 @@ impl Federation {
         let is_refused = taken.is_err();
         // What another said counts until this does.
         if !is_refused {
-            let others: Vec<Name> = rib.told_by(&place).into_iter().filter(|other| *other != next).collect();
+            let others: Vec<Name> = rib.sources_of(&place).into_iter().filter(|other| *other != next).collect();
             others.iter().for_each(|other| rib.remove_foreign(now, &place, other));
         }
         let refusal = match taken.unwrap_or_else(Some) {
@@ -342,7 +342,7 @@ impl Federation {
     /// What `gdp-ctl status` shows of the neighbouring domains.
     pub fn status(&self) -> Vec<TierStatus> {
         let shown = self.tiers.neighbours().map(|neighbour| {
-            let (state, reason) = match neighbour.standing {
+            let (state, reason) = match neighbour.session {
                 tiers::SessionState::Waiting => (TierState::Waiting, neighbour.lacking),
                 tiers::SessionState::Up => (TierState::Up, neighbour.lacking),
                 tiers::SessionState::Lost(_) => (TierState::Lost, None),

@@ -26,23 +26,23 @@ pub struct StaleLink {
     pub to: LinkAddr,
     pub until: Instant,
     /// What the peer was to this switch's domain, unless the link is from before this daemon.
-    pub standing: Option<Relationship>,
+    pub relationship: Option<Relationship>,
     /// So that no new link gets the same index in the tables.
-    pub id: Kept,
+    pub id: Reservation,
 }
 
 impl StaleLink {
     /// The link itself, unless it is from before this daemon.
     pub fn link(&self) -> Option<&Link> {
         match &self.id {
-            Kept::Closed { link } => Some(link),
-            Kept::Adopted { .. } => None,
+            Reservation::Closed { link } => Some(link),
+            Reservation::Adopted { .. } => None,
         }
     }
 }
 
 /// What reserves the id of a link that is kept.
-pub enum Kept {
+pub enum Reservation {
     Adopted { _id: LinkId },
     Closed { link: Link },
 }

@@ -129,7 +129,7 @@ pub async fn run_ethernet(
         let via = Via::Interface(name.clone());
         tokio::select! {
             () = run(&daemon, &open, &via) => {}
-            () = gone(&daemon, &open, &mut changes) => {}
+            () = interface_changed(&daemon, &open, &mut changes) => {}
         }
         tracing::warn!(interface = name, "the interface is gone or was made anew");
         daemon.ports().remove(&name);
@@ -141,7 +141,7 @@ pub async fn run_ethernet(
 }
 
 /// Until the interface is not the one that was opened.
-async fn gone(daemon: &Arc<Daemon>, port: &Port, changes: &mut watch::Receiver<()>) {
+async fn interface_changed(daemon: &Arc<Daemon>, port: &Port, changes: &mut watch::Receiver<()>) {
     let Some(opened) = port.interface() else { return std::future::pending().await };
     loop {
         interfaces::look(changes).await;
@@ -164,8 +164,8 @@ async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
     // Of two neighbours the one with the smaller name dials, unless it is said otherwise.
     let to_dial: Vec<NeighbourAddress> = {
         let core = daemon.core();
-        let near = core.neighbours.listed.iter().filter(|n| n.place.via.same_port(via));
-        near.filter(|n| n.dial || own.as_bytes() < n.place.switch.as_bytes()).map(|n| n.place.clone()).collect()
+        let near = core.neighbours.listed.iter().filter(|n| n.address.via.same_port(via));
+        near.filter(|n| n.dial || own.as_bytes() < n.address.switch.as_bytes()).map(|n| n.address.clone()).collect()
     };
     let dials = futures::future::join_all(
         to_dial.into_iter().map(|place| keep_link(daemon, port, place.switch, vec![place.via])),

@@ -36,7 +36,8 @@ pub struct Retries {
 impl Retries {
     /// It was refused as `neighbour` told it; how often by now, in a row.
     pub fn refused(&mut self, now: Duration, neighbour: Name, place: RecordKey) -> u32 {
-        let before = self.refused.get(&place).filter(|(told_by, _)| *told_by == neighbour).map(|(_, times)| *times);
+        let before =
+            self.refused.get(&place).filter(|(sources_of, _)| *sources_of == neighbour).map(|(_, times)| *times);
         self.settled(&place);
         let times = before.unwrap_or(0);
         let at = now + RETRY.after(times + 1);

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use gdp_core::cert::Revocation;
-use gdp_core::revocations::{Kept, RevocationFile};
+use gdp_core::revocations::{RevocationFile, SignedRevocation};
 use gdp_core::secret_file::SecretFileError;
 use gdp_proto::control::{Refusal, RefusalCode};
 use gdp_rib::rib::Rib;
@@ -99,7 +99,7 @@ impl StoredRevocations {
     }
 
     /// What an earlier RIB here knew.
-    pub fn known(&self) -> Result<Vec<(Kept, Revocation)>, SecretFileError> {
+    pub fn known(&self) -> Result<Vec<(SignedRevocation, Revocation)>, SecretFileError> {
         self.file.load()
     }
 
@@ -110,9 +110,13 @@ impl StoredRevocations {
 
     /// Returns once so many changes are in the file. `collect`: how many there are, and all there
     /// is to write.
-    pub async fn save(&self, changes: u64, collect: impl FnOnce() -> Option<(u64, Vec<Kept>)>) -> Result<(), Refusal> {
+    pub async fn save(
+        &self,
+        changes: u64,
+        collect: impl FnOnce() -> Option<(u64, Vec<SignedRevocation>)>,
+    ) -> Result<(), Refusal> {
         let file = self.file.clone();
-        let write = move |all: Vec<Kept>| {
+        let write = move |all: Vec<SignedRevocation>| {
             let omitted = file.save(&all)?;
             if omitted > 0 {
                 tracing::warn!(omitted, "more revocations than {} holds", file.path().display());

@@ -20,7 +20,7 @@ use gdp_rib::topology::Paths;
 
 /// One change of the data plane's tables. To be carried out in order.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Change {
+pub enum PlaneChange {
     /// This switch's own egress bit, as a mask.
     OwnBit(u64),
     /// Which egress switches the neighbour on this link leads to.
@@ -35,9 +35,9 @@ pub enum Change {
 
 /// A push that does not follow what the switch holds: it needs the whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the switch holds generation {held}, so it cannot apply a change to generation {got}; send the whole FIB")]
+#[error("the switch holds generation {expected}, so it cannot apply a change to generation {got}; send the whole FIB")]
 pub struct OutOfStep {
-    pub held: u64,
+    pub expected: u64,
     pub got: u64,
 }
 
@@ -48,7 +48,7 @@ pub struct Routes {
     /// Another switch has the same one, and had it before.
     bit_is_lost: bool,
     known: Layer,
-    held: Layer,
+    stale: Layer,
     /// Of the RIB that said what is known.
     run: Option<u64>,
     generation: u64,
@@ -79,7 +79,7 @@ struct Way {
 
 impl Routes {
     /// Holds what an earlier daemon left, of which `links` are still there.
-    pub fn adopt(&mut self, left: &Left, links: &[(KeyedEntry, LinkRole)]) -> Vec<Change> {
+    pub fn adopt(&mut self, left: &Left, links: &[(KeyedEntry, LinkRole)]) -> Vec<PlaneChange> {
         self.own_bit = (left.own_bit != 0).then(|| left.own_bit.trailing_zeros() as u8);
         let peers: HashMap<u32, (Name, LinkRole)> =
             links.iter().map(|(link, role)| (link.id, (link.peer, *role))).collect();
@@ -91,7 +91,7 @@ impl Routes {
         }
         for (bit, link) in left.next_hops.iter().enumerate() {
             if let Some((peer, _)) = peers.get(link) {
-                *self.held.reach.entry(*peer).or_default() |= 1 << bit;
+                *self.stale.reach.entry(*peer).or_default() |= 1 << bit;
             }
         }
         let names = |links: &[u32]| -> Vec<Name> {
@@ -114,17 +114,17 @@ impl Routes {
             }
             let route = Route { name: *name, egress_bits: plane.egress_bits, locals, everywhere, writers, arrives_by };
             let way = Way { route, anyone: plane.writers.contains(&ANY_WRITER) };
-            let change = self.update(name, |routes| drop(routes.held.routes.insert(*name, way)));
-            changes.extend(change.filter(|change| *change != Change::Set(*name, plane.clone())));
+            let change = self.update(name, |routes| drop(routes.stale.routes.insert(*name, way)));
+            changes.extend(change.filter(|change| *change != PlaneChange::Set(*name, plane.clone())));
         }
         changes
     }
 
     /// Applies a push from the RIB.
-    pub fn push(&mut self, push: &FibPush) -> Result<Vec<Change>, OutOfStep> {
+    pub fn push(&mut self, push: &FibPush) -> Result<Vec<PlaneChange>, OutOfStep> {
         self.check_order(push)?;
         if self.run != Some(push.run) {
-            self.hold_what_is_known();
+            self.make_known_stale();
             self.run = Some(push.run);
         }
         let mut changes = self.set_own_bit(push.own_bit % EGRESS_SET_SIZE as u8);
@@ -142,7 +142,7 @@ impl Routes {
         for name in &push.remove {
             changes.extend(self.update(name, |routes| {
                 routes.known.routes.remove(name);
-                routes.held.routes.remove(name);
+                routes.stale.routes.remove(name);
             }));
         }
         match push.extent {
@@ -152,8 +152,8 @@ impl Routes {
                     changes.extend(self.update(&name, |routes| drop(routes.known.routes.remove(&name))));
                 }
                 if !push.settling {
-                    for name in self.held.routes.keys().copied().collect::<Vec<_>>() {
-                        changes.extend(self.update(&name, |routes| drop(routes.held.routes.remove(&name))));
+                    for name in self.stale.routes.keys().copied().collect::<Vec<_>>() {
+                        changes.extend(self.update(&name, |routes| drop(routes.stale.routes.remove(&name))));
                     }
                 }
             }
@@ -168,13 +168,13 @@ impl Routes {
     }
 
     /// A link is up; it replaces one to the same peer once it [is ready](Self::link_ready).
-    pub fn link_up(&mut self, role: LinkRole, peer: Name, lane: u8, link: u32) -> Vec<Change> {
+    pub fn link_up(&mut self, role: LinkRole, peer: Name, lane: u8, link: u32) -> Vec<PlaneChange> {
         self.ends(role).entry(peer).or_default().up(lane, link);
         self.changes_of(role, &peer)
     }
 
     /// The peer takes frames on the link.
-    pub fn link_ready(&mut self, role: LinkRole, peer: Name, link: u32) -> Vec<Change> {
+    pub fn link_ready(&mut self, role: LinkRole, peer: Name, link: u32) -> Vec<PlaneChange> {
         let Some(ends) = self.ends(role).get_mut(&peer) else { return Vec::new() };
         let sent_on = |ends: &Ends| (ends.out(), ends.each().collect::<Vec<_>>());
         let before = sent_on(ends);
@@ -184,7 +184,7 @@ impl Routes {
 
     /// An endpoint wants on this link what it takes on one. What it sends, and takes on each, stays
     /// as it is.
-    pub fn link_preferred(&mut self, peer: Name, link: u32) -> Vec<Change> {
+    pub fn link_preferred(&mut self, peer: Name, link: u32) -> Vec<PlaneChange> {
         let Some(ends) = self.endpoints.get_mut(&peer) else { return Vec::new() };
         let before = ends.out();
         ends.prefer(link);
@@ -212,10 +212,10 @@ impl Routes {
     }
 
     /// A link is gone. Returns earlier ones to the same peer that have to go with it.
-    pub fn link_gone(&mut self, role: LinkRole, peer: Name, link: u32) -> (Vec<Change>, Vec<u32>) {
+    pub fn link_removed(&mut self, role: LinkRole, peer: Name, link: u32) -> (Vec<PlaneChange>, Vec<u32>) {
         let all = self.ends(role);
         let Some(ends) = all.get_mut(&peer) else { return Default::default() };
-        let with_it = ends.gone(link);
+        let with_it = ends.removed(link);
         if ends.is_empty() {
             all.remove(&peer);
         }
@@ -233,7 +233,7 @@ impl Routes {
 
     /// Names that are routed here.
     pub fn len(&self) -> usize {
-        let only_held = self.held.routes.keys().filter(|name| !self.known.routes.contains_key(name));
+        let only_held = self.stale.routes.keys().filter(|name| !self.known.routes.contains_key(name));
         self.known.routes.len() + only_held.count()
     }
 
@@ -268,14 +268,14 @@ impl Routes {
             Extent::Full { part, .. } => next && self.sweep.as_ref().is_some_and(|(_, expected)| *expected == part),
             Extent::Delta => next && self.sweep.is_none(),
         };
-        if in_order { Ok(()) } else { Err(OutOfStep { held: self.generation, got: push.generation }) }
+        if in_order { Ok(()) } else { Err(OutOfStep { expected: self.generation, got: push.generation }) }
     }
 
     /// The RIB is another one than before, and begins with nothing.
-    fn hold_what_is_known(&mut self) {
+    fn make_known_stale(&mut self) {
         for (name, way) in std::mem::take(&mut self.known.routes) {
-            let joint = join(Some(&way), self.held.routes.get(&name));
-            self.held.routes.extend(joint.map(|joint| (name, joint)));
+            let joint = join(Some(&way), self.stale.routes.get(&name));
+            self.stale.routes.extend(joint.map(|joint| (name, joint)));
         }
     }
 
@@ -283,14 +283,14 @@ impl Routes {
     fn reach(&self) -> BTreeMap<Name, u64> {
         let mut reach = self.known.reach.clone();
         let known = reach.values().fold(0, |all, bits| all | bits);
-        for (neighbour, bits) in &self.held.reach {
+        for (neighbour, bits) in &self.stale.reach {
             *reach.entry(*neighbour).or_default() |= bits & !known;
         }
         reach.retain(|_, bits| *bits != 0);
         reach
     }
 
-    fn set_own_bit(&mut self, bit: u8) -> Vec<Change> {
+    fn set_own_bit(&mut self, bit: u8) -> Vec<PlaneChange> {
         let before = self.own_mask();
         self.own_bit = Some(bit);
         self.own_mask_after(before)
@@ -301,13 +301,13 @@ impl Routes {
         self.own_bit.filter(|_| !self.bit_is_lost).map_or(0, |bit| 1 << bit)
     }
 
-    fn own_mask_after(&self, before: u64) -> Vec<Change> {
+    fn own_mask_after(&self, before: u64) -> Vec<PlaneChange> {
         let mask = self.own_mask();
-        (mask != before).then_some(Change::OwnBit(mask)).into_iter().collect()
+        (mask != before).then_some(PlaneChange::OwnBit(mask)).into_iter().collect()
     }
 
     /// The topology knows these paths now.
-    pub fn set_paths(&mut self, paths: &Paths, own: &Name) -> Vec<Change> {
+    pub fn set_paths(&mut self, paths: &Paths, own: &Name) -> Vec<PlaneChange> {
         let (mask, before) = (self.own_mask(), self.reach());
         self.bit_is_lost = self.own_bit.and_then(|bit| paths.bits.get(&bit)).is_some_and(|has| has != own);
         self.known.reach = paths.reach.clone();
@@ -317,13 +317,13 @@ impl Routes {
     }
 
     /// From now on only those paths count that the topology knows.
-    pub fn end_held_paths(&mut self) -> Vec<Change> {
+    pub fn end_stale_paths(&mut self) -> Vec<PlaneChange> {
         let before = self.reach();
-        self.held.reach.clear();
+        self.stale.reach.clear();
         self.reach_after(&before)
     }
 
-    fn reach_after(&self, before: &BTreeMap<Name, u64>) -> Vec<Change> {
+    fn reach_after(&self, before: &BTreeMap<Name, u64>) -> Vec<PlaneChange> {
         let reach = self.reach();
         if reach == *before {
             return Vec::new();
@@ -333,7 +333,7 @@ impl Routes {
     }
 
     /// What follows from other links to a peer.
-    fn changes_of(&self, role: LinkRole, peer: &Name) -> Vec<Change> {
+    fn changes_of(&self, role: LinkRole, peer: &Name) -> Vec<PlaneChange> {
         match role {
             LinkRole::Switch => {
                 let reach = self.reach();
@@ -353,20 +353,20 @@ impl Routes {
         &self,
         reach: &BTreeMap<Name, u64>,
         switches: impl Iterator<Item = (&'a Name, &'a Ends)>,
-    ) -> (Vec<Change>, Vec<Change>) {
+    ) -> (Vec<PlaneChange>, Vec<PlaneChange>) {
         let (mut used, mut unused) = (Vec::new(), Vec::new());
         for (switch, ends) in switches {
             for link in ends.all() {
                 match ends.out() == Some(link) {
-                    true => used.push(Change::Reach { link, bits: reach.get(switch).copied().unwrap_or(0) }),
-                    false => unused.push(Change::Reach { link, bits: 0 }),
+                    true => used.push(PlaneChange::Reach { link, bits: reach.get(switch).copied().unwrap_or(0) }),
+                    false => unused.push(PlaneChange::Reach { link, bits: 0 }),
                 }
             }
         }
         (used, unused)
     }
 
-    fn next_hops(&self, reach: &BTreeMap<Name, u64>) -> Change {
+    fn next_hops(&self, reach: &BTreeMap<Name, u64>) -> PlaneChange {
         let mut next_hops = [0; EGRESS_SET_SIZE as usize];
         for (switch, bits) in reach {
             let Some(link) = self.switches.get(switch).and_then(Ends::out) else { continue };
@@ -376,15 +376,15 @@ impl Routes {
                 }
             }
         }
-        Change::NextHops(Box::new(next_hops))
+        PlaneChange::NextHops(Box::new(next_hops))
     }
 
     fn way(&self, name: &Name) -> Option<Way> {
-        join(self.known.routes.get(name), self.held.routes.get(name))
+        join(self.known.routes.get(name), self.stale.routes.get(name))
     }
 
     /// Changes the layers in what they say of one name.
-    fn update(&mut self, name: &Name, change: impl FnOnce(&mut Self)) -> Option<Change> {
+    fn update(&mut self, name: &Name, change: impl FnOnce(&mut Self)) -> Option<PlaneChange> {
         let before = self.way(name);
         change(self);
         let after = self.way(name);
@@ -402,12 +402,12 @@ impl Routes {
         for entity in after.iter().flat_map(concerned) {
             self.concerned.entry(*entity).or_default().insert(*name);
         }
-        Some(after.map_or(Change::Remove(*name), |way| self.resolve(&way)))
+        Some(after.map_or(PlaneChange::Remove(*name), |way| self.resolve(&way)))
     }
 
     /// A name that leads nowhere from here, and that nobody behind a border is called by, the data
     /// plane need not hold.
-    fn resolve(&self, Way { route, anyone }: &Way) -> Change {
+    fn resolve(&self, Way { route, anyone }: &Way) -> PlaneChange {
         let borders = |names: &[Name]| names.iter().filter_map(|name| self.borders.get(name)).collect::<Vec<_>>();
         let ends = |names: &[Name]| -> Vec<&Ends> {
             names.iter().filter_map(|name| self.endpoints.get(name)).chain(borders(names)).collect()
@@ -420,17 +420,17 @@ impl Routes {
         };
         let sources = sorted(borders(&route.arrives_by).into_iter().flat_map(Ends::all));
         let plane = PlaneRoute { egress_bits: route.egress_bits, readers, writers, sources };
-        if plane.is_idle() { Change::Remove(route.name) } else { Change::Set(route.name, plane) }
+        if plane.is_idle() { PlaneChange::Remove(route.name) } else { PlaneChange::Set(route.name, plane) }
     }
 }
 
 impl Routes {
     /// From now on only those may send to a name who are known to write it, also where it was held
     /// without knowing them.
-    pub fn end_any_writer(&mut self) -> Vec<Change> {
-        let open = self.held.routes.iter().filter(|(_, way)| way.anyone).map(|(name, _)| *name);
+    pub fn end_any_writer(&mut self) -> Vec<PlaneChange> {
+        let open = self.stale.routes.iter().filter(|(_, way)| way.anyone).map(|(name, _)| *name);
         let close = |routes: &mut Self, name: &Name| {
-            if let Some(way) = routes.held.routes.get_mut(name) {
+            if let Some(way) = routes.stale.routes.get_mut(name) {
                 way.anyone = false;
             }
         };

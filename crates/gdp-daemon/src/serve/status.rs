@@ -179,7 +179,7 @@ pub fn links(core: &Core) -> Vec<LinkStatus> {
 /// links lead to, and whoever was refused a link lately; by name. A peer with a link is not
 /// refused.
 pub fn peers(core: &Core) -> PeersReply {
-    let listed = core.neighbours.listed.iter().map(|neighbour| neighbour.place.switch);
+    let listed = core.neighbours.listed.iter().map(|neighbour| neighbour.address.switch);
     let is_peer =
         |state: &&LiveLink| state.link.peer().role == Role::Switch || foreign(&state.admission.standing).is_some();
     let linked = core.switch.links.values().filter(is_peer).map(|state| state.link.peer().name);
@@ -216,7 +216,7 @@ fn peer(core: &Core, name: Name) -> PeerStatus {
             None if core.switch.stale.keeps(&name) => PeerLink::Grace,
             None => PeerLink::Down,
         },
-        via: state.map(|state| state.via.to_string()).or_else(|| neighbour.map(|n| n.place.via.to_string())),
+        via: state.map(|state| state.via.to_string()).or_else(|| neighbour.map(|n| n.address.via.to_string())),
         reason: refused.map(|refused| refused.reason.clone()),
         reason_age_s: refused.map(|refused| refused.at.elapsed().as_secs()),
     }

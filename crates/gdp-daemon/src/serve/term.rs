@@ -18,8 +18,8 @@ const TIMEOUT: Duration = Duration::from_secs(4);
 
 pub struct Term {
     ends: Mutex<Instant>,
-    /// Tickets that were given.
-    given: AtomicU64,
+    /// Tickets that were issued.
+    issued: AtomicU64,
     /// Something is on its way to the store.
     is_writing: AtomicBool,
     wake: Notify,
@@ -34,7 +34,7 @@ struct Progress {
     why: String,
 }
 
-/// For what has changed in a term until it was given.
+/// For what has changed in a term until it was issued.
 pub struct Ticket {
     term: Arc<Term>,
     number: u64,
@@ -42,8 +42,8 @@ pub struct Ticket {
 
 impl Term {
     pub fn new(ends: Instant) -> Self {
-        let (given, is_writing) = (0.into(), false.into());
-        Self { ends: Mutex::new(ends), given, is_writing, wake: Notify::new(), progress: watch::Sender::default() }
+        let (issued, is_writing) = (0.into(), false.into());
+        Self { ends: Mutex::new(ends), issued, is_writing, wake: Notify::new(), progress: watch::Sender::default() }
     }
 
     pub fn is_over(&self) -> bool {
@@ -68,7 +68,7 @@ impl Term {
         lasts
     }
 
-    /// It is over. To be called when no more tickets are given: whoever has one is told why it is
+    /// It is over. To be called when no more tickets are issued: whoever has one is told why it is
     /// not stored.
     pub fn end(&self, why: &str) {
         *self.ends.lock() = Instant::now();
@@ -78,13 +78,13 @@ impl Term {
     /// To be taken under the lock under which something has changed: then that is stored with, or
     /// before, what has a later ticket, and the term is still the one in which it changed.
     pub fn ticket(self: &Arc<Self>) -> Ticket {
-        let number = self.given.fetch_add(1, Ordering::AcqRel) + 1;
+        let number = self.issued.fetch_add(1, Ordering::AcqRel) + 1;
         Ticket { term: self.clone(), number }
     }
 
     /// The last ticket so far. To be asked under the same lock, when what has changed is collected.
     pub fn last_ticket(&self) -> u64 {
-        self.given.load(Ordering::Acquire)
+        self.issued.load(Ordering::Acquire)
     }
 
     /// Whether somebody waits who has this ticket or an earlier one.

@@ -18,7 +18,7 @@ const SILENT: Duration = Duration::from_secs(10);
 const NAMES: usize = 10;
 
 pub fn warnings(core: &Core) -> Vec<Warning> {
-    silent(core).into_iter().chain(unserved(core)).collect()
+    silent(core).into_iter().chain(without_publisher(core)).collect()
 }
 
 /// Endpoints that may send to names that somebody takes, and of which no frame was taken on any
@@ -46,7 +46,7 @@ fn silent(core: &Core) -> Vec<Warning> {
 }
 
 /// Names that are read or called, and nobody publishes or serves; as far as the RIB here knows.
-fn unserved(core: &Core) -> Option<Warning> {
-    let (count, names) = core.rib_host.rib.as_ref()?.unserved();
+fn without_publisher(core: &Core) -> Option<Warning> {
+    let (count, names) = core.rib_host.rib.as_ref()?.without_publisher();
     (count > 0).then(|| Warning::NotServed { count, names: names.take(NAMES).collect() })
 }

@@ -82,7 +82,7 @@ impl KeySpace {
 /// verified.
 #[derive(Debug)]
 pub struct Copy {
-    place: KeySpace,
+    keys: KeySpace,
     items: BTreeMap<Item, Stored>,
     size: usize,
     /// Of etcd's history; all before it is in the copy.
@@ -96,9 +96,9 @@ struct Stored {
 }
 
 impl Copy {
-    pub async fn list(place: &KeySpace, client: &mut EtcdClient) -> Result<Self, StoreError> {
-        let (all, revision) = client.list(place.prefix(), MAX_STORED).await?;
-        let mut copy = Self { place: place.clone(), items: BTreeMap::new(), size: 0, revision };
+    pub async fn list(keys: &KeySpace, client: &mut EtcdClient) -> Result<Self, StoreError> {
+        let (all, revision) = client.list(keys.prefix(), MAX_STORED).await?;
+        let mut copy = Self { keys: keys.clone(), items: BTreeMap::new(), size: 0, revision };
         all.into_iter().for_each(|kv| copy.put(kv));
         Ok(copy)
     }
@@ -115,9 +115,9 @@ impl Copy {
             self.revision = self.revision.max(kv.mod_revision);
             match event {
                 Event::Put(kv) => self.put(kv),
-                Event::Delete(kv) if kv.key == self.place.leader() => leader_gone = true,
+                Event::Delete(kv) if kv.key == self.keys.leader() => leader_gone = true,
                 Event::Delete(KeyValue { key, .. }) => {
-                    if let Some(old) = self.place.item(&key).and_then(|item| self.items.remove(&item)) {
+                    if let Some(old) = self.keys.item(&key).and_then(|item| self.items.remove(&item)) {
                         self.size -= old.value.len();
                     }
                 }
@@ -127,8 +127,8 @@ impl Copy {
     }
 
     fn put(&mut self, kv: KeyValue) {
-        let Some(item) = self.place.item(&kv.key) else {
-            if kv.key != self.place.leader() {
+        let Some(item) = self.keys.item(&kv.key) else {
+            if kv.key != self.keys.leader() {
                 tracing::warn!(key = %String::from_utf8_lossy(&kv.key), "etcd holds under the prefix of the RIB what is none of it");
             }
             return;
@@ -153,16 +153,16 @@ impl Copy {
     /// For the replica that the election of this revision made leader.
     pub fn into_writer(self, client: EtcdClient, term: i64) -> Writer {
         let revisions = self.items.into_iter().map(|(item, stored)| (item, stored.revision)).collect();
-        Writer { place: self.place, client, term, revisions }
+        Writer { keys: self.keys, client, term, revisions }
     }
 }
 
 /// What an item is to be; none: it is to be gone.
-pub type Change = (Item, Option<Vec<u8>>);
+pub type ItemChange = (Item, Option<Vec<u8>>);
 
 /// Writes for the leader of one term.
 pub struct Writer {
-    place: KeySpace,
+    keys: KeySpace,
     client: EtcdClient,
     term: i64,
     /// As of which revision each item is there.
@@ -173,12 +173,12 @@ impl Writer {
     /// Brings items to these values, or has them gone, in as few transactions as they fit: at least
     /// one, so that it is certain that this replica leads. After an error nobody knows which of
     /// them are.
-    pub async fn write(&mut self, changes: &[Change]) -> Result<(), StoreError> {
+    pub async fn write(&mut self, changes: &[ItemChange]) -> Result<(), StoreError> {
         let size = |value: &Option<Vec<u8>>| value.as_ref().map_or(0, Vec::len);
         let mut rest = changes;
         loop {
             let mut room = MAX_TRANSACTION;
-            let fits = |(_, value): &&Change| {
+            let fits = |(_, value): &&ItemChange| {
                 let rest = room.checked_sub(size(value));
                 room = rest.unwrap_or_default();
                 rest.is_some()
@@ -193,9 +193,9 @@ impl Writer {
         }
     }
 
-    async fn transact(&mut self, batch: &[Change]) -> Result<(), StoreError> {
-        let leader = self.place.leader();
-        let keys: Vec<Vec<u8>> = batch.iter().map(|(item, _)| self.place.key(item)).collect();
+    async fn transact(&mut self, batch: &[ItemChange]) -> Result<(), StoreError> {
+        let leader = self.keys.leader();
+        let keys: Vec<Vec<u8>> = batch.iter().map(|(item, _)| self.keys.key(item)).collect();
         for _ in 0..ATTEMPTS {
             let held = |item| self.revisions.get(item).copied().unwrap_or_default();
             let mut compare = vec![Compare::Created(&leader, self.term)];

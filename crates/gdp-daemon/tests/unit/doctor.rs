@@ -248,7 +248,11 @@ fn healthy() -> Facts {
         bpffs: Some(Bpffs::Mounted { path: "/sys/fs/bpf".into() }),
         object: Ok(Loaded { object: "the XDP programs in this executable".into(), names: 65536, jitted: Some(true) }),
         left_over: vec![LeftOver { daemon: true, ..left(ABI, true) }],
-        udp: Some(Udp { address: "0.0.0.0:31415".parse().unwrap(), state: PortState::Free, zero_checksum_v6: Ok(()) }),
+        udp: Some(UdpFacts {
+            address: "0.0.0.0:31415".parse().unwrap(),
+            state: PortState::Free,
+            zero_checksum_v6: Ok(()),
+        }),
         interfaces: Ok(vec![Ok(Interface {
             device,
             offloads,
@@ -282,6 +286,6 @@ fn loaded(facts: &mut Facts) -> &mut Loaded {
     facts.object.as_mut().unwrap()
 }
 
-fn udp_of(facts: &mut Facts) -> &mut Udp {
+fn udp_of(facts: &mut Facts) -> &mut UdpFacts {
     facts.udp.as_mut().unwrap()
 }

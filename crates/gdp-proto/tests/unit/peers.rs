@@ -145,7 +145,7 @@ fn a_revocation_counts_whoever_still_tells_of_what_it_took_back() {
     assert_eq!(w.revocation(&w.owner.clone(), 7, &[1]), [], "the same again");
     for (number, serials) in [(6, vec![]), (7, vec![2])] {
         let events = w.revocation(&w.owner.clone(), number, &serials);
-        let [PeerEvent::Refused(CertError::RolledBack { held: 7, .. }), PeerEvent::RibIsBehind(_)] = events[..] else {
+        let [PeerEvent::Refused(CertError::RolledBack { known: 7, .. }), PeerEvent::RibIsBehind(_)] = events[..] else {
             panic!("{events:?}")
         };
     }

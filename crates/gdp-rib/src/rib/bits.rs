@@ -14,7 +14,7 @@ pub struct Full;
 
 #[derive(Debug)]
 pub struct Bits {
-    given: BTreeMap<Name, u8>,
+    assigned: BTreeMap<Name, u8>,
     /// Longest free first, so that a bit still on its way in frames is not soon someone else's.
     free: VecDeque<u8>,
     journal: Journal,
@@ -23,7 +23,7 @@ pub struct Bits {
 impl Default for Bits {
     fn default() -> Self {
         let free = (0..EGRESS_SET_SIZE as u8).collect();
-        Self { given: BTreeMap::new(), free, journal: Journal::default() }
+        Self { assigned: BTreeMap::new(), free, journal: Journal::default() }
     }
 }
 
@@ -32,11 +32,11 @@ impl Bits {
     /// that is free, or else one that is not `taken` by somebody who is not known here, if there is
     /// such a one.
     pub fn give(&mut self, switch: Name, had: Option<u8>, taken: impl Fn(u8) -> bool) -> Result<(), Full> {
-        if !self.given.contains_key(&switch) {
+        if !self.assigned.contains_key(&switch) {
             let same = self.free.iter().position(|bit| Some(*bit) == had);
             let place = same.or_else(|| self.free.iter().position(|bit| !taken(*bit))).unwrap_or(0);
             let bit = self.free.remove(place).ok_or(Full)?;
-            self.given.insert(switch, bit);
+            self.assigned.insert(switch, bit);
             self.journal.mark(Item::Switch(switch));
         }
         Ok(())
@@ -44,11 +44,11 @@ impl Bits {
 
     /// Gives a switch another bit than it has.
     pub fn exchange(&mut self, switch: Name, taken: impl Fn(u8) -> bool) -> Result<(), Full> {
-        let Some(old) = self.given.remove(&switch) else { return Ok(()) };
+        let Some(old) = self.assigned.remove(&switch) else { return Ok(()) };
         let given = self.give(switch, None, taken);
         match given {
             Ok(()) => self.free.push_back(old),
-            Err(Full) => drop(self.given.insert(switch, old)),
+            Err(Full) => drop(self.assigned.insert(switch, old)),
         }
         given
     }
@@ -56,12 +56,12 @@ impl Bits {
     /// Frees the bit of a switch.
     pub fn forget(&mut self, switch: &Name) {
         self.journal.mark(Item::Switch(*switch));
-        self.free.extend(self.given.remove(switch));
+        self.free.extend(self.assigned.remove(switch));
     }
 
     /// The switch's egress bit (0 … 63).
     pub fn of(&self, switch: &Name) -> Option<u8> {
-        self.given.get(switch).copied()
+        self.assigned.get(switch).copied()
     }
 
     pub(super) fn journal(&mut self) -> &mut Journal {
@@ -69,7 +69,7 @@ impl Bits {
     }
 
     pub fn all(&self) -> impl Iterator<Item = (Name, u8)> {
-        self.given.iter().map(|(switch, bit)| (*switch, *bit))
+        self.assigned.iter().map(|(switch, bit)| (*switch, *bit))
     }
 }
 

@@ -15,7 +15,7 @@ use gdp_wire::Name;
 use gdp_wire::siphash::siphash24;
 
 use super::bits::Bits;
-use crate::rib::model::Key;
+use crate::rib::model::NameBytes;
 
 /// How long frames may come by a way that is no more, and before what can leave by another leaves
 /// by a new one: until the other side has noticed, too.
@@ -103,7 +103,7 @@ impl BorderLinks {
 
     /// The way by which what is sent to the name leaves for the realm: a direct one, if there is
     /// any.
-    fn elect(&self, name: &Key, realm: &Realm, bits: &Bits) -> Option<&BorderLink> {
+    fn elect(&self, name: &NameBytes, realm: &Realm, bits: &Bits) -> Option<&BorderLink> {
         let best = |(is_fresh, domain): (bool, &Name)| {
             let ways = self.present.get(domain)?.iter().filter(|way| bits.of(&way.border).is_some());
             let ways = ways.filter(|way| self.is_fresh(domain, way) == is_fresh);
@@ -119,7 +119,7 @@ impl BorderLinks {
 }
 
 /// The same at both ends of a link: as far as costs are alike there, both choose the same one.
-fn weight(name: &Key, way: &BorderLink) -> u64 {
+fn weight(name: &NameBytes, way: &BorderLink) -> u64 {
     let ends = (way.border.min(way.peer), way.border.max(way.peer));
     let bytes = [*name, ends.0.to_bytes(), ends.1.to_bytes()];
     let (words, _) = bytes.as_flattened().as_chunks();
@@ -136,7 +136,7 @@ pub(super) struct Map<'a> {
 
 impl Map<'_> {
     /// The egress bits of those there, for frames to the name; 0: there is no way.
-    pub fn bits_to(self, name: &Key, at: &At) -> u64 {
+    pub fn bits_to(self, name: &NameBytes, at: &At) -> u64 {
         let switch = match at {
             At::Here(switch) => Some(*switch),
             At::RemoteRegistrations(realm) => self.ways.elect(name, realm, self.bits).map(|way| way.border),
@@ -145,7 +145,7 @@ impl Map<'_> {
     }
 
     /// To whom frames to the name leave for the realm at this border, if they do.
-    pub fn leaves_to(self, name: &Key, realm: &Realm, border: &Name) -> Option<Name> {
+    pub fn leaves_to(self, name: &NameBytes, realm: &Realm, border: &Name) -> Option<Name> {
         self.ways.elect(name, realm, self.bits).filter(|way| way.border == *border).map(|way| way.peer)
     }
 

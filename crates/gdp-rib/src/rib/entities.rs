@@ -11,7 +11,7 @@ use gdp_proto::control::{Refusal, RefusalCode};
 use gdp_wire::Name;
 
 use super::journal::{Item, Journal};
-use crate::rib::model::{Key, Now, count_out, limit_reached};
+use crate::rib::model::{NameBytes, Now, count_out, limit_reached};
 use crate::rib::registration::EntityIdentity;
 
 /// How far ahead of the RIB's clock a serial may be, read as Unix time in nanoseconds, if it does
@@ -23,11 +23,11 @@ pub(super) struct Entity {
     floor: u64,
     /// By lane.
     attachments: BTreeMap<u8, Attachment>,
-    names: BTreeSet<Key>,
+    names: BTreeSet<NameBytes>,
     /// The switch through which it came to be known, or that it was attached to last.
     through: Name,
     /// As it showed itself last.
-    party: Option<Arc<EntityIdentity>>,
+    identity: Option<Arc<EntityIdentity>>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -50,11 +50,11 @@ pub(super) struct Entities {
 
 impl Entity {
     fn new(floor: u64, through: Name) -> Self {
-        Self { floor, attachments: BTreeMap::new(), names: BTreeSet::new(), through, party: None }
+        Self { floor, attachments: BTreeMap::new(), names: BTreeSet::new(), through, identity: None }
     }
 }
 
-static NO_NAMES: BTreeSet<Key> = BTreeSet::new();
+static NO_NAMES: BTreeSet<NameBytes> = BTreeSet::new();
 
 impl Entities {
     /// The serial that a statement of the entity must exceed.
@@ -129,26 +129,26 @@ impl Entities {
     }
 
     /// An entity as it shows itself, to be shared by all that it states so.
-    pub fn party(&mut self, name: Name, proof: NameProof, box_key: [u8; 33]) -> Arc<EntityIdentity> {
+    pub fn identity(&mut self, name: Name, proof: NameProof, box_key: [u8; 33]) -> Arc<EntityIdentity> {
         let shown = EntityIdentity { name, proof, box_key };
         let Some(entity) = self.known.get_mut(&name) else { return Arc::new(shown) };
-        match &entity.party {
-            Some(party) if **party == shown => party.clone(),
-            _ => entity.party.insert(Arc::new(shown)).clone(),
+        match &entity.identity {
+            Some(identity) if **identity == shown => identity.clone(),
+            _ => entity.identity.insert(Arc::new(shown)).clone(),
         }
     }
 
-    pub fn names(&self, name: &Name) -> &BTreeSet<Key> {
+    pub fn names(&self, name: &Name) -> &BTreeSet<NameBytes> {
         self.known.get(name).map_or(&NO_NAMES, |entity| &entity.names)
     }
 
-    pub fn add_name(&mut self, entity: &Name, name: Key) {
+    pub fn add_name(&mut self, entity: &Name, name: NameBytes) {
         if let Some(entity) = self.known.get_mut(entity) {
             entity.names.insert(name);
         }
     }
 
-    pub fn remove_name(&mut self, entity: &Name, name: &Key) {
+    pub fn remove_name(&mut self, entity: &Name, name: &NameBytes) {
         if let Some(entity) = self.known.get_mut(entity) {
             entity.names.remove(name);
         }

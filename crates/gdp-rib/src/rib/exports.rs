@@ -27,38 +27,38 @@ pub struct Export {
 impl Rib {
     /// The places, here and abroad, of which something else is to be told than at the last call.
     /// The first call gives all there are.
-    pub fn take_changed_places(&mut self) -> BTreeSet<RecordKey> {
-        self.abroad.changed.replace(BTreeSet::new()).unwrap_or_else(|| self.names.all_places().collect())
+    pub fn take_changed_keys(&mut self) -> BTreeSet<RecordKey> {
+        self.remote.changed.replace(BTreeSet::new()).unwrap_or_else(|| self.names.all_keys().collect())
     }
 
     /// What there is to tell of a place; none: nothing is there any more.
     pub fn export(&self, now: Now, place: &RecordKey) -> Option<Export> {
         let (record, registration) = self.names.record_at(now.clock, place)?;
-        let origin = registration.abroad.as_ref().map(|abroad| (abroad.realm.domain, abroad.realm.next));
-        Some(Export { record, boxes: self.boxes_for_abroad(place, registration), origin })
+        let origin = registration.remote.as_ref().map(|remote| (remote.realm.domain, remote.realm.next));
+        Some(Export { record, boxes: self.boxes_for_other_domains(place, registration), origin })
     }
 
     /// The same for all places of a name.
     pub fn exports_of(&self, now: Now, name: &Name) -> impl Iterator<Item = Export> {
-        self.names.places(*name).filter_map(move |place| self.export(now, &place))
+        self.names.keys(*name).filter_map(move |place| self.export(now, &place))
     }
 
-    fn boxes_for_abroad(&self, place: &RecordKey, registration: &Registration) -> Vec<Signed<KeyBox>> {
+    fn boxes_for_other_domains(&self, place: &RecordKey, registration: &Registration) -> Vec<Signed<KeyBox>> {
         let key = place.name.to_bytes();
         let others = self.names.bound(&key, place.role.counterpart());
-        let abroad = others.filter(|(_, other)| !other.is_here() && registration.meets(other));
-        let abroad: BTreeSet<Name> = abroad.map(|(entity, _)| entity).collect();
+        let remote = others.filter(|(_, other)| !other.is_here() && registration.meets(other));
+        let remote: BTreeSet<Name> = remote.map(|(entity, _)| entity).collect();
         let sent = self
             .boxes
             .of(&key, &place.entity)
-            .filter(|(reader, _)| place.role == NameRole::Publisher && abroad.contains(reader));
-        let inboxes = abroad.iter().flat_map(|other| self.boxes.of(other.as_bytes(), &place.entity));
+            .filter(|(reader, _)| place.role == NameRole::Publisher && remote.contains(reader));
+        let inboxes = remote.iter().flat_map(|other| self.boxes.of(other.as_bytes(), &place.entity));
         sent.chain(inboxes).map(|(_, signed)| signed.clone()).collect()
     }
 
     /// A writer has new keys for a reader that may be abroad.
-    pub(super) fn tell_abroad(&mut self, claims: &KeyBox) {
-        let of_name = |name: &Name| self.names.places(*name).filter(|place| place.entity == claims.writer).collect();
+    pub(super) fn export_changed(&mut self, claims: &KeyBox) {
+        let of_name = |name: &Name| self.names.keys(*name).filter(|place| place.entity == claims.writer).collect();
         let places: Vec<RecordKey> = match claims.name == claims.reader {
             false => of_name(&claims.name),
             true => {
@@ -67,6 +67,6 @@ impl Rib {
                 names.filter(is_reader).flat_map(|name| of_name(&name)).collect()
             }
         };
-        places.into_iter().for_each(|place| self.abroad.changed(place));
+        places.into_iter().for_each(|place| self.remote.changed(place));
     }
 }

@@ -12,7 +12,7 @@ use gdp_proto::control::{Refusal, Route};
 use gdp_wire::Name;
 
 use super::border_links::Map;
-use crate::rib::model::{At, Key, Limits, count_out, limit_reached};
+use crate::rib::model::{At, Limits, NameBytes, count_out, limit_reached};
 
 #[derive(Debug)]
 struct Inbox {
@@ -31,7 +31,7 @@ impl Inbox {
 
 #[derive(Debug, Default)]
 pub(super) struct Inboxes {
-    inboxes: BTreeMap<Key, Inbox>,
+    inboxes: BTreeMap<NameBytes, Inbox>,
     /// Into how many inboxes each entity may send; it can be reached from as many.
     reaches: HashMap<Name, usize>,
     /// The same at each switch, of the entities there: pairs of an inbox and a sender.
@@ -155,7 +155,7 @@ impl Inboxes {
     }
 
     /// The route for an inbox at one switch, if it needs any.
-    pub fn route(&self, inbox: &Key, switch: &Name, map: Map) -> Option<Route> {
+    pub fn route(&self, inbox: &NameBytes, switch: &Name, map: Map) -> Option<Route> {
         let held = self.inboxes.get(inbox)?;
         let name = Name::from_bytes(*inbox);
         let (mut writers, mut egress_bits) = (BTreeSet::new(), 0);
@@ -186,7 +186,7 @@ impl Inboxes {
     }
 
     /// From whom frames of the entity come at this border, if it is of another domain.
-    pub fn arrives_by(&self, entity: &Key, border: &Name, map: Map) -> Vec<Name> {
+    pub fn arrives_by(&self, entity: &NameBytes, border: &Name, map: Map) -> Vec<Name> {
         let homes = self.inboxes.get(entity).into_iter().flat_map(|held| held.homes.keys());
         let from = homes.flat_map(|home| match home {
             At::Here(_) => Vec::new(),

@@ -16,7 +16,7 @@ use gdp_wire::Name;
 
 use super::border_links::{Changed, GRACE};
 use super::{Rib, Timer};
-use crate::rib::model::{InboxOwner, Key, Now, Realm, RegistrationKey, lifetime, limit_reached, refusal};
+use crate::rib::model::{InboxOwner, NameBytes, Now, Realm, RegistrationKey, lifetime, limit_reached, refusal};
 use crate::rib::registration::{EntityIdentity, Registration, Remote, shared};
 
 impl Rib {
@@ -31,7 +31,7 @@ impl Rib {
         let place = record.place().map_err(refusal)?;
         let (key, role) = (record.name.to_bytes(), place.role);
         // Before signatures are verified: what there is no room for is told again and again.
-        self.check_told(&place, &next)?;
+        self.check_record_limit(&place, &next)?;
         let verified = record.verify(self.revocations.claims(&key), now.unix).map_err(refusal)?;
         record.credential.check_member(|domain| self.domains.get(domain)).map_err(refusal)?;
         let (entity, advert) = (verified.entity, verified.advert);
@@ -42,7 +42,7 @@ impl Rib {
         let new = Registration {
             by: Arc::new(EntityIdentity { name: entity, proof: record.entity, box_key: advert.box_key }),
             switch: record.switch,
-            abroad: Some(Box::new(Remote { realm: Realm { next, domain }, hops, local })),
+            remote: Some(Box::new(Remote { realm: Realm { next, domain }, hops, local })),
             role,
             credential: record.credential,
             advert: record.advert,
@@ -51,34 +51,34 @@ impl Rib {
             everywhere: false,
             ends: lifetime(now, seconds, verified.not_after)?,
             bound: true,
-            told: 0,
+            sent_update: 0,
         };
         if self.next_of(&place) == Some(next) {
             self.store(registration_key, record.proof, new)?;
         } else {
-            self.abroad.put_spare(place, next, (record.proof, new));
+            self.remote.put_spare(place, next, (record.proof, new));
         }
-        self.settle_place(now, place)?;
+        self.choose_record(now, place)?;
         self.forget_here(registration_key, advert.serial);
         Ok(boxes.iter().find_map(|signed| self.foreign_box(now, registration_key, &record.entity, signed).err()))
     }
 
     /// The neighbours that have told of a place, whether or not their word counts.
-    pub fn told_by(&self, place: &RecordKey) -> Vec<Name> {
-        let spare = self.abroad.spare.get(place).into_iter().flat_map(BTreeMap::keys).copied();
+    pub fn sources_of(&self, place: &RecordKey) -> Vec<Name> {
+        let spare = self.remote.spare.get(place).into_iter().flat_map(BTreeMap::keys).copied();
         self.next_of(place).into_iter().chain(spare).collect()
     }
 
     /// The neighbour whose word counts of a place.
     pub fn next_of(&self, place: &RecordKey) -> Option<Name> {
         let registration = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch)?;
-        registration.abroad.as_ref().map(|abroad| abroad.realm.next)
+        registration.remote.as_ref().map(|remote| remote.realm.next)
     }
 
     /// The neighbour `next` takes back what it told of the place.
     pub fn remove_foreign(&mut self, now: Now, place: &RecordKey, next: &Name) {
         self.tick(now);
-        self.abroad.take_spare(place, next);
+        self.remote.take_spare(place, next);
         if self.next_of(place) == Some(*next) {
             self.end(now, registration_key_of(place), place.switch);
         }
@@ -86,10 +86,10 @@ impl Rib {
 
     /// The neighbour is gone for good, with all that it told.
     pub fn remove_foreign_of(&mut self, now: Now, next: &Name) {
-        let names = self.abroad.names.iter().filter(|(realm, _)| realm.next == *next);
-        let names: BTreeSet<Key> = names.flat_map(|(_, names)| names.keys().copied()).collect();
-        let spare = self.abroad.spare.iter().filter(|(_, spare)| spare.contains_key(next)).map(|(place, _)| *place);
-        let used = names.iter().flat_map(|name| self.names.places(Name::from_bytes(*name)));
+        let names = self.remote.names.iter().filter(|(realm, _)| realm.next == *next);
+        let names: BTreeSet<NameBytes> = names.flat_map(|(_, names)| names.keys().copied()).collect();
+        let spare = self.remote.spare.iter().filter(|(_, spare)| spare.contains_key(next)).map(|(place, _)| *place);
+        let used = names.iter().flat_map(|name| self.names.keys(Name::from_bytes(*name)));
         let places: Vec<RecordKey> = spare.chain(used).collect();
         places.iter().for_each(|place| self.remove_foreign(now, place, next));
     }
@@ -117,7 +117,7 @@ impl Rib {
     }
 
     /// What an entity has stated here counts, and not what it had stated abroad before.
-    pub(super) fn forget_abroad(&mut self, registration_key: RegistrationKey, serial: u64) {
+    pub(super) fn forget_remote(&mut self, registration_key: RegistrationKey, serial: u64) {
         let earlier = self.names.all_of(&registration_key.name, &registration_key.entity, registration_key.role);
         let earlier = earlier.filter(|earlier| !earlier.is_here() && earlier.serial < serial);
         let switches: Vec<Name> = earlier.map(|earlier| earlier.switch).collect();
@@ -138,9 +138,9 @@ impl Rib {
     /// A registration is over. What another neighbour says of it counts then, if it came from
     /// abroad.
     pub(super) fn end(&mut self, now: Now, registration_key: RegistrationKey, switch: Name) {
-        let place = place_of(registration_key, switch);
+        let place = record_key_of(registration_key, switch);
         self.unregister(registration_key, switch);
-        if let Err(refusal) = self.settle_place(now, place) {
+        if let Err(refusal) = self.choose_record(now, place) {
             tracing::warn!(%refusal, "what another domain told does not count now");
         }
     }
@@ -161,7 +161,7 @@ impl Rib {
             let reason = format!("{entity} is reached under its own name as it is, by its counterparts");
             return Err(Refusal::new(RefusalCode::Unsupported, reason));
         }
-        let before = self.word_of(&place_of(registration_key, *switch), next);
+        let before = self.word_of(&record_key_of(registration_key, *switch), next);
         let since = self.names.all_of(&name, &entity, role).filter(|here| here.is_here() && !here.everywhere);
         if let Some(newer) = since.chain(before).find(|newer| newer.serial > serial) {
             return Err(refusal(CertError::ReplayedSerial { floor: newer.serial - 1, got: serial }));
@@ -169,9 +169,9 @@ impl Rib {
         Ok(())
     }
 
-    fn check_told(&self, place: &RecordKey, next: &Name) -> Result<(), Refusal> {
+    fn check_record_limit(&self, place: &RecordKey, next: &Name) -> Result<(), Refusal> {
         let limit = self.limits.records_per_neighbour;
-        if self.word_of(place, next).is_none() && self.abroad.told.get(next).is_some_and(|told| *told >= limit) {
+        if self.word_of(place, next).is_none() && self.remote.received.get(next).is_some_and(|told| *told >= limit) {
             return Err(limit_reached(format!("domain {next} has told of {limit} parts in names")));
         }
         Ok(())
@@ -180,12 +180,12 @@ impl Rib {
     /// What a neighbour has told of a place, whether or not it counts.
     fn word_of(&self, place: &RecordKey, next: &Name) -> Option<&Registration> {
         let used = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch);
-        let used = used.filter(|used| used.abroad.as_ref().is_some_and(|abroad| abroad.realm.next == *next));
-        used.or_else(|| Some(&self.abroad.spare.get(place)?.get(next)?.1))
+        let used = used.filter(|used| used.remote.as_ref().is_some_and(|remote| remote.realm.next == *next));
+        used.or_else(|| Some(&self.remote.spare.get(place)?.get(next)?.1))
     }
 
     /// Lets the best word on a place count, of those that still hold.
-    fn settle_place(&mut self, now: Now, place: RecordKey) -> Result<(), Refusal> {
+    fn choose_record(&mut self, now: Now, place: RecordKey) -> Result<(), Refusal> {
         let (key, registration_key) = (place.name.to_bytes(), registration_key_of(&place));
         let used = self.names.get_at(&key, &place.entity, place.role, &place.switch).map(rank);
         let revocation = self.revocations.claims(&key);
@@ -193,24 +193,24 @@ impl Rib {
             let is_member = || spare.credential.check_member(|domain| self.domains.get(domain)).is_ok();
             spare.ends > now.clock && revocation.is_none_or(|revocation| spare.stands_after(revocation)) && is_member()
         };
-        let spare = self.abroad.spare.get(&place).into_iter().flatten().filter(|(_, (_, spare))| stands(spare));
+        let spare = self.remote.spare.get(&place).into_iter().flatten().filter(|(_, (_, spare))| stands(spare));
         let Some((next, (_, best))) = spare.min_by_key(|(_, (_, spare))| rank(spare)) else { return Ok(()) };
         let next = *next;
         if used.is_some_and(|used| used <= rank(best)) {
             return Ok(());
         }
-        let Some((proof, best)) = self.abroad.take_spare(&place, &next) else { return Ok(()) };
+        let Some((proof, best)) = self.remote.take_spare(&place, &next) else { return Ok(()) };
         match self.store(registration_key, proof, best.clone()) {
             Ok(Some(before)) => {
-                if let Some(next) = before.abroad.as_ref().map(|abroad| abroad.realm.next) {
-                    self.abroad.put_spare(place, next, (proof, before));
+                if let Some(next) = before.remote.as_ref().map(|remote| remote.realm.next) {
+                    self.remote.put_spare(place, next, (proof, before));
                 }
                 Ok(())
             }
             Ok(None) => Ok(()),
             // For when there is room.
             Err(refusal) => {
-                self.abroad.put_spare(place, next, (proof, best));
+                self.remote.put_spare(place, next, (proof, best));
                 Err(refusal)
             }
         }
@@ -244,15 +244,15 @@ impl Rib {
         signed.verify(&proof.verify_key().map_err(not_a_key)?, now.unix).map_err(refusal)?;
         self.boxes.put(place, &claims, signed.clone(), &self.limits)?;
         self.tell_reader(&claims);
-        self.tell_abroad(&claims);
+        self.export_changed(&claims);
         Ok(())
     }
 
     /// Brings the desired FIBs in line with other ways. Only names with a part in the domains
     /// concerned are looked at.
     fn follow_ways(&mut self, changed: &Changed) {
-        let mut names: BTreeMap<Key, BTreeSet<Name>> = BTreeMap::new();
-        for (realm, parts) in &self.abroad.names {
+        let mut names: BTreeMap<NameBytes, BTreeSet<Name>> = BTreeMap::new();
+        for (realm, parts) in &self.remote.names {
             let concerned: Vec<_> =
                 [realm.domain, realm.next].iter().filter_map(|domain| changed.get(domain)).collect();
             if concerned.is_empty() {
@@ -278,12 +278,12 @@ impl Rib {
 
 /// The lowest counts, of what is told of one place: the newest, and of that the nearest.
 fn rank(registration: &Registration) -> (Reverse<u64>, u32, Option<Name>) {
-    let abroad = registration.abroad.as_deref();
-    let hops = abroad.map_or(0, |abroad| abroad.hops);
-    (Reverse(registration.serial), hops, abroad.map(|abroad| abroad.realm.next))
+    let remote = registration.remote.as_deref();
+    let hops = remote.map_or(0, |remote| remote.hops);
+    (Reverse(registration.serial), hops, remote.map(|remote| remote.realm.next))
 }
 
-fn place_of(registration_key: RegistrationKey, switch: Name) -> RecordKey {
+fn record_key_of(registration_key: RegistrationKey, switch: Name) -> RecordKey {
     RecordKey {
         name: Name::from_bytes(registration_key.name),
         role: registration_key.role,

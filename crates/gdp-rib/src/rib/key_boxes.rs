@@ -30,7 +30,7 @@ impl Rib {
             signed.verify(&requester.entity_key, now.unix).map_err(refusal)?;
             self.boxes.put(place, &claims, signed.clone(), &self.limits)?;
             self.tell_reader(&claims);
-            self.tell_abroad(&claims);
+            self.export_changed(&claims);
         }
         Ok(Response::Done)
     }

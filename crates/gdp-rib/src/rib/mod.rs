@@ -45,13 +45,13 @@ use std::time::Duration;
 
 use gdp_core::cert::Revocation;
 use gdp_core::name::{NamePrefix, NameProof};
-use gdp_core::revocations::{Kept, Origin};
+use gdp_core::revocations::{Origin, SignedRevocation};
 use gdp_proto::control::{
     EntityRequest, FibPush, NameRole, PeersPush, Record, RecordKey, Refusal, RefusalCode, Response, Route,
 };
 use gdp_wire::Name;
 
-use crate::rib::model::{Key, RegistrationKey};
+use crate::rib::model::{NameBytes, RegistrationKey};
 use crate::rib::remote_registrations::RemoteRegistrations;
 use crate::topology::Paths;
 use bits::Bits;
@@ -61,7 +61,7 @@ use fib::{About, Fib, Pushed};
 use inboxes::Inboxes;
 use journal::Journal;
 use names::Names;
-use peer_updates::{PeerUpdates, Source};
+use peer_updates::{PeerUpdates, UpdateSource};
 use revocations::Revocations;
 use wrapped_keys::WrappedKeyStore;
 
@@ -83,7 +83,7 @@ const UNREPORTED: Duration = Duration::from_secs(5);
 pub enum Effect {
     /// To be answered with [`Rib::pushed`].
     Fib(FibPush),
-    /// To an entity, through its switch. To be answered with [`Rib::told`].
+    /// To an entity, through its switch. To be answered with [`Rib::update_answered`].
     Peers(PeersPush),
     /// The RIB holds no attachment of `entity` at `switch`: it must attach again. If the entity is
     /// the switch itself, the RIB does not know the switch: it must report in full.
@@ -94,7 +94,7 @@ pub enum Effect {
 #[derive(Debug)]
 pub struct Rib {
     root: Name,
-    run: Run,
+    run: RibRun,
     limits: Limits,
     bits: Bits,
     /// From the RIB's own switch, as that last said.
@@ -109,7 +109,7 @@ pub struct Rib {
     domains: BTreeMap<Name, Revocation>,
     peer_updates: PeerUpdates,
     ways: BorderLinks,
-    abroad: RemoteRegistrations,
+    remote: RemoteRegistrations,
     timers: Timers,
     detached: BTreeSet<(Name, Name)>,
     /// Switches that are reached and have not reported, and when they are asked to.
@@ -121,7 +121,7 @@ pub struct Rib {
 
 /// One life of a RIB.
 #[derive(Clone, Copy, Debug)]
-pub struct Run {
+pub struct RibRun {
     /// Higher than that of the RIB before, as far as that can be known; and another number each
     /// time.
     pub id: u64,
@@ -135,13 +135,13 @@ struct Switch {
     fib: Fib,
     attached: BTreeSet<Name>,
     /// When the switch is forgotten, unless it is reached again.
-    hold: Option<Duration>,
+    forget_at: Option<Duration>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Timer {
     /// Some part in this name may be over.
-    Name(Key),
+    Name(NameBytes),
     Attachment {
         entity: Name,
         lane: u8,
@@ -161,7 +161,7 @@ type Timers = BTreeSet<(Duration, Timer)>;
 
 impl Rib {
     /// An empty RIB that runs beside the switch `root`.
-    pub fn new(root: Name, run: Run, limits: Limits) -> Self {
+    pub fn new(root: Name, run: RibRun, limits: Limits) -> Self {
         Self {
             root,
             run,
@@ -177,7 +177,7 @@ impl Rib {
             domains: BTreeMap::new(),
             peer_updates: PeerUpdates::default(),
             ways: BorderLinks::default(),
-            abroad: RemoteRegistrations::default(),
+            remote: RemoteRegistrations::default(),
             timers: Timers::from([(run.settling, Timer::Settled)]),
             detached: BTreeSet::new(),
             unreported: BTreeMap::new(),
@@ -253,7 +253,7 @@ impl Rib {
         self.tick(now);
         self.paths = paths;
         self.settle_bits();
-        self.judge_reach(now);
+        self.check_reachability(now);
     }
 
     /// An entity's link to `switch` is gone, and with it all that was bound to it. What it has
@@ -316,7 +316,7 @@ impl Rib {
             effects.extend(switch.fib.next(now.clock, about).map(Effect::Fib));
         }
         let (names, boxes, revocations) = (&self.names, &self.boxes, &self.revocations);
-        let source = Source { run, settling, now: now.clock, names, boxes, revocations };
+        let source = UpdateSource { run, settling, now: now.clock, names, boxes, revocations };
         effects.extend(self.peer_updates.next(source).into_iter().map(Effect::Peers));
         effects
     }
@@ -330,8 +330,8 @@ impl Rib {
 
     /// Whether what an entity was to be told arrived; if not, it is told the whole through another
     /// of its switches, or a while later.
-    pub fn told(&mut self, now: Now, told: UpdateId, arrived: bool) {
-        let other = self.told_elsewhere(told.registration_key, &told.switch);
+    pub fn update_answered(&mut self, now: Now, told: UpdateId, arrived: bool) {
+        let other = self.other_switch_of(told.registration_key, &told.switch);
         if let Some(held) = self.peer_updates.answered(now.clock, told, arrived, other) {
             self.names.note_sent(&told.registration_key, &told.switch, held);
         }
@@ -373,7 +373,7 @@ impl Rib {
 
 /// What `gdp-ctl status` and `rib dump` show.
 impl Rib {
-    /// The number of its [run](Run).
+    /// The number of its [run](RibRun).
     pub fn run(&self) -> u64 {
         self.run.id
     }
@@ -384,8 +384,8 @@ impl Rib {
     }
 
     /// The same, as its owner signed it.
-    pub fn kept_revocation(&self, name: &Name) -> Option<&Kept> {
-        self.revocations.get(name.as_bytes()).map(|held| &held.kept)
+    pub fn signed_revocation(&self, name: &Name) -> Option<&SignedRevocation> {
+        self.revocations.get(name.as_bytes()).map(|held| &held.signed)
     }
 
     /// Egress bit of a switch.
@@ -422,8 +422,8 @@ impl Rib {
 
     /// How many names there are that somebody reads or calls, and nobody publishes or serves; and
     /// those.
-    pub fn unserved(&self) -> (usize, impl Iterator<Item = Name>) {
-        self.names.unserved()
+    pub fn without_publisher(&self) -> (usize, impl Iterator<Item = Name>) {
+        self.names.without_publisher()
     }
 
     /// What a switch's FIB should hold.

@@ -121,12 +121,12 @@ pub fn refusal(error: CertError) -> Refusal {
 }
 
 /// A name by which maps are ordered as its hex digits are.
-pub type Key = [u8; 32];
+pub type NameBytes = [u8; 32];
 
 /// What one entity is to one name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RegistrationKey {
-    pub name: Key,
+    pub name: NameBytes,
     pub entity: Name,
     pub role: NameRole,
 }

@@ -1,7 +1,7 @@
 //! Who publishes, serves, reads and calls each name, with the certificates that prove it, and which
 //! switches need a route for it.
 
-use crate::rib::model::Key;
+use crate::rib::model::NameBytes;
 use crate::rib::registration::Registration;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -23,9 +23,9 @@ pub(super) const LAST: Name = Name::from_bytes([0xff; 32]);
 
 #[derive(Debug, Default)]
 pub(super) struct Names {
-    all: BTreeMap<Key, Box<Topic>>,
-    /// Those of them that are [unserved](Topic::has_no_writer).
-    unserved: BTreeSet<Key>,
+    all: BTreeMap<NameBytes, Box<Topic>>,
+    /// Those of them that are [without_publisher](Topic::has_no_writer).
+    without_publisher: BTreeSet<NameBytes>,
 }
 
 impl Names {
@@ -35,8 +35,8 @@ impl Names {
 
     /// How many there are that somebody takes and nobody sends to, and those; none of the others is
     /// looked at.
-    pub fn unserved(&self) -> (usize, impl Iterator<Item = Name>) {
-        (self.unserved.len(), self.unserved.iter().copied().map(Name::from_bytes))
+    pub fn without_publisher(&self) -> (usize, impl Iterator<Item = Name>) {
+        (self.without_publisher.len(), self.without_publisher.iter().copied().map(Name::from_bytes))
     }
 
     /// Whether one more registration is allowed.
@@ -81,34 +81,34 @@ impl Names {
     pub fn insert(&mut self, name: Name, proof: NameProof, new: Registration) -> Option<Registration> {
         let topic = self.all.entry(name.to_bytes()).or_insert_with(|| Topic::new(proof).into());
         let replaced = topic.insert(new);
-        note_without_writer(&mut self.unserved, name.to_bytes(), topic);
+        note_without_writer(&mut self.without_publisher, name.to_bytes(), topic);
         replaced
     }
 
-    pub fn remove(&mut self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<Registration> {
+    pub fn remove(&mut self, name: &NameBytes, entity: &Name, role: NameRole, switch: &Name) -> Option<Registration> {
         let topic = self.all.get_mut(name)?;
         let removed = topic.remove(entity, role, switch);
-        note_without_writer(&mut self.unserved, *name, topic);
+        note_without_writer(&mut self.without_publisher, *name, topic);
         removed
     }
 
     /// Drops a name that nobody has any part in. If it did: when that was to be [looked
     /// at](Self::look).
-    pub fn sweep(&mut self, name: &Key) -> Option<Duration> {
+    pub fn sweep(&mut self, name: &NameBytes) -> Option<Duration> {
         self.all.get(name).filter(|topic| topic.parts().next().is_none())?;
         self.all.remove(name).map(|topic| topic.look_at)
     }
 
     /// A part in the name ends then: has it looked at then at the latest. Returns when that was to
     /// be before, if that was later.
-    pub fn look_by(&mut self, name: &Key, ends: Duration) -> Option<Duration> {
+    pub fn look_by(&mut self, name: &NameBytes, ends: Duration) -> Option<Duration> {
         let topic = self.all.get_mut(name).filter(|topic| ends < topic.look_at)?;
         Some(std::mem::replace(&mut topic.look_at, ends))
     }
 
     /// The parts in the name that are over, and when the next one is. It is not to be looked at
     /// again before [somebody asks](Self::look_by) for it.
-    pub fn look(&mut self, name: &Key, now: Duration) -> (Vec<(RegistrationKey, Name)>, Option<Duration>) {
+    pub fn look(&mut self, name: &NameBytes, now: Duration) -> (Vec<(RegistrationKey, Name)>, Option<Duration>) {
         let Some(topic) = self.all.get_mut(name) else { return (Vec::new(), None) };
         topic.look_at = Duration::MAX;
         let all = || topic.parts().flat_map(Registrations::iter);
@@ -124,49 +124,51 @@ impl Names {
         if let Some(registration) =
             topic.and_then(|topic| topic.get_mut(&registration_key.entity, registration_key.role, switch))
         {
-            registration.told = held;
+            registration.sent_update = held;
         }
     }
 
     /// What was [noted](Self::note_sent) last, and through which switch.
-    pub fn told(&self, registration_key: &RegistrationKey) -> Option<(Name, u64)> {
+    pub fn last_update(&self, registration_key: &RegistrationKey) -> Option<(Name, u64)> {
         let all = self.all_of(&registration_key.name, &registration_key.entity, registration_key.role);
-        let last = all.filter(|registration| registration.told > 0).max_by_key(|registration| registration.told)?;
-        Some((last.switch, last.told))
+        let last = all
+            .filter(|registration| registration.sent_update > 0)
+            .max_by_key(|registration| registration.sent_update)?;
+        Some((last.switch, last.sent_update))
     }
 
-    pub fn contains(&self, name: &Key) -> bool {
+    pub fn contains(&self, name: &NameBytes) -> bool {
         self.all.contains_key(name)
     }
 
     /// What an entity has stated, wherever: what its counterparts are told of.
-    pub fn get(&self, name: &Key, entity: &Name, role: NameRole) -> Option<&Registration> {
+    pub fn get(&self, name: &NameBytes, entity: &Name, role: NameRole) -> Option<&Registration> {
         self.all.get(name)?.part(role).of(entity).max_by_key(|registration| registration.ends)
     }
 
-    pub fn get_at(&self, name: &Key, entity: &Name, role: NameRole, switch: &Name) -> Option<&Registration> {
+    pub fn get_at(&self, name: &NameBytes, entity: &Name, role: NameRole, switch: &Name) -> Option<&Registration> {
         self.all.get(name)?.part(role).get(entity, switch)
     }
 
     /// All that an entity has stated of this, here and abroad.
-    pub fn all_of(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = &Registration> {
+    pub fn all_of(&self, name: &NameBytes, entity: &Name, role: NameRole) -> impl Iterator<Item = &Registration> {
         self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).of(entity))
     }
 
     /// Whether all that an entity has stated of this says the same as `other`, and it has stated
     /// any.
-    pub fn tell_the_same(&self, name: &Key, entity: &Name, role: NameRole, other: &Registration) -> bool {
+    pub fn tell_the_same(&self, name: &NameBytes, entity: &Name, role: NameRole, other: &Registration) -> bool {
         let mut all = self.all_of(name, entity, role).peekable();
         all.peek().is_some() && all.all(|registration| registration.tells_the_same(other))
     }
 
     /// How the name is derived.
-    pub fn proof(&self, name: &Key) -> Option<NameProof> {
+    pub fn proof(&self, name: &NameBytes) -> Option<NameProof> {
         self.all.get(name).map(|topic| topic.proof)
     }
 
     /// The switches of this domain at which an entity has stated this.
-    pub fn switches_of(&self, name: &Key, entity: &Name, role: NameRole) -> Vec<Name> {
+    pub fn switches_of(&self, name: &NameBytes, entity: &Name, role: NameRole) -> Vec<Name> {
         let here = self.all_of(name, entity, role).filter(|registration| registration.is_here());
         here.map(|registration| registration.switch).collect()
     }
@@ -186,59 +188,59 @@ impl Names {
         Some((registration.record(now, place.name, topic.proof), registration))
     }
 
-    pub fn has(&self, name: &Key, entity: &Name) -> bool {
+    pub fn has(&self, name: &NameBytes, entity: &Name) -> bool {
         self.all.get(name).is_some_and(|topic| topic.parts().any(|part| part.of(entity).next().is_some()))
     }
 
     /// Switches that a route for the name is for.
-    pub fn routed(&self, name: &Key, map: Map) -> BTreeSet<Name> {
+    pub fn routed(&self, name: &NameBytes, map: Map) -> BTreeSet<Name> {
         let topic = self.all.get(name).filter(|topic| topic.is_routed());
         topic.map_or_else(BTreeSet::new, |topic| topic.switches(map))
     }
 
     /// Those with this role in a name that can be reached, with what they stated; an entity as
     /// often as it has stated it.
-    pub fn bound(&self, name: &Key, role: NameRole) -> impl Iterator<Item = (Name, &Registration)> {
+    pub fn bound(&self, name: &NameBytes, role: NameRole) -> impl Iterator<Item = (Name, &Registration)> {
         let all = self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).iter());
         all.filter(|(_, registration)| registration.bound).map(|((entity, _), registration)| (entity, registration))
     }
 
     /// The switches of this domain at which one entity is so.
-    pub fn bound_at(&self, name: &Key, entity: &Name, role: NameRole) -> impl Iterator<Item = Name> {
+    pub fn bound_at(&self, name: &NameBytes, entity: &Name, role: NameRole) -> impl Iterator<Item = Name> {
         let here = self.all_of(name, entity, role).filter(|r| r.bound && r.is_here());
         here.map(|registration| registration.switch)
     }
 
     /// All that have a part in the name, each once for each of its roles.
-    pub fn entities(&self, name: &Key) -> impl Iterator<Item = Name> {
+    pub fn entities(&self, name: &NameBytes) -> impl Iterator<Item = Name> {
         self.all.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::entities))
     }
 
     /// The places of all parts in a name.
-    pub fn places(&self, name: Name) -> impl Iterator<Item = RecordKey> {
-        self.all.get(name.as_bytes()).into_iter().flat_map(move |topic| topic.places(name))
+    pub fn keys(&self, name: Name) -> impl Iterator<Item = RecordKey> {
+        self.all.get(name.as_bytes()).into_iter().flat_map(move |topic| topic.keys(name))
     }
 
     /// The places of all parts in all names.
-    pub fn all_places(&self) -> impl Iterator<Item = RecordKey> {
-        self.all.iter().flat_map(|(key, topic)| topic.places(Name::from_bytes(*key)))
+    pub fn all_keys(&self) -> impl Iterator<Item = RecordKey> {
+        self.all.iter().flat_map(|(key, topic)| topic.keys(Name::from_bytes(*key)))
     }
 
     /// Those with this role behind `after`.
-    pub fn behind_entity(&self, name: &Key, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
+    pub fn behind_entity(&self, name: &NameBytes, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
         let after = after.map(|after| (after, LAST));
         let all = self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).behind(after));
         distinct(all.map(|(place, _)| place))
     }
 
     /// Those of an entity's registrations that end with its attachment to a switch.
-    pub fn bound_of(&self, entity: &Name, switch: &Name, names: &BTreeSet<Key>) -> Vec<(Key, NameRole)> {
+    pub fn bound_of(&self, entity: &Name, switch: &Name, names: &BTreeSet<NameBytes>) -> Vec<(NameBytes, NameRole)> {
         let each = names.iter().flat_map(|name| NameRole::ALL.map(|role| (*name, role)));
         each.filter(|(name, role)| self.get_at(name, entity, *role, switch).is_some_and(|r| r.bound)).collect()
     }
 
     /// All registrations through one switch of this domain.
-    pub fn registered_at(&self, switch: &Name) -> Vec<(Key, Name, NameRole)> {
+    pub fn registered_at(&self, switch: &Name) -> Vec<(NameBytes, Name, NameRole)> {
         let mut found = Vec::new();
         for (name, topic) in &self.all {
             for role in NameRole::ALL {
@@ -249,7 +251,7 @@ impl Names {
     }
 
     /// The registrations of a name that do not hold any more: of whom, as what, at which switch.
-    pub fn revoked(&self, name: &Key, revocation: &Revocation) -> Vec<(Name, NameRole, Name)> {
+    pub fn revoked(&self, name: &NameBytes, revocation: &Revocation) -> Vec<(Name, NameRole, Name)> {
         let all = self.all.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::iter));
         all.filter(|(_, r)| !r.stands_after(revocation)).map(|((entity, switch), r)| (entity, r.role, switch)).collect()
     }
@@ -268,7 +270,7 @@ impl Names {
 
     /// The switches whose route changes because registrations of the name `at` these switches did,
     /// or ways over them.
-    pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
+    pub fn reroute(&mut self, name: &NameBytes, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
         match self.all.get_mut(name) {
             Some(topic) => topic.reroute(name, at, map),
             None => at,
@@ -276,7 +278,7 @@ impl Names {
     }
 
     /// The route of a name at one switch, if it needs any.
-    pub fn route(&self, name: &Key, switch: &Name, map: Map) -> Option<Route> {
+    pub fn route(&self, name: &NameBytes, switch: &Name, map: Map) -> Option<Route> {
         self.all.get(name)?.route(name, switch, map)
     }
 
@@ -287,7 +289,7 @@ impl Names {
         let begin = padded.unwrap_or_default();
         let matching = self.behind(after, begin).take_while(|(name, ..)| prefix.matches(name));
         let matching =
-            matching.filter(|(.., registration)| registration.abroad.as_ref().is_none_or(|abroad| abroad.local));
+            matching.filter(|(.., registration)| registration.remote.as_ref().is_none_or(|remote| remote.local));
         let mut room = RECORDS_SIZE;
         let mut records = Vec::new();
         for (name, topic, registration) in matching {
@@ -332,9 +334,9 @@ impl Names {
     }
 }
 
-fn note_without_writer(unserved: &mut BTreeSet<Key>, name: Key, topic: &Topic) {
+fn note_without_writer(without_publisher: &mut BTreeSet<NameBytes>, name: NameBytes, topic: &Topic) {
     match topic.has_no_writer() {
-        true => unserved.insert(name),
-        false => unserved.remove(&name),
+        true => without_publisher.insert(name),
+        false => without_publisher.remove(&name),
     };
 }

@@ -4,7 +4,7 @@
 //! time. Streams of one switch share what may be out there, so that entities that do not answer
 //! hold up none elsewhere, and little there. Of a stream that has nothing to say, as almost all
 //! have, nothing is kept here: what its entity holds then is
-//! [noted](super::names::Registration::told) with what it has stated.
+//! [noted](super::names::Registration::sent_update) with what it has stated.
 
 use crate::rib::model::RegistrationKey;
 use std::collections::btree_map::Entry;
@@ -33,7 +33,7 @@ const GONE_SIZE: usize = 40;
 
 /// What there is to tell of.
 #[derive(Clone, Copy)]
-pub(super) struct Source<'a> {
+pub(super) struct UpdateSource<'a> {
     pub run: u64,
     /// There may be more than the RIB knows yet.
     pub settling: bool,
@@ -61,7 +61,7 @@ struct Stream {
     boxes: BTreeSet<Name>,
     revocation: bool,
     /// The generation of the last message.
-    held: u64,
+    sent: u64,
     /// That is not answered.
     is_out: bool,
     is_queued: bool,
@@ -113,7 +113,7 @@ impl PeerUpdates {
         registration_key: RegistrationKey,
         switch: Name,
         only: bool,
-        source: Source,
+        source: UpdateSource,
     ) -> (Peers, Option<u64>) {
         let mut stream = Stream::new(switch, Phase::Whole { part: 0, after: None });
         self.generation += 1;
@@ -126,7 +126,7 @@ impl PeerUpdates {
     }
 
     /// As [`Self::begin`] for a tool, that can be told of nothing after.
-    pub fn once(&mut self, registration_key: RegistrationKey, switch: Name, source: Source) -> Peers {
+    pub fn once(&mut self, registration_key: RegistrationKey, switch: Name, source: UpdateSource) -> Peers {
         self.generation += 1;
         Stream::new(switch, Phase::Whole { part: 0, after: None }).message(&registration_key, self.generation, source)
     }
@@ -190,8 +190,8 @@ impl PeerUpdates {
         let stream = match self.streams.entry(registration_key) {
             Entry::Occupied(stream) => stream.into_mut(),
             Entry::Vacant(vacant) => {
-                let Some((switch, held)) = names.told(&registration_key) else { return };
-                vacant.insert(Stream { held, ..Stream::new(switch, Phase::Following) }.into())
+                let Some((switch, sent)) = names.last_update(&registration_key) else { return };
+                vacant.insert(Stream { sent, ..Stream::new(switch, Phase::Following) }.into())
             }
         };
         mark(stream);
@@ -199,7 +199,7 @@ impl PeerUpdates {
     }
 
     /// Takes out what is to be sent now. Each is to be answered with [`Self::answered`].
-    pub fn next(&mut self, source: Source) -> Vec<PeersPush> {
+    pub fn next(&mut self, source: UpdateSource) -> Vec<PeersPush> {
         let mut pushes = Vec::new();
         for (switch, turns) in &mut self.switches {
             while let Some(registration_key) = turns.next() {
@@ -235,7 +235,7 @@ impl PeerUpdates {
             turns.done(&registration_key.entity);
         }
         let stream =
-            self.streams.get_mut(&registration_key).filter(|stream| stream.is_out && stream.held == generation)?;
+            self.streams.get_mut(&registration_key).filter(|stream| stream.is_out && stream.sent == generation)?;
         stream.is_out = false;
         if stream.phase == Phase::Farewell {
             self.streams.remove(&registration_key);
@@ -261,7 +261,7 @@ impl PeerUpdates {
             && !registration_key.is_inbox()
             && self.streams.get(&registration_key).is_some_and(|stream| stream.is_at_rest())
         {
-            return self.streams.remove(&registration_key).map(|stream| stream.held);
+            return self.streams.remove(&registration_key).map(|stream| stream.sent);
         }
         self.queue(registration_key);
         None
@@ -372,9 +372,9 @@ impl Turns {
 impl Stream {
     fn new(switch: Name, phase: Phase) -> Self {
         let (records, boxes) = Default::default();
-        let (revocation, held, is_out, is_queued, is_unsettled) = (false, 0, false, false, false);
+        let (revocation, sent, is_out, is_queued, is_unsettled) = (false, 0, false, false, false);
         let (wait, turns_from) = (RETRY.0, Duration::ZERO);
-        Self { switch, phase, records, boxes, revocation, held, is_out, is_queued, is_unsettled, wait, turns_from }
+        Self { switch, phase, records, boxes, revocation, sent, is_out, is_queued, is_unsettled, wait, turns_from }
     }
 
     fn has_more(&self) -> bool {
@@ -391,12 +391,12 @@ impl Stream {
     }
 
     /// The next message; call if there [is more](Self::has_more).
-    fn message(&mut self, registration_key: &RegistrationKey, generation: u64, source: Source) -> Peers {
+    fn message(&mut self, registration_key: &RegistrationKey, generation: u64, source: UpdateSource) -> Peers {
         let extent = PeersExtent::Whole { part: 0, last: true };
         let (records, gone, boxes) = (Vec::new(), Vec::new(), Vec::new());
-        let Source { run, settling, .. } = source;
+        let UpdateSource { run, settling, .. } = source;
         let mut peers = Peers { run, settling, generation, extent, records, gone, revocation: None, boxes };
-        let before = std::mem::replace(&mut self.held, generation);
+        let before = std::mem::replace(&mut self.sent, generation);
         match self.phase {
             Phase::Whole { part, after } => {
                 let end = source.fill(&mut peers, registration_key, after);
@@ -421,12 +421,13 @@ impl Stream {
             Phase::Farewell => self.revocation = true,
         }
         if std::mem::take(&mut self.revocation) {
-            peers.revocation = source.revocations.get(&registration_key.name).map(|held| held.kept.revocation.clone());
+            peers.revocation =
+                source.revocations.get(&registration_key.name).map(|stored| stored.signed.revocation.clone());
         }
         peers
     }
 
-    fn changes(&mut self, peers: &mut Peers, registration_key: &RegistrationKey, source: Source) {
+    fn changes(&mut self, peers: &mut Peers, registration_key: &RegistrationKey, source: UpdateSource) {
         let mut room = RECORDS_SIZE;
         while let Some(name) = self.records.first().into_iter().chain(self.boxes.first()).min().copied() {
             let size = source.size(registration_key, &name);
@@ -446,7 +447,7 @@ impl Stream {
     }
 }
 
-impl Source<'_> {
+impl UpdateSource<'_> {
     /// Adds the counterparts behind `after`, as many as there is room for. Returns the last of
     /// them, if there are more.
     fn fill(self, peers: &mut Peers, registration_key: &RegistrationKey, after: Option<Name>) -> Option<Name> {

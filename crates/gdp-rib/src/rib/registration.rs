@@ -17,7 +17,7 @@ pub struct Registration {
     pub by: Arc<EntityIdentity>,
     /// Of another domain, if the entity is abroad.
     pub switch: Name,
-    pub abroad: Option<Box<Remote>>,
+    pub remote: Option<Box<Remote>>,
     pub role: NameRole,
     pub credential: Credential,
     pub advert: Signed<Advert>,
@@ -36,7 +36,7 @@ pub struct Registration {
     /// The generation that the entity holds of what it is told of the name through this switch,
     /// while there is nothing more to tell: no [stream](super::peer_updates) is kept for it then.
     /// 0: there is one, or it is told elsewhere.
-    pub told: u64,
+    pub sent_update: u64,
 }
 
 /// An entity, as it shows itself in its statements: most of them share one.
@@ -87,16 +87,16 @@ impl Kind {
 
 impl Registration {
     pub fn at(&self) -> At {
-        self.abroad.as_ref().map_or(At::Here(self.switch), |abroad| At::RemoteRegistrations(abroad.realm))
+        self.remote.as_ref().map_or(At::Here(self.switch), |remote| At::RemoteRegistrations(remote.realm))
     }
 
     /// Whether the entity is in this domain.
     pub fn is_here(&self) -> bool {
-        self.abroad.is_none()
+        self.remote.is_none()
     }
 
     /// By entity and switch.
-    pub fn place(&self) -> (Name, Name) {
+    pub fn entity_and_switch(&self) -> (Name, Name) {
         (self.by.name, self.switch)
     }
 
@@ -107,7 +107,7 @@ impl Registration {
     }
 
     pub fn kind(&self) -> Kind {
-        let (realm, local) = self.abroad.as_ref().map_or((None, true), |abroad| (Some(abroad.realm), abroad.local));
+        let (realm, local) = self.remote.as_ref().map_or((None, true), |remote| (Some(remote.realm), remote.local));
         Kind { realm, local, scope: self.scope.clone() }
     }
 

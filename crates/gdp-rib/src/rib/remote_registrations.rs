@@ -1,6 +1,6 @@
 //! The registrations that RIBs of other domains announce, besides those in use.
 
-use crate::rib::model::{Key, Realm, count_out};
+use crate::rib::model::{NameBytes, Realm, count_out};
 use crate::rib::registration::{Registration, Remote};
 use gdp_core::cert::Signed;
 use gdp_core::keys::KeyBox;
@@ -31,25 +31,25 @@ pub struct Foreign {
 #[derive(Debug, Default)]
 pub struct RemoteRegistrations {
     /// The names that entities of a realm have a part in, and how many parts.
-    pub names: BTreeMap<Realm, BTreeMap<Key, usize>>,
+    pub names: BTreeMap<Realm, BTreeMap<NameBytes, usize>>,
     /// By place and neighbour: what would count if another one did not.
     pub spare: BTreeMap<RecordKey, BTreeMap<Name, (NameProof, Registration)>>,
     /// How many records each neighbour has told of, in use or not.
-    pub told: HashMap<Name, usize>,
+    pub received: HashMap<Name, usize>,
     /// What other RIBs are still to be told of; none before anybody has asked.
     pub changed: Option<BTreeSet<RecordKey>>,
 }
 
 impl RemoteRegistrations {
-    pub fn enter(&mut self, registration: &Registration, name: Key) {
-        let Some(Remote { realm, .. }) = registration.abroad.as_deref().copied() else { return };
+    pub fn enter(&mut self, registration: &Registration, name: NameBytes) {
+        let Some(Remote { realm, .. }) = registration.remote.as_deref().copied() else { return };
         *self.names.entry(realm).or_default().entry(name).or_default() += 1;
-        *self.told.entry(realm.next).or_default() += 1;
+        *self.received.entry(realm.next).or_default() += 1;
     }
 
-    pub fn leave(&mut self, registration: &Registration, name: &Key) {
-        let Some(Remote { realm, .. }) = registration.abroad.as_deref().copied() else { return };
-        count_out(&mut self.told, &realm.next, 1);
+    pub fn leave(&mut self, registration: &Registration, name: &NameBytes) {
+        let Some(Remote { realm, .. }) = registration.remote.as_deref().copied() else { return };
+        count_out(&mut self.received, &realm.next, 1);
         let Some(names) = self.names.get_mut(&realm) else { return };
         let Some(parts) = names.get_mut(name) else { return };
         *parts -= 1;
@@ -63,7 +63,7 @@ impl RemoteRegistrations {
 
     pub fn put_spare(&mut self, place: RecordKey, next: Name, spare: (NameProof, Registration)) {
         if self.spare.entry(place).or_default().insert(next, spare).is_none() {
-            *self.told.entry(next).or_default() += 1;
+            *self.received.entry(next).or_default() += 1;
         }
     }
 
@@ -73,7 +73,7 @@ impl RemoteRegistrations {
         if spare.is_empty() {
             self.spare.remove(place);
         }
-        count_out(&mut self.told, next, 1);
+        count_out(&mut self.received, next, 1);
         Some(taken)
     }
 

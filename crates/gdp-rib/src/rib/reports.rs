@@ -38,7 +38,7 @@ impl Rib {
             self.timers.remove(&(at, Timer::Unreported { switch }));
         }
         self.reconcile(&switch, attached);
-        self.judge_reach(now);
+        self.check_reachability(now);
         Ok(())
     }
 
@@ -58,18 +58,18 @@ impl Rib {
     }
 
     /// Holds what is not reached, and has switches that are reached and have not reported asked to.
-    pub(super) fn judge_reach(&mut self, now: Now) {
+    pub(super) fn check_reachability(&mut self, now: Now) {
         for (name, state) in &mut self.switches {
             let reached = *name == self.root || self.paths.reaches(name);
-            match (reached, state.hold) {
+            match (reached, state.forget_at) {
                 (true, Some(at)) => {
                     self.timers.remove(&(at, Timer::Switch { switch: *name }));
-                    state.hold = None;
+                    state.forget_at = None;
                 }
                 (false, None) => {
                     let at = now.clock + RESTART_TIME;
                     self.timers.insert((at, Timer::Switch { switch: *name }));
-                    state.hold = Some(at);
+                    state.forget_at = Some(at);
                 }
                 _ => {}
             }
@@ -115,7 +115,7 @@ impl Rib {
         let is_silent = self.silent.contains(&switch) || !self.switches.contains_key(&switch);
         if self.paths.reaches(&switch) && is_silent {
             self.detached.insert((switch, switch));
-            self.judge_reach(now);
+            self.check_reachability(now);
         }
     }
 

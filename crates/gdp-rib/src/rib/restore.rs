@@ -13,7 +13,7 @@ use gdp_core::cert::{CertError, Requester, Signed};
 use gdp_core::keys::KeyBox;
 use gdp_core::name::NameProof;
 use gdp_core::peer::MAX_LANES;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::control::{NameRole, Record, RecordKey, Refusal};
 use gdp_wire::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
@@ -134,7 +134,7 @@ impl Rib {
         let encoded = match item {
             Item::Floor => encode_item(&self.entities.forgotten()),
             Item::Switch(switch) => encode_item(&self.bits.of(switch).filter(|_| self.switches.contains_key(switch))?),
-            Item::Revocation(name) => encode_item(&self.revocations.get(name.as_bytes())?.kept),
+            Item::Revocation(name) => encode_item(&self.revocations.get(name.as_bytes())?.signed),
             Item::Invitation(_) => return None,
             Item::Entity(entity) => {
                 let (floor, through) = self.entities.known(entity)?;
@@ -165,7 +165,7 @@ impl Rib {
             Item::Floor => self.entities.restore_forgotten(now, decode_item(bytes)?),
             Item::Switch(switch) => self.restore_switch(*switch, decode_item(bytes)?)?,
             Item::Revocation(name) => {
-                let kept: Kept = decode_item(bytes)?;
+                let kept: SignedRevocation = decode_item(bytes)?;
                 let claims = kept.verify()?;
                 if claims.name != *name {
                     return Err(RestoreError::Misplaced);
@@ -239,9 +239,9 @@ impl Rib {
         let scope = record.credential.scope()?;
         let Record { proof, entity: shown, credential, advert, .. } = record;
         let registration = Registration {
-            by: self.entities.party(entity, shown, verified.advert.box_key),
+            by: self.entities.identity(entity, shown, verified.advert.box_key),
             switch,
-            abroad: None,
+            remote: None,
             role,
             credential,
             advert,
@@ -250,7 +250,7 @@ impl Rib {
             everywhere,
             ends: now.clock.saturating_add(Duration::from_secs(ends - now.unix)),
             bound,
-            told: 0,
+            sent_update: 0,
         };
         let registration_key = RegistrationKey { name: name.to_bytes(), entity, role };
         self.register(registration_key, proof, registration)?;

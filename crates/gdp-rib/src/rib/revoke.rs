@@ -3,7 +3,7 @@
 
 use gdp_core::cert::{CertError, Revocation, Signed};
 use gdp_core::name::NameProof;
-use gdp_core::revocations::{Kept, Origin};
+use gdp_core::revocations::{Origin, SignedRevocation};
 use gdp_proto::control::{NameRole, Refusal, Response};
 use gdp_wire::Name;
 
@@ -30,7 +30,7 @@ impl Rib {
             return Ok(Response::Done);
         }
         let revoked = self.names.revoked(&key, &claims);
-        let kept = Kept { proof: *proof, revocation: signed.clone(), origin: Some(origin) };
+        let kept = SignedRevocation { proof: *proof, revocation: signed.clone(), origin: Some(origin) };
         self.revocations.put(key, kept, claims, self.names.contains(&key), &self.limits);
         for (entity, role, switch) in revoked {
             self.end_revoked(now, RegistrationKey { name: key, entity, role }, switch);
@@ -65,13 +65,13 @@ impl Rib {
     }
 
     /// Takes in what the RIB of the neighbouring domain `next` told.
-    pub fn revoke_abroad(&mut self, now: Now, next: Name, told: &Kept) -> Result<(), Refusal> {
+    pub fn revoke_from(&mut self, now: Now, next: Name, told: &SignedRevocation) -> Result<(), Refusal> {
         self.tick(now);
         self.revoke(now, Origin { through: next, by_tool: false }, &told.proof, &told.revocation).map(drop)
     }
 
-    /// Takes in what an earlier RIB kept, verified again, as [`Self::kept_revocations`] has it.
-    pub fn recall(&mut self, kept: Vec<(Kept, Revocation)>) {
+    /// Takes in what an earlier RIB kept, verified again, as [`Self::signed_revocations`] has it.
+    pub fn recall(&mut self, kept: Vec<(SignedRevocation, Revocation)>) {
         for (kept, claims) in kept.into_iter().rev() {
             let key = claims.name.to_bytes();
             if claims.check_replaces(self.revocations.claims(&key)).is_ok() {
@@ -86,7 +86,7 @@ impl Rib {
     }
 
     /// All that a RIB after this one is to know, those first that count most.
-    pub fn kept_revocations(&self) -> Vec<Kept> {
+    pub fn signed_revocations(&self) -> Vec<SignedRevocation> {
         self.revocations.all()
     }
 }

@@ -15,9 +15,9 @@ use gdp_wire::Name;
 
 use super::border_links::Map;
 use super::entities::Attachment;
-use super::peer_updates::Source;
+use super::peer_updates::UpdateSource;
 use super::{Rib, Timer};
-use crate::rib::model::{At, InboxOwner, Key, Now, RegistrationKey, limit_reached, refusal};
+use crate::rib::model::{At, InboxOwner, NameBytes, Now, RegistrationKey, limit_reached, refusal};
 use crate::rib::registration::{Registration, shared};
 
 /// Between two looks at which parts in a name are over: of a name that very many read, some always
@@ -132,9 +132,9 @@ impl Rib {
             let (name, switch, box_key, bound) = (advert.name, requester.switch, advert.box_key, !by_tool);
             let (role, entity) = (role?, requester.entity);
             let registration = Registration {
-                by: self.entities.party(entity, proof, box_key),
+                by: self.entities.identity(entity, proof, box_key),
                 switch,
-                abroad: None,
+                remote: None,
                 role,
                 credential,
                 advert: signed,
@@ -143,7 +143,7 @@ impl Rib {
                 everywhere,
                 ends,
                 bound,
-                told: 0,
+                sent_update: 0,
             };
             let registration_key = RegistrationKey { name: name.to_bytes(), entity, role };
             self.register(registration_key, name_proof, registration).map(|()| registration_key)
@@ -155,10 +155,10 @@ impl Rib {
             others.retain(|switch| *switch != requester.switch);
             others.into_iter().for_each(|switch| self.unregister(registration_key, switch));
         }
-        let other = self.told_elsewhere(registration_key, &requester.switch);
+        let other = self.other_switch_of(registration_key, &requester.switch);
         let (run, names, boxes, revocations) = (self.run.id, &self.names, &self.boxes, &self.revocations);
         let settling = now.clock < self.run.settling;
-        let source = Source { run, settling, now: now.clock, names, boxes, revocations };
+        let source = UpdateSource { run, settling, now: now.clock, names, boxes, revocations };
         if by_tool {
             return Ok(Response::Peers(self.peer_updates.once(registration_key, requester.switch, source)));
         }
@@ -236,12 +236,12 @@ impl Rib {
     /// An entity is no longer to be told of this through `switch`, but through another one, if it
     /// has stated it there.
     fn tell_elsewhere(&mut self, registration_key: RegistrationKey, switch: &Name) {
-        let other = self.told_elsewhere(registration_key, switch);
+        let other = self.other_switch_of(registration_key, switch);
         self.peer_updates.follow(&registration_key, switch, other);
     }
 
     /// Another switch through which an entity may be told of this.
-    pub(super) fn told_elsewhere(&self, registration_key: RegistrationKey, switch: &Name) -> Option<Name> {
+    pub(super) fn other_switch_of(&self, registration_key: RegistrationKey, switch: &Name) -> Option<Name> {
         if registration_key.is_inbox() {
             let attachments = self.entities.attachments(&registration_key.entity);
             return attachments.map(|(_, attachment)| attachment.switch).find(|other| other != switch);
@@ -275,7 +275,7 @@ impl Rib {
             let mut others = self.names.switches_of(&key, &entity, role);
             others.retain(|other| *other != switch);
             others.into_iter().for_each(|switch| self.unregister(registration_key, switch));
-            self.forget_abroad(registration_key, serial);
+            self.forget_remote(registration_key, serial);
         }
         Ok(())
     }
@@ -299,7 +299,7 @@ impl Rib {
         self.revocations.enter(&key, &self.limits);
         let is_new_name = !self.names.contains(&key);
         let is_stored = new.is_here();
-        self.abroad.enter(&new, key);
+        self.remote.enter(&new, key);
         let old = self.names.insert(name, proof, new);
         if is_stored {
             self.journal.mark(registration_key.at(switch));
@@ -307,7 +307,7 @@ impl Rib {
         self.expect_end(key, ends);
         let (mut places, mut told) = (vec![at], self.to_tell_of(registration_key, &switch));
         if let Some(old) = &old {
-            self.abroad.leave(old, &key);
+            self.remote.leave(old, &key);
             places.push(old.at());
             told.extend(self.who_knew(registration_key, old));
         }
@@ -329,12 +329,12 @@ impl Rib {
         if !says_the_same {
             told.into_iter().for_each(|other| self.peer_updates.record_changed(&self.names, other, entity));
         }
-        self.abroad.changed(RecordKey { name, role, entity, switch });
+        self.remote.changed(RecordKey { name, role, entity, switch });
         Ok(old)
     }
 
     /// A part in the name ends then.
-    fn expect_end(&mut self, name: Key, ends: Duration) {
+    fn expect_end(&mut self, name: NameBytes, ends: Duration) {
         if let Some(later) = self.names.look_by(&name, ends) {
             self.timers.remove(&(later, Timer::Name(name)));
             self.timers.insert((ends, Timer::Name(name)));
@@ -342,7 +342,7 @@ impl Rib {
     }
 
     /// Ends what is over of the parts in a name.
-    pub(super) fn end_due(&mut self, now: Now, name: Key) {
+    pub(super) fn end_due(&mut self, now: Now, name: NameBytes) {
         let (over, next) = self.names.look(&name, now.clock);
         over.into_iter().for_each(|(registration_key, switch)| self.end(now, registration_key, switch));
         if let Some(next) = next {
@@ -358,7 +358,7 @@ impl Rib {
             self.journal.mark(registration_key.at(switch));
         }
         let says_the_same = self.names.tell_the_same(&name, &entity, role, &old);
-        self.abroad.leave(&old, &name);
+        self.remote.leave(&old, &name);
         if old.bound {
             self.tell_elsewhere(registration_key, &switch);
             self.part(registration_key, &old);
@@ -375,7 +375,7 @@ impl Rib {
             let told = self.who_knew(registration_key, &old);
             told.into_iter().for_each(|other| self.peer_updates.record_changed(&self.names, other, entity));
         }
-        self.abroad.changed(RecordKey { name: Name::from_bytes(name), role, entity, switch });
+        self.remote.changed(RecordKey { name: Name::from_bytes(name), role, entity, switch });
         if let Some(look) = self.names.sweep(&name) {
             self.timers.remove(&(look, Timer::Name(name)));
             self.reroute_inbox(&Name::from_bytes(name));
@@ -384,7 +384,7 @@ impl Rib {
     }
 
     /// Those that one with this part in a name exchanges messages with.
-    fn counterparts(&self, name: &Key, registration: &Registration) -> impl Iterator<Item = InboxOwner> {
+    fn counterparts(&self, name: &NameBytes, registration: &Registration) -> impl Iterator<Item = InboxOwner> {
         let others = self.names.bound(name, registration.role.counterpart());
         let others = others.filter(|(_, other)| registration.meets(other));
         others.map(|(entity, other)| InboxOwner { entity, at: other.at() })
@@ -440,14 +440,14 @@ impl Rib {
 
     /// Brings the desired FIBs in line with what is registered for one name, after a change at
     /// these places.
-    pub(super) fn follow_up(&mut self, name: Key, at: &[At]) {
+    pub(super) fn follow_up(&mut self, name: NameBytes, at: &[At]) {
         let map = self.map();
         let switches = at.iter().flat_map(|at| map.switches(at)).collect();
         self.follow_up_at(name, switches);
     }
 
     /// The same for these switches.
-    pub(super) fn follow_up_at(&mut self, name: Key, at: BTreeSet<Name>) {
+    pub(super) fn follow_up_at(&mut self, name: NameBytes, at: BTreeSet<Name>) {
         let map = Map { bits: &self.bits, ways: &self.ways };
         let switches = self.names.reroute(&name, at, map);
         self.reroute(name, switches);
@@ -467,7 +467,7 @@ impl Rib {
 
     /// A name that an entity advertises for another, as only its key can allow, is not an inbox for
     /// as long.
-    pub(super) fn reroute(&mut self, name: Key, switches: impl IntoIterator<Item = Name>) {
+    pub(super) fn reroute(&mut self, name: NameBytes, switches: impl IntoIterator<Item = Name>) {
         let is_stated = self.names.contains(&name);
         for switch in switches {
             let map = self.map();
@@ -482,7 +482,7 @@ impl Rib {
     }
 
     /// Whoever has such a name may be abroad all the same, and send from there.
-    fn stated_route(&self, name: &Key, switch: &Name) -> Option<Route> {
+    fn stated_route(&self, name: &NameBytes, switch: &Name) -> Option<Route> {
         let arrives_by = self.inboxes.arrives_by(name, switch, self.map());
         let route = self.names.route(name, switch, self.map());
         let none = || Route { name: Name::from_bytes(*name), ..Route::default() };

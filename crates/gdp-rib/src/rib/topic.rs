@@ -9,7 +9,7 @@ use gdp_proto::control::{NameRole, RecordKey, Route};
 use gdp_wire::Name;
 
 use super::border_links::Map;
-use crate::rib::model::{At, Key, Realm};
+use crate::rib::model::{At, NameBytes, Realm};
 use crate::rib::registration::{Kind, Registration, meets};
 
 #[derive(Debug)]
@@ -54,7 +54,7 @@ impl Topic {
     }
 
     pub fn part(&self, role: NameRole) -> &Registrations {
-        static NONE: Registrations = Registrations { all: Vec::new(), by_place: Vec::new() };
+        static NONE: Registrations = Registrations { all: Vec::new(), by_location: Vec::new() };
         self.parts[role as usize].as_deref().unwrap_or(&NONE)
     }
 
@@ -83,7 +83,7 @@ impl Topic {
         self.parts.iter().flatten().map(Box::as_ref)
     }
 
-    pub fn places(&self, name: Name) -> impl Iterator<Item = RecordKey> {
+    pub fn keys(&self, name: Name) -> impl Iterator<Item = RecordKey> {
         let of = move |role| self.part(role).iter().map(move |((entity, switch), _)| (role, entity, switch));
         let all = NameRole::ALL.into_iter().flat_map(of);
         all.map(move |(role, entity, switch)| RecordKey { name, role, entity, switch })
@@ -108,7 +108,7 @@ impl Topic {
     /// There are no routes unless somebody publishes the name and somebody reads it. One more taker
     /// at a switch concerns that switch alone; the first or the last one there also those where
     /// frames come in.
-    pub fn reroute(&mut self, name: &Key, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
+    pub fn reroute(&mut self, name: &NameBytes, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
         let spread = Some(self.spread(name, map)).filter(|spread| !spread.egress.is_empty());
         let before = std::mem::replace(&mut self.spread, spread.map(Box::new));
         let mut affected = at;
@@ -122,10 +122,10 @@ impl Topic {
         affected
     }
 
-    fn spread(&self, name: &Key, map: Map) -> Spread {
+    fn spread(&self, name: &NameBytes, map: Map) -> Spread {
         let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
-        if !senders.reach_abroad() && !takers.reach_abroad() {
-            let bits = takers.places().fold(0, |bits, at| bits | map.bits_to(name, &at));
+        if !senders.reaches_other_domains() && !takers.reaches_other_domains() {
+            let bits = takers.locations().fold(0, |bits, at| bits | map.bits_to(name, &at));
             let switches = senders.switches().filter(|_| bits != 0);
             return Spread { egress: switches.map(|switch| (switch, bits)).collect(), met: None };
         }
@@ -145,7 +145,7 @@ impl Topic {
         Spread { egress, met: Some(Box::new(met)) }
     }
 
-    pub fn route(&self, name: &Key, switch: &Name, map: Map) -> Option<Route> {
+    pub fn route(&self, name: &NameBytes, switch: &Name, map: Map) -> Option<Route> {
         let spread = self.spread.as_deref()?;
         let (senders, takers) = (self.part(NameRole::Publisher), self.part(NameRole::Subscriber));
         let is_sender = |(_, registration): &(Name, &Registration)| spread.has_sender(|| registration.kind());
@@ -182,7 +182,7 @@ pub(super) struct Registrations {
     #[expect(clippy::vec_box, reason = "of thousands, half are moved by an insertion")]
     all: Vec<Box<Registration>>,
     /// Indices of those, in the order of where they are, and then of entities.
-    by_place: Vec<u32>,
+    by_location: Vec<u32>,
 }
 
 impl Registrations {
@@ -191,30 +191,30 @@ impl Registrations {
     }
 
     fn insert(&mut self, new: Registration) -> Option<Registration> {
-        let (place, at) = (new.place(), new.at());
+        let (place, at) = (new.entity_and_switch(), new.at());
         let old = self.remove(&place.0, &place.1);
-        let index = self.all.partition_point(|held| held.place() < place);
+        let index = self.all.partition_point(|held| held.entity_and_switch() < place);
         insert(&mut self.all, index, Box::new(new));
         let index = index as u32;
-        self.by_place.iter_mut().filter(|held| **held >= index).for_each(|held| *held += 1);
-        let rank = self.by_place.partition_point(|held| (self.place(*held), *held) < (at, index));
-        insert(&mut self.by_place, rank, index);
+        self.by_location.iter_mut().filter(|held| **held >= index).for_each(|held| *held += 1);
+        let rank = self.by_location.partition_point(|held| (self.location(*held), *held) < (at, index));
+        insert(&mut self.by_location, rank, index);
         old
     }
 
     fn remove(&mut self, entity: &Name, switch: &Name) -> Option<Registration> {
         let index = self.find(entity, switch)?;
         let removed = index as u32;
-        self.by_place.retain(|held| *held != removed);
-        self.by_place.iter_mut().filter(|held| **held > removed).for_each(|held| *held -= 1);
+        self.by_location.retain(|held| *held != removed);
+        self.by_location.iter_mut().filter(|held| **held > removed).for_each(|held| *held -= 1);
         Some(*self.all.remove(index))
     }
 
     fn find(&self, entity: &Name, switch: &Name) -> Option<usize> {
-        self.all.binary_search_by(|held| held.place().cmp(&(*entity, *switch))).ok()
+        self.all.binary_search_by(|held| held.entity_and_switch().cmp(&(*entity, *switch))).ok()
     }
 
-    fn place(&self, index: u32) -> At {
+    fn location(&self, index: u32) -> At {
         self.all[index as usize].at()
     }
 
@@ -228,13 +228,13 @@ impl Registrations {
 
     /// By entity and switch.
     pub fn iter(&self) -> impl Iterator<Item = ((Name, Name), &Registration)> {
-        self.all.iter().map(|registration| (registration.place(), &**registration))
+        self.all.iter().map(|registration| (registration.entity_and_switch(), &**registration))
     }
 
     /// Those behind a place, or all.
     pub fn behind(&self, after: Option<(Name, Name)>) -> impl Iterator<Item = ((Name, Name), &Registration)> {
-        let first = after.map_or(0, |after| self.all.partition_point(|held| held.place() <= after));
-        self.all[first..].iter().map(|registration| (registration.place(), &**registration))
+        let first = after.map_or(0, |after| self.all.partition_point(|held| held.entity_and_switch() <= after));
+        self.all[first..].iter().map(|registration| (registration.entity_and_switch(), &**registration))
     }
 
     pub fn entities(&self) -> impl Iterator<Item = Name> {
@@ -260,33 +260,33 @@ impl Registrations {
     }
 
     fn indices_at(&self, at: &At) -> &[u32] {
-        let first = self.by_place.partition_point(|held| self.place(*held) < *at);
-        let rest = &self.by_place[first..];
-        &rest[..rest.partition_point(|held| self.place(*held) == *at)]
+        let first = self.by_location.partition_point(|held| self.location(*held) < *at);
+        let rest = &self.by_location[first..];
+        &rest[..rest.partition_point(|held| self.location(*held) == *at)]
     }
 
     /// Where they are, each place once: those of this domain first.
-    fn places(&self) -> impl Iterator<Item = At> {
-        let mut rest = &self.by_place[..];
+    fn locations(&self) -> impl Iterator<Item = At> {
+        let mut rest = &self.by_location[..];
         std::iter::from_fn(move || {
-            let at = self.place(*rest.first()?);
-            rest = &rest[rest.partition_point(|held| self.place(*held) == at)..];
+            let at = self.location(*rest.first()?);
+            rest = &rest[rest.partition_point(|held| self.location(*held) == at)..];
             Some(at)
         })
     }
 
     fn switches(&self) -> impl Iterator<Item = Name> {
-        self.places().map_while(|at| if let At::Here(switch) = at { Some(switch) } else { None })
+        self.locations().map_while(|at| if let At::Here(switch) = at { Some(switch) } else { None })
     }
 
     fn realms(&self) -> impl Iterator<Item = Realm> {
-        let abroad = self.reach_abroad();
-        let places = abroad.then(|| self.places()).into_iter().flatten();
+        let abroad = self.reaches_other_domains();
+        let places = abroad.then(|| self.locations()).into_iter().flatten();
         places.filter_map(|at| if let At::RemoteRegistrations(realm) = at { Some(realm) } else { None })
     }
 
-    fn reach_abroad(&self) -> bool {
-        self.by_place.last().is_some_and(|last| matches!(self.place(*last), At::RemoteRegistrations(_)))
+    fn reaches_other_domains(&self) -> bool {
+        self.by_location.last().is_some_and(|last| matches!(self.location(*last), At::RemoteRegistrations(_)))
     }
 
     /// Each kind there is at a place, once.

@@ -1,4 +1,4 @@
-//! Key boxes: the content keys of writers, each wrapped for one reader. StoredKeys beside the
+//! Key boxes: the content keys of writers, each wrapped for one reader. Stored beside the
 //! writer's advertisement, so that it need not be asked when a reader comes; only the reader can
 //! open them, and it verifies again who wrapped them.
 
@@ -11,7 +11,7 @@ use gdp_proto::control::{NameRole, Refusal, RefusalCode};
 use gdp_wire::Name;
 
 use super::journal::{Item, Journal};
-use crate::rib::model::{At, InboxOwner, Key, Limits, RegistrationKey, count_out, limit_reached};
+use crate::rib::model::{At, InboxOwner, Limits, NameBytes, RegistrationKey, count_out, limit_reached};
 
 /// Epochs of one writer and name that are kept: the present one and the one before.
 const EPOCHS: usize = 2;
@@ -30,7 +30,7 @@ struct StoredKeys {
 #[derive(Debug, Default)]
 pub(super) struct WrappedKeyStore {
     /// By name and writer.
-    kept: BTreeMap<(Key, Name), StoredKeys>,
+    stored: BTreeMap<(NameBytes, Name), StoredKeys>,
     by_writer: HashMap<Name, usize>,
     by_switch: HashMap<At, usize>,
     journal: Journal,
@@ -39,7 +39,7 @@ pub(super) struct WrappedKeyStore {
 impl WrappedKeyStore {
     /// Whether just this is kept already.
     pub fn holds(&self, claims: &KeyBox, signed: &Signed<KeyBox>) -> bool {
-        let kept = self.kept.get(&(claims.name.to_bytes(), claims.writer));
+        let kept = self.stored.get(&(claims.name.to_bytes(), claims.writer));
         let readers = kept.and_then(|kept| kept.epochs.get(&claims.epoch));
         readers.and_then(|readers| readers.get(&claims.reader)).is_some_and(|held| held == signed)
     }
@@ -54,7 +54,7 @@ impl WrappedKeyStore {
     ) -> Result<(), Refusal> {
         let KeyBox { name, writer, reader, epoch, .. } = claims;
         let key = (name.to_bytes(), *writer);
-        let epochs = self.kept.get(&key).map(|kept| &kept.epochs);
+        let epochs = self.stored.get(&key).map(|kept| &kept.epochs);
         let oldest = epochs.filter(|epochs| epochs.len() == EPOCHS && !epochs.contains_key(epoch));
         let oldest = oldest.and_then(|epochs| epochs.keys().next().copied());
         if let Some(oldest) = oldest.filter(|oldest| epoch < oldest) {
@@ -81,7 +81,7 @@ impl WrappedKeyStore {
             }
         }
         let new = || StoredKeys { at: place.at, epochs: BTreeMap::new() };
-        let kept = self.kept.entry(key).or_insert_with(new);
+        let kept = self.stored.entry(key).or_insert_with(new);
         let at = kept.at;
         let gone = oldest.and_then(|oldest| Some((oldest, kept.epochs.remove(&oldest)?)));
         let is_new = kept.epochs.entry(*epoch).or_default().insert(*reader, signed).is_none();
@@ -100,8 +100,8 @@ impl WrappedKeyStore {
     }
 
     /// The writer sends to this name no more.
-    pub fn forget(&mut self, name: &Key, writer: &Name) {
-        if let Some(kept) = self.kept.remove(&(*name, *writer)) {
+    pub fn forget(&mut self, name: &NameBytes, writer: &Name) {
+        if let Some(kept) = self.stored.remove(&(*name, *writer)) {
             kept.epochs.iter().for_each(|(epoch, readers)| self.mark(&(*name, *writer), &kept.at, *epoch, readers));
             let count = kept.epochs.values().map(BTreeMap::len).sum();
             self.count_out(writer, &kept.at, count);
@@ -116,7 +116,7 @@ impl WrappedKeyStore {
         counterpart: &Name,
     ) -> impl Iterator<Item = &Signed<KeyBox>> {
         let kept = self
-            .kept
+            .stored
             .get(&(registration_key.name, *counterpart))
             .filter(|_| registration_key.role == NameRole::Subscriber);
         let reader = registration_key.entity;
@@ -124,14 +124,14 @@ impl WrappedKeyStore {
     }
 
     /// All that a writer has for those that take what it sends to the name.
-    pub fn of(&self, name: &Key, writer: &Name) -> impl Iterator<Item = (&Name, &Signed<KeyBox>)> {
-        self.kept.get(&(*name, *writer)).into_iter().flat_map(|kept| kept.epochs.values()).flatten()
+    pub fn of(&self, name: &NameBytes, writer: &Name) -> impl Iterator<Item = (&Name, &Signed<KeyBox>)> {
+        self.stored.get(&(*name, *writer)).into_iter().flat_map(|kept| kept.epochs.values()).flatten()
     }
 
     /// Those behind `after` that have boxes for what they send to a name.
-    pub fn writers(&self, name: &Key, after: Option<Name>) -> impl Iterator<Item = Name> {
+    pub fn writers(&self, name: &NameBytes, after: Option<Name>) -> impl Iterator<Item = Name> {
         let first = after.map_or(Bound::Included((*name, Name::default())), |after| Bound::Excluded((*name, after)));
-        self.kept
+        self.stored
             .range((first, Bound::Unbounded))
             .take_while(move |((of, _), _)| of == name)
             .map(|((_, writer), _)| *writer)
@@ -142,15 +142,21 @@ impl WrappedKeyStore {
         self.between(registration_key, counterpart).map(|signed| signed.as_bytes().len() + BOX_OVERHEAD).sum()
     }
 
-    pub fn get(&self, name: &Key, writer: &Name, epoch: u32, reader: &Name) -> Option<&Signed<KeyBox>> {
-        self.kept.get(&(*name, *writer))?.epochs.get(&epoch)?.get(reader)
+    pub fn get(&self, name: &NameBytes, writer: &Name, epoch: u32, reader: &Name) -> Option<&Signed<KeyBox>> {
+        self.stored.get(&(*name, *writer))?.epochs.get(&epoch)?.get(reader)
     }
 
     pub fn journal(&mut self) -> &mut Journal {
         &mut self.journal
     }
 
-    fn mark(&mut self, (name, writer): &(Key, Name), at: &At, epoch: u32, readers: &BTreeMap<Name, Signed<KeyBox>>) {
+    fn mark(
+        &mut self,
+        (name, writer): &(NameBytes, Name),
+        at: &At,
+        epoch: u32,
+        readers: &BTreeMap<Name, Signed<KeyBox>>,
+    ) {
         if !is_stored(at) {
             return;
         }

@@ -19,15 +19,15 @@ impl Tiers {
     /// neighbours that have to do with the name are told, but for the one that said so.
     pub fn reconsider(&mut self, now: Now, about: Name, said_by: Option<Name>, revoked: &impl Revoked) {
         for (_, side) in self.sides.iter_mut().filter(|(domain, _)| said_by != Some(**domain)) {
-            if let Some(kept) = revoked.kept(&about)
-                && (side.told.tells_of(about) || side.table.parts_of(about).next().is_some())
+            if let Some(kept) = revoked.signed(&about)
+                && (side.sent.tells_of(about) || side.table.parts_of(about).next().is_some())
             {
-                side.told.tell_revoked(about, kept);
+                side.sent.tell_revoked(about, kept);
             }
         }
         let judge = Verification { home: self.home, now, revoked };
         let (mut gone, mut fewer) = (Vec::new(), Vec::new());
-        let is_domain = revoked.kept(&about).is_none();
+        let is_domain = revoked.signed(&about).is_none();
         for (domain, side) in &self.sides {
             if let Some(Item::Locator { locator, .. }) = side.table.get(&TierKey::Locator(about)) {
                 let entry = TierEntry::Locator { domain: about, locator: (**locator).clone() };
@@ -41,14 +41,14 @@ impl Tiers {
                 let member = held.record.credential.member();
                 member.is_some_and(|member| member.domain.name().is_ok_and(|domain| domain == about))
             };
-            let elsewhere = |held: &&Arc<TableRecord>| held.place.name != about && held.path.first() != Some(&about);
+            let elsewhere = |held: &&Arc<TableRecord>| held.key.name != about && held.path.first() != Some(&about);
             // There is no index of those who read for a role in a domain that they are not in:
             // domains take something back rarely.
             let all = is_domain.then(|| side.table.parts()).into_iter().flatten();
             let of_members = all.filter(elsewhere).filter(is_of_member);
             for held in side.table.parts_about(about).chain(of_members) {
                 if let Err(refusal) = judge.still_holds(held) {
-                    gone.push((*domain, TierKey::Part(held.place), refusal));
+                    gone.push((*domain, TierKey::Part(held.key), refusal));
                 }
             }
         }
@@ -75,10 +75,10 @@ impl Tiers {
         }
         let mut gone = Vec::new();
         for (domain, side) in &mut self.sides {
-            if side.kind == Kind::Child && now.clock >= side.heard + SILENCE {
+            if side.kind == Kind::Child && now.clock >= side.last_seen + SILENCE {
                 side.lose(now.clock);
             }
-            if matches!(side.standing, SessionState::Lost(since) if now.clock >= since + RESTART_TIME) {
+            if matches!(side.session, SessionState::Lost(since) if now.clock >= since + RESTART_TIME) {
                 gone.push(*domain);
             }
         }
@@ -86,7 +86,7 @@ impl Tiers {
             self.clear(domain);
             match self.sides.get_mut(&domain) {
                 Some(side) if side.kind.is_parent() => {
-                    side.standing = SessionState::Waiting;
+                    side.session = SessionState::Waiting;
                     side.ancestors.clear();
                 }
                 _ => drop(self.sides.remove(&domain)),
@@ -105,9 +105,10 @@ impl Tiers {
         let sides = self.sides.iter().flat_map(|(domain, side)| {
             let can_ask = self.adjacent.contains(domain) && !side.is_asked;
             let hello = (can_ask && side.kind.is_parent()).then_some(side.hello_at);
-            let retry = side.told.feed.retry_at().filter(|_| can_ask && side.is_followed());
-            let silence = (side.kind == Kind::Child && side.standing == SessionState::Up).then(|| side.heard + SILENCE);
-            let hold = match side.standing {
+            let retry = side.sent.feed.retry_at().filter(|_| can_ask && side.is_followed());
+            let silence =
+                (side.kind == Kind::Child && side.session == SessionState::Up).then(|| side.last_seen + SILENCE);
+            let hold = match side.session {
                 SessionState::Lost(since) => Some(since + RESTART_TIME),
                 _ => None,
             };

@@ -52,7 +52,7 @@ impl Tiers {
         }
         let mut above: BTreeSet<Name> = BTreeSet::new();
         for (parent, side) in &self.sides {
-            if side.kind.is_parent() && matches!(side.standing, SessionState::Up | SessionState::Lost(_)) {
+            if side.kind.is_parent() && matches!(side.session, SessionState::Up | SessionState::Lost(_)) {
                 above.insert(*parent);
                 above.extend(&side.ancestors);
             }
@@ -72,7 +72,7 @@ impl Tiers {
             self.unknown_domains += 1;
             return Err(not_a_neighbour(from));
         };
-        if let SessionState::Refused { reason, .. } = &side.standing {
+        if let SessionState::Refused { reason, .. } = &side.session {
             return Ok(TierResponse::Partly { refused: push.set.len() as u32, reason: reason.clone() });
         }
         if !side.table.begin(TierHolds { run: push.run, generation: push.generation }, push.extent) {
@@ -80,7 +80,7 @@ impl Tiers {
             let reason = "it does not follow what is held: send the whole";
             return Err(Refusal::new(RefusalCode::ReplayedSerial, reason));
         }
-        side.heard = now.clock;
+        side.last_seen = now.clock;
         let judge = Verification { home: self.home, now, revoked };
         let (mut changed, mut refusals) = (BTreeSet::new(), Vec::new());
         // Of these it is told what was taken back.
@@ -95,7 +95,7 @@ impl Tiers {
             let entry = match entry {
                 TierEntry::Revocation { proof, revocation } => {
                     match judge.revocation(proof, revocation) {
-                        Ok(Announced::News(kept)) => self.heard_revoked.push(kept),
+                        Ok(Announced::News(kept)) => self.received_revocations.push(kept),
                         Ok(Announced::Known) => {}
                         Ok(Announced::Older(name)) => drop(unaware.insert(name)),
                         Err(refusal) => {
@@ -137,8 +137,8 @@ impl Tiers {
             self.endings.set((from, key), None);
             changed.insert(key);
         }
-        for (name, kept) in unaware.iter().filter_map(|name| Some((name, revoked.kept(name)?))) {
-            side.told.tell_revoked(*name, kept);
+        for (name, kept) in unaware.iter().filter_map(|name| Some((name, revoked.signed(name)?))) {
+            side.sent.tell_revoked(*name, kept);
         }
         changed.into_iter().for_each(|key| self.changed(key));
         Ok(match refusals.first() {
@@ -174,7 +174,7 @@ impl Tiers {
             return Reply::Now(TierResponse::Answer { entries, truncated });
         }
         let is_asked = |parent: &&Name| {
-            let is_up = self.sides.get(*parent).is_some_and(|side| side.standing == SessionState::Up);
+            let is_up = self.sides.get(*parent).is_some_and(|side| side.session == SessionState::Up);
             is_up && self.adjacent.contains(*parent) && !path.contains(*parent)
         };
         let left: Vec<Name> = self.parents.iter().rev().filter(is_asked).copied().collect();
@@ -198,14 +198,14 @@ impl Tiers {
         let others = self.sides.iter().filter(|(domain, side)| Some(**domain) != asked_by && !side.is_refused());
         for table in own.into_iter().chain(others.map(|(_, side)| &side.table)) {
             for held in table.parts_of(name) {
-                if !may_hear(held, asker, self.home) || !said.insert(held.place) {
+                if !may_hear(held, asker, self.home) || !said.insert(held.key) {
                     continue;
                 }
                 match room.checked_sub(Item::part(held.clone()).size()) {
                     Some(rest) => room = rest,
                     None => return (entries, true),
                 }
-                entries.push(TierEntry::Part(Box::new(held.told(now.clock, self.home))));
+                entries.push(TierEntry::Part(Box::new(held.to_remote(now.clock, self.home))));
             }
         }
         (entries, false)
@@ -215,7 +215,7 @@ impl Tiers {
 /// Whether somebody in domain `asker` who knows the name may hear of a part in it: writers have a
 /// scope.
 pub(super) fn may_hear(held: &TableRecord, asker: Name, home: Name) -> bool {
-    held.origin(home) != asker && (!held.place.role.is_writer() || held.scope.contains(&asker))
+    held.origin(home) != asker && (!held.key.role.is_writer() || held.scope.contains(&asker))
 }
 
 /// What an entry is about, believed by nobody.

@@ -23,7 +23,7 @@ impl Interest {
     pub fn of<'a>(home: Name, parts: impl Iterator<Item = &'a Arc<TableRecord>>) -> Self {
         let mut interest = Self::default();
         for held in parts {
-            let (role, origin) = (held.place.role, held.origin(home));
+            let (role, origin) = (held.key.role, held.origin(home));
             if !role.is_writer() {
                 interest.readers.entry(role).or_default().insert(origin);
                 continue;
@@ -45,7 +45,7 @@ impl Interest {
     /// Whether one of them exchanges messages with `other`: in another domain, and in the scope of
     /// whichever of the two writes.
     pub fn wants(&self, other: &TableRecord, home: Name) -> bool {
-        let (origin, role) = (other.origin(home), other.place.role.counterpart());
+        let (origin, role) = (other.origin(home), other.key.role.counterpart());
         if role.is_writer() {
             let origins = self.writers.get(&(role, origin));
             origins.is_some_and(|origins| origins.iter().any(|domain| *domain != origin))

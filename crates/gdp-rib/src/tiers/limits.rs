@@ -2,7 +2,7 @@
 
 /// What is kept of neighbours at most.
 #[derive(Clone, Copy, Debug)]
-pub struct Limits {
+pub struct TierLimits {
     pub children: usize,
     /// Of each neighbour: records, key boxes and locators together.
     pub entries: usize,
@@ -13,7 +13,7 @@ pub struct Limits {
     pub parts_per_name: usize,
 }
 
-impl Default for Limits {
+impl Default for TierLimits {
     fn default() -> Self {
         Self { children: 1024, entries: 1 << 20, bytes: 1 << 30, parts_per_name: 8192 }
     }

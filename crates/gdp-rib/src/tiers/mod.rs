@@ -1,7 +1,7 @@
 //! Tiers: how the RIBs of different domains tell each other who publishes and reads which name.
 //! Sans-IO: time, what the own RIB knows and what neighbours say go in; messages to neighbours
-//! ([`Effect`]) and what the own RIB may know of other domains ([`Change`]) come out. No sockets,
-//! no clock; the daemon moves what travels.
+//! ([`Effect`]) and what the own RIB may know of other domains ([`TierChange`]) come out. No
+//! sockets, no clock; the daemon moves what travels.
 //!
 //! A domain has parents, in order, and children; any depth. To each it tells what [`spread`]
 //! chooses, kept the same at both ends by a [`Feed`](crate::feed::Feed). Each record carries the
@@ -28,7 +28,7 @@ pub mod tests;
 mod ticket;
 mod verification;
 
-pub use crate::tiers::limits::Limits;
+pub use crate::tiers::limits::TierLimits;
 pub use crate::tiers::ticket::Ticket;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -36,7 +36,7 @@ use std::time::Duration;
 
 use gdp_core::cert::{CertError, Locator, Signed};
 use gdp_core::keys::KeyBox;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::control::{Record, RecordKey, TierHolds, TierKey, TierRequest, TierResponse};
 use gdp_wire::Name;
 
@@ -45,7 +45,7 @@ use crate::feed::Room;
 use crate::rib::Now;
 use queries::Queries;
 use side::{SentUpdate, Side};
-use table::Table;
+use table::RecordTable;
 
 pub use crate::tiers::refusal::TierRefusal;
 pub use side::{Kind, OfEntity, RESTART_TIME, SILENCE, SessionState};
@@ -81,7 +81,7 @@ pub enum Reply {
 
 /// What the own RIB may know of other domains now.
 #[derive(Clone, Debug)]
-pub enum Change {
+pub enum TierChange {
     Set(Item),
     Remove(TierKey),
 }
@@ -91,7 +91,7 @@ pub enum Change {
 pub struct Neighbour {
     pub domain: Name,
     pub kind: Kind,
-    pub standing: SessionState,
+    pub session: SessionState,
     /// Entries that it says, and that it is told.
     pub entries_in: usize,
     pub entries_out: usize,
@@ -107,14 +107,14 @@ pub struct Tiers {
     home: Name,
     /// Of the side that was made last.
     run: u64,
-    limits: Limits,
+    limits: TierLimits,
     /// In the order in which they are asked.
     parents: Vec<Name>,
     /// Domains that there is a border link to now.
     adjacent: BTreeSet<Name>,
     sides: BTreeMap<Name, Side>,
     /// What the own RIB says, and what it may know.
-    own: Table,
+    own: RecordTable,
     known: SentUpdate,
     changed_names: BTreeSet<Name>,
     changed_writers: BTreeSet<Name>,
@@ -124,7 +124,7 @@ pub struct Tiers {
     queries: Queries,
     answers: Vec<(Ticket, TierResponse)>,
     /// What owners have taken back, as neighbours have said since somebody last asked.
-    heard_revoked: Vec<Kept>,
+    received_revocations: Vec<SignedRevocation>,
     /// Messages of domains that are neither parent nor child.
     unknown_domains: u64,
 }
@@ -134,7 +134,7 @@ impl Tiers {
     /// Of domain `home`. What it tells neighbours is of runs above `run`, one for each that comes:
     /// nanoseconds since any fixed time do, as they are ahead of whatever an earlier RIB has come
     /// to.
-    pub fn new(home: Name, run: u64, limits: Limits) -> Self {
+    pub fn new(home: Name, run: u64, limits: TierLimits) -> Self {
         Self {
             home,
             run,
@@ -142,7 +142,7 @@ impl Tiers {
             parents: Vec::new(),
             adjacent: BTreeSet::new(),
             sides: BTreeMap::new(),
-            own: Table::default(),
+            own: RecordTable::default(),
             known: SentUpdate::default(),
             changed_names: BTreeSet::new(),
             changed_writers: BTreeSet::new(),
@@ -150,7 +150,7 @@ impl Tiers {
             endings: Deadlines::default(),
             queries: Queries::default(),
             answers: Vec::new(),
-            heard_revoked: Vec::new(),
+            received_revocations: Vec::new(),
             unknown_domains: 0,
         }
     }
@@ -200,7 +200,7 @@ impl Tiers {
             return Ok(());
         }
         let ends = now.clock + Duration::from_secs(record.expires_in);
-        let held = TableRecord { place, record, host, path: Vec::new(), scope, ends };
+        let held = TableRecord { key: place, record, host, path: Vec::new(), scope, ends };
         let key = TierKey::Part(place);
         if self.own.insert(key, Item::part(Arc::new(held))) {
             self.changed(key);
@@ -242,20 +242,20 @@ impl Tiers {
     }
 
     /// What the own RIB may know of other domains, as far as it has changed.
-    pub fn take_changes(&mut self, now: Now) -> Vec<Change> {
+    pub fn take_changes(&mut self, now: Now) -> Vec<TierChange> {
         self.spread();
         let everything = Room { entries: usize::MAX, bytes: usize::MAX };
         let Some(parcel) = self.known.feed.next(now.clock, everything, |_| 0) else { return Vec::new() };
         self.known.feed.answered(now.clock, parcel.generation, true);
-        let removed = parcel.remove.into_iter().map(Change::Remove);
-        removed.chain(parcel.set.into_iter().map(Change::Set)).collect()
+        let removed = parcel.remove.into_iter().map(TierChange::Remove);
+        removed.chain(parcel.set.into_iter().map(TierChange::Set)).collect()
     }
 
     /// What owners of names have taken back, as a neighbour has said in the last
     /// [request](Self::request); verified. The own RIB is to keep it, and then
     /// [reconsider](Self::reconsider) each of these names.
-    pub fn take_revoked(&mut self) -> Vec<Kept> {
-        std::mem::take(&mut self.heard_revoked)
+    pub fn take_revoked(&mut self) -> Vec<SignedRevocation> {
+        std::mem::take(&mut self.received_revocations)
     }
 
     /// What the own RIB may know of an entity of another domain, with the keys it has for readers
@@ -268,7 +268,7 @@ impl Tiers {
     /// domain.
     pub fn known_at(&self, place: &RecordKey) -> Option<(Arc<TableRecord>, bool)> {
         match self.known.feed.entries().get(&TierKey::Part(*place)) {
-            Some(Item::Part { held, only_passes }) => Some((held.clone(), *only_passes)),
+            Some(Item::Part { record: held, only_passes }) => Some((held.clone(), *only_passes)),
             _ => None,
         }
     }
@@ -294,9 +294,9 @@ impl Tiers {
         self.sides.iter().map(|(domain, side)| Neighbour {
             domain: *domain,
             kind: side.kind,
-            standing: side.standing.clone(),
+            session: side.session.clone(),
             entries_in: side.table.len(),
-            entries_out: side.told.feed.entries().len(),
+            entries_out: side.sent.feed.entries().len(),
             refused: side.refused.clone(),
             lacking: side.lacking.clone(),
         })
@@ -313,7 +313,7 @@ impl Tiers {
     fn changed(&mut self, key: TierKey) {
         match key {
             TierKey::Part(place) => {
-                self.queries.heard_of(place.name);
+                self.queries.answered_for(place.name);
                 self.changed_names.insert(place.name);
             }
             TierKey::Box { writer, .. } => drop(self.changed_writers.insert(writer)),
@@ -326,7 +326,7 @@ impl Tiers {
     /// A neighbour came or went, or is another than before.
     fn all_changed(&mut self) {
         let tables = self.sides.values().map(|side| &side.table).chain([&self.own]);
-        let names = tables.flat_map(Table::parts).map(|held| held.place.name);
+        let names = tables.flat_map(RecordTable::parts).map(|held| held.key.name);
         self.changed_names.extend(names);
     }
 

@@ -9,7 +9,7 @@ use gdp_wire::Name;
 use super::incoming::may_hear;
 use super::queries::{Climbing, TIMEOUT};
 use super::side::{HELLO, HELLO_AGAIN, RESTART_TIME, SessionState};
-use super::table::{Item, Table};
+use super::table::{Item, RecordTable};
 use super::verification::{Judged, Revoked, Verification};
 use super::{Effect, Sent, Tiers};
 use crate::feed::Room;
@@ -39,11 +39,11 @@ impl Tiers {
                 let request = TierRequest::Hello { run: side.run, holds: side.table.holds() };
                 effects.push(Effect::Ask { to, sent: Sent::Hello { run: side.run }, request });
             } else if side.is_followed()
-                && let Some(parcel) = side.told.feed.next(now.clock, ROOM, |item| item.map_or(KEY_SIZE, Item::size))
+                && let Some(parcel) = side.sent.feed.next(now.clock, ROOM, |item| item.map_or(KEY_SIZE, Item::size))
             {
                 side.is_asked = true;
                 let (run, generation, extent) = (side.run, parcel.generation, parcel.extent);
-                let set = parcel.set.iter().map(|item| item.told(now.clock, home)).collect();
+                let set = parcel.set.iter().map(|item| item.to_entry(now.clock, home)).collect();
                 let push = TierPush { run, generation, extent, set, remove: parcel.remove };
                 let (sent, request) = (Sent::Push(TierHolds { run, generation }), TierRequest::Push(Box::new(push)));
                 effects.push(Effect::Ask { to, sent, request });
@@ -83,8 +83,8 @@ impl Tiers {
         match (sent, response) {
             (Sent::Hello { .. }, Some(TierResponse::Hello { run, holds, ancestors })) => {
                 side.hello(now.clock, run, holds);
-                side.lacking.take_if(|_| !side.told.feed.lacks());
-                self.judge_parent(now, to, ancestors);
+                side.lacking.take_if(|_| !side.sent.feed.lacks());
+                self.check_parent(now, to, ancestors);
             }
             (Sent::Hello { .. }, Some(TierResponse::Refused(refusal))) => {
                 side.lacking = Some(refusal.reason);
@@ -96,14 +96,14 @@ impl Tiers {
             }
             (Sent::Push(TierHolds { generation, .. }), response) => {
                 if let Some(TierResponse::Partly { reason, .. }) = response {
-                    side.told.feed.answered_partly(now.clock, generation);
+                    side.sent.feed.answered_partly(now.clock, generation);
                     side.lacking = Some(reason);
                     return;
                 }
                 let done = matches!(response, Some(TierResponse::Done));
-                side.told.feed.answered(now.clock, generation, done);
+                side.sent.feed.answered(now.clock, generation, done);
                 match response {
-                    Some(TierResponse::Done) if !side.told.feed.lacks() => side.lacking = None,
+                    Some(TierResponse::Done) if !side.sent.feed.lacks() => side.lacking = None,
                     Some(TierResponse::Refused(refusal)) => side.lacking = Some(refusal.reason),
                     _ => {}
                 }
@@ -113,12 +113,12 @@ impl Tiers {
     }
 
     /// A parent that this domain is above of is none.
-    fn judge_parent(&mut self, now: Now, parent: Name, ancestors: Vec<Name>) {
+    fn check_parent(&mut self, now: Now, parent: Name, ancestors: Vec<Name>) {
         let Some(side) = self.sides.get_mut(&parent) else { return };
         side.ancestors = ancestors.into_iter().take(MAX_ANCESTORS).collect();
         let is_below = side.ancestors.contains(&self.home);
-        match &side.standing {
-            SessionState::Refused { until, .. } if !is_below && *until <= now.clock => side.standing = SessionState::Up,
+        match &side.session {
+            SessionState::Refused { until, .. } if !is_below && *until <= now.clock => side.session = SessionState::Up,
             SessionState::Refused { .. } => return,
             _ if is_below => {
                 side.cycles += 1;
@@ -131,7 +131,7 @@ impl Tiers {
                      from one of them",
                     self.home
                 );
-                side.standing = SessionState::Refused { until, reason };
+                side.session = SessionState::Refused { until, reason };
                 self.clear(parent);
             }
             _ => return,
@@ -155,13 +155,13 @@ impl Tiers {
         let asker = climbing.path.first().copied().unwrap_or(self.home);
         let (name, home) = (climbing.name, self.home);
         let judge = Verification { home, now, revoked };
-        let (mut told, nothing) = (Vec::new(), Table::default());
+        let (mut told, nothing) = (Vec::new(), RecordTable::default());
         for entry in entries {
             match judge.entry(from, &nothing, entry) {
-                Ok(Judged { item: Item::Part { held, .. }, .. })
-                    if held.place.name == name && may_hear(&held, asker, home) =>
+                Ok(Judged { item: Item::Part { record: held, .. }, .. })
+                    if held.key.name == name && may_hear(&held, asker, home) =>
                 {
-                    told.push(TierEntry::Part(Box::new(held.told(now.clock, home))));
+                    told.push(TierEntry::Part(Box::new(held.to_remote(now.clock, home))));
                 }
                 Ok(_) => self.count(from, "not_asked"),
                 Err(refusal) => self.count(from, refusal.as_str()),

@@ -80,7 +80,7 @@ impl Queries {
     }
 
     /// Something is known of the name now.
-    pub fn heard_of(&mut self, name: Name) {
+    pub fn answered_for(&mut self, name: Name) {
         let nobody = Name::default();
         let all: Vec<_> = self.missed.range((name, nobody)..).take_while(|((of, _), _)| *of == name).collect();
         let all: Vec<_> = all.into_iter().map(|(key, until)| (*until, *key)).collect();

@@ -8,11 +8,11 @@ use std::time::Duration;
 
 use gdp_core::cert::Signed;
 use gdp_core::keys::KeyBox;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::control::{RecordKey, TierHolds, TierKey};
 use gdp_wire::Name;
 
-use super::table::{Item, Table, TableRecord, count_out, first_box, first_place, is_box_of};
+use super::table::{Item, RecordTable, TableRecord, count_out, first_box, first_key, is_box_of};
 use crate::feed::Feed;
 
 /// How long what a neighbour said stays after it was heard last: a restart or a short partition
@@ -62,15 +62,15 @@ pub enum SessionState {
 #[derive(Debug)]
 pub struct Side {
     pub kind: Kind,
-    pub standing: SessionState,
-    pub table: Table,
-    pub told: SentUpdate,
+    pub session: SessionState,
+    pub table: RecordTable,
+    pub sent: SentUpdate,
     /// Of what is told: another number than that of any side before, whose generations the
     /// neighbour may still hold.
     pub run: u64,
     /// Of the neighbour's side that was heard last.
-    heard_run: Option<u64>,
-    pub heard: Duration,
+    peer_run: Option<u64>,
+    pub last_seen: Duration,
     pub hello_at: Duration,
     /// A hello or a push is out; there is one at a time.
     pub is_asked: bool,
@@ -89,12 +89,12 @@ impl Side {
     pub fn new(now: Duration, kind: Kind, run: u64) -> Self {
         Self {
             kind,
-            standing: SessionState::Waiting,
-            table: Table::default(),
-            told: SentUpdate::default(),
+            session: SessionState::Waiting,
+            table: RecordTable::default(),
+            sent: SentUpdate::default(),
             run,
-            heard_run: None,
-            heard: now,
+            peer_run: None,
+            last_seen: now,
             hello_at: now,
             is_asked: false,
             drift: 0,
@@ -106,37 +106,37 @@ impl Side {
     }
 
     pub fn is_refused(&self) -> bool {
-        matches!(self.standing, SessionState::Refused { .. })
+        matches!(self.session, SessionState::Refused { .. })
     }
 
     /// Whether it is told what changes: one that is refused, that it is told nothing any more.
     pub fn is_followed(&self) -> bool {
-        matches!(self.standing, SessionState::Up | SessionState::Refused { .. })
+        matches!(self.session, SessionState::Up | SessionState::Refused { .. })
     }
 
     /// It said hello, and which of this side's pushes it holds. What it lacks it is sent.
     pub fn hello(&mut self, now: Duration, run: u64, holds: Option<TierHolds>) {
-        self.heard = now;
+        self.last_seen = now;
         if !self.is_refused() {
-            self.standing = SessionState::Up;
+            self.session = SessionState::Up;
         }
-        let lacks = match self.told.feed.held() {
+        let lacks = match self.sent.feed.acknowledged() {
             Some(generation) => holds != Some(TierHolds { run: self.run, generation }),
             None => false,
         };
         // Another answer may have overtaken this one, but not twice.
         self.drift = if lacks { self.drift + 1 } else { 0 };
-        let is_new = self.heard_run.replace(run).is_some_and(|before| before != run);
+        let is_new = self.peer_run.replace(run).is_some_and(|before| before != run);
         if is_new || (lacks && holds.is_none()) || self.drift > 1 {
-            self.told.feed.restart();
+            self.sent.feed.restart();
             self.drift = 0;
         }
     }
 
     /// It does not answer, or is not reached.
     pub fn lose(&mut self, now: Duration) {
-        if self.standing == SessionState::Up {
-            self.standing = SessionState::Lost(now);
+        if self.session == SessionState::Up {
+            self.session = SessionState::Lost(now);
         }
     }
 
@@ -173,7 +173,7 @@ impl SentUpdate {
         let parts: BTreeMap<TierKey, Item> = parts
             .into_iter()
             .filter_map(|item| match &item {
-                Item::Part { held, .. } => Some((TierKey::Part(held.place), item)),
+                Item::Part { record: held, .. } => Some((TierKey::Part(held.key), item)),
                 _ => None,
             })
             .collect();
@@ -181,22 +181,22 @@ impl SentUpdate {
         let before: Vec<(TierKey, Item)> = self
             .feed
             .entries()
-            .range((Included(first_place(name)), Unbounded))
+            .range((Included(first_key(name)), Unbounded))
             .take_while(|(key, _)| is_of_name(key))
             .map(|(key, item)| (*key, item.clone()))
             .collect();
         for (key, old) in before {
-            let Item::Part { held, .. } = &old else { continue };
-            entities.insert(held.place.entity);
+            let Item::Part { record: held, .. } = &old else { continue };
+            entities.insert(held.key.entity);
             if parts.get(&key) == Some(&old) {
                 continue;
             }
             let (origin, via) = (held.origin(home), held.via(home));
             origins.insert(origin);
-            if let Some(places) = self.entities.get_mut(&held.place.entity) {
-                places.remove(&held.place);
+            if let Some(places) = self.entities.get_mut(&held.key.entity) {
+                places.remove(&held.key);
                 if places.is_empty() {
-                    self.entities.remove(&held.place.entity);
+                    self.entities.remove(&held.key.entity);
                 }
             }
             if let Some(said_by) = self.origins.get_mut(&origin) {
@@ -210,11 +210,11 @@ impl SentUpdate {
             }
         }
         for (key, item) in parts {
-            let Item::Part { held, .. } = &item else { continue };
+            let Item::Part { record: held, .. } = &item else { continue };
             if self.feed.entries().get(&key) != Some(&item) {
                 let (origin, via) = (held.origin(home), held.via(home));
                 origins.insert(origin);
-                self.entities.entry(held.place.entity).or_default().insert(held.place, via);
+                self.entities.entry(held.key.entity).or_default().insert(held.key, via);
                 *self.origins.entry(origin).or_default().entry(via).or_default() += 1;
             }
             self.feed.set(key, Some(item));
@@ -232,13 +232,13 @@ impl SentUpdate {
 
     /// Whether a part in this name is told.
     pub fn tells_of(&self, name: Name) -> bool {
-        let first = self.feed.entries().range(first_place(name)..).next();
+        let first = self.feed.entries().range(first_key(name)..).next();
         matches!(first, Some((TierKey::Part(place), _)) if place.name == name)
     }
 
     /// Tells what the owner of a name has taken back. Of too many such the first is told no more;
     /// whoever has heard it keeps it all the same.
-    pub fn tell_revoked(&mut self, name: Name, kept: &Kept) {
+    pub fn tell_revoked(&mut self, name: Name, kept: &SignedRevocation) {
         if !self.feed.entries().contains_key(&TierKey::Revocation(name)) {
             self.revoked.push_back(name);
         }
@@ -254,7 +254,7 @@ impl SentUpdate {
     pub fn of(&self, entity: Name) -> OfEntity {
         let places = self.entities.get(&entity).into_iter().flat_map(BTreeMap::keys);
         let parts = places.filter_map(|place| match self.feed.entries().get(&TierKey::Part(*place)) {
-            Some(Item::Part { held, only_passes }) => Some((held.clone(), *only_passes)),
+            Some(Item::Part { record: held, only_passes }) => Some((held.clone(), *only_passes)),
             _ => None,
         });
         let boxes = self.feed.entries().range(first_box(entity)..).take_while(|(key, _)| is_box_of(key, entity));

@@ -36,11 +36,11 @@ impl Tiers {
             all.filter(|(_, interest)| !interest.is_empty()).collect()
         };
         for held in self.own.parts_of(name) {
-            ways.entry(held.place).or_default().push(held.clone());
+            ways.entry(held.key).or_default().push(held.clone());
         }
         for side in self.sides.values().filter(|side| !side.is_refused()) {
             for held in side.table.parts_of(name) {
-                ways.entry(held.place).or_default().push(held.clone());
+                ways.entry(held.key).or_default().push(held.clone());
             }
         }
         for ways in ways.values_mut() {
@@ -64,7 +64,7 @@ impl Tiers {
                 false => Vec::new(),
                 true => ways.values().filter_map(|ways| ways.iter().find(is_fit).cloned()).map(Item::part).collect(),
             };
-            let (entities, changed) = side.told.replace_parts(home, name, fit);
+            let (entities, changed) = side.sent.replace_parts(home, name, fit);
             writers.extend(entities);
             origins.extend(changed);
         }
@@ -81,7 +81,7 @@ impl Tiers {
         let known = abroad.filter_map(|ways| {
             let wanted = ways.iter().find(is_wanted);
             let held = wanted.or_else(|| ways.iter().find(passes))?;
-            Some(Item::Part { held: held.clone(), only_passes: wanted.is_none() })
+            Some(Item::Part { record: held.clone(), only_passes: wanted.is_none() })
         });
         let (entities, changed) = self.known.replace_parts(home, name, known.collect());
         writers.extend(entities);
@@ -93,7 +93,7 @@ impl Tiers {
         let mut desired: BTreeMap<Name, BTreeMap<TierKey, Item>> = BTreeMap::new();
         for domain in self.sides.keys().chain([&self.home]) {
             let (told, table) = match self.sides.get(domain) {
-                Some(side) => (&side.told, &side.table),
+                Some(side) => (&side.sent, &side.table),
                 None => (&self.known, &self.own),
             };
             let boxes = desired.entry(*domain).or_default();
@@ -111,7 +111,7 @@ impl Tiers {
             }
         }
         for (domain, boxes) in desired {
-            let told = self.sides.get_mut(&domain).map_or(&mut self.known, |side| &mut side.told);
+            let told = self.sides.get_mut(&domain).map_or(&mut self.known, |side| &mut side.sent);
             told.replace_boxes(writer, boxes);
         }
     }
@@ -120,7 +120,7 @@ impl Tiers {
     fn spread_locator(&mut self, origin: Name) {
         let key = TierKey::Locator(origin);
         let find = |side: Option<&Side>| {
-            let told = side.map_or(&self.known, |side| &side.told);
+            let told = side.map_or(&self.known, |side| &side.sent);
             let mut said_by: Vec<Name> = told.said_from(&origin).collect();
             said_by.sort_by_key(|via| self.rank(*via));
             said_by.into_iter().find_map(|via| match self.sides.get(&via) {
@@ -133,7 +133,7 @@ impl Tiers {
         self.known.feed.set(key, known);
         for (domain, item) in found {
             if let Some(side) = self.sides.get_mut(&domain) {
-                side.told.feed.set(key, item);
+                side.sent.feed.set(key, item);
             }
         }
     }

@@ -7,17 +7,17 @@ use std::time::Duration;
 
 use gdp_core::cert::{Host, Locator, Signed};
 use gdp_core::keys::KeyBox;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::control::{Extent, NameRole, Record, RecordKey, RemoteRecord, TierEntry, TierHolds, TierKey};
 use gdp_wire::Name;
 
-use crate::tiers::limits::Limits;
+use crate::tiers::limits::TierLimits;
 use crate::tiers::refusal::TierRefusal;
 
 /// A verified part in a name.
 #[derive(Clone, Debug)]
 pub struct TableRecord {
-    pub place: RecordKey,
+    pub key: RecordKey,
     pub record: Record,
     pub host: Arc<Hosted>,
     /// The domains it came through, the one that said it last; none for what was stated in this
@@ -62,11 +62,11 @@ impl TableRecord {
     /// Whether any domain but its own may know it.
     pub fn may_leave(&self, home: Name) -> bool {
         let origin = self.origin(home);
-        !self.place.role.is_writer() || self.scope.iter().any(|domain| *domain != origin)
+        !self.key.role.is_writer() || self.scope.iter().any(|domain| *domain != origin)
     }
 
     /// As it is told to a neighbour.
-    pub fn told(&self, now: Duration, home: Name) -> RemoteRecord {
+    pub fn to_remote(&self, now: Duration, home: Name) -> RemoteRecord {
         let record = Record { expires_in: self.ends.saturating_sub(now).as_secs(), ..self.record.clone() };
         let path = self.path.iter().copied().chain([home]).collect();
         RemoteRecord { record, host: self.host.host.clone(), path }
@@ -78,7 +78,7 @@ impl PartialEq for TableRecord {
     fn eq(&self, other: &Self) -> bool {
         let Record { name: _, proof, entity, switch: _, credential, advert, expires_in: _ } = &self.record;
         let that = &other.record;
-        self.place == other.place
+        self.key == other.key
             && (proof, entity, credential, advert) == (&that.proof, &that.entity, &that.credential, &that.advert)
             && (&self.host, &self.path) == (&other.host, &other.path)
     }
@@ -90,7 +90,7 @@ pub enum Item {
     /// `only_passes`: nobody of this domain may know it, but it takes part in routes through this
     /// domain.
     Part {
-        held: Arc<TableRecord>,
+        record: Arc<TableRecord>,
         only_passes: bool,
     },
     Box(Arc<Signed<KeyBox>>),
@@ -99,17 +99,17 @@ pub enum Item {
         locator: Arc<Locator>,
     },
     /// Only told: what a side says goes to the RIB, which keeps it.
-    Revocation(Arc<Kept>),
+    Revocation(Arc<SignedRevocation>),
 }
 
 impl Item {
     pub fn part(held: Arc<TableRecord>) -> Self {
-        Self::Part { held, only_passes: false }
+        Self::Part { record: held, only_passes: false }
     }
 
-    pub fn told(&self, now: Duration, home: Name) -> TierEntry {
+    pub fn to_entry(&self, now: Duration, home: Name) -> TierEntry {
         match self {
-            Self::Part { held, .. } => TierEntry::Part(Box::new(held.told(now, home))),
+            Self::Part { record: held, .. } => TierEntry::Part(Box::new(held.to_remote(now, home))),
             Self::Box(signed) => TierEntry::Box((**signed).clone()),
             Self::Locator { domain, locator } => TierEntry::Locator { domain: *domain, locator: (**locator).clone() },
             Self::Revocation(kept) => TierEntry::Revocation { proof: kept.proof, revocation: kept.revocation.clone() },
@@ -119,7 +119,7 @@ impl Item {
     /// Bytes, about: in a message and in memory.
     pub fn size(&self) -> usize {
         match self {
-            Self::Part { held, .. } => {
+            Self::Part { record: held, .. } => {
                 let TableRecord { record, host, path, .. } = &**held;
                 PART_OVERHEAD
                     + record.credential.size()
@@ -164,7 +164,7 @@ impl RecordIndex {
 }
 
 #[derive(Debug, Default)]
-pub struct Table {
+pub struct RecordTable {
     items: BTreeMap<TierKey, Item>,
     entities: RecordIndex,
     /// By the domain they were stated in, if it is another one.
@@ -180,7 +180,7 @@ pub struct Table {
     whole: Option<(u32, BTreeSet<TierKey>)>,
 }
 
-impl Table {
+impl RecordTable {
     pub fn len(&self) -> usize {
         self.items.len()
     }
@@ -223,7 +223,7 @@ impl Table {
     }
 
     /// Whether a neighbour may say this, in place of what it said of the same before.
-    pub fn check_room(&self, key: &TierKey, item: &Item, limits: &Limits) -> Result<(), TierRefusal> {
+    pub fn check_room(&self, key: &TierKey, item: &Item, limits: &TierLimits) -> Result<(), TierRefusal> {
         let before = self.items.get(key);
         let entries = self.items.len() + usize::from(before.is_none());
         let bytes = self.bytes - before.map_or(0, Item::size) + item.size();
@@ -252,7 +252,7 @@ impl Table {
         }
         let before = self.remove(&key);
         let changed = before.as_ref() != Some(&item);
-        if let (TierKey::Part(place), Item::Part { held, .. }) = (key, &item) {
+        if let (TierKey::Part(place), Item::Part { record: held, .. }) = (key, &item) {
             self.entities.insert(place.entity, place);
             held.path.first().into_iter().for_each(|origin| self.origins.insert(*origin, place));
             *self.names.entry((place.name, place.role.is_writer())).or_default() += 1;
@@ -268,7 +268,7 @@ impl Table {
     pub fn remove(&mut self, key: &TierKey) -> Option<Item> {
         let old = self.items.remove(key)?;
         self.bytes -= old.size();
-        if let (TierKey::Part(place), Item::Part { held, .. }) = (key, &old) {
+        if let (TierKey::Part(place), Item::Part { record: held, .. }) = (key, &old) {
             self.entities.remove(&place.entity, place);
             held.path.first().into_iter().for_each(|origin| self.origins.remove(origin, place));
             count_out(&mut self.names, &(place.name, place.role.is_writer()));
@@ -294,13 +294,13 @@ impl Table {
 
     /// All parts, in the order of their places.
     pub fn parts(&self) -> impl Iterator<Item = &Arc<TableRecord>> {
-        self.items.values().map_while(|item| if let Item::Part { held, .. } = item { Some(held) } else { None })
+        self.items.values().map_while(|item| if let Item::Part { record: held, .. } = item { Some(held) } else { None })
     }
 
     /// The parts in one name.
     pub fn parts_of(&self, name: Name) -> impl Iterator<Item = &Arc<TableRecord>> {
-        self.items.range(first_place(name)..).map_while(move |(key, item)| match (key, item) {
-            (TierKey::Part(place), Item::Part { held, .. }) if place.name == name => Some(held),
+        self.items.range(first_key(name)..).map_while(move |(key, item)| match (key, item) {
+            (TierKey::Part(place), Item::Part { record: held, .. }) if place.name == name => Some(held),
             _ => None,
         })
     }
@@ -322,7 +322,7 @@ impl Table {
 
     fn part_at(&self, place: &RecordKey) -> Option<&Arc<TableRecord>> {
         match self.items.get(&TierKey::Part(*place)) {
-            Some(Item::Part { held, .. }) => Some(held),
+            Some(Item::Part { record: held, .. }) => Some(held),
             _ => None,
         }
     }
@@ -343,7 +343,7 @@ pub fn count_out<K: Ord>(counts: &mut BTreeMap<K, usize>, of: &K) {
 }
 
 /// Where the parts in a name begin.
-pub fn first_place(name: Name) -> TierKey {
+pub fn first_key(name: Name) -> TierKey {
     let nobody = Name::default();
     TierKey::Part(RecordKey { name, role: NameRole::Publisher, entity: nobody, switch: nobody })
 }

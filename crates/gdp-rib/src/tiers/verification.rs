@@ -8,11 +8,11 @@ use std::time::Duration;
 
 use gdp_core::cert::{CertError, Host, Locator, Revocation, Signed, SwitchStatement};
 use gdp_core::name::NameProof;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::control::{MAX_PATH, RemoteRecord, TierEntry, TierKey};
 use gdp_wire::Name;
 
-use super::table::{Hosted, Item, Table, TableRecord};
+use super::table::{Hosted, Item, RecordTable, TableRecord};
 use crate::rib::Now;
 
 /// What owners of names, and domains, are known to have taken back.
@@ -21,13 +21,13 @@ pub trait Revoked {
     fn newest(&self, name: &Name) -> Option<&Revocation>;
 
     /// That of a name which is no domain's, as its owner signed it.
-    fn kept(&self, name: &Name) -> Option<&Kept>;
+    fn signed(&self, name: &Name) -> Option<&SignedRevocation>;
 }
 
 /// What a revocation that a neighbour tells is worth.
 #[derive(Debug)]
 pub enum Announced {
-    News(Kept),
+    News(SignedRevocation),
     Known,
     /// A newer one of this name is known here.
     Older(Name),
@@ -53,11 +53,11 @@ pub struct Judged {
 impl<R: Revoked> Verification<'_, R> {
     /// Judges what `from` says and is to be held, of which `table` is already; of
     /// [revocations](Self::revocation) nothing is.
-    pub fn entry(&self, from: Name, table: &Table, entry: TierEntry) -> Result<Judged, TierRefusal> {
+    pub fn entry(&self, from: Name, table: &RecordTable, entry: TierEntry) -> Result<Judged, TierRefusal> {
         match entry {
             TierEntry::Part(abroad) => {
                 let held = self.part(from, table, *abroad)?;
-                let (key, ends) = (TierKey::Part(held.place), held.ends);
+                let (key, ends) = (TierKey::Part(held.key), held.ends);
                 Ok(Judged { key, item: Item::part(Arc::new(held)), ends, left_out: Vec::new() })
             }
             TierEntry::Box(signed) => {
@@ -84,11 +84,11 @@ impl<R: Revoked> Verification<'_, R> {
     pub fn revocation(&self, proof: NameProof, revocation: Signed<Revocation>) -> Result<Announced, TierRefusal> {
         let unnamed = |source: CertError| TierRefusal::Revocation { name: Name::default(), source: source.into() };
         let name = proof.name().map_err(|error| unnamed(error.into()))?;
-        let held = self.revoked.kept(&name);
+        let held = self.revoked.signed(&name);
         if held.is_some_and(|held| held.revocation == revocation) {
             return Ok(Announced::Known);
         }
-        let kept = Kept { proof, revocation, origin: None };
+        let kept = SignedRevocation { proof, revocation, origin: None };
         let claims = kept.verify().map_err(|source| TierRefusal::Revocation { name, source: source.into() })?;
         Ok(match claims.check_replaces(self.revoked.newest(&name)) {
             Ok(()) => Announced::News(kept),
@@ -96,7 +96,7 @@ impl<R: Revoked> Verification<'_, R> {
         })
     }
 
-    fn locator(&self, table: &Table, domain: Name, locator: Locator) -> Result<Judged, TierRefusal> {
+    fn locator(&self, table: &RecordTable, domain: Name, locator: Locator) -> Result<Judged, TierRefusal> {
         let wrong = |source: CertError| TierRefusal::Locator { domain, source: source.into() };
         if domain == self.home {
             return Err(TierRefusal::Cycle(domain));
@@ -134,7 +134,7 @@ impl<R: Revoked> Verification<'_, R> {
     /// Whether nothing that something rests on has been taken back since it was verified. When it
     /// ends is known besides.
     pub fn still_holds(&self, held: &TableRecord) -> Result<(), TierRefusal> {
-        let (name, switch, domain) = (held.place.name, held.place.switch, held.origin(self.home));
+        let (name, switch, domain) = (held.key.name, held.key.switch, held.origin(self.home));
         let wrong_host = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
         held.host.host.membership.check_revoked(self.revoked.newest(&domain)).map_err(wrong_host)?;
         let wrong = |source: CertError| TierRefusal::Record { name, source: source.into() };
@@ -145,14 +145,14 @@ impl<R: Revoked> Verification<'_, R> {
         serials.and_then(check).map_err(wrong)
     }
 
-    fn part(&self, from: Name, table: &Table, abroad: RemoteRecord) -> Result<TableRecord, TierRefusal> {
+    fn part(&self, from: Name, table: &RecordTable, abroad: RemoteRecord) -> Result<TableRecord, TierRefusal> {
         let name = abroad.record.name;
         check_path(self.home, from, &abroad.path)?;
         let origin = abroad.path[0];
         let place =
             abroad.record.place().map_err(|source: CertError| TierRefusal::Record { name, source: source.into() })?;
         let said = self.now.clock + Duration::from_secs(abroad.record.expires_in.min(u32::MAX.into()));
-        if let Some(Item::Part { held, .. }) = table.get(&TierKey::Part(place))
+        if let Some(Item::Part { record: held, .. }) = table.get(&TierKey::Part(place))
             && held.origin(self.home) == origin
             && held.states_the_same(&abroad)
             && held.ends > self.now.clock
@@ -173,7 +173,7 @@ impl<R: Revoked> Verification<'_, R> {
         if ends <= self.now.clock {
             return Err(TierRefusal::Ended(name));
         }
-        let held = TableRecord { place, record: abroad.record, host, path: abroad.path, scope, ends };
+        let held = TableRecord { key: place, record: abroad.record, host, path: abroad.path, scope, ends };
         if !held.may_leave(self.home) {
             return Err(TierRefusal::OutOfScope { name, origin });
         }
@@ -182,7 +182,7 @@ impl<R: Revoked> Verification<'_, R> {
 
     /// The switch that a part is at. What has been verified of it with another part is not verified
     /// again.
-    fn host(&self, table: &Table, switch: Name, host: Host, domain: Name) -> Result<Arc<Hosted>, TierRefusal> {
+    fn host(&self, table: &RecordTable, switch: Name, host: Host, domain: Name) -> Result<Arc<Hosted>, TierRefusal> {
         let wrong = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
         let revocation = self.revoked.newest(&domain);
         if let Some(known) = table.host(&switch)

@@ -84,7 +84,7 @@ impl Database {
 
     /// Returns the link state of a switch to send to a neighbour. Returns `None` if it expires
     /// within a second.
-    pub fn told(&self, now: Duration, switch: &Name) -> Option<Flooded> {
+    pub fn flooded(&self, now: Duration, switch: &Name) -> Option<Flooded> {
         let held = self.0.get(switch)?;
         let expires_in = u32::try_from(held.expires.saturating_sub(now).as_secs()).unwrap_or(u32::MAX);
         (expires_in > 0).then(|| Flooded { expires_in, ..held.flooded.clone() })

@@ -126,13 +126,13 @@ impl PendingAcks {
     fn page(&mut self, now: Duration, database: &Database) -> (Vec<Flooded>, Vec<Name>) {
         let (mut states, mut names, mut room) = (Vec::new(), Vec::new(), BATCH_SIZE);
         while let Some(switch) = self.owed.first().copied() {
-            if let Some(told) = database.told(now, &switch) {
-                let size = STATE_SIZE + told.state.as_bytes().len();
+            if let Some(flooded) = database.flooded(now, &switch) {
+                let size = STATE_SIZE + flooded.state.as_bytes().len();
                 if size > room {
                     break;
                 }
                 room -= size;
-                states.push(told);
+                states.push(flooded);
                 names.push(switch);
             }
             self.owed.pop_first();

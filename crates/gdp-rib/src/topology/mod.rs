@@ -185,7 +185,7 @@ impl Topology {
         for Verified { flooded, claims } in states {
             let switch = claims.switch;
             if switch == own {
-                self.own.heard_of_itself(&claims);
+                self.own.received_own_state(&claims);
                 continue;
             }
             match self.database.take(now, flooded, claims, |other| *other == own || self.paths.reaches(other)) {
@@ -271,7 +271,7 @@ impl Topology {
 impl Own {
     /// Handles a link state of this switch that an earlier run signed. If its version is not lower
     /// than the current one, the clock went back or the number was lost.
-    fn heard_of_itself(&mut self, older: &LinkState) {
+    fn received_own_state(&mut self, older: &LinkState) {
         if older.version() >= self.version {
             self.version = older.version();
             self.stated = None;

@@ -9,7 +9,7 @@ use petgraph::algo::dijkstra;
 use petgraph::graphmap::UnGraphMap;
 
 /// Switches, and the adjacencies that both ends state, each with the larger of the two costs.
-type Graph = UnGraphMap<Name, u64>;
+type SwitchGraph = UnGraphMap<Name, u64>;
 
 /// The paths of one switch, computed from all link states.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -64,7 +64,7 @@ impl Paths {
 }
 
 /// Returns the neighbour on the shortest path to each reachable switch.
-fn next_hops(graph: &Graph, own: Name, reached: &BTreeMap<Name, u64>) -> BTreeMap<Name, Name> {
+fn next_hops(graph: &SwitchGraph, own: Name, reached: &BTreeMap<Name, u64>) -> BTreeMap<Name, Name> {
     let onward: Vec<_> = graph.edges(own).map(|(_, via, cost)| (via, *cost, costs_from(graph, via))).collect();
     let hop = |switch: &Name| {
         // Every hop is strictly nearer to the switch, so paths have no loops whichever neighbour
@@ -75,7 +75,7 @@ fn next_hops(graph: &Graph, own: Name, reached: &BTreeMap<Name, u64>) -> BTreeMa
     reached.keys().filter(|switch| **switch != own).filter_map(hop).collect()
 }
 
-fn costs_from(graph: &Graph, switch: Name) -> BTreeMap<Name, u64> {
+fn costs_from(graph: &SwitchGraph, switch: Name) -> BTreeMap<Name, u64> {
     dijkstra(graph, switch, None, |(_, _, cost)| *cost).into_iter().collect()
 }
 
@@ -90,12 +90,12 @@ fn bits<'a>(states: impl Iterator<Item = &'a &'a LinkState>) -> BTreeMap<u8, Nam
 }
 
 /// Builds the graph. `counts` selects the neighbours of a link state by their index.
-fn graph(states: &BTreeMap<Name, &LinkState>, counts: impl Fn(&LinkState, usize) -> bool) -> Graph {
+fn graph(states: &BTreeMap<Name, &LinkState>, counts: impl Fn(&LinkState, usize) -> bool) -> SwitchGraph {
     let cost_to = |state: &LinkState, neighbour: &Name| {
         let at = state.neighbours.binary_search_by(|(name, _)| name.cmp(neighbour)).ok()?;
         counts(state, at).then(|| state.neighbours[at].1)
     };
-    let mut graph = Graph::new();
+    let mut graph = SwitchGraph::new();
     for (name, state) in states {
         graph.add_node(*name);
         for (neighbour, _) in &state.neighbours {

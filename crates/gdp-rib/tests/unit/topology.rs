@@ -154,7 +154,7 @@ fn a_flapping_link_is_stated_less_and_less_often() {
 fn what_no_switch_signed_is_refused() {
     let mut w = World::ring(3);
     w.run_for(Duration::from_secs(1));
-    let told = |w: &World| w.switches[0].topology.database.told(w.now, &w.name(1)).unwrap();
+    let told = |w: &World| w.switches[0].topology.database.flooded(w.now, &w.name(1)).unwrap();
     let (own, other) = (told(&w), w.switches[2].identity.clone());
     assert!(own.verify().is_ok());
     let stolen = Flooded { proof: other.proof(), ..own.clone() };

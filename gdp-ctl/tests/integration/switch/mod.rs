@@ -47,7 +47,7 @@ impl<'a> Chain<'a> {
             udp: Some(self.addrs[i]),
             rib: i == 2,
             neighbours: near
-                .map(|j| Neighbour { place: place(j), cost: Some(1), dial: false, parent: false })
+                .map(|j| Neighbour { address: place(j), cost: Some(1), dial: false, parent: false })
                 .collect(),
             ..config(self.folder, &format!("s{}", i + 1))
         }

@@ -132,10 +132,10 @@ fn a_revocation_is_only_replaced_by_a_later_one() {
     Revocation { number: 6, revoked: vec![], ..held.clone() }.check_replaces(Some(&held)).unwrap();
     for number in [0, 4] {
         let older = Revocation { number, ..held.clone() };
-        assert_eq!(older.check_replaces(Some(&held)), Err(CertError::RolledBack { got: number, held: 5 }));
+        assert_eq!(older.check_replaces(Some(&held)), Err(CertError::RolledBack { got: number, known: 5 }));
     }
     let another = Revocation { revoked: vec![1], ..held.clone() };
-    assert_eq!(another.check_replaces(Some(&held)), Err(CertError::RolledBack { got: 5, held: 5 }));
+    assert_eq!(another.check_replaces(Some(&held)), Err(CertError::RolledBack { got: 5, known: 5 }));
 
     for revoked in [vec![2, 1], vec![1, 1], (0..=MAX_REVOKED as u64).collect()] {
         assert!(issue(&f.owner, &Revocation { revoked, ..held.clone() }).is_err());

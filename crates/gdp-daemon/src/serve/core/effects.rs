@@ -116,7 +116,7 @@ impl Core {
             OnReply::Push(switch, generation) => rib_host.pushed(now, &switch, generation, response),
             OnReply::PeerUpdate(update) => {
                 if let Some(rib) = &mut rib_host.rib {
-                    rib.told(now, update, matches!(response, Some(Response::Done)));
+                    rib.update_answered(now, update, matches!(response, Some(Response::Done)));
                 }
             }
         }

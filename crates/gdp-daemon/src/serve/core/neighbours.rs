@@ -42,7 +42,7 @@ impl Neighbours {
     }
 
     pub fn get(&self, switch: &Name) -> Option<&Neighbour> {
-        self.listed.iter().find(|neighbour| neighbour.place.switch == *switch)
+        self.listed.iter().find(|neighbour| neighbour.address.switch == *switch)
     }
 
     /// Whether a switch may have a link where it came in. A neighbour that is listed has its
@@ -50,7 +50,7 @@ impl Neighbours {
     pub fn check(&self, peer: &Peer, via: &Via, switch: &Switch, is_member: bool) -> Result<(), String> {
         let name = peer.name;
         match self.get(&name) {
-            Some(neighbour) if neighbour.place.via.same_port(via) => Ok(()),
+            Some(neighbour) if neighbour.address.via.same_port(via) => Ok(()),
             Some(_) => Err(format!("switch {name} is a neighbour elsewhere, not {via}")),
             None if !is_member => Err(format!("switch {name} is not listed in the neighbours of this one")),
             None => {
@@ -74,7 +74,7 @@ impl Neighbours {
         let live = switch.links.values().filter(|state| switch.has_carrier(state.to));
         let live = live.map(|state| (true, state.role(), state.link.peer().name, Some(&state.admission.standing)));
         let stale = switch.stale.iter().filter(|stale| switch.has_carrier(stale.to));
-        let stale = stale.map(|stale| (false, stale.entry.role, stale.peer, stale.standing.as_ref()));
+        let stale = stale.map(|stale| (false, stale.entry.role, stale.peer, stale.relationship.as_ref()));
         let mut all = Adjacencies::default();
         for (is_live, role, peer, standing) in live.chain(stale) {
             match standing {
@@ -105,7 +105,7 @@ impl Neighbours {
 
     /// The rank of a neighbour's domain among the parents of this one; none if it is no parent.
     fn parent_rank(&self, switch: &Name) -> Option<u8> {
-        let index = self.listed.iter().position(|n| n.place.switch == *switch && n.parent)?;
+        let index = self.listed.iter().position(|n| n.address.switch == *switch && n.parent)?;
         Some(u8::try_from(index).unwrap_or(u8::MAX))
     }
 

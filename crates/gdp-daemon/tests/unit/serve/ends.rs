@@ -17,7 +17,7 @@ fn a_new_link_is_sent_on_once_the_peer_takes_frames_there() {
     ends.ready(3);
     assert_eq!(ends.out(), Some(3));
     assert!(ends.is_earlier(1) && !ends.is_earlier(3));
-    assert!(ends.gone(1).is_empty());
+    assert!(ends.removed(1).is_empty());
     assert_eq!(ends.all().collect::<Vec<_>>(), [3]);
 }
 
@@ -27,14 +27,14 @@ fn a_silent_link_stays_and_one_that_is_ended_takes_earlier_ones_along() {
     ends.adopt(0, 1);
     ends.up(0, 2);
     assert!(!ends.silent(2), "1 is still the better one");
-    assert!(ends.gone(2).is_empty(), "and stays");
+    assert!(ends.removed(2).is_empty(), "and stays");
     ends.up(0, 3);
     ends.ready(3);
     assert!(ends.silent(3));
     assert_eq!(ends.out(), Some(3));
     ends.up(0, 4);
     ends.ready(4);
-    assert_eq!(ends.gone(4), [1, 3]);
+    assert_eq!(ends.removed(4), [1, 3]);
     assert!(ends.is_empty());
 }
 
@@ -53,10 +53,10 @@ fn lanes_are_sent_on_beside_each_other_and_one_is_preferred() {
     assert_eq!(ends.out(), Some(3), "there is no such link");
     assert!(ends.silent(3));
     assert_eq!((ends.out(), ends.each().collect::<Vec<_>>()), (Some(1), vec![1, 3]), "it is held, but not preferred");
-    assert!(ends.gone(3).is_empty());
+    assert!(ends.removed(3).is_empty());
     ends.up(2, 4);
     ends.ready(4);
     assert_eq!(ends.out(), Some(4), "the lane is still the one");
-    assert!(ends.gone(1).is_empty());
+    assert!(ends.removed(1).is_empty());
     assert_eq!(ends.all().collect::<Vec<_>>(), [4]);
 }

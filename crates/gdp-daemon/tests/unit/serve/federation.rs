@@ -13,7 +13,7 @@ use gdp_core::identity::Identity;
 use gdp_proto::control::{Extent, NameRole, Record, RemoteRecord, TierEntry, TierPush, TierRequest, TierResponse};
 
 use super::*;
-use gdp_rib::rib::{Limits, Run};
+use gdp_rib::rib::{Limits, RibRun};
 use world::{Revocations, UNIX, World, host, hosted, identity};
 
 use NameRole::{Publisher, Subscriber};
@@ -132,7 +132,7 @@ impl Home {
         let mut world = World::new(1, &[&[], &[0]]);
         let (home, switch) = (world.domains[0].identity.name(), world.domains[0].switch.name());
         let mut federation = Federation::new(home, 9);
-        let rib = Rib::new(switch, Run { id: 1, settling: Duration::ZERO }, limits);
+        let rib = Rib::new(switch, RibRun { id: 1, settling: Duration::ZERO }, limits);
         let (now, domain) = (world.now, &world.domains[0]);
         let host = hosted(domain.identity.name(), &domain.host);
         federation.tiers.set_own(now, world.record(0, 0, 1, Subscriber, &[]), host).unwrap();

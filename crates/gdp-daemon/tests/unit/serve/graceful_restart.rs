@@ -37,9 +37,9 @@ fn a_peer_has_a_few_and_the_one_that_ends_first_goes() {
 fn link(ids: &LinkIds, peer: u8, id: u32, until: Instant) -> StaleLink {
     let entry = LinkEntry { id, ..LinkEntry::default() }.into();
     let to = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
-    let kept = Kept::Adopted { _id: ids.reserve(id).unwrap() };
+    let kept = Reservation::Adopted { _id: ids.reserve(id).unwrap() };
     let role = LinkRole::Switch;
-    StaleLink { peer: name(peer), lane: 0, role, entry, to, until, standing: None, id: kept }
+    StaleLink { peer: name(peer), lane: 0, role, entry, to, until, relationship: None, id: kept }
 }
 
 fn name(i: u8) -> Name {

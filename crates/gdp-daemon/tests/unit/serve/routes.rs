@@ -9,8 +9,8 @@ fn names_become_links_and_follow_them() {
     let mut r = Routes::default();
     let first = push(1, Extent::Full { part: 0, last: true }, vec![route(1, 0, &[7]), route(2, 4, &[])]);
     let changes = r.push(&first).unwrap();
-    assert_eq!(changes[0], Change::OwnBit(2));
-    assert!(changes.contains(&Change::Remove(name(1))), "its endpoint has no link yet");
+    assert_eq!(changes[0], PlaneChange::OwnBit(2));
+    assert!(changes.contains(&PlaneChange::Remove(name(1))), "its endpoint has no link yet");
     assert!(changes.contains(&set(2, 4, &[], &[])));
 
     assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 0, 70), [set(1, 0, &[70], &[])]);
@@ -27,11 +27,11 @@ fn names_become_links_and_follow_them() {
         [set(1, 0, &[71], &[])],
         "the old link no longer matters"
     );
-    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(7), 71), [Change::Remove(name(1))]);
+    assert_eq!(gone(&mut r, LinkRole::Endpoint, name(7), 71), [PlaneChange::Remove(name(1))]);
 
     assert_eq!(hops(&r.set_paths(&paths(), &name(0))[0])[..4], [0; 4], "there is no link");
     let changes = r.link_up(LinkRole::Switch, name(9), 0, 90);
-    assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
+    assert_eq!(changes[0], PlaneChange::Reach { link: 90, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..4], [90, 0, 90, 0]);
     let changes = gone(&mut r, LinkRole::Switch, name(9), 90);
     assert_eq!(hops(&changes[0])[..4], [0; 4]);
@@ -63,7 +63,7 @@ fn each_local_reader_has_its_link_and_a_reader_may_write() {
     assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 0, 80), [set(1, 3, &[80], &[80])]);
     assert_eq!(r.link_up(LinkRole::Endpoint, name(9), 0, 60), [set(1, 3, &[60, 80], &[80])]);
     assert_eq!(gone(&mut r, LinkRole::Endpoint, name(8), 80), [set(1, 3, &[60], &[])]);
-    assert_eq!(r.push(&push(2, Extent::Delta, vec![route(1, 0, &[7, 8])])).unwrap(), [Change::Remove(name(1))]);
+    assert_eq!(r.push(&push(2, Extent::Delta, vec![route(1, 0, &[7, 8])])).unwrap(), [PlaneChange::Remove(name(1))]);
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn the_whole_sweeps_what_it_does_not_name() {
     let changes = r.push(&push(9, Extent::Full { part: 0, last: false }, vec![route(3, 1, &[])])).unwrap();
     assert_eq!(changes, [set(3, 1, &[], &[])], "nothing is swept before the last part");
     let changes = r.push(&push(10, Extent::Full { part: 1, last: true }, vec![route(2, 1, &[])])).unwrap();
-    assert_eq!(changes, [Change::Remove(name(1))], "and what was confirmed is not touched");
+    assert_eq!(changes, [PlaneChange::Remove(name(1))], "and what was confirmed is not touched");
     assert_eq!(r.len(), 2);
 }
 
@@ -125,13 +125,13 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 0, 81), [set(1, 6, &[70], &[80, 81])]);
     // The neighbour is back, but takes frames on the new link a little later.
     let changes = r.link_up(LinkRole::Switch, name(9), 0, 91);
-    assert_eq!(changes[0], Change::Reach { link: 90, bits: 0b101 });
+    assert_eq!(changes[0], PlaneChange::Reach { link: 90, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..3], [90, 0, 90]);
-    assert_eq!(changes[2], Change::Reach { link: 91, bits: 0 }, "no frame goes twice");
+    assert_eq!(changes[2], PlaneChange::Reach { link: 91, bits: 0 }, "no frame goes twice");
     let changes = r.link_ready(LinkRole::Switch, name(9), 91);
-    assert_eq!(changes[0], Change::Reach { link: 91, bits: 0b101 });
+    assert_eq!(changes[0], PlaneChange::Reach { link: 91, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..3], [91, 0, 91]);
-    assert_eq!(changes[2], Change::Reach { link: 90, bits: 0 });
+    assert_eq!(changes[2], PlaneChange::Reach { link: 90, bits: 0 });
 
     // A new RIB does not know them yet.
     let mut first = push(1, Extent::Full { part: 0, last: true }, vec![route(1, 2, &[6])]);
@@ -141,13 +141,13 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     assert_eq!(r.link_up(LinkRole::Endpoint, name(6), 0, 65), [set(1, 6, &[65, 70], &[80, 81])]);
     let mut taken_back = push(2, Extent::Delta, vec![]);
     (taken_back.settling, taken_back.remove) = (true, vec![name(2)]);
-    assert_eq!(r.push(&taken_back).unwrap(), [Change::Remove(name(2))]);
+    assert_eq!(r.push(&taken_back).unwrap(), [PlaneChange::Remove(name(2))]);
 
     // Now it knows all there is.
     let whole = push(3, Extent::Full { part: 0, last: true }, vec![route(1, 2, &[6])]);
     let mut changes = r.push(&whole).unwrap();
     changes.sort_by_key(|change| format!("{change:?}"));
-    assert_eq!(changes, [Change::Remove(name(3)), set(1, 2, &[65], &[])]);
+    assert_eq!(changes, [PlaneChange::Remove(name(3)), set(1, 2, &[65], &[])]);
 }
 
 #[test]
@@ -201,7 +201,7 @@ fn another_rib_sweeps_nothing_before_it_has_settled() {
     assert_eq!(r.push(&by(whole(4, vec![]), true)).unwrap(), [set(1, 1, &[], &[])], "but what it said itself");
     let changes = r.push(&by(whole(5, vec![route(1, 2, &[])]), false)).unwrap();
     // What each name goes through is in order; the names are not.
-    let (of_two, of_one) = changes.into_iter().partition::<Vec<_>, _>(|change| *change == Change::Remove(name(2)));
+    let (of_two, of_one) = changes.into_iter().partition::<Vec<_>, _>(|change| *change == PlaneChange::Remove(name(2)));
     assert_eq!((of_one, of_two.len()), (vec![set(1, 3, &[], &[]), set(1, 2, &[], &[])], 1));
 }
 
@@ -217,13 +217,13 @@ fn held_paths_count_where_the_topology_knows_none() {
     r.link_up(LinkRole::Switch, name(8), 0, 80);
     let way = |neighbour, bits| Paths { reach: [(name(neighbour), bits)].into(), ..Paths::default() };
     let changes = r.set_paths(&way(8, 0b1100), &name(0));
-    let next = changes.iter().find(|change| matches!(change, Change::NextHops(_))).unwrap();
+    let next = changes.iter().find(|change| matches!(change, PlaneChange::NextHops(_))).unwrap();
     assert_eq!(hops(next)[..4], [90, 0, 80, 80]);
-    assert!(changes.contains(&Change::Reach { link: 90, bits: 1 }));
-    assert!(changes.contains(&Change::Reach { link: 80, bits: 0b1100 }));
-    let changes = r.end_held_paths();
-    assert!(changes.contains(&Change::Reach { link: 90, bits: 0 }));
-    assert_eq!(r.end_held_paths(), []);
+    assert!(changes.contains(&PlaneChange::Reach { link: 90, bits: 1 }));
+    assert!(changes.contains(&PlaneChange::Reach { link: 80, bits: 0b1100 }));
+    let changes = r.end_stale_paths();
+    assert!(changes.contains(&PlaneChange::Reach { link: 90, bits: 0 }));
+    assert_eq!(r.end_stale_paths(), []);
 }
 
 #[test]
@@ -232,10 +232,10 @@ fn a_bit_that_another_switch_had_before_is_not_taken() {
     r.push(&push(1, Extent::Full { part: 0, last: true }, vec![])).unwrap();
     let of = |switch| Paths { bits: [(1, name(switch))].into(), ..Paths::default() };
     assert_eq!(r.set_paths(&of(0), &name(0)), []);
-    assert_eq!(r.set_paths(&of(9), &name(0)), [Change::OwnBit(0)]);
+    assert_eq!(r.set_paths(&of(9), &name(0)), [PlaneChange::OwnBit(0)]);
     let another = FibPush { own_bit: 7, ..push(2, Extent::Delta, vec![]) };
     assert_eq!(r.push(&another).unwrap(), [], "not before the topology has it");
-    assert_eq!(r.set_paths(&of(9), &name(0)), [Change::OwnBit(1 << 7)]);
+    assert_eq!(r.set_paths(&of(9), &name(0)), [PlaneChange::OwnBit(1 << 7)]);
 }
 
 /// At a border to switch 7 of another domain, behind which 5 is.
@@ -260,7 +260,7 @@ fn what_is_behind_a_border_is_reached_by_its_link_and_comes_by_it() {
     assert!(changes.contains(&set(1, 2, &[71], &[80])) && changes.contains(&set(2, 4, &[], &[70, 71])));
     assert!(gone(&mut r, LinkRole::Border, name(7), 70).contains(&from(5, &[71])));
     let changes = gone(&mut r, LinkRole::Border, name(7), 71);
-    assert!(changes.contains(&Change::Remove(name(5))) && changes.contains(&set(2, 4, &[], &[])));
+    assert!(changes.contains(&PlaneChange::Remove(name(5))) && changes.contains(&set(2, 4, &[], &[])));
 }
 
 #[test]
@@ -268,7 +268,7 @@ fn only_a_border_is_where_others_come_from() {
     let mut r = Routes::default();
     let source = Route { arrives_by: vec![name(7)], ..route(5, 0, &[]) };
     r.push(&push(1, Extent::Full { part: 0, last: true }, vec![source])).unwrap();
-    assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 0, 70), [Change::Remove(name(5))]);
+    assert_eq!(r.link_up(LinkRole::Endpoint, name(7), 0, 70), [PlaneChange::Remove(name(5))]);
 }
 
 #[test]
@@ -350,8 +350,8 @@ fn the_data_plane_follows_any_sequence() {
             }
             for change in changes {
                 match change {
-                    Change::Set(name, route) => drop(plane.insert(name, route)),
-                    Change::Remove(name) => drop(plane.remove(&name)),
+                    PlaneChange::Set(name, route) => drop(plane.insert(name, route)),
+                    PlaneChange::Remove(name) => drop(plane.remove(&name)),
                     _ => {}
                 }
             }
@@ -385,19 +385,19 @@ fn a_push_out_of_step_changes_nothing() {
     assert!(r.push(&push(1, Extent::Full { part: 1, last: true }, set.clone())).is_err(), "a part without a first");
     r.push(&push(5, Extent::Full { part: 0, last: true }, set.clone())).unwrap();
     for generation in [4, 5, 7] {
-        assert_eq!(r.push(&push(generation, Extent::Delta, vec![])), Err(OutOfStep { held: 5, got: generation }));
+        assert_eq!(r.push(&push(generation, Extent::Delta, vec![])), Err(OutOfStep { expected: 5, got: generation }));
     }
     let mut delta = push(6, Extent::Delta, vec![]);
     delta.remove = vec![name(1), name(2)];
-    assert_eq!(r.push(&delta).unwrap(), [Change::Remove(name(1))]);
+    assert_eq!(r.push(&delta).unwrap(), [PlaneChange::Remove(name(1))]);
     r.push(&push(7, Extent::Full { part: 0, last: false }, vec![])).unwrap();
     assert!(r.push(&push(8, Extent::Delta, vec![])).is_err(), "a change in the middle of a transfer");
     assert!(r.push(&push(8, Extent::Full { part: 2, last: true }, vec![])).is_err(), "a part is missing");
 }
 
 /// The link is gone.
-fn gone(r: &mut Routes, role: LinkRole, peer: Name, link: u32) -> Vec<Change> {
-    r.link_gone(role, peer, link).0
+fn gone(r: &mut Routes, role: LinkRole, peer: Name, link: u32) -> Vec<PlaneChange> {
+    r.link_removed(role, peer, link).0
 }
 
 fn push(generation: u64, extent: Extent, set: Vec<Route>) -> FibPush {
@@ -413,20 +413,20 @@ fn route(i: u8, egress_bits: u64, locals: &[u8]) -> Route {
     Route { name: name(i), egress_bits, locals: locals.iter().copied().map(name).collect(), ..Route::default() }
 }
 
-fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> Change {
-    Change::Set(
+fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> PlaneChange {
+    PlaneChange::Set(
         name(i),
         PlaneRoute { egress_bits, readers: readers.to_vec(), writers: writers.to_vec(), sources: vec![] },
     )
 }
 
 /// Frames from the name come by these links, and none to it do.
-fn from(i: u8, sources: &[u32]) -> Change {
-    Change::Set(name(i), PlaneRoute { sources: sources.to_vec(), ..PlaneRoute::default() })
+fn from(i: u8, sources: &[u32]) -> PlaneChange {
+    PlaneChange::Set(name(i), PlaneRoute { sources: sources.to_vec(), ..PlaneRoute::default() })
 }
 
-fn hops(change: &Change) -> &[u32; 64] {
-    let Change::NextHops(hops) = change else { panic!("{change:?}") };
+fn hops(change: &PlaneChange) -> &[u32; 64] {
+    let PlaneChange::NextHops(hops) = change else { panic!("{change:?}") };
     hops
 }
 

@@ -9,7 +9,7 @@ use gdp_proto::control::{Credential, NameRole, Record, RecordKey, Refusal, Refus
 
 use super::world::World;
 use crate::rib::model::RegistrationKey;
-use crate::rib::{BorderLink, Foreign, Limits, Rib, Run};
+use crate::rib::{BorderLink, Foreign, Limits, Rib, RibRun};
 
 pub struct Federation {
     pub domains: Vec<World>,
@@ -90,7 +90,7 @@ impl Federation {
         loop {
             let mut told = 0;
             for from in 0..self.domains.len() {
-                for place in self.domains[from].rib.take_changed_places() {
+                for place in self.domains[from].rib.take_changed_keys() {
                     let to = self.neighbours.iter().filter_map(|(a, b)| match from {
                         i if i == *a => Some(*b),
                         i if i == *b => Some(*a),
@@ -155,7 +155,7 @@ impl Federation {
         if bits & 1 << held.own_bit != 0 {
             let locals = held.routes.get(&name).map_or(&[][..], |route| &route.locals);
             for local in locals {
-                let Some((to, _)) = self.place_of(local) else {
+                let Some((to, _)) = self.record_key_of(local) else {
                     sent.delivered.push((domain, *local));
                     continue;
                 };
@@ -187,7 +187,7 @@ impl Federation {
     }
 
     /// Where a switch is, if it is one.
-    fn place_of(&self, switch: &Name) -> Option<(usize, usize)> {
+    fn record_key_of(&self, switch: &Name) -> Option<(usize, usize)> {
         let places = self.domains.iter().enumerate().flat_map(|(d, w)| (0..w.switches.len()).map(move |i| (d, i)));
         places.into_iter().find(|place| self.switch(*place) == *switch)
     }
@@ -239,12 +239,12 @@ impl Federation {
     /// Each RIB wants the same as one that came to know all of it at once.
     pub fn check_anew(&self) {
         for w in &self.domains {
-            let mut anew = Rib::new(w.switch(0), Run { id: 1, settling: Default::default() }, Limits::default());
+            let mut anew = Rib::new(w.switch(0), RibRun { id: 1, settling: Default::default() }, Limits::default());
             for switch in &w.switches {
                 anew.report(w.now, &switch.proof(), &[], w.rib.bit(&switch.name()));
             }
             anew.ways = w.rib.ways.clone();
-            for place in w.rib.names.all_places() {
+            for place in w.rib.names.all_keys() {
                 let (record, registration) = w.rib.names.record_at(w.now.clock, &place).unwrap();
                 let (entity, role) = (place.entity, place.role);
                 let registration_key = RegistrationKey { name: place.name.to_bytes(), entity, role };

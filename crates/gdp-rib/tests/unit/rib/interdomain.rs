@@ -374,10 +374,10 @@ fn what_another_neighbour_says_is_not_lost_for_lack_of_room() {
     };
     tell(&mut f, 4).unwrap();
     tell(&mut f, 5).unwrap();
-    assert_eq!(f.domains[1].rib.told_by(&place), [domain(4), domain(5)]);
+    assert_eq!(f.domains[1].rib.sources_of(&place), [domain(4), domain(5)]);
     f.domains[1].rib.limits.names = 0;
     f.domains[1].rib.remove_foreign(now, &place, &domain(4));
-    assert_eq!((f.domains[1].rib.next_of(&place), f.domains[1].rib.told_by(&place)), (None, vec![domain(5)]));
+    assert_eq!((f.domains[1].rib.next_of(&place), f.domains[1].rib.sources_of(&place)), (None, vec![domain(5)]));
     assert_eq!(tell(&mut f, 6).unwrap_err().code, RefusalCode::Limit);
     f.domains[1].rib.limits.names = 1;
     tell(&mut f, 6).unwrap();
@@ -385,7 +385,7 @@ fn what_another_neighbour_says_is_not_lost_for_lack_of_room() {
     for next in [5, 6] {
         f.domains[1].rib.remove_foreign(now, &place, &domain(next));
     }
-    assert_eq!((f.domains[1].rib.told_by(&place), f.domains[1].rib.name_count()), (vec![], 0));
+    assert_eq!((f.domains[1].rib.sources_of(&place), f.domains[1].rib.name_count()), (vec![], 0));
 }
 
 #[test]

@@ -25,7 +25,7 @@ fn of_who_has_been_told_all_no_stream_is_kept_and_changes_follow_all_the_same() 
     assert!(matches!(to_reader.peers.extent, PeersExtent::After(_)), "not the whole: {to_reader:?}");
     assert_eq!((to_reader.peers.records.len(), &to_reader.peers.gone[..]), (1, &[robot.name()][..]));
     assert_eq!((w.tell_all(), w.rib.peer_updates.streams()), (0, 0));
-    w.check_told();
+    w.check_record_limit();
 }
 
 #[test]
@@ -42,7 +42,7 @@ fn an_entity_that_is_reached_by_two_ways_keeps_both() {
     let [push] = &whole[..] else { panic!("{whole:?}") };
     assert_eq!((push.switch, push.peers.extent), (w.switch(0), PeersExtent::Whole { part: 0, last: true }));
     assert_eq!((w.tell_all(), w.rib.peer_updates.streams()), (0, 0), "there is one way now");
-    w.check_told();
+    w.check_record_limit();
 }
 
 #[test]

@@ -23,7 +23,7 @@ use gdp_proto::control::{EntityRequest, Extent, FibPush, NameRole, PeersExtent, 
 use self::world::{Parts, UNIX, World, expect_refused};
 use super::fib::Pushed;
 use super::peer_updates::AT_ONCE;
-use super::{Effect, Limits, RESTART_TIME, Rib, Run, UNREPORTED, UpdateId};
+use super::{Effect, Limits, RESTART_TIME, Rib, RibRun, UNREPORTED, UpdateId};
 
 #[test]
 fn every_bad_advertisement_is_refused_with_its_reason() {
@@ -191,7 +191,7 @@ fn a_name_is_routed_from_its_writers_to_its_reader_and_only_then() {
     let (robot, cloud, late) = (w.attached("robot", 0), w.attached("cloud", 2), w.attached("late", 1));
     w.publish(&robot, 0, 1);
     assert_eq!(w.routes(), [], "nobody reads");
-    assert_eq!(w.rib.unserved().0, 0);
+    assert_eq!(w.rib.without_publisher().0, 0);
     let Response::Peers(peers) = w.subscribe(&cloud, 2, 1) else { panic!() };
     assert_eq!(peers.records.iter().map(|r| r.verify(None, UNIX).unwrap().entity).collect::<Vec<_>>(), [robot.name()]);
     let bit = 1 << w.rib.bit(&w.switch(2)).unwrap();
@@ -205,13 +205,13 @@ fn a_name_is_routed_from_its_writers_to_its_reader_and_only_then() {
     let parts = Parts::withdraw(&w, &robot, 0, 2);
     assert!(matches!(w.ask(&robot, 0, parts), Response::Done));
     assert_eq!(w.routes(), [(1, bit, vec![]), (2, 0, vec![cloud.name()])]);
-    assert_eq!(w.rib.unserved().0, 0);
+    assert_eq!(w.rib.without_publisher().0, 0);
     w.detach(&late, 1);
     assert_eq!(w.routes(), []);
-    assert_eq!(w.rib.unserved().0, 1);
+    assert_eq!(w.rib.without_publisher().0, 1);
     assert_eq!(w.told(NameRole::Subscriber), [(w.switch(2), cloud.name(), 0)]);
     w.detach(&cloud, 2);
-    assert_eq!((w.rib.name_count(), w.rib.unserved().0), (0, 0));
+    assert_eq!((w.rib.name_count(), w.rib.without_publisher().0), (0, 0));
 }
 
 #[test]
@@ -230,13 +230,13 @@ fn a_reader_is_told_of_its_writers_in_order() {
     w.publish(&late, 0, 1);
     w.detach(&robot, 0);
     assert!(pushed(&mut w).is_empty(), "not before the first is answered");
-    w.rib.told(w.now, UpdateId::from(first), true);
+    w.rib.update_answered(w.now, UpdateId::from(first), true);
     let pushes = pushed(&mut w);
     let [second] = &pushes[..] else { panic!("{pushes:?}") };
     assert_eq!(second.peers.extent, PeersExtent::After(first.peers.generation));
     assert_eq!((second.peers.records.len(), &second.peers.gone[..]), (1, &[robot.name()][..]));
 
-    w.rib.told(w.now, UpdateId::from(second), false);
+    w.rib.update_answered(w.now, UpdateId::from(second), false);
     assert!(pushed(&mut w).is_empty(), "not at once after a failure");
     assert_eq!(w.rib.next_tick(), Some(w.now.clock + Duration::from_millis(500)));
     w.pass(Duration::from_millis(500));
@@ -244,8 +244,8 @@ fn a_reader_is_told_of_its_writers_in_order() {
     let [whole] = &pushes[..] else { panic!("{pushes:?}") };
     assert_eq!(whole.peers.extent, PeersExtent::Whole { part: 0, last: true }, "nobody knows what arrived");
     assert_eq!(whole.peers.records.len(), 1);
-    w.rib.told(w.now, UpdateId::from(second), true);
-    w.rib.told(w.now, UpdateId::from(whole), false);
+    w.rib.update_answered(w.now, UpdateId::from(second), true);
+    w.rib.update_answered(w.now, UpdateId::from(whole), false);
     w.report(1, &[cloud.name()]);
     assert_eq!(pushed(&mut w).len(), 1, "its switch is there again");
 }
@@ -424,7 +424,7 @@ fn names_are_listed_for_who_is_attached_or_runs_a_switch_only() {
 
     // As for a daemon that is just starting.
     let switch = w.switches[0].clone();
-    w.rib = Rib::new(switch.name(), Run { id: 2, settling: Duration::ZERO }, Limits::default());
+    w.rib = Rib::new(switch.name(), RibRun { id: 2, settling: Duration::ZERO }, Limits::default());
     let list = EntityRequest::Query { prefix: digits.parse().unwrap(), after: None };
     let early = w.rib.request(w.now, switch.name(), Some(&switch.proof()), true, &list);
     expect_refused(&early, "before its report", RefusalCode::Unreachable, "try again");
@@ -507,7 +507,7 @@ fn an_entity_with_two_links_is_reached_by_each_and_loses_one_at_a_time() {
         w.settle();
         w.check_model();
         w.check_delivery();
-        w.check_told();
+        w.check_record_limit();
         let places = |count: fn(&Route) -> usize| {
             let routes = (0..3).flat_map(|i| w.rib.desired(&w.switch(i)).into_iter().map(move |route| (i, route)));
             let routes = routes.filter(|(_, route)| route.name == w.card.name());
@@ -562,10 +562,10 @@ fn what_does_not_arrive_through_one_link_is_told_through_the_other() {
     };
     let lost = next(&mut w).unwrap();
     assert_eq!(lost.switch, w.switch(1), "where it was stated last");
-    w.rib.told(w.now, UpdateId::from(&lost), false);
+    w.rib.update_answered(w.now, UpdateId::from(&lost), false);
     let again = next(&mut w).unwrap();
     assert_eq!((again.switch, again.peers.records.len()), (w.switch(0), 1));
-    w.rib.told(w.now, UpdateId::from(&again), false);
+    w.rib.update_answered(w.now, UpdateId::from(&again), false);
     assert!(next(&mut w).is_none(), "both ways were tried");
     let mut since = Duration::ZERO;
     for _ in 0..4 {
@@ -575,7 +575,7 @@ fn what_does_not_arrive_through_one_link_is_told_through_the_other() {
         w.pass(wait);
         let tried = std::iter::from_fn(|| {
             let push = next(&mut w)?;
-            w.rib.told(w.now, UpdateId::from(&push), false);
+            w.rib.update_answered(w.now, UpdateId::from(&push), false);
             Some(push.switch)
         });
         let tried: Vec<_> = tried.take(3).collect();
@@ -815,7 +815,7 @@ fn a_process_that_starts_anew_does_not_keep_what_another_stated() {
 #[test]
 fn a_rib_that_has_started_has_entities_attach_again_and_says_when_it_knows_all() {
     let settled = Duration::from_secs(1060);
-    let mut w = World::started(2, Limits::default(), Run { id: 7, settling: settled });
+    let mut w = World::started(2, Limits::default(), RibRun { id: 7, settling: settled });
     let robot = Identity::generate("proxy").unwrap();
     let pushes = w.pushes();
     assert!(pushes.len() == 2 && pushes.iter().all(|push| push.settling && push.run == 7));
@@ -836,7 +836,7 @@ fn a_rib_that_has_started_has_entities_attach_again_and_says_when_it_knows_all()
 
 #[test]
 fn who_was_told_while_the_rib_settled_is_told_the_whole_once_it_knows_all() {
-    let mut w = World::started(2, Limits::default(), Run { id: 7, settling: Duration::from_secs(1060) });
+    let mut w = World::started(2, Limits::default(), RibRun { id: 7, settling: Duration::from_secs(1060) });
     let (robot, cloud) = (w.attached("robot", 0), w.attached("cloud", 1));
     w.publish(&robot, 0, 1);
     let Response::Peers(peers) = w.subscribe(&cloud, 1, 1) else { panic!("refused") };

@@ -12,7 +12,7 @@ use gdp_proto::control;
 use gdp_proto::control::NameRole;
 
 use super::world::{Parts, Random, World};
-use crate::rib::{Limits, Rib, Run};
+use crate::rib::{Limits, Rib, RibRun};
 
 const SWITCHES: usize = 6;
 const ENTITIES: usize = 8;
@@ -149,7 +149,7 @@ fn check(w: &mut World) {
     w.settle();
     w.check_model();
     w.check_delivery();
-    w.check_told();
+    w.check_record_limit();
 }
 
 /// Another RIB goes on with what this one has stored: it has the same to say, and nobody has to say
@@ -167,7 +167,7 @@ fn take_over(w: &mut World, entities: &[Entity], id: u64) {
     let before = told(w);
     // Later than all that is waited for here.
     let settling = w.now.clock + Duration::from_secs(24 * 3600);
-    assert_eq!(w.take_over(Run { id, settling }), []);
+    assert_eq!(w.take_over(RibRun { id, settling }), []);
     assert!(told(w) == before, "it has other things to say");
     for (item, bytes) in &w.stored {
         assert_eq!(w.rib.stored(w.now, item).as_ref(), Some(bytes), "{item}");
@@ -183,7 +183,7 @@ fn take_over(w: &mut World, entities: &[Entity], id: u64) {
 /// The RIB forgets everything; switches report, and entities attach again and state nothing until
 /// they next do.
 fn restart(w: &mut World, entities: &[Entity], id: u64) {
-    w.rib = Rib::new(w.switch(0), Run { id, settling: Duration::ZERO }, Limits::default());
+    w.rib = Rib::new(w.switch(0), RibRun { id, settling: Duration::ZERO }, Limits::default());
     w.rib.open_journal();
     w.stored.clear();
     (0..SWITCHES).for_each(|i| {

@@ -7,7 +7,7 @@ use gdp_core::identity::{Identity, SigningKey};
 use gdp_proto::control::{EntityRequest, NameRole, RefusalCode, Response};
 
 use super::world::{Parts, UNIX, World, expect_refused};
-use crate::rib::{Limits, Rib, Run};
+use crate::rib::{Limits, Rib, RibRun};
 
 #[test]
 fn what_is_revoked_is_dropped_at_once_and_all_are_told() {
@@ -40,7 +40,7 @@ fn what_is_revoked_is_dropped_at_once_and_all_are_told() {
     assert!(matches!(w.subscribe(&stolen, 1, 3), Response::Peers(_)), "under a new grant");
     w.settle();
     w.check_model();
-    w.check_told();
+    w.check_record_limit();
 }
 
 #[test]
@@ -179,11 +179,11 @@ fn each_origin_keeps_its_share_through_a_restart() {
             w.another_name();
             revoke_by_link(&mut w, &robot, after);
         }
-        let kept = w.rib.kept_revocations();
+        let kept = w.rib.signed_revocations();
         assert_eq!(kept.len(), 8);
         let first: Vec<_> = kept[..4].iter().map(|kept| kept.proof.name().unwrap()).collect();
         assert!(honest.iter().all(|card| first.contains(&card.name())), "a file that ends early has them too");
-        w.rib = Rib::new(w.switch(0), Run { id: run, settling: Duration::ZERO }, limits);
+        w.rib = Rib::new(w.switch(0), RibRun { id: run, settling: Duration::ZERO }, limits);
         w.report(0, &[]);
         w.rib.recall(kept.into_iter().map(|kept| (kept.clone(), kept.verify().unwrap())).collect());
         w.attach(&robot, 0);
@@ -210,7 +210,7 @@ fn what_stays_because_it_is_used_is_bounded() {
     }
     let is_held = |card: &gdp_core::card::NameCard| w.rib.revocations.claims(card.name().as_bytes()).is_some();
     assert_eq!(used.each_ref().map(is_held), [true, true, false]);
-    assert_eq!(w.rib.kept_revocations().len(), 6);
+    assert_eq!(w.rib.signed_revocations().len(), 6);
 }
 
 #[test]
@@ -222,8 +222,8 @@ fn a_rib_after_this_one_knows_what_was_revoked() {
     assert!(matches!(w.revoke(3, 0, &[serial]), Response::Done));
     assert!(matches!(w.revoke(3, 0, &[serial]), Response::Done));
     assert_eq!(w.rib.revocations_taken(), 1);
-    let kept = w.rib.kept_revocations();
-    w.rib = Rib::new(w.switch(0), Run { id: 2, settling: Duration::ZERO }, Limits::default());
+    let kept = w.rib.signed_revocations();
+    w.rib = Rib::new(w.switch(0), RibRun { id: 2, settling: Duration::ZERO }, Limits::default());
     w.report(0, &[]);
     w.rib.recall(kept.into_iter().map(|kept| (kept.clone(), kept.verify().unwrap())).collect());
     w.attach(&robot, 0);

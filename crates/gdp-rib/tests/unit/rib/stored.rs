@@ -6,12 +6,12 @@ use std::time::Duration;
 use gdp_core::cert::Revocation;
 use gdp_core::identity::Identity;
 use gdp_core::name::Name;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::control;
 use gdp_proto::control::{NameRole, Record, RefusalCode, Response};
 
 use super::world::{World, expect_refused};
-use crate::rib::{Item, RESTART_TIME, Run, restore::decode_item, restore::encode_item};
+use crate::rib::{Item, RESTART_TIME, RibRun, restore::decode_item, restore::encode_item};
 
 #[test]
 fn a_replica_goes_on_where_another_ended() {
@@ -109,7 +109,7 @@ fn what_is_stored_is_believed_no_more_than_a_stranger() {
     let elsewhere = super::world::World::chain(1);
     let claims = Revocation { name, number: 9, floor: u64::MAX, revoked: vec![] };
     let revocation = gdp_core::cert::issue(&elsewhere.owner, &claims).unwrap();
-    let forged = Kept { proof: w.card.proof(), revocation, origin: None };
+    let forged = SignedRevocation { proof: w.card.proof(), revocation, origin: None };
     w.stored = honest.clone();
     w.stored.insert(Item::Revocation(name), encode_item(&forged).unwrap());
     take_over(&mut w, 2);
@@ -148,7 +148,7 @@ fn talking() -> (World, [Identity; 2], Name) {
 }
 
 fn take_over(w: &mut World, id: u64) -> Vec<(Item, String)> {
-    w.take_over(Run { id, settling: w.now.clock + RESTART_TIME })
+    w.take_over(RibRun { id, settling: w.now.clock + RESTART_TIME })
 }
 
 /// All that somebody has signed.
@@ -156,7 +156,7 @@ fn proven(w: &World) -> BTreeSet<Vec<u8>> {
     let (records, _) = w.rib.records(w.now, None, usize::MAX);
     let records = records.into_iter().map(|record| Record { expires_in: 0, ..record });
     let mut all: BTreeSet<_> = records.map(|record| control::encode(&record).unwrap()).collect();
-    all.extend(w.rib.kept_revocations().iter().map(|kept| kept.revocation.as_bytes().to_vec()));
+    all.extend(w.rib.signed_revocations().iter().map(|kept| kept.revocation.as_bytes().to_vec()));
     all.extend(
         w.stored.keys().filter(|item| matches!(item, Item::KeyBox { .. })).filter_map(|item| w.rib.stored(w.now, item)),
     );

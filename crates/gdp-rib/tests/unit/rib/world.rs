@@ -19,7 +19,7 @@ use gdp_proto::peers::{Counterparts, PeerEvent};
 
 use crate::rib::fib::Pushed;
 use crate::rib::model::RegistrationKey;
-use crate::rib::{Effect, Item, Limits, Now, Rib, Run, UpdateId};
+use crate::rib::{Effect, Item, Limits, Now, Rib, RibRun, UpdateId};
 use crate::topology::Paths;
 
 pub const UNIX: u64 = 1_800_000_000;
@@ -63,10 +63,10 @@ impl World {
     }
 
     pub fn with(length: usize, limits: Limits) -> Self {
-        Self::started(length, limits, Run { id: 1, settling: Duration::ZERO })
+        Self::started(length, limits, RibRun { id: 1, settling: Duration::ZERO })
     }
 
-    pub fn started(length: usize, limits: Limits, run: Run) -> Self {
+    pub fn started(length: usize, limits: Limits, run: RibRun) -> Self {
         let switches: Vec<_> = (0..length).map(|_| Identity::generate("switch").unwrap()).collect();
         let owner = SigningKey::generate().unwrap();
         let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).unwrap();
@@ -276,7 +276,7 @@ impl World {
     }
 
     /// Another RIB takes the place of this one, with what is stored. Returns what it left out.
-    pub fn take_over(&mut self, run: Run) -> Vec<(Item, String)> {
+    pub fn take_over(&mut self, run: RibRun) -> Vec<(Item, String)> {
         self.rib = Rib::new(self.switch(0), run, self.rib.limits);
         self.rib.open_journal();
         let mut omitted = Vec::new();
@@ -358,7 +358,7 @@ impl World {
         let mut is_lost = || self.loss > 0 && self.random.below(self.loss) == 0;
         let (lost, answer_lost) = (is_lost(), is_lost());
         let arrived = !lost && self.take(push.entity, push.name, push.role, &push.peers);
-        self.rib.told(self.now, UpdateId::from(push), arrived && !answer_lost);
+        self.rib.update_answered(self.now, UpdateId::from(push), arrived && !answer_lost);
     }
 
     /// What the SDK of an entity does with what it is told. Whether it follows.
@@ -516,9 +516,12 @@ impl World {
             let of = records.iter().filter(move |record| record.is_writer() == writes);
             of.map(|record| record.name).collect::<BTreeSet<_>>()
         };
-        let (count, unserved) = self.rib.unserved();
-        let unserved: Vec<Name> = unserved.collect();
-        assert_eq!((count, &unserved), (unserved.len(), &has(false).difference(&has(true)).copied().collect()));
+        let (count, without_publisher) = self.rib.without_publisher();
+        let without_publisher: Vec<Name> = without_publisher.collect();
+        assert_eq!(
+            (count, &without_publisher),
+            (without_publisher.len(), &has(false).difference(&has(true)).copied().collect())
+        );
     }
 
     /// Sends a frame of everybody that may send through the switches' FIBs, as `gdp_wire::forward`
@@ -562,7 +565,7 @@ impl World {
 
     /// What every entity believes of its counterparts is what the RIB holds, and it has every box
     /// that is kept for it.
-    pub fn check_told(&self) {
+    pub fn check_record_limit(&self) {
         let (records, _) = self.rib.records(self.now, None, usize::MAX);
         for record in &records {
             let (entity, role) = (record.entity.name().unwrap(), record.role().unwrap());

@@ -13,7 +13,7 @@ use gdp_proto::control::{
 
 use super::world::{DAY, UNIX, World, identity, owner};
 use crate::rib::Now;
-use crate::tiers::{Item, Limits, Reply, Tiers};
+use crate::tiers::{Item, Reply, TierLimits, Tiers};
 
 use NameRole::{Publisher, Subscriber};
 
@@ -227,7 +227,7 @@ fn who_is_no_neighbour_is_told_so_and_limits_hold() {
     assert!(refusal.reason.contains("each have the other"), "{refusal}");
 
     let home = v.w.domains[0].identity.name();
-    let limits = Limits { children: 1, entries: 1, ..Limits::default() };
+    let limits = TierLimits { children: 1, entries: 1, ..TierLimits::default() };
     let tiers = &mut v.w.domains[0].tiers;
     *tiers = Tiers::new(home, 9, limits);
     v.generation = 0;
@@ -253,7 +253,7 @@ fn what_grows_counts_as_what_is_new() {
     };
     let (small, large, smaller) = (entry(4, 2), entry(8, 3), entry(3, 4));
     let bytes = Item::Locator { domain: child, locator: small.clone().into() }.size();
-    v.w.domains[0].tiers = Tiers::new(home, 9, Limits { bytes, ..Limits::default() });
+    v.w.domains[0].tiers = Tiers::new(home, 9, TierLimits { bytes, ..TierLimits::default() });
     v.ask(2, TierRequest::Hello { run: 77, holds: None });
     let mut push = |locator| {
         v.push(vec![TierEntry::Locator { domain: child, locator }]);

@@ -9,7 +9,7 @@ use gdp_proto::control::{NameRole, RecordKey, TierEntry, TierKey, TierRequest, T
 use super::hostile::Victim;
 use super::world::{Random, World, hosted};
 use crate::tiers::interest::Interest;
-use crate::tiers::{Item, Limits, Tiers, table::Table, table::TableRecord};
+use crate::tiers::{Item, TierLimits, Tiers, table::RecordTable, table::TableRecord};
 
 use NameRole::{Caller, Publisher, Server, Subscriber};
 
@@ -23,7 +23,7 @@ fn who_wants_what_is_the_same_as_if_all_parts_were_looked_at() {
             let scope = (0..5).filter(|_| role.is_writer() && random.below(3) == 0).map(domain).collect();
             let path = (0..random.below(3)).map(|_| domain(1 + random.below(4))).collect();
             let mut held = TableRecord { scope, path, ..template.clone() };
-            held.place.role = role;
+            held.key.role = role;
             Arc::new(held)
         };
         let home = domain(0);
@@ -31,14 +31,14 @@ fn who_wants_what_is_the_same_as_if_all_parts_were_looked_at() {
         let interest = Interest::of(home, parts.iter());
         for other in (0..8).map(|_| part(&mut random)) {
             let meets = |own: &Arc<TableRecord>| {
-                let (writer, reader) = if own.place.role.is_writer() { (own, &other) } else { (&other, own) };
-                own.place.role.counterpart() == other.place.role
+                let (writer, reader) = if own.key.role.is_writer() { (own, &other) } else { (&other, own) };
+                own.key.role.counterpart() == other.key.role
                     && own.origin(home) != other.origin(home)
                     && writer.scope.contains(&reader.origin(home))
             };
             assert_eq!(interest.wants(&other, home), parts.iter().any(meets), "{other:?} of {parts:?}");
         }
-        assert!(!interest.is_empty() || parts.iter().all(|held| held.place.role.is_writer() && held.scope.is_empty()));
+        assert!(!interest.is_empty() || parts.iter().all(|held| held.key.role.is_writer() && held.scope.is_empty()));
     }
 }
 
@@ -46,7 +46,7 @@ fn who_wants_what_is_the_same_as_if_all_parts_were_looked_at() {
 fn one_neighbour_fills_no_name() {
     let mut v = Victim::new();
     let home = v.w.domains[0].identity.name();
-    let limits = Limits { parts_per_name: 2, ..Limits::default() };
+    let limits = TierLimits { parts_per_name: 2, ..TierLimits::default() };
     v.w.domains[0].tiers = Tiers::new(home, 9, limits);
     v.ask(2, TierRequest::Hello { run: 77, holds: None });
     let part = |v: &mut Victim, topic, entity| TierEntry::Part(Box::new(v.part_in(2, topic, entity, &[0])));
@@ -67,7 +67,7 @@ fn one_neighbour_fills_no_name() {
 fn what_there_was_no_room_for_is_told_again() {
     let mut w = World::new(1, &[&[], &[0]]);
     let (home, adjacent) = (w.domains[0].identity.name(), w.adjacent(0));
-    let limits = Limits { parts_per_name: 1, ..Limits::default() };
+    let limits = TierLimits { parts_per_name: 1, ..TierLimits::default() };
     w.domains[0].tiers = Tiers::new(home, 9, limits);
     w.domains[0].tiers.set_adjacent(w.now, adjacent);
     let places = [1, 2, 3].map(|entity| w.state(1, 0, entity, Publisher, &[0]));
@@ -75,7 +75,7 @@ fn what_there_was_no_room_for_is_told_again() {
     let name = places[0].name;
     let held = |w: &World| -> Vec<RecordKey> {
         let sides = w.domains[0].tiers.sides.values();
-        sides.flat_map(|side| side.table.parts_of(name)).map(|held| held.place).collect()
+        sides.flat_map(|side| side.table.parts_of(name)).map(|held| held.key).collect()
     };
     let lacking = |w: &World| w.domains[1].tiers.neighbours().next().unwrap().lacking;
     assert_eq!(held(&w).len(), 1);
@@ -99,18 +99,18 @@ fn what_there_was_no_room_for_is_told_again() {
 
 #[test]
 fn what_rests_on_a_domain_or_a_name_is_found_without_looking_at_the_rest() {
-    let (mut random, template, mut table) = (Random(2), template(), Table::default());
+    let (mut random, template, mut table) = (Random(2), template(), RecordTable::default());
     for _ in 0..400 {
         let mut held = TableRecord { path: vec![domain(10 + random.below(3)), domain(13)], ..template.clone() };
-        (held.place.name, held.place.entity) = (domain(random.below(4)), domain(20 + random.below(6)));
-        let key = TierKey::Part(held.place);
+        (held.key.name, held.key.entity) = (domain(random.below(4)), domain(20 + random.below(6)));
+        let key = TierKey::Part(held.key);
         match random.below(3) {
             0 => drop(table.remove(&key)),
             _ => drop(table.insert(key, Item::part(Arc::new(held)))),
         }
         for about in 0..20 {
             let is_concerned =
-                |held: &&Arc<TableRecord>| held.place.name == domain(about) || held.path[0] == domain(about);
+                |held: &&Arc<TableRecord>| held.key.name == domain(about) || held.path[0] == domain(about);
             let concerned: Vec<_> = table.parts().filter(is_concerned).collect();
             assert_eq!(table.parts_about(domain(about)).collect::<Vec<_>>(), concerned);
         }
@@ -122,7 +122,7 @@ fn template() -> TableRecord {
     let record = w.record(0, 0, 0, Publisher, &[]);
     let (place, host, ends) =
         (record.place().unwrap(), hosted(w.domains[0].identity.name(), &w.domains[0].host), w.now.clock);
-    TableRecord { place, record, host, path: Vec::new(), scope: Vec::new(), ends }
+    TableRecord { key: place, record, host, path: Vec::new(), scope: Vec::new(), ends }
 }
 
 fn domain(i: usize) -> Name {

@@ -154,7 +154,7 @@ fn a_cycle_is_refused_with_a_reason_and_mended_when_it_is_gone() {
     let reasons: Vec<String> = w.domains.iter().flat_map(|d| d.tiers.neighbours().collect::<Vec<_>>()).fold(
         Vec::new(),
         |mut reasons, neighbour| {
-            if let SessionState::Refused { reason, .. } = neighbour.standing {
+            if let SessionState::Refused { reason, .. } = neighbour.session {
                 assert!(neighbour.refused["cycle"] > 0);
                 reasons.push(reason);
             }
@@ -253,7 +253,8 @@ fn an_entry_takes_no_more_room_than_it_is_counted_with() {
     let known = &w.domains[5].known;
     assert_eq!(known.len(), 3, "a part, a box, a locator");
     for item in known.values() {
-        let (size, counted) = (encode(&item.told(w.now.clock, owner(0).1.name().unwrap())).unwrap().len(), item.size());
+        let (size, counted) =
+            (encode(&item.to_entry(w.now.clock, owner(0).1.name().unwrap())).unwrap().len(), item.size());
         assert!(size <= counted, "{size} bytes that count as {counted}: {item:?}");
     }
 }
@@ -315,8 +316,7 @@ fn whatever_happens_every_domain_knows_in_the_end_what_it_should() {
         let edges: usize = parents.iter().map(|parents| parents.len()).sum();
         assert!(hellos <= 2 * 13 * edges as u64 + 12, "seed {seed}: {hellos} messages a minute over {edges} edges");
         let refused = w.domains.iter().flat_map(|d| d.tiers.neighbours().collect::<Vec<_>>());
-        if !refused.map(|neighbour| neighbour.standing).any(|standing| matches!(standing, SessionState::Refused { .. }))
-        {
+        if !refused.map(|neighbour| neighbour.session).any(|session| matches!(session, SessionState::Refused { .. })) {
             assert_eq!(w.pushes, pushes, "seed {seed}: nothing is told while nothing changes");
         }
     }

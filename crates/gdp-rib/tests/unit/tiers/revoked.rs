@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use gdp_core::cert::{Advert, AdvertOp, Grantee, MemberCert, Membership, ReadGrant, Reading, Revocation, issue};
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::control::{Credential, NameRole, TierEntry, TierKey, TierResponse};
 use gdp_wire::Name;
 
@@ -88,8 +88,10 @@ fn who_was_away_hears_of_it_once_it_says_what_holds_no_more() {
 #[test]
 fn what_an_owner_did_not_sign_is_refused_and_what_is_older_is_answered() {
     let mut v = Victim::new();
-    let tell = |Kept { proof, revocation, .. }: Kept| vec![TierEntry::Revocation { proof, revocation }];
-    let forged = Kept { proof: owner(1).1, ..revocation(0, 1, vec![1]) };
+    let tell = |SignedRevocation { proof, revocation, .. }: SignedRevocation| {
+        vec![TierEntry::Revocation { proof, revocation }]
+    };
+    let forged = SignedRevocation { proof: owner(1).1, ..revocation(0, 1, vec![1]) };
     let response = v.push(tell(forged));
     assert!(matches!(response, TierResponse::Partly { refused: 1, .. }), "{response:?}");
     assert_eq!((v.counted("signature"), v.entries(), v.w.domains[0].tiers.take_revoked().len()), (1, 0, 0));

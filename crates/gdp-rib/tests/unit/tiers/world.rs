@@ -14,12 +14,14 @@ use gdp_core::cert::{
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::KeyBox;
 use gdp_core::name::{Name, NameProof};
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::control;
 use gdp_proto::control::{Credential, NameRole, Record, RecordKey, TierEntry, TierKey, TierRequest, TierResponse};
 
 use gdp_rib::rib::Now;
-use gdp_rib::tiers::{Change, Effect, Hosted, Item, Kind, Limits, Reply, Revoked, Sent, SessionState, Ticket, Tiers};
+use gdp_rib::tiers::{
+    Effect, Hosted, Item, Kind, Reply, Revoked, Sent, SessionState, Ticket, TierChange, TierLimits, Tiers,
+};
 
 pub const UNIX: u64 = 1_800_000_000;
 pub const DAY: u64 = 86_400;
@@ -36,7 +38,7 @@ impl Revoked for Revocations {
         self.0.get(name)
     }
 
-    fn kept(&self, _: &Name) -> Option<&Kept> {
+    fn signed(&self, _: &Name) -> Option<&SignedRevocation> {
         None
     }
 }
@@ -44,7 +46,7 @@ impl Revoked for Revocations {
 /// What all know, and besides what the RIB of one domain has heard of owners.
 struct Announced<'a> {
     all: &'a Revocations,
-    own: &'a BTreeMap<Name, (Kept, Revocation)>,
+    own: &'a BTreeMap<Name, (SignedRevocation, Revocation)>,
 }
 
 impl Revoked for Announced<'_> {
@@ -52,7 +54,7 @@ impl Revoked for Announced<'_> {
         self.all.newest(name).or_else(|| Some(&self.own.get(name)?.1))
     }
 
-    fn kept(&self, name: &Name) -> Option<&Kept> {
+    fn signed(&self, name: &Name) -> Option<&SignedRevocation> {
         self.own.get(name).map(|(kept, _)| kept)
     }
 }
@@ -69,7 +71,7 @@ pub struct Domain {
     /// What the own RIB was told, with whether it only passes.
     pub known: BTreeMap<TierKey, Item>,
     /// What its RIB keeps of what owners have taken back.
-    pub owners: BTreeMap<Name, (Kept, Revocation)>,
+    pub owners: BTreeMap<Name, (SignedRevocation, Revocation)>,
 }
 
 /// What an entity has stated.
@@ -156,7 +158,7 @@ impl World {
         let names: Vec<Name> = self.domains.iter().map(|domain| domain.identity.name()).collect();
         let adjacent = self.adjacent(index);
         let (now, domain) = (self.now, &mut self.domains[index]);
-        domain.tiers = Tiers::new(names[index], self.runs, Limits::default());
+        domain.tiers = Tiers::new(names[index], self.runs, TierLimits::default());
         domain.known.clear();
         domain.tiers.set_parents(now, domain.parents.iter().map(|parent| names[*parent]).collect());
         domain.tiers.set_adjacent(now, adjacent);
@@ -316,28 +318,28 @@ impl World {
         let home = self.domains[index].identity.name();
         for change in changes {
             match change {
-                Change::Set(item) => {
-                    if let Item::Part { held, only_passes: false } = &item {
+                TierChange::Set(item) => {
+                    if let Item::Part { record: held, only_passes: false } = &item {
                         let own = self.domains[index].parts.values();
-                        let fits = own.filter(|own| own.record.name == held.place.name).any(|own| {
-                            let (scope, other) = if held.place.role.is_writer() {
+                        let fits = own.filter(|own| own.record.name == held.key.name).any(|own| {
+                            let (scope, other) = if held.key.role.is_writer() {
                                 (&held.scope, home)
                             } else {
                                 (&own.scope, held.path[0])
                             };
-                            own.record.role().unwrap() == held.place.role.counterpart() && scope.contains(&other)
+                            own.record.role().unwrap() == held.key.role.counterpart() && scope.contains(&other)
                         });
                         assert!(fits, "{index} is told of a part that is none of its business");
                     }
                     let key = match &item {
-                        Item::Part { held, .. } => TierKey::Part(held.place),
+                        Item::Part { record: held, .. } => TierKey::Part(held.key),
                         Item::Box(signed) => box_key(signed),
                         Item::Locator { domain, .. } => TierKey::Locator(*domain),
                         Item::Revocation(_) => panic!("it has it of the requests"),
                     };
                     self.domains[index].known.insert(key, item);
                 }
-                Change::Remove(key) => {
+                TierChange::Remove(key) => {
                     self.removed += 1;
                     assert!(self.domains[index].known.remove(&key).is_some());
                 }
@@ -398,7 +400,7 @@ impl World {
     }
 
     /// As a RIB does: what it holds of its own domain goes, too.
-    fn take_revoked(&mut self, at: usize, kept: Kept, said_by: Option<Name>) {
+    fn take_revoked(&mut self, at: usize, kept: SignedRevocation, said_by: Option<Name>) {
         let claims = kept.verify().unwrap();
         let (now, name) = (self.now, claims.name);
         let Domain { tiers, owners, parts, .. } = &mut self.domains[at];
@@ -416,9 +418,10 @@ impl World {
     /// The parents of each domain that it has accepted, over links that are up.
     pub fn accepted(&self) -> Vec<BTreeSet<usize>> {
         let parents = |index: usize| {
-            let up = self.domains[index].tiers.neighbours().filter(|neighbour| {
-                matches!(neighbour.kind, Kind::Parent(_)) && neighbour.standing == SessionState::Up
-            });
+            let up = self.domains[index]
+                .tiers
+                .neighbours()
+                .filter(|neighbour| matches!(neighbour.kind, Kind::Parent(_)) && neighbour.session == SessionState::Up);
             up.map(|neighbour| self.index(neighbour.domain)).collect()
         };
         (0..self.domains.len()).map(parents).collect()
@@ -458,7 +461,7 @@ impl World {
                 .known
                 .values()
                 .filter_map(|item| match item {
-                    Item::Part { held, only_passes: false } => Some(held.place),
+                    Item::Part { record: held, only_passes: false } => Some(held.key),
                     _ => None,
                 })
                 .collect();
@@ -479,7 +482,7 @@ impl World {
                 assert!(!is_held || here.contains(&reader), "{what}: domain {index} has a key for nobody here");
             }
             for item in domain.known.values() {
-                let Item::Part { held, .. } = item else { continue };
+                let Item::Part { record: held, .. } = item else { continue };
                 assert!(domain.known.contains_key(&TierKey::Locator(held.path[0])), "{what}: no locator");
             }
         }
@@ -492,7 +495,7 @@ fn domain(index: usize, parents: &[usize]) -> Domain {
     Domain {
         host: host(&identity, &switch, roles::SWITCH, UNIX + DAY),
         locator: Locator { borders: vec![host(&identity, &border, roles::BORDER, UNIX + DAY)] },
-        tiers: Tiers::new(identity.name(), 0, Limits::default()),
+        tiers: Tiers::new(identity.name(), 0, TierLimits::default()),
         identity,
         switch,
         parents: parents.to_vec(),
@@ -524,10 +527,10 @@ pub fn host(domain: &Identity, switch: &Identity, role: &str, not_after: u64) ->
 }
 
 /// That the owner of a topic has taken back all with these serials.
-pub fn revocation(topic: usize, number: u64, revoked: Vec<u64>) -> Kept {
+pub fn revocation(topic: usize, number: u64, revoked: Vec<u64>) -> SignedRevocation {
     let (owner, proof) = owner(topic);
     let claims = Revocation { name: proof.name().unwrap(), number, floor: 0, revoked };
-    Kept { proof, revocation: issue(&owner, &claims).unwrap(), origin: None }
+    SignedRevocation { proof, revocation: issue(&owner, &claims).unwrap(), origin: None }
 }
 
 pub fn pair(a: usize, b: usize) -> (usize, usize) {

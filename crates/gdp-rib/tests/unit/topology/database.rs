@@ -29,8 +29,8 @@ fn the_newest_counts_and_ends_in_time() {
     assert_eq!(take(&mut database, 3, 1, u32::MAX), Taken::News { changed: true }, "another run may keep another bit");
     let seconds = Duration::from_secs;
     assert_eq!(database.next_expiry(), Some(NOW + seconds(180)), "not longer than it says itself");
-    assert_eq!(database.told(NOW + seconds(80), &name(1)).map(|told| told.expires_in), Some(100));
-    assert_eq!(database.told(NOW + Duration::from_millis(179_500), &name(1)), None);
+    assert_eq!(database.flooded(NOW + seconds(80), &name(1)).map(|told| told.expires_in), Some(100));
+    assert_eq!(database.flooded(NOW + Duration::from_millis(179_500), &name(1)), None);
     assert!(!database.expire(NOW + seconds(179)) && database.expire(NOW + seconds(180)));
     assert_eq!(database.switches().count(), 0);
 }

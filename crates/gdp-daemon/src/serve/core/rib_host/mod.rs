@@ -13,7 +13,7 @@ use gdp_core::name::NameProof;
 use gdp_core::peer::GRACEFUL_RESTART_TIME;
 use gdp_proto::control::{EntityRequest, NameRole, RefusalCode, Response};
 use gdp_rib::rib::fib::Pushed;
-use gdp_rib::rib::{Effect, Item, Limits, Now, Rib, Run, encode_item};
+use gdp_rib::rib::{Effect, Item, Limits, Now, Rib, RibRun, encode_item};
 use gdp_util::unix_time::unix_nanos;
 use gdp_wire::Name;
 
@@ -22,7 +22,7 @@ use crate::domain::Domain;
 use crate::serve::events::{Event, Events};
 use crate::serve::federation::Federation;
 use crate::serve::term::Term;
-use crate::store::items::Change;
+use crate::store::items::ItemChange;
 
 /// Those of a run's number that are random. The others have the revisions of etcd for a lifetime,
 /// and the time in units of 17 ms.
@@ -48,7 +48,7 @@ pub struct RibHost {
 impl RibHost {
     /// `has_rib`: the RIB is here, without replicas.
     pub fn new(switch: Name, has_rib: bool, events: Events) -> Self {
-        let run = Run { id: run_id(unix_nanos() >> RUN_BITS), settling: GRACEFUL_RESTART_TIME };
+        let run = RibRun { id: run_id(unix_nanos() >> RUN_BITS), settling: GRACEFUL_RESTART_TIME };
         Self {
             switch,
             rib: has_rib.then(|| Rib::new(switch, run, Limits::default())),
@@ -194,7 +194,7 @@ impl RibHost {
         now: Now,
         domain: Option<&Domain>,
         changed: &mut BTreeSet<Item>,
-    ) -> Option<(u64, Vec<Change>)> {
+    ) -> Option<(u64, Vec<ItemChange>)> {
         let (rib, term) = (self.rib.as_mut()?, self.term.as_ref()?);
         changed.append(&mut rib.take_changed());
         changed.extend(std::mem::take(&mut self.unstored_invitations).into_iter().map(Item::Invitation));

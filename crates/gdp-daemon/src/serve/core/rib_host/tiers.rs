@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use gdp_core::cert::Host;
 use gdp_core::name::NameProof;
-use gdp_core::revocations::Kept;
+use gdp_core::revocations::SignedRevocation;
 use gdp_proto::control::{RefusalCode, Response, TierRequest};
 use gdp_rib::rib::{BorderLink, Now};
 use gdp_rib::tiers::Sent;
@@ -123,13 +123,13 @@ impl RibHost {
     }
 
     /// Takes in what the owner of a name has revoked, as the domain `from` said. Whether it did.
-    fn take_revoked(&mut self, now: Now, domain: &Domain, from: Name, kept: &Kept) -> bool {
+    fn take_revoked(&mut self, now: Now, domain: &Domain, from: Name, kept: &SignedRevocation) -> bool {
         let (Some(rib), Ok(name)) = (&mut self.rib, kept.proof.name()) else { return false };
         // What domains revoke goes from switch to switch.
         if domain.trust.knows(&name) {
             return false;
         }
-        if let Err(refusal) = rib.revoke_abroad(now, from, kept) {
+        if let Err(refusal) = rib.revoke_from(now, from, kept) {
             tracing::debug!(%refusal, domain = %format_args!("{from:#}"), "the RIB does not take what was revoked");
             return false;
         }

@@ -14,7 +14,7 @@ use crate::config::Via;
 use crate::domain::{Admission, DomainError};
 use crate::serve::core::link_state::{LinkState, flags_of, link_role, role_on};
 use crate::serve::events::Event;
-use crate::serve::graceful_restart::{GRACE, Kept, StaleLink};
+use crate::serve::graceful_restart::{GRACE, Reservation, StaleLink};
 
 /// Links of endpoints. Anybody can make one, so some are left for switches.
 const MAX_ENDPOINTS: usize = (MAX_LINKS - EGRESS_SET_SIZE) as usize;
@@ -98,8 +98,8 @@ impl Switch {
             return false;
         }
         let time = if is_replaced { GRACE } else { GRACEFUL_RESTART_TIME };
-        let (until, id) = (Instant::now() + time, Kept::Closed { link });
-        let stale = StaleLink { peer, lane, role, entry, to, until, standing: Some(admission.standing), id };
+        let (until, id) = (Instant::now() + time, Reservation::Closed { link });
+        let stale = StaleLink { peer, lane, role, entry, to, until, relationship: Some(admission.standing), id };
         if let Some(first) = self.stale.keep(stale) {
             self.release(first);
         }
@@ -126,7 +126,7 @@ impl Switch {
     }
 
     fn remove_link(&mut self, role: LinkRole, peer: Name, id: u32) {
-        let (changes, with_it) = self.routes.link_gone(role, peer, id);
+        let (changes, with_it) = self.routes.link_removed(role, peer, id);
         self.apply(changes);
         for id in [id].into_iter().chain(with_it) {
             self.stale.take(id);

@@ -15,9 +15,9 @@ use gdp_wire::{LinkRole, Name};
 use super::link_state::LinkState;
 use crate::domain::Relationship;
 use crate::serve::events::{Event, Events};
-use crate::serve::graceful_restart::{GracefulRestart, Kept, StaleLink};
+use crate::serve::graceful_restart::{GracefulRestart, Reservation, StaleLink};
 use crate::serve::refusals::Refusals;
-use crate::serve::routes::{Change, Routes};
+use crate::serve::routes::{PlaneChange, Routes};
 
 /// Routes that are tried in vain whenever there may be room: one may need what another does not.
 const MAX_REFUSALS: usize = 16;
@@ -72,11 +72,11 @@ impl Switch {
         let (mut links, mut neighbours) = (Vec::new(), Vec::new());
         for (entry, to) in &left.links {
             let (Some(role), Some(id)) = (entry.role(), ids.reserve(entry.id)) else { continue };
-            let id = Kept::Adopted { _id: id };
+            let id = Reservation::Adopted { _id: id };
             links.push((entry.clone(), role));
             let (peer, lane) = (entry.peer, entry.lane as u8);
-            let (entry, standing) = (entry.clone(), None);
-            self.stale.keep(StaleLink { peer, lane, role, entry, to: *to, until, standing, id });
+            let (entry, relationship) = (entry.clone(), None);
+            self.stale.keep(StaleLink { peer, lane, role, entry, to: *to, until, relationship, id });
             match role {
                 LinkRole::Endpoint => drop(self.attached.insert(peer)),
                 LinkRole::Switch | LinkRole::Border => neighbours.push(peer),
@@ -100,7 +100,7 @@ impl Switch {
         if self.adopted_until.take_if(|until| *until <= now).is_some() {
             tracing::info!("nothing is held any longer from the daemon before this one");
             let mut changes = self.routes.end_any_writer();
-            changes.extend(self.routes.end_held_paths());
+            changes.extend(self.routes.end_stale_paths());
             self.apply(changes);
             if let Err(error) = self.planes.end_adoption() {
                 tracing::error!(%error, "the data plane keeps something of the daemon before this one");
@@ -134,11 +134,11 @@ impl Switch {
     }
 
     /// Applies changes in the data planes. Routes that find no room are applied when there is some.
-    pub fn apply(&mut self, changes: Vec<Change>) {
+    pub fn apply(&mut self, changes: Vec<PlaneChange>) {
         for change in changes {
             let result = match change {
-                Change::OwnBit(bit) => self.planes.set_own_bit(bit),
-                Change::Reach { link, bits } => {
+                PlaneChange::OwnBit(bit) => self.planes.set_own_bit(bit),
+                PlaneChange::Reach { link, bits } => {
                     let live = self.links.get_mut(&link).map(|state| (&mut state.entry, state.to));
                     match live.or_else(|| self.stale.get_mut(link).map(|stale| (&mut stale.entry, stale.to))) {
                         Some((entry, to)) => {
@@ -148,8 +148,8 @@ impl Switch {
                         None => Ok(()),
                     }
                 }
-                Change::NextHops(next_hops) => self.planes.set_next_hops(&next_hops),
-                Change::Set(name, route) => {
+                PlaneChange::NextHops(next_hops) => self.planes.set_next_hops(&next_hops),
+                PlaneChange::Set(name, route) => {
                     // At once, so that a name that finds no room delays no other.
                     match self.planes.set_route(name, &route) {
                         Ok(()) => _ = self.pending_routes.0.remove(&name),
@@ -160,7 +160,7 @@ impl Switch {
                     }
                     Ok(())
                 }
-                Change::Remove(name) => {
+                PlaneChange::Remove(name) => {
                     self.pending_routes.0.remove(&name);
                     self.planes.remove_route(&name)
                 }
