@@ -189,10 +189,10 @@ fn print(
 fn shown(view: &View<'_>, limits: &Limits) -> anyhow::Result<String> {
     let item = view.item(limits)?;
     Ok(match item {
-        Item::Map(_) if view.is_message() => document(&item),
+        Item::Map(_) if view.is_message() => document(&item)?,
         Item::Text(text) => format!("{text}\n"),
         Item::Bool(value) => format!("{}\n", if value { "True" } else { "False" }),
         Item::Float(value) => format!("{}\n", python::float(value)),
-        other => document(&other),
+        other => document(&other)?,
     })
 }
