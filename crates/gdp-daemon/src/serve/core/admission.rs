@@ -1,4 +1,4 @@
-//! Who gets a link, and keeps it; and what follows when links come and go.
+//! Decides which peers get and keep a link, and updates topology and costs when links come and go.
 
 use gdp_core::peer::Role;
 use gdp_dataplane::PlaneError;
@@ -12,7 +12,8 @@ use crate::config::Via;
 use crate::domain::{Admission, Credentials};
 
 impl Core {
-    /// Whether a peer may have a link where it came in, and as what; if not, why.
+    /// Returns the standing under which a peer gets a link on its incoming path. Fails with the
+    /// reason if it gets none.
     pub fn admit(&self, link: &Link, via: &Via) -> Result<Admission, String> {
         let peer = link.peer();
         if peer.name == self.name() {
@@ -26,9 +27,9 @@ impl Core {
         Ok(admission)
     }
 
-    /// What the RIB is to be asked before a member that was admitted by an invitation is taken for
-    /// one. A neighbour that the configuration names is taken if there is no way to the RIB but by
-    /// it: there is nobody else to ask.
+    /// Returns the request that asks the RIB to confirm a member that was admitted by an
+    /// invitation. Returns `None` for a configured neighbour that is the only path to the RIB.
+    /// There is no other switch to ask.
     pub fn question(&self, link: &Link, credentials: &Credentials) -> Option<Request> {
         let question = self.membership.question(self.name(), link, credentials)?;
         (!self.is_only_way_to_rib(&link.peer().name)).then_some(question)
@@ -42,7 +43,7 @@ impl Core {
             && !paths.rib.as_ref().is_some_and(other_way)
     }
 
-    /// The peer of a link shows other credentials: whether it may keep the link by them.
+    /// Checks whether a peer keeps its link with renewed credentials. Fails with the reason if not.
     pub fn renew_link(&mut self, link: &Link, credentials: &Credentials) -> Result<(), String> {
         if self.membership.domain.is_none() {
             return Ok(());
@@ -51,16 +52,17 @@ impl Core {
         self.switch.readmit(link, admission)
     }
 
-    /// Admits the peers of links again, of all or only of those whose time has come. Returns links
-    /// to be closed, with the reason, and endpoints whose last link was a stale one.
+    /// Readmits the peers of all links, or only of those whose admission has expired. Returns the
+    /// links to close with the reason, and the endpoints that lost their last link, a stale one.
     pub fn recheck(&mut self, only_ended: bool) -> (Vec<(Link, String)>, Vec<Name>) {
         let (Some(domain), now) = (&self.membership.domain, unix_seconds()) else { return Default::default() };
         let admit = |link: &Link| domain.trust.admit(Role::Switch, link.peer(), link.credentials().as_deref(), now);
         self.switch.readmit_all(now, only_ended, admit)
     }
 
-    /// Takes a link into service: if it is to a switch, its cost is measured; if to one of the
-    /// domain, the topology goes by it. Returns the link to the same peer that it replaces.
+    /// Takes a link into service. Starts to measure the cost of a link to a switch. Adds a link to
+    /// a switch of the same domain to the topology. Returns the link to the same peer that this one
+    /// replaces.
     pub fn link_up(&mut self, link: &Link, via: Via, admission: Admission) -> Result<Option<Link>, PlaneError> {
         let replaced = self.switch.link_up(link, via, admission)?;
         if self.switch.role_on(link) == Some(LinkRole::Switch as u32) {
@@ -72,7 +74,7 @@ impl Core {
         Ok(replaced)
     }
 
-    /// A link is closed. Returns whether it is stale from now on, and to be
+    /// Handles a closed link. Returns whether the link is now stale and must be
     /// [watched](crate::serve::liveness).
     pub fn link_down(&mut self, link: &Link) -> bool {
         self.topology.link_down(link.local_id());

@@ -1,11 +1,11 @@
-//! The daemon's clock, which the RIB, the topology and their timers count on.
+//! The daemon's clock. The RIB, the topology and their timers use it.
 
 use std::time::{Duration, Instant};
 
 use gdp_rib::rib::Now;
 use gdp_util::unix_time::unix_seconds;
 
-/// Counts from the daemon's start.
+/// A monotonic clock that starts at zero when the daemon starts.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock(Instant);
 
@@ -18,8 +18,8 @@ impl Clock {
         Now { unix: unix_seconds(), clock: self.0.elapsed() }
     }
 
-    /// When [`Now::clock`] will be `clock`; none for a time so far off that no certificate should
-    /// name it.
+    /// Returns the instant at which [`Now::clock`] equals `clock`. Returns `None` on overflow; no
+    /// certificate should name a time that far off.
     pub fn instant(&self, clock: Duration) -> Option<Instant> {
         self.0.checked_add(clock)
     }

@@ -1,4 +1,4 @@
-//! Carries out what the RIB here sends, and tells it the replies.
+//! Sends what the local RIB produces, and passes the replies to it.
 
 use gdp_link::link::Link;
 use gdp_proto::control::{Request, Response, TierLeg, TierMessage, TierRequest};
@@ -10,7 +10,8 @@ use super::follow_up::{FederationEffect, OnReply, PendingRequest};
 use super::relay::onward;
 
 impl Core {
-    /// Takes out what the RIB here sends; what is for this switch is applied at once.
+    /// Drains the output of the local RIB. Applies what is for this switch at once, and returns the
+    /// requests to others.
     pub fn rib_effects(&mut self) -> Vec<PendingRequest> {
         let mut pending = Vec::new();
         loop {
@@ -84,7 +85,8 @@ impl Core {
         }
     }
 
-    /// A message to the RIB of another domain, and its first link.
+    /// Returns a message to the RIB of another domain, and the link to its first hop over the
+    /// cheapest border.
     fn to_domain(&self, to: Name, request: TierRequest) -> (Option<Link>, Request) {
         let costs = &self.topology.paths().costs;
         let ways = self.topology.borders().filter(|(_, adjoining)| adjoining.domain == to);
@@ -104,7 +106,8 @@ impl Core {
         }
     }
 
-    /// The reply to a request of the RIB here; none: it was not answered.
+    /// Passes the reply to a request of the local RIB on to the RIB. `None` means that no reply
+    /// came.
     pub fn answered(&mut self, on_reply: OnReply, response: Option<Response>) {
         let (now, rib_host) = (self.clock.now(), &mut self.rib_host);
         match on_reply {

@@ -1,4 +1,4 @@
-//! What a request needs before it is answered, and what the RIB here sends.
+//! The steps between a request and its answer, and the requests that the local RIB sends.
 
 use gdp_link::link::Link;
 use gdp_proto::control::{NameRole, Refusal, RefusalCode, Request, Response, TierRequest, TierResponse, TraceOn};
@@ -11,37 +11,39 @@ use tokio::sync::oneshot;
 use crate::config::Inside;
 use crate::serve::term::Ticket;
 
-/// What a request needs before it can be answered.
+/// The step that a request needs before its answer.
 pub enum FollowUp {
     Answer(Response),
-    /// The RIB here has accepted the statement; switches are still to be given the routes that
-    /// follow.
+    /// The local RIB has accepted the statement. The answer waits until the switches have the new
+    /// routes.
     Settle(Response, Statement),
-    /// The RIB here has accepted a revocation, which is to be saved before it is confirmed.
+    /// The local RIB has accepted a revocation. The answer waits until the revocation is saved.
     SaveRevocation(Response),
-    /// The RIB here admits an entity by an invitation, which is likewise to be saved. `new`: the
-    /// invitation's serial, if it had admitted nobody before.
+    /// The local RIB admits an entity by an invitation. The answer waits until this is saved. `new`
+    /// is the serial of the invitation if this is its first admission of the entity.
     SaveInvitation {
         new: Option<u64>,
     },
-    /// Another domain's RIB is asked; its answer is for a RIB, or for whoever made the query.
+    /// The RIB of another domain has been asked. Its answer is for a RIB, or for the client that
+    /// made the query.
     Await {
         waiting: oneshot::Receiver<TierResponse>,
         is_query: bool,
     },
     /// The trace of a name continues in another domain, or in this one.
     Trace(Box<Tracing>),
-    /// What the RIB here has accepted is to be stored before anything else.
+    /// The changes in the local RIB must be stored before the next step.
     Store(Ticket, Box<FollowUp>),
     /// The RIB has asked this switch to report again.
     Report,
-    /// Ask over this link, and pass the response on.
+    /// This switch sends the request over the link and returns the response to its client.
     Forward(Link, Request),
-    /// Have the endpoint at the other end of these links attach again by each, or close the link.
+    /// The endpoint at the other end of these links must attach again over each. A link over which
+    /// it does not is closed.
     Reattach(Vec<Link>, Request),
 }
 
-/// What an entity has stated: what it is to the name, at a switch.
+/// A statement of an entity: its role for a name, at a switch.
 pub struct Statement {
     pub name: Name,
     pub entity: Name,
@@ -59,11 +61,11 @@ impl Statement {
     }
 }
 
-/// A trace that a switch of this domain, or a border of another one, has asked for.
+/// A trace that a switch of this domain or a border of another one requested.
 pub enum Tracing {
-    /// The name leaves by this link into that domain.
+    /// The path of the name leaves this domain over the link, into `domain`.
     Leaves { link: Link, domain: Name, request: TraceOn },
-    /// The trace has come from another domain.
+    /// The trace came from another domain.
     Enters(TraceEntry),
 }
 
@@ -71,42 +73,42 @@ pub enum Tracing {
 pub struct TraceEntry {
     pub request: TraceOn,
     pub home: Name,
-    /// Which domain asks, and by which border switch of it the frames come.
+    /// The neighbouring domain that asks. `from` is its border switch that sends the frames.
     pub asked_by: Name,
     pub from: Name,
-    /// Frames of the domain may go on to a third domain.
+    /// Whether frames of the domain may transit to a third domain.
     pub may_cross: bool,
     pub visibility: Inside,
     pub egress: Vec<Name>,
 }
 
-/// A request of the RIB here, and the first link on its way, if there is one.
+/// A request of the local RIB, and the link to its first hop if there is one.
 pub struct PendingRequest {
     pub link: Option<Link>,
     pub request: Request,
     pub on_reply: OnReply,
 }
 
-/// What the reply to a request of the RIB is for.
+/// The use of the reply to a request of the RIB.
 pub enum OnReply {
     Nothing,
-    /// The outcome of the RIB's push of this generation to this switch.
+    /// The outcome of the FIB push of this generation to this switch.
     Push(Name, u64),
-    /// Whether an entity received the update on its counterparts.
+    /// Whether an entity received the update of its peers.
     PeerUpdate(UpdateId),
     /// The answer of another domain's RIB.
     Tier(Name, Sent),
-    /// Whether a border knows which peerings are wanted of it.
+    /// Whether a border received the list of peerings that it should have.
     Peerings(Name),
-    /// Whether the endpoint has attached again; if not, its link is closed.
+    /// Whether the endpoint attached again. If not, its link is closed.
     Reattach,
 }
 
-/// What the RIB here sends because of other domains.
+/// A message of the local RIB that concerns other domains.
 pub enum FederationEffect {
-    /// To the RIB of another domain.
+    /// A message to the RIB of another domain.
     Message { to: Name, sent: Sent, request: TierRequest },
-    /// The RIB of this run wants these peerings of a border.
+    /// The peerings that the RIB of this run wants a border to have.
     Peerings { border: Name, run: u64, wanted: WantedPeerings },
 }
 

@@ -1,4 +1,4 @@
-//! A link that is up, and what the data planes hold of its peer.
+//! The state of a link that is up, with its data-plane entry.
 
 use std::time::Instant;
 
@@ -12,26 +12,26 @@ use gdp_wire::{LinkEntry, LinkRole, Name};
 use crate::config::Via;
 use crate::domain::{Admission, Relationship};
 
-/// A link that is up.
+/// The state of a link that is up.
 pub struct LinkState {
     pub link: Link,
     pub via: Via,
     pub since: Instant,
-    /// What the peer is to this switch's domain, and until when.
+    /// The peer's relationship to this switch's domain, and its expiry.
     pub admission: Admission,
-    /// Traces that the other end asks for, if it is of another domain.
+    /// The rate limit on traces that the peer requests, if it is of another domain.
     pub traces: Allowance,
     pub entry: KeyedEntry,
     pub to: LinkAddr,
 }
 
 impl LinkState {
-    /// What the data planes hold the peer for.
+    /// Returns the peer's role in the data planes, as a [`LinkRole`] value.
     pub fn role(&self) -> u32 {
         self.entry.role
     }
 
-    /// The domain whose border is at the other end.
+    /// Returns the peer's domain, if the peer is a border of another domain.
     pub fn domain(&self) -> Option<Name> {
         match self.admission.standing {
             Relationship::Border { domain, .. } => Some(domain),
@@ -40,7 +40,7 @@ impl LinkState {
     }
 }
 
-/// What the data planes take the peer of a link for.
+/// Returns the role that the data planes give the peer of a link.
 pub fn role_on(link: &Link, admission: &Admission) -> LinkRole {
     match link.peer().role {
         _ if admission.standing.is_border() => LinkRole::Border,
@@ -49,7 +49,7 @@ pub fn role_on(link: &Link, admission: &Admission) -> LinkRole {
     }
 }
 
-/// What the entry of a link says of the peer's domain.
+/// Returns the flags of a link's data-plane entry: whether the peer's domain has transit.
 pub fn flags_of(admission: &Admission) -> u16 {
     match &admission.standing {
         Relationship::Border { ours, .. } if ours.transit => LinkEntry::TRANSIT,
@@ -57,7 +57,7 @@ pub fn flags_of(admission: &Admission) -> u16 {
     }
 }
 
-/// As the data planes know a peer.
+/// Returns the name of a role in the data planes. Unknown values count as a switch.
 pub fn link_role(role: u32) -> PeerRole {
     match role {
         _ if role == LinkRole::Endpoint as u32 => PeerRole::Endpoint,

@@ -1,4 +1,4 @@
-//! This switch as a member of its domain: whom it admits, and how it shows that it is a member.
+//! This switch's domain membership: it admits peers, and proves the membership to others.
 
 use std::net::SocketAddr;
 
@@ -16,16 +16,18 @@ use super::follow_up::{FollowUp, refuse};
 use crate::config::Inside;
 use crate::domain::{Admission, Credentials, Domain};
 
-/// What a switch has of its domain, if it is a member of one.
+/// The domain membership of a switch, if it has one.
 #[derive(Default)]
 pub struct Membership {
-    /// Without it, links are accepted from all listed neighbours, and from all endpoints.
+    /// The domain. Without one, the switch accepts links from all configured neighbours and all
+    /// endpoints.
     pub domain: Option<Domain>,
     /// The addresses at which other domains reach this border.
     public: Vec<SocketAddr>,
-    /// What other domains see that trace names through this one.
+    /// What other domains see of this domain when they trace names through this switch.
     pub trace_visibility: Inside,
-    /// What the RIB may show other domains of this switch, with the membership that it rests on.
+    /// The statement that the RIB may show other domains, with the membership certificate behind
+    /// it.
     statement: Option<Host>,
 }
 
@@ -38,15 +40,17 @@ impl Membership {
         self.domain.as_ref().map(|domain| domain.trust.home())
     }
 
-    /// As what the peer of a link is admitted by its credentials; if it is not, why.
+    /// Returns the standing that a peer's credentials give it on a link. Fails with the reason if
+    /// they give none.
     pub fn admit(&self, link: &Link, credentials: Option<&Credentials>) -> Result<Admission, String> {
         let Some(domain) = &self.domain else { return Ok(Admission::STRANGER) };
         let admitted = domain.trust.admit(Role::Switch, link.peer(), credentials, unix_seconds());
         admitted.map_err(|error| error.to_string())
     }
 
-    /// What the RIB is to be asked before a member that was admitted by an invitation is taken for
-    /// one, by the switch `own`.
+    /// Returns the request by which switch `own` asks the RIB to confirm a member that an
+    /// invitation admitted. Returns `None` if the peer has no invitation of this domain, or its
+    /// admission is already known.
     pub fn question(&self, own: Name, link: &Link, credentials: &Credentials) -> Option<Request> {
         let domain = self.domain.as_ref()?;
         let (entity, membership) = (link.peer().name, &credentials.membership);
@@ -60,7 +64,7 @@ impl Membership {
         })
     }
 
-    /// The RIB's answer about an invitation.
+    /// Answers a switch that asks the local RIB to confirm an admission by invitation.
     pub fn admit_invited(&mut self, entity: Name, membership: &cert::Membership, now: u64) -> FollowUp {
         let Some(domain) = &mut self.domain else {
             return refuse(RefusalCode::Unsupported, "the RIB here is of no domain: configure domain");
@@ -85,7 +89,8 @@ impl Membership {
         }
     }
 
-    /// Accepts what a domain has revoked. Whether it is news; none: this switch has no domain.
+    /// Accepts a revocation by a domain. Returns whether it is new, or `None` if this switch has no
+    /// domain.
     pub fn take_revocation(
         &mut self,
         proof: &NameProof,
@@ -96,9 +101,9 @@ impl Membership {
         Some(accepted.inspect(|is_news| domain.changes += u64::from(*is_news)))
     }
 
-    /// What the RIB may show other domains of this switch; none: it is a member of no domain. It
-    /// states anew of which domain it is whenever its membership is renewed, and so before the
-    /// statement ends.
+    /// Returns the statement of this switch that the RIB may show other domains. Returns `None`
+    /// without a domain or a valid membership. Issues a new statement whenever the membership is
+    /// renewed, and so before the old statement expires.
     pub fn statement(&mut self, identity: &Identity) -> Option<Host> {
         let domain = self.domain.as_ref()?;
         let membership = &domain.trust.papers().membership;

@@ -1,6 +1,7 @@
-//! What the daemon has and decides, behind one lock that is never held across an await: parts with
-//! one task each, and here what takes several of them. The tasks around it (such as
-//! [`super::links`] and [`super::report`]) do the waiting.
+//! The daemon's state and decisions, behind one lock that no task holds across an await.
+//!
+//! Each part has one task. This module has the operations that span several parts. The surrounding
+//! tasks (such as [`super::links`] and [`super::report`]) do the waiting.
 
 mod admission;
 pub mod clock;
@@ -58,7 +59,7 @@ pub struct Core {
 }
 
 impl Core {
-    /// `has_rib`: the RIB is here, without replicas.
+    /// Creates the state. `has_rib` means that this switch hosts the RIB, without replicas.
     pub fn new(identity: Identity, neighbours: Vec<Neighbour>, has_rib: bool, planes: Planes) -> Self {
         let (name, events) = (identity.name(), Events::default());
         let mut topology = Topology::new(identity.clone(), unix_nanos());
@@ -85,41 +86,41 @@ impl Core {
         self.clock.now()
     }
 
-    /// This switch is a member of a domain. `public`: the addresses at which other domains reach
-    /// it.
+    /// Makes this switch a member of a domain. `public` lists the addresses at which other domains
+    /// reach it.
     pub fn join_domain(&mut self, domain: Domain, public: Vec<SocketAddr>, trace_visibility: Inside) {
         self.membership = Membership::new(domain, public, trace_visibility);
         self.federate();
     }
 
-    /// Keeps what an earlier daemon left in the data planes, for a while.
+    /// Keeps the data-plane state of an earlier daemon for the graceful-restart time.
     pub fn take_over(&mut self, ids: &LinkIds) {
         let now = self.now().clock;
         self.switch.take_over(ids).into_iter().for_each(|neighbour| self.neighbours.adopt(now, neighbour));
     }
 
-    /// Removes stale links whose time is over. Returns endpoints that are no longer attached, and
-    /// whether neighbours are gone.
+    /// Removes expired stale links. Returns the endpoints that are no longer attached, and whether
+    /// the adjacencies changed.
     pub fn end_stale_links(&mut self, now: Instant) -> (Vec<Name>, bool) {
         let before = self.neighbours.adjacencies(&self.switch);
         let lost = self.switch.end_stale_links(now);
         (lost, self.neighbours.adjacencies(&self.switch) != before)
     }
 
-    /// Takes samples of the round-trip time to neighbours. Whether one of them costs something else
-    /// from now on.
+    /// Samples the round-trip time to the neighbours. Returns whether the cost of one has changed.
     pub fn measure(&mut self) -> bool {
         self.neighbours.measure(self.clock.now().clock, &self.switch)
     }
 
-    /// The first request over a link was answered within this time; whether the neighbour costs
-    /// something else from now on.
+    /// Records the round-trip time of the first request over a link. Returns whether the
+    /// neighbour's cost has changed.
     pub fn neighbour_answered(&mut self, link: &Link, rtt: Duration) -> bool {
         self.neighbours.answered(self.clock.now().clock, link, rtt)
     }
 
-    /// Brings the topology up to date, and with it what follows. Returns what is to be sent over
-    /// which link, and whether there are other paths than before, or another RIB.
+    /// Updates the topology, and with it the routes, the data planes and the RIB. Returns the
+    /// link-state batches to send with their links, and whether the paths or the RIB's location
+    /// changed.
     pub fn follow_topology(&mut self) -> (Vec<(Link, Batch)>, bool) {
         let (now, own) = (self.now(), self.name());
         let Adjacencies { neighbours, silent, borders } = self.neighbours.adjacencies(&self.switch);
@@ -148,13 +149,13 @@ impl Core {
         (batches.collect(), changed)
     }
 
-    /// Whether there is something to report to the RIB, which is elsewhere: the topology has it at
-    /// another place, or again.
+    /// Returns whether this switch must report to a remote RIB, because the RIB has moved or is
+    /// reachable again.
     pub fn follow_rib(&mut self) -> bool {
         self.rib_host.rib.is_none() && self.rib_client.follow(self.topology.rib())
     }
 
-    /// The link to the next switch on the way to another.
+    /// Returns the link to the next hop on the path to another switch.
     pub fn link_toward(&self, to: &Name) -> Result<Link, Refusal> {
         let next = self.topology.paths().next.get(to);
         next.and_then(|next| self.switch.link_to(next)).ok_or_else(|| {
@@ -163,7 +164,7 @@ impl Core {
         })
     }
 
-    /// Applies a push of a RIB, unless another RIB has taken its place.
+    /// Applies a FIB push of a RIB, unless another RIB has taken its place.
     pub fn push(&mut self, push: &FibPush) -> Response {
         match self.rib_client.check_fence(self.clock.now().clock, push.run) {
             Ok(()) => self.switch.push(push),
@@ -171,17 +172,17 @@ impl Core {
         }
     }
 
-    /// The RIB here speaks with other domains from now on.
+    /// Starts the exchange between the local RIB and other domains.
     pub fn federate(&mut self) {
         self.rib_host.federate(self.clock.now(), self.membership.domain.as_ref(), unix_nanos());
     }
 
-    /// An owner of a name, or a domain, has revoked something.
+    /// Lets the local RIB re-evaluate its state after a name's owner or a domain revoked something.
     pub fn reconsider(&mut self, about: Name) {
         self.rib_host.reconsider(self.clock.now(), self.membership.domain.as_ref(), about, None);
     }
 
-    /// This replica of the RIB leads from now on.
+    /// Makes this replica the leader, with this RIB.
     pub fn lead(&mut self, mut rib: Rib, term: Arc<Term>) {
         rib.set_paths(self.now(), self.topology.paths().clone());
         self.rib_host.lead(rib, term);
@@ -189,7 +190,7 @@ impl Core {
         self.topology.set_rib(true);
     }
 
-    /// A leader whose lease is over has no RIB.
+    /// Drops the RIB of a leader whose lease has expired.
     pub fn end_term(&mut self) {
         if self.rib_host.end_term() {
             self.topology.set_rib(false);

@@ -1,5 +1,4 @@
-//! The neighbouring switches: which the configuration lists, what a frame to each costs, and which
-//! of them the topology counts as adjacent.
+//! The neighbouring switches: configuration, link costs and adjacencies.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -15,24 +14,24 @@ use super::switch::Switch;
 use crate::config::{Neighbour, Via};
 use crate::domain::Relationship;
 
-/// Switches that have links without being listed.
+/// The maximum number of unconfigured switches with links to this one.
 const MAX_UNLISTED: usize = EGRESS_SET_SIZE as usize;
 
-/// The neighbours of the configuration, and what links to neighbours cost.
+/// The configured neighbours, and the measured costs of links to neighbours.
 pub struct Neighbours {
     pub listed: Vec<Neighbour>,
-    /// Measures the cost of links whose cost is not configured.
+    /// The cost meter of each neighbour. A configured cost takes precedence.
     meters: BTreeMap<Name, Meter>,
 }
 
-/// The switches that a switch has links with.
+/// The adjacencies of a switch.
 #[derive(Default, PartialEq, Eq)]
 pub struct Adjacencies {
-    /// Those of its domain, and what a frame to each costs.
+    /// The cost of a frame to each neighbour of the same domain.
     pub neighbours: BTreeMap<Name, u32>,
-    /// Those of them whose links are all stale.
+    /// The neighbours of the same domain whose links are all stale.
     pub silent: BTreeSet<Name>,
-    /// Those of other domains, by domain and switch.
+    /// The adjacent switches of other domains, by domain and switch.
     pub borders: BTreeMap<(Name, Name), Adjoining>,
 }
 
@@ -45,8 +44,9 @@ impl Neighbours {
         self.listed.iter().find(|neighbour| neighbour.address.switch == *switch)
     }
 
-    /// Whether a switch may have a link where it came in. A neighbour that is listed has its
-    /// address. Any other must have been admitted by a domain (`is_member`: this switch has one).
+    /// Checks whether a switch may have a link on its incoming path. A configured neighbour must
+    /// come in on its configured port. Another switch needs admission by a domain; `is_member`
+    /// means that this switch has one.
     pub fn check(&self, peer: &Peer, via: &Via, switch: &Switch, is_member: bool) -> Result<(), String> {
         let name = peer.name;
         match self.get(&name) {
@@ -68,7 +68,7 @@ impl Neighbours {
         }
     }
 
-    /// This switch's adjacencies with other switches: those that frames may go by.
+    /// Returns the adjacencies with other switches over which frames can go.
     pub fn adjacencies(&self, switch: &Switch) -> Adjacencies {
         const SWITCH: u32 = LinkRole::Switch as u32;
         let live = switch.links.values().filter(|state| switch.has_carrier(state.to));
@@ -97,36 +97,36 @@ impl Neighbours {
         all
     }
 
-    /// What a frame to a neighbouring switch costs.
+    /// Returns the cost of a frame to a neighbouring switch.
     fn cost(&self, switch: &Name) -> u32 {
         let configured = self.get(switch).and_then(|neighbour| neighbour.cost);
         configured.unwrap_or_else(|| self.meters.get(switch).map_or(1, Meter::cost))
     }
 
-    /// The rank of a neighbour's domain among the parents of this one; none if it is no parent.
+    /// Returns the rank of a neighbour's domain among the parents of this one. Returns `None` if it
+    /// is no parent.
     fn parent_rank(&self, switch: &Name) -> Option<u8> {
         let index = self.listed.iter().position(|n| n.address.switch == *switch && n.parent)?;
         Some(u8::try_from(index).unwrap_or(u8::MAX))
     }
 
-    /// A neighbour that an earlier daemon had a link with.
+    /// Starts to measure a neighbour that had a link with an earlier daemon.
     pub fn adopt(&mut self, now: Duration, switch: Name) {
         self.meters.insert(switch, Meter::new(now, None));
     }
 
-    /// A link to a switch is up.
+    /// Starts to measure a neighbour whose link has come up.
     pub fn link_up(&mut self, now: Duration, link: &Link) {
         self.meters.entry(link.peer().name).or_insert_with(|| Meter::new(now, Some(link.rtt())));
     }
 
-    /// The first request over a link was answered within this time; whether the neighbour costs
-    /// something else from now on.
+    /// Records the round-trip time of the first request over a link. Returns whether the
+    /// neighbour's cost has changed.
     pub fn answered(&mut self, now: Duration, link: &Link, rtt: Duration) -> bool {
         self.meters.get_mut(&link.peer().name).is_some_and(|meter| meter.answered(now, rtt))
     }
 
-    /// Takes a sample of the round-trip time to each neighbour; whether one of them costs something
-    /// else from now on.
+    /// Samples the round-trip time to each neighbour. Returns whether the cost of one has changed.
     pub fn measure(&mut self, now: Duration, switch: &Switch) -> bool {
         let mut changed = false;
         for (neighbour, meter) in &mut self.meters {
@@ -138,7 +138,7 @@ impl Neighbours {
         changed
     }
 
-    /// Forgets neighbours that have no link: a new link begins with a new measurement.
+    /// Drops the meters of neighbours without a link. A new link starts a new measurement.
     pub fn forget_lost(&mut self, switch: &Switch) {
         self.meters.retain(|neighbour, _| switch.has_first_lane(neighbour) || switch.stale.keeps(neighbour));
     }

@@ -1,4 +1,4 @@
-//! Probes that wait for their answers.
+//! The probes that wait for answers.
 
 use std::collections::HashMap;
 use std::time::Instant;
@@ -8,36 +8,36 @@ use gdp_proto::control::Traced;
 use gdp_wire::Name;
 use tokio::sync::oneshot;
 
-/// Egress switches that are probed for a neighbour, at most.
+/// The maximum number of egress switches to probe for one trace of a neighbouring domain.
 pub const MAX_EGRESS: usize = 8;
 
-/// Probes for users of this domain that wait for their answers at once.
+/// The maximum number of outstanding probes for users of this domain.
 const MAX_OUTSTANDING: usize = 64;
 
-/// The same for each neighbouring domain, besides: two of its traces.
+/// The maximum number of outstanding probes for each neighbouring domain: two of its traces.
 const MAX_FOR_NEIGHBOUR: usize = 2 * MAX_EGRESS;
 
-/// The probes that wait for their answers. Each domain has its share: what others trace here keeps
-/// nobody else from it.
+/// The outstanding probes, by cookie. Each domain has its own quota, so that its traces do not
+/// block others.
 #[derive(Default)]
 pub struct Probes(HashMap<u64, PendingProbe>);
 
 struct PendingProbe {
-    /// The neighbouring domain that asked; none for this one.
+    /// The neighbouring domain that asked. `None` is this domain.
     asked_by: Option<Name>,
     answer: oneshot::Sender<(Traced, Instant)>,
 }
 
 impl Probes {
-    /// How many more there may be for a neighbouring domain, or this one. Probes that nobody waits
-    /// for any more do not count.
+    /// Returns how many more probes a neighbouring domain or this one may have outstanding. Probes
+    /// whose receiver is dropped do not count.
     pub fn room(&mut self, asked_by: Option<Name>) -> usize {
         self.0.retain(|_, probe| !probe.answer.is_closed());
         let pending = self.0.values().filter(|probe| probe.asked_by == asked_by).count();
         share(asked_by).saturating_sub(pending)
     }
 
-    /// An answer with this cookie is waited for from now on, until the receiver is dropped.
+    /// Registers a probe. The returned receiver gets the answer with this cookie.
     pub fn wait(
         &mut self,
         asked_by: Option<Name>,
@@ -51,10 +51,10 @@ impl Probes {
         Ok(waiting)
     }
 
-    /// An answer has come.
+    /// Passes an answer to the receiver of its probe.
     pub fn answer(&mut self, answer: Traced) {
         if let Some(probe) = self.0.remove(&answer.cookie) {
-            // Whoever asked may have given up.
+            // The receiver may be dropped.
             let _ = probe.answer.send((answer, Instant::now()));
         }
     }
@@ -64,7 +64,7 @@ fn share(asked_by: Option<Name>) -> usize {
     if asked_by.is_some() { MAX_FOR_NEIGHBOUR } else { MAX_OUTSTANDING }
 }
 
-/// Why there is nothing to probe.
+/// The reason why no probe was sent.
 #[derive(Debug, thiserror::Error)]
 pub enum ProbeError {
     #[error("this switch knows no name that begins with {0}")]
@@ -87,12 +87,12 @@ pub enum ProbeError {
     Random(String),
 }
 
-/// Where a name is, as this switch sees it.
+/// The location of a name, as this switch knows it.
 pub struct Location {
     pub name: Name,
-    /// Echoes reach it by a link of this switch.
+    /// Whether this switch has a link to the name, over which echoes reach it.
     pub is_near: bool,
-    /// The egress switches of the name; of a switch, itself.
+    /// The egress switches of the name. A switch is its own egress.
     pub egress: Vec<Name>,
 }
 

@@ -1,4 +1,5 @@
-//! Where names are, as this switch sees it; probes toward them, and traces of other domains.
+//! Locates names from this switch's view, sends probes toward them, and handles traces of other
+//! domains.
 
 use std::collections::BTreeSet;
 use std::time::Instant;
@@ -20,7 +21,7 @@ use super::probes::{Location, MAX_EGRESS, ProbeError};
 use super::relay::onward;
 
 impl Core {
-    /// The one name that begins so, of those this switch knows, and where it is.
+    /// Returns the one known name with this prefix, and its location.
     pub fn locate(&self, prefix: &NamePrefix) -> Result<Location, ProbeError> {
         let name = match prefix.full() {
             Some(name) => name,
@@ -39,7 +40,7 @@ impl Core {
         }
     }
 
-    /// The egress switches of a name that are on the map.
+    /// Returns the egress switches of a name that are in the topology.
     fn egress_of(&self, name: &Name) -> impl Iterator<Item = Name> {
         let paths = self.topology.paths();
         let bits = self.switch.planes.route(name).map_or(0, |entry| entry.egress_bits);
@@ -60,9 +61,10 @@ impl Core {
         }
     }
 
-    /// The answer to a probe that ended here, and by which link it goes; none if it came from
-    /// another domain, to which the inside of this one is hidden and no answer leads, or there is
-    /// no way back.
+    /// Returns the answer to a probe that ended here, and the link to send it over.
+    ///
+    /// Returns `None` for a probe from another domain, which must not see the inside of this one.
+    /// No answer would reach it either. Returns `None` too if there is no path back.
     pub fn answer_to(&self, probe: &Punted) -> Option<(Link, Request)> {
         if self.switch.links.get(&probe.link)?.role() != LinkRole::Switch as u32 {
             return None;
@@ -73,8 +75,8 @@ impl Core {
         Some((self.link_toward(&probe.source).ok()?, onward(probe.source, Request::Traced(answer))))
     }
 
-    /// Sends a probe for `name` toward an egress switch, `hops` switches far at most. `asked_by`:
-    /// the neighbouring domain it is for.
+    /// Sends a probe for `name` toward an egress switch, at most `hops` switches far. `asked_by` is
+    /// the neighbouring domain that requested it.
     pub fn send_probe(
         &mut self,
         asked_by: Option<Name>,
@@ -93,7 +95,7 @@ impl Core {
         Ok(answer)
     }
 
-    /// A switch of this domain asks for what is behind a link of this one.
+    /// Continues a trace of a switch of this domain over a border link of this switch.
     pub fn trace_leaves(&self, request: TraceOn) -> FollowUp {
         let TraceLeg::Out { domain, peer } = request.leg else {
             return refuse(RefusalCode::Malformed, "a trace that crosses a border is not passed on");
@@ -107,7 +109,7 @@ impl Core {
         }
     }
 
-    /// A neighbouring switch asks over its link.
+    /// Handles a trace that a neighbouring switch requests over its link.
     pub fn trace_enters(&mut self, from: &Link, request: TraceOn) -> FollowUp {
         match self.trace_entry(from, request) {
             Ok(entry) => FollowUp::Trace(Box::new(Tracing::Enters(entry))),
@@ -129,7 +131,7 @@ impl Core {
         }
         let is_transit = matches!(&state.admission.standing, Relationship::Border { ours, .. } if ours.transit);
         check_path(&request.path, &domain, &home)?;
-        // The same words for a name that nobody has and for one that is none of its business.
+        // The refusal is the same for an unknown name and for one to which the domain may not send.
         if !self.switch.planes.writers(&request.name).contains(&id) {
             let reason = format!("domain {home:#} takes nothing for {:#} from domain {domain:#}", request.name);
             return Err(Refusal::new(RefusalCode::NotFound, reason));
@@ -144,7 +146,7 @@ impl Core {
     }
 }
 
-/// A number by which the answer to a probe is recognised.
+/// Returns a random number that identifies the answer to a probe.
 pub fn cookie() -> Result<u64, ProbeError> {
     crypto::random().map(u64::from_ne_bytes).map_err(|error| ProbeError::Random(error.to_string()))
 }

@@ -1,6 +1,8 @@
-//! Control beyond the first hop: what goes to the RIB goes to the switch that has it, what the RIB
-//! says to the switch that it is for, each hop by hop over the links of the domain's switches as
-//! the topology leads. Whoever passes something on need not know what it is.
+//! Relays control requests hop by hop.
+//!
+//! Requests to the RIB go to its switch. Requests of the RIB go to the switch that they name. Each
+//! takes the links between the domain's switches along the paths of the topology. A relaying switch
+//! need not understand the request.
 
 use gdp_link::link::Link;
 use gdp_proto::control::{EntityRequest, MAX_HOPS, RefusalCode, Request, Response, TierLeg, TierMessage};
@@ -11,7 +13,7 @@ use super::follow_up::{FollowUp, refuse};
 use super::rib_client::Report;
 
 impl Core {
-    /// What a neighbouring switch asks or says.
+    /// Handles a request of a neighbouring switch.
     pub fn switch_request(&mut self, from: &Link, request: Request) -> FollowUp {
         match request {
             Request::Ready => {
@@ -25,8 +27,7 @@ impl Core {
         }
     }
 
-    /// Something that a neighbouring switch passes on: for this switch, for the RIB here, or to be
-    /// passed on.
+    /// Delivers a relayed request here, or forwards it to the next hop.
     fn relay(&mut self, from: &Link, to: Name, hops: u8, request: Request) -> FollowUp {
         let (own, peer) = (self.name(), from.peer().name);
         if self.switch.role_on(from) != Some(LinkRole::Switch as u32) {
@@ -54,7 +55,8 @@ impl Core {
         }
     }
 
-    /// Something that has come to where it was to go: from the RIB, or for the one here.
+    /// Delivers a request that has arrived at its destination: one of the RIB, or one for the local
+    /// RIB.
     fn deliver(&mut self, request: Request) -> FollowUp {
         let (own, now) = (self.name(), self.now());
         let origin = match &request {
@@ -87,7 +89,7 @@ impl Core {
         self.for_rib(request)
     }
 
-    /// What concerns other domains, and answers to probes.
+    /// Delivers requests that concern other domains, and answers to probes.
     fn deliver_here(&mut self, request: Request) -> FollowUp {
         let now = self.now();
         match request {
@@ -121,8 +123,8 @@ impl Core {
         }
     }
 
-    /// The RIB does not have what this switch thinks it has: the switch reports again, or the
-    /// endpoint attaches again.
+    /// Restores state that the RIB lacks: this switch reports again, or the endpoint attaches
+    /// again.
     fn reattach(&mut self, entity: Name) -> FollowUp {
         if entity == self.name() {
             self.rib_client.report = Report::Due;
@@ -133,7 +135,7 @@ impl Core {
     }
 }
 
-/// What an entity asks, if that is what a switch passes on.
+/// Returns the entity's request inside a relayed request, if there is one.
 pub fn relayed(request: &Request) -> Option<&EntityRequest> {
     match request {
         Request::Onward { request, .. } => match &**request {
@@ -144,7 +146,7 @@ pub fn relayed(request: &Request) -> Option<&EntityRequest> {
     }
 }
 
-/// As it goes on the first link.
+/// Wraps a request to switch `to` for the first hop.
 pub fn onward(to: Name, request: Request) -> Request {
     Request::Onward { to, hops: MAX_HOPS, request: Box::new(request) }
 }

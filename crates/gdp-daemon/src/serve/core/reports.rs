@@ -1,4 +1,4 @@
-//! This switch's report to the RIB: that it is there, and who is attached to it.
+//! This switch's report to the RIB: its presence, and the endpoints attached to it.
 
 use gdp_proto::control::Request;
 
@@ -8,7 +8,8 @@ use super::relay::onward;
 use super::rib_client::{PendingReport, Report};
 
 impl Core {
-    /// What is to be reported, and over which link; none if it is not due, or there is no way.
+    /// Returns the report to send and its link. Returns `None` if no report is due, or there is no
+    /// path to the RIB.
     pub fn report_to_send(&mut self) -> Option<PendingReport> {
         let (by, run) = self.topology.rib()?;
         if self.rib_client.report == (Report::Accepted { by, run }) {
@@ -24,7 +25,7 @@ impl Core {
         Some(PendingReport { by, run, follows, link, request: onward(by, report) })
     }
 
-    /// Reports to the RIB here, as other switches do.
+    /// Reports this switch to the local RIB.
     pub fn report_here(&mut self) -> FollowUp {
         let attached: Vec<_> = self.switch.attached.iter().copied().collect();
         let (proof, own_bit) = (self.identity.proof(), self.switch.routes.own_bit());

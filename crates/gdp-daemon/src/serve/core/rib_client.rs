@@ -1,5 +1,5 @@
-//! This switch as a client of the RIB, wherever that is: which run of the RIB it follows, whether
-//! that has its report, and which peerings the RIB wants of it.
+//! This switch as a client of the RIB: the RIB run it follows, the state of its report, and the
+//! peerings that the RIB wants.
 
 use std::time::Duration;
 
@@ -12,22 +12,22 @@ use tokio::sync::watch;
 
 use crate::serve::fence::Fence;
 
-/// How far the RIB has what this switch is to report: that it is there, and who is attached to it.
+/// The state of this switch's report to the RIB.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Report {
     #[default]
     Due,
-    /// Sent, and not answered; nothing has changed since.
+    /// The report is sent and not answered. Nothing has changed since.
     Sent,
-    /// Accepted by the RIB at switch `by`, in this run of its daemon.
+    /// The RIB at switch `by` has accepted the report, in this run of its daemon.
     Accepted { by: Name, run: u64 },
 }
 
-/// A report that is to be sent to the RIB at the switch `by`, in this run of its daemon.
+/// A report to send to the RIB at switch `by`, in this run of its daemon.
 pub struct PendingReport {
     pub by: Name,
     pub run: u64,
-    /// The run of the RIB that was followed then.
+    /// The RIB run that the switch followed when it made the report.
     pub follows: Option<u64>,
     pub link: Link,
     pub request: Request,
@@ -37,15 +37,15 @@ pub struct PendingReport {
 #[derive(Default)]
 pub struct RibClient {
     pub report: Report,
-    /// Of several that say they are the RIB, which one is followed.
+    /// Selects the RIB run to follow when several claim to be the RIB.
     pub fence: Fence,
     /// The links into other domains that the RIB wants this switch to have.
     pub peerings: watch::Sender<WantedPeerings>,
 }
 
 impl RibClient {
-    /// Refuses what a RIB of this run says if another has taken its place. `now`: on the daemon's
-    /// clock.
+    /// Refuses a message of this RIB run if another RIB has taken its place. `now` is the time of
+    /// the daemon's clock.
     pub fn check_fence(&mut self, now: Duration, run: u64) -> Result<(), Refusal> {
         let Err(fenced) = self.fence.admit(run, now) else { return Ok(()) };
         tracing::warn!(%fenced, "refused what a RIB says");
@@ -55,7 +55,7 @@ impl RibClient {
         Err(Refusal::new(RefusalCode::Fenced, fenced.to_string()))
     }
 
-    /// The RIB of this run wants this switch to have these links into other domains.
+    /// Stores the links into other domains that the RIB of this run wants this switch to have.
     pub fn set_peerings(&mut self, now: Duration, run: u64, mut wanted: WantedPeerings) -> Result<(), Refusal> {
         self.check_fence(now, run)?;
         wanted.values_mut().for_each(|addrs| addrs.truncate(MAX_ADDRESSES));
@@ -67,8 +67,8 @@ impl RibClient {
         Ok(())
     }
 
-    /// This run of the RIB has accepted a report that was sent when `follows` was followed. Whether
-    /// there is nothing new to report since.
+    /// Records that this run of the RIB accepted a report. `follows` is the run that the switch
+    /// followed when it sent the report. Returns whether nothing has changed since.
     pub fn report_accepted(&mut self, accepted: Report, run: u64, follows: Option<u64>) -> bool {
         self.fence.reported(run, follows);
         let is_last = self.report == Report::Sent;
@@ -78,11 +78,11 @@ impl RibClient {
         is_last
     }
 
-    /// Follows the topology, in which the RIB is at this switch, in this run of its daemon. Whether
-    /// there is something to report to it: it can be reached again, or is another one.
+    /// Follows the RIB's location in the topology: its switch and its run. Returns whether a report
+    /// to it is due, because the RIB has moved or is reachable again.
     pub fn follow(&mut self, rib: Option<(Name, u64)>) -> bool {
         match (rib, self.report) {
-            // The RIB may forget a switch that it does not reach either.
+            // The RIB may drop a switch that it does not reach either.
             (None, _) => {
                 self.report = Report::Due;
                 false

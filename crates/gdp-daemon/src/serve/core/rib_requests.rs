@@ -1,4 +1,5 @@
-//! Requests to the RIB: answered here if the RIB is here, else forwarded to the switch that has it.
+//! Requests to the RIB. The local RIB answers them; without one, this switch forwards them to the
+//! RIB's switch.
 
 use gdp_core::name::NameProof;
 use gdp_link::link::Link;
@@ -12,15 +13,15 @@ use super::rib_client::Report;
 use crate::serve::events::Event;
 
 impl Core {
-    /// What an entity asks, over its link or (`by_tool`) through the admin socket.
+    /// Handles a request of an entity, over its link or (`by_tool`) over the admin socket.
     pub fn entity_request(&mut self, entity: Option<NameProof>, by_tool: bool, request: EntityRequest) -> FollowUp {
-        // Who may use the admin socket runs this switch, and may have names listed.
+        // A user of the admin socket operates this switch, and may list names.
         let lists = by_tool && matches!(request, EntityRequest::Query { .. });
         let entity = entity.or_else(|| lists.then(|| self.identity.proof()));
         self.for_rib(Request::Relay { switch: self.name(), entity, by_tool, request })
     }
 
-    /// The link of an entity is gone.
+    /// Reports to the RIB that an entity's link is gone.
     pub fn detach(&mut self, entity: Name) -> FollowUp {
         if self.switch.attached.remove(&entity) {
             self.events.tell(Event::Detached { entity });
@@ -28,7 +29,7 @@ impl Core {
         self.for_rib(Request::Detach { switch: self.name(), entity })
     }
 
-    /// A message between RIBs came over a link into another domain.
+    /// Passes a message between RIBs from a border link to this domain's RIB.
     pub fn tier_across(&mut self, from: &Link, message: TierMessage) -> FollowUp {
         let (TierLeg::Across, Some(domain)) = (message.leg, self.switch.domain_of(from)) else {
             return refuse(RefusalCode::Malformed, "messages between RIBs come over a border, or are passed on");
@@ -37,7 +38,7 @@ impl Core {
         self.for_rib(Request::Tier(Box::new(message)))
     }
 
-    /// A request of a switch, for the RIB.
+    /// Passes a request of a switch to the local RIB, or forwards it to the RIB's switch.
     pub fn for_rib(&mut self, request: Request) -> FollowUp {
         if self.rib_host.rib.is_none() {
             return self.to_rib(request);
@@ -72,7 +73,8 @@ impl Core {
         }
     }
 
-    /// The switch of the RIB, which has accepted this switch's report; or why there is none to ask.
+    /// Returns the RIB's switch, once the RIB has accepted this switch's report. Fails with the
+    /// reason if there is none to ask.
     pub fn rib_at(&self) -> Result<Name, Refusal> {
         let own = self.name();
         let unreachable = |why: String| Refusal::new(RefusalCode::Unreachable, why);

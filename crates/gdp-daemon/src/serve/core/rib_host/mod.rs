@@ -1,5 +1,4 @@
-//! The RIB, if it is at this switch: answers requests, and stores what they change if it is the
-//! leader of several replicas.
+//! The local RIB. It answers requests, and stores the changes if it leads several replicas.
 
 mod tiers;
 
@@ -28,17 +27,17 @@ use crate::store::items::ItemChange;
 /// and the time in units of 17 ms.
 const RUN_BITS: u32 = 24;
 
-/// The RIB of the domain, if it is here.
+/// The RIB of the domain, if this switch hosts it.
 pub struct RibHost {
     switch: Name,
     pub rib: Option<Rib>,
-    /// If this is a member of a domain.
+    /// The exchange with other domains, if this switch is a member of a domain.
     pub federation: Option<Federation>,
-    /// The RIB's term, if it is the leader of several replicas.
+    /// The leader term, if this RIB leads several replicas.
     term: Option<Arc<Term>>,
-    /// Why a replica has no RIB, as far as it knows.
+    /// The reason why this replica has no RIB, if known.
     pub no_rib: Option<String>,
-    /// Invitations that have admitted somebody, which is not stored yet.
+    /// The serials of invitations with new admissions that are not stored yet.
     unstored_invitations: BTreeSet<u64>,
     events: Events,
     /// The counts of names and switches in the last event.
@@ -46,7 +45,7 @@ pub struct RibHost {
 }
 
 impl RibHost {
-    /// `has_rib`: the RIB is here, without replicas.
+    /// Creates the state. `has_rib` means that this switch hosts the RIB, without replicas.
     pub fn new(switch: Name, has_rib: bool, events: Events) -> Self {
         let run = RibRun { id: run_id(unix_nanos() >> RUN_BITS), settling: GRACEFUL_RESTART_TIME };
         Self {
@@ -61,12 +60,12 @@ impl RibHost {
         }
     }
 
-    /// This replica leads with this RIB from now on.
+    /// Makes this replica the leader, with this RIB.
     pub fn lead(&mut self, rib: Rib, term: Arc<Term>) {
         (self.rib, self.term, self.no_rib) = (Some(rib), Some(term), None);
     }
 
-    /// A leader whose lease is over has no RIB. Whether that is so from now on.
+    /// Drops the RIB of a leader whose lease has expired. Returns whether it did.
     pub fn end_term(&mut self) -> bool {
         let is_over = self.term.take_if(|term| term.is_over()).is_some();
         if is_over {
@@ -75,7 +74,7 @@ impl RibHost {
         is_over
     }
 
-    /// Answers what an entity asks. A query that misses climbs.
+    /// Answers a request of an entity. A query that finds nothing goes to other domains.
     pub fn request(
         &mut self,
         now: Now,
@@ -114,7 +113,8 @@ impl RibHost {
         refuse(RefusalCode::Unreachable, format!("the RIB is not at switch {}", self.switch))
     }
 
-    /// Takes the report of a switch. `statement`: that it is of this domain, for other domains.
+    /// Accepts the report of a switch. `statement` proves to other domains that the switch is of
+    /// this domain.
     pub fn report(
         &mut self,
         now: Now,
@@ -131,7 +131,7 @@ impl RibHost {
         FollowUp::Answer(response)
     }
 
-    /// An entity's link to a switch is gone.
+    /// Handles the loss of an entity's link to a switch.
     pub fn detach(&mut self, now: Now, switch: &Name, entity: &Name) -> FollowUp {
         match &mut self.rib {
             Some(rib) => FollowUp::Answer(rib.detach(now, switch, entity)),
@@ -139,7 +139,7 @@ impl RibHost {
         }
     }
 
-    /// What the RIB has to send now; nothing without one.
+    /// Returns what the RIB has to send now. Returns nothing without a RIB.
     pub fn effects(&mut self, now: Now) -> Vec<Effect> {
         let Some(rib) = &mut self.rib else { return Vec::new() };
         let (names, switches) = (rib.name_count(), rib.switch_count());
@@ -149,7 +149,8 @@ impl RibHost {
         rib.effects(now)
     }
 
-    /// What a switch answered to the push of this generation; none: nothing.
+    /// Records a switch's response to the FIB push of this generation. `None` means that no
+    /// response came.
     pub fn pushed(&mut self, now: Now, switch: &Name, generation: u64, response: Option<Response>) {
         let outcome = match response {
             Some(Response::Refused(refusal)) if refusal.code == RefusalCode::Limit => Pushed::Partly(refusal.reason),
@@ -165,16 +166,15 @@ impl RibHost {
         }
     }
 
-    /// Does what is due by now. Returns when there is something to do next.
+    /// Runs the timers that are due. Returns the time of the next one, on the daemon's clock.
     pub fn tick(&mut self, now: Now) -> Option<Duration> {
         let rib = self.rib.as_mut()?;
         rib.tick(now);
         rib.next_tick().into_iter().chain(self.federation.as_ref().and_then(Federation::next_tick)).min()
     }
 
-    /// What follows from a request: if the RIB here has changed with it, that is to be stored
-    /// before the request is answered. To be called under the lock under which the request was
-    /// taken in.
+    /// Delays a positive answer until the changes of the local RIB are stored. The caller must hold
+    /// the lock under which it handled the request.
     pub fn store_first(&mut self, next: FollowUp) -> FollowUp {
         let (Some(term), Some(rib)) = (&self.term, &mut self.rib) else { return next };
         if let FollowUp::SaveInvitation { new: Some(serial) } = &next {
@@ -182,13 +182,13 @@ impl RibHost {
         }
         let is_positive = !matches!(next, FollowUp::Answer(Response::Refused(_) | Response::Records { .. }));
         let is_stored = !rib.has_changed() && self.unstored_invitations.is_empty() && !term.is_writing();
-        // A switch that reports follows this RIB: etcd is to say that it leads.
+        // A switch that reports follows this RIB, so etcd must confirm that this RIB leads.
         let is_report = matches!(next, FollowUp::Answer(Response::Reported { .. }));
         if is_positive && (is_report || !is_stored) { FollowUp::Store(term.ticket(), Box::new(next)) } else { next }
     }
 
-    /// Moves what has changed and is not stored to `changed`, and says how it is to be stored, and
-    /// for which tickets. None without a RIB.
+    /// Moves changed and unstored items to `changed`. Returns the last ticket that they cover, and
+    /// how to store them. Returns `None` without a RIB or a leader term.
     pub fn unstored(
         &mut self,
         now: Now,
@@ -207,14 +207,14 @@ impl RibHost {
     }
 }
 
-/// What an entity states by an advertisement or a subscription.
+/// Returns the statement that an advertisement or a subscription makes.
 fn statement(advert: &Signed<Advert>) -> Option<Statement> {
     let Advert { name, entity, op, switch, .. } = advert.claims_unverified().ok()?;
     Some(Statement { name, entity, role: NameRole::of(op)?, switch })
 }
 
-/// The number of a run of a RIB: higher than that of one with a lower `term`; and another one,
-/// should terms be counted anew.
+/// Returns the number of a RIB run, which is higher than that of any run with a lower `term`. The
+/// random low bits tell runs apart if terms start over.
 pub fn run_id(term: u64) -> u64 {
     let random = crypto::random::<8>().map_or_else(|_| unix_nanos(), u64::from_ne_bytes);
     term << RUN_BITS | random & ((1 << RUN_BITS) - 1)

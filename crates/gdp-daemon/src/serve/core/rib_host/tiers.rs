@@ -1,5 +1,5 @@
-//! The RIB here and other domains: keeps the RIB and [`gdp_rib::tiers`] informed of each other, and
-//! decides what is sent to other domains' RIBs and to this domain's borders.
+//! The local RIB and other domains. Synchronises the RIB with [`gdp_rib::tiers`], and decides what
+//! to send to other domains' RIBs and to this domain's borders.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -18,12 +18,12 @@ use crate::domain::Domain;
 use crate::serve::core::follow_up::{FederationEffect, FollowUp, refuse};
 use crate::serve::federation::{Federation, Known};
 
-/// How soon a border that did not answer is told again which peerings are wanted of it.
+/// The delay before a border that did not accept its peerings gets them again.
 const RESEND_PEERINGS: Duration = Duration::from_secs(2);
 
 impl RibHost {
-    /// The RIB here speaks with other domains as a member of its own; it knows what they have
-    /// revoked.
+    /// Starts the exchange with other domains as a member of `domain`. Passes the known revocations
+    /// of domains to the RIB.
     pub fn federate(&mut self, now: Now, domain: Option<&Domain>, run: u64) {
         if let (Some(rib), Some(domain)) = (&mut self.rib, domain) {
             let trust = &domain.trust;
@@ -33,8 +33,8 @@ impl RibHost {
         }
     }
 
-    /// Which domains are parents and which have a link with this one, and by which borders they are
-    /// reached.
+    /// Updates the adjacent domains, the parents, and the borders that reach them, from the
+    /// topology.
     pub fn follow_borders(&mut self, now: Now, topology: &Topology) {
         let (Some(rib), Some(federation)) = (&mut self.rib, &mut self.federation) else { return };
         let (mut ways, mut parents) = (BTreeMap::<Name, Vec<BorderLink>>::new(), BTreeSet::new());
@@ -51,7 +51,8 @@ impl RibHost {
                 listed.push(domain);
             }
         }
-        // A parent whose links are gone stays one until it is forgotten: the links may come back.
+        // A parent without links remains one until it is forgotten, because the links may come
+        // back.
         let before = federation.tiers.parents().iter().filter(|parent| !ways.contains_key(parent));
         let lost: Vec<Name> = before.filter(|parent| !listed.contains(parent)).copied().collect();
         listed.extend(lost);
@@ -59,8 +60,8 @@ impl RibHost {
         rib.set_ways(now, ways);
     }
 
-    /// Brings RIB and tiers in line with each other. `own`: the statement of this switch, of which
-    /// domain it is.
+    /// Synchronises RIB and tiers, and returns what to send. `own` is this switch's statement of
+    /// its domain.
     pub fn federation_effects(
         &mut self,
         now: Now,
@@ -96,7 +97,8 @@ impl RibHost {
         effects
     }
 
-    /// Whether a border knows which peerings are wanted of it; if not, it is told again.
+    /// Records a border's response to its peerings. Schedules a resend if the border refused or did
+    /// not answer.
     pub fn peerings_answered(&mut self, now: Now, border: Name, response: Option<Response>) {
         let wanted = self.federation.as_mut().and_then(|federation| federation.wanted.get_mut(&border));
         if let (Some((_, due)), None | Some(Response::Refused(_))) = (wanted, response) {
@@ -104,7 +106,7 @@ impl RibHost {
         }
     }
 
-    /// A message of the RIB of another domain.
+    /// Handles a message of the RIB of another domain.
     pub fn tier_request(&mut self, now: Now, domain: Option<&Domain>, from: Name, request: TierRequest) -> FollowUp {
         let (Some(rib), Some(federation), Some(domain)) = (&self.rib, &mut self.federation, domain) else {
             return refuse(RefusalCode::Unreachable, format!("switch {} has no RIB of a domain", self.switch));
@@ -122,10 +124,11 @@ impl RibHost {
         }
     }
 
-    /// Takes in what the owner of a name has revoked, as the domain `from` said. Whether it did.
+    /// Accepts a revocation by the owner of a name that domain `from` passed on. Returns whether
+    /// the RIB accepted it.
     fn take_revoked(&mut self, now: Now, domain: &Domain, from: Name, kept: &SignedRevocation) -> bool {
         let (Some(rib), Ok(name)) = (&mut self.rib, kept.proof.name()) else { return false };
-        // What domains revoke goes from switch to switch.
+        // Revocations by domains are flooded from switch to switch.
         if domain.trust.knows(&name) {
             return false;
         }
@@ -137,7 +140,7 @@ impl RibHost {
         true
     }
 
-    /// What became of a message to another domain's RIB.
+    /// Passes the outcome of a message to another domain's RIB on to the tiers.
     pub fn tier_answered(
         &mut self,
         now: Now,
@@ -157,11 +160,11 @@ impl RibHost {
         federation.tiers.answered(now, to, sent, response, &Known { rib, trust: &domain.trust });
     }
 
-    /// A switch has reported, and states of which domain it is: if of this one, other domains may
-    /// see it.
+    /// Registers a reporting switch's statement of its domain. Other domains may see it if the
+    /// switch is of this domain.
     pub(super) fn switch_stated(&mut self, now: Now, domain: &Domain, proof: &NameProof, statement: Host) {
         let (Some(federation), Ok(switch)) = (&mut self.federation, proof.name()) else { return };
-        // A border that has begun anew has forgotten what is wanted of it.
+        // A restarted border has lost the peerings that it should have.
         if let Some((_, due)) = federation.wanted.get_mut(&switch) {
             *due = Some(now.clock);
         }
@@ -170,8 +173,8 @@ impl RibHost {
         }
     }
 
-    /// An owner of a name, or a domain, has revoked something. `said_by`: the domain that said so,
-    /// if another one did.
+    /// Re-evaluates the state of RIB and tiers after a name's owner or a domain revoked something.
+    /// `said_by` is the other domain that passed the revocation on, if one did.
     pub fn reconsider(&mut self, now: Now, domain: Option<&Domain>, about: Name, said_by: Option<Name>) {
         let (Some(rib), Some(domain)) = (&mut self.rib, domain) else { return };
         if let Some(claims) = domain.trust.revocation(&about) {

@@ -1,4 +1,4 @@
-//! Links come into service, change and leave it.
+//! Puts links into service, updates them, and takes them out of service.
 
 use std::time::Instant;
 
@@ -16,11 +16,12 @@ use crate::serve::core::link_state::{LinkState, flags_of, link_role, role_on};
 use crate::serve::events::Event;
 use crate::serve::graceful_restart::{GRACE, Reservation, StaleLink};
 
-/// Links of endpoints. Anybody can make one, so some are left for switches.
+/// The maximum number of endpoint links. Any endpoint may make one, so the rest are reserved for
+/// switches.
 const MAX_ENDPOINTS: usize = (MAX_LINKS - EGRESS_SET_SIZE) as usize;
 
 impl Switch {
-    /// Whether there is room for the link of another endpoint.
+    /// Checks whether another endpoint link fits.
     pub fn check_room(&self) -> Result<(), String> {
         let live = self.links.values().filter(|state| state.link.peer().role == Role::Endpoint).count();
         let stale = self.stale.iter().filter(|stale| stale.role == LinkRole::Endpoint).count();
@@ -30,14 +31,14 @@ impl Switch {
         Err(format!("{MAX_ENDPOINTS} endpoints have links to this switch, the most it takes"))
     }
 
-    /// Takes a link into service. Returns the one to the same peer that it replaces.
+    /// Takes a link into service. Returns the link to the same peer that this one replaces.
     pub fn link_up(&mut self, link: &Link, via: Via, admission: Admission) -> Result<Option<Link>, PlaneError> {
         let (id, peer, lane) = (link.local_id(), link.peer().name, link.peer().lane);
         let (mut entry, to) = (KeyedEntry::from(link.entry(PORT_USERSPACE)), link.addr());
         let role = role_on(link, &admission);
         (entry.role, entry.flags) = (role as u32, flags_of(&admission));
         if let Err(error) = self.planes.set_link(*entry, to) {
-            // A part of the planes may have taken it.
+            // Some of the data planes may have accepted the link.
             let _ = self.planes.remove_link(id);
             return Err(error);
         }
@@ -58,7 +59,8 @@ impl Switch {
         Ok(replaced)
     }
 
-    /// The peer takes data frames on this link.
+    /// Switches routes to a link on which the peer accepts data frames, and schedules the removal
+    /// of the stale link that it replaces.
     pub fn link_ready(&mut self, link: &Link) {
         let (peer, id) = (link.peer().name, link.local_id());
         if let Some(role) = self.links.get(&id).and_then(|state| state.entry.role()) {
@@ -68,22 +70,25 @@ impl Switch {
         }
     }
 
-    /// An endpoint wants on this link what it takes on one.
+    /// Makes this link the one that an endpoint prefers for frames that need only one of its links.
     pub fn prefer(&mut self, link: &Link) {
         let changes = self.routes.link_preferred(link.peer().name, link.local_id());
         self.apply(changes);
     }
 
-    /// A peer got no link.
+    /// Records that a peer got no link, and why.
     pub fn refused(&mut self, peer: Name, via: &Via, reason: &str) {
         self.refusals.add(peer, reason.to_owned(), Instant::now());
         self.events.tell(Event::LinkRefused { peer, via: via.to_string(), reason: reason.to_owned() });
     }
 
-    /// A link is closed. It goes out of service, unless frames may still come on it: because the
-    /// peer is only about to learn that another has replaced it, or because the peer said nothing,
-    /// and may forward on without its daemon: then it is stale, and to be
-    /// [watched](crate::serve::liveness). Returns whether it is.
+    /// Handles a closed link. Returns whether it is stale and must be
+    /// [watched](crate::serve::liveness).
+    ///
+    /// The link stays in the data planes for a while if frames may still arrive on it. That is so
+    /// if another link of the peer has replaced it, and the peer has yet to learn this. It is also
+    /// so if the peer fell silent: its data plane may forward without its daemon. Only the second
+    /// case counts as stale here.
     pub fn link_down(&mut self, link: &Link) -> bool {
         let (id, peer, lane) = (link.local_id(), link.peer().name, link.peer().lane);
         if self.peers.get(&(peer, lane)) == Some(&id) {
@@ -106,13 +111,13 @@ impl Switch {
         is_silent
     }
 
-    /// Whether a link is stale whose peer has no other of that lane.
+    /// Returns whether this link is stale and its peer has no other link on that lane.
     pub fn awaits(&self, link: &Link) -> bool {
         self.stale.contains(link.local_id()) && !self.peers.contains_key(&(link.peer().name, link.peer().lane))
     }
 
-    /// Removes a stale link, because its time is over or nothing forwards at its other end. Returns
-    /// its peer, if that is an endpoint that is no longer attached for it.
+    /// Removes a stale link because it has expired, or because nothing forwards at its other end.
+    /// Returns its peer, if that is an attached endpoint without any other link.
     pub fn release(&mut self, id: u32) -> Option<Name> {
         let StaleLink { peer, role, .. } = self.stale.take(id)?;
         self.remove_link(role, peer, id);
@@ -120,7 +125,7 @@ impl Switch {
         (is_lost && self.attached.contains(&peer)).then_some(peer)
     }
 
-    /// Whether no link to a peer is left, stale ones included.
+    /// Returns whether no link to a peer is left, stale ones included.
     fn is_lost(&self, peer: &Name) -> bool {
         self.links_of(peer).next().is_none() && !self.stale.keeps(peer)
     }
@@ -136,7 +141,8 @@ impl Switch {
         }
     }
 
-    /// The peer of a link was admitted by renewed credentials: whether it may keep the link.
+    /// Updates a link whose peer renewed its credentials. Fails if the peer's standing changed,
+    /// which needs a new link.
     pub fn readmit(&mut self, link: &Link, admission: Admission) -> Result<(), String> {
         let Some(state) = self.links.get_mut(&link.local_id()) else { return Ok(()) };
         if admission.standing.as_str() != state.admission.standing.as_str() {
@@ -151,9 +157,9 @@ impl Switch {
         Ok(())
     }
 
-    /// Admits the peers of links again, of all or only of those whose time has come (at Unix time
-    /// `now`). Returns links to be closed, with the reason, and endpoints whose last link was a
-    /// stale one.
+    /// Readmits the peers of all links, or only of those whose admission expired before `now`, in
+    /// Unix seconds. Returns the links to close with the reason, and the endpoints that lost their
+    /// last link, a stale one.
     pub fn readmit_all(
         &mut self,
         now: u64,
@@ -175,7 +181,7 @@ impl Switch {
                 Err(error) => refused.push((state.link.clone(), error.to_string())),
             }
         }
-        // Stale links end soon by themselves.
+        // Stale links expire soon by themselves.
         let may_stay = |stale: &StaleLink| only_ended || stale.link().is_none_or(|link| admit(link).is_ok());
         let over: Vec<u32> = self.stale.iter().filter(|stale| !may_stay(stale)).map(|stale| stale.entry.id).collect();
         changed.into_iter().for_each(|id| self.put_flags(id));
@@ -183,7 +189,7 @@ impl Switch {
         (refused, lost)
     }
 
-    /// Writes what the peer's domain may do to the data planes.
+    /// Writes the rights of the peer's domain to the data planes.
     fn put_flags(&mut self, id: u32) {
         let Some(state) = self.links.get_mut(&id) else { return };
         state.entry.flags = flags_of(&state.admission);
@@ -192,7 +198,7 @@ impl Switch {
         }
     }
 
-    /// Writes the keys that a link has from now on to the data planes; `false` if it is gone, or a
+    /// Writes new link keys to the data planes. Returns `false` if the link is gone, or a data
     /// plane refuses.
     pub fn put_keys(&mut self, id: u32, keys: &LinkKeys) -> bool {
         let Some(state) = self.links.get_mut(&id) else { return false };
@@ -204,8 +210,8 @@ impl Switch {
         result.is_ok()
     }
 
-    /// Looks whether peers have moved to other addresses, as QUIC has validated; and what the paths
-    /// to them take.
+    /// Updates the data planes when a peer's QUIC-validated address, path MTU or carrier has
+    /// changed.
     pub fn follow_addresses(&mut self) {
         for state in self.links.values_mut() {
             let (to, mtu, carrier) = (state.link.addr(), state.link.mtu(), state.link.carrier());
@@ -226,8 +232,8 @@ impl Switch {
         }
     }
 
-    /// The interfaces to endpoints on this host are gone: they are to make links anew, and send
-    /// through the daemon.
+    /// Closes the links over veth interfaces to endpoints on this host, because the interfaces are
+    /// gone. The endpoints make new links and send through the daemon.
     pub fn close_links_by_pair(&self) {
         for state in self.links.values().filter(|state| state.link.is_by_pair()) {
             state.link.close("the interfaces between the switch and its host are gone");

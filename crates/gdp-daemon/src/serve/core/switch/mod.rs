@@ -1,4 +1,4 @@
-//! This switch's forwarding: the links, the FIB in links, and the data planes that have both.
+//! This switch's forwarding state: the links, the FIB, and the data planes that hold both.
 
 mod links;
 
@@ -19,7 +19,8 @@ use crate::serve::graceful_restart::{GracefulRestart, Reservation, StaleLink};
 use crate::serve::refusals::Refusals;
 use crate::serve::routes::{PlaneChange, Routes};
 
-/// Routes that are tried in vain whenever there may be room: one may need what another does not.
+/// The maximum number of refused routes in one retry. Several are tried because routes need
+/// different resources.
 const MAX_REFUSALS: usize = 16;
 
 /// The links of this switch, its FIB and its data planes.
@@ -28,20 +29,20 @@ pub struct Switch {
     pub planes: Planes,
     pub routes: Routes,
     pub links: HashMap<u32, LinkState>,
-    /// Links that the data planes have besides.
+    /// The stale links. The data planes have them besides `links`.
     pub stale: GracefulRestart,
-    /// The link to each peer; to an endpoint, of each lane.
+    /// The newest link to each peer, by peer and lane. Only endpoints have several lanes.
     peers: BTreeMap<(Name, u8), u32>,
-    /// Endpoints that the RIB has attached here.
+    /// The endpoints that the RIB has attached to this switch.
     pub attached: HashSet<Name>,
-    /// Why peers have no link.
+    /// The reasons why peers got no link.
     pub refusals: Refusals,
     events: Events,
-    /// Interfaces without a carrier, by index.
+    /// The indices of interfaces without carrier.
     no_carrier: BTreeSet<u32>,
-    /// Routes that the data plane refused, and why it refused the last.
+    /// The routes that the data plane refused, and the reason of the last refusal.
     pending_routes: (BTreeMap<Name, PlaneRoute>, String),
-    /// Until when the data planes keep the ports and programs that an earlier daemon left.
+    /// The time until which the data planes keep the ports and programs of an earlier daemon.
     adopted_until: Option<Instant>,
 }
 
@@ -63,9 +64,9 @@ impl Switch {
         }
     }
 
-    /// Keeps what an earlier daemon left in the data planes, until peers and RIB have replaced it,
-    /// for a while. The endpoints it had links with count as attached: they attach again when they
-    /// notice. Returns the neighbouring switches.
+    /// Keeps the data-plane state of an earlier daemon for the graceful-restart time, until peers
+    /// and RIB replace it. The endpoints of its links count as attached; they attach again when
+    /// they detect the restart. Returns the neighbouring switches.
     pub fn take_over(&mut self, ids: &LinkIds) -> Vec<Name> {
         let Some(left) = self.planes.left().cloned() else { return Vec::new() };
         let until = Instant::now() + GRACEFUL_RESTART_TIME;
@@ -94,7 +95,7 @@ impl Switch {
         neighbours
     }
 
-    /// Removes stale links whose time is over. Returns endpoints that are no longer attached.
+    /// Removes expired stale links. Returns the endpoints that are no longer attached.
     pub fn end_stale_links(&mut self, now: Instant) -> Vec<Name> {
         let lost = self.stale.over(now).into_iter().filter_map(|id| self.release(id)).collect();
         if self.adopted_until.take_if(|until| *until <= now).is_some() {
@@ -109,7 +110,7 @@ impl Switch {
         lost
     }
 
-    /// Applies a push of the RIB.
+    /// Applies a FIB push of the RIB.
     pub fn push(&mut self, push: &FibPush) -> Response {
         match self.routes.push(push) {
             Ok(changes) => {
@@ -119,7 +120,7 @@ impl Switch {
                 self.apply(changes);
                 match self.pending_routes() {
                     None => Response::Done,
-                    // Other refusals make the RIB send the whole again.
+                    // After any other refusal, the RIB sends the whole FIB again.
                     Some(reason) => Refusal::new(RefusalCode::Limit, reason).into(),
                 }
             }
@@ -127,13 +128,14 @@ impl Switch {
         }
     }
 
-    /// What the data plane lacks of the FIB, and why.
+    /// Returns how many names have no route in the data plane, and why. Returns `None` if none
+    /// lacks one.
     pub fn pending_routes(&self) -> Option<String> {
         let (names, reason) = &self.pending_routes;
         (!names.is_empty()).then(|| format!("{} names have no route at switch {}: {reason}", names.len(), self.name))
     }
 
-    /// Applies changes in the data planes. Routes that find no room are applied when there is some.
+    /// Applies changes to the data planes. Retries routes that the data plane refused before.
     pub fn apply(&mut self, changes: Vec<PlaneChange>) {
         for change in changes {
             let result = match change {
@@ -150,7 +152,7 @@ impl Switch {
                 }
                 PlaneChange::NextHops(next_hops) => self.planes.set_next_hops(&next_hops),
                 PlaneChange::Set(name, route) => {
-                    // At once, so that a name that finds no room delays no other.
+                    // Apply each route on its own, so that one refused name delays no other.
                     match self.planes.set_route(name, &route) {
                         Ok(()) => _ = self.pending_routes.0.remove(&name),
                         Err(error) => {
@@ -192,41 +194,42 @@ impl Switch {
         }
     }
 
-    /// The link to a peer, if it is up; to an endpoint with several, the one that it prefers.
+    /// Returns the link to a peer, if it is up. Returns the preferred one of an endpoint with
+    /// several links.
     pub fn link_to(&self, peer: &Name) -> Option<Link> {
         let preferred = self.routes.link_to(peer).filter(|id| self.links.contains_key(id));
         let id = preferred.or_else(|| self.links_of(peer).next())?;
         self.links.get(&id).map(|state| state.link.clone())
     }
 
-    /// The link to a border switch of another domain, while it is one.
+    /// Returns the link to a border switch, if that is a border of `domain`.
     pub fn border_link(&self, peer: &Name, domain: Name) -> Option<Link> {
         let link = self.link_to(peer)?;
         (self.domain_of(&link) == Some(domain)).then_some(link)
     }
 
-    /// The domain whose border is at the other end of a link.
+    /// Returns the peer's domain, if the peer of a link is a border of another domain.
     pub fn domain_of(&self, link: &Link) -> Option<Name> {
         self.links.get(&link.local_id())?.domain()
     }
 
-    /// What the data planes take a link's peer for.
+    /// Returns the role that the data planes give the peer of a link.
     pub fn role_on(&self, link: &Link) -> Option<u32> {
         self.links.get(&link.local_id()).map(LinkState::role)
     }
 
-    /// The links of an endpoint here.
+    /// Returns the links of an endpoint.
     pub fn links_of_endpoint(&self, entity: &Name) -> Vec<Link> {
         let links = self.links_of(entity).filter_map(|id| Some(self.links.get(&id)?.link.clone()));
         links.filter(|link| link.peer().role == Role::Endpoint).collect()
     }
 
-    /// The ids of the links to a peer.
+    /// Returns the ids of the links to a peer.
     pub fn links_of(&self, peer: &Name) -> impl Iterator<Item = u32> {
         self.peers.range((*peer, 0)..=(*peer, u8::MAX)).map(|(_, id)| *id)
     }
 
-    /// The newest link of a peer's first lane, the only lane of a switch.
+    /// Returns the newest link on a peer's first lane. A switch has only this lane.
     pub fn newest_link(&self, peer: &Name) -> Option<&LinkState> {
         self.peers.get(&(*peer, 0)).and_then(|id| self.links.get(id))
     }
@@ -235,13 +238,14 @@ impl Switch {
         self.peers.contains_key(&(*peer, 0))
     }
 
-    /// Peers by the links they are on.
+    /// Returns the peer of each link, stale links included, by link id.
     pub fn peers_by_link(&self) -> BTreeMap<u32, Name> {
         let live = self.links.iter().map(|(id, state)| (*id, state.link.peer().name));
         live.chain(self.stale.iter().map(|stale| (stale.entry.id, stale.peer))).collect()
     }
 
-    /// What this switch delivers a name to; nothing if it is no egress switch of the name.
+    /// Returns where this switch delivers frames for a name. The result is empty if it is no egress
+    /// switch of the name.
     pub fn end_of(&self, name: &Name) -> TracedEnd {
         let mut end = TracedEnd::default();
         let Some(entry) = self.planes.route(name) else { return end };
@@ -257,12 +261,14 @@ impl Switch {
         end
     }
 
-    /// Whether the interface that frames to an address leave by has a carrier, as far as is known.
+    /// Returns whether the interface for an address has carrier. An interface without a report
+    /// counts as having it.
     pub fn has_carrier(&self, to: LinkAddr) -> bool {
         !matches!(to, LinkAddr::Ethernet { ifindex, .. } if self.no_carrier.contains(&ifindex))
     }
 
-    /// No frame goes by these interfaces from now on. Whether they are others than before.
+    /// Sets the interfaces without carrier, which send no frames. Returns whether the set has
+    /// changed.
     pub fn set_no_carrier(&mut self, interfaces: BTreeSet<u32>) -> bool {
         let changed = interfaces != self.no_carrier;
         self.no_carrier = interfaces;
