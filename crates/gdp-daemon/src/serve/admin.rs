@@ -1,5 +1,5 @@
-//! The admin socket: a Unix socket for the user who runs the daemon. One JSON object per line each
-//! way, see [`gdp_proto::admin`]; bounded in length and number.
+//! The admin socket: a Unix socket for the user who runs the daemon. Each line is one JSON object,
+//! in both directions; see [`gdp_proto::admin`]. Length and number of requests are bounded.
 
 use std::os::unix::fs::{DirBuilderExt, FileTypeExt, PermissionsExt};
 use std::path::{Path, PathBuf};
@@ -27,10 +27,10 @@ use super::status;
 use super::trace::Hop;
 use gdp_proto::admin::{MAX_REQUEST, PAGE, Reply, Request, reply_line};
 
-/// Commands served at once.
+/// The maximum number of connected clients.
 const MAX_CLIENTS: usize = 32;
 
-/// A client that says nothing for this long is let go.
+/// The maximum idle time of a client before its connection closes.
 const IDLE: Duration = Duration::from_secs(30);
 
 #[derive(Debug, thiserror::Error)]
@@ -43,7 +43,7 @@ pub enum AdminError {
     Io { path: PathBuf, source: std::io::Error },
 }
 
-/// The socket file, removed at the end.
+/// The socket file. Dropping this removes it.
 pub struct Listening(PathBuf);
 
 impl Drop for Listening {
@@ -54,7 +54,7 @@ impl Drop for Listening {
     }
 }
 
-/// Opens the socket, mode 0600; a file left by a daemon that crashed is replaced.
+/// Opens the socket with mode 0600. Replaces the file of a crashed daemon.
 pub fn listen(daemon: &Arc<Daemon>, path: &Path) -> Result<Listening, AdminError> {
     let io = |source| AdminError::Io { path: path.into(), source };
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
@@ -66,7 +66,7 @@ pub fn listen(daemon: &Arc<Daemon>, path: &Path) -> Result<Listening, AdminError
         Ok(_) => std::fs::remove_file(path).map_err(io)?,
         Err(_) => {}
     }
-    // The socket gets its mode before anybody knows its name.
+    // Set the mode before the socket has its public path.
     let fresh = path.with_extension(format!("{}.new", std::process::id()));
     let _ = std::fs::remove_file(&fresh);
     let listener = UnixListener::bind(&fresh).map_err(io)?;
@@ -130,8 +130,8 @@ async fn serve(daemon: &Arc<Daemon>, stream: UnixStream) -> std::io::Result<()> 
     }
 }
 
-/// Writes what happens, one event to a line, until the client closes the connection or says more. A
-/// client that does not read holds up nobody but itself.
+/// Writes one event per line until the client closes the connection or sends more. A client that
+/// does not read delays only itself.
 async fn monitor(
     mut events: Listener,
     mut reader: BufReader<OwnedReadHalf>,

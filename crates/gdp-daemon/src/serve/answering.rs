@@ -1,5 +1,5 @@
-//! Carries requests through: does what each needs before it is answered, and sends what the RIB
-//! here sends because of it.
+//! Completes requests: runs the steps before each answer, and sends the resulting requests of the
+//! local RIB.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,14 +14,14 @@ use super::core::follow_up::{FollowUp, OnReply, PendingRequest, Statement};
 use super::daemon::Daemon;
 use super::federation::records;
 
-/// How long an accepted statement waits for switches to take their routes.
+/// The maximum wait until switches have the routes of an accepted statement.
 const SETTLE: Duration = Duration::from_secs(1);
 
-/// How long another domain's RIB is waited for.
+/// The maximum wait for the RIB of another domain.
 const TIER_TIMEOUT: Duration = Duration::from_secs(10);
 
 impl Daemon {
-    /// Takes a request in under the lock, and answers it once what it needs is done.
+    /// Handles a request under the lock, and answers it after the steps that it needs.
     pub async fn answer(self: &Arc<Self>, request: impl FnOnce(&mut Core) -> FollowUp) -> Response {
         let (next, pending) = {
             let mut core = self.core();
@@ -33,7 +33,7 @@ impl Daemon {
         self.complete(next).await
     }
 
-    /// Does what a request needs that was taken in, and answers it.
+    /// Runs the steps that a handled request needs, and answers it.
     pub async fn complete(self: &Arc<Self>, next: FollowUp) -> Response {
         match next {
             FollowUp::Answer(response) => response,
@@ -76,7 +76,7 @@ impl Daemon {
         }
     }
 
-    /// An invitation that admits somebody, and cannot be saved, has admitted nobody.
+    /// Withdraws an admission by invitation that could not be saved, and refuses the request.
     fn refuse_unsaved(&self, next: &FollowUp, refusal: Refusal) -> Response {
         if let (FollowUp::SaveInvitation { new: Some(serial) }, Some(domain)) =
             (next, &mut self.core().membership.domain)
@@ -86,9 +86,9 @@ impl Daemon {
         refusal.into()
     }
 
-    /// Waits until the switches have the routes that follow from a statement, so that what its
-    /// entity sends next is not lost; but not for long on one that does not answer. Refuses the
-    /// statement if one has no room.
+    /// Waits until the switches have the routes of a statement, so that the entity's next frames
+    /// are not lost. Waits at most one second for silent switches. Refuses the statement if a
+    /// switch has no room.
     async fn settled(self: &Arc<Self>, statement: &Statement) -> Result<(), Refusal> {
         let settled = async {
             loop {

@@ -1,4 +1,4 @@
-//! Tells endpoints that choose among the servers of a service what the paths from here cost.
+//! Sends the costs of paths to endpoints, which choose among the servers of a service by them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,11 +10,11 @@ use tokio::time::sleep;
 
 use super::daemon::Daemon;
 
-/// Between two messages to one endpoint, however often costs change.
+/// The minimum time between two updates to one endpoint.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// Answers an endpoint that asks, and tells it of changes for as long as the link lives. `watches`:
-/// it has asked on this link before.
+/// Answers an endpoint's first or repeated request, and sends updates until the link closes.
+/// `watches` is set if updates already run for this link.
 pub fn watch(daemon: &Arc<Daemon>, link: &Link, watches: &mut bool) -> Response {
     let mut costs = daemon.costs.subscribe();
     let now = costs.borrow_and_update().clone();
@@ -45,7 +45,7 @@ async fn tell(link: Link, mut costs: watch::Receiver<PathCosts>) {
     }
 }
 
-/// Paths from here cost this now.
+/// Publishes new path costs, if they differ from the last ones.
 pub fn set(daemon: &Daemon, costs: &PathCosts) {
     daemon.costs.send_if_modified(|before| {
         let changed = before != costs;

@@ -1,6 +1,8 @@
-//! Traces that go on in other domains. The border that has the link asks the one at its other end,
-//! and measures the way there in the data plane; that one traces the name inside its domain by
-//! probes, and has its borders ask on. The rules are in [`gdp_rib::crossing`].
+//! Traces that continue in other domains.
+//!
+//! The border with the link asks its peer in the next domain, and measures the round-trip time in
+//! the data plane. The peer traces the name inside its domain with probes. Its borders ask further
+//! domains. The rules are in [`gdp_rib::crossing`].
 
 use std::time::{Duration, Instant};
 
@@ -18,20 +20,20 @@ use super::trace::Hop;
 use crate::config::Inside;
 use gdp_rib::crossing::{Walk, composed, inside, only, path_on, refused, taken};
 
-/// How long all of a trace may take, less than a request over a link may.
+/// The time limit of a whole trace. It is shorter than that of a request over a link.
 const TIMEOUT: Duration = Duration::from_millis(4500);
 
-/// Who is asked has so much less than who asks, for the way.
+/// The time that each hop subtracts from the limit for its own transmission.
 const MARGIN: Duration = Duration::from_millis(100);
 
-/// Echoes and probes for one switch, until one is answered.
+/// The maximum number of echoes or probes per switch without an answer.
 const TRIES: usize = 2;
 
-/// Switches in a row that do not answer: then nothing further on is asked.
+/// The number of consecutive silent switches after which the trace stops.
 const SILENT: usize = 2;
 
 impl Daemon {
-    /// Traces a name on, by the link of a border of this domain into another one.
+    /// Continues the trace of a name over a border link of this domain into another one.
     pub(super) async fn trace_beyond(&self, name: Name, border: Name, beyond: (Name, Name)) -> Vec<TracedDomain> {
         let home = self.core().membership.home();
         match home {
@@ -48,7 +50,7 @@ impl Daemon {
         Response::TracedOn { domains }
     }
 
-    /// What is behind a border of this domain, as that says.
+    /// Returns the trace of the domains behind a border of this domain, as that border reports it.
     async fn beyond(
         &self,
         name: Name,
@@ -85,7 +87,8 @@ impl Daemon {
         answered(domain, peer, response)
     }
 
-    /// What the border at the other end of a link says, and how far it is.
+    /// Returns the trace that the border at the other end of a link reports, and measures the
+    /// round-trip time to it.
     async fn across(&self, link: &Link, domain: Name, request: TraceOn) -> Vec<TracedDomain> {
         let (peer, until) = (link.peer().name, deadline(&request));
         let asks = Request::TraceOn(TraceOn { leg: TraceLeg::Across, within_ms: within(until), ..request });
@@ -106,12 +109,12 @@ impl Daemon {
         None
     }
 
-    /// The way of a name through this domain, and beyond.
+    /// Traces the path of a name through this domain and beyond.
     async fn within(&self, entry: TraceEntry) -> Vec<TracedDomain> {
         let TraceEntry { request, home, asked_by, from, may_cross, visibility, egress } = entry;
         let (own, name, until) = (self.name, request.name, deadline(&request));
         let shows_switches = visibility == Inside::Open;
-        // Half of the time, so that some is left for what is beyond.
+        // Use half of the time here, so that the other domains have the rest.
         let half = Instant::now() + until.saturating_duration_since(Instant::now()) / 2;
         let walks = join_all(egress.iter().map(|to| self.walk(asked_by, name, *to, shows_switches, half))).await;
         let (walks, ends): (Vec<Walk>, Vec<Option<TracedEnd>>) = walks.into_iter().unzip();
@@ -125,7 +128,8 @@ impl Daemon {
         composed(TracedDomain { depth: 1, domain: home, entry: own, rtt_us: None, crossing }, beyond)
     }
 
-    /// The way to an egress switch of this domain; its switches only if they are to be shown.
+    /// Traces the path to an egress switch of this domain. Lists the switches on it only if `lists`
+    /// is set.
     async fn walk(
         &self,
         asked_by: Name,
@@ -170,7 +174,7 @@ impl Daemon {
     }
 }
 
-/// The answer over a link, if it comes in time.
+/// Returns the answer over a link, or `None` if it misses the deadline or fails.
 async fn asked(link: &Link, request: &Request, until: Instant) -> Option<Response> {
     let answer = timeout_at(until.into(), link.request(request)).await.ok()?;
     answer.inspect_err(|error| tracing::debug!(%error, "a trace was not answered")).ok()
@@ -189,7 +193,7 @@ fn answered(domain: Name, entry: Name, response: Option<Response>) -> Vec<Traced
     only(domain, entry, crossing)
 }
 
-/// What is left for whoever is asked now, in milliseconds.
+/// Returns the remaining time for the next hop, in milliseconds.
 fn within(until: Instant) -> u32 {
     let left = until.saturating_duration_since(Instant::now()).saturating_sub(MARGIN);
     u32::try_from(left.as_millis()).unwrap_or(u32::MAX)

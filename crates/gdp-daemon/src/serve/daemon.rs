@@ -1,4 +1,4 @@
-//! A running daemon's shared state, and what its tasks wake each other by.
+//! The shared state of a running daemon, and the notifications between its tasks.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
@@ -20,38 +20,38 @@ use super::replica::Replica;
 use super::revocation_store::StoredRevocations;
 use crate::domain::Used;
 
-/// A running daemon's shared state.
+/// The shared state of a running daemon.
 pub struct Daemon {
     pub(super) name: Name,
     pub(super) port_config: PortConfig,
     core: Mutex<Core>,
     pub(super) revocations: StoredRevocations,
-    /// Its part, if this is one of several replicas of the RIB.
+    /// This daemon's part as one of several replicas of the RIB, if it is one.
     pub(super) replica: Option<Replica>,
-    /// What is stored of the domain, if this is a member of one.
+    /// The stored state of the domain, if this switch is a member of one.
     domain_store: Option<DomainStore>,
     ports: Mutex<HashMap<String, Arc<Port>>>,
-    /// Where links over UDP are accepted.
+    /// The address that accepts links over UDP.
     pub(super) udp: OnceLock<SocketAddr>,
-    /// A lock for each task that runs or waits.
+    /// One lock for each task that runs or waits.
     serialized: Mutex<HashMap<SerializedTask, Arc<tokio::sync::Mutex<()>>>>,
     pub(super) report: Notify,
     pub(super) topology: Notify,
     pub(super) rib_changed: Notify,
-    /// What paths from here cost.
+    /// The costs of the paths from this switch.
     pub(super) costs: watch::Sender<PathCosts>,
-    /// Switches have answered the RIB here.
+    /// Notified when switches have answered the local RIB.
     pub(super) answered: Notify,
     stopping: AtomicBool,
     tasks: Mutex<JoinSet<()>>,
 }
 
-/// What is done by one task at a time.
+/// A kind of work of which only one instance runs at a time.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub enum SerializedTask {
-    /// Serving a link of this lane of an entity.
+    /// Serving a link on this lane of an entity.
     Lane(Name, u8),
-    /// Attaching an entity, or detaching it.
+    /// Attaching or detaching an entity.
     Entity(Name),
 }
 
@@ -97,7 +97,7 @@ impl Daemon {
         self.stopping.load(Ordering::Relaxed)
     }
 
-    /// Runs a task until it ends or the daemon does.
+    /// Runs a task until it or the daemon ends.
     pub fn spawn(&self, task: impl Future<Output = ()> + Send + 'static) {
         let mut tasks = self.tasks.lock();
         if self.is_stopping() {
@@ -107,14 +107,14 @@ impl Daemon {
         tasks.spawn(task);
     }
 
-    /// Ends all tasks; no other begins.
+    /// Ends all tasks, and prevents new ones.
     pub async fn end_tasks(&self) {
         self.stopping.store(true, Ordering::Relaxed);
         let mut tasks = std::mem::take(&mut *self.tasks.lock());
         tasks.shutdown().await;
     }
 
-    /// Runs `work` after earlier ones of the same task.
+    /// Runs `work` after earlier work under the same key.
     pub async fn in_turn<T>(&self, task: SerializedTask, work: impl Future<Output = T>) -> T {
         let lock = self.serialized.lock().entry(task).or_default().clone();
         let turn = lock.lock().await;
@@ -128,20 +128,20 @@ impl Daemon {
         result
     }
 
-    /// Neighbours came or went, cost something else, or say something new; or this switch has
-    /// another egress bit.
+    /// Wakes the topology task, because an adjacency, a cost, a link state or this switch's egress
+    /// bit has changed.
     pub fn topology_changed(&self) {
         self.topology.notify_one();
     }
 
-    /// The RIB may know less, or more, of this switch's endpoints than are here.
+    /// Schedules a full report, because the RIB's list of this switch's endpoints may be wrong.
     pub fn report_in_full(&self) {
         self.core().rib_client.report = Report::Due;
         self.report.notify_one();
     }
 
-    /// A RIB has said something: this switch may have another egress bit, which it is to state; and
-    /// may have to find out who is the RIB.
+    /// Wakes the tasks that follow a message of a RIB. The topology task floods a new egress bit.
+    /// The report task finds the current RIB if a report is due.
     pub fn wake_after_rib(&self) {
         let (other_bit, is_report_due) = {
             let core = self.core();
@@ -155,8 +155,8 @@ impl Daemon {
         }
     }
 
-    /// Returns once what has been revoked by now is in the file; to be called before it is
-    /// confirmed.
+    /// Waits until all current revocations are in the file. Callers confirm a revocation only after
+    /// this.
     pub async fn save_revocations(&self) -> Result<(), Refusal> {
         let taken = self.core().rib_host.rib.as_ref().map_or(0, |rib| rib.revocations_taken());
         let collect = || {
@@ -166,8 +166,8 @@ impl Daemon {
         self.revocations.save(taken, collect).await
     }
 
-    /// Returns once what is known of the domain by now is in its files; to be called before it is
-    /// confirmed.
+    /// Waits until the current state of the domain is in its files. Callers confirm a change only
+    /// after this.
     pub async fn save_domain(&self) -> Result<(), Refusal> {
         let Some(store) = &self.domain_store else { return Ok(()) };
         let changes = self.core().membership.domain.as_ref().map_or(0, |domain| domain.changes);

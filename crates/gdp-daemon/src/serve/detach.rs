@@ -7,8 +7,8 @@ use gdp_wire::Name;
 
 use super::daemon::{Daemon, SerializedTask};
 
-/// Ends the attachment of an endpoint that has no link. An entity that is back on another link says
-/// itself whether what it stated still holds.
+/// Ends the attachment of an endpoint without a link. An entity that is back on another link states
+/// again what still holds.
 pub async fn detach_lost(daemon: Arc<Daemon>, entity: Name) {
     let detach = async {
         let is_lost = {

@@ -1,6 +1,8 @@
-//! The daemon's trust domain: reads its files when they change, tells neighbours of revocations and
-//! of renewed credentials, asks the RIB about invitations, and closes links when what they rest on
-//! ends. The rules are in [`gdp_core::domain`] and [`crate::domain`].
+//! The daemon's trust domain.
+//!
+//! Reloads its files when they change, floods revocations and renewed credentials to neighbours,
+//! and asks the RIB about invitations. Closes links when their credentials end. The rules are in
+//! [`gdp_core::domain`] and [`crate::domain`].
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,11 +22,11 @@ use super::domain_store::MembershipError;
 use crate::config::DomainConfig;
 use crate::domain::Credentials;
 
-/// How often the files are looked at, and whether something has ended.
+/// The interval between checks for expired admissions.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// Reads the files when they change, and closes links at the moment at which what they rest on
-/// ends. `current`: the credentials that new links show.
+/// Reloads the files when they change, and closes links when their credentials expire. Stores in
+/// `current` the credentials for new links.
 pub async fn watch(daemon: Arc<Daemon>, config: DomainConfig, current: CurrentCredentials) {
     let mut files = FileSet::new(&FileWatcher::start(), config.files.paths());
     loop {
@@ -71,8 +73,8 @@ fn show_renewed(daemon: &Arc<Daemon>, credentials: &Arc<Credentials>) {
     }
 }
 
-/// Admits the peers of links again, of all or only of those whose time has come, and closes links
-/// whose peers are not.
+/// Readmits the peers of all links, or only of those whose admission has expired. Closes the links
+/// of refused peers.
 fn recheck_links(daemon: &Arc<Daemon>, only_ended: bool) {
     let (refused, lost) = daemon.core().recheck(only_ended);
     for (link, reason) in refused {
@@ -87,7 +89,8 @@ fn recheck_links(daemon: &Arc<Daemon>, only_ended: bool) {
     }
 }
 
-/// Takes in what a domain has revoked, and passes it on if it is news. `from`: the link it came by.
+/// Accepts a revocation by a domain, and floods it if it is new. `from` is the link that it came
+/// over.
 pub async fn take_revocation(
     daemon: &Arc<Daemon>,
     proof: NameProof,
@@ -124,13 +127,13 @@ pub async fn take_revocation(
     saved(daemon).await
 }
 
-/// Confirms what is known of the domain once it is saved.
+/// Confirms the state of the domain once it is saved.
 async fn saved(daemon: &Daemon) -> Response {
     daemon.save_domain().await.map_or_else(Response::from, |()| Response::Done)
 }
 
-/// A revocation of a domain that is known here. It does not go to the RIB like the revocation of a
-/// name, but to all switches.
+/// Returns a request's revocation by a known domain. Unlike the revocation of a name, it goes to
+/// all switches instead of the RIB.
 pub fn domain_revocation(daemon: &Daemon, request: &EntityRequest) -> Option<(NameProof, Signed<Revocation>)> {
     let EntityRequest::Revoke { proof, revocation } = request else { return None };
     let core = daemon.core();
@@ -138,7 +141,7 @@ pub fn domain_revocation(daemon: &Daemon, request: &EntityRequest) -> Option<(Na
     domain.trust.knows(&proof.name().ok()?).then(|| (*proof, revocation.clone()))
 }
 
-/// Tells a new link what the domains have revoked that this daemon knows.
+/// Sends the revocations of all known domains over a new link.
 pub fn tell_revocations(daemon: &Daemon, link: &Link) {
     let known: Vec<SignedRevocation> = match &daemon.core().membership.domain {
         Some(domain) => domain.trust.revocations().cloned().collect(),
@@ -160,7 +163,7 @@ async fn tell(link: Link, request: Request) {
     }
 }
 
-/// A peer shows renewed credentials.
+/// Checks the renewed credentials of a peer, and stores them if the peer keeps its link.
 async fn take_credentials(daemon: &Arc<Daemon>, link: &Link, credentials: Credentials) -> Response {
     let credentials = Arc::new(credentials);
     let question = daemon.core().question(link, &credentials);
@@ -173,7 +176,7 @@ async fn take_credentials(daemon: &Arc<Daemon>, link: &Link, credentials: Creden
     match renewed {
         Ok(()) => {
             link.set_credentials(credentials);
-            // The rights of a neighbouring domain are stated.
+            // The link state includes the rights of a neighbouring domain.
             daemon.topology_changed();
             Response::Done
         }
@@ -181,7 +184,7 @@ async fn take_credentials(daemon: &Arc<Daemon>, link: &Link, credentials: Creden
     }
 }
 
-/// Asks the RIB whether an entity is the one that its invitation has admitted.
+/// Asks the RIB to confirm that an entity is the one that its invitation admitted.
 pub async fn ask_admitted(daemon: &Arc<Daemon>, request: Request) -> Result<(), Refusal> {
     let Request::Admitted { entity, membership, .. } = &request else { return Ok(()) };
     let (entity, membership) = (*entity, membership.clone());
@@ -194,12 +197,12 @@ pub async fn ask_admitted(daemon: &Arc<Daemon>, request: Request) -> Result<(), 
         domain.invitations.remember(&invite, entity);
         domain.changes += 1;
     }
-    // The RIB has saved it; what is not saved here is asked for again.
+    // The RIB has saved it. If saving fails here, this switch asks the RIB again later.
     let _ = daemon.save_domain().await;
     Ok(())
 }
 
-/// Whether a request is answered here whoever sends it, and then the answer.
+/// Answers requests that any peer may send. Returns other requests as the error.
 pub async fn answer(daemon: &Arc<Daemon>, link: &Link, request: Request) -> Result<Response, Request> {
     match request {
         Request::Papers(credentials) => Ok(take_credentials(daemon, link, *credentials).await),

@@ -1,4 +1,4 @@
-//! What a daemon stores of its domain, so that it outlives a restart.
+//! The stored state of a daemon's domain, which survives restarts.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,13 +15,13 @@ use super::revocation_store::RevocationStore;
 use crate::config::DomainConfig;
 use crate::domain::{Domain, DomainError, Invitations, MAX_USED, Trust, Used};
 
-/// Bytes of the revocations of all domains that this one knows.
+/// The maximum size of the revocations of all known domains, in bytes.
 const MAX_REVOCATIONS: usize = 256 << 10;
 
-/// Bytes of the invitations that were used.
+/// The maximum size of the used invitations, in bytes.
 const MAX_INVITATIONS: usize = 128 * MAX_USED;
 
-/// Why a daemon cannot be a member of its domain.
+/// The reason why a daemon cannot be a member of its domain.
 #[derive(Debug, thiserror::Error)]
 pub enum MembershipError {
     #[error(transparent)]
@@ -36,12 +36,12 @@ pub enum MembershipError {
 pub struct DomainStore {
     revocations: RevocationFile,
     invitations: PathBuf,
-    /// Of what [`Domain::changes`] counts.
+    /// How many changes, as counted by [`Domain::changes`], are saved.
     progress: RevocationStore,
 }
 
 impl DomainStore {
-    /// The daemon's membership, and what an earlier daemon knew of the domain.
+    /// Loads the daemon's membership, and the stored state of the domain.
     pub fn recall(
         config: &DomainConfig,
         identity: &Identity,
@@ -51,7 +51,7 @@ impl DomainStore {
         let mut trust = Trust::new(identity.name(), papers, config.members_only)?;
         let revocations = RevocationFile::new(identity_file.with_extension("domain-revocations"), MAX_REVOCATIONS);
         for (SignedRevocation { proof, revocation, .. }, _) in revocations.load()? {
-            // Of a domain that is no peer any more, perhaps.
+            // The revocation may be of a domain that is no longer a peer.
             let _ = trust.take_revocation(&proof, &revocation);
         }
         let invitations = identity_file.with_extension("invitations");
@@ -66,8 +66,8 @@ impl DomainStore {
         ))
     }
 
-    /// Returns once so many changes are in the files. `collect`: how many there are, and all there
-    /// is to write.
+    /// Waits until `changes` changes are in the files. `collect` returns the number of changes and
+    /// the state to write.
     pub async fn save(
         &self,
         changes: u64,

@@ -1,10 +1,12 @@
-//! The daemon as one of several replicas of its domain's RIB. One of them leads: it alone is the
-//! RIB, as long as its lease at etcd lasts; the others keep a copy of what it stores and stand for
-//! election when it is gone. What entities state is said to be done once it is stored.
+//! Election among the replicas of a domain's RIB, over etcd.
 //!
-//! Two do not lead at once as far as anybody can tell: a leader counts its lease from before it
-//! asked for it and shorter than etcd does, looks at that count whenever it touches the RIB, and
-//! etcd takes nothing of it once the key of its term is gone.
+//! One replica leads. It alone is the RIB as long as its lease at etcd lasts. The others follow the
+//! stored state and stand for election once there is no leader. The leader confirms a statement
+//! only after etcd has stored it.
+//!
+//! Three rules keep two replicas from leading at once. A leader starts its own timer before it
+//! requests the lease, and its timer is shorter than etcd's. It checks the timer on every access to
+//! the RIB. And etcd accepts no write of a leader whose term key is gone.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -24,31 +26,31 @@ use crate::domain::Used;
 use crate::store::client::EtcdClient;
 use crate::store::{StoreError, items::Copy, items::ItemChange, items::KeySpace, items::Writer};
 
-/// Seconds of a leader's lease.
+/// The lifetime of a leader's lease, in seconds.
 const TTL: u64 = 5;
 
-/// So much shorter does the leader itself count it: clocks differ in how fast they run, and what it
-/// last sent is on its way.
+/// How much earlier the leader's own timer ends than the lease. It covers clock drift and the
+/// leader's last messages in flight.
 const MARGIN: Duration = Duration::from_secs(1);
 
-/// How often the leader renews it, and the others look whether there is one.
+/// The interval at which the leader renews its lease, and at which the others look for a leader.
 const BEAT: Duration = Duration::from_millis(800);
 
-/// How long after a failure the next attempt is made.
+/// The delay after a failure.
 const RETRY: Duration = Duration::from_millis(300);
 
-/// What ends by itself is stored within this.
+/// The maximum delay before changes without a waiting client, such as expiry, are stored.
 const SWEEP: Duration = Duration::from_millis(250);
 
-/// What made this replica the leader.
+/// The lease, etcd revision and term of an elected leader.
 struct Elected {
     lease: i64,
     revision: i64,
     term: Arc<Term>,
 }
 
-/// Follows what is stored and leads when it is this replica's turn, until the daemon ends, or it is
-/// to [resign](Replica::resign).
+/// Follows the stored state and leads when elected, until the daemon ends or must
+/// [resign](Replica::resign).
 pub async fn run(daemon: Arc<Daemon>) {
     if let Some(replica) = &daemon.replica {
         follow_and_lead(&daemon, replica).await;
@@ -66,14 +68,14 @@ async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
         let error = match elected {
             Some(Ok((copy, elected))) => lead(daemon, replica, copy, elected).await,
             not_elected => {
-                // It may have been elected and not know: then it leads no more.
+                // This replica may have been elected without knowing. Revoking the lease ends that.
                 if let Some(lease) = lease {
                     give_up(&mut replica.client(), lease).await;
                 }
                 not_elected.and_then(Result::err)
             }
         };
-        // It is to resign.
+        // The replica must resign.
         let Some(error) = error else { return };
         if !matches!(error, StoreError::Compacted) {
             tracing::warn!(%error, "this replica of the RIB is behind");
@@ -83,8 +85,8 @@ async fn follow_and_lead(daemon: &Arc<Daemon>, replica: &Replica) {
     }
 }
 
-/// Keeps a copy of what is stored until there is no leader, and this replica is elected. `lease`:
-/// with which it stands, from before it does.
+/// Follows the stored state until this replica is elected. Stores the lease that it stands with in
+/// `lease` before it stands.
 async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -> Result<(Copy, Elected), StoreError> {
     let (mut client, keys, own) = (replica.client(), &replica.keys, daemon.name);
     let mut copy = Copy::list(keys, &mut client).await?;
@@ -102,7 +104,7 @@ async fn stand_by(daemon: &Daemon, replica: &Replica, lease: &mut Option<i64>) -
             match timeout(MARGIN, caught_up).await {
                 Ok(Ok(())) => return Ok((copy, elected)),
                 Ok(Err(error)) => return Err(error),
-                // Listed anew, it is whole again.
+                // A new listing makes the copy complete again.
                 Err(_) => return Err(StoreError::Compacted),
             }
         }
@@ -130,7 +132,7 @@ impl Elected {
         match keys.stand(client, own, lease).await? {
             Some(revision) => Ok(Some(Self { lease, revision, term })),
             None => {
-                // Another was elected.
+                // Another replica was elected.
                 client.revoke(lease).await?;
                 *stands_with = None;
                 Ok(None)
@@ -138,7 +140,7 @@ impl Elected {
         }
     }
 
-    /// Renews the lease until it is over all the same.
+    /// Renews the lease until that fails. Returns the reason.
     async fn renew_lease(&self, client: &mut EtcdClient) -> StoreError {
         loop {
             sleep(BEAT).await;
@@ -159,7 +161,7 @@ impl Elected {
     }
 }
 
-/// Is the RIB for a term. Returns why no longer; none: it is to resign.
+/// Runs the RIB for a term. Returns the reason for its end, or `None` if the replica must resign.
 async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elected) -> Option<StoreError> {
     let mut client = replica.client();
     let work = async {
@@ -175,7 +177,7 @@ async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elec
     let why = error.as_ref().map_or_else(|| "this replica resigns".into(), ToString::to_string);
     {
         let mut core = daemon.core();
-        // What is not stored of its term never is.
+        // Changes of this term that are not stored by now never will be.
         elected.term.end(&why);
         core.end_term();
     }
@@ -184,7 +186,7 @@ async fn lead(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected: Elec
     error
 }
 
-/// So that others need not wait until the lease is over.
+/// Revokes the lease, so that the other replicas need not wait for its expiry.
 async fn give_up(client: &mut EtcdClient, lease: i64) {
     if let Err(error) = client.revoke(lease).await {
         tracing::debug!(%error, "the lease is over only when its time is");
@@ -199,8 +201,8 @@ async fn serve_term(daemon: &Arc<Daemon>, replica: &Replica, copy: Copy, elected
     write(daemon, &elected.term, writer, changed).await
 }
 
-/// Makes the copy the RIB of this daemon. Returns who writes what changes in it, and what of it is
-/// of no use.
+/// Makes the copy the RIB of this daemon. Returns the writer for its changes, and the items to
+/// write or remove first.
 async fn take_over(
     daemon: &Arc<Daemon>,
     replica: &Replica,
@@ -213,7 +215,7 @@ async fn take_over(
     });
     let (now, root) = (daemon.core().now(), daemon.name);
     let run = RibRun { id: run_id(elected.revision.unsigned_abs()), settling: now.clock + GRACEFUL_RESTART_TIME };
-    // Signatures are verified, perhaps many.
+    // This verifies signatures, perhaps many.
     let restoring = move || {
         let mut rib = Rib::new(root, run, Limits::default());
         rib.open_journal();
@@ -223,7 +225,7 @@ async fn take_over(
         for (item, bytes) in copy.items() {
             let restored = match item {
                 Item::Invitation(serial) => decode_item::<Used>(bytes).map(|one| {
-                    // Of what is of no use any more, nothing is kept.
+                    // Expired invitations are removed.
                     if one.serial == *serial && one.until >= now.unix {
                         used.push(one)
                     } else {
@@ -236,7 +238,7 @@ async fn take_over(
                 Ok(()) => count += 1,
                 Err(error) => {
                     tracing::debug!(%item, %error, "left out of what was stored");
-                    // A newer replica may lead next.
+                    // A newer replica may lead next, and can read it.
                     if !matches!(error, RestoreError::Version(_)) {
                         useless.insert(*item);
                     }
@@ -245,7 +247,7 @@ async fn take_over(
         }
         rib.restored();
         let changed = rib.take_changed();
-        // What is there as it was read need not be written.
+        // Unchanged items need no write.
         let differs = |item: &Item| rib.stored(now, item).as_deref() != copy.get(item);
         let changed: Vec<Item> = changed.into_iter().filter(differs).collect();
         useless.extend(changed);
@@ -272,7 +274,8 @@ fn unstored(core: &mut Core, changed: &mut BTreeSet<Item>) -> Option<(u64, Vec<I
     core.rib_host.unstored(core.clock.now(), core.membership.domain.as_ref(), changed)
 }
 
-/// Writes what changes, all that have asked meanwhile at once. Returns why it cannot.
+/// Writes the changes of the RIB, those of all waiting clients at once. Returns the error that ends
+/// the term.
 async fn write(daemon: &Daemon, term: &Term, mut writer: Writer, mut changed: BTreeSet<Item>) -> StoreError {
     loop {
         let batch = unstored(&mut daemon.core(), &mut changed);

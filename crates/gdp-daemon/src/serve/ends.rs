@@ -1,22 +1,24 @@
-//! The links to one peer in the data plane. An endpoint may have several at once, each a lane; of
-//! each lane there is the newest link, and earlier ones that the peer may still send on. Pure
-//! bookkeeping of ids; [`super::routes`] asks it which link to send on, the switch in
-//! [`super::core`] and [`super::graceful_restart`] say how long links last.
+//! The links to one peer in the data plane.
+//!
+//! An endpoint may have several links at once, each on its own lane. Each lane has its newest link,
+//! and earlier ones on which the peer may still send. This module only tracks link ids.
+//! [`super::routes`] asks it which link to send on. The switch in [`super::core`] and
+//! [`super::graceful_restart`] decide how long links last.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-/// The links to a peer. None: the peer is not there.
+/// The links to a peer. An absent peer has none.
 #[derive(Debug, Default)]
 pub struct Ends {
     lanes: BTreeMap<u8, Lane>,
-    /// What goes once goes by this one, as the peer has said.
+    /// The lane that the peer prefers for frames that go over only one of its links.
     preferred: Option<u8>,
 }
 
 impl Ends {
-    /// The link to send on: of the lane that the peer prefers, or the first, of those that are in
-    /// use.
+    /// Returns the link to send on. Prefers a lane whose newest link is ready, then the peer's
+    /// preferred lane, then the lowest lane.
     pub fn out(&self) -> Option<u32> {
         let in_use = self.lanes.iter().filter_map(|(number, lane)| Some((number, lane, lane.out()?)));
         let rank = |(number, lane, _): &(&u8, &Lane, u32)| {
@@ -25,12 +27,12 @@ impl Ends {
         in_use.min_by_key(rank).map(|(.., link)| link)
     }
 
-    /// The link of each lane to send on.
+    /// Returns the link to send on of each lane.
     pub fn each(&self) -> impl Iterator<Item = u32> {
         self.lanes.values().filter_map(Lane::out)
     }
 
-    /// All links that frames of the peer may come on.
+    /// Returns all links on which frames of the peer may arrive.
     pub fn all(&self) -> impl Iterator<Item = u32> {
         self.lanes.values().flat_map(Lane::all)
     }
@@ -39,43 +41,42 @@ impl Ends {
         self.lanes.is_empty()
     }
 
-    /// Whether the link is an earlier one.
+    /// Returns whether a newer link has replaced the link.
     pub fn is_earlier(&self, link: u32) -> bool {
         self.lanes.values().any(|lane| lane.is_earlier(link))
     }
 
-    /// A link from before this daemon; of its lane, the last one that is added is the one to send
-    /// on.
+    /// Adds a link of an earlier daemon. The last one added is the one to send on for its lane.
     pub fn adopt(&mut self, lane: u8, link: u32) {
         self.lanes.entry(lane).or_default().adopt(link);
     }
 
-    /// A new link is up. The one of its lane that was sent on becomes an earlier one.
+    /// Adds a new link. The link that its lane sent on becomes an earlier one.
     pub fn up(&mut self, lane: u8, link: u32) {
         self.lanes.entry(lane).or_default().up(link);
     }
 
-    /// The peer takes frames on this link.
+    /// Marks a link as ready: the peer accepts frames on it.
     pub fn ready(&mut self, link: u32) {
         self.lanes.values_mut().for_each(|lane| lane.ready(link));
     }
 
-    /// The peer wants on this link what it wants on one. One that is gone by now changes nothing.
+    /// Makes the link's lane the preferred one. A link that is gone changes nothing.
     pub fn prefer(&mut self, link: u32) {
         let lane = self.lanes.iter().find(|(_, lane)| lane.all().any(|of| of == link));
         self.preferred = lane.map(|(number, _)| *number).or(self.preferred);
     }
 
-    /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is
-    /// the one that is sent on.
+    /// Handles a silent link. Returns whether to keep it as an earlier link. The newest link is
+    /// kept if it is the one to send on.
     pub fn silent(&mut self, link: u32) -> bool {
         let silent = self.lanes.values_mut().any(|lane| lane.silent(link));
         self.lanes.retain(|_, lane| !lane.is_empty());
         silent
     }
 
-    /// The link is gone. Returns earlier ones of its lane that go with it: all, if it was ended
-    /// while it was in use.
+    /// Removes a link. Returns the earlier links of its lane that end with it: all, if it was the
+    /// newest and ready.
     pub fn removed(&mut self, link: u32) -> Vec<u32> {
         let with_it = self.lanes.values_mut().flat_map(|lane| lane.removed(link)).collect();
         self.lanes.retain(|_, lane| !lane.is_empty());
@@ -87,20 +88,19 @@ impl Ends {
 #[derive(Debug, Default)]
 struct Lane {
     newest: Option<Newest>,
-    /// The last is the one that was sent on last.
+    /// The earlier links. The last one is the one most recently sent on.
     earlier: Vec<u32>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Newest {
     link: u32,
-    /// Whether the peer has said that it takes frames on it.
+    /// Whether the peer accepts frames on the link.
     ready: bool,
 }
 
 impl Lane {
-    /// The link to send on: the newest once the peer takes frames on it, and until then the one
-    /// before.
+    /// Returns the link to send on: the newest once it is ready, and the previous one until then.
     fn out(&self) -> Option<u32> {
         let before = self.earlier.last().copied();
         match self.newest {
@@ -109,12 +109,12 @@ impl Lane {
         }
     }
 
-    /// Whether the peer takes frames on the newest.
+    /// Returns whether the newest link is ready.
     fn is_ready(&self) -> bool {
         self.newest.is_some_and(|newest| newest.ready)
     }
 
-    /// All links that frames of the peer may come on.
+    /// Returns all links on which frames of the peer may arrive.
     fn all(&self) -> impl Iterator<Item = u32> {
         self.earlier.iter().copied().chain(self.newest.map(|newest| newest.link))
     }
@@ -123,7 +123,6 @@ impl Lane {
         self.newest.is_none() && self.earlier.is_empty()
     }
 
-    /// Whether the link is an earlier one.
     fn is_earlier(&self, link: u32) -> bool {
         self.earlier.contains(&link)
     }
@@ -133,7 +132,7 @@ impl Lane {
         self.earlier.push(link);
     }
 
-    /// A new link is up. The one that was sent on becomes an earlier one.
+    /// Adds a new link. The link to send on becomes an earlier one.
     fn up(&mut self, link: u32) {
         let sent_on = self.out();
         if let Some(old) = self.newest.replace(Newest { link, ready: false })
@@ -143,15 +142,15 @@ impl Lane {
         }
     }
 
-    /// The peer takes frames on this link.
+    /// Marks the link as ready, if it is the newest.
     fn ready(&mut self, link: u32) {
         if let Some(newest) = self.newest.as_mut().filter(|newest| newest.link == link) {
             newest.ready = true;
         }
     }
 
-    /// The link fell silent. Whether it is worth keeping, as an earlier one: the newest is if it is
-    /// the one that is sent on.
+    /// Handles a silent link. Returns whether to keep it as an earlier link. The newest link is
+    /// kept if it is the one to send on.
     fn silent(&mut self, link: u32) -> bool {
         let sent_on = self.out() == Some(link);
         if self.newest.take_if(|newest| newest.link == link).is_some() && sent_on {
@@ -160,8 +159,8 @@ impl Lane {
         self.is_earlier(link)
     }
 
-    /// The link is gone. Returns earlier ones that go with it: all, if it was ended while it was in
-    /// use.
+    /// Removes a link. Returns the earlier links that end with it: all, if it was the newest and
+    /// ready.
     fn removed(&mut self, link: u32) -> Vec<u32> {
         self.earlier.retain(|earlier| *earlier != link);
         let ended = self.newest.take_if(|newest| newest.link == link);

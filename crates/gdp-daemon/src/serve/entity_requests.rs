@@ -1,4 +1,4 @@
-//! The one way in for what entities ask: over their links, or through the admin socket.
+//! The single entry point for requests of entities, over their links or the admin socket.
 
 use std::sync::Arc;
 
@@ -11,16 +11,16 @@ use super::daemon::Daemon;
 use super::domain;
 use super::events::Event;
 
-/// By which way a request comes.
+/// The path by which a request arrived.
 #[derive(Clone, Copy)]
 pub enum Origin<'a> {
-    /// The link of the entity that asks.
+    /// The link of the entity.
     Link(&'a Link),
-    /// A program at the admin socket, perhaps for an entity.
+    /// A program at the admin socket, for this entity if there is one.
     Tool(Option<NameProof>),
 }
 
-/// Answers what an entity asks.
+/// Answers a request of an entity.
 pub async fn answer(daemon: &Arc<Daemon>, origin: Origin<'_>, request: EntityRequest) -> Response {
     let (link, entity) = match origin {
         Origin::Link(link) => (Some(link), Some(link.peer().proof)),
@@ -35,7 +35,7 @@ pub async fn answer(daemon: &Arc<Daemon>, origin: Origin<'_>, request: EntityReq
         if let Some(link) = attaching
             && !matches!(next, FollowUp::Answer(Response::Refused(_)))
         {
-            // Before the answer, so that a report in the meantime does not leave it out.
+            // Add it before the answer, so that a concurrent report includes it.
             core.switch.attached.insert(link.peer().name);
         }
         next

@@ -1,5 +1,5 @@
-//! What happens at a switch, told to whoever listens (`gdp-ctl monitor`). Nobody waits for a
-//! listener: one that is too slow misses the oldest events, and is told how many.
+//! The events at a switch, sent to listeners (`gdp-ctl monitor`). A slow listener does not block
+//! the switch. It misses the oldest events, and learns how many.
 
 pub use gdp_proto::admin::event::Event;
 
@@ -9,7 +9,7 @@ use tokio::sync::broadcast::error::RecvError;
 
 use gdp_util::unix_time::unix_nanos;
 
-/// Events that wait for a listener.
+/// The maximum number of events that wait for a listener.
 const MAX_WAITING: usize = 1024;
 
 /// Tells events to all listeners.
@@ -33,7 +33,7 @@ impl Events {
         }
     }
 
-    /// Of what happens from now on.
+    /// Returns a listener for future events.
     pub fn listen(&self) -> Listener {
         Listener(self.0.subscribe())
     }

@@ -1,5 +1,5 @@
-//! What a RIB has to do with other domains: keeps it and [`gdp_rib::tiers`] informed of each other,
-//! and finds which peerings its borders are to make. Sans-IO.
+//! Connects the RIB with other domains: passes changes between it and [`gdp_rib::tiers`], and
+//! selects the peerings of its borders. Sans-IO.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -25,39 +25,39 @@ use gdp_rib::tiers::{
     peering::Peerings, peering::WantedPeerings, peering::choose,
 };
 
-/// After so long a border that lacks a wanted peering is told again.
+/// The delay before a border that lacks a wanted peering gets its list again.
 const REMINDER: Duration = Duration::from_secs(10);
 
-/// What the RIB here has to do with other domains.
+/// The local RIB's exchange with other domains.
 pub struct Federation {
     pub(super) tiers: Tiers,
-    /// The switches of the domain that the RIB knows, as they have shown themselves to it.
+    /// The switches of this domain that the RIB knows, with their verified statements.
     hosts: BTreeMap<Name, StatedHost>,
-    /// What entities have stated in this domain, by switch.
+    /// The records that entities have stated in this domain, by switch.
     stated: BTreeMap<Name, BTreeSet<RecordKey>>,
-    /// What is to be told anew, besides what the RIB says has changed.
+    /// The records to export again, besides those that the RIB reports as changed.
     due: BTreeSet<RecordKey>,
-    /// By entity and the places it was told with.
+    /// The wrapped keys by entity, and by the records that they came with.
     boxes: BTreeMap<Name, BTreeMap<RecordKey, Vec<Signed<KeyBox>>>>,
-    /// The places abroad of which the RIB did not take what it was told.
+    /// The records of other domains that the RIB refused.
     retries: Retries,
     waiting: HashMap<Ticket, oneshot::Sender<TierResponse>>,
     peerings: Peerings,
-    /// By domain.
+    /// The chosen peering for each domain.
     wanted_for: BTreeMap<Name, Peering>,
-    /// What is wanted of each border, and when it is to be told.
+    /// The peerings wanted of each border, and the time to send them next.
     pub(super) wanted: BTreeMap<Name, (WantedPeerings, Option<Duration>)>,
 }
 
-/// What a switch of the domain has shown; it has been verified.
+/// A verified statement of a switch of the domain.
 struct StatedHost {
     host: Arc<Hosted>,
     is_border: bool,
-    /// When it is over, on the clock of the RIB.
+    /// When the statement expires, on the clock of the RIB.
     ends: Duration,
 }
 
-/// What is known here of what was taken back.
+/// The revocations that trust and RIB know.
 pub(super) struct Known<'a> {
     pub rib: &'a Rib,
     pub trust: &'a Trust,
@@ -74,7 +74,7 @@ impl Revoked for Known<'_> {
 }
 
 impl Federation {
-    /// Of a RIB in the domain `home`, in this run.
+    /// Creates the exchange for a RIB of domain `home`, in this run.
     pub fn new(home: Name, run: u64) -> Self {
         Self {
             tiers: Tiers::new(home, run, TierLimits::default()),
@@ -90,17 +90,18 @@ impl Federation {
         }
     }
 
-    /// When it has something to do by itself.
+    /// Returns the time of the next timer.
     pub fn next_tick(&self) -> Option<Duration> {
         let ends = self.hosts.values().map(|host| host.ends);
         let reminders = self.wanted.values().filter_map(|(_, due)| *due);
         ends.chain(reminders).chain(self.tiers.next_tick()).chain(self.retries.next_tick()).min()
     }
 
-    /// A switch shows that it is of the domain: what was stated there may be told with it.
+    /// Verifies a switch's proof of membership. The records of its entities may then be exported
+    /// with it.
     pub(super) fn show(&mut self, now: Now, trust: &Trust, switch: Name, host: Host) -> Result<(), CertError> {
-        // A switch that has begun anew says the same again: what was told with that need not be
-        // told anew.
+        // A restarted switch proves the same. Records that were exported with that need no new
+        // export.
         if self.hosts.get(&switch).is_some_and(|held| held.host.host.says_the_same(&host)) {
             return Ok(());
         }
@@ -116,12 +117,12 @@ impl Federation {
         Ok(())
     }
 
-    /// Forgets switches that are gone for good, and what is over.
+    /// Drops switches that the RIB no longer knows, and expired statements.
     pub(super) fn forget_hosts(&mut self, now: Now, rib: &Rib) {
         self.retain_hosts(|switch, shown| rib.knows(switch) && now.clock < shown.ends);
     }
 
-    /// The domain has taken something back.
+    /// Drops switches whose membership the domain has revoked.
     pub(super) fn recheck_hosts(&mut self, revocation: Option<&Revocation>) {
         self.retain_hosts(|_, shown| shown.host.host.membership.check_revoked(revocation).is_ok());
     }
@@ -152,7 +153,7 @@ impl Federation {
         locator
     }
 
-    /// Finds out which peerings are to be made. `is_linked`: there is a link to this domain, other
+    /// Selects the peerings to make. `is_linked` returns whether a link to the domain exists other
     /// than by this peering.
     pub(super) fn want_peerings(&mut self, now: Now, trust: &Trust, is_linked: impl Fn(Name, &Peering) -> bool) {
         let claims = |locator: &Locator| -> Vec<SwitchStatement> {
@@ -172,7 +173,7 @@ impl Federation {
             self.wanted.keys().map(|border| (*border, WantedPeerings::new())).collect();
         for domain in needed.into_iter().filter(may_peer) {
             let peering = self.tiers.locator(domain).and_then(|locator| choose(&own, &claims(locator)));
-            // While it is idle, as before: who is there is not told any more.
+            // An idle peering stays as it was, because the domain's locator is no longer sent.
             let before = || self.wanted_for.get(&domain).cloned();
             let Some(peering) = peering.or_else(before).filter(|peering| !is_linked(domain, peering)) else { continue };
             wanted.entry(peering.border).or_default().insert(peering.peer, peering.addrs.clone());
@@ -188,9 +189,8 @@ impl Federation {
         }
     }
 
-    /// As long as a border lacks a link that is wanted of it, it is told again what is: what it was
-    /// told may be lost, by a border that has begun anew or that another RIB has told something
-    /// else. `is_linked`: a border and its peer.
+    /// Schedules a resend to borders that lack a wanted link. A border may have lost its list: it
+    /// restarted, or another RIB sent a different list. `is_linked` takes a border and its peer.
     pub(super) fn remind_borders(&mut self, now: Duration, is_linked: impl Fn(Name, Name) -> bool) {
         for (border, (wanted, due)) in &mut self.wanted {
             if due.is_none() && wanted.keys().any(|peer| !is_linked(*border, *peer)) {
@@ -199,7 +199,7 @@ impl Federation {
         }
     }
 
-    /// Tells the tiers what has changed in the RIB.
+    /// Passes the changes of the RIB to the tiers.
     pub(super) fn follow(&mut self, now: Now, rib: &mut Rib) {
         let mut writers = BTreeSet::new();
         let changed = rib.take_changed_keys().into_iter().chain(std::mem::take(&mut self.due));
@@ -222,7 +222,7 @@ impl Federation {
                 writers.insert(place.entity);
                 boxes.insert(place, export.boxes);
             }
-            // Once the switch has reported.
+            // Export only after the switch has reported.
             let Some(shown) = self.hosts.get(&place.switch) else {
                 self.tiers.remove_own(place);
                 continue;
@@ -241,8 +241,8 @@ impl Federation {
         self.stated.retain(|_, places| !places.is_empty());
     }
 
-    /// Tells the RIB what it may know of other domains: what has changed, and what it refused
-    /// before for what is over by now.
+    /// Passes the changes from other domains to the RIB, and retries records that it refused
+    /// before.
     pub(super) fn inform(&mut self, now: Now, rib: &mut Rib) {
         let mut places: BTreeSet<RecordKey> = self.retries.take_due(now.clock).into_iter().collect();
         for change in self.tiers.take_changes(now) {
@@ -258,7 +258,8 @@ impl Federation {
                     let parts = writer.into_iter().flat_map(|writer| self.tiers.known_of(writer).parts);
                     places.extend(parts.map(|(held, _)| held.key));
                 }
-                // The RIB lets go of boxes by itself, and of places it is told with which they go.
+                // The RIB drops wrapped keys by itself, and gets records together with their
+                // wrapped keys.
                 TierChange::Set(Item::Locator { .. } | Item::Revocation(_)) | TierChange::Remove(_) => {}
             }
         }
@@ -272,13 +273,12 @@ impl Federation {
         }
     }
 
-    /// Tells the RIB of one place: of all neighbours that have told of it, what this one says
-    /// counts.
+    /// Gives the RIB one record. Once accepted, it replaces the versions from other neighbours.
     fn give(&mut self, now: Now, rib: &mut Rib, place: RecordKey, foreign: Foreign) {
         let (domain, next) = (foreign.domain, foreign.next);
         let taken = rib.set_foreign(now, foreign);
         let is_refused = taken.is_err();
-        // What another said counts until this does.
+        // The version of another neighbour counts until the RIB accepts this one.
         if !is_refused {
             let others: Vec<Name> = rib.sources_of(&place).into_iter().filter(|other| *other != next).collect();
             others.iter().for_each(|other| rib.remove_foreign(now, &place, other));
@@ -304,14 +304,15 @@ impl Federation {
         }
     }
 
-    /// What the tiers send to the RIBs of other domains; who waits for an answer of theirs gets it.
+    /// Returns the messages to the RIBs of other domains. Passes their answers to the waiting
+    /// clients.
     pub(super) fn messages(&mut self, now: Now) -> Vec<FederationEffect> {
         let mut messages = Vec::new();
         for effect in self.tiers.effects(now) {
             match effect {
                 Effect::Answer { ticket, response } => {
                     if let Some(answer) = self.waiting.remove(&ticket) {
-                        // Whoever asked may be gone.
+                        // The receiver may be dropped.
                         let _ = answer.send(response);
                     }
                 }
@@ -362,7 +363,7 @@ impl Federation {
     }
 }
 
-/// What other domains answered to a query, as an entity is told it.
+/// Converts the answer of other domains to a query into a response to an entity.
 pub(super) fn records(response: TierResponse) -> Response {
     match response {
         TierResponse::Answer { entries, truncated } => {
@@ -377,7 +378,7 @@ pub(super) fn records(response: TierResponse) -> Response {
     }
 }
 
-/// As the RIB is told it; none of what this domain says itself.
+/// Converts a record of another domain for the RIB. Returns `None` if its path is empty.
 fn foreign(now: Now, held: Arc<TableRecord>, only_passes: bool, boxes: &[Signed<KeyBox>]) -> Option<Foreign> {
     let (domain, next) = (*held.path.first()?, *held.path.last()?);
     let mut record = held.record.clone();
@@ -385,7 +386,8 @@ fn foreign(now: Now, held: Arc<TableRecord>, only_passes: bool, boxes: &[Signed<
     Some(Foreign { record, domain, next, hops: held.path.len() as u32, boxes: boxes.to_vec(), local: !only_passes })
 }
 
-/// Whether it was refused for what else the RIB holds, and not for what it is.
+/// Returns whether the refusal may end later, because other state of the RIB caused it instead of
+/// the record itself.
 fn may_be_taken_later(refusal: &Refusal) -> bool {
     use RefusalCode::{Limit, ReplayedSerial, Unsupported, WrongSwitch};
     matches!(refusal.code, Limit | ReplayedSerial | Unsupported | WrongSwitch)

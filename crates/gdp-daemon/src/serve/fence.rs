@@ -1,26 +1,28 @@
-//! Which run of the RIB this switch follows. A later leader of several replicas has a higher one
-//! (of its [term](super::term)), as has a RIB that started later, so what somebody says whose time
-//! is over is refused from the moment on that a later one has said anything. Sans-IO.
+//! Selects the RIB run that this switch follows. Sans-IO.
 //!
-//! Runs may begin anew below: a clock went back, etcd was set up anew, or a RIB that ran alone
-//! became several replicas. So that a switch is not stuck with a number that nobody reaches, it
-//! follows whichever RIB takes its report: that is where the topology says that the RIB is now, and
-//! a replica says so only after etcd has said that it leads. Should both claim to be there, it asks
+//! A later leader of several replicas has a higher run, made from its [term](super::term). A RIB
+//! that started later has a higher run too. The switch refuses messages of lower runs from the
+//! first message of a higher one.
+//!
+//! Runs may start again at a lower number: a clock went back, etcd was set up anew, or a single RIB
+//! became several replicas. A switch must not wait for a number that no RIB reaches. It therefore
+//! follows whichever RIB accepts its report, at the location in the topology. A replica claims this
+//! location only after etcd has confirmed that it leads. If two RIBs claim it, the switch reports
 //! again.
 
 use std::time::Duration;
 
-/// Between two reports that nothing but a refusal is the reason for.
+/// The minimum time between two reports that only a refusal caused.
 const ASK_AGAIN: Duration = Duration::from_secs(30);
 
-/// What a RIB said that is not the one that is followed.
+/// The refusal of a message of a RIB that this switch does not follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("this switch follows run {follows:#x} of the RIB; the term of run {run:#x} is over")]
 pub struct Fenced {
     pub follows: u64,
     pub run: u64,
-    /// The switch is to report again, to find out who is the RIB: it was this one when it last did,
-    /// or it was told something false.
+    /// Whether the switch must report again to find the current RIB. Either this run accepted its
+    /// last report, or no refusal caused a report recently.
     pub is_doubtful: bool,
 }
 
@@ -29,23 +31,23 @@ pub struct Fence {
     follows: Option<u64>,
     /// The run that has taken this switch's last report.
     reported: Option<u64>,
-    /// When a refusal was last a reason to report.
+    /// The time when a refusal last caused a report.
     asked: Option<Duration>,
     refused: u64,
 }
 
 impl Fence {
-    /// The run that is followed, once there is one.
+    /// Returns the run that the switch follows, if there is one.
     pub fn follows(&self) -> Option<u64> {
         self.follows
     }
 
-    /// How often something was refused.
+    /// Returns the number of refused messages.
     pub fn refused(&self) -> u64 {
         self.refused
     }
 
-    /// Whether what a RIB of this run says is to be taken. `now`: on a clock that does not go back.
+    /// Checks whether to accept a message of this RIB run. `now` is on a monotonic clock.
     pub fn admit(&mut self, run: u64, now: Duration) -> Result<(), Fenced> {
         match self.follows {
             Some(follows) if run < follows => {
@@ -62,8 +64,8 @@ impl Fence {
         }
     }
 
-    /// The RIB of this run has taken a report that was sent when `then` was followed. If another
-    /// has said something since, that may be the later one.
+    /// Records that the RIB of this run accepted a report, sent when the switch followed `then`.
+    /// Follows the run unless a higher one has sent a message in the meantime.
     pub fn reported(&mut self, run: u64, then: Option<u64>) {
         self.reported = Some(run);
         if self.follows == then || self.follows < Some(run) {

@@ -1,6 +1,7 @@
-//! This switch's part in the topology: tells it which neighbours there are and what they cost,
-//! carries statements between it and the neighbours, and gives the paths to the data planes and the
-//! RIB here. The rules are in [`gdp_rib::topology`].
+//! This switch's part in the link-state topology.
+//!
+//! Passes adjacencies and costs to the topology, floods link states to neighbours, and gives the
+//! paths to the data planes and the local RIB. The rules are in [`gdp_rib::topology`].
 
 use std::sync::Arc;
 
@@ -66,7 +67,8 @@ async fn send(daemon: Arc<Daemon>, link: Link, batch: Batch) {
     daemon.topology_changed();
 }
 
-/// Takes in what a neighbour of the domain says. Signatures are verified without the lock.
+/// Accepts link states that a neighbour of the domain floods. Verifies signatures without holding
+/// the lock.
 pub fn take(daemon: &Daemon, from: &Link, states: Vec<Flooded>) -> Response {
     let link = from.local_id();
     let news = {
@@ -96,7 +98,7 @@ pub fn take(daemon: &Daemon, from: &Link, states: Vec<Flooded>) -> Response {
     Response::Done
 }
 
-/// Watches which interfaces have no carrier, until the daemon ends.
+/// Tracks the interfaces without carrier until the daemon ends.
 pub async fn watch_carrier(daemon: Arc<Daemon>, mut changes: watch::Receiver<()>) {
     loop {
         match interfaces::without_carrier().await {

@@ -1,6 +1,7 @@
-//! Links that stay in the data plane though nobody answers on them, or another has replaced them:
-//! their peers may still send on them, or forward without a daemon. Each has a time at which it
-//! goes; the switch in [`super::core`] removes it then.
+//! Stale links. They stay in the data plane although the peer is silent or has a newer link.
+//!
+//! The peer may still send on them, or forward without a daemon (compare graceful restart, RFC
+//! 4724). Each has an expiry, at which the switch in [`super::core`] removes it.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -10,14 +11,13 @@ use gdp_link::link::{KeyedEntry, Link, LinkId};
 use gdp_link::port::LinkAddr;
 use gdp_wire::{LinkRole, Name};
 
-/// How long a link is kept that another has replaced: until frames that were sent on it have
-/// arrived.
+/// How long a replaced link is kept, so that frames sent on it can arrive.
 pub const GRACE: Duration = Duration::from_secs(5);
 
-/// Links to one peer that are kept.
+/// The maximum number of stale links to one peer.
 const MOST: usize = 8;
 
-/// A link that is kept.
+/// A stale link.
 pub struct StaleLink {
     pub peer: Name,
     pub lane: u8,
@@ -25,14 +25,14 @@ pub struct StaleLink {
     pub entry: KeyedEntry,
     pub to: LinkAddr,
     pub until: Instant,
-    /// What the peer was to this switch's domain, unless the link is from before this daemon.
+    /// The peer's relationship to this switch's domain. `None` for a link of an earlier daemon.
     pub relationship: Option<Relationship>,
-    /// So that no new link gets the same index in the tables.
+    /// Reserves the link id, so that no new link gets the same table index.
     pub id: Reservation,
 }
 
 impl StaleLink {
-    /// The link itself, unless it is from before this daemon.
+    /// Returns the link itself. `None` for a link of an earlier daemon.
     pub fn link(&self) -> Option<&Link> {
         match &self.id {
             Reservation::Closed { link } => Some(link),
@@ -41,18 +41,19 @@ impl StaleLink {
     }
 }
 
-/// What reserves the id of a link that is kept.
+/// The owner that keeps a stale link's id reserved.
 pub enum Reservation {
     Adopted { _id: LinkId },
     Closed { link: Link },
 }
 
-/// All that are kept, by id.
+/// All stale links, by id.
 #[derive(Default)]
 pub struct GracefulRestart(HashMap<u32, StaleLink>);
 
 impl GracefulRestart {
-    /// Keeps a link. Returns one to the same peer that has to go for it.
+    /// Adds a stale link. Returns the link to the same peer that must go for it, the one that
+    /// expires first.
     pub fn keep(&mut self, link: StaleLink) -> Option<u32> {
         let same_peer = self.0.values().filter(|held| held.peer == link.peer);
         let crowded = same_peer.clone().count() >= MOST;
@@ -77,13 +78,13 @@ impl GracefulRestart {
         self.0.values()
     }
 
-    /// Whether any link to the peer is kept.
+    /// Returns whether the peer has a stale link.
     pub fn keeps(&self, peer: &Name) -> bool {
         self.0.values().any(|held| held.peer == *peer)
     }
 
-    /// The peer takes frames on a new link: what it sent on others of that lane arrives soon, or
-    /// never.
+    /// Shortens the expiry of a peer's stale links of this lane, because it accepts frames on a new
+    /// link. Frames on the old links arrive soon or never.
     pub fn replaced(&mut self, peer: &Name, lane: u8, now: Instant) {
         let same = |held: &&mut StaleLink| held.peer == *peer && held.lane == lane;
         for held in self.0.values_mut().filter(same) {
@@ -91,7 +92,7 @@ impl GracefulRestart {
         }
     }
 
-    /// Those whose time is over.
+    /// Returns the ids of the expired links.
     pub fn over(&self, now: Instant) -> Vec<u32> {
         self.0.values().filter(|held| held.until <= now).map(|held| held.entry.id).collect()
     }

@@ -1,5 +1,5 @@
-//! What the kernel says over netlink: interfaces with their addresses, stations it has resolved,
-//! and when any of it changes. Only asks; sets nothing.
+//! Reads interfaces, addresses and resolved neighbour entries from the kernel over netlink, and
+//! reports changes. Sets nothing.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
@@ -15,10 +15,10 @@ use serde::Serialize;
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
-/// Interfaces are looked at this often, even if netlink said nothing.
+/// The maximum time between two looks at the interfaces, even without a netlink message.
 pub const LOOK: Duration = Duration::from_secs(2);
 
-/// Stations that are told of at most.
+/// The maximum number of stations in the result.
 const MAX_STATIONS: usize = 1024;
 
 /// One interface of this network namespace.
@@ -32,11 +32,11 @@ pub struct InterfaceInfo {
     pub ethernet: bool,
     pub mtu: u32,
     pub addresses: Vec<String>,
-    /// Resolved stations: IP address and MAC address.
+    /// The IP and MAC addresses of the resolved stations.
     pub stations: Vec<(String, String)>,
 }
 
-/// All interfaces, in the order of their indices.
+/// Returns all interfaces, ordered by index.
 pub async fn list() -> Result<Vec<InterfaceInfo>, rtnetlink::Error> {
     let (connection, handle, _) =
         rtnetlink::new_connection().map_err(|error| rtnetlink::Error::NamespaceError(error.to_string()))?;
@@ -46,7 +46,7 @@ pub async fn list() -> Result<Vec<InterfaceInfo>, rtnetlink::Error> {
     result
 }
 
-/// Yields whenever an interface or an address changed.
+/// Yields whenever an interface or an address has changed.
 pub fn changes() -> std::io::Result<impl Stream<Item = ()> + Unpin> {
     let groups = [MulticastGroup::Link, MulticastGroup::Ipv4Ifaddr, MulticastGroup::Ipv6Ifaddr];
     let (connection, handle, messages) = rtnetlink::new_multicast_connection(&groups)?;
@@ -55,7 +55,7 @@ pub fn changes() -> std::io::Result<impl Stream<Item = ()> + Unpin> {
     Ok(messages.map(move |_| drop(handle.clone())))
 }
 
-/// The indices of those that are down, or whose cable is out.
+/// Returns the indices of the interfaces that are down or without carrier.
 pub async fn without_carrier() -> Result<BTreeSet<u32>, rtnetlink::Error> {
     let (connection, handle, _) =
         rtnetlink::new_connection().map_err(|error| rtnetlink::Error::NamespaceError(error.to_string()))?;
@@ -70,7 +70,7 @@ pub async fn without_carrier() -> Result<BTreeSet<u32>, rtnetlink::Error> {
     result
 }
 
-/// Waits for a change of interfaces, but not for long.
+/// Waits for a change of interfaces, at most [`LOOK`].
 pub async fn look(changes: &mut watch::Receiver<()>) {
     if let Ok(Err(_)) = timeout(LOOK, changes.changed()).await {
         sleep(LOOK).await;

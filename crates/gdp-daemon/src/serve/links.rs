@@ -1,5 +1,5 @@
-//! One task to a link: takes the peer's requests in, and tells the RIB when an endpoint's link is
-//! gone.
+//! Runs one task per link. It handles the peer's requests, and reports the loss of an endpoint's
+//! link to the RIB.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -16,8 +16,8 @@ use super::events::Event;
 use super::{costs, domain, flooding, liveness};
 use crate::config::Via;
 
-/// Takes a new link into service, or closes it and says why if its peer may not have one here.
-/// Waits only for the RIB, and only if [`must_ask`] says so.
+/// Takes a new link into service, or closes it with the reason if its peer may not have it. Waits
+/// only for the RIB, and only if [`must_ask`] returns true.
 pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), String> {
     let refuse = |reason: String| {
         link.close(&reason);
@@ -33,7 +33,7 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
     {
         return refuse(refusal.reason);
     }
-    // Something may have been revoked meanwhile.
+    // Check again, because a revocation may have arrived in the meantime.
     let admitted = daemon.core().admit(&link, &via);
     let admission = match admitted {
         Ok(admission) => admission,
@@ -72,7 +72,7 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
     Ok(())
 }
 
-/// Whether the RIB is asked before the link is taken.
+/// Returns whether the RIB must confirm the peer before the link is accepted.
 pub fn must_ask(daemon: &Daemon, link: &Link) -> bool {
     question(daemon, link).is_some()
 }
@@ -82,15 +82,15 @@ fn question(daemon: &Daemon, link: &Link) -> Option<Request> {
     daemon.core().question(link, &papers)
 }
 
-/// Replaces the link's keys in the data planes now and then, as long as it lives.
+/// Rotates the link's keys in the data planes until the link closes.
 async fn keep_keys(daemon: Arc<Daemon>, link: Link) {
     let id = link.local_id();
     let put = |keys: &LinkKeys| daemon.core().switch.put_keys(id, keys);
     link.keep_keys(|| daemon.core().switch.planes.frames_sent(id), put).await;
 }
 
-/// The neighbour goes on sending on an earlier link until it hears this. How soon it answers is the
-/// first that is known of the link.
+/// Tells a neighbour to send on this link instead of an earlier one. The time to its answer is the
+/// first round-trip sample of the link.
 async fn say_ready(daemon: Arc<Daemon>, link: Link) {
     let asked = Instant::now();
     match link.request(&Request::Ready).await {
@@ -107,10 +107,10 @@ async fn say_ready(daemon: Arc<Daemon>, link: Link) {
     }
 }
 
-/// An endpoint's requests are answered one after the other: its statements carry serials.
+/// Answers an endpoint's requests in order, because its statements carry serial numbers.
 async fn serve_endpoint(daemon: Arc<Daemon>, link: Link) {
     let peer = link.peer();
-    // Waits until an older link of the same lane is served to its end.
+    // This waits until an older link of the same lane has been served completely.
     let (served, lane) = (serve_requests(&daemon, &link), SerializedTask::Lane(peer.name, peer.lane));
     daemon.in_turn(lane, served).await;
 }
@@ -140,7 +140,8 @@ async fn serve_requests(daemon: &Arc<Daemon>, link: &Link) {
     detach_lost(daemon.clone(), link.peer().name).await;
 }
 
-/// The end of one link does not detach what is about to be attached by another.
+/// Answers an entity's request. Attachments take turns, so that the end of one link does not detach
+/// an entity that attaches over another.
 async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityRequest) -> Response {
     let EntityRequest::Attach { lane, .. } = &request else {
         return entity_requests::answer(daemon, Origin::Link(link), request).await;
@@ -153,8 +154,8 @@ async fn entity_request(daemon: &Arc<Daemon>, link: &Link, request: EntityReques
     daemon.in_turn(SerializedTask::Entity(link.peer().name), attach).await
 }
 
-/// Switches speak for many: their requests are answered side by side, as many as the link has
-/// streams.
+/// Answers a switch's requests concurrently, because a switch relays for many. The number of QUIC
+/// streams bounds them.
 async fn serve_switch(daemon: Arc<Daemon>, link: Link) {
     while let Some((request, responder)) = link.accept_request().await {
         let (daemon, link) = (daemon.clone(), link.clone());

@@ -1,6 +1,8 @@
-//! Asks the data planes of peers that fell silent. QUIC ends in the peer's daemon, or in its
-//! process; what forwards may live on. So the switch keeps such a link, with its routes, and
-//! here it is given up as soon as nothing answers on it.
+//! Probes the data planes of silent peers.
+//!
+//! QUIC ends in the peer's daemon or process, but its data plane may still forward. The switch
+//! therefore keeps such a link with its routes. This task removes the link as soon as echoes go
+//! unanswered.
 
 use std::sync::Arc;
 
@@ -12,8 +14,7 @@ use tokio::time::sleep;
 use super::daemon::Daemon;
 use super::detach::detach_lost;
 
-/// Runs until the link is given up, the peer is back on a newer one, or the time is over that links
-/// are held.
+/// Probes a stale link until it is removed, its peer has a newer link, or it expires.
 pub async fn watch(daemon: Arc<Daemon>, link: Link) {
     let (peer, id) = (link.peer().name, link.local_id());
     tracing::info!(peer = %format_args!("{peer:#}"), "its link is held while its data plane answers echoes");

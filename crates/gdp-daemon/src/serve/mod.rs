@@ -1,6 +1,8 @@
-//! The daemon: ports and links, the switch's part of the control plane, the RIB if it is here, the
-//! admin socket. Thin tasks around [`core`]; the rules are in [`gdp_rib::rib`] and [`routes`], the
-//! data planes in [`gdp_dataplane`].
+//! The daemon: ports and links, the switch's part of the control plane, the RIB if it is here, and
+//! the admin socket.
+//!
+//! Thin tasks surround [`core`]. The rules are in [`gdp_rib::rib`] and [`routes`], and the data
+//! planes in [`gdp_dataplane`].
 
 pub mod admin;
 mod answering;
@@ -56,8 +58,8 @@ use self::revocation_store::StoredRevocations;
 pub use self::start_error::StartError;
 use crate::config::{Config, DataPlane};
 
-/// How often the addresses of peers are looked at, because QUIC moves without saying so; how far
-/// they are; and links that are held.
+/// The interval at which the daemon checks peers' addresses, because QUIC migrates without a
+/// notice. It also samples round-trip times and ends stale links.
 const FOLLOW: Duration = Duration::from_millis(500);
 
 /// A daemon that runs until [`Running::stop`].
@@ -68,7 +70,7 @@ pub struct Running {
     ready: Ready,
 }
 
-/// Starts a daemon: everything that can be wrong is wrong here, or waited for.
+/// Starts a daemon. All configuration errors occur here, except those that the daemon waits out.
 pub async fn start(config: Config) -> Result<Running, StartError> {
     make_folder(&config.identity)?;
     let identity = Identity::load_or_generate(&config.identity, "switch")?;
@@ -83,7 +85,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
         ebpf_object: config.ebpf_object.clone(),
         fib_capacity: config.fib_capacity,
         dpdk: config.dpdk.clone(),
-        // Like the settings themselves, it is gone when the machine starts anew.
+        // Like the settings themselves, this file does not survive a reboot.
         dpdk_settings: Some(config.socket.with_extension("settings")),
         pins: config.bpffs.clone().map(|bpffs| PinLocation { bpffs, switch: identity.name() }),
         ..PlaneConfig::default()
@@ -124,7 +126,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
             (Some((bind, port)), no_pair)
         }
         None => {
-            // An earlier daemon may have been killed, and configured otherwise.
+            // An earlier daemon with another configuration may have been killed.
             ports::remove_host_pair(&daemon).await;
             (None, None)
         }
@@ -175,40 +177,39 @@ impl Running {
         self.daemon.name
     }
 
-    /// Where links over UDP are taken.
+    /// Returns the address that accepts links over UDP.
     pub fn udp_addr(&self) -> Option<SocketAddr> {
         self.udp.as_ref()?.udp_addr()
     }
 
-    /// What it had when it was ready.
+    /// Returns the resources that the daemon had when it was ready.
     pub fn ready(&self) -> &Ready {
         &self.ready
     }
 
-    /// What `gdp-ctl status -j` shows.
+    /// Returns the status that `gdp-ctl status` shows.
     pub async fn status(&self) -> serde_json::Value {
         serde_json::to_value(status::status(&self.daemon).await).unwrap_or_default()
     }
 
-    /// Whether the kernel forwards on if this process ends without [`Self::stop`].
+    /// Returns whether the kernel continues to forward if this process ends without [`Self::stop`].
     pub fn outlives(&self) -> bool {
         self.daemon.core().switch.planes.outlives()
     }
 
-    /// If this is the leader of several replicas of the RIB, it is no more when this returns, so
-    /// that another one leads at once.
+    /// Resigns as leader of several replicas of the RIB, so that another replica leads at once.
     pub async fn resign(&self) {
         if let Some(replica) = &self.daemon.replica {
             replica.resign().await;
         }
     }
 
-    /// Tells peers, closes everything and takes the XDP programs off.
+    /// Closes all links and ports, notifies the peers, and detaches the XDP programs.
     pub async fn stop(self) {
         self.resign().await;
-        // First, so that nobody opens again what is closed here.
+        // End the tasks first, so that none reopens what is closed below.
         self.daemon.end_tasks().await;
-        // What they were to save. If it cannot be saved, that is in the log.
+        // Save what the ended tasks had to save. A failure is in the log.
         let _ = self.daemon.save_domain().await;
         let _ = self.daemon.save_revocations().await;
         let mut ports: Vec<_> = std::mem::take(&mut *self.daemon.ports()).into_values().collect();
@@ -241,7 +242,7 @@ async fn follow_addresses(daemon: Arc<Daemon>) {
     }
 }
 
-/// The interfaces that are to have links on Ethernet.
+/// Returns the interfaces to use for links on Ethernet.
 async fn interfaces_to_use(config: &Config) -> Result<Vec<String>, StartError> {
     let mut used = config.named_interfaces();
     if config.all_interfaces {

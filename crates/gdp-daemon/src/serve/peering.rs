@@ -1,5 +1,5 @@
-//! Peerings on demand, on a border switch: makes the links into other domains that the RIB wants,
-//! and lets go of those that it wants no more.
+//! Peerings on demand, on a border switch. Makes the links into other domains that the RIB wants,
+//! and closes those that it no longer wants.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -15,7 +15,7 @@ use super::daemon::Daemon;
 use super::ports::keep_link;
 use crate::config::Via;
 
-/// Keeps the wanted links until the daemon ends.
+/// Maintains the wanted links until the daemon ends.
 pub async fn run(daemon: Arc<Daemon>, port: Arc<Port>, mut wanted: watch::Receiver<WantedPeerings>) {
     let (mut tasks, mut kept) = (JoinSet::new(), BTreeMap::<Name, (Vec<SocketAddr>, AbortHandle)>::new());
     loop {

@@ -1,6 +1,7 @@
-//! The places links are made on: opens a port and a data plane on each, takes in the links that
-//! peers make, makes those to configured neighbours, and starts over when an interface is made
-//! anew.
+//! The ports that carry links.
+//!
+//! Opens a port and a data plane on each interface and on the UDP address. Accepts the links of
+//! peers, dials the configured neighbours, and starts over when an interface is recreated.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -21,14 +22,15 @@ use super::{interfaces, links};
 use crate::config::{NeighbourAddress, Via};
 use gdp_dataplane::host_pair;
 
-/// How long a neighbour may take to answer discovery.
+/// The time limit for a neighbour's answer to discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
 
-/// Between attempts to reach a neighbour: doubled from the first to the second.
+/// The delays between attempts to reach a neighbour: doubled from `RETRY`'s first value to this
+/// one.
 const LONGEST_DELAY: Duration = Duration::from_secs(3);
 const RETRY: Backoff = Backoff::new(Duration::from_millis(100), LONGEST_DELAY);
 
-/// Opens a port on an interface and has the data planes take it over.
+/// Opens a port on an interface and attaches the data planes to it.
 pub fn open_ethernet(daemon: &Arc<Daemon>, name: &str) -> Result<Arc<Port>, StartError> {
     let port = Arc::new(Port::ethernet(name, &daemon.port_config)?);
     if let Some(interface) = port.interface() {
@@ -37,8 +39,8 @@ pub fn open_ethernet(daemon: &Arc<Daemon>, name: &str) -> Result<Arc<Port>, Star
     Ok(port)
 }
 
-/// Opens the UDP port. Beside it: why frames of endpoints on this host go through the daemon, if
-/// they do.
+/// Opens the UDP port. Also returns the reason why frames of local endpoints go through the daemon,
+/// if they do.
 pub async fn open_udp(
     daemon: &Arc<Daemon>,
     bind: std::net::SocketAddr,
@@ -56,8 +58,8 @@ pub async fn open_udp(
     Ok((port, no_pair))
 }
 
-/// The interfaces by which endpoints on this host reach the kernel plane, if there can be any;
-/// otherwise why not.
+/// Opens the veth interfaces through which local endpoints reach the kernel plane. Fails with the
+/// reason if there can be none.
 async fn open_host_pair(daemon: &Daemon, bound: std::net::SocketAddr) -> Result<host_pair::Ends, String> {
     let possible = daemon.core().switch.planes.takes_pair(bound);
     let opened = match possible {
@@ -70,14 +72,14 @@ async fn open_host_pair(daemon: &Daemon, bound: std::net::SocketAddr) -> Result<
     opened
 }
 
-/// Removes what this daemon, or an earlier one, made for endpoints on this host.
+/// Removes the interfaces that this or an earlier daemon created for local endpoints.
 pub async fn remove_host_pair(daemon: &Daemon) {
     if let Err(error) = host_pair::remove(&daemon.name.to_string()).await {
         tracing::warn!(%error, "an interface of this switch stays");
     }
 }
 
-/// Runs a port until the daemon ends.
+/// Runs the UDP port until the daemon ends.
 pub async fn run_udp(
     daemon: Arc<Daemon>,
     port: Arc<Port>,
@@ -102,7 +104,7 @@ pub async fn run_udp(
     }
 }
 
-/// Keeps a port on an interface, through its absence and return.
+/// Maintains a port on an interface. Reopens it after the interface was absent.
 pub async fn run_ethernet(
     daemon: Arc<Daemon>,
     name: String,
@@ -140,7 +142,7 @@ pub async fn run_ethernet(
     }
 }
 
-/// Until the interface is not the one that was opened.
+/// Waits until the opened interface is gone or was recreated.
 async fn interface_changed(daemon: &Arc<Daemon>, port: &Port, changes: &mut watch::Receiver<()>) {
     let Some(opened) = port.interface() else { return std::future::pending().await };
     loop {
@@ -161,7 +163,7 @@ fn refresh(daemon: &Daemon) {
 
 async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
     let own = daemon.name;
-    // Of two neighbours the one with the smaller name dials, unless it is said otherwise.
+    // Of two neighbours, the one with the smaller name dials, unless the configuration sets `dial`.
     let to_dial: Vec<NeighbourAddress> = {
         let core = daemon.core();
         let near = core.neighbours.listed.iter().filter(|n| n.address.via.same_port(via));
@@ -176,7 +178,7 @@ async fn run(daemon: &Arc<Daemon>, port: &Arc<Port>, via: &Via) {
 async fn accept(daemon: &Arc<Daemon>, port: &Port, via: &Via) {
     while let Some(result) = port.accept().await {
         match result {
-            // The RIB may take its time to answer.
+            // The answer of the RIB may take time.
             Ok(link) if links::must_ask(daemon, &link) => {
                 let (daemon, via) = (daemon.clone(), via.clone());
                 daemon.clone().spawn(async move { take(&daemon, link, via).await });
@@ -195,9 +197,11 @@ async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) {
     }
 }
 
-/// Makes the link to a neighbour, and again whenever it is lost: by one of the ways to it after the
-/// other, from the one that was good last. One that does not last, as when the neighbour does not
-/// want it, is not made again at once. Ends at once if there is no way.
+/// Maintains the link to a neighbour, and dials again whenever it is lost.
+///
+/// Starts with the path that worked last, and tries the next one after each failure. Delays the
+/// attempt after a link that did not last, as when the neighbour refuses it. Returns at once if
+/// there is no path.
 pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, ways: Vec<Via>) {
     let (mut retry, mut told) = (RETRY, HashMap::new());
     let mut turns = ways.iter().cycle().peekable();
@@ -228,7 +232,7 @@ pub(super) async fn keep_link(daemon: &Arc<Daemon>, port: &Port, switch: Name, w
             daemon.core().switch.refused(switch, via, &problem);
             tracing::warn!(switch = %format_args!("{switch:#}"), %via, "no link: {problem}; trying on");
         }
-        // Neighbours that start together do not stay in step.
+        // Jitter keeps neighbours that start together from dialling in step.
         let random = crypto::random::<1>().map_or(0, |[byte]| byte);
         sleep(jittered(retry.next_delay(), random)).await;
     }
@@ -249,7 +253,7 @@ async fn find(port: &Port, switch: Name) -> Result<LinkAddr, LinkError> {
     found.map(|(addr, _)| addr).ok_or_else(silent)
 }
 
-/// Tells when interfaces change.
+/// Returns a receiver that is notified when interfaces change.
 pub fn watch_interfaces(daemon: &Arc<Daemon>) -> watch::Receiver<()> {
     let (sender, receiver) = watch::channel(());
     match interfaces::changes() {

@@ -1,5 +1,5 @@
-//! The line by which a daemon says that it is ready: what is on, what is off and why, and the
-//! command that changes it.
+//! The line that reports a ready daemon: what is on, what is off and why, and the command that
+//! changes it.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -7,34 +7,34 @@ use std::path::PathBuf;
 use gdp_dataplane::{InterfacePlane, Planes, SUPPORTED, host_pair};
 use gdp_wire::Name;
 
-/// What a daemon has when it is ready.
+/// The resources of a ready daemon.
 #[derive(Clone, Debug)]
 pub struct Ready {
     pub switch: Name,
-    /// Whether this daemon is the RIB, or one of its replicas.
+    /// Whether this daemon hosts the RIB, or one of its replicas.
     pub rib: bool,
     pub udp: Option<SocketAddr>,
-    /// Interfaces with links directly on Ethernet.
+    /// The interfaces with links directly on Ethernet.
     pub ethernet: Vec<String>,
-    /// Named ones that cannot be used yet.
+    /// The configured interfaces that are not usable yet.
     pub awaited: Vec<String>,
-    /// The plane of each interface, in the order of their names.
+    /// The data plane of each interface, ordered by interface name.
     pub planes: Vec<InterfacePlane>,
-    /// Why there is no XDP at all, if there is none.
+    /// The reason why XDP is off altogether, if it is.
     pub no_xdp: Option<String>,
-    /// What XDP leaves to the userspace plane, and why.
+    /// What the userspace plane handles instead of XDP, and why.
     pub in_userspace: Vec<String>,
     pub socket: PathBuf,
 }
 
 impl Ready {
-    /// Takes note of what the planes have.
+    /// Copies the state of the data planes.
     pub(super) fn look_at(&mut self, planes: &Planes) {
         let made = planes.report().into_iter().filter(|plane| !host_pair::is_end(&plane.interface));
         self.planes = made.collect();
         self.no_xdp = planes.xdp().err();
         if self.no_xdp.is_some() {
-            // All the rest follows from that.
+            // Without XDP, all of it is in userspace.
             self.in_userspace.clear();
             return;
         }
@@ -45,7 +45,8 @@ impl Ready {
         self.in_userspace.extend(left.collect::<Vec<_>>());
     }
 
-    /// `command`: what the daemon was started with, to be extended.
+    /// Returns the ready line. `command` is the command line that started the daemon, to which
+    /// hints add options.
     pub fn line(&self, command: &str) -> String {
         let udp = self.udp.map_or("off, by `udp: null`".into(), |udp| format!("on {udp}"));
         let mut parts = vec![
@@ -84,7 +85,7 @@ impl Ready {
         }
     }
 
-    /// The interfaces of a plane, those with the same reason together.
+    /// Describes the interfaces of a plane, grouped by reason.
     fn groups(&self, kind: &str, word: &str, command: &str) -> Vec<String> {
         let mut groups: Vec<(&str, Vec<&InterfacePlane>)> = Vec::new();
         for plane in self.planes.iter().filter(|plane| plane.kind == kind) {

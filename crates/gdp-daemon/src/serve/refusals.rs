@@ -1,18 +1,18 @@
-//! Why there is no link with a peer: the last reason, of the peers that most recently had one. For
-//! `gdp-ctl peer list`.
+//! The last reason why a peer got no link, for the most recently refused peers. `gdp-ctl peer list`
+//! shows them.
 
 use std::collections::HashMap;
 use std::time::Instant;
 
 use gdp_wire::Name;
 
-/// Anybody can be refused a link, so few are remembered.
+/// The maximum number of refused peers to remember. Any peer may cause a refusal, so it is small.
 const MAX_PEERS: usize = 128;
 
 #[derive(Debug, Default)]
 pub struct Refusals(HashMap<Name, Refused>);
 
-/// The last time that a peer got no link.
+/// The last refusal of a peer.
 #[derive(Debug)]
 pub struct Refused {
     pub reason: String,
@@ -28,7 +28,7 @@ impl Refusals {
         self.0.insert(peer, Refused { reason, at });
     }
 
-    /// The peer has a link now.
+    /// Drops the refusal of a peer that has a link now.
     pub fn forget(&mut self, peer: &Name) {
         self.0.remove(peer);
     }

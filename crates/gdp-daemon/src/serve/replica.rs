@@ -1,5 +1,5 @@
-//! The daemon's part as one of several replicas of its domain's RIB: whether it stands for
-//! election. What it does is in [`super::election`].
+//! The daemon's state as one of several replicas of its domain's RIB. [`super::election`] runs the
+//! replica.
 
 use std::time::Duration;
 
@@ -10,36 +10,37 @@ use crate::config::EtcdConfig;
 use crate::store::client::EtcdClient;
 use crate::store::{StoreError, items::KeySpace};
 
-/// How long the end of a daemon waits for etcd to take note that it leads no more.
+/// The maximum wait at shutdown until etcd has recorded the resignation.
 const RESIGNATION: Duration = Duration::from_secs(2);
 
-/// A replica's part in what is kept together.
+/// A replica's access to the shared store, and its stage.
 pub struct Replica {
-    /// Never asks; copies of it do.
+    /// The client to clone. It sends no request itself.
     client: EtcdClient,
     pub(super) keys: KeySpace,
     stage: watch::Sender<Stage>,
 }
 
-/// How far a replica is with its end.
+/// The stage of a replica's resignation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     Active,
-    /// It is to lead no more.
+    /// The replica must give up leading.
     Resigning,
-    /// It does not lead, and never will.
+    /// The replica does not lead, and will not lead again.
     Ended,
 }
 
 impl Replica {
-    /// Fails if a file that the configuration names is of no use, or etcd is not built in.
+    /// Creates the replica. Fails if a configured file is unusable, or etcd support is not built
+    /// in.
     pub fn new(config: &EtcdConfig) -> Result<Self, StoreError> {
         let client = EtcdClient::new(&config.endpoints, &config.access)?;
         Ok(Self { client, keys: KeySpace::new(&config.prefix), stage: watch::Sender::new(Stage::Active) })
     }
 
-    /// Returns once it leads no more, and does not stand again; if etcd does not answer, a while
-    /// later.
+    /// Resigns, and waits until this replica no longer leads or stands for election. Gives up the
+    /// wait after two seconds if etcd does not answer.
     pub async fn resign(&self) {
         self.stage.send_if_modified(|stage| {
             let is_active = *stage == Stage::Active;
@@ -53,13 +54,13 @@ impl Replica {
         }
     }
 
-    /// Returns once it is at this stage.
+    /// Waits until the replica is at this stage.
     pub async fn until(&self, awaited: Stage) {
-        // It ends no earlier than this does.
+        // The sender lives as long as `self`, so this does not fail.
         let _ = self.stage.subscribe().wait_for(|stage| *stage == awaited).await;
     }
 
-    /// It leads no more, and never will.
+    /// Marks the replica as ended: it will not lead again.
     pub fn end(&self) {
         self.stage.send_replace(Stage::Ended);
     }

@@ -1,5 +1,5 @@
-//! Tells the RIB that this switch is there, and who is attached to it: when it first reaches that
-//! RIB, and whenever the RIB may hold something else. Keeps the RIB's clock, if the RIB is here.
+//! Reports this switch and its endpoints to the RIB. Does so when it first reaches the RIB, and
+//! whenever the RIB's state may differ. Runs the timers of the local RIB.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,13 +11,13 @@ use tokio::time::{Instant, sleep_until, timeout};
 use super::core::rib_client::{PendingReport, Report};
 use super::daemon::Daemon;
 
-/// Between attempts to report: doubled from the first to the second.
+/// The delays between attempts to report: doubled from the first to the second value.
 const RETRY: Backoff = Backoff::new(Duration::from_millis(200), Duration::from_secs(5));
 
-/// The RIB's clock is looked at this often at least.
+/// The maximum sleep between runs of the RIB's timers.
 const LONGEST_SLEEP: Duration = Duration::from_secs(10);
 
-/// And not more often than this, unless something happened.
+/// The minimum sleep between runs of the RIB's timers, unless a change occurs.
 const SHORTEST_SLEEP: Duration = Duration::from_millis(10);
 
 /// Reports until the daemon ends.
@@ -26,21 +26,21 @@ pub async fn report(daemon: Arc<Daemon>) {
         daemon.report.notified().await;
         let mut retry = RETRY;
         while !report_once(&daemon).await {
-            // News, such as another path, is worth another attempt at once.
+            // A notification, such as of a new path, starts another attempt at once.
             let _ = timeout(retry.next_delay(), daemon.report.notified()).await;
         }
     }
 }
 
-/// Whether there is nothing to report for now, or no way: then news of the topology brings the next
-/// attempt.
+/// Reports once. Returns whether no retry is needed: the report was accepted, none is due, or there
+/// is no path. A topology change then starts the next attempt.
 async fn report_once(daemon: &Arc<Daemon>) -> bool {
     if let Some(taken) = report_here(daemon).await {
         return taken;
     }
     let Some(PendingReport { by, run, follows, link, request }) = daemon.core().report_to_send() else { return true };
     match link.request(&request).await {
-        // As long as the map is being drawn.
+        // The topology has not converged yet.
         Ok(Response::Refused(refusal)) if refusal.code == RefusalCode::Unreachable => {
             tracing::debug!(%refusal, "the report did not get to the RIB");
             false
@@ -64,7 +64,7 @@ async fn report_once(daemon: &Arc<Daemon>) -> bool {
     }
 }
 
-/// Reports to the RIB here, as other switches do. None: it is elsewhere.
+/// Reports to the local RIB. Returns `None` if the RIB is elsewhere.
 async fn report_here(daemon: &Arc<Daemon>) -> Option<bool> {
     let (by, follows, next) = {
         let mut core = daemon.core();
@@ -79,7 +79,7 @@ async fn report_here(daemon: &Arc<Daemon>) -> Option<bool> {
     let response = daemon.complete(next).await;
     let mut core = daemon.core();
     Some(match response {
-        // The RIB here runs as long as this daemon: whatever its number, there is no other.
+        // The local RIB runs as long as this daemon, so its run need not be compared.
         Response::Reported { run } => core.rib_client.report_accepted(Report::Accepted { by, run: 0 }, run, follows),
         other => {
             tracing::warn!(?other, "the RIB does not take its own switch's report");
@@ -88,7 +88,7 @@ async fn report_here(daemon: &Arc<Daemon>) -> Option<bool> {
     })
 }
 
-/// Lets end in the RIB what ends by itself, and retries what is to be retried.
+/// Runs the timers of the local RIB, for expiry and retries.
 pub async fn rib_clock(daemon: Arc<Daemon>) {
     loop {
         let (next, pending) = {

@@ -1,7 +1,8 @@
-//! What the RIB did not take of what other domains told, though it may later: when there is room,
-//! or what it contradicts has ended. It is tried again after a time that grows with each attempt, a
-//! few at once, in turn of those that each neighbour told. There are no more of one neighbour than
-//! [`gdp_rib::tiers`] keeps of it. Sans-IO.
+//! Retries records of other domains that the RIB refused. Sans-IO.
+//!
+//! The RIB may accept a record later, when there is room or a conflicting record has ended. The
+//! delay grows with each attempt. Each round retries a few records, in turn for each neighbour that
+//! sent them. [`gdp_rib::tiers`] bounds the number of records per neighbour.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Bound::{Excluded, Unbounded};
@@ -13,28 +14,28 @@ use gdp_wire::Name;
 
 use gdp_rib::deadlines::Deadlines;
 
-/// After the first attempt, and after many.
+/// The maximum delay before a retry. [`RETRY`] starts at one second.
 const LONGEST: Duration = Duration::from_secs(60);
 const RETRY: Backoff = Backoff::new(Duration::from_secs(1), LONGEST);
 
-/// Places that are tried at once: each takes a few signatures. And the time between two such
-/// attempts.
+/// The maximum number of records in one round, because each needs a few signature checks. `BETWEEN`
+/// is the minimum time between two rounds.
 const AT_ONCE: usize = 64;
 const BETWEEN: Duration = Duration::from_secs(1);
 
 #[derive(Debug, Default)]
 pub struct Retries {
-    /// By the neighbour that told of them: each has its turn, whatever the others wait for.
+    /// The deadlines by neighbour, so that each has its turn regardless of the others.
     due: BTreeMap<Name, Deadlines<RecordKey>>,
-    /// Who told of each, and how often it was refused in a row.
+    /// The neighbour that sent each record, and the number of refusals in a row.
     refused: BTreeMap<RecordKey, (Name, u32)>,
     not_before: Duration,
-    /// Whose turn was last.
+    /// The neighbour whose turn was last.
     last: Name,
 }
 
 impl Retries {
-    /// It was refused as `neighbour` told it; how often by now, in a row.
+    /// Records a refusal of a record from `neighbour`. Returns the number of refusals in a row.
     pub fn refused(&mut self, now: Duration, neighbour: Name, place: RecordKey) -> u32 {
         let before =
             self.refused.get(&place).filter(|(sources_of, _)| *sources_of == neighbour).map(|(_, times)| *times);
@@ -46,7 +47,7 @@ impl Retries {
         times + 1
     }
 
-    /// It was taken, or nobody tells of it any more.
+    /// Stops the retries of a record that was accepted or withdrawn.
     pub fn settled(&mut self, place: &RecordKey) {
         let Some((neighbour, _)) = self.refused.remove(place) else { return };
         if let Some(due) = self.due.get_mut(&neighbour) {
@@ -55,8 +56,8 @@ impl Retries {
         self.drop_idle(&neighbour);
     }
 
-    /// Those to be tried now, of each neighbour as many as of another: of each it is to be said
-    /// what became of it.
+    /// Returns the records to retry now, with equal shares for all neighbours. The caller must
+    /// report each outcome.
     pub fn take_due(&mut self, now: Duration) -> Vec<RecordKey> {
         if now < self.not_before {
             return Vec::new();
@@ -86,7 +87,7 @@ impl Retries {
         next.map(|at| at.max(self.not_before))
     }
 
-    /// Keeps nothing of a neighbour of which nothing is to be tried.
+    /// Drops a neighbour without pending retries.
     fn drop_idle(&mut self, neighbour: &Name) {
         if self.due.get(neighbour).is_some_and(|due| due.next().is_none()) {
             self.due.remove(neighbour);

@@ -1,8 +1,9 @@
-//! What outlives a daemon though the RIB and the links do not: a file is written before it is said
-//! that something is done, and not for each of many changes by itself. The revocations of the RIB
-//! here are kept so, in a file beside the switch's key: a daemon that starts anew refuses at once
-//! what an owner has taken back. Nothing else of the RIB is kept; entities state it again. What is
-//! stored of the domain is in [`super::domain_store`].
+//! Files that survive the daemon, unlike the RIB and the links.
+//!
+//! A file is written before a change is confirmed. Several changes share one write. The revocations
+//! of the local RIB are stored this way, in a file beside the switch's key. After a restart, the
+//! daemon thus refuses revoked rights at once. Nothing else of the RIB is stored; entities state it
+//! again. [`super::domain_store`] stores the state of the domain.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -17,27 +18,28 @@ use gdp_rib::rib::Rib;
 use tokio::sync::Mutex;
 use tokio::time::{Instant, sleep_until};
 
-/// Bytes of the file.
+/// The maximum size of the file, in bytes.
 const MAX: usize = 16 << 20;
 
-/// Files are written once in so long at most, however many changes come.
+/// The minimum time between two writes of a file.
 const BETWEEN: Duration = Duration::from_millis(250);
 
-/// How far something that counts its changes is written.
+/// The number of changes that are saved in a file.
 pub struct RevocationStore {
     saved: Arc<AtomicU64>,
-    /// Held while a file is written, also by who waits for that no more: when the next one may be.
+    /// The earliest time of the next write. A running write holds the lock, even if no caller waits
+    /// for it any more.
     next: Arc<Mutex<Instant>>,
 }
 
 impl RevocationStore {
-    /// So many changes are in the file.
+    /// Creates the store. `saved` is the number of changes already in the file.
     pub fn new(saved: u64) -> Self {
         Self { saved: Arc::new(saved.into()), next: Arc::new(Mutex::new(Instant::now())) }
     }
 
-    /// Returns once so many changes are in the file. `collect`: all there is to write, and how many
-    /// changes that is; `write` blocks. What could not be written is tried again by the next call.
+    /// Waits until `changes` changes are in the file. `collect` returns the number of changes and
+    /// the state to write. `write` may block. The next call retries a failed write.
     pub async fn keep<T: Send + 'static>(
         &self,
         changes: u64,
@@ -49,7 +51,7 @@ impl RevocationStore {
             return Ok(());
         }
         let mut next = self.next.clone().lock_owned().await;
-        // Who wrote meanwhile may have written this as well.
+        // The previous writer may have saved this change as well.
         if is_saved() {
             return Ok(());
         }
@@ -58,7 +60,7 @@ impl RevocationStore {
         let saved = self.saved.clone();
         let writing = move || {
             let written = write(all);
-            // Before the next one looks, and though nobody may wait for this any more.
+            // Store this before the next writer looks, even if no caller waits any more.
             if written.is_ok() {
                 saved.store(collected, Ordering::Release);
             }
@@ -82,12 +84,12 @@ impl RevocationStore {
 
 pub struct StoredRevocations {
     file: RevocationFile,
-    /// Of what [`gdp_rib::rib::Rib::revocations_taken`] counts.
+    /// How many changes, as counted by [`gdp_rib::rib::Rib::revocations_taken`], are saved.
     progress: RevocationStore,
 }
 
 impl StoredRevocations {
-    /// Gives the RIB what an earlier one knew.
+    /// Loads the stored revocations into the RIB, if it is here.
     pub fn recall(identity: &Path, rib: Option<&mut Rib>) -> Result<Self, SecretFileError> {
         let file = RevocationFile::new(identity.with_extension("revocations"), MAX);
         let mut saved = 0;
@@ -98,18 +100,19 @@ impl StoredRevocations {
         Ok(Self { file, progress: RevocationStore::new(saved) })
     }
 
-    /// What an earlier RIB here knew.
+    /// Returns the revocations that an earlier RIB stored here.
     pub fn known(&self) -> Result<Vec<(SignedRevocation, Revocation)>, SecretFileError> {
         self.file.load()
     }
 
-    /// There is another RIB, that has taken so many from the file.
+    /// Resets the count of saved changes for a new RIB, which has loaded `taken` revocations from
+    /// the file.
     pub fn restart(&self, taken: u64) {
         self.progress.saved.store(taken, Ordering::Release);
     }
 
-    /// Returns once so many changes are in the file. `collect`: how many there are, and all there
-    /// is to write.
+    /// Waits until `changes` changes are in the file. `collect` returns the number of changes and
+    /// the revocations to write.
     pub async fn save(
         &self,
         changes: u64,

@@ -1,11 +1,13 @@
-//! What this switch's FIB says, in names, and what that means in links: pushes from the RIB, paths
-//! from the topology, and links coming and going go in, changes of the data plane's tables come
-//! out. Sans-IO.
+//! Translates this switch's FIB, which has names, into the data planes' tables, which have links.
+//! Sans-IO.
 //!
-//! There are two layers. What the RIB has said since it started is known. What an earlier daemon
-//! left, or the RIB before this one said, is held: it counts besides, until the RIB takes it back
-//! or says that it knows all there is to know. Of paths, those are known that the topology has, and
-//! those held by which an earlier daemon forwarded.
+//! Inputs are pushes of the RIB, paths of the topology, and links that come and go. Outputs are
+//! changes of the data-plane tables.
+//!
+//! There are two layers. The known layer has the routes that the current RIB has sent since it
+//! started. The stale layer has the routes of an earlier daemon or RIB. Stale routes count as well,
+//! until the RIB withdraws them or sends a complete, settled FIB. Known paths come from the
+//! topology. Stale paths are those by which an earlier daemon forwarded.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -18,12 +20,12 @@ use super::ends::Ends;
 use gdp_dataplane::{Left, PlaneRoute};
 use gdp_rib::topology::Paths;
 
-/// One change of the data plane's tables. To be carried out in order.
+/// One change of the data-plane tables. Changes apply in order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlaneChange {
     /// This switch's own egress bit, as a mask.
     OwnBit(u64),
-    /// Which egress switches the neighbour on this link leads to.
+    /// The egress switches that the neighbour on this link reaches, as a mask.
     Reach {
         link: u32,
         bits: u64,
@@ -33,7 +35,7 @@ pub enum PlaneChange {
     Remove(Name),
 }
 
-/// A push that does not follow what the switch holds: it needs the whole.
+/// A push that does not follow the last generation. The switch needs the whole FIB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the switch holds generation {expected}, so it cannot apply a change to generation {got}; send the whole FIB")]
 pub struct OutOfStep {
@@ -41,31 +43,31 @@ pub struct OutOfStep {
     pub got: u64,
 }
 
-/// The FIB in names, and the links those names are at.
+/// The FIB by name, and the links of the peers in it.
 #[derive(Debug, Default)]
 pub struct Routes {
     own_bit: Option<u8>,
-    /// Another switch has the same one, and had it before.
+    /// Whether another switch owns this switch's egress bit, according to the topology.
     bit_is_lost: bool,
     known: Layer,
     stale: Layer,
-    /// Of the RIB that said what is known.
+    /// The RIB run that sent the known layer.
     run: Option<u64>,
     generation: u64,
-    /// What a transfer of the whole has not confirmed yet, and its next part.
+    /// The names that a full transfer has not confirmed yet, and the number of its next part.
     sweep: Option<(HashSet<Name>, u32)>,
     switches: HashMap<Name, Ends>,
     endpoints: HashMap<Name, Ends>,
-    /// Switches of other domains.
+    /// The border switches of other domains.
     borders: HashMap<Name, Ends>,
-    /// Names that each local endpoint reads or writes; and that what is behind a border reads,
-    /// writes, or is called by.
+    /// The names that each local endpoint reads or writes, and those that concern each adjacent
+    /// border.
     concerned: HashMap<Name, BTreeSet<Name>>,
 }
 
 #[derive(Debug, Default)]
 struct Layer {
-    /// Egress bits by neighbour.
+    /// The egress bits that each neighbour reaches.
     reach: BTreeMap<Name, u64>,
     routes: HashMap<Name, Way>,
 }
@@ -73,12 +75,13 @@ struct Layer {
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Way {
     route: Route,
-    /// Its writers are not known one by one: any endpoint may send to the name, as itself.
+    /// Whether any endpoint may send to the name under its own identity, because the writers are
+    /// unknown.
     anyone: bool,
 }
 
 impl Routes {
-    /// Holds what an earlier daemon left, of which `links` are still there.
+    /// Adopts the routes of an earlier daemon as stale. `links` are its remaining links.
     pub fn adopt(&mut self, left: &Left, links: &[(KeyedEntry, LinkRole)]) -> Vec<PlaneChange> {
         self.own_bit = (left.own_bit != 0).then(|| left.own_bit.trailing_zeros() as u8);
         let peers: HashMap<u32, (Name, LinkRole)> =
@@ -120,7 +123,7 @@ impl Routes {
         changes
     }
 
-    /// Applies a push from the RIB.
+    /// Applies a FIB push of the RIB.
     pub fn push(&mut self, push: &FibPush) -> Result<Vec<PlaneChange>, OutOfStep> {
         self.check_order(push)?;
         if self.run != Some(push.run) {
@@ -167,13 +170,14 @@ impl Routes {
         Ok(changes)
     }
 
-    /// A link is up; it replaces one to the same peer once it [is ready](Self::link_ready).
+    /// Adds a link. It replaces the peer's earlier link on the lane once it [is
+    /// ready](Self::link_ready).
     pub fn link_up(&mut self, role: LinkRole, peer: Name, lane: u8, link: u32) -> Vec<PlaneChange> {
         self.ends(role).entry(peer).or_default().up(lane, link);
         self.changes_of(role, &peer)
     }
 
-    /// The peer takes frames on the link.
+    /// Marks a link as ready: the peer accepts frames on it.
     pub fn link_ready(&mut self, role: LinkRole, peer: Name, link: u32) -> Vec<PlaneChange> {
         let Some(ends) = self.ends(role).get_mut(&peer) else { return Vec::new() };
         let sent_on = |ends: &Ends| (ends.out(), ends.each().collect::<Vec<_>>());
@@ -182,8 +186,8 @@ impl Routes {
         if sent_on(ends) == before { Vec::new() } else { self.changes_of(role, &peer) }
     }
 
-    /// An endpoint wants on this link what it takes on one. What it sends, and takes on each, stays
-    /// as it is.
+    /// Makes a link the one that an endpoint prefers for frames that go over only one of its links.
+    /// Other frames to and from the endpoint are not affected.
     pub fn link_preferred(&mut self, peer: Name, link: u32) -> Vec<PlaneChange> {
         let Some(ends) = self.endpoints.get_mut(&peer) else { return Vec::new() };
         let before = ends.out();
@@ -196,22 +200,23 @@ impl Routes {
         ways.filter(on_one).map(|way| self.resolve(&way)).collect()
     }
 
-    /// The link that an endpoint wants on what it takes on one.
+    /// Returns the link that carries frames to an endpoint which go over only one of its links.
     pub fn link_to(&self, endpoint: &Name) -> Option<u32> {
         self.endpoints.get(endpoint)?.out()
     }
 
-    /// The link fell silent: whether frames may still come and go on it, so that it is to be kept.
+    /// Handles a silent link. Returns whether to keep it, because frames may still go over it.
     pub fn link_silent(&mut self, role: LinkRole, peer: &Name, link: u32) -> bool {
         self.ends(role).get_mut(peer).is_some_and(|ends| ends.silent(link))
     }
 
-    /// Whether another link has replaced this one, so that frames may still come on it.
+    /// Returns whether a newer link has replaced this one. Frames may still arrive on it.
     pub fn is_replaced(&mut self, role: LinkRole, peer: &Name, link: u32) -> bool {
         self.ends(role).get(peer).is_some_and(|ends| ends.is_earlier(link))
     }
 
-    /// A link is gone. Returns earlier ones to the same peer that have to go with it.
+    /// Removes a link. Returns the table changes, and the earlier links to the same peer that end
+    /// with it.
     pub fn link_removed(&mut self, role: LinkRole, peer: Name, link: u32) -> (Vec<PlaneChange>, Vec<u32>) {
         let all = self.ends(role);
         let Some(ends) = all.get_mut(&peer) else { return Default::default() };
@@ -222,7 +227,7 @@ impl Routes {
         (self.changes_of(role, &peer), with_it)
     }
 
-    /// Index of this switch's own egress bit, once the RIB has told it.
+    /// Returns the index of this switch's own egress bit, once the RIB has assigned it.
     pub fn own_bit(&self) -> Option<u8> {
         self.own_bit
     }
@@ -231,7 +236,7 @@ impl Routes {
         self.generation
     }
 
-    /// Names that are routed here.
+    /// Returns the number of names with a route.
     pub fn len(&self) -> usize {
         let only_held = self.stale.routes.keys().filter(|name| !self.known.routes.contains_key(name));
         self.known.routes.len() + only_held.count()
@@ -241,14 +246,14 @@ impl Routes {
         self.len() == 0
     }
 
-    /// How many names that somebody takes an endpoint here may send to.
+    /// Returns the number of names with receivers to which an endpoint may send.
     pub fn leading_from(&self, endpoint: &Name) -> usize {
         let ways = self.concerned.get(endpoint).into_iter().flatten().filter_map(|name| self.way(name));
         let leads = |route: &Route| route.egress_bits != 0 || !route.locals.is_empty();
         ways.filter(|way| way.route.writers.contains(endpoint) && leads(&way.route)).count()
     }
 
-    /// The neighbours that lead to these egress switches.
+    /// Returns the neighbours that reach these egress switches.
     pub fn neighbours_toward(&self, bits: u64) -> Vec<Name> {
         self.reach().into_iter().filter(|(_, reach)| *reach & bits != 0).map(|(name, _)| name).collect()
     }
@@ -271,7 +276,7 @@ impl Routes {
         if in_order { Ok(()) } else { Err(OutOfStep { expected: self.generation, got: push.generation }) }
     }
 
-    /// The RIB is another one than before, and begins with nothing.
+    /// Moves the known routes to the stale layer, because a new RIB run starts empty.
     fn make_known_stale(&mut self) {
         for (name, way) in std::mem::take(&mut self.known.routes) {
             let joint = join(Some(&way), self.stale.routes.get(&name));
@@ -279,7 +284,8 @@ impl Routes {
         }
     }
 
-    /// Egress bits by neighbour; where the topology knows no path, the one that is held.
+    /// Returns the egress bits that each neighbour reaches. Stale paths count only where the
+    /// topology has no path.
     fn reach(&self) -> BTreeMap<Name, u64> {
         let mut reach = self.known.reach.clone();
         let known = reach.values().fold(0, |all, bits| all | bits);
@@ -296,7 +302,7 @@ impl Routes {
         self.own_mask_after(before)
     }
 
-    /// The bit as it stands in frames for this switch; 0: none does.
+    /// Returns the egress bit of this switch as a mask, or 0 if it has none.
     fn own_mask(&self) -> u64 {
         self.own_bit.filter(|_| !self.bit_is_lost).map_or(0, |bit| 1 << bit)
     }
@@ -306,7 +312,7 @@ impl Routes {
         (mask != before).then_some(PlaneChange::OwnBit(mask)).into_iter().collect()
     }
 
-    /// The topology knows these paths now.
+    /// Sets the known paths of the topology.
     pub fn set_paths(&mut self, paths: &Paths, own: &Name) -> Vec<PlaneChange> {
         let (mask, before) = (self.own_mask(), self.reach());
         self.bit_is_lost = self.own_bit.and_then(|bit| paths.bits.get(&bit)).is_some_and(|has| has != own);
@@ -316,7 +322,7 @@ impl Routes {
         changes
     }
 
-    /// From now on only those paths count that the topology knows.
+    /// Drops the stale paths, so that only those of the topology count.
     pub fn end_stale_paths(&mut self) -> Vec<PlaneChange> {
         let before = self.reach();
         self.stale.reach.clear();
@@ -332,7 +338,7 @@ impl Routes {
         used.into_iter().chain([self.next_hops(&reach)]).chain(unused).collect()
     }
 
-    /// What follows from other links to a peer.
+    /// Returns the changes that follow from new links to a peer.
     fn changes_of(&self, role: LinkRole, peer: &Name) -> Vec<PlaneChange> {
         match role {
             LinkRole::Switch => {
@@ -347,8 +353,8 @@ impl Routes {
         }
     }
 
-    /// The masks of the links to switches: of those that are sent on, and of all others, by which
-    /// no copy goes. In this order a frame rather goes twice than never.
+    /// Returns the masks of the links to switches: of those to send on, and of all others, which
+    /// are 0. In this order, a frame may be duplicated for a moment, but not lost.
     fn reach_of<'a>(
         &self,
         reach: &BTreeMap<Name, u64>,
@@ -383,7 +389,7 @@ impl Routes {
         join(self.known.routes.get(name), self.stale.routes.get(name))
     }
 
-    /// Changes the layers in what they say of one name.
+    /// Changes the layers' routes of one name, and returns the resulting table change.
     fn update(&mut self, name: &Name, change: impl FnOnce(&mut Self)) -> Option<PlaneChange> {
         let before = self.way(name);
         change(self);
@@ -405,8 +411,8 @@ impl Routes {
         Some(after.map_or(PlaneChange::Remove(*name), |way| self.resolve(&way)))
     }
 
-    /// A name that leads nowhere from here, and that nobody behind a border is called by, the data
-    /// plane need not hold.
+    /// Translates a route to links. Removes a name from the data plane if it leads nowhere from
+    /// here and no border calls it.
     fn resolve(&self, Way { route, anyone }: &Way) -> PlaneChange {
         let borders = |names: &[Name]| names.iter().filter_map(|name| self.borders.get(name)).collect::<Vec<_>>();
         let ends = |names: &[Name]| -> Vec<&Ends> {
@@ -425,8 +431,7 @@ impl Routes {
 }
 
 impl Routes {
-    /// From now on only those may send to a name who are known to write it, also where it was held
-    /// without knowing them.
+    /// Restricts names with unknown writers to the known writers.
     pub fn end_any_writer(&mut self) -> Vec<PlaneChange> {
         let open = self.stale.routes.iter().filter(|(_, way)| way.anyone).map(|(name, _)| *name);
         let close = |routes: &mut Self, name: &Name| {
@@ -438,7 +443,7 @@ impl Routes {
     }
 }
 
-/// What two layers say of a name, taken together.
+/// Returns the union of both layers' routes for a name.
 fn join(known: Option<&Way>, held: Option<&Way>) -> Option<Way> {
     let (Some(known), Some(held)) = (known, held) else { return known.or(held).cloned() };
     let both = |some: &[Name], more: &[Name]| sorted(some.iter().chain(more).copied());
@@ -457,8 +462,8 @@ fn sorted<T: Ord>(items: impl Iterator<Item = T>) -> Vec<T> {
     BTreeSet::from_iter(items).into_iter().collect()
 }
 
-/// The local endpoints that read or write a name, and the switches of other domains that it
-/// concerns.
+/// Returns the local endpoints that read or write a name, and the border switches of other domains
+/// that it concerns.
 fn concerned(way: &Way) -> impl Iterator<Item = &Name> {
     way.route.locals.iter().chain(&way.route.writers).chain(&way.route.arrives_by)
 }

@@ -1,4 +1,4 @@
-//! Why a daemon does not start.
+//! The reasons why a daemon does not start.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ use super::admin::AdminError;
 use super::domain_store::MembershipError;
 use crate::store::StoreError;
 
-/// Why a daemon does not start.
+/// The reason why a daemon does not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     #[error(transparent)]
@@ -37,7 +37,7 @@ pub enum StartError {
 }
 
 impl StartError {
-    /// Whether an interface is missing or down.
+    /// Returns whether an interface is missing or down.
     pub(super) fn is_absent(&self) -> bool {
         matches!(self.os_error(), Some(libc::ENODEV | libc::ENETDOWN))
     }

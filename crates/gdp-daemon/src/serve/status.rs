@@ -1,4 +1,4 @@
-//! What the daemon reports of itself: replies to commands.
+//! The daemon's status as JSON, for users and programs.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -27,7 +27,7 @@ use crate::domain::{Domain, Relationship};
 use gdp_dataplane::{PlaneError, host_pair};
 use gdp_util::unix_time::unix_seconds;
 
-/// Names that the status shows as the busiest.
+/// The number of busiest names in the status.
 const BUSIEST: usize = 10;
 
 /// Which switch this is.
@@ -83,7 +83,7 @@ pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
     });
     errors.extend(core.switch.pending_routes());
     errors.extend(core.rib_host.no_rib.iter().map(|why| format!("the RIB of this replica: {why}")));
-    // What the host itself has made is no interface that anybody asked about.
+    // Interfaces that the switch created itself are of no interest to the user.
     let outward: Vec<_> = report.into_iter().filter(|plane| !host_pair::is_end(&plane.interface)).collect();
     let (data_plane, data_plane_reason) = summary(&outward, udp_links);
     let dpdk_processor_time = core.switch.planes.dpdk_processor_time();
@@ -119,13 +119,14 @@ pub async fn status(daemon: &Arc<Daemon>) -> StatusReply {
     }
 }
 
-/// Of peers that dialled and got no link.
+/// Returns the handshake counters of peers that dialled and got no link.
 fn handshakes(counts: HandshakeCounts) -> Handshakes {
     let HandshakeCounts { challenged, refused, displaced, failed } = counts;
     Handshakes { challenged, refused, displaced, failed }
 }
 
-/// Where the RIB is, which neighbour leads there, and whether it is to be asked; if not, why.
+/// Returns the location of the RIB, the next hop to it, and whether it accepts requests, with the
+/// reason if not. `fenced` counts the refused messages of RIBs whose term was over.
 fn control(core: &Core) -> ControlStatus {
     let rib = core.topology.rib().map(|(rib, _)| rib);
     let problem = core.rib_at().err().filter(|_| core.rib_host.rib.is_none());
@@ -138,7 +139,7 @@ fn control(core: &Core) -> ControlStatus {
     }
 }
 
-/// `gdp-ctl link list`: every live link, by id.
+/// Returns the output of `gdp-ctl link list`: every live link, by id.
 pub fn links(core: &Core) -> Vec<LinkStatus> {
     let mut links: Vec<_> = core.switch.links.values().collect();
     links.sort_by_key(|state| state.link.local_id());
@@ -175,9 +176,8 @@ pub fn links(core: &Core) -> Vec<LinkStatus> {
     links.into_iter().map(status).collect()
 }
 
-/// `gdp-ctl peer list`: the neighbours of the configuration, the other switches and domains that
-/// links lead to, and whoever was refused a link lately; by name. A peer with a link is not
-/// refused.
+/// Returns the output of `gdp-ctl peer list`, by name: configured neighbours, other switches and
+/// domains with links, and recently refused peers. A peer with a link is not refused.
 pub fn peers(core: &Core) -> PeersReply {
     let listed = core.neighbours.listed.iter().map(|neighbour| neighbour.address.switch);
     let is_peer =
@@ -261,7 +261,7 @@ pub fn topology(daemon: &Daemon) -> TopologyReply {
     TopologyReply { own: core.name(), domain: core.membership.home(), switches: switches.collect() }
 }
 
-/// What a switch states of its neighbours.
+/// Returns the neighbours in a switch's link state.
 fn neighbours(state: &LinkState) -> Vec<Adjacency> {
     let is_silent = |index: usize| state.silent & 1 << index != 0;
     let near = state.neighbours.iter().enumerate();
@@ -286,7 +286,7 @@ fn domain(domain: &Domain) -> DomainStatus {
     }
 }
 
-/// The domain of a peer that is of another than this switch.
+/// Returns the domain of a peer that is of another domain than this switch.
 fn foreign(standing: &Relationship) -> Option<Name> {
     match standing {
         Relationship::Border { domain, .. } | Relationship::Visitor { domain } | Relationship::Host { domain } => {
@@ -296,14 +296,14 @@ fn foreign(standing: &Relationship) -> Option<Name> {
     }
 }
 
-/// What a neighbour refused of what this switch sent it, by code.
+/// Returns how many frames of this switch a neighbour refused, by error code.
 fn errors_received(core: &Core, link: u32) -> Counts {
     let errors = ErrorCode::ALL.iter().zip(core.switch.planes.notices().errors(link));
     errors.filter(|(_, count)| *count > 0).map(|(code, count)| (code.as_str().into(), count)).collect()
 }
 
-/// One word for all interfaces, and why. `udp_links`: those over UDP that the kernel does not send
-/// on.
+/// Returns one word for the data planes of all interfaces, and the reasons. `udp_links` counts the
+/// links over UDP on which the daemon sends instead of the kernel.
 fn summary(report: &[gdp_dataplane::InterfacePlane], udp_links: usize) -> (&'static str, String) {
     let Some(first) = report.first() else {
         return ("userspace", "no Ethernet interface is in use; links over UDP are forwarded by the daemon".into());
@@ -324,8 +324,8 @@ fn summary(report: &[gdp_dataplane::InterfacePlane], udp_links: usize) -> (&'sta
     (kind, reasons.join("; "))
 }
 
-/// One page of `gdp-ctl fib dump`: at most `limit` names behind `after`, and whether there are
-/// more.
+/// Returns one page of `gdp-ctl fib dump`: at most `limit` names after `after`, and whether more
+/// follow.
 pub fn fib(daemon: &Daemon, after: Option<Name>, limit: usize) -> Result<FibReply, PlaneError> {
     let core = daemon.core();
     let (routes, more) = core.switch.planes.routes_behind(after, limit)?;
@@ -347,7 +347,7 @@ fn route(core: &Core, peers: &BTreeMap<u32, Name>, name: &Name, entry: &FibEntry
     }
 }
 
-/// One page of `gdp-ctl rib dump`, or why there is none.
+/// Returns one page of `gdp-ctl rib dump`. Fails with the reason if the RIB is not here.
 pub fn rib(daemon: &Daemon, after: Option<RecordKey>, limit: usize) -> Result<RibReply, String> {
     let core = daemon.core();
     let Some(rib) = &core.rib_host.rib else {

@@ -1,6 +1,7 @@
-//! A leader's term of office: when it ends, and which of what has changed in it is stored. Who
-//! waits for something to be stored has a ticket of the term in which it changed: of what a term
-//! has left undone, another one stores nothing.
+//! A leader's term: its end, and which of its changes are stored.
+//!
+//! A caller that waits for a change to be stored holds a ticket of the term in which it happened.
+//! No later term stores the changes that an earlier one left unstored.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -13,20 +14,20 @@ use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::store::StoreError;
 
-/// How long what is stated waits to be stored.
+/// The maximum wait of a ticket until its change is stored.
 const TIMEOUT: Duration = Duration::from_secs(4);
 
 pub struct Term {
     ends: Mutex<Instant>,
-    /// Tickets that were issued.
+    /// The number of issued tickets.
     issued: AtomicU64,
-    /// Something is on its way to the store.
+    /// Whether a write to the store is pending.
     is_writing: AtomicBool,
     wake: Notify,
     progress: watch::Sender<Progress>,
 }
 
-/// Of those that have a ticket.
+/// The tickets up to which changes are stored, or have failed.
 #[derive(Clone, Debug, Default)]
 struct Progress {
     done: u64,
@@ -34,7 +35,7 @@ struct Progress {
     why: String,
 }
 
-/// For what has changed in a term until it was issued.
+/// A claim on the changes of a term up to the ticket's issue.
 pub struct Ticket {
     term: Arc<Term>,
     number: u64,
@@ -50,7 +51,7 @@ impl Term {
         Instant::now() >= *self.ends.lock()
     }
 
-    /// Returns once it is over, whatever else is waited for.
+    /// Waits until the term is over, even if it is extended meanwhile.
     pub async fn over(&self) {
         while !self.is_over() {
             let ends = *self.ends.lock();
@@ -58,7 +59,8 @@ impl Term {
         }
     }
 
-    /// Has it last longer; not if it is over, as that may have been noticed. Whether it does.
+    /// Extends the term, unless it is over, because others may have acted on that. Returns whether
+    /// the term lasts.
     pub fn extend(&self, to: Instant) -> bool {
         let mut ends = self.ends.lock();
         let lasts = Instant::now() < *ends;
@@ -68,31 +70,32 @@ impl Term {
         lasts
     }
 
-    /// It is over. To be called when no more tickets are issued: whoever has one is told why it is
-    /// not stored.
+    /// Ends the term. The caller must issue no more tickets. Holders of tickets get `why` as the
+    /// reason of the failure.
     pub fn end(&self, why: &str) {
         *self.ends.lock() = Instant::now();
         self.failed(u64::MAX, why);
     }
 
-    /// To be taken under the lock under which something has changed: then that is stored with, or
-    /// before, what has a later ticket, and the term is still the one in which it changed.
+    /// Issues a ticket. The caller must hold the lock under which the change happened. The change
+    /// is then stored no later than those of later tickets, and belongs to this term.
     pub fn ticket(self: &Arc<Self>) -> Ticket {
         let number = self.issued.fetch_add(1, Ordering::AcqRel) + 1;
         Ticket { term: self.clone(), number }
     }
 
-    /// The last ticket so far. To be asked under the same lock, when what has changed is collected.
+    /// Returns the number of the last ticket. The caller must hold the same lock when it collects
+    /// the changes.
     pub fn last_ticket(&self) -> u64 {
         self.issued.load(Ordering::Acquire)
     }
 
-    /// Whether somebody waits who has this ticket or an earlier one.
+    /// Returns whether a ticket up to `last` is not stored yet.
     pub fn is_awaited(&self, last: u64) -> bool {
         self.progress.borrow().done < last
     }
 
-    /// Returns when somebody waits, or after a while.
+    /// Waits until a ticket holder waits, or at most `at_most`.
     pub async fn awaited(&self, at_most: Duration) {
         let _ = timeout(at_most, self.wake.notified()).await;
     }
@@ -105,12 +108,13 @@ impl Term {
         self.is_writing.store(is_writing, Ordering::Release);
     }
 
-    /// All up to this ticket is stored.
+    /// Records that all changes up to this ticket are stored.
     pub fn done(&self, last: u64) {
         self.progress.send_modify(|progress| progress.done = progress.done.max(last));
     }
 
-    /// What is not stored of it is to be tried again by whoever stated it.
+    /// Records that the changes up to this ticket may not be stored. The clients that made them
+    /// must retry.
     pub fn failed(&self, last: u64, why: &str) {
         self.progress.send_modify(|progress| {
             (progress.failed, progress.why) = (progress.failed.max(last), why.into());
@@ -119,7 +123,7 @@ impl Term {
 }
 
 impl Ticket {
-    /// Returns once it is stored; or that it is not, and why.
+    /// Waits until the change is stored. Fails with the reason if it is not.
     pub async fn stored(self) -> Result<(), Refusal> {
         let Self { term, number } = self;
         let mut progress = term.progress.subscribe();
@@ -134,7 +138,7 @@ impl Ticket {
     }
 }
 
-/// What comes of the work of a term, at its end at the latest.
+/// Returns the error with which the work of a term ends. Stops the work at the end of the term.
 pub async fn within(term: &Term, work: impl Future<Output = StoreError>) -> StoreError {
     tokio::select! {
         error = work => error,

@@ -1,6 +1,8 @@
-//! Probes, sent and answered: where a name leads, who is on the way, and how long that takes. A
-//! probe goes in the data plane; its answer comes back over the links of switches, hop by hop. And
-//! echoes, which neighbours answer in their data planes.
+//! Sends and answers probes and echoes, which show where a name leads, the switches on the path,
+//! and the round-trip times.
+//!
+//! A probe travels in the data plane. Its answer returns hop by hop over the links between
+//! switches. Neighbours answer echoes in their data planes.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -13,18 +15,18 @@ use super::core::probes::ProbeError;
 use super::core::probing::cookie;
 use super::daemon::Daemon;
 
-/// How long an answer may take.
+/// The time limit for an answer.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The answer to a probe, and the time it took.
+/// The answer to a probe, with its round-trip time.
 pub struct Hop {
     pub switch: Name,
     pub end: Option<TracedEnd>,
     pub time: Duration,
 }
 
-/// Answers probes that end at this switch, until the daemon ends. An answer that is lost is as a
-/// probe that is lost.
+/// Answers probes that end at this switch, until the daemon ends. A lost answer has the same effect
+/// as a lost probe.
 pub async fn run(daemon: Arc<Daemon>) {
     let notices = daemon.core().switch.planes.notices().clone();
     loop {
@@ -43,8 +45,8 @@ pub async fn run(daemon: Arc<Daemon>) {
 }
 
 impl Daemon {
-    /// Sends a probe for `name` toward an egress switch, `hops` switches far at most, and waits for
-    /// its answer. `None`: there was none. `asked_by`: the neighbouring domain it is for.
+    /// Sends a probe for `name` toward an egress switch, at most `hops` switches far. Returns its
+    /// answer, or `None` after a timeout. `asked_by` is the neighbouring domain that requested it.
     pub(super) async fn probe(
         &self,
         asked_by: Option<Name>,
@@ -58,8 +60,8 @@ impl Daemon {
         Ok(answer.map(|(Traced { switch, end, .. }, at)| Hop { switch, end, time: at - sent }))
     }
 
-    /// Asks the data plane of a neighbour for an answer; the time that took. `None`: there was
-    /// none.
+    /// Sends an echo to a neighbour's data plane and returns the round-trip time, or `None` after a
+    /// timeout.
     pub(super) async fn echo(&self, peer: Name) -> Result<Option<Duration>, ProbeError> {
         let cookie = cookie()?;
         let (id, notices, sent) = {

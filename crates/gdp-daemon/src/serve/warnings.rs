@@ -1,5 +1,5 @@
-//! What looks wrong though nothing has failed, as `gdp-ctl status` warns of it. It may be meant so:
-//! a publisher may have nothing to say, and a subscriber may be early.
+//! The warnings of `gdp-ctl status`: suspicious states without a failure. They may be intended. A
+//! publisher may have no data, and a subscriber may be early.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -10,19 +10,19 @@ use gdp_wire::{Counter, Name};
 
 use super::core::Core;
 
-/// An endpoint that has sent nothing for so long is silent. One that reads greets whom it reads in
-/// less.
+/// The time without a frame after which an endpoint counts as silent. A subscriber sends greetings
+/// to its publishers more often.
 const SILENT: Duration = Duration::from_secs(10);
 
-/// Names that one warning shows.
+/// The maximum number of names in one warning.
 const NAMES: usize = 10;
 
 pub fn warnings(core: &Core) -> Vec<Warning> {
     silent(core).into_iter().chain(without_publisher(core)).collect()
 }
 
-/// Endpoints that may send to names that somebody takes, and of which no frame was taken on any
-/// link they have now. Counted exactly, on links: frames are not counted by name.
+/// Returns the endpoints that may send to names with receivers, but sent no accepted frame on any
+/// current link. The counters are exact, but per link. Frames are not counted by name.
 fn silent(core: &Core) -> Vec<Warning> {
     let mut quiet = BTreeMap::<Name, Duration>::new();
     let mut heard = BTreeSet::new();
@@ -45,7 +45,8 @@ fn silent(core: &Core) -> Vec<Warning> {
     quiet.into_iter().filter_map(warn).collect()
 }
 
-/// Names that are read or called, and nobody publishes or serves; as far as the RIB here knows.
+/// Returns the names with subscribers or clients, but without a publisher or server. Uses what the
+/// local RIB knows.
 fn without_publisher(core: &Core) -> Option<Warning> {
     let (count, names) = core.rib_host.rib.as_ref()?.without_publisher();
     (count > 0).then(|| Warning::NotServed { count, names: names.take(NAMES).collect() })

@@ -23,8 +23,8 @@ use crate::serve::federation::Federation;
 use crate::serve::term::Term;
 use crate::store::items::ItemChange;
 
-/// Those of a run's number that are random. The others have the revisions of etcd for a lifetime,
-/// and the time in units of 17 ms.
+/// The number of random low bits in the number of a RIB run. The 40 high bits have room for etcd
+/// revisions, or for the time in units of 17 ms.
 const RUN_BITS: u32 = 24;
 
 /// The RIB of the domain, if this switch hosts it.

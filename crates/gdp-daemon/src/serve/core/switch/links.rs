@@ -70,7 +70,8 @@ impl Switch {
         }
     }
 
-    /// Makes this link the one that an endpoint prefers for frames that need only one of its links.
+    /// Makes this link the one that an endpoint prefers for frames that go over only one of its
+    /// links.
     pub fn prefer(&mut self, link: &Link) {
         let changes = self.routes.link_preferred(link.peer().name, link.local_id());
         self.apply(changes);
