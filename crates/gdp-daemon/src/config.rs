@@ -1,5 +1,6 @@
-//! The daemon's configuration file, and what it is without one. Strict YAML: unknown keys are
-//! refused. Read once, at start; paths in it are relative to its folder.
+//! The daemon's configuration file, and the defaults without one. The format is strict YAML:
+//! unknown keys are errors. The daemon reads it once at start. Paths in it are relative to its
+//! folder.
 
 mod dpdk;
 mod etcd;
@@ -24,48 +25,49 @@ use gdp_dataplane::FIB_CAPACITY;
 use gdp_dataplane::dpdk::DpdkConfig;
 use gdp_dataplane::pins::BPFFS;
 
-/// A configuration is a page of text; more is a wrong file.
+/// The maximum size of the file, in bytes. A configuration is a page of text, so a larger file is
+/// the wrong one.
 const MAX_FILE: u64 = 256 * 1024;
 
-/// What `gdp-ctl serve` runs with.
+/// The configuration of `gdp-ctl serve`.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// The switch's private key; made if there is none.
+    /// The file of the switch's private key. The daemon generates a missing one.
     pub identity: PathBuf,
-    /// The admin socket.
+    /// The path of the admin socket.
     pub socket: PathBuf,
-    /// Ethernet interfaces with links of their own; `None`: those that other keys name. See
+    /// The Ethernet interfaces that carry links directly. `None`: those that other keys name. See
     /// [`Config::named_interfaces`].
     pub interfaces: Option<Vec<String>>,
-    /// As if every Ethernet interface that is up at the start were named. No option of the file.
+    /// Uses every Ethernet interface that is up at start. Not an option of the file.
     pub all_interfaces: bool,
-    /// Where to take links over UDP, if at all.
+    /// The address that accepts links over UDP, if any.
     pub udp: Option<SocketAddr>,
     pub data_plane: DataPlane,
-    /// For the DPDK plane.
+    /// The settings of the DPDK plane.
     pub dpdk: DpdkConfig,
     /// Whether this daemon is the RIB. If not, the topology leads to it.
     pub rib: bool,
     pub neighbours: Vec<Neighbour>,
     pub ebpf_object: Option<PathBuf>,
     pub fib_capacity: u32,
-    /// The BPF file system in which XDP outlives the daemon; `None`: it ends with it.
+    /// The BPF file system in which XDP outlives the daemon. `None`: XDP ends with the daemon.
     pub bpffs: Option<PathBuf>,
-    /// The trust domain it is a member of; without, it takes any neighbour that is listed and any
+    /// The trust domain of the switch. Without one, it accepts any configured neighbour and any
     /// endpoint.
     pub domain: Option<DomainConfig>,
-    /// Of a border: the addresses at which those of other domains reach it, best first.
+    /// The addresses at which borders of other domains reach this border, best first.
     pub public: Vec<SocketAddr>,
-    /// Where the RIB is kept, if it is one of several replicas.
+    /// The store of the RIB, if it is one of several replicas.
     pub etcd: Option<EtcdConfig>,
-    /// When the keys of links are replaced. No option of the file.
+    /// The schedule of link key rotation. Not an option of the file.
     pub rekey: RekeySchedule,
 }
 
-/// What makes a daemon a member of a trust domain.
+/// The membership of a daemon in a trust domain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DomainConfig {
-    /// Read again when they change.
+    /// The credential files. The daemon reloads them when they change.
     pub files: CredentialFiles,
     /// Whether endpoints without a membership get no link.
     pub members_only: bool,
@@ -76,14 +78,14 @@ pub struct DomainConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Inside {
-    /// That frames get through, and in what time.
+    /// Only whether frames get through, and in what time.
     #[default]
     Masked,
-    /// Every switch.
+    /// Every switch on the path.
     Open,
 }
 
-/// Which data plane the user wants.
+/// The data plane that the user selects.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum DataPlane {
@@ -98,36 +100,36 @@ pub enum DataPlane {
     Userspace,
 }
 
-/// A switch this one has a link with, and what crossing the link costs; none: as its round-trip
-/// time says, see [`gdp_rib::topology::cost`].
+/// A configured neighbour and the cost of its link. Without a cost, the round-trip time determines
+/// it, see [`gdp_rib::topology::cost`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Neighbour {
     pub address: NeighbourAddress,
     pub cost: Option<u32>,
-    /// This side makes the link. Otherwise the one with the smaller name does.
+    /// Whether this side dials. Otherwise the side with the smaller name does.
     pub dial: bool,
-    /// It is a border of another domain, whose RIB is above this one's. Parents are asked in the
-    /// order of the list.
+    /// Whether the neighbour is a border of a parent domain, whose RIB is above this one's. The
+    /// order of the list is the order of queries to parents.
     pub parent: bool,
 }
 
-/// A neighbouring switch and where it is.
+/// A neighbouring switch and its location.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NeighbourAddress {
     pub switch: Name,
     pub via: Via,
 }
 
-/// How a neighbour is reached.
+/// The path to a neighbour.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Via {
-    /// On the segment of this interface; its address is discovered.
+    /// The neighbour is on the segment of this interface, and discovery finds its address.
     Interface(String),
     Udp(SocketAddr),
 }
 
 impl Via {
-    /// Whether it is through the same interface, or both over UDP.
+    /// Returns whether both use the same interface, or both use UDP.
     pub fn same_port(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Interface(a), Self::Interface(b)) => a == b,
@@ -146,7 +148,7 @@ impl fmt::Display for Via {
     }
 }
 
-/// Why a configuration is refused.
+/// The reason why a configuration is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     #[error("cannot read the configuration {}: {source}", path.display())]
@@ -158,8 +160,8 @@ pub enum ConfigError {
 }
 
 impl Config {
-    /// A switch without privileges, on this UDP address alone, with nothing around it; whoever
-    /// makes it says what else it is.
+    /// Returns an unprivileged switch on this UDP address alone, without RIB or neighbours. Callers
+    /// set the other fields as needed.
     pub fn userspace(identity: PathBuf, udp: SocketAddr) -> Self {
         Self {
             socket: identity.with_extension("sock"),
@@ -181,7 +183,7 @@ impl Config {
         }
     }
 
-    /// What a daemon without a configuration runs with: RIB and switch, with links over UDP.
+    /// Returns the configuration of a daemon without a file: RIB and switch, with links over UDP.
     pub fn embedded() -> Result<Self, ConfigError> {
         Ok(Self {
             socket: folders::admin_socket()?,
@@ -193,8 +195,8 @@ impl Config {
         })
     }
 
-    /// The Ethernet interfaces that somebody named, each once: those of `interfaces`; without that
-    /// list those of neighbours, and of DPDK's ports if they are used.
+    /// Returns the named Ethernet interfaces, each once. They are those of `interfaces`. Without
+    /// that list, they are those of neighbours and of DPDK's ports in use.
     pub fn named_interfaces(&self) -> Vec<String> {
         let neighbours = self.neighbours.iter().filter_map(|neighbour| match &neighbour.address.via {
             Via::Interface(name) => Some(name),
@@ -210,7 +212,7 @@ impl Config {
         named.into_iter().filter(|name| once.insert(*name)).cloned().collect()
     }
 
-    /// Names further interfaces.
+    /// Adds further named interfaces.
     pub fn name_interfaces(&mut self, more: Vec<String>) {
         let named = [self.named_interfaces(), more].concat();
         self.interfaces = Some(named);
@@ -235,7 +237,7 @@ impl Config {
         let file: File = if text.trim().is_empty() {
             File { bpffs: default_bpffs(), ..File::default() }
         } else {
-            // A snippet would put the text into the log, and the file may be a key, given by
+            // A snippet would put file content into the log, and the file may be a key given by
             // mistake.
             let options = serde_saphyr::options! { with_snippet: false };
             serde_saphyr::from_str_with_options(text, options)
@@ -257,7 +259,7 @@ impl From<folders::NoFolder> for ParseError {
     }
 }
 
-/// The file as it is written.
+/// The schema of the file.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct File {
@@ -268,12 +270,12 @@ struct File {
     data_plane: DataPlane,
     dpdk: DpdkEntry,
     rib: Option<bool>,
-    /// A neighbour like others; that there is one says that the RIB is elsewhere.
+    /// A neighbour like the others. If it is set, the RIB is elsewhere.
     uplink: Option<NeighbourAddressEntry>,
     neighbours: Vec<NeighbourAddressEntry>,
     ebpf_object: Option<PathBuf>,
     fib_capacity: Option<u32>,
-    /// `null` turns it off.
+    /// The BPF file system; `null` turns pinning off.
     #[serde(default = "default_bpffs")]
     bpffs: Option<PathBuf>,
     domain: Option<DomainEntry>,
@@ -294,7 +296,7 @@ struct DomainEntry {
     trace: Inside,
 }
 
-/// Absent is not the same as `null`, which turns UDP off.
+/// The `udp` key. Unlike a missing key, `null` turns UDP off.
 #[derive(Debug, Default)]
 enum Udp {
     #[default]
@@ -469,7 +471,7 @@ fn default_bpffs() -> Option<PathBuf> {
     Some(BPFFS.into())
 }
 
-/// Where links over UDP are taken unless it is said.
+/// Returns the default address for links over UDP.
 pub fn default_udp() -> SocketAddr {
     (Ipv4Addr::UNSPECIFIED, gdp_wire::UDP_PORT).into()
 }

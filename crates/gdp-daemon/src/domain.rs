@@ -1,5 +1,5 @@
-//! What a daemon knows of its trust domain, without I/O: whom it takes links with ([`Trust`]), and
-//! whom invitations have admitted. `serve::domain` reads the files, asks and tells others;
+//! The state of a daemon's trust domain, without I/O: the rules for links ([`Trust`]) and the
+//! admissions by invitation. `serve::domain` reads the files, asks the RIB and floods revocations.
 //! `serve::core` admits the peers of links.
 
 use std::collections::BTreeMap;
@@ -10,15 +10,15 @@ use serde::{Deserialize, Serialize};
 
 pub use gdp_core::domain::{Admission, Credentials, DomainError, Relationship, Trust};
 
-/// Invitations that were used and whose members may still be some.
+/// The maximum number of used invitations whose members may still be valid.
 pub const MAX_USED: usize = 16_384;
 
-/// A daemon as a member of a domain.
+/// A daemon's membership of a domain.
 #[derive(Debug)]
 pub struct Domain {
     pub trust: Trust,
     pub invitations: Invitations,
-    /// Rises with whatever is to be kept over a restart.
+    /// The number of changes so far that must survive a restart.
     pub changes: u64,
 }
 
@@ -28,22 +28,21 @@ impl Domain {
     }
 }
 
-/// Whom an invitation has admitted.
+/// The admission of an entity by an invitation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Used {
     pub serial: u64,
     pub entity: Name,
-    /// Unix seconds: until then the entity may be a member by it.
+    /// The end of the entity's membership by the invitation, in Unix seconds.
     pub until: u64,
 }
 
-/// The invitations of the own domain that were used. The RIB decides by them, switches remember
-/// what it decided.
+/// The used invitations of this domain. The RIB decides by them, and switches cache its decisions.
 #[derive(Debug, Default)]
 pub struct Invitations(BTreeMap<u64, Used>);
 
-/// Why an invitation does not admit an entity.
+/// The reason why an invitation does not admit an entity.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotInvited {
     #[error(
@@ -76,13 +75,13 @@ impl Invitations {
         self.0.get(&serial)
     }
 
-    /// Whether it is known that this invitation has admitted this entity.
+    /// Returns whether this invitation is known to have admitted this entity.
     pub fn has_admitted(&self, serial: u64, entity: &Name) -> bool {
         self.0.get(&serial).is_some_and(|used| used.entity == *entity)
     }
 
-    /// As the RIB decides: the first entity is admitted, while the invitation holds. Whether that
-    /// is new.
+    /// Decides about an admission as the RIB does: a valid invitation admits the first entity.
+    /// Returns whether the admission is new.
     pub fn admit(&mut self, invite: &Invite, entity: Name, now: u64) -> Result<bool, NotInvited> {
         let serial = invite.serial;
         match self.0.get(&serial) {
@@ -101,17 +100,17 @@ impl Invitations {
         Ok(true)
     }
 
-    /// What was decided could not be kept: it is not so.
+    /// Withdraws an admission that could not be stored.
     pub fn forget(&mut self, serial: u64) {
         self.0.remove(&serial);
     }
 
-    /// What the RIB has decided.
+    /// Records an admission that the RIB has decided.
     pub fn remember(&mut self, invite: &Invite, entity: Name) {
         self.take(Used { serial: invite.serial, entity, until: invite.member_until });
     }
 
-    /// As [`Self::remember`].
+    /// Records a stored admission, if there is room.
     pub fn take(&mut self, used: Used) {
         if self.0.len() < MAX_USED || self.0.contains_key(&used.serial) {
             self.0.insert(used.serial, used);

@@ -1,4 +1,4 @@
-//! Where files are when nobody says: state (keys) and the admin socket, for root and for others.
+//! The default folders of state (keys) and of the admin socket, for root and for other users.
 
 use std::path::PathBuf;
 
@@ -6,13 +6,13 @@ use std::path::PathBuf;
 #[error("no place for the daemon's key and socket: set HOME or XDG_STATE_HOME, or name the files in a configuration")]
 pub struct NoFolder;
 
-/// Whether this process may do what only root may.
+/// Returns whether this process runs as root.
 pub fn is_root() -> bool {
     // SAFETY: geteuid has no preconditions and cannot fail.
     unsafe { libc::geteuid() == 0 }
 }
 
-/// The folder of keys that are made at first start.
+/// Returns the folder of the keys that are generated at first start.
 pub fn state() -> Result<PathBuf, NoFolder> {
     if is_root() {
         return Ok("/var/lib/gdp".into());
@@ -22,8 +22,8 @@ pub fn state() -> Result<PathBuf, NoFolder> {
     Ok(base.ok_or(NoFolder)?.join("gdp"))
 }
 
-/// The admin socket that daemon and commands meet at. Beside the keys for a user without a folder
-/// for sockets.
+/// Returns the path of the admin socket between daemon and commands. It is beside the keys if the
+/// user has no runtime folder.
 pub fn admin_socket() -> Result<PathBuf, NoFolder> {
     if is_root() {
         return Ok("/run/gdp/ctl.sock".into());
@@ -35,14 +35,14 @@ pub fn admin_socket() -> Result<PathBuf, NoFolder> {
     Ok(folder.join("ctl.sock"))
 }
 
-/// The user's name cards, grants and key.
+/// Returns the folder of the user's name cards, grants and key.
 pub fn keyring() -> Option<PathBuf> {
     let home = || absolute("HOME").map(|home| home.join(".config"));
     Some(absolute("XDG_CONFIG_HOME").or_else(home)?.join("gdp"))
 }
 
-/// A relative path in these variables is invalid and to be ignored (XDG base directory
-/// specification).
+/// Returns a variable's path if it is absolute. The XDG base directory specification says to ignore
+/// relative paths.
 fn absolute(variable: &str) -> Option<PathBuf> {
     std::env::var_os(variable).map(PathBuf::from).filter(|path| path.is_absolute())
 }

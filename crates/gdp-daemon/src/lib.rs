@@ -1,5 +1,5 @@
 //! The daemon: a switch, perhaps the RIB of its domain, the admin socket, and what they store.
-// They panic where stdout or stderr cannot be written.
+// The print macros panic where stdout or stderr is not writable.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod config;

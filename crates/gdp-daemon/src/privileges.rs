@@ -1,5 +1,5 @@
-//! What a daemon gives up when it starts: all capabilities but those of a switch. Before that it
-//! does what needs more.
+//! Drops privileges at start: all capabilities except those of a switch. First does what needs
+//! more.
 
 use std::ffi::CString;
 use std::io;
@@ -13,8 +13,8 @@ use gdp_dataplane::{device, pins};
 use crate::config::{Config, DataPlane};
 use crate::folders;
 
-/// Ports below it need CAP_NET_BIND_SERVICE, unless `net.ipv4.ip_unprivileged_port_start` says
-/// otherwise.
+/// The first port that needs no CAP_NET_BIND_SERVICE, with the default of
+/// `net.ipv4.ip_unprivileged_port_start`.
 const FIRST_UNPRIVILEGED_PORT: u16 = 1024;
 
 #[derive(Debug, thiserror::Error)]
@@ -29,9 +29,10 @@ pub enum PrivilegesError {
     OfAnother { path: PathBuf, owner: u32 },
 }
 
-/// Keeps the capabilities of a switch alone, whoever started it, and sets `no_new_privs`. To be
-/// called before there are other threads. A daemon with DPDK keeps what it has, for its devices and
-/// huge pages.
+/// Drops all capabilities except those of a switch, and sets `no_new_privs`.
+///
+/// The caller must be the only thread. A daemon with DPDK keeps its capabilities, for its devices
+/// and huge pages.
 pub fn restrict(config: &Config) -> Result<(), PrivilegesError> {
     if config.data_plane == DataPlane::Dpdk {
         return Ok(());
@@ -39,7 +40,7 @@ pub fn restrict(config: &Config) -> Result<(), PrivilegesError> {
     if let (DataPlane::Auto | DataPlane::Xdp, Some(bpffs)) = (config.data_plane, &config.bpffs)
         && capabilities::missing(&capabilities::XDP).is_empty()
     {
-        // If it cannot be mounted, it is missed where it is used.
+        // If the mount fails, the first use of the file system reports it.
         let _ = pins::mount(bpffs);
     }
     device::remember_programs();
@@ -52,7 +53,7 @@ fn needed(config: &Config) -> Vec<Capability> {
     capabilities::SWITCH.into_iter().chain(low_port.then_some(capabilities::NET_BIND_SERVICE)).collect()
 }
 
-/// What the daemon reads, and the folders that it writes to.
+/// Returns the files that the daemon reads, and the folders that it writes, with the access mode.
 fn files(config: &Config) -> impl Iterator<Item = (&Path, libc::c_int)> {
     let domain = config.domain.iter().flat_map(|domain| {
         let files = &domain.files;
@@ -63,8 +64,8 @@ fn files(config: &Config) -> impl Iterator<Item = (&Path, libc::c_int)> {
     read.map(|path| (path.as_path(), libc::R_OK)).chain(folders.map(|folder| (folder, libc::W_OK | libc::X_OK)))
 }
 
-/// Whether this process may still do that with a file. Only what root could do before is an error
-/// here.
+/// Checks that this process still has the access `mode` to a file. Fails only where root's rights
+/// sufficed before.
 fn check(path: &Path, mode: libc::c_int) -> Result<(), PrivilegesError> {
     let path = if path.as_os_str().is_empty() { Path::new(".") } else { path };
     let above = |mode| path.parent().map_or(Ok(()), |folder| check(folder, mode));

@@ -1,5 +1,5 @@
-//! The section `dpdk` of the configuration: the devices that the DPDK plane drives by itself, and
-//! what it may take for that.
+//! The section `dpdk` of the configuration: the devices that the DPDK plane drives, and the
+//! resources that it may use.
 
 use std::time::Duration;
 
@@ -9,36 +9,37 @@ use gdp_dataplane::dpdk::{AUXILIARY, BEFORE_XDP, DpdkConfig, DpdkPort, LARGEST_R
 
 const MAX_PORTS: usize = 32;
 
-/// Bytes of an interface's name.
+/// The maximum length of an interface name, in bytes.
 const MAX_INTERFACE: usize = 15;
 
-/// As the kernel's sets of cores have room for; and DPDK has for threads, with some to spare.
+/// The upper bound of core numbers, from the kernel's CPU sets, and the maximum number of loops,
+/// below DPDK's thread limit.
 const MAX_CORE: usize = libc::CPU_SETSIZE as usize;
 const MAX_LOOPS: usize = 64;
 
-/// MiB of memory.
+/// The range of the memory size, in MiB.
 const MEMORY: std::ops::RangeInclusive<u32> = 64..=65536;
 
-/// From what IPv6 needs to what fits the largest packet.
+/// The range of MTUs, in bytes: from IPv6's minimum to the largest packet buffer.
 const MTU: std::ops::RangeInclusive<u16> = 1280..=(LARGEST_ROOM - AUXILIARY) as u16;
 
-/// What `net_af_packet` has for a packet and for several, unless it is told otherwise; and what the
-/// kernel puts in front of a packet there, its Ethernet header included.
+/// The default frame and block sizes of `net_af_packet`, in bytes. `BEFORE_PACKET` is what the
+/// kernel puts before a packet, including its Ethernet header, in bytes.
 const FRAMESZ: usize = 2048;
 const BLOCKSZ: usize = 4096;
 const BEFORE_PACKET: usize = 80;
 
-/// Pairs of these that go together: what is for several is whole pages.
+/// The frame and block sizes to suggest, in bytes. Blocks are whole pages.
 const FRAMES: [(usize, usize); 4] = [(FRAMESZ, BLOCKSZ), (4096, 4096), (8192, 8192), (LARGEST_ROOM, 4 * LARGEST_ROOM)];
 
-/// Of the room for packets where `net_af_xdp` is among the devices: with what goes in front, it is
-/// to fit a page.
+/// The maximum packet buffer with a `net_af_xdp` device, in bytes. With its headroom, it must fit a
+/// page.
 const LARGEST_XDP: usize = 3072;
 
-/// The longest sleep of a loop.
+/// The maximum sleep of a loop, in microseconds.
 const MAX_IDLE_US: u32 = 100_000;
 
-/// As it is written.
+/// The schema of the section.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct DpdkEntry {
@@ -148,7 +149,8 @@ fn check_mtu(interface: &str, mtu: u32) -> Result<u16, String> {
     within.ok_or_else(|| format!("dpdk: {interface}: an mtu of {mtu} is not between {} and {}", MTU.start(), MTU.end()))
 }
 
-/// Whether what `net_af_packet` has for packets is enough for them, as its arguments say.
+/// Checks that the frame and block sizes of `net_af_packet`, from the port's arguments, suit its
+/// MTU.
 fn check_frames(port: &DpdkPort) -> Result<(), String> {
     let (name, mtu) = (port.name(), port.mtu());
     let (framesz, blocksz) = (port.argument("framesz").unwrap_or(FRAMESZ), port.argument("blocksz").unwrap_or(BLOCKSZ));
@@ -163,7 +165,7 @@ fn check_frames(port: &DpdkPort) -> Result<(), String> {
             "dpdk: {name}: an mtu of {mtu} needs framesz={enough},blocksz={for_several} among its arguments"
         ));
     }
-    // Otherwise the driver looks for packets where they are not.
+    // Otherwise the driver reads packets at wrong offsets.
     if !blocksz.is_multiple_of(framesz) {
         return Err(format!("dpdk: {name}: blocksz={blocksz} is no multiple of framesz={framesz}"));
     }

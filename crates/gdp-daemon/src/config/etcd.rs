@@ -1,4 +1,4 @@
-//! The section `etcd` of the configuration: where replicas of a RIB keep together what they know.
+//! The section `etcd` of the configuration: the shared store of the RIB's replicas.
 
 use std::path::{Path, PathBuf};
 
@@ -6,24 +6,23 @@ use serde::Deserialize;
 
 use crate::store::{Access, ClientCertificate, Endpoint, Login, Tls};
 
-/// Members of an etcd cluster; they are three or five.
+/// The maximum number of endpoints. Clusters have three or five members.
 const MAX_ENDPOINTS: usize = 16;
 
-/// Bytes of the prefix.
+/// The maximum length of the prefix, in bytes.
 const MAX_PREFIX: usize = 128;
 
-/// Where replicas of a RIB keep what they know.
+/// The shared store of the RIB's replicas.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EtcdConfig {
-    /// Of the members of one cluster.
+    /// The endpoints of the members of one cluster.
     pub endpoints: Vec<Endpoint>,
-    /// What all keys begin with: the same for the replicas of one domain, another for those of any
-    /// other.
+    /// The prefix of all keys. Replicas of one domain share it; other domains use another.
     pub prefix: String,
     pub access: Access,
 }
 
-/// As it is written.
+/// The schema of the section.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct EtcdEntry {
@@ -42,7 +41,7 @@ fn default_prefix() -> String {
 }
 
 impl EtcdEntry {
-    /// `rib`: whether this daemon is a RIB. `folder`: paths are relative to it.
+    /// Checks the section. `rib` is whether this daemon is a RIB. Paths are relative to `folder`.
     pub fn check(mut self, rib: bool, folder: &Path) -> Result<EtcdConfig, String> {
         if !rib {
             return Err("etcd: it keeps what replicas of the RIB know, and this daemon is none; remove it, or rib: \

@@ -1,4 +1,4 @@
-//! What [`super::gather`] finds and [`super::examine`] judges.
+//! The facts that [`super::gather`] collects and [`super::examine`] judges.
 
 use std::net::SocketAddr;
 
@@ -6,77 +6,78 @@ use gdp_dataplane::device::{Device, Offloads};
 use gdp_dataplane::kernel_version::KernelVersion;
 use gdp_dataplane::xdp_features::Features;
 
-/// Of one host, in one network namespace.
+/// The facts of one host, in one network namespace.
 #[derive(Clone, Debug)]
 pub struct Facts {
     pub clock: Clock,
     pub wanted: Wanted,
-    /// If that is DPDK.
+    /// The facts of DPDK, if the configuration selects it.
     pub dpdk: Option<Dpdk>,
     pub kernel: KernelVersion,
-    /// Capabilities the daemon needs and this process has not.
+    /// The capabilities that the daemon needs and this process lacks.
     pub missing_capabilities: Vec<&'static str>,
-    /// Whether what the loss counters need is in the kernel.
+    /// Whether the kernel supports the loss counters.
     pub losses: Result<(), String>,
-    /// None if the configuration turns pinning off.
+    /// The BPF file system. `None` if the configuration turns pinning off.
     pub bpffs: Option<Bpffs>,
     pub object: Result<Loaded, String>,
     pub left_over: Vec<LeftOver>,
-    /// None if the configuration turns UDP off.
+    /// The UDP address. `None` if the configuration turns UDP off.
     pub udp: Option<UdpFacts>,
-    /// The interfaces to run on, or the name of one that is not there.
+    /// The interfaces to run on, or the names of missing ones.
     pub interfaces: Result<Vec<Result<Interface, String>>, String>,
 }
 
-/// The data plane that the daemon would try for.
+/// The data plane that the daemon would try first.
 #[derive(Clone, Copy, Debug)]
 pub enum Wanted {
     Xdp,
     Dpdk,
-    /// And why.
+    /// The userspace plane, with the reason.
     Userspace(&'static str),
 }
 
-/// What DPDK is to find, if it is wanted.
+/// The resources of DPDK.
 #[derive(Clone, Debug)]
 pub struct Dpdk {
-    /// Whether this program can use it.
+    /// Whether this build supports DPDK.
     pub built: bool,
     pub root: bool,
-    /// Those that are free, if huge pages are wanted.
+    /// The number of free huge pages, if the configuration wants them.
     pub huge_pages: Option<u64>,
     pub ports: Vec<DpdkPort>,
 }
 
-/// A port of the configuration.
+/// A configured port.
 #[derive(Clone, Debug)]
 pub struct DpdkPort {
-    /// On the host's side.
+    /// The interface on the host's side.
     pub interface: String,
     /// The device, without its arguments.
     pub name: String,
     pub state: DpdkDevice,
 }
 
-/// What can be told of a device without taking it over.
+/// The state of a device that the daemon has not taken over.
 #[derive(Clone, Debug)]
 pub enum DpdkDevice {
-    /// An interface of the kernel's, if it is there.
+    /// A kernel interface, with its state if it exists.
     Interface { name: String, found: Option<Device> },
-    /// A network card, if it is there, with the driver it is bound to.
+    /// A network card. `None` if it does not exist; the inner value is its driver, if it is bound
+    /// to one.
     Card(Option<Option<String>>),
-    /// Neither.
+    /// Another device.
     Other,
 }
 
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
-    /// Seconds since 1970.
+    /// The Unix time, in seconds.
     pub unix: u64,
     pub synchronised: bool,
 }
 
-/// The place for what is to outlive the daemon.
+/// The state of the BPF file system for pins.
 #[derive(Clone, Debug)]
 pub enum Bpffs {
     Mounted {
@@ -86,13 +87,13 @@ pub enum Bpffs {
         path: String,
         reason: String,
     },
-    /// Nothing is there, so that it can be mounted.
+    /// Nothing is there, so the daemon can mount it.
     Missing {
         path: String,
-        /// Whether this process may.
+        /// Whether this process may mount it.
         may_mount: bool,
-        /// Whether it would be seen, and stay, only as long as this process has company in its
-        /// mount namespace.
+        /// Whether this process has a mount namespace of its own. A mount would be visible only
+        /// there, and end with it.
         private: bool,
     },
     Occupied {
@@ -100,24 +101,24 @@ pub enum Bpffs {
     },
 }
 
-/// The eBPF object was loaded, attached to nothing.
+/// An eBPF object that was loaded and not attached.
 #[derive(Clone, Debug)]
 pub struct Loaded {
-    /// Where it came from.
+    /// The origin of the object.
     pub object: String,
-    /// Capacity of the FIB.
+    /// The capacity of the FIB, in names.
     pub names: u32,
     pub jitted: Option<bool>,
 }
 
-/// Pins of a switch.
+/// The pins of a switch.
 #[derive(Clone, Debug)]
 pub struct LeftOver {
     pub folder: String,
     pub abi: u32,
-    /// Whether its daemon lives.
+    /// Whether the daemon of the switch runs.
     pub daemon: bool,
-    /// Whether it is in this network namespace.
+    /// Whether the pins are of this network namespace.
     pub here: bool,
 }
 
@@ -132,7 +133,7 @@ pub struct UdpFacts {
 pub enum PortState {
     Free,
     Daemon,
-    /// By whom, if that can be known.
+    /// The port is taken, by this program if it is known.
     Taken(Option<String>),
     Refused(String),
 }
@@ -141,17 +142,17 @@ pub enum PortState {
 pub struct Interface {
     pub device: Device,
     pub offloads: Offloads,
-    /// None before Linux 6.3.
+    /// The XDP features. `None` before Linux 6.3.
     pub features: Option<Features>,
-    /// What XDP would disturb there, if it is not named.
+    /// The function that XDP would disturb there, if the interface is not named.
     pub disturbed: Option<String>,
-    /// Of the program on it, if there is one.
+    /// The owner of the attached program, if there is one.
     pub owner: Owner,
-    /// Whether VLAN interfaces are on it.
+    /// Whether VLAN interfaces are on top of it.
     pub has_vlans: bool,
 }
 
-/// Whose a program is.
+/// The owner of an XDP program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Owner {
     Switch,

@@ -1,5 +1,5 @@
-//! Asks the system. Attaches nothing and leaves nothing behind: the eBPF object is loaded and let
-//! go, the port bound and let go.
+//! Collects the facts from the system. Attaches nothing and leaves nothing behind: it unloads the
+//! eBPF object and closes the port again.
 
 use std::ffi::CString;
 use std::io;
@@ -24,7 +24,7 @@ use gdp_dataplane::xdp_features::XdpFeatures;
 use gdp_dataplane::{disturbance, host_pair, losses, udp};
 use gdp_util::unix_time::unix_seconds;
 
-/// What a daemon with this configuration would find, in this network namespace.
+/// Collects the facts for a daemon with this configuration, in this network namespace.
 pub fn facts(config: &Config) -> Facts {
     let wanted = wanted(config);
     Facts {
@@ -81,7 +81,8 @@ fn dpdk(config: &DpdkConfig) -> Dpdk {
     }
 }
 
-/// The driver of the network card at this address; none if it is not there.
+/// Returns the driver of the network card at this PCI address. Returns `None` if there is no such
+/// card.
 fn card(address: &str) -> Option<Option<String>> {
     let folder = Path::new("/sys/bus/pci/devices").join(address);
     let driver = || Some(std::fs::read_link(folder.join("driver")).ok()?.file_name()?.to_string_lossy().into_owned());
@@ -95,14 +96,14 @@ fn free_huge_pages() -> u64 {
 }
 
 fn clock() -> Clock {
-    // SAFETY: zero is a valid value, and asks for nothing to be changed.
+    // SAFETY: zero is a valid value, and requests no change.
     let mut state: libc::timex = unsafe { std::mem::zeroed() };
     // SAFETY: a structure that outlives the call.
     let result = unsafe { libc::adjtimex(&raw mut state) };
     Clock { unix: unix_seconds(), synchronised: result >= 0 && result != libc::TIME_ERROR }
 }
 
-/// The capabilities that it takes to run as configured.
+/// Returns the capabilities that this configuration needs.
 fn needed(config: &Config) -> &'static [Capability] {
     if config.named_interfaces().is_empty() { &capabilities::XDP } else { &capabilities::SWITCH }
 }
@@ -161,7 +162,7 @@ fn udp(address: SocketAddr) -> UdpFacts {
     UdpFacts { address, state, zero_checksum_v6: zero_checksum().map_err(|error| error.to_string()) }
 }
 
-/// The program that has a UDP port of this network namespace, if this process may know.
+/// Returns the program that holds a UDP port of this network namespace, if this process may see it.
 fn holder(port: u16) -> Option<(String, u32)> {
     let tables = ["/proc/thread-self/net/udp", "/proc/thread-self/net/udp6"].map(std::fs::read_to_string);
     let inodes: Vec<String> = tables.iter().flatten().flat_map(|table| sockets_at(table, port)).collect();
@@ -178,7 +179,7 @@ fn holder(port: u16) -> Option<(String, u32)> {
     )
 }
 
-/// Inode numbers of the sockets at a local port, from a table of `/proc/net`.
+/// Returns the inode numbers of the sockets at a local port, from a table of `/proc/net`.
 fn sockets_at(table: &str, port: u16) -> impl Iterator<Item = String> {
     table.lines().filter_map(move |line| {
         let mut fields = line.split_whitespace();
@@ -206,8 +207,9 @@ fn zero_checksum() -> io::Result<()> {
     }
 }
 
-/// Those that are named, and those by whose addresses links over UDP come, as with the daemon.
-/// Ports of DPDK are there only while a daemon runs.
+/// Returns the facts of the named interfaces, and of those with addresses for links over UDP, as
+/// the daemon selects them. Leaves out the interfaces of DPDK ports, which exist only while a
+/// daemon runs.
 fn interfaces(config: &Config, plane: Wanted) -> io::Result<Vec<Result<Interface, String>>> {
     let all = Device::list()?;
     let features = XdpFeatures::open().ok();

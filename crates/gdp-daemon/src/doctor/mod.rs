@@ -1,9 +1,10 @@
-//! Whether a daemon would find here what it needs, what it would do without, and what the remedy
-//! is. Pure: [`facts`] says what was found, [`examine`] what that means; [`gather`] asks the
-//! system. Called by `gdp-ctl doctor`.
+//! Checks whether a daemon would find what it needs on this host, and suggests remedies. Pure.
 //!
-//! *Failed* is what keeps the daemon from running as configured, on an interface or at all; *a
-//! warning* is what makes it slower or loses frames later.
+//! [`facts`] has the facts, [`examine`] judges them, and [`gather`] collects them from the system.
+//! `gdp-ctl doctor` calls them.
+//!
+//! A *failure* keeps the daemon from running as configured, on an interface or at all. A *warning*
+//! makes it slower or loses frames later.
 
 pub mod facts;
 pub mod gather;
@@ -18,19 +19,19 @@ use facts::{
 use gdp_dataplane::kernel_failures::FLOOR;
 use gdp_dataplane::kernel_version::KernelVersion;
 
-/// The first kernel whose XDP takes packets in several buffers.
+/// The first kernel whose XDP accepts packets in several buffers.
 const FRAGS: KernelVersion = KernelVersion(5, 18);
-/// The first kernel that says what XDP features an interface has.
+/// The first kernel that reports the XDP features of an interface.
 const FEATURES: KernelVersion = KernelVersion(6, 3);
 
-/// Largest MTU at which a veth takes a program that wants packets in one buffer.
+/// The largest MTU at which a veth accepts a program for single-buffer packets, in bytes.
 const ONE_BUFFER: u32 = 3506;
-/// An initial QUIC datagram of 1200 bytes, under IPv6 and UDP.
+/// The smallest MTU, in bytes: an initial QUIC datagram of 1200 bytes, with IPv6 and UDP headers.
 const SMALLEST_MTU: u32 = 1248;
-/// What crossing from Ethernet into UDP over IPv6 on a VLAN puts before a frame.
+/// The bytes prepended to a frame from Ethernet to UDP over IPv6 on a VLAN.
 const ENCAPSULATION: u32 = 40 + 8 + 4;
 
-/// 2025-01-01 and 2100-01-01.
+/// The plausible range of the clock, in Unix seconds: 2025-01-01 to 2100-01-01.
 const SANE: std::ops::Range<u64> = 1_735_689_600..4_102_444_800;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
@@ -55,16 +56,16 @@ impl Level {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct Finding {
     pub check: &'static str,
-    /// The interface it is about, if it is about one.
+    /// The interface that the check is about, if any.
     pub interface: Option<String>,
     pub level: Level,
-    /// What was found.
+    /// The fact that the check found.
     pub fact: String,
-    /// What to do; none if nothing is to be done.
+    /// The remedy, if one is needed.
     pub remedy: Option<String>,
 }
 
-/// All checks, in a fixed order.
+/// Runs all checks, in a fixed order.
 pub fn examine(facts: &Facts) -> Vec<Finding> {
     let mut findings = vec![clock(&facts.clock)];
     match facts.wanted {
@@ -141,7 +142,7 @@ fn dpdk_port(port: &DpdkPort) -> Finding {
         DpdkDevice::Card(Some(driver)) if driver.as_deref() == Some("vfio-pci") => {
             ok("device", format!("{name} is bound to vfio-pci"))
         }
-        // Some drivers of DPDK's take it so.
+        // Some DPDK drivers work with another kernel driver.
         DpdkDevice::Card(Some(driver)) => warning(
             "device",
             format!(
@@ -235,7 +236,7 @@ fn kernel(facts: &Facts) -> Vec<Finding> {
                 ),
             },
         ],
-        // The error names its remedy.
+        // The error text names its remedy.
         Err(error) => vec![Finding { remedy: None, ..failed("ebpf object", error.clone(), "") }],
     });
     findings

@@ -115,14 +115,14 @@ impl Daemon {
         room
     }
 
-    /// Sends what the RIB here has to send after something changed in it.
+    /// Sends the pending output of the local RIB after a change in it.
     pub fn send_effects(self: &Arc<Self>) {
         let pending = self.core().rib_effects();
         self.send(pending);
         self.rib_changed.notify_one();
     }
 
-    /// Sends requests of the RIB here, and tells it the replies.
+    /// Sends requests of the local RIB, and passes the replies to it.
     pub fn send(self: &Arc<Self>, pending: Vec<PendingRequest>) {
         self.wake_after_rib();
         self.answered.notify_waiters();
@@ -134,7 +134,8 @@ impl Daemon {
                     answer.inspect_err(|error| tracing::debug!(%error, "what the RIB sent was not answered")).ok()
                 };
                 let response = match on_reply {
-                    // Nobody of this domain answers for another.
+                    // No switch of this domain answers for another domain's RIB, so the wait needs
+                    // a limit here.
                     OnReply::Tier(..) => timeout(TIER_TIMEOUT, asked).await.ok().flatten(),
                     _ => asked.await,
                 };
@@ -151,8 +152,10 @@ impl Daemon {
     }
 }
 
-/// An endpoint was asked to attach again. One that could not is asked again, because the RIB
-/// answers the next report so; one that would not has to begin with a new link.
+/// Handles the answer of an endpoint that was asked to attach again.
+///
+/// If the endpoint could not, this switch reports in full, because the RIB's answer makes it ask
+/// again. If the endpoint refused, its link is closed, so that it starts with a new one.
 fn reattached(daemon: &Daemon, link: &Link, response: Option<Response>) {
     let entity = link.peer().name;
     match response {

@@ -29,7 +29,7 @@ pub struct Fenced {
 #[derive(Debug, Default)]
 pub struct Fence {
     follows: Option<u64>,
-    /// The run that has taken this switch's last report.
+    /// The run that accepted this switch's last report.
     reported: Option<u64>,
     /// The time when a refusal last caused a report.
     asked: Option<Duration>,

@@ -1,35 +1,35 @@
-//! How a replica proves to etcd who it is, and etcd to the replica.
+//! The credentials between a replica and etcd.
 
 use std::path::PathBuf;
 
-/// The certificates and the password of a replica; by default there are none.
+/// The TLS settings and the login of a replica; by default it has neither.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Access {
-    /// With `https` endpoints.
+    /// The TLS settings of `https` endpoints.
     pub tls: Option<Tls>,
     pub login: Option<Login>,
 }
 
-/// The files, in PEM, of a connection with TLS.
+/// The PEM files of a TLS connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tls {
-    /// The certificates of those who may certify members of etcd.
+    /// The certificates of the CAs that sign the certificates of etcd members.
     pub ca: PathBuf,
     pub client: Option<ClientCertificate>,
 }
 
-/// The files of the certificate that a replica presents to etcd.
+/// The files of the client certificate that a replica presents to etcd.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClientCertificate {
     pub cert: PathBuf,
-    /// Only its owner may read it.
+    /// The private key. The file must be readable by its owner only.
     pub key: PathBuf,
 }
 
-/// A user of etcd.
+/// An etcd user.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Login {
     pub user: String,
-    /// One line. Only its owner may read it.
+    /// The file of the password, one line. It must be readable by its owner only.
     pub password_file: PathBuf,
 }

@@ -1,5 +1,5 @@
-//! The client of an etcd cluster: `etcd-client`, with what the store needs besides. A request goes
-//! to one member at a time, within a time; errors name the member and the file that is to blame.
+//! The client of an etcd cluster, on top of `etcd-client`. Sends each request to one member at a
+//! time, with a timeout. Errors name the member and the file at fault.
 
 use std::error::Error as _;
 use std::fs::File;
@@ -21,43 +21,44 @@ use tonic::{Code, Status};
 use super::kv::{Compare, Event, KeyValue, Op, Outcome};
 use super::{Access, Endpoint, Login, StoreError, Tls};
 
-/// How long one member has to take a connection, and to answer: so short that a leader can still
-/// ask another one before its lease is over.
+/// The time limits to connect to one member and for its answer. They leave a leader time to try
+/// another member within its lease.
 const CONNECT: Duration = Duration::from_secs(1);
 const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Bytes of one answer: a page of items of the largest size.
+/// The maximum size of one answer, in bytes. A page of items of the largest size fits.
 const MAX_ANSWER: usize = 32 << 20;
 
-/// Keys and values in one answer to a listing.
+/// The maximum number of keys in one answer to a listing.
 const PAGE: i64 = 256;
 
-/// Bytes of a file of certificates, of a key and of a password.
+/// The maximum size of a file of certificates, a key or a password, in bytes.
 const MAX_FILE: usize = 1 << 20;
 
-/// A client of an etcd cluster. Asks the next member when one does not answer.
+/// A client of an etcd cluster. It turns to the next member when one does not answer.
 #[derive(Clone)]
 pub struct EtcdClient {
     endpoints: Vec<Endpoint>,
     access: Access,
     options: ConnectOptions,
-    /// The one that is asked.
+    /// The index of the current endpoint.
     at: usize,
-    /// Boxed as its requests are: they are large, and tasks hold many of them inside each other.
+    /// The connection. It and its requests are boxed because they are large, and tasks nest many of
+    /// them.
     connection: Option<Box<etcd_client::Client>>,
 }
 
-/// A stream of what changes under a prefix.
+/// A stream of the changes under a prefix.
 pub struct Watch {
     endpoint: Endpoint,
     access: Access,
     stream: WatchStream,
-    /// The stream is one of its requests.
+    /// Keeps the connection of the stream open.
     _connection: Box<etcd_client::Client>,
 }
 
 impl EtcdClient {
-    /// Reads the files of `access`, and asks nobody yet. `endpoints`: at least one.
+    /// Reads the files of `access`, without sending a request. `endpoints` has at least one.
     pub fn new(endpoints: &[Endpoint], access: &Access) -> Result<Self, StoreError> {
         let mut options = ConnectOptions::new().with_connect_timeout(CONNECT).with_auto_token_refresh(true);
         if let Some(tls) = &access.tls {
@@ -69,7 +70,8 @@ impl EtcdClient {
         Ok(Self { endpoints: endpoints.to_vec(), access: access.clone(), options, at: 0, connection: None })
     }
 
-    /// All under `prefix`, and of which revision that is. `max`: bytes of keys and values.
+    /// Returns all keys under `prefix`, and the revision of the listing. Fails if keys and values
+    /// exceed `max` bytes.
     pub async fn list(&mut self, prefix: &[u8], max: usize) -> Result<(Vec<KeyValue>, i64), StoreError> {
         let (mut all, mut revision, mut size) = (Vec::<KeyValue>::new(), 0, 0);
         loop {
@@ -96,7 +98,7 @@ impl EtcdClient {
         }
     }
 
-    /// Does `then` if all of `compare` hold, and `otherwise` if not.
+    /// Applies `then` if all of `compare` hold, and `otherwise` if not.
     pub async fn transact(
         &mut self,
         compare: &[Compare<'_>],
@@ -119,19 +121,19 @@ impl EtcdClient {
         Ok(Outcome { succeeded: answer.succeeded(), revision, found: found.collect() })
     }
 
-    /// A new lease of so many seconds.
+    /// Grants a lease of `ttl` seconds and returns its id.
     pub async fn grant(&mut self, ttl: u64) -> Result<i64, StoreError> {
         let ttl = i64::try_from(ttl).unwrap_or(i64::MAX);
         let grant = |connection: etcd_client::Client| async move { connection.lease_client().grant(ttl, None).await };
         Ok(self.ask(grant).await?.id())
     }
 
-    /// Has a lease last anew; whether it still does.
+    /// Renews a lease. Returns whether it still exists.
     pub async fn keep_alive(&mut self, lease: i64) -> Result<bool, StoreError> {
         let keep_alive = |connection: etcd_client::Client| async move {
             match connection.lease_client().keep_alive(lease).await {
                 Ok(_) => Ok(true),
-                // Without a lease there is nothing to keep.
+                // The lease has expired or was revoked.
                 Err(Error::LeaseKeepAliveError(_)) => Ok(false),
                 Err(error) => Err(error),
             }
@@ -139,13 +141,13 @@ impl EtcdClient {
         self.ask(keep_alive).await
     }
 
-    /// Ends a lease, and what is bound to it.
+    /// Revokes a lease and deletes the keys bound to it.
     pub async fn revoke(&mut self, lease: i64) -> Result<(), StoreError> {
         let revoke = |connection: etcd_client::Client| async move { connection.lease_client().revoke(lease).await };
         self.ask(revoke).await.map(drop)
     }
 
-    /// Follows what changes under `prefix` from a revision on.
+    /// Watches the changes under `prefix` from a revision on.
     pub async fn watch(&mut self, prefix: &[u8], from: i64) -> Result<Watch, StoreError> {
         let (endpoint, access) = (self.endpoint(), self.access.clone());
         let connection = self.connect().await?;
@@ -169,7 +171,8 @@ impl EtcdClient {
         outcome
     }
 
-    /// A connection on which a request fails, or is not awaited to its end, is not used again.
+    /// Sends a request to the current member. Drops the connection if the request fails or its
+    /// future is dropped.
     async fn ask_one<T, F>(&mut self, request: &impl Fn(etcd_client::Client) -> F) -> Result<T, StoreError>
     where
         F: Future<Output = Result<T, Error>>,
@@ -188,7 +191,8 @@ impl EtcdClient {
         self.in_time(Box::pin(connecting)).await.map(Box::new)
     }
 
-    /// Asks another member from now on, if this one does not answer.
+    /// Awaits an answer within the time limit. Switches to the next member if this one is
+    /// unreachable.
     async fn in_time<T>(&mut self, answer: impl Future<Output = Result<T, Error>>) -> Result<T, StoreError> {
         let endpoint = self.endpoint();
         let error = match timeout(TIMEOUT, answer).await {
@@ -208,8 +212,8 @@ impl EtcdClient {
 }
 
 impl Watch {
-    /// The next changes, in their order, at least one. Never ends but with an error; can be dropped
-    /// while it waits.
+    /// Returns the next changes in order, at least one. Never ends except with an error.
+    /// Cancel-safe.
     pub async fn next(&mut self) -> Result<Vec<Event>, StoreError> {
         loop {
             let answer = self.stream.message().await;
@@ -230,7 +234,7 @@ impl Watch {
                 Some(if event.event_type() == EventType::Delete { Event::Delete(kv) } else { Event::Put(kv) })
             });
             let events: Vec<Event> = events.collect();
-            // It also says that it has begun.
+            // etcd also confirms the start of the watch.
             if !events.is_empty() {
                 return Ok(events);
             }
@@ -269,7 +273,7 @@ fn kv(connection: &etcd_client::Client) -> KvClient {
     connection.kv_client().max_decoding_message_size(MAX_ANSWER)
 }
 
-/// Behind all keys that begin so.
+/// Returns the end of the key range with this prefix, exclusive.
 fn end_of(prefix: &[u8]) -> Vec<u8> {
     let mut end = prefix.to_vec();
     while let Some(last) = end.pop() {
@@ -278,7 +282,7 @@ fn end_of(prefix: &[u8]) -> Vec<u8> {
             return end;
         }
     }
-    // To etcd: without an end.
+    // To etcd, a zero byte means no end.
     vec![0]
 }
 
@@ -291,7 +295,7 @@ fn tls_options(tls: &Tls) -> Result<TlsOptions, StoreError> {
     Ok(options.identity(Identity::from_pem(certificates(&client.cert)?, &key[..])))
 }
 
-/// The content of a file of certificates, of which at least the first is one.
+/// Returns the content of a PEM file whose first certificate is valid.
 fn certificates(path: &Path) -> Result<Vec<u8>, StoreError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
     let mut pem = Vec::new();
@@ -319,18 +323,18 @@ fn malformed(path: &Path, what: &str, error: impl std::fmt::Display) -> SecretFi
 fn store_error(endpoint: &Endpoint, access: &Access, error: &Error) -> StoreError {
     let endpoint = endpoint.clone();
     match error {
-        // With a source, it was made here: no answer came.
+        // A status with a source was created locally, so no answer came.
         Error::GRpcStatus(status) if status.source().is_none() => answered(endpoint, access, status),
         error => StoreError::Unreachable { endpoint, reason: transport_reason(access, error) },
     }
 }
 
-/// For an error that etcd has answered with.
+/// Converts an error status of etcd.
 fn answered(endpoint: Endpoint, access: &Access, status: &Status) -> StoreError {
     let reason = status.message().to_owned();
     match status.code() {
         Code::OutOfRange => StoreError::Compacted,
-        // Without a leader of its own, or about to stop: another member may do better.
+        // This member has no leader or is about to stop. Another member may answer.
         Code::Unavailable | Code::DeadlineExceeded | Code::Cancelled | Code::Internal | Code::Unknown => {
             StoreError::Unreachable { endpoint, reason }
         }
@@ -347,7 +351,7 @@ fn answered(endpoint: Endpoint, access: &Access, status: &Status) -> StoreError 
     }
 }
 
-/// Why a member cannot be asked, with the file that is to blame.
+/// Returns the reason why a member is unreachable, with the file at fault.
 fn transport_reason(access: &Access, error: &Error) -> String {
     let (reason, cause) = (chain(error), cause(error));
     let Some(tls) = &access.tls else { return reason };
@@ -366,15 +370,15 @@ fn transport_reason(access: &Access, error: &Error) -> String {
     }
 }
 
-/// The first error of a type among an error and its causes.
+/// Returns the first error of type `T` among an error and its causes.
 fn find<'a, T: std::error::Error + 'static>(error: &'a (dyn std::error::Error + 'static)) -> Option<&'a T> {
-    // The cause of such an error would be that of the one inside.
+    // The `source` of an `io::Error` skips the error inside it.
     let inside = error.downcast_ref::<io::Error>().and_then(io::Error::get_ref);
     let inside = inside.map(|inside| inside as &(dyn std::error::Error + 'static));
     error.downcast_ref().or_else(|| inside.or(error.source()).and_then(find))
 }
 
-/// An error with its causes.
+/// Formats an error with its causes.
 fn chain(error: &Error) -> String {
     let (mut text, mut cause) = (
         match error {
@@ -390,7 +394,7 @@ fn chain(error: &Error) -> String {
     text
 }
 
-/// What `etcd-client` does not give as a source.
+/// Returns the cause that `etcd-client` does not expose as a source.
 fn cause(error: &Error) -> Option<&(dyn std::error::Error + 'static)> {
     match error {
         Error::GRpcStatus(status) => status.source(),

@@ -1,7 +1,8 @@
-//! The items of a RIB in etcd: under `PREFIX/item/`, each by its [`Item`], beside `PREFIX/leader`,
-//! the key of the replica that may write them. That is bound to a lease; the revision that created
-//! it tells one term of office from the next, and every write compares it, so that a leader that
-//! has lost its lease without noticing changes nothing.
+//! The items of a RIB in etcd. Each [`Item`] has a key under `PREFIX/item/`. `PREFIX/leader` is the
+//! key of the replica that may write them.
+//!
+//! The leader's key is bound to a lease. Its creation revision identifies the term, and every write
+//! compares it. A leader that has lost its lease without noticing therefore changes nothing.
 
 use std::collections::BTreeMap;
 
@@ -12,34 +13,34 @@ use super::client::EtcdClient;
 use super::kv::{Compare, Event, KeyValue, Op};
 use gdp_rib::rib::{Item, MAX_ITEM};
 
-/// Bytes of keys and values that a replica takes; as much as etcd itself does, if not told
-/// otherwise.
+/// The maximum size of all keys and values that a replica accepts, in bytes. It is etcd's own
+/// default.
 pub const MAX_STORED: usize = 2 << 30;
 
-/// Operations of one transaction, of as many conditions: etcd's limit is 128, and one condition is
-/// that this is the leader.
+/// The maximum number of operations in one transaction, with as many conditions. etcd's limit is
+/// 128, and one condition checks the leader's key.
 const MAX_OPS: usize = 127;
 
-/// Bytes of the items of one transaction, unless it is one item. etcd takes requests of 1.5 MiB, if
-/// not told otherwise; what is smaller is answered sooner.
+/// The maximum size of the items in one transaction, in bytes, unless it has only one item. etcd
+/// accepts requests of 1.5 MiB by default; smaller ones get faster answers.
 const MAX_TRANSACTION: usize = 256 << 10;
 
-/// How often a transaction is tried whose items were found to be others.
+/// The maximum number of attempts of a transaction whose items have changed.
 const ATTEMPTS: usize = 4;
 
-/// Where in etcd.
+/// The location of a RIB in etcd.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeySpace {
     prefix: String,
 }
 
 impl KeySpace {
-    /// `prefix`: without a slash at its end.
+    /// Creates the key space. `prefix` has no slash at its end.
     pub fn new(prefix: &str) -> Self {
         Self { prefix: format!("{prefix}/") }
     }
 
-    /// What all keys begin with.
+    /// Returns the prefix of all keys.
     pub fn prefix(&self) -> &[u8] {
         self.prefix.as_bytes()
     }
@@ -57,8 +58,8 @@ impl KeySpace {
         std::str::from_utf8(rest).ok()?.parse().ok()
     }
 
-    /// Stands for election. The revision that created the leader's key, if that is this replica's
-    /// now.
+    /// Stands for election. Returns the revision that created the leader's key, if this replica has
+    /// that key now.
     pub async fn stand(&self, client: &mut EtcdClient, who: &Name, lease: i64) -> Result<Option<i64>, StoreError> {
         let (key, value) = (self.leader(), who.to_string());
         let put = Op::Put { key: &key, value: value.as_bytes(), lease };
@@ -66,26 +67,25 @@ impl KeySpace {
         if outcome.succeeded {
             return Ok(Some(outcome.revision));
         }
-        // An answer to an earlier attempt may have been lost.
+        // The answer to an earlier attempt may have been lost.
         let found = outcome.found.into_iter().next().flatten();
         Ok(found.filter(|found| found.lease == lease).map(|found| found.create_revision))
     }
 
-    /// Whether there is a leader.
+    /// Returns whether there is a leader.
     pub async fn has_leader(&self, client: &mut EtcdClient) -> Result<bool, StoreError> {
         let outcome = client.transact(&[], &[Op::Get(&self.leader())], &[]).await?;
         Ok(outcome.found.iter().any(Option::is_some))
     }
 }
 
-/// What a replica that does not lead has of the items, as they lie in etcd: nothing of it is
-/// verified.
+/// A follower's copy of the items in etcd, unverified.
 #[derive(Debug)]
 pub struct Copy {
     keys: KeySpace,
     items: BTreeMap<Item, Stored>,
     size: usize,
-    /// Of etcd's history; all before it is in the copy.
+    /// The etcd revision up to which the copy is complete.
     revision: i64,
 }
 
@@ -107,7 +107,7 @@ impl Copy {
         self.revision
     }
 
-    /// Takes in what has changed. Whether the leader's key is among what is gone.
+    /// Applies changes. Returns whether one of them deleted the leader's key.
     pub fn apply(&mut self, events: Vec<Event>) -> Result<bool, StoreError> {
         let mut leader_gone = false;
         for event in events {
@@ -133,7 +133,7 @@ impl Copy {
             }
             return;
         };
-        // It is refused when it is read; but one that is too large is not kept until then.
+        // Reading an oversized item fails, so do not store its value until then.
         let value = if kv.value.len() > MAX_ITEM { Vec::new() } else { kv.value };
         self.size += value.len();
         if let Some(old) = self.items.insert(item, Stored { revision: kv.mod_revision, value }) {
@@ -141,7 +141,7 @@ impl Copy {
         }
     }
 
-    /// The items, in their order.
+    /// Returns the items in order.
     pub fn items(&self) -> impl Iterator<Item = (&Item, &[u8])> {
         self.items.iter().map(|(item, stored)| (item, stored.value.as_slice()))
     }
@@ -150,29 +150,28 @@ impl Copy {
         self.items.get(item).map(|stored| stored.value.as_slice())
     }
 
-    /// For the replica that the election of this revision made leader.
+    /// Converts the copy into the writer of the leader whose key has creation revision `term`.
     pub fn into_writer(self, client: EtcdClient, term: i64) -> Writer {
         let revisions = self.items.into_iter().map(|(item, stored)| (item, stored.revision)).collect();
         Writer { keys: self.keys, client, term, revisions }
     }
 }
 
-/// What an item is to be; none: it is to be gone.
+/// An item and its new value. `None` deletes the item.
 pub type ItemChange = (Item, Option<Vec<u8>>);
 
-/// Writes for the leader of one term.
+/// The writer of the leader for one term.
 pub struct Writer {
     keys: KeySpace,
     client: EtcdClient,
     term: i64,
-    /// As of which revision each item is there.
+    /// The modification revision of each item.
     revisions: BTreeMap<Item, i64>,
 }
 
 impl Writer {
-    /// Brings items to these values, or has them gone, in as few transactions as they fit: at least
-    /// one, so that it is certain that this replica leads. After an error nobody knows which of
-    /// them are.
+    /// Writes or deletes items in as few transactions as possible. Sends at least one, to confirm
+    /// that this replica leads. After an error, any of the changes may have been applied.
     pub async fn write(&mut self, changes: &[ItemChange]) -> Result<(), StoreError> {
         let size = |value: &Option<Vec<u8>>| value.as_ref().map_or(0, Vec::len);
         let mut rest = changes;
@@ -222,8 +221,8 @@ impl Writer {
             if found.next().flatten().is_none_or(|found| found.create_revision != self.term) {
                 return Err(StoreError::Fenced);
             }
-            // The answer to an earlier attempt was lost, or somebody meddles: what the leader says
-            // counts.
+            // The answer to an earlier attempt was lost, or another program writes these keys. The
+            // leader's values win.
             for ((item, _), found) in batch.iter().zip(found) {
                 match found {
                     Some(found) => drop(self.revisions.insert(*item, found.mod_revision)),

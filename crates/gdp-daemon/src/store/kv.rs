@@ -1,6 +1,6 @@
-//! Keys, values and transactions, as etcd has them.
+//! The keys, values and transactions of etcd.
 
-/// A key and its value.
+/// A key with its value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyValue {
     pub key: Vec<u8>,
@@ -10,14 +10,14 @@ pub struct KeyValue {
     pub lease: i64,
 }
 
-/// A condition of a transaction, on the revision of a key (0: it is not there).
+/// A condition of a transaction: a key's revision. Revision 0 means that the key does not exist.
 #[derive(Clone, Debug)]
 pub enum Compare<'a> {
     Created(&'a [u8], i64),
     Modified(&'a [u8], i64),
 }
 
-/// What a transaction does.
+/// An operation of a transaction.
 #[derive(Clone, Debug)]
 pub enum Op<'a> {
     Put { key: &'a [u8], value: &'a [u8], lease: i64 },
@@ -25,19 +25,19 @@ pub enum Op<'a> {
     Get(&'a [u8]),
 }
 
-/// What came of a transaction.
+/// The outcome of a transaction.
 #[derive(Debug)]
 pub struct Outcome {
     pub succeeded: bool,
     pub revision: i64,
-    /// What was found for each [`Op::Get`], in their order.
+    /// The result of each [`Op::Get`], in order.
     pub found: Vec<Option<KeyValue>>,
 }
 
-/// What has changed at a key.
+/// A change of a key.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Event {
     Put(KeyValue),
-    /// The value is empty, the revision that of the deletion.
+    /// The value is empty, and the revision is that of the deletion.
     Delete(KeyValue),
 }

@@ -1,8 +1,7 @@
-//! Where the RIB of several replicas is kept: etcd. A daemon whose RIB runs alone needs none of
-//! this.
+//! The store of a RIB with several replicas: etcd. A single RIB does not use it.
 //!
-//! [`client`] speaks to etcd, [`items`] knows how items of the RIB lie in it and how a leader
-//! writes them; who leads, and what follows from that, is in `serve::election`.
+//! [`client`] talks to etcd. [`items`] maps the items of the RIB to keys, and writes them for the
+//! leader. `serve::election` elects the leader.
 
 mod access;
 #[cfg_attr(not(feature = "etcd"), path = "without_etcd.rs")]
@@ -17,12 +16,12 @@ use gdp_core::secret_file::SecretFileError;
 
 pub use self::access::{Access, ClientCertificate, Login, Tls};
 
-/// Where a member of an etcd cluster takes requests.
+/// The address of an etcd member for clients.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Endpoint {
-    /// `https`, not `http`.
+    /// Whether the scheme is `https` instead of `http`.
     pub tls: bool,
-    /// A name, or an address without brackets.
+    /// A host name, or an address without brackets.
     pub host: String,
     pub port: u16,
 }
@@ -60,7 +59,7 @@ fn is_host_name(text: &str) -> bool {
     (1..=253).contains(&text.len()) && text.chars().all(is_part_of_one)
 }
 
-/// Why the store did not do what it was to.
+/// The reason why a store operation failed.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     #[error("etcd does not answer at {endpoint}: {reason}")]

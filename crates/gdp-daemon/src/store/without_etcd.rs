@@ -1,14 +1,14 @@
-//! Takes the place of the client of etcd in a build without the cargo feature `etcd`. It has the
-//! same functions, and all of them fail.
+//! Replaces the etcd client in a build without the cargo feature `etcd`. It has the same functions,
+//! and all of them fail.
 
 use super::kv::{Compare, Event, KeyValue, Op, Outcome};
 use super::{Access, Endpoint, StoreError};
 
-/// There is none in this build.
+/// The etcd client, which this build does not have.
 #[derive(Clone)]
 pub struct EtcdClient(());
 
-/// There is none in this build.
+/// The watch, which this build does not have.
 pub struct Watch(());
 
 impl EtcdClient {

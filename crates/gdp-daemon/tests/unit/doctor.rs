@@ -5,7 +5,7 @@ use gdp_dataplane::device::{AttachedProgram, Device, Offloads};
 use gdp_dataplane::kernel::Mode;
 use gdp_dataplane::xdp_features::Features;
 
-/// Native XDP, redirects, several buffers.
+/// Native XDP, redirects and several buffers.
 const ALL_FEATURES: Features = Features(1 | 1 << 1 | 1 << 2 | 1 << 5);
 
 #[test]
@@ -175,7 +175,7 @@ fn where_no_xdp_is_wanted_it_is_not_looked_for() {
     assert!(findings.iter().all(|finding| finding.level == Level::Ok), "{findings:#?}");
 }
 
-/// In generic mode everything leaves like any other packet, so nobody needs `ndo_xdp_xmit`.
+/// In generic mode, frames leave like any other packet, so no interface needs `ndo_xdp_xmit`.
 #[test]
 fn redirects_matter_only_beside_native_xdp() {
     let mut facts = healthy();

@@ -79,7 +79,8 @@ impl RibClient {
     }
 
     /// Follows the RIB's location in the topology: its switch and its run. Returns whether a report
-    /// to it is due, because the RIB has moved or is reachable again.
+    /// is due, because the RIB there has not accepted one. Without a RIB, schedules a report for
+    /// later.
     pub fn follow(&mut self, rib: Option<(Name, u64)>) -> bool {
         match (rib, self.report) {
             // The RIB may drop a switch that it does not reach either.

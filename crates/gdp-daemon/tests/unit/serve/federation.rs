@@ -1,4 +1,5 @@
-//! What the RIB is told of other domains, and what becomes of what it does not take at once.
+//! Unit tests of `serve::federation`: the records of other domains that the RIB gets, and the
+//! retries of those that it refuses.
 
 #[path = "../../../../gdp-rib/tests/unit/tiers/world.rs"]
 #[allow(dead_code, reason = "these tests need a part of the test domains")]
@@ -18,7 +19,7 @@ use world::{Revocations, UNIX, World, host, hosted, identity};
 
 use NameRole::{Publisher, Subscriber};
 
-/// A domain with a child that publishes what somebody here reads.
+/// A domain with a child domain that publishes to a subscriber here.
 struct Home {
     world: World,
     rib: Rib,
@@ -58,7 +59,7 @@ fn a_switch_that_was_of_this_domain_may_be_of_another() {
     let record = h.world.record(1, 0, 100, Publisher, &[h.home()]);
     h.push(vec![record.clone()], vec![]);
     assert_eq!(h.known(), []);
-    // Nobody reaches it.
+    // No switch reaches it, so the RIB drops it in time.
     while h.known().is_empty() {
         assert!(h.world.now.clock < now.clock + Duration::from_secs(60));
         h.pass();
@@ -89,7 +90,7 @@ fn a_domain_says_only_where_it_can_be_reached_now() {
     h.show(&other, &other, roles::SWITCH, UNIX + 1000).unwrap();
     assert_eq!(located(&h), [one.name()].into(), "no border any more");
 
-    // Nobody reaches them; one comes back.
+    // No other switch reaches them, so the RIB drops both. One comes back.
     while h.rib.knows(&one.name()) || h.rib.knows(&other.name()) {
         h.world.now.clock = h.rib.next_tick().unwrap();
         h.rib.tick(h.world.now);
@@ -100,7 +101,7 @@ fn a_domain_says_only_where_it_can_be_reached_now() {
     h.show(&one, &one, roles::BORDER, UNIX + 1000).unwrap();
     assert_eq!(located(&h), [one.name()].into());
 
-    // Its membership ends, or is taken back.
+    // Its membership expires, or is revoked.
     let ends = h.federation.hosts[&one.name()].ends;
     assert_eq!(ends, h.world.now.clock + Duration::from_secs(1001));
     h.federation.forget_hosts(Now { clock: ends, ..h.world.now }, &h.rib);
@@ -145,7 +146,7 @@ impl Home {
         self.world.domains[0].identity.name()
     }
 
-    /// A switch shows its membership, and its statement signed by `signer`, both until then.
+    /// Registers a switch with a membership and a statement signed by `signer`, both until `until`.
     fn show(&mut self, switch: &Identity, signer: &Identity, role: &str, until: u64) -> Result<(), CertError> {
         let mut shown = host(&self.world.domains[0].identity, switch, role, until);
         shown.statement = issue(signer.key(), &shown.statement.claims_unverified()?)?;
@@ -155,7 +156,7 @@ impl Home {
         self.federation.show(self.world.now, &trust, switch.name(), shown)
     }
 
-    /// Of the child: the first is the whole, the following change it.
+    /// Sends a push of the child. The first push is a full one, the following are deltas.
     fn push(&mut self, set: Vec<Record>, remove: Vec<&Record>) {
         self.generation += 1;
         let extent = if self.generation == 1 { Extent::Full { part: 0, last: true } } else { Extent::Delta };
@@ -175,17 +176,17 @@ impl Home {
         let Reply::Now(TierResponse::Done | TierResponse::Hello { .. }) = reply else { panic!("{reply:?}") };
     }
 
-    /// Until there is something to be done.
+    /// Advances the clock to the next timer of RIB or retries, and runs it.
     fn pass(&mut self) {
         let next = self.federation.retries.next_tick().into_iter().chain(self.rib.next_tick()).min();
         self.world.now.clock = next.expect("something is to be done");
         self.rib.tick(self.world.now);
-        // The child goes on to be there.
+        // The child keeps its session alive.
         self.ask(TierRequest::Hello { run: 77, holds: None });
         self.federation.inform(self.world.now, &mut self.rib);
     }
 
-    /// What the RIB knows of the child.
+    /// Returns the records that the RIB knows.
     fn known(&self) -> Vec<RecordKey> {
         let (records, _) = self.rib.records(self.world.now, None, 10);
         records.iter().map(place).collect()

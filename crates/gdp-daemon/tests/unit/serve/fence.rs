@@ -50,10 +50,12 @@ fn an_answer_that_comes_late_brings_nobody_back() {
     assert_eq!(fence.admit(9, NOW), Ok(()));
 }
 
-/// Leaders of two clusters of etcd, of which the second was set up while the first one's still led:
-/// they push as they like, and take reports only while they lead. Whatever happens before, the one
-/// that is left is followed in the end; and as long as runs rise, nobody is once a later one has
-/// pushed.
+/// Simulates the leaders of two etcd clusters. The second cluster was set up while the leader of
+/// the first still led.
+///
+/// Leaders push at any time, and accept reports only while they lead. Whatever happens before, the
+/// switch follows the last leader in the end. As long as runs rise, it follows no leader after a
+/// later one has pushed.
 #[test]
 fn whoever_is_the_rib_in_the_end_is_followed() {
     let mut random = 1u64;
@@ -68,7 +70,7 @@ fn whoever_is_the_rib_in_the_end_is_followed() {
         let mut leads = 0;
         for _ in 0..below(40) {
             match below(4) {
-                // Only the one that leads answers.
+                // Only the current leader answers.
                 0 => report = Some((runs[leads], fence.follows())),
                 1 => {
                     if let Some((run, then)) = report.take() {
@@ -87,7 +89,7 @@ fn whoever_is_the_rib_in_the_end_is_followed() {
                 }
             }
         }
-        // The last one is left: it has taken a report, or does when it is asked to.
+        // The last leader is left: it has accepted a report, or does on the next one.
         let last = runs[leads];
         if let Some((run, then)) = report.take() {
             fence.reported(run, then);

@@ -15,8 +15,7 @@ fn no_domain_uses_up_what_is_for_others() {
     let (of_other, mut own) = (fill(&mut probes, Some(other)), fill(&mut probes, None));
     assert_eq!((of_other.len(), own.len()), (MAX_FOR_NEIGHBOUR, MAX_OUTSTANDING));
 
-    // The first cookie is one of the first domain; an answer, and a wait that was given up, make
-    // room.
+    // The first cookie is one of the first domain. An answer and a dropped receiver both make room.
     let name = Name::from_bytes([3; 32]);
     probes.answer(Traced { cookie: 0, switch: name, end: None });
     assert_eq!((probes.room(Some(one)), probes.room(None)), (1, 0));

@@ -34,7 +34,7 @@ fn attempts_get_rarer_and_are_never_many_at_once() {
 fn no_neighbour_waits_for_what_others_told() {
     let (mut retries, mut now) = (Retries::default(), Duration::from_secs(100));
     let [many, few, third] = [1, 2, 3].map(neighbour);
-    // Whoever comes first in any order, by time or by name.
+    // This neighbour comes first in any order, by time or by name.
     for i in 0..250 {
         retries.refused(now, many, place(i));
     }

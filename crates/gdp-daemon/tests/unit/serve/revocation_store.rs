@@ -17,7 +17,7 @@ async fn many_changes_are_written_together_and_a_write_counts_though_nobody_wait
         let write = move |()| {
             writes.fetch_add(1, Ordering::Relaxed);
             started.notify_one();
-            // Until the test lets go of the other end.
+            // Block until the test drops the other end.
             let _ = gate.lock().recv();
             Ok(())
         };

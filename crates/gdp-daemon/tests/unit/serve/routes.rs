@@ -1,4 +1,4 @@
-//! Pushes, links and restarts, and what the data plane is told of them.
+//! Unit tests of `serve::routes`: pushes, links, restarts, and the resulting data-plane changes.
 
 use gdp_wire::LinkEntry;
 
@@ -96,7 +96,8 @@ fn the_whole_sweeps_what_it_does_not_name() {
     assert_eq!(r.len(), 2);
 }
 
-/// An endpoint 7 that reads, a neighbour 9 that leads to switches 0 and 2, and a second daemon.
+/// An earlier daemon with endpoint 7 as a reader and neighbour 9 toward switches 0 and 2, adopted
+/// by a second daemon.
 #[test]
 fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     let mut r = Routes::default();
@@ -121,9 +122,9 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     assert_eq!(r.adopt(&left, &links), [set(3, 6, &[], &[])], "one link was not found again");
     assert_eq!((r.own_bit(), r.len()), (Some(1), 3));
 
-    // The writer is back before the RIB has said a word, and may send on both links.
+    // The writer is back before the first push of the RIB, and may send on both links.
     assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 0, 81), [set(1, 6, &[70], &[80, 81])]);
-    // The neighbour is back, but takes frames on the new link a little later.
+    // The neighbour is back, but is ready on the new link a little later.
     let changes = r.link_up(LinkRole::Switch, name(9), 0, 91);
     assert_eq!(changes[0], PlaneChange::Reach { link: 90, bits: 0b101 });
     assert_eq!(hops(&changes[1])[..3], [90, 0, 90]);
@@ -133,7 +134,7 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     assert_eq!(hops(&changes[1])[..3], [91, 0, 91]);
     assert_eq!(changes[2], PlaneChange::Reach { link: 90, bits: 0 });
 
-    // A new RIB does not know them yet.
+    // The new RIB does not know them yet.
     let mut first = push(1, Extent::Full { part: 0, last: true }, vec![route(1, 2, &[6])]);
     first.settling = true;
     let same = set(1, 6, &[70], &[80, 81]);
@@ -143,7 +144,7 @@ fn what_a_daemon_left_is_forwarded_by_until_the_rib_knows_all() {
     (taken_back.settling, taken_back.remove) = (true, vec![name(2)]);
     assert_eq!(r.push(&taken_back).unwrap(), [PlaneChange::Remove(name(2))]);
 
-    // Now it knows all there is.
+    // The RIB now knows everything.
     let whole = push(3, Extent::Full { part: 0, last: true }, vec![route(1, 2, &[6])]);
     let mut changes = r.push(&whole).unwrap();
     changes.sort_by_key(|change| format!("{change:?}"));
@@ -161,7 +162,7 @@ fn what_a_daemon_left_of_an_endpoint_with_two_links_stays_on_them() {
     assert_eq!(r.adopt(&left, &links), [], "nothing moves");
     assert_eq!(r.link_to(&name(7)), Some(71));
 
-    // One of them is back before the other.
+    // One lane is back before the other.
     r.link_up(LinkRole::Endpoint, name(7), 1, 81);
     let changes = r.link_ready(LinkRole::Endpoint, name(7), 81);
     assert_eq!(changes, [set(1, 6, &[81], &[]), set(2, 6, &[70, 81], &[])]);
@@ -200,12 +201,12 @@ fn another_rib_sweeps_nothing_before_it_has_settled() {
     assert_eq!(r.push(&by(whole(3, vec![route(1, 2, &[])]), true)).unwrap(), [], "nor the next time");
     assert_eq!(r.push(&by(whole(4, vec![]), true)).unwrap(), [set(1, 1, &[], &[])], "but what it said itself");
     let changes = r.push(&by(whole(5, vec![route(1, 2, &[])]), false)).unwrap();
-    // What each name goes through is in order; the names are not.
+    // The changes of each name are in order; the names are not.
     let (of_two, of_one) = changes.into_iter().partition::<Vec<_>, _>(|change| *change == PlaneChange::Remove(name(2)));
     assert_eq!((of_one, of_two.len()), (vec![set(1, 3, &[], &[]), set(1, 2, &[], &[])], 1));
 }
 
-/// The neighbour 9 that an earlier daemon sent bits 0 and 2 to, and another one.
+/// An earlier daemon with neighbour 9 toward switches 0 and 2, and another neighbour.
 #[test]
 fn held_paths_count_where_the_topology_knows_none() {
     let mut r = Routes::default();
@@ -238,7 +239,7 @@ fn a_bit_that_another_switch_had_before_is_not_taken() {
     assert_eq!(r.set_paths(&of(9), &name(0)), [PlaneChange::OwnBit(1 << 7)]);
 }
 
-/// At a border to switch 7 of another domain, behind which 5 is.
+/// A border with switch 7 of another domain, behind which is name 5.
 #[test]
 fn what_is_behind_a_border_is_reached_by_its_link_and_comes_by_it() {
     let mut r = Routes::default();
@@ -254,7 +255,7 @@ fn what_is_behind_a_border_is_reached_by_its_link_and_comes_by_it() {
     assert_eq!(changes, expected, "no masks, and no next hops");
     assert_eq!(r.link_up(LinkRole::Endpoint, name(8), 0, 80), [set(1, 2, &[70], &[80])]);
 
-    // Made anew: frames may come by both.
+    // The link was made anew, so frames may arrive on both.
     assert!(r.link_up(LinkRole::Border, name(7), 0, 71).contains(&from(5, &[70, 71])));
     let changes = r.link_ready(LinkRole::Border, name(7), 71);
     assert!(changes.contains(&set(1, 2, &[71], &[80])) && changes.contains(&set(2, 4, &[], &[70, 71])));
@@ -285,8 +286,8 @@ fn what_a_daemon_left_of_a_border_stays_until_its_link_is_back() {
     assert_eq!(changes, [set(1, 6, &[70], &[70, 71]), from(5, &[70, 71])]);
 }
 
-/// Random pushes by a RIB that follows the rules, links and restarts of RIBs: what the data plane
-/// was told equals a model's.
+/// Applies random pushes of a well-behaved RIB, links and RIB restarts. The resulting data plane
+/// equals a model's.
 #[test]
 fn the_data_plane_follows_any_sequence() {
     let mut seed = 5u64;
@@ -304,7 +305,7 @@ fn the_data_plane_follows_any_sequence() {
             let whole = Extent::Full { part: 0, last: true };
             match below(10) {
                 0 => {
-                    // Another RIB.
+                    // Another RIB takes over.
                     (run, settling) = (run + 1, true);
                     let mut joint = joined(&wanted, &held);
                     std::mem::swap(&mut held, &mut joint);
@@ -395,7 +396,7 @@ fn a_push_out_of_step_changes_nothing() {
     assert!(r.push(&push(8, Extent::Full { part: 2, last: true }, vec![])).is_err(), "a part is missing");
 }
 
-/// The link is gone.
+/// Removes a link.
 fn gone(r: &mut Routes, role: LinkRole, peer: Name, link: u32) -> Vec<PlaneChange> {
     r.link_removed(role, peer, link).0
 }
@@ -404,7 +405,7 @@ fn push(generation: u64, extent: Extent, set: Vec<Route>) -> FibPush {
     FibPush { switch: name(0), run: 1, settling: false, generation, extent, own_bit: 1, set, remove: vec![] }
 }
 
-/// The neighbour 9 leads to switches 0 and 2.
+/// Paths on which neighbour 9 leads to switches 0 and 2.
 fn paths() -> Paths {
     Paths { reach: [(name(9), 0b101)].into(), ..Paths::default() }
 }
@@ -420,7 +421,7 @@ fn set(i: u8, egress_bits: u64, readers: &[u32], writers: &[u32]) -> PlaneChange
     )
 }
 
-/// Frames from the name come by these links, and none to it do.
+/// The change after which frames from the name arrive on these links, and none go to it.
 fn from(i: u8, sources: &[u32]) -> PlaneChange {
     PlaneChange::Set(name(i), PlaneRoute { sources: sources.to_vec(), ..PlaneRoute::default() })
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Long, where something must happen; nothing here waits for its end.
+/// A deadline for what must happen. No test waits until its end.
 const LONG: Duration = Duration::from_secs(60);
 
 #[tokio::test]
@@ -44,7 +44,7 @@ async fn what_a_term_left_undone_no_other_stores() {
     let undone = old.ticket();
     old.end("it is over");
     new.done(new.ticket().number);
-    // Whoever asks late hears the same.
+    // A later ticket holder gets the same reason.
     let refused = undone.stored().await.unwrap_err();
     assert!(refused.reason.contains("it is over"), "{refused}");
 }
