@@ -208,7 +208,7 @@ fn zero_checksum() -> io::Result<()> {
 }
 
 /// Returns the facts of the named interfaces, and of those with addresses for links over UDP, as
-/// the daemon selects them. Leaves out the interfaces of DPDK ports, which exist only while a
+/// the daemon selects them. Leaves out missing interfaces of DPDK ports, which exist only while a
 /// daemon runs.
 fn interfaces(config: &Config, plane: Wanted) -> io::Result<Vec<Result<Interface, String>>> {
     let all = Device::list()?;

@@ -25,8 +25,8 @@ use gdp_dataplane::host_pair;
 /// The time limit for a neighbour's answer to discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
 
-/// The delays between attempts to reach a neighbour: doubled from `RETRY`'s first value to this
-/// one.
+/// The maximum delay between attempts to reach a neighbour. [`RETRY`] doubles the delay from 100 ms
+/// on.
 const LONGEST_DELAY: Duration = Duration::from_secs(3);
 const RETRY: Backoff = Backoff::new(Duration::from_millis(100), LONGEST_DELAY);
 

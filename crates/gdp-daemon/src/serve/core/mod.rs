@@ -149,8 +149,8 @@ impl Core {
         (batches.collect(), changed)
     }
 
-    /// Returns whether this switch must report to a remote RIB, because the RIB has moved or is
-    /// reachable again.
+    /// Returns whether this switch must report to a remote RIB, because the RIB at its current
+    /// location has not accepted a report.
     pub fn follow_rib(&mut self) -> bool {
         self.rib_host.rib.is_none() && self.rib_client.follow(self.topology.rib())
     }

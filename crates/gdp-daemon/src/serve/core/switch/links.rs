@@ -59,8 +59,8 @@ impl Switch {
         Ok(replaced)
     }
 
-    /// Switches routes to a link on which the peer accepts data frames, and schedules the removal
-    /// of the stale link that it replaces.
+    /// Switches routes to a link on which the peer accepts data frames. Shortens the expiry of the
+    /// peer's stale links of this lane.
     pub fn link_ready(&mut self, link: &Link) {
         let (peer, id) = (link.peer().name, link.local_id());
         if let Some(role) = self.links.get(&id).and_then(|state| state.entry.role()) {
@@ -211,8 +211,8 @@ impl Switch {
         result.is_ok()
     }
 
-    /// Updates the data planes when a peer's QUIC-validated address, path MTU or carrier has
-    /// changed.
+    /// Updates the data planes when a peer's QUIC-validated address, the path MTU or the
+    /// encapsulation toward it has changed.
     pub fn follow_addresses(&mut self) {
         for state in self.links.values_mut() {
             let (to, mtu, carrier) = (state.link.addr(), state.link.mtu(), state.link.carrier());
