@@ -59,8 +59,8 @@ impl Term {
         }
     }
 
-    /// Extends the term, unless it is over, because others may have acted on that. Returns whether
-    /// the term lasts.
+    /// Extends the term and returns true. Returns false if the term is already over, because other
+    /// tasks may have acted on its end.
     pub fn extend(&self, to: Instant) -> bool {
         let mut ends = self.ends.lock();
         let lasts = Instant::now() < *ends;

@@ -92,7 +92,7 @@ pub struct PendingRequest {
 /// The use of the reply to a request of the RIB.
 pub enum OnReply {
     Nothing,
-    /// The outcome of the FIB push of this generation to this switch.
+    /// The outcome of a FIB push to a switch, with the push's generation.
     Push(Name, u64),
     /// Whether an entity received the update of its peers.
     PeerUpdate(UpdateId),
