@@ -1,6 +1,6 @@
-//! How a trace goes on in other domains, without I/O: which domain may be asked next, what of its
-//! answer is taken, and how often a neighbour may ask. `gdp-daemon` asks and
-//! answers.
+//! Continues a trace into other domains, without I/O. It decides which domain may be asked next and
+//! validates and bounds each answer. It also limits the rate at which a neighbour may ask.
+//! `gdp-daemon` sends the requests and the answers.
 
 use std::time::Duration;
 
@@ -9,25 +9,25 @@ use gdp_proto::control::{
 };
 use gdp_wire::Name;
 
-/// Traces that may come over a link into another domain at once.
+/// Burst of trace requests accepted over one link from another domain.
 const BURST: u32 = 8;
 
-/// The time after which there may be one more.
+/// Time in which the allowance for one more trace request refills.
 const INTERVAL: Duration = Duration::from_millis(500);
 
-/// Longest reason that is passed on, in bytes.
+/// Maximum length in bytes of a refusal's reason in a trace.
 const MAX_REASON: usize = 256;
 
-/// How often the other end of a link may ask for traces.
+/// Rate limit for the trace requests of the other end of a link.
 #[derive(Debug, Default)]
 pub struct Allowance {
-    /// When all of it will be there again.
+    /// Time at which the full burst is available again.
     due: Duration,
     refused: u64,
 }
 
 impl Allowance {
-    /// Whether one more may be made now; if not, that is counted.
+    /// Returns whether one more request may be made at `now`, and counts it as refused if not.
     pub fn take(&mut self, now: Duration) -> bool {
         let due = self.due.max(now) + INTERVAL;
         let may = due - now <= BURST * INTERVAL;
@@ -44,7 +44,10 @@ impl Allowance {
     }
 }
 
-/// The path to show domain `next` when it is asked by `home`, which `path` leads to.
+/// Returns the path to send with a trace request from domain `home` to domain `next`.
+///
+/// `path` lists the domains before `home`. Fails with [`Crossing::Loop`] if the new path contains
+/// `next`, and with [`Crossing::TooFar`] if it is longer than [`MAX_PATH`] domains.
 pub fn path_on(path: &[Name], home: Name, next: &Name) -> Result<Vec<Name>, Crossing> {
     let path: Vec<Name> = path.iter().copied().chain([home]).collect();
     match () {
@@ -54,7 +57,9 @@ pub fn path_on(path: &[Name], home: Name, next: &Name) -> Result<Vec<Name>, Cros
     }
 }
 
-/// Whether a path may lead from domain `from` into `home`.
+/// Checks the path of a trace request that domain `from` sends to domain `home`.
+///
+/// The path must hold 1 to [`MAX_PATH`] domains, end with `from` and not contain `home`.
 pub fn check_path(path: &[Name], from: &Name, home: &Name) -> Result<(), Refusal> {
     let (1..=MAX_PATH, Some(last)) = (path.len(), path.last()) else {
         let reason = format!("a path of {} domains, where 1 to {MAX_PATH} are allowed", path.len());
@@ -69,7 +74,7 @@ pub fn check_path(path: &[Name], from: &Name, home: &Name) -> Result<(), Refusal
     Ok(())
 }
 
-/// A domain from which there is nothing but this.
+/// Returns a trace answer that consists of this one domain.
 pub fn only(domain: Name, entry: Name, crossing: Crossing) -> Vec<TracedDomain> {
     vec![TracedDomain { depth: 1, domain, entry, rtt_us: None, crossing }]
 }
@@ -80,8 +85,10 @@ pub fn refused(reason: impl Into<String>) -> Crossing {
     Crossing::Refused { reason }
 }
 
-/// What `domain` has answered, which is entered at switch `entry`: cut to the bounds, and said to
-/// be of nobody else. None: it is no answer.
+/// Validates and bounds the trace answer of `domain`, which the trace enters at switch `entry`.
+///
+/// The first entry is always attributed to `domain` and `entry`. Returns `None` if the answer is
+/// empty or its depths are not consistent.
 pub fn taken(domain: Name, entry: Name, answer: Vec<TracedDomain>) -> Option<Vec<TracedDomain>> {
     let (mut depth, mut room) = (0, MAX_TRACED_SWITCHES);
     let mut domains: Vec<TracedDomain> = answer.into_iter().take(MAX_TRACED_DOMAINS).collect();
@@ -99,7 +106,7 @@ pub fn taken(domain: Name, entry: Name, answer: Vec<TracedDomain>) -> Option<Vec
     Some(domains)
 }
 
-/// What a domain answers of itself and of those behind it.
+/// Composes a domain's trace answer from its own entry and the answers of the domains behind it.
 pub fn composed(own: TracedDomain, beyond: Vec<Vec<TracedDomain>>) -> Vec<TracedDomain> {
     let behind = beyond.into_iter().flatten().map(|said| TracedDomain { depth: said.depth.saturating_add(1), ..said });
     let reachable = behind.filter(|said| usize::from(said.depth) <= MAX_PATH);
@@ -109,7 +116,8 @@ pub fn composed(own: TracedDomain, beyond: Vec<Vec<TracedDomain>>) -> Vec<Traced
     domains
 }
 
-/// Hides what there is no room for.
+/// Bounds one crossing: hides a switch list that exceeds the remaining room, and truncates a
+/// reason.
 fn bound(crossing: &mut Crossing, room: &mut usize) {
     match crossing {
         Crossing::Traced { switches, .. } => {
@@ -124,15 +132,18 @@ fn bound(crossing: &mut Crossing, room: &mut usize) {
     }
 }
 
-/// The way to one egress switch, as probes have found it.
+/// Result of probing the path to one egress switch.
 #[derive(Debug, Default)]
 pub struct Walk {
     pub switches: Vec<TracedSwitch>,
-    /// Links to endpoints there, and how long the way to it takes; none: it has not answered.
+    /// Number of links to endpoints at the egress switch, and the time to reach it. `None` if the
+    /// switch has not answered.
     pub end: Option<(u32, Duration)>,
 }
 
-/// What a domain says of itself.
+/// Composes a domain's own crossing from the probed paths to its egress switches.
+///
+/// The switches are listed only if `shows_switches` is set.
 pub fn inside(walks: Vec<Walk>, shows_switches: bool) -> Crossing {
     let links = walks.iter().filter_map(|walk| walk.end).fold(0, |sum: u32, (links, _)| sum.saturating_add(links));
     let times: Option<Vec<Duration>> = walks.iter().map(|walk| Some(walk.end?.1)).collect();

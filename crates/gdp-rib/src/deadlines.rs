@@ -1,4 +1,4 @@
-//! Times at which something is to be done, one for each key. Sans-IO: whoever has the clock asks.
+//! One deadline for each key, without I/O. The owner of the clock polls it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -16,7 +16,7 @@ impl<K> Default for Deadlines<K> {
 }
 
 impl<K: Ord + Copy> Deadlines<K> {
-    /// In place of the one that the key had; none: it has none any more.
+    /// Replaces the deadline of `key`, or removes it if `at` is `None`.
     pub fn set(&mut self, key: K, at: Option<Duration>) {
         let before = match at {
             Some(at) => self.of.insert(key, at),
@@ -30,7 +30,7 @@ impl<K: Ord + Copy> Deadlines<K> {
         }
     }
 
-    /// Takes out the earliest, if its time has come.
+    /// Removes the earliest deadline and returns its key, if that deadline has passed.
     pub fn take_due(&mut self, now: Duration) -> Option<K> {
         let (_, key) = self.at.first().copied().filter(|(at, _)| *at <= now)?;
         self.set(key, None);

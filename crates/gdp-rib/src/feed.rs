@@ -1,7 +1,7 @@
-//! What another side should hold, and the pushes that bring it there: deltas while it follows, the
-//! whole in parts after every (re)connect. Pure state, whatever the entries are: the RIB fills one
-//! for the FIB of each switch, tiers one for each neighbouring domain, and whoever fills it sends
-//! what [`Feed::next`] returns.
+//! Synchronises a set of entries to a remote peer. [`Feed`] sends deltas while the peer follows,
+//! and the full set in parts after each (re)connect. It is pure state and independent of the type
+//! of entry. The RIB keeps one feed for the FIB of each switch, tiers keep one for each
+//! neighbouring domain. The owner sends what [`Feed::next`] returns.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound::{Excluded, Included, Unbounded};
@@ -9,42 +9,42 @@ use std::time::Duration;
 
 use gdp_proto::control::Extent;
 
-/// How long after a push that failed the other side is sent the whole.
+/// Delay between a failed push and the next full transfer.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// After so long the other side is told again what it took only a part of; each time in a row twice
-/// as long, and at most this long.
+/// Initial and maximum delay before the feed sends again what the peer accepted only in part. The
+/// delay doubles with each partial acceptance in a row.
 const TELL_AGAIN: Duration = Duration::from_secs(60);
 const TELL_AGAIN_AT_MOST: Duration = Duration::from_secs(16 * 60);
 
-/// The desired entries of one other side, and how far it is known to hold them.
+/// Desired entries of one peer, and how much of them the peer is known to hold.
 #[derive(Debug)]
 pub struct Feed<K, V> {
     entries: BTreeMap<K, V>,
-    /// Keys whose desired value is not what was last sent.
+    /// Keys whose desired value differs from the value sent last.
     dirty: BTreeSet<K>,
     generation: u64,
     phase: Phase<K>,
-    /// Pushes that failed since one was answered.
+    /// Pushes that failed in a row.
     failures: u32,
-    /// The push that has not been answered.
+    /// Push that the peer has not answered yet.
     in_flight: Option<InFlight<K>>,
     partly: Partly<K>,
 }
 
-/// What the other side took only a part of, and may take later, though nothing changes here: when
-/// it has room.
+/// Entries that the peer accepted only in part for lack of room. The feed sends them again later,
+/// even if nothing changes here.
 #[derive(Debug)]
 struct Partly<K> {
-    /// Of all such pushes; which of them were refused is not said.
+    /// Keys of all partly accepted pushes. The peer does not state which of them it refused.
     keys: BTreeSet<K>,
-    /// When they are told again.
+    /// Time at which the keys are sent again.
     at: Option<Duration>,
-    /// How often in a row they were.
+    /// Number of resends in a row.
     times: u32,
 }
 
-/// One push.
+/// One push to the peer.
 #[derive(Debug)]
 pub struct Parcel<K, V> {
     pub generation: u64,
@@ -53,7 +53,7 @@ pub struct Parcel<K, V> {
     pub remove: Vec<K>,
 }
 
-/// What one push takes.
+/// Capacity of one push.
 #[derive(Clone, Copy, Debug)]
 pub struct Room {
     pub entries: usize,
@@ -68,11 +68,12 @@ struct InFlight<K> {
 
 #[derive(Debug, PartialEq, Eq)]
 enum Phase<K> {
-    /// The other side gets the whole: next is this part, of what is behind this key.
+    /// The peer receives the full set. `part` is the number of the next part, which starts behind
+    /// key `after`.
     Full { part: u32, after: Option<K> },
-    /// It holds everything but what is dirty.
+    /// The peer holds every entry except the dirty ones.
     Following,
-    /// A push failed; try again from this time on.
+    /// A push failed. The feed starts a full transfer at `retry`.
     Failed { retry: Duration },
 }
 
@@ -86,7 +87,7 @@ impl<K, V> Default for Feed<K, V> {
 }
 
 impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
-    /// Makes `value` the desired one of its key, or none.
+    /// Sets the desired value of `key`, or removes the key if `value` is `None`.
     pub fn set(&mut self, key: K, value: Option<V>) {
         if self.entries.get(&key) != value.as_ref() {
             self.dirty.insert(key);
@@ -97,21 +98,23 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         };
     }
 
-    /// All that the other side should hold.
+    /// Returns all entries that the peer should hold.
     pub fn entries(&self) -> &BTreeMap<K, V> {
         &self.entries
     }
 
-    /// Sends the whole again. An answer that is still out no longer counts.
+    /// Starts a full transfer. The feed ignores the answer to a push still in flight.
     pub fn restart(&mut self) {
         self.phase = Phase::Full { part: 0, after: None };
         self.in_flight = None;
-        // All that is told with the whole.
+        // The full transfer includes the partly accepted entries.
         (self.partly.keys, self.partly.at) = (BTreeSet::new(), None);
     }
 
-    /// The next push, unless one is out or there is nothing to say. `size`: bytes of an entry, or
-    /// of a key that is removed. An empty push takes any one entry.
+    /// Returns the next push, or `None` if one is in flight or nothing has changed.
+    ///
+    /// `size` returns the bytes of an entry, or of a removed key if given `None`. A single entry is
+    /// always pushed, even if it exceeds `room`.
     pub fn next(&mut self, now: Duration, room: Room, size: impl Fn(Option<&V>) -> usize) -> Option<Parcel<K, V>> {
         if self.in_flight.is_some() {
             return None;
@@ -137,7 +140,8 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
                     set.push(value.clone());
                 }
                 let last = rest.peek().is_none();
-                // This page settles what is dirty on it; changes before it stay for a delta.
+                // This part covers all dirty keys in its range. Dirty keys before it wait for a
+                // delta.
                 let end = if last { None } else { keys.last().copied() };
                 let page = (start.map_or(Unbounded, Excluded), end.map_or(Unbounded, Included));
                 dirty.extract_if(page, |_| true).for_each(drop);
@@ -169,8 +173,10 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         Some(Parcel { generation: self.generation, extent, set, remove })
     }
 
-    /// What became of the push of this generation; whether it is the one that was out. If it
-    /// failed, the whole is sent, a little later.
+    /// Records whether the push with this generation succeeded. Returns whether that push was in
+    /// flight.
+    ///
+    /// After a failure, the feed starts a full transfer when [`RETRY`] has passed.
     pub fn answered(&mut self, now: Duration, generation: u64, done: bool) -> bool {
         if self.in_flight.take_if(|push| push.generation == generation).is_none() {
             return false;
@@ -184,8 +190,8 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         true
     }
 
-    /// As [`Self::answered`], of a push that was taken but for some of its entries: they are told
-    /// again later.
+    /// Records that the peer accepted only part of the push. The feed sends its entries again
+    /// later.
     pub fn answered_partly(&mut self, now: Duration, generation: u64) {
         let Some(push) = self.in_flight.take_if(|push| push.generation == generation) else { return };
         self.failures = 0;
@@ -194,13 +200,14 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         self.partly.at.get_or_insert(now + pause);
     }
 
-    /// Whether the other side is known not to have taken all that it was told.
+    /// Returns whether the peer has accepted some push only in part.
     pub fn lacks(&self) -> bool {
         self.partly.at.is_some()
     }
 
-    /// Whether the other side has answered what there is to say of this key; or has failed to more
-    /// than once, so that waiting is of no use.
+    /// Returns whether the peer has answered the current value of this key.
+    ///
+    /// Also returns true once pushes have failed more than once, because waiting is then pointless.
     pub fn is_settled(&self, key: &K) -> bool {
         let sent = match &self.phase {
             Phase::Failed { .. } => return self.failures > 1,
@@ -210,12 +217,12 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         sent && !self.dirty.contains(key) && self.in_flight.as_ref().is_none_or(|push| !push.keys.contains(key))
     }
 
-    /// The generation that the other side holds, while it is known to.
+    /// Returns the generation that the peer is known to hold.
     pub fn acknowledged(&self) -> Option<u64> {
         (self.phase == Phase::Following && self.in_flight.is_none()).then_some(self.generation)
     }
 
-    /// When to ask for the next push again, if nothing else happens.
+    /// Returns the time at which [`Self::next`] should be called again if nothing else happens.
     pub fn retry_at(&self) -> Option<Duration> {
         match self.phase {
             Phase::Failed { retry } => Some(retry),
@@ -224,7 +231,7 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
     }
 }
 
-/// What is left of a push.
+/// Remaining capacity of a push.
 struct Filling {
     whole: Room,
     left: Room,

@@ -1,9 +1,9 @@
-//! The routing information base of a domain, its tiers and its topology: state machines without I/O
-//! and without a clock.
+//! The routing information base (RIB) of a domain, its tiers and its topology, as state machines
+//! without I/O and without a clock.
 //!
-//! [`rib`] answers entities' requests, [`tiers`] exchanges records between domains, [`topology`]
-//! computes paths.
-// They panic where stdout or stderr cannot be written.
+//! [`rib`] answers the requests of entities, [`tiers`] exchanges records between domains,
+//! [`topology`] computes paths.
+// These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod crossing;

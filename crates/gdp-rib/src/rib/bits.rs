@@ -1,4 +1,4 @@
-//! Which egress bit each switch of the domain has. Pure; the RIB calls it.
+//! Assigns an egress bit to each switch of the domain. Pure state, called by the RIB.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -7,7 +7,7 @@ use gdp_wire::table::EGRESS_SET_SIZE;
 
 use super::journal::{Item, Journal};
 
-/// The domain has as many switches as an egress set has bits.
+/// Error: all egress bits are assigned to switches.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("this RIB already routes between {EGRESS_SET_SIZE} switches, the most one egress set can name")]
 pub struct Full;
@@ -15,7 +15,8 @@ pub struct Full;
 #[derive(Debug)]
 pub struct Bits {
     assigned: BTreeMap<Name, u8>,
-    /// Longest free first, so that a bit still on its way in frames is not soon someone else's.
+    /// Free bits, the longest free first. Frames in flight may still carry a bit that was freed
+    /// recently.
     free: VecDeque<u8>,
     journal: Journal,
 }
@@ -28,9 +29,10 @@ impl Default for Bits {
 }
 
 impl Bits {
-    /// Gives a switch that is new a bit, which it keeps until it is forgotten: the one it `had`, if
-    /// that is free, or else one that is not `taken` by somebody who is not known here, if there is
-    /// such a one.
+    /// Assigns a bit to a switch that has none. The switch keeps the bit until it is forgotten.
+    ///
+    /// Prefers the bit it `had` if that is free, then a free bit that is not `taken` by an unknown
+    /// switch, then any free bit.
     pub fn give(&mut self, switch: Name, had: Option<u8>, taken: impl Fn(u8) -> bool) -> Result<(), Full> {
         if !self.assigned.contains_key(&switch) {
             let same = self.free.iter().position(|bit| Some(*bit) == had);
@@ -42,7 +44,7 @@ impl Bits {
         Ok(())
     }
 
-    /// Gives a switch another bit than it has.
+    /// Assigns a different bit to a switch that has one.
     pub fn exchange(&mut self, switch: Name, taken: impl Fn(u8) -> bool) -> Result<(), Full> {
         let Some(old) = self.assigned.remove(&switch) else { return Ok(()) };
         let given = self.give(switch, None, taken);
@@ -59,7 +61,7 @@ impl Bits {
         self.free.extend(self.assigned.remove(switch));
     }
 
-    /// The switch's egress bit (0 … 63).
+    /// Returns the switch's egress bit (0 to 63).
     pub fn of(&self, switch: &Name) -> Option<u8> {
         self.assigned.get(switch).copied()
     }

@@ -1,10 +1,10 @@
-//! By which borders other domains are reached. Pure; the RIB fills it from what it is told, and
-//! asks where a name leaves and where it may come in.
+//! Selects the border links by which other domains are reached. Pure state: the RIB sets the links
+//! and queries where the frames of a name leave and where they may arrive.
 //!
-//! What is sent to a domain leaves by one way, so that nothing arrives twice: the cheapest, and of
-//! several such one that differs from name to name. The other side chooses for itself, by its own
-//! costs and when it notices changes; so what comes from there may come by any of the ways between
-//! the two, and for a while by those that have just gone.
+//! Frames to a domain leave by one link only, so that nothing arrives twice. That is the cheapest
+//! link; between links of equal cost, a hash of the name decides. The other domain chooses by its
+//! own costs and notices changes at its own time. Its frames may therefore arrive by any link
+//! between the two, and for a while by links that were just removed.
 
 use crate::rib::model::{At, Realm};
 use std::cmp::Reverse;
@@ -17,25 +17,26 @@ use gdp_wire::siphash::siphash24;
 use super::bits::Bits;
 use crate::rib::model::NameBytes;
 
-/// How long frames may come by a way that is no more, and before what can leave by another leaves
-/// by a new one: until the other side has noticed, too.
+/// Grace period after a link is removed or added, until the other domain has noticed.
+///
+/// Frames may still arrive by a removed link. A new link is used only where no older one exists.
 pub(super) const GRACE: Duration = Duration::from_secs(2);
 
 #[derive(Clone, Debug, Default)]
 pub(super) struct BorderLinks {
-    /// By neighbouring domain.
+    /// Current links by neighbouring domain.
     present: BTreeMap<Name, Vec<BorderLink>>,
-    /// Those that are no more, and until when they count: border and peer.
+    /// Removed links (border, peer) by domain, and the time until which frames may arrive by them.
     earlier: BTreeMap<Name, BTreeMap<(Name, Name), Duration>>,
-    /// Those that are new, and until when.
+    /// New links (border, peer) by domain, and the time until which they count as new.
     fresh: BTreeMap<Name, BTreeMap<(Name, Name), Duration>>,
 }
 
-/// What has changed: domains, and the borders that have, or had, ways to them.
+/// Changed domains, each with the borders that have or had links to it.
 pub(super) type Changed = BTreeMap<Name, BTreeSet<Name>>;
 
 impl BorderLinks {
-    /// Of each domain at most `most` count, the cheapest.
+    /// Replaces all links, of which only the `most` cheapest of each domain count.
     pub fn set(&mut self, now: Duration, ways: BTreeMap<Name, Vec<BorderLink>>, most: usize) -> Changed {
         let mut ways: BTreeMap<Name, Vec<BorderLink>> = ways.into_iter().filter(|(_, ways)| !ways.is_empty()).collect();
         for ways in ways.values_mut() {
@@ -66,7 +67,7 @@ impl BorderLinks {
         changed
     }
 
-    /// Forgets which ways were there earlier, and which were new.
+    /// Ends the grace periods of removed and new links that are over at `now`.
     pub fn end(&mut self, now: Duration) -> Changed {
         let mut changed = Changed::new();
         for (domain, links) in self.earlier.iter_mut().chain(&mut self.fresh) {
@@ -81,18 +82,19 @@ impl BorderLinks {
         changed
     }
 
-    /// The domains with ways over this border.
+    /// Returns the domains with links at this border.
     pub fn domains_over(&self, border: &Name) -> BTreeSet<Name> {
         let over = self.present.iter().filter(|(_, ways)| ways.iter().any(|way| way.border == *border));
         over.map(|(domain, _)| *domain).collect()
     }
 
-    /// Borders by which entities of the realm send or are sent to.
+    /// Returns the borders that send frames to the realm's entities or receive frames from them.
     pub fn borders(&self, realm: &Realm) -> BTreeSet<Name> {
         self.arrivals(realm).map(|(border, _)| border).collect()
     }
 
-    /// The ways by which frames of the realm's entities may come: border and peer; some twice.
+    /// Returns the links (border, peer) by which frames of the realm's entities may arrive. Some
+    /// occur twice.
     pub fn arrivals(&self, realm: &Realm) -> impl Iterator<Item = (Name, Name)> {
         let domains = [Some(realm.domain), Some(realm.next).filter(|next| *next != realm.domain)];
         domains.into_iter().flatten().flat_map(|domain| {
@@ -101,8 +103,10 @@ impl BorderLinks {
         })
     }
 
-    /// The way by which what is sent to the name leaves for the realm: a direct one, if there is
-    /// any.
+    /// Returns the link by which frames to the name leave for the realm.
+    ///
+    /// Prefers a direct link to the realm's domain over one to its neighbour, and an established
+    /// link over a new one.
     fn elect(&self, name: &NameBytes, realm: &Realm, bits: &Bits) -> Option<&BorderLink> {
         let best = |(is_fresh, domain): (bool, &Name)| {
             let ways = self.present.get(domain)?.iter().filter(|way| bits.of(&way.border).is_some());
@@ -118,7 +122,8 @@ impl BorderLinks {
     }
 }
 
-/// The same at both ends of a link: as far as costs are alike there, both choose the same one.
+/// Hashes a name and a link to the same value at both ends of the link. If their costs agree, both
+/// ends elect the same link.
 fn weight(name: &NameBytes, way: &BorderLink) -> u64 {
     let ends = (way.border.min(way.peer), way.border.max(way.peer));
     let bytes = [*name, ends.0.to_bytes(), ends.1.to_bytes()];
@@ -127,7 +132,7 @@ fn weight(name: &NameBytes, way: &BorderLink) -> u64 {
     siphash24([0; 2], &words)
 }
 
-/// What routes are computed from besides who is registered.
+/// Egress bits and border links from which routes are computed.
 #[derive(Clone, Copy)]
 pub(super) struct Map<'a> {
     pub bits: &'a Bits,
@@ -135,7 +140,7 @@ pub(super) struct Map<'a> {
 }
 
 impl Map<'_> {
-    /// The egress bits of those there, for frames to the name; 0: there is no way.
+    /// Returns the egress bit set by which frames to the name reach `at`, or 0 if there is no path.
     pub fn bits_to(self, name: &NameBytes, at: &At) -> u64 {
         let switch = match at {
             At::Here(switch) => Some(*switch),
@@ -144,17 +149,18 @@ impl Map<'_> {
         switch.and_then(|switch| self.bits.of(&switch)).map_or(0, |bit| 1 << bit)
     }
 
-    /// To whom frames to the name leave for the realm at this border, if they do.
+    /// Returns the peer to which this border sends the name's frames for the realm, if it is
+    /// elected.
     pub fn leaves_to(self, name: &NameBytes, realm: &Realm, border: &Name) -> Option<Name> {
         self.ways.elect(name, realm, self.bits).filter(|way| way.border == *border).map(|way| way.peer)
     }
 
-    /// From whom frames of the realm's entities come at this border.
+    /// Returns the peers from which frames of the realm's entities arrive at this border.
     pub fn arrives_from(self, realm: &Realm, border: &Name) -> impl Iterator<Item = Name> {
         self.ways.arrivals(realm).filter(move |(at, _)| at == border).map(|(_, peer)| peer)
     }
 
-    /// The switches whose routes it concerns what is there.
+    /// Returns the switches whose routes depend on an entity at `at`.
     pub fn switches(self, at: &At) -> BTreeSet<Name> {
         match at {
             At::Here(switch) => BTreeSet::from([*switch]),
@@ -163,12 +169,12 @@ impl Map<'_> {
     }
 }
 
-/// A link of a border switch into another domain.
+/// Link of a border switch into another domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct BorderLink {
-    /// This domain's switch.
+    /// Switch of this domain.
     pub border: Name,
-    /// The switch at the other end.
+    /// Switch at the other end.
     pub peer: Name,
     pub cost: u32,
 }

@@ -1,6 +1,6 @@
-//! The entities a RIB knows: where they are attached, by which of their links, how far their
-//! serials are spent, which names they have. One that has neither an attachment nor a name is
-//! forgotten at once; what remains of all of those is one number.
+//! Entities that the RIB knows: their attachments by lane, the floor of their serials and their
+//! names. The RIB forgets an entity without attachment and name at once. All forgotten entities
+//! leave one number: the highest serial of any of them.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -14,19 +14,19 @@ use super::journal::{Item, Journal};
 use crate::rib::model::{NameBytes, Now, count_out, limit_reached};
 use crate::rib::registration::EntityIdentity;
 
-/// How far ahead of the RIB's clock a serial may be, read as Unix time in nanoseconds, if it does
-/// not just count up: 2 days.
+/// Maximum lead in seconds (2 days) of a serial over the RIB's clock, unless the serial just counts
+/// up. The serial is read as Unix time in nanoseconds.
 const SERIAL_AHEAD: u64 = 2 * 24 * 3600;
 
 #[derive(Debug)]
 pub(super) struct Entity {
     floor: u64,
-    /// By lane.
+    /// Attachments by lane.
     attachments: BTreeMap<u8, Attachment>,
     names: BTreeSet<NameBytes>,
-    /// The switch through which it came to be known, or that it was attached to last.
+    /// Switch through which the entity became known, or to which it was attached last.
     through: Name,
-    /// As it showed itself last.
+    /// Identity that the entity presented last.
     identity: Option<Arc<EntityIdentity>>,
 }
 
@@ -39,11 +39,11 @@ pub(super) struct Attachment {
 #[derive(Debug, Default)]
 pub(super) struct Entities {
     known: HashMap<Name, Entity>,
-    /// Those without an attachment, that tools speak for: how many through each switch.
+    /// Number of known entities without an attachment, by the switch through which they are known.
     unattached: HashMap<Name, usize>,
-    /// The highest serial spent by any entity that is forgotten. It is the floor of all that are
-    /// not known, so that what one of them stated cannot be presented again: memory is bounded,
-    /// however many come and go.
+    /// Highest serial of any forgotten entity, which is the floor of all unknown entities. An old
+    /// statement can thus not be replayed, and memory stays bounded however many entities come and
+    /// go.
     forgotten: u64,
     journal: Journal,
 }
@@ -57,17 +57,17 @@ impl Entity {
 static NO_NAMES: BTreeSet<NameBytes> = BTreeSet::new();
 
 impl Entities {
-    /// The serial that a statement of the entity must exceed.
+    /// Returns the serial that a statement of the entity must exceed.
     pub fn floor(&self, name: &Name) -> u64 {
         self.known.get(name).map_or(self.forgotten, |entity| entity.floor)
     }
 
-    /// A verified statement is spent, whatever becomes of it: nobody may present it again. `limit`:
-    /// of entities without an attachment through one switch.
+    /// Spends the serial of a verified statement, so that nobody can replay it whatever its
+    /// outcome. `limit` bounds the entities without an attachment through one switch.
     ///
-    /// One stranger could otherwise end the serials of all by stating the highest there is, and
-    /// being forgotten; so they may jump no further than the clock does, which leaves some to
-    /// everybody.
+    /// A serial may exceed the floor by more than 1 only up to 2 days ahead of the clock. Otherwise
+    /// one entity could state the highest serial, be forgotten, and thereby exhaust the serials of
+    /// all.
     pub fn spend(&mut self, now: Now, name: Name, through: Name, serial: u64, limit: usize) -> Result<(), Refusal> {
         let (floor, furthest) = (self.floor(&name), furthest(now));
         if serial > floor.saturating_add(1) && serial > furthest {
@@ -95,7 +95,7 @@ impl Entities {
         self.known.get(name)?.attachments.get(&lane).copied()
     }
 
-    /// All its attachments, by lane.
+    /// Returns all attachments of the entity, by lane.
     pub fn attachments(&self, name: &Name) -> impl Iterator<Item = (u8, Attachment)> {
         let known = self.known.get(name).into_iter();
         known.flat_map(|entity| entity.attachments.iter().map(|(lane, attachment)| (*lane, *attachment)))
@@ -116,7 +116,7 @@ impl Entities {
         entity.through = through;
     }
 
-    /// Follow with [`Self::retire`].
+    /// Removes and returns an attachment. Call [`Self::retire`] afterwards.
     pub fn take_attachment(&mut self, name: &Name, lane: u8) -> Option<Attachment> {
         let entity = self.known.get_mut(name)?;
         let attachment = entity.attachments.remove(&lane)?;
@@ -128,7 +128,8 @@ impl Entities {
         Some(attachment)
     }
 
-    /// An entity as it shows itself, to be shared by all that it states so.
+    /// Returns the identity that an entity presents, shared by all its statements that present the
+    /// same one.
     pub fn identity(&mut self, name: Name, proof: NameProof, box_key: [u8; 33]) -> Arc<EntityIdentity> {
         let shown = EntityIdentity { name, proof, box_key };
         let Some(entity) = self.known.get_mut(&name) else { return Arc::new(shown) };
@@ -169,7 +170,7 @@ impl Entities {
     }
 }
 
-/// What a RIB needs that stores entities, or takes them back.
+/// Access for the store and for restoring from it.
 impl Entities {
     pub fn journal(&mut self) -> &mut Journal {
         &mut self.journal
@@ -179,7 +180,7 @@ impl Entities {
         self.forgotten
     }
 
-    /// How far the serials of an entity are spent, and the switch through which it is known.
+    /// Returns the serial floor of an entity and the switch through which it is known.
     pub fn known(&self, name: &Name) -> Option<(u64, Name)> {
         self.known.get(name).map(|entity| (entity.floor, entity.through))
     }
@@ -188,8 +189,8 @@ impl Entities {
         self.forgotten = self.forgotten.max(floor.min(furthest(now)));
     }
 
-    /// Has the serials of an entity spent so far at least; no further than a statement could spend
-    /// them.
+    /// Raises the serial floor of an entity to at least `floor`, bounded as [`Self::spend`] bounds
+    /// it.
     pub fn restore(&mut self, now: Now, name: Name, floor: u64, through: Name) {
         let floor = floor.min(furthest(now));
         let entity = self.known.entry(name).or_insert_with(|| {
@@ -199,14 +200,14 @@ impl Entities {
         entity.floor = entity.floor.max(floor);
     }
 
-    /// Forgets all that have neither an attachment nor a name.
+    /// Forgets all entities that have neither an attachment nor a name.
     pub fn retire_unused(&mut self) {
         let names: Vec<Name> = self.known.keys().copied().collect();
         names.iter().for_each(|name| self.retire(name));
     }
 }
 
-/// The highest serial that need not be counted up to.
+/// Returns the highest serial that an entity may use without counting up to it.
 fn furthest(now: Now) -> u64 {
     now.unix.saturating_add(SERIAL_AHEAD).saturating_mul(1_000_000_000)
 }

@@ -1,6 +1,6 @@
-//! What other RIBs may be told of registrations, those here and those that yet others told of:
-//! which have changed, and each with all that goes with it. Whom it concerns is for the caller to
-//! decide.
+//! Exports registrations to other RIBs, both local ones and those learned from other domains. It
+//! tells which have changed and returns each with its key boxes. The caller decides which RIBs
+//! receive them.
 
 use std::collections::BTreeSet;
 
@@ -13,32 +13,33 @@ use super::Rib;
 use crate::rib::model::Now;
 use crate::rib::registration::Registration;
 
-/// What another RIB may be told of one registration.
+/// One registration as another RIB may receive it.
 #[derive(Clone, Debug)]
 pub struct Export {
     pub record: Record,
-    /// The keys of what the entity sends to the name, and to its counterparts there, for those of
-    /// them that are abroad.
+    /// Key boxes for readers in other domains, for the name and for the inboxes of the entity's
+    /// counterparts.
     pub boxes: Vec<Signed<KeyBox>>,
-    /// Its domain, and the neighbour that told of it; none: the registration was made here.
+    /// Domain of the entity and the neighbour that announced it. `None` for a local registration.
     pub origin: Option<(Name, Name)>,
 }
 
 impl Rib {
-    /// The places, here and abroad, of which something else is to be told than at the last call.
-    /// The first call gives all there are.
+    /// Returns the keys of all records that changed since the last call, local and remote.
+    ///
+    /// The first call returns all records.
     pub fn take_changed_keys(&mut self) -> BTreeSet<RecordKey> {
         self.remote.changed.replace(BTreeSet::new()).unwrap_or_else(|| self.names.all_keys().collect())
     }
 
-    /// What there is to tell of a place; none: nothing is there any more.
+    /// Returns the export of one record, or `None` if the record no longer exists.
     pub fn export(&self, now: Now, place: &RecordKey) -> Option<Export> {
         let (record, registration) = self.names.record_at(now.clock, place)?;
         let origin = registration.remote.as_ref().map(|remote| (remote.realm.domain, remote.realm.next));
         Some(Export { record, boxes: self.boxes_for_other_domains(place, registration), origin })
     }
 
-    /// The same for all places of a name.
+    /// Returns the exports of all records of a name.
     pub fn exports_of(&self, now: Now, name: &Name) -> impl Iterator<Item = Export> {
         self.names.keys(*name).filter_map(move |place| self.export(now, &place))
     }
@@ -56,7 +57,7 @@ impl Rib {
         sent.chain(inboxes).map(|(_, signed)| signed.clone()).collect()
     }
 
-    /// A writer has new keys for a reader that may be abroad.
+    /// Marks the records that a writer's new key box concerns as changed.
     pub(super) fn export_changed(&mut self, claims: &KeyBox) {
         let of_name = |name: &Name| self.names.keys(*name).filter(|place| place.entity == claims.writer).collect();
         let places: Vec<RecordKey> = match claims.name == claims.reader {

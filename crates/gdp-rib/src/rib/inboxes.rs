@@ -1,9 +1,9 @@
-//! Under its own name every attached entity can be reached, by those it exchanges messages with and
-//! nobody else: who that is, and which switches therefore need a route for it. One that is attached
-//! to several switches is reached at each of them. Pairs of counterparts go in, routes come out.
+//! Computes the routes to inboxes. An attached entity's inbox is its own name. Only its
+//! counterparts, the entities that it exchanges messages with, can reach it. An entity attached to
+//! several switches is reached at each of them. Pairs of counterparts go in, routes come out.
 //!
-//! An entity of another domain that has a counterpart is reached by the border toward it, and its
-//! frames, to whomever, may come by the links that lead there.
+//! An entity of another domain that has a counterpart is reached by the border toward its domain.
+//! Its frames may arrive by any link that leads there.
 
 use crate::rib::model::InboxOwner;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -16,14 +16,15 @@ use crate::rib::model::{At, Limits, NameBytes, count_out, limit_reached};
 
 #[derive(Debug)]
 struct Inbox {
-    /// Where it is, and for how many pairs each.
+    /// Locations of the owner, each with the number of pairs that need it.
     homes: BTreeMap<At, u32>,
-    /// By where they are: those who may send here, and for how many names and roles.
+    /// Entities that may send to the inbox, by location, with the number of names and roles that
+    /// allow it.
     senders: BTreeMap<At, BTreeMap<Name, u32>>,
 }
 
 impl Inbox {
-    /// Whether the entity may send here, from wherever.
+    /// Returns whether the entity may send to this inbox from any location.
     fn takes_from(&self, sender: &Name) -> bool {
         self.senders.values().any(|here| here.contains_key(sender))
     }
@@ -32,15 +33,14 @@ impl Inbox {
 #[derive(Debug, Default)]
 pub(super) struct Inboxes {
     inboxes: BTreeMap<NameBytes, Inbox>,
-    /// Into how many inboxes each entity may send; it can be reached from as many.
+    /// Number of inboxes that each entity may send to. As many entities can reach its own inbox.
     reaches: HashMap<Name, usize>,
-    /// The same at each switch, of the entities there: pairs of an inbox and a sender.
+    /// Number of pairs (inbox, sender) by the location of the sender.
     reached_from: HashMap<At, usize>,
 }
 
 impl Inboxes {
-    /// Whether `new` may have these counterparts besides those it has: whether there is room for
-    /// what [`Self::allow`] adds.
+    /// Checks that the limits have room for what [`Self::allow`] adds when `new` meets `others`.
     pub fn check_room(&self, new: InboxOwner, others: &[InboxOwner], limits: &Limits) -> Result<(), Refusal> {
         let limit = limits.counterparts;
         let is_full = |entity: &Name, more: usize| self.reaches.get(entity).copied().unwrap_or_default() + more > limit;
@@ -75,7 +75,7 @@ impl Inboxes {
         }
     }
 
-    /// Lets `sender` send to `inbox`, for one more reason. Returns where the route for it may
+    /// Adds one reason for `sender` to send to `inbox`. Returns the locations where its route may
     /// change.
     pub fn allow(&mut self, inbox: InboxOwner, sender: InboxOwner) -> Vec<At> {
         let new = || Inbox { homes: BTreeMap::new(), senders: BTreeMap::new() };
@@ -92,8 +92,10 @@ impl Inboxes {
         self.affected(inbox, sender)
     }
 
-    /// One reason less. Returns where the route may change, and whether `sender` may no longer send
-    /// from anywhere.
+    /// Removes one reason for `sender` to send to `inbox`.
+    ///
+    /// Returns the locations where the route may change, and whether `sender` can no longer send
+    /// from any location.
     pub fn deny(&mut self, inbox: InboxOwner, sender: InboxOwner) -> (Vec<At>, bool) {
         let before = self.affected(inbox, sender);
         if !self.remove(inbox, sender) {
@@ -108,8 +110,8 @@ impl Inboxes {
         (before, ended)
     }
 
-    /// Where the inbox comes or goes: with another switch of its own, the routes of all that send
-    /// there change.
+    /// Returns the locations whose routes change when the inbox appears or disappears. A further
+    /// home of the inbox changes the routes at all its senders.
     fn affected(&self, inbox: InboxOwner, sender: InboxOwner) -> Vec<At> {
         let held = self.inboxes.get(inbox.entity.as_bytes());
         let only_one = held.is_some_and(|held| held.homes.len() > 1 && held.homes.get(&inbox.at) == Some(&1));
@@ -142,19 +144,19 @@ impl Inboxes {
         true
     }
 
-    /// Whether the entity may send to that inbox.
+    /// Returns whether the entity may send to the inbox from its location.
     pub fn allows(&self, inbox: Name, sender: InboxOwner) -> bool {
         let here = self.inboxes.get(inbox.as_bytes()).and_then(|inbox| inbox.senders.get(&sender.at));
         here.is_some_and(|here| here.contains_key(&sender.entity))
     }
 
-    /// Switches that a route for this inbox is for.
+    /// Returns the switches that need a route for this inbox.
     pub fn routed(&self, inbox: &Name, map: Map) -> BTreeSet<Name> {
         let held = self.inboxes.get(inbox.as_bytes()).into_iter();
         held.flat_map(|inbox| inbox.senders.keys().chain(inbox.homes.keys())).flat_map(|at| map.switches(at)).collect()
     }
 
-    /// The route for an inbox at one switch, if it needs any.
+    /// Returns the route for an inbox at one switch, if the switch needs one.
     pub fn route(&self, inbox: &NameBytes, switch: &Name, map: Map) -> Option<Route> {
         let held = self.inboxes.get(inbox)?;
         let name = Name::from_bytes(*inbox);
@@ -185,7 +187,7 @@ impl Inboxes {
         Some(Route { name, egress_bits, locals, everywhere, writers, arrives_by })
     }
 
-    /// From whom frames of the entity come at this border, if it is of another domain.
+    /// Returns the peers from which frames of an entity of another domain arrive at this border.
     pub fn arrives_by(&self, entity: &NameBytes, border: &Name, map: Map) -> Vec<Name> {
         let homes = self.inboxes.get(entity).into_iter().flat_map(|held| held.homes.keys());
         let from = homes.flat_map(|home| match home {
@@ -196,7 +198,7 @@ impl Inboxes {
     }
 }
 
-/// Whether both are in the same other domain.
+/// Returns whether both locations are in the same other domain.
 fn is_one_domain(one: &At, other: &At) -> bool {
     matches!((one, other), (At::RemoteRegistrations(one), At::RemoteRegistrations(other)) if one.domain == other.domain)
 }

@@ -1,6 +1,6 @@
-//! Parts that entities of other domains have in names, as the RIBs of those domains tell. They are
-//! taken in like what is stated here, and routed over borders: by which, [`super::border_links`]
-//! says. What is told on to other RIBs is in [`super::exports`].
+//! Registrations of entities of other domains, as announced by neighbouring RIBs. The RIB stores
+//! them like local ones and routes them over the borders that [`super::border_links`] elects.
+//! [`super::exports`] announces them to further RIBs.
 
 use crate::rib::border_links::BorderLink;
 use crate::rib::remote_registrations::Foreign;
@@ -20,17 +20,19 @@ use crate::rib::model::{InboxOwner, NameBytes, Now, Realm, RegistrationKey, life
 use crate::rib::registration::{EntityIdentity, Registration, Remote, shared};
 
 impl Rib {
-    /// Takes in, or replaces, what the neighbour `foreign.next` told of one place. Verified here
-    /// but for the domain of its switch. Of several neighbours that tell of one place, the one with
-    /// the newest statement counts, and of those the nearest; the word of the others is kept for
-    /// when that one takes back its own. Key boxes are taken one after the other, up to one that is
-    /// refused: for what reason, is returned.
+    /// Adds or replaces the record of one registration that the neighbour `foreign.next` announced.
+    ///
+    /// The RIB verifies everything except the domain of the entity's switch. If several neighbours
+    /// announce the same registration, the newest statement counts, then the fewest hops. The RIB
+    /// keeps the other announcements as spares. Key boxes are stored in order up to the first
+    /// refused one, whose refusal is returned.
     pub fn set_foreign(&mut self, now: Now, foreign: Foreign) -> Result<Option<Refusal>, Refusal> {
         self.tick(now);
         let Foreign { record, domain, next, hops, boxes, local } = foreign;
         let place = record.place().map_err(refusal)?;
         let (key, role) = (record.name.to_bytes(), place.role);
-        // Before signatures are verified: what there is no room for is told again and again.
+        // This check precedes signature verification, because neighbours repeat records that did
+        // not fit.
         self.check_record_limit(&place, &next)?;
         let verified = record.verify(self.revocations.claims(&key), now.unix).map_err(refusal)?;
         record.credential.check_member(|domain| self.domains.get(domain)).map_err(refusal)?;
@@ -63,19 +65,20 @@ impl Rib {
         Ok(boxes.iter().find_map(|signed| self.foreign_box(now, registration_key, &record.entity, signed).err()))
     }
 
-    /// The neighbours that have told of a place, whether or not their word counts.
+    /// Returns the neighbours that announced a record, including those whose record is only a
+    /// spare.
     pub fn sources_of(&self, place: &RecordKey) -> Vec<Name> {
         let spare = self.remote.spare.get(place).into_iter().flat_map(BTreeMap::keys).copied();
         self.next_of(place).into_iter().chain(spare).collect()
     }
 
-    /// The neighbour whose word counts of a place.
+    /// Returns the neighbour whose record is in use.
     pub fn next_of(&self, place: &RecordKey) -> Option<Name> {
         let registration = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch)?;
         registration.remote.as_ref().map(|remote| remote.realm.next)
     }
 
-    /// The neighbour `next` takes back what it told of the place.
+    /// Withdraws the record that the neighbour `next` announced.
     pub fn remove_foreign(&mut self, now: Now, place: &RecordKey, next: &Name) {
         self.tick(now);
         self.remote.take_spare(place, next);
@@ -84,7 +87,7 @@ impl Rib {
         }
     }
 
-    /// The neighbour is gone for good, with all that it told.
+    /// Removes all records of a neighbour that is gone for good.
     pub fn remove_foreign_of(&mut self, now: Now, next: &Name) {
         let names = self.remote.names.iter().filter(|(realm, _)| realm.next == *next);
         let names: BTreeSet<NameBytes> = names.flat_map(|(_, names)| names.keys().copied()).collect();
@@ -94,8 +97,8 @@ impl Rib {
         places.iter().for_each(|place| self.remove_foreign(now, place, next));
     }
 
-    /// The links into each neighbouring domain are now these, all of them. A domain that is not
-    /// named here is reached by those to the neighbour that told of its entities.
+    /// Replaces the links into all neighbouring domains. A domain without links of its own is
+    /// reached by the links to the neighbour that announced its entities.
     pub fn set_ways(&mut self, now: Now, ways: BTreeMap<Name, Vec<BorderLink>>) {
         self.tick(now);
         let changed = self.ways.set(now.clock, ways, self.limits.ways_per_domain);
@@ -110,13 +113,13 @@ impl Rib {
         self.follow_ways(&changed);
     }
 
-    /// The border got an egress bit, or lost it.
+    /// Updates routes after a border gained or lost its egress bit.
     pub(super) fn follow_border(&mut self, border: Name) {
         let domains = self.ways.domains_over(&border).into_iter();
         self.follow_ways(&domains.map(|domain| (domain, BTreeSet::from([border]))).collect());
     }
 
-    /// What an entity has stated here counts, and not what it had stated abroad before.
+    /// Removes the remote registrations of an entity that a newer local statement supersedes.
     pub(super) fn forget_remote(&mut self, registration_key: RegistrationKey, serial: u64) {
         let earlier = self.names.all_of(&registration_key.name, &registration_key.entity, registration_key.role);
         let earlier = earlier.filter(|earlier| !earlier.is_here() && earlier.serial < serial);
@@ -126,8 +129,8 @@ impl Rib {
         }
     }
 
-    /// What an entity has stated abroad counts, and not what it had stated here before: it has
-    /// moved, though the link that it had here may not be missed yet.
+    /// Removes the local registrations of an entity that a newer remote statement supersedes. The
+    /// entity has moved, though its switch here may not have noticed the loss of the link yet.
     fn forget_here(&mut self, registration_key: RegistrationKey, serial: u64) {
         let earlier = self.names.all_of(&registration_key.name, &registration_key.entity, registration_key.role);
         let earlier = earlier.filter(|it| it.is_here() && !it.everywhere && it.serial < serial);
@@ -135,8 +138,7 @@ impl Rib {
         switches.into_iter().for_each(|switch| self.unregister(registration_key, switch));
     }
 
-    /// A registration is over. What another neighbour says of it counts then, if it came from
-    /// abroad.
+    /// Ends a registration. A spare record from another neighbour then takes its place.
     pub(super) fn end(&mut self, now: Now, registration_key: RegistrationKey, switch: Name) {
         let place = record_key_of(registration_key, switch);
         self.unregister(registration_key, switch);
@@ -177,14 +179,14 @@ impl Rib {
         Ok(())
     }
 
-    /// What a neighbour has told of a place, whether or not it counts.
+    /// Returns the registration that a neighbour announced, whether it is in use or a spare.
     fn word_of(&self, place: &RecordKey, next: &Name) -> Option<&Registration> {
         let used = self.names.get_at(place.name.as_bytes(), &place.entity, place.role, &place.switch);
         let used = used.filter(|used| used.remote.as_ref().is_some_and(|remote| remote.realm.next == *next));
         used.or_else(|| Some(&self.remote.spare.get(place)?.get(next)?.1))
     }
 
-    /// Lets the best word on a place count, of those that still hold.
+    /// Puts the best valid spare record of a registration into use.
     fn choose_record(&mut self, now: Now, place: RecordKey) -> Result<(), Refusal> {
         let (key, registration_key) = (place.name.to_bytes(), registration_key_of(&place));
         let used = self.names.get_at(&key, &place.entity, place.role, &place.switch).map(rank);
@@ -208,7 +210,7 @@ impl Rib {
                 Ok(())
             }
             Ok(None) => Ok(()),
-            // For when there is room.
+            // Kept as a spare until there is room.
             Err(refusal) => {
                 self.remote.put_spare(place, next, (proof, best));
                 Err(refusal)
@@ -216,7 +218,7 @@ impl Rib {
         }
     }
 
-    /// Keeps a box of an entity abroad, if this RIB knows for what it is.
+    /// Stores a key box of a remote entity, if the RIB knows what the box is for.
     fn foreign_box(
         &mut self,
         now: Now,
@@ -248,8 +250,8 @@ impl Rib {
         Ok(())
     }
 
-    /// Brings the desired FIBs in line with other ways. Only names with a part in the domains
-    /// concerned are looked at.
+    /// Updates the desired FIBs after border links changed. Only names with registrations in the
+    /// changed domains are recomputed.
     fn follow_ways(&mut self, changed: &Changed) {
         let mut names: BTreeMap<NameBytes, BTreeSet<Name>> = BTreeMap::new();
         for (realm, parts) in &self.remote.names {
@@ -276,7 +278,7 @@ impl Rib {
     }
 }
 
-/// The lowest counts, of what is told of one place: the newest, and of that the nearest.
+/// Ranks records of one registration: the lowest rank wins. Newer statements win, then fewer hops.
 fn rank(registration: &Registration) -> (Reverse<u64>, u32, Option<Name>) {
     let remote = registration.remote.as_deref();
     let hops = remote.map_or(0, |remote| remote.hops);

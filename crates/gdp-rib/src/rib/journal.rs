@@ -1,6 +1,5 @@
-//! What of the RIB is to outlive it in a store, item by item: which items have changed since
-//! somebody last asked. What an item is worth to a RIB that reads it back is decided in
-//! [`super::restore`].
+//! Journal of the items that a store keeps beyond the life of the RIB. It records which items
+//! changed since the last query. [`super::restore`] decides what a stored item is worth.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -9,29 +8,28 @@ use std::str::FromStr;
 use gdp_proto::control::{NameRole, RecordKey};
 use gdp_wire::Name;
 
-/// Something that is stored, by what it is about. In the order in which a RIB can take it back:
-/// registrations need the switches and attachments they are bound to, key boxes the registrations
-/// they are for.
+/// Key of a stored item, in the order in which a RIB can restore items. Registrations need their
+/// switches and attachments, key boxes need their registrations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Item {
-    /// The highest serial of all entities that are forgotten.
+    /// Highest serial of all forgotten entities.
     Floor,
-    /// A switch that has reported, and its egress bit.
+    /// Switch that has reported, and its egress bit.
     Switch(Name),
-    /// The newest revocation of a name.
+    /// Newest revocation of a name.
     Revocation(Name),
-    /// Whom the invitation with this serial has admitted.
+    /// Member admitted by the invitation with this serial.
     Invitation(u64),
-    /// How far the serials of an entity are spent, and where it is attached.
+    /// Serial floor and attachments of an entity.
     Entity(Name),
-    /// An entity's part in a name, at one switch.
+    /// Registration of an entity for a name, at one switch.
     Registration(RecordKey),
-    /// A key of `writer` for what it sends to `name`, wrapped for `reader`.
+    /// Key with which `writer` sends to `name`, wrapped for `reader`.
     KeyBox { name: Name, writer: Name, epoch: u32, reader: Name },
 }
 
-/// As the key of the item in a store: words and hex digits between slashes, so that people can list
-/// them.
+/// Formats the item as its key in the store: words and hex digits separated by slashes, which
+/// people can list.
 impl fmt::Display for Item {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -48,7 +46,7 @@ impl fmt::Display for Item {
     }
 }
 
-/// Not the key of an item.
+/// Error: the text is not the key of an item.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error("not an item that this version knows")]
 pub struct NoItem;
@@ -75,12 +73,12 @@ impl FromStr for Item {
             }
             _ => return Err(NoItem),
         };
-        // One item has one key.
+        // Each item has exactly one key.
         if item.to_string() == text { Ok(item) } else { Err(NoItem) }
     }
 }
 
-/// The items that have changed, if anybody wants to know.
+/// Changed items, or `None` if no store follows them.
 #[derive(Debug, Default)]
 pub(super) struct Journal(Option<BTreeSet<Item>>);
 
@@ -99,7 +97,7 @@ impl Journal {
         self.0.as_ref().is_none_or(BTreeSet::is_empty)
     }
 
-    /// Moves what is marked to `all`.
+    /// Moves all marked items to `all`.
     pub fn drain(&mut self, all: &mut BTreeSet<Item>) {
         if let Some(changed) = &mut self.0 {
             all.append(changed);

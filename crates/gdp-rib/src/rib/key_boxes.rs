@@ -1,4 +1,4 @@
-//! Takes in the key boxes of a writer and has their readers told.
+//! Stores the key boxes of a writer and notifies their readers.
 
 use gdp_core::cert::{CertError, Requester, Signed};
 use gdp_core::keys::KeyBox;
@@ -9,8 +9,10 @@ use super::Rib;
 use crate::rib::model::{At, InboxOwner, Now, RegistrationKey, refusal};
 
 impl Rib {
-    /// One after the other: those before one that is refused are kept. A box may be for a reader
-    /// that is not there, or not yet: only one that shows the owner's grant is given it.
+    /// Stores key boxes in order. Those before a refused one stay stored.
+    ///
+    /// A box may be for a reader that has not registered. Only an entity that proves the owner's
+    /// grant receives it.
     pub(super) fn key_boxes(
         &mut self,
         now: Now,
@@ -26,7 +28,7 @@ impl Rib {
             if self.boxes.holds(&claims, signed) {
                 continue;
             }
-            // For the reader's sake no more than for the RIB's: it verifies this again.
+            // This check protects the RIB as much as the reader, which verifies the box again.
             signed.verify(&requester.entity_key, now.unix).map_err(refusal)?;
             self.boxes.put(place, &claims, signed.clone(), &self.limits)?;
             self.tell_reader(&claims);
@@ -35,7 +37,8 @@ impl Rib {
         Ok(Response::Done)
     }
 
-    /// Where the writer sends from; a refusal if it may not send to the name of the box.
+    /// Returns the location from which the writer sends. Refuses a writer that may not send to the
+    /// box's name.
     fn sends_from(&self, requester: &Requester, claims: &KeyBox) -> Result<InboxOwner, Refusal> {
         let (name, entity) = (claims.name, requester.entity);
         if let Some(registration) = self.names.get(name.as_bytes(), &entity, NameRole::Publisher) {
@@ -63,7 +66,7 @@ impl Rib {
         }
     }
 
-    /// A switch of the reader, if the box is for what comes to its inbox.
+    /// Returns a switch of the reader if the box is for the reader's inbox.
     fn inbox_home(&self, claims: &KeyBox) -> Option<Name> {
         let mut attachments = self.entities.attachments(&claims.reader).filter(|_| claims.name == claims.reader);
         attachments.next().map(|(_, attachment)| attachment.switch)

@@ -1,18 +1,18 @@
-//! The routing information base: which entities are attached where, who publishes and reads which
-//! name, and what each switch's FIB must therefore hold. Sans-IO: time and requests go in, a
-//! response and [`Effect`]s come out. No sockets, no clock, no data plane; the daemon in
-//! `gdp-daemon` moves what travels.
+//! The routing information base (RIB): which entities are attached where, which of them publish and
+//! read which name, and what the FIB of each switch must hold. It performs no I/O: time and
+//! requests go in, a response and [`Effect`]s come out. It has no sockets, no clock and no data
+//! plane. The daemon in `gdp-daemon` transports the messages.
 //!
-//! Nothing is stored before it is verified: the derivation of names, the certificates and what
-//! their owner has revoked of them, the entity's own statement and its serial. The FIB of every
-//! switch is derived from what is stored, and from the paths in [`paths`]. Here is what goes in and
-//! out; [`statements`] takes what entities state, [`key_boxes`] and [`revoke`] what goes with it,
-//! [`reports`] what switches say; [`interdomain`] takes what RIBs of other domains tell, and
-//! [`exports`] gives what they may be told.
+//! The RIB verifies everything before it stores it: the derivation of names, certificates and their
+//! revocations, the entity's own statement and its serial. It derives the FIB of every switch from
+//! the stored state and from the paths in [`paths`]. This file holds the inputs and outputs.
+//! [`statements`] handles the statements of entities, [`key_boxes`] and [`revoke`] their key boxes
+//! and revocations, [`reports`] the reports of switches. [`interdomain`] stores the records of
+//! other domains, [`exports`] returns those for them.
 //!
-//! Nobody has to believe this: who is told of others verifies their records again, who is given a
-//! key verifies who wrapped it, and who holds a newer revocation than the RIB gives keeps to that.
-//! What a RIB that lies can do is to withhold.
+//! Nobody has to trust the RIB. An entity verifies the records of its peers again. A reader
+//! verifies the signature of the writer on a wrapped key. An entity keeps a revocation that is
+//! newer than the RIB's. A lying RIB can only withhold.
 
 mod bits;
 mod border_links;
@@ -71,22 +71,22 @@ pub use exports::Export;
 pub use journal::Item;
 pub use restore::{MAX_ITEM, RestoreError, decode_item, encode_item};
 
-/// How long the names of a switch that nobody reaches stay: a restart or a short partition must not
-/// cost the FIBs.
+/// Time for which the RIB keeps the names of an unreachable switch, as in graceful restart (RFC
+/// 4724). A restart or a short partition must not cost the FIBs.
 pub const RESTART_TIME: Duration = Duration::from_secs(10);
 
-/// How long after it is reached a switch that has not reported is asked to.
+/// Time after which the RIB asks a reachable switch that has not reported for its report.
 const UNREPORTED: Duration = Duration::from_secs(5);
 
-/// What the RIB has to say to a switch.
+/// Message of the RIB to a switch.
 #[derive(Clone, Debug)]
 pub enum Effect {
-    /// To be answered with [`Rib::pushed`].
+    /// FIB push, to be answered with [`Rib::pushed`].
     Fib(FibPush),
-    /// To an entity, through its switch. To be answered with [`Rib::update_answered`].
+    /// Update to an entity through its switch, to be answered with [`Rib::update_answered`].
     Peers(PeersPush),
-    /// The RIB holds no attachment of `entity` at `switch`: it must attach again. If the entity is
-    /// the switch itself, the RIB does not know the switch: it must report in full.
+    /// The RIB holds no attachment of `entity` at `switch`, so the entity must attach again. If the
+    /// entity is the switch itself, the RIB does not know the switch, which must report in full.
     Detach { switch: Name, entity: Name },
 }
 
@@ -97,7 +97,7 @@ pub struct Rib {
     run: RibRun,
     limits: Limits,
     bits: Bits,
-    /// From the RIB's own switch, as that last said.
+    /// Paths from the RIB's own switch, as that switch computed them last.
     paths: Paths,
     switches: BTreeMap<Name, Switch>,
     entities: Entities,
@@ -105,28 +105,28 @@ pub struct Rib {
     inboxes: Inboxes,
     boxes: WrappedKeyStore,
     revocations: Revocations,
-    /// What domains have taken back, by domain: of those that this one has to do with.
+    /// Revocations by related domains, by domain.
     domains: BTreeMap<Name, Revocation>,
     peer_updates: PeerUpdates,
     ways: BorderLinks,
     remote: RemoteRegistrations,
     timers: Timers,
     detached: BTreeSet<(Name, Name)>,
-    /// Switches that are reached and have not reported, and when they are asked to.
+    /// Reachable switches that have not reported, each with the time at which they are asked to.
     unreported: BTreeMap<Name, Duration>,
-    /// Switches that an earlier RIB knew and that have not reported to this one.
+    /// Switches restored from an earlier RIB that have not reported to this one.
     silent: BTreeSet<Name>,
     journal: Journal,
 }
 
-/// One life of a RIB.
+/// One run of a RIB.
 #[derive(Clone, Copy, Debug)]
 pub struct RibRun {
-    /// Higher than that of the RIB before, as far as that can be known; and another number each
-    /// time.
+    /// Identifier of the run: different each time, and higher than that of the RIB before, as far
+    /// as it is known.
     pub id: u64,
-    /// Until this time (as [`Now::clock`]) what an earlier RIB had the switches hold counts
-    /// besides: entities are still to state again what they had stated to that one.
+    /// End of the settling time (as [`Now::clock`]). Until then switches also honour the routes of
+    /// an earlier RIB, while entities repeat their statements to this one.
     pub settling: Duration,
 }
 
@@ -134,13 +134,13 @@ pub struct RibRun {
 struct Switch {
     fib: Fib,
     attached: BTreeSet<Name>,
-    /// When the switch is forgotten, unless it is reached again.
+    /// Time at which the switch is forgotten unless it becomes reachable again.
     forget_at: Option<Duration>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Timer {
-    /// Some part in this name may be over.
+    /// A registration of this name may have expired.
     Name(NameBytes),
     Attachment {
         entity: Name,
@@ -152,7 +152,7 @@ enum Timer {
     Unreported {
         switch: Name,
     },
-    /// Frames come no more by ways that are gone.
+    /// The grace period of changed border links may be over.
     BorderLinks,
     Settled,
 }
@@ -160,7 +160,7 @@ enum Timer {
 type Timers = BTreeSet<(Duration, Timer)>;
 
 impl Rib {
-    /// An empty RIB that runs beside the switch `root`.
+    /// Creates an empty RIB that runs beside the switch `root`.
     pub fn new(root: Name, run: RibRun, limits: Limits) -> Self {
         Self {
             root,
@@ -186,7 +186,8 @@ impl Rib {
         }
     }
 
-    /// Answers what `entity`, or a tool that speaks for it, asks through the switch `origin`.
+    /// Answers a request of `entity`, or of a tool acting for it, that arrives through the switch
+    /// `origin`.
     pub fn request(
         &mut self,
         now: Now,
@@ -206,8 +207,8 @@ impl Rib {
         answer.unwrap_or_else(Response::from)
     }
 
-    /// What is known of a name anybody may hear who knows the name; to have names listed, one has
-    /// to be attached here, or be the switch that asks (for those who run it).
+    /// Answers a query. Anybody who knows a full name may query it. To list names by prefix, the
+    /// entity must be attached here or be the asking switch itself (for its operators).
     fn query(
         &mut self,
         now: Now,
@@ -229,8 +230,8 @@ impl Rib {
         Ok(self.names.query(now.clock, prefix, after))
     }
 
-    /// Whether a switch is known. If not, it is told to report, and what it asks is worth another
-    /// attempt.
+    /// Checks that a switch is known. If not, the RIB asks it to report, and the refusal invites
+    /// another attempt.
     fn check_reported(&mut self, switch: Name) -> Result<(), Refusal> {
         if self.switches.contains_key(&switch) {
             return Ok(());
@@ -240,15 +241,14 @@ impl Rib {
         Err(Refusal::new(RefusalCode::Unreachable, reason))
     }
 
-    /// Takes a switch's report of all entities attached to it, with the egress bit it has had so
-    /// far.
+    /// Processes a switch's full report of its attached entities and its current egress bit.
     pub fn report(&mut self, now: Now, switch: &NameProof, attached: &[Name], own_bit: Option<u8>) -> Response {
         self.tick(now);
         let taken = self.try_report(now, switch, attached, own_bit);
         taken.map_or_else(Response::from, |()| Response::Reported { run: self.run.id })
     }
 
-    /// The paths from the RIB's own switch are now these.
+    /// Replaces the paths from the RIB's own switch.
     pub fn set_paths(&mut self, now: Now, paths: Paths) {
         self.tick(now);
         self.paths = paths;
@@ -256,15 +256,16 @@ impl Rib {
         self.check_reachability(now);
     }
 
-    /// An entity's link to `switch` is gone, and with it all that was bound to it. What it has
-    /// elsewhere stays.
+    /// Ends the attachment of an entity to `switch` and all registrations bound to it. Its
+    /// attachments elsewhere stay.
     pub fn detach(&mut self, now: Now, switch: &Name, entity: &Name) -> Response {
         self.tick(now);
         self.end_attachments_at(entity, switch);
         Response::Done
     }
 
-    /// Lets end what ends by itself. Call when [`Self::next_tick`] says; requests do it too.
+    /// Processes all expired timers. Call it when [`Self::next_tick`] says so; requests also call
+    /// it.
     pub fn tick(&mut self, now: Now) {
         while let Some((at, timer)) = self.timers.first().copied() {
             if at > now.clock {
@@ -284,7 +285,7 @@ impl Rib {
                 Timer::BorderLinks => self.end_earlier_ways(now),
                 Timer::Settled => {
                     std::mem::take(&mut self.silent).iter().for_each(|switch| self.forget_switch(switch));
-                    // So that they let go of what nobody has stated again.
+                    // Full transfers make the switches drop routes that nobody stated again.
                     self.switches.values_mut().for_each(|switch| switch.fib.restart());
                     self.peer_updates.settled();
                 }
@@ -293,19 +294,19 @@ impl Rib {
         self.peer_updates.tick(now.clock);
     }
 
-    /// When [`Self::tick`] and [`Self::effects`] have something to do, if nothing else happens
-    /// before.
+    /// Returns the time at which [`Self::tick`] and [`Self::effects`] next have work, if nothing
+    /// else happens before.
     pub fn next_tick(&self) -> Option<Duration> {
         let retries = self.switches.values().filter_map(|s| s.fib.retry_at());
         retries.chain(self.timers.first().map(|(at, _)| *at)).chain(self.peer_updates.retry_at()).min()
     }
 
-    /// Takes out what is to be sent now. To each switch one FIB push is out at a time, to each
-    /// entity one about a name and role.
+    /// Returns the messages to send now. At most one FIB push per switch is in flight, and at most
+    /// one update per entity, name and role.
     pub fn effects(&mut self, now: Now) -> Vec<Effect> {
         let mut effects: Vec<_> = std::mem::take(&mut self.detached)
             .into_iter()
-            // It may have attached there in the meantime.
+            // The entity may have attached there in the meantime.
             .filter(|(switch, entity)| !self.entities.is_attached_at(entity, switch))
             .map(|(switch, entity)| Effect::Detach { switch, entity })
             .collect();
@@ -321,15 +322,15 @@ impl Rib {
         effects
     }
 
-    /// What became of the FIB push of this generation to the switch.
+    /// Records the outcome of the FIB push with this generation to the switch.
     pub fn pushed(&mut self, now: Now, switch: &Name, generation: u64, outcome: Pushed) {
         if let Some(switch) = self.switches.get_mut(switch) {
             switch.fib.answered(now.clock, generation, outcome);
         }
     }
 
-    /// Whether what an entity was to be told arrived; if not, it is told the whole through another
-    /// of its switches, or a while later.
+    /// Records whether an update arrived at its entity. A lost update is repeated in full through
+    /// another of its switches, or later.
     pub fn update_answered(&mut self, now: Now, told: UpdateId, arrived: bool) {
         let other = self.other_switch_of(told.registration_key, &told.switch);
         if let Some(held) = self.peer_updates.answered(now.clock, told, arrived, other) {
@@ -337,9 +338,10 @@ impl Rib {
         }
     }
 
-    /// Whether all switches that need a route for what an entity stated have answered that they
-    /// hold it (or have failed to answer), and are on the map with their egress bit: for the name,
-    /// and for what it and its counterparts send each other.
+    /// Returns whether all switches that need a route for the entity's statement have settled.
+    ///
+    /// A switch settles when it has acknowledged the route, or failed to, and its egress bit is on
+    /// the map. This covers the name and the inboxes of the entity and its counterparts.
     pub fn is_settled(&self, name: &Name, entity: &Name, role: NameRole) -> bool {
         let is_on_the_map = |switch: &Name| {
             let bit = self.bits.of(switch);
@@ -357,11 +359,11 @@ impl Rib {
             && switches.flat_map(others).all(|(at, other)| settled(&at, &other))
     }
 
-    /// To be asked once a statement at `at` is settled: takes it back there if a switch has no room
-    /// for the route it needs.
+    /// Checks that no switch lacks room for the routes of a settled statement at `at`. If one does,
+    /// the RIB unregisters the statement there and refuses it.
     pub fn check_room(&mut self, name: &Name, entity: &Name, role: NameRole, at: &Name) -> Result<(), Refusal> {
         let lacking = |switch| self.switches.get(switch)?.fib.lacking();
-        // Frames of a service go to the names of its parties.
+        // Frames of a service go to the inboxes of its parties.
         let inboxes = self.inboxes.routed(entity, self.map()).into_iter().filter(|_| role.is_of_service());
         let routed: Vec<Name> = self.names.routed(name.as_bytes(), self.map()).into_iter().chain(inboxes).collect();
         let Some(reason) = routed.iter().find_map(lacking) else { return Ok(()) };
@@ -371,62 +373,62 @@ impl Rib {
     }
 }
 
-/// What `gdp-ctl status` and `rib dump` show.
+/// State that `gdp-ctl status` and `rib dump` show.
 impl Rib {
-    /// The number of its [run](RibRun).
+    /// Returns the identifier of the RIB's [run](RibRun).
     pub fn run(&self) -> u64 {
         self.run.id
     }
 
-    /// The newest that is known of what the owner of a name has taken back.
+    /// Returns the newest known revocation by the owner of a name.
     pub fn revocation(&self, name: &Name) -> Option<&Revocation> {
         self.revocations.claims(name.as_bytes())
     }
 
-    /// The same, as its owner signed it.
+    /// Returns the newest known revocation of a name with its owner's signature.
     pub fn signed_revocation(&self, name: &Name) -> Option<&SignedRevocation> {
         self.revocations.get(name.as_bytes()).map(|held| &held.signed)
     }
 
-    /// Egress bit of a switch.
+    /// Returns the egress bit of a switch.
     pub fn bit(&self, switch: &Name) -> Option<u8> {
         self.bits.of(switch)
     }
 
-    /// Switches with their egress bits and attached entities.
+    /// Returns the switches with their egress bits and attached entities.
     pub fn switches(&self) -> impl Iterator<Item = (Name, u8, Vec<Name>)> {
         self.switches
             .iter()
             .filter_map(|(name, state)| Some((*name, self.bits.of(name)?, state.attached.iter().copied().collect())))
     }
 
-    /// Whether a switch has reported, and is not forgotten since.
+    /// Returns whether a switch has reported and has not been forgotten since.
     pub fn knows(&self, switch: &Name) -> bool {
         self.switches.contains_key(switch)
     }
 
-    /// How many there are.
+    /// Returns the number of switches with an egress bit.
     pub fn switch_count(&self) -> usize {
         self.switches.keys().filter(|switch| self.bits.of(switch).is_some()).count()
     }
 
-    /// At most `limit` records behind `after`, and whether there are more.
+    /// Returns at most `limit` records after key `after`, and whether more follow.
     pub fn records(&self, now: Now, after: Option<RecordKey>, limit: usize) -> (Vec<Record>, bool) {
         self.names.records(now.clock, after.as_ref(), limit)
     }
 
-    /// Names with a writer or a reader.
+    /// Returns the number of names with a writer or a reader.
     pub fn name_count(&self) -> usize {
         self.names.len()
     }
 
-    /// How many names there are that somebody reads or calls, and nobody publishes or serves; and
-    /// those.
+    /// Returns the number of names with readers or callers but without publisher or server, and
+    /// those names.
     pub fn without_publisher(&self) -> (usize, impl Iterator<Item = Name>) {
         self.names.without_publisher()
     }
 
-    /// What a switch's FIB should hold.
+    /// Returns the routes that a switch's FIB should hold.
     pub fn desired(&self, switch: &Name) -> Vec<Route> {
         self.switches.get(switch).map_or_else(Vec::new, |s| s.fib.routes().cloned().collect())
     }

@@ -1,4 +1,4 @@
-//! The keys, moments and limits that all parts of the RIB share.
+//! Keys, times and limits that all parts of the RIB share.
 
 use gdp_proto::control::PeersPush;
 
@@ -13,29 +13,29 @@ use std::hash::Hash;
 
 use std::time::Duration;
 
-/// A moment, on both clocks that matter.
+/// Current time on both clocks.
 #[derive(Clone, Copy, Debug)]
 pub struct Now {
-    /// Unix seconds: certificates are judged by it.
+    /// Unix time in seconds, for the validity of certificates.
     pub unix: u64,
-    /// Since any fixed moment; never goes back. Everything that lasts is counted on it.
+    /// Monotonic time since an arbitrary moment, for all durations.
     pub clock: Duration,
 }
 
 impl Now {
-    /// When something is over that holds until the end of this Unix second.
+    /// Returns the monotonic time at which the Unix second `unix` has ended.
     pub fn clock_at(&self, unix: u64) -> Duration {
         self.clock + Duration::from_secs(unix.saturating_sub(self.unix).saturating_add(1).min(u32::MAX.into()))
     }
 }
 
-/// What a RIB holds at most.
+/// Limits on the state of a RIB.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     pub names: usize,
     pub names_per_entity: usize,
     pub attached_per_switch: usize,
-    /// Entities that only tools speak for, through one switch.
+    /// Entities without an attachment, known through one switch by tools only.
     pub unattached_per_switch: usize,
     /// Publishers or servers of one name.
     pub writers_per_name: usize,
@@ -43,20 +43,19 @@ pub struct Limits {
     pub readers_per_switch: usize,
     /// Entities that one entity exchanges messages with.
     pub counterparts: usize,
-    /// The same for all entities at a switch: as many pairs of names and links does its data plane
-    /// hold for them.
+    /// Pairs of counterparts for all entities at one switch. The switch's data plane holds as many
+    /// pairs of names and links for them.
     pub counterparts_per_switch: usize,
-    /// Readers that one writer has key boxes for, of one name and epoch.
+    /// Readers for which one writer has key boxes, per name and epoch.
     pub box_readers: usize,
     pub boxes_per_entity: usize,
-    /// Of all entities at a switch.
+    /// Key boxes of all entities at one switch.
     pub boxes_per_switch: usize,
-    /// Revocations of names that somebody has a part in, and that came in by one origin; more count
-    /// as the following.
+    /// Revocations of registered names from one origin. Further ones count as idle.
     pub used_revocations: usize,
-    /// Revocations of names that nobody has a part in.
+    /// Revocations of names without a registration.
     pub idle_revocations: usize,
-    /// Records that one neighbouring domain tells of.
+    /// Records announced by one neighbouring domain.
     pub records_per_neighbour: usize,
     /// Links into one domain.
     pub ways_per_domain: usize,
@@ -98,7 +97,7 @@ pub fn limit_reached(what: String) -> Refusal {
     Refusal::new(RefusalCode::Limit, format!("{what}, and that is the limit of this RIB"))
 }
 
-/// The refusal that tells a requester of a certificate error.
+/// Converts a certificate error into a refusal for the requester.
 pub fn refusal(error: CertError) -> Refusal {
     let code = match &error {
         CertError::BadSignature { .. } | CertError::WrongKey { .. } => RefusalCode::BadSignature,
@@ -120,10 +119,10 @@ pub fn refusal(error: CertError) -> Refusal {
     Refusal::new(code, error.to_string())
 }
 
-/// A name by which maps are ordered as its hex digits are.
+/// Name as bytes, which orders maps like the hex digits of the name.
 pub type NameBytes = [u8; 32];
 
-/// What one entity is to one name.
+/// Name, entity and role of a registration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct RegistrationKey {
     pub name: NameBytes,
@@ -132,13 +131,13 @@ pub struct RegistrationKey {
 }
 
 impl RegistrationKey {
-    /// What an entity is to its own name: it takes what its counterparts send there. Of this it is
-    /// told nothing but who has keys for it.
+    /// Returns the key of the entity's inbox, the registration for its own name. The only updates
+    /// about it list the writers with key boxes for it.
     pub fn inbox(entity: Name) -> Self {
         Self { name: entity.to_bytes(), entity, role: NameRole::Subscriber }
     }
 
-    /// As it is stored, of what is stated at `switch`.
+    /// Returns the store item of this registration at `switch`.
     pub fn at(&self, switch: Name) -> Item {
         let (name, entity, role) = (Name::from_bytes(self.name), self.entity, self.role);
         Item::Registration(RecordKey { name, role, entity, switch })
@@ -149,7 +148,7 @@ impl RegistrationKey {
     }
 }
 
-/// Which [`PeersPush`] it was.
+/// Identifies a [`PeersPush`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UpdateId {
     pub switch: Name,
@@ -164,15 +163,15 @@ impl From<&PeersPush> for UpdateId {
     }
 }
 
-/// The entities of one domain that one neighbouring domain told of. All are reached by the same
-/// ways.
+/// Entities of one domain that one neighbouring domain announced. The same links lead to all of
+/// them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Realm {
     pub next: Name,
     pub domain: Name,
 }
 
-/// Where an entity is, as seen from here.
+/// Location of an entity, as seen from this domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum At {
     /// At a switch of this domain.
@@ -180,7 +179,7 @@ pub enum At {
     RemoteRegistrations(Realm),
 }
 
-/// An attached entity, and where it is attached.
+/// Attached entity and its location.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InboxOwner {
     pub entity: Name,
