@@ -1,5 +1,5 @@
-//! Who publishes, serves, reads and calls each name, with the certificates that prove it, and which
-//! switches need a route for it.
+//! Registrations of each name (publishers, servers, subscribers and callers) with the certificates
+//! that prove them, and the switches that need a route for it.
 
 use crate::rib::model::NameBytes;
 use crate::rib::registration::Registration;
@@ -15,16 +15,16 @@ use super::border_links::Map;
 use super::topic::{Registrations, Topic, distinct};
 use crate::rib::model::{At, Limits, RegistrationKey, limit_reached};
 
-/// Bytes of records in one message; what is left of 64 KiB is for what encloses them.
+/// Maximum bytes of records in one message. The rest of 64 KiB is for the envelope.
 pub(super) const RECORDS_SIZE: usize = 56 * 1024;
 
-/// Behind all switches of an entity.
+/// Sorts after all switches of an entity.
 pub(super) const LAST: Name = Name::from_bytes([0xff; 32]);
 
 #[derive(Debug, Default)]
 pub(super) struct Names {
     all: BTreeMap<NameBytes, Box<Topic>>,
-    /// Those of them that are [without_publisher](Topic::has_no_writer).
+    /// Names for which [`Topic::has_no_writer`] holds.
     without_publisher: BTreeSet<NameBytes>,
 }
 
@@ -33,15 +33,15 @@ impl Names {
         self.all.len()
     }
 
-    /// How many there are that somebody takes and nobody sends to, and those; none of the others is
-    /// looked at.
+    /// Returns the number of names with readers but no writer, and an iterator over them. It
+    /// examines no other name.
     pub fn without_publisher(&self) -> (usize, impl Iterator<Item = Name>) {
         (self.without_publisher.len(), self.without_publisher.iter().copied().map(Name::from_bytes))
     }
 
-    /// Whether one more registration is allowed.
+    /// Checks that one more registration is within the limits.
     ///
-    /// A name is published or served, not both: it is of a topic or of a service.
+    /// A name is either published (a topic) or served (a service), not both.
     pub fn check_room(&self, name: &Name, entity: &Name, new: &Registration, limits: &Limits) -> Result<(), Refusal> {
         let Some(topic) = self.all.get(name.as_bytes()) else {
             let limit = limits.names;
@@ -77,7 +77,7 @@ impl Names {
         Ok(())
     }
 
-    /// Stores what [`Self::check_room`] allowed. Returns what it replaces.
+    /// Stores a registration that [`Self::check_room`] allowed. Returns the replaced one.
     pub fn insert(&mut self, name: Name, proof: NameProof, new: Registration) -> Option<Registration> {
         let topic = self.all.entry(name.to_bytes()).or_insert_with(|| Topic::new(proof).into());
         let replaced = topic.insert(new);
@@ -92,22 +92,22 @@ impl Names {
         removed
     }
 
-    /// Drops a name that nobody has any part in. If it did: when that was to be [looked
-    /// at](Self::look).
+    /// Removes a name without registrations. Returns the time at which it was to be
+    /// [examined](Self::look), if it was removed.
     pub fn sweep(&mut self, name: &NameBytes) -> Option<Duration> {
         self.all.get(name).filter(|topic| topic.parts().next().is_none())?;
         self.all.remove(name).map(|topic| topic.look_at)
     }
 
-    /// A part in the name ends then: has it looked at then at the latest. Returns when that was to
-    /// be before, if that was later.
+    /// Schedules the name's examination for `ends` at the latest. Returns the earlier schedule if
+    /// `ends` is sooner.
     pub fn look_by(&mut self, name: &NameBytes, ends: Duration) -> Option<Duration> {
         let topic = self.all.get_mut(name).filter(|topic| ends < topic.look_at)?;
         Some(std::mem::replace(&mut topic.look_at, ends))
     }
 
-    /// The parts in the name that are over, and when the next one is. It is not to be looked at
-    /// again before [somebody asks](Self::look_by) for it.
+    /// Returns the expired registrations of a name and the time when the next one expires. The name
+    /// is not examined again before a call of [`Self::look_by`].
     pub fn look(&mut self, name: &NameBytes, now: Duration) -> (Vec<(RegistrationKey, Name)>, Option<Duration>) {
         let Some(topic) = self.all.get_mut(name) else { return (Vec::new(), None) };
         topic.look_at = Duration::MAX;
@@ -118,7 +118,7 @@ impl Names {
         (over, all().map(|(_, registration)| registration.ends).filter(|ends| *ends > now).min())
     }
 
-    /// An entity holds this of what it is told of a name, and there is nothing more to tell.
+    /// Records the generation of updates that an entity holds, when no further updates are pending.
     pub fn note_sent(&mut self, registration_key: &RegistrationKey, switch: &Name, held: u64) {
         let topic = self.all.get_mut(&registration_key.name);
         if let Some(registration) =
@@ -128,7 +128,7 @@ impl Names {
         }
     }
 
-    /// What was [noted](Self::note_sent) last, and through which switch.
+    /// Returns the highest generation [noted](Self::note_sent) for a registration, and its switch.
     pub fn last_update(&self, registration_key: &RegistrationKey) -> Option<(Name, u64)> {
         let all = self.all_of(&registration_key.name, &registration_key.entity, registration_key.role);
         let last = all
@@ -141,7 +141,7 @@ impl Names {
         self.all.contains_key(name)
     }
 
-    /// What an entity has stated, wherever: what its counterparts are told of.
+    /// Returns the entity's registration that ends last. Its counterparts are told of this one.
     pub fn get(&self, name: &NameBytes, entity: &Name, role: NameRole) -> Option<&Registration> {
         self.all.get(name)?.part(role).of(entity).max_by_key(|registration| registration.ends)
     }
@@ -150,30 +150,31 @@ impl Names {
         self.all.get(name)?.part(role).get(entity, switch)
     }
 
-    /// All that an entity has stated of this, here and abroad.
+    /// Returns all registrations of an entity in this role, local and remote.
     pub fn all_of(&self, name: &NameBytes, entity: &Name, role: NameRole) -> impl Iterator<Item = &Registration> {
         self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).of(entity))
     }
 
-    /// Whether all that an entity has stated of this says the same as `other`, and it has stated
-    /// any.
+    /// Returns whether the entity has registrations in this role and all of them tell the same as
+    /// `other`.
     pub fn tell_the_same(&self, name: &NameBytes, entity: &Name, role: NameRole, other: &Registration) -> bool {
         let mut all = self.all_of(name, entity, role).peekable();
         all.peek().is_some() && all.all(|registration| registration.tells_the_same(other))
     }
 
-    /// How the name is derived.
+    /// Returns the proof of how the name is derived.
     pub fn proof(&self, name: &NameBytes) -> Option<NameProof> {
         self.all.get(name).map(|topic| topic.proof)
     }
 
-    /// The switches of this domain at which an entity has stated this.
+    /// Returns the switches of this domain at which an entity has registered in this role.
     pub fn switches_of(&self, name: &NameBytes, entity: &Name, role: NameRole) -> Vec<Name> {
         let here = self.all_of(name, entity, role).filter(|registration| registration.is_here());
         here.map(|registration| registration.switch).collect()
     }
 
-    /// What there is to tell one who has this part in a name of a counterpart there, if it is any.
+    /// Returns the record of `counterpart` to send to the registered entity, if the two are
+    /// counterparts.
     pub fn record_for(&self, now: Duration, registration_key: &RegistrationKey, counterpart: &Name) -> Option<Record> {
         let RegistrationKey { name, entity, role } = registration_key;
         let topic = self.all.get(name)?;
@@ -192,54 +193,54 @@ impl Names {
         self.all.get(name).is_some_and(|topic| topic.parts().any(|part| part.of(entity).next().is_some()))
     }
 
-    /// Switches that a route for the name is for.
+    /// Returns the switches that need a route for the name.
     pub fn routed(&self, name: &NameBytes, map: Map) -> BTreeSet<Name> {
         let topic = self.all.get(name).filter(|topic| topic.is_routed());
         topic.map_or_else(BTreeSet::new, |topic| topic.switches(map))
     }
 
-    /// Those with this role in a name that can be reached, with what they stated; an entity as
-    /// often as it has stated it.
+    /// Returns the entities with this role that can be reached, each with every one of its
+    /// registrations.
     pub fn bound(&self, name: &NameBytes, role: NameRole) -> impl Iterator<Item = (Name, &Registration)> {
         let all = self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).iter());
         all.filter(|(_, registration)| registration.bound).map(|((entity, _), registration)| (entity, registration))
     }
 
-    /// The switches of this domain at which one entity is so.
+    /// Returns the switches of this domain at which one entity can be reached in this role.
     pub fn bound_at(&self, name: &NameBytes, entity: &Name, role: NameRole) -> impl Iterator<Item = Name> {
         let here = self.all_of(name, entity, role).filter(|r| r.bound && r.is_here());
         here.map(|registration| registration.switch)
     }
 
-    /// All that have a part in the name, each once for each of its roles.
+    /// Returns all entities registered for the name, once for each of their roles.
     pub fn entities(&self, name: &NameBytes) -> impl Iterator<Item = Name> {
         self.all.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::entities))
     }
 
-    /// The places of all parts in a name.
+    /// Returns the keys of all records of a name.
     pub fn keys(&self, name: Name) -> impl Iterator<Item = RecordKey> {
         self.all.get(name.as_bytes()).into_iter().flat_map(move |topic| topic.keys(name))
     }
 
-    /// The places of all parts in all names.
+    /// Returns the keys of all records.
     pub fn all_keys(&self) -> impl Iterator<Item = RecordKey> {
         self.all.iter().flat_map(|(key, topic)| topic.keys(Name::from_bytes(*key)))
     }
 
-    /// Those with this role behind `after`.
+    /// Returns the entities with this role that sort after `after`.
     pub fn behind_entity(&self, name: &NameBytes, role: NameRole, after: Option<Name>) -> impl Iterator<Item = Name> {
         let after = after.map(|after| (after, LAST));
         let all = self.all.get(name).into_iter().flat_map(move |topic| topic.part(role).behind(after));
         distinct(all.map(|(place, _)| place))
     }
 
-    /// Those of an entity's registrations that end with its attachment to a switch.
+    /// Returns the registrations of an entity that end with its attachment to a switch.
     pub fn bound_of(&self, entity: &Name, switch: &Name, names: &BTreeSet<NameBytes>) -> Vec<(NameBytes, NameRole)> {
         let each = names.iter().flat_map(|name| NameRole::ALL.map(|role| (*name, role)));
         each.filter(|(name, role)| self.get_at(name, entity, *role, switch).is_some_and(|r| r.bound)).collect()
     }
 
-    /// All registrations through one switch of this domain.
+    /// Returns all registrations through one switch of this domain.
     pub fn registered_at(&self, switch: &Name) -> Vec<(NameBytes, Name, NameRole)> {
         let mut found = Vec::new();
         for (name, topic) in &self.all {
@@ -250,14 +251,15 @@ impl Names {
         found
     }
 
-    /// The registrations of a name that do not hold any more: of whom, as what, at which switch.
+    /// Returns the entity, role and switch of the name's registrations that a revocation
+    /// invalidates.
     pub fn revoked(&self, name: &NameBytes, revocation: &Revocation) -> Vec<(Name, NameRole, Name)> {
         let all = self.all.get(name).into_iter().flat_map(|topic| topic.parts().flat_map(Registrations::iter));
         all.filter(|(_, r)| !r.stands_after(revocation)).map(|((entity, switch), r)| (entity, r.role, switch)).collect()
     }
 
-    /// Those whose credential rests on a membership that this revocation of a domain takes back,
-    /// each with its switch.
+    /// Returns the registrations, with their switches, whose credential rests on a membership that
+    /// this domain has revoked.
     pub fn expelled(&self, of_domain: &Revocation) -> Vec<(RegistrationKey, Name)> {
         let newest = |domain: &Name| (*domain == of_domain.name).then_some(of_domain);
         let all = self.all.iter().flat_map(|(name, topic)| {
@@ -268,8 +270,8 @@ impl Names {
         gone.map(|(registration_key, switch, _)| (registration_key, switch)).collect()
     }
 
-    /// The switches whose route changes because registrations of the name `at` these switches did,
-    /// or ways over them.
+    /// Recomputes where the name is routed, after registrations or border links at the switches
+    /// `at` changed. Returns the switches whose route changes.
     pub fn reroute(&mut self, name: &NameBytes, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
         match self.all.get_mut(name) {
             Some(topic) => topic.reroute(name, at, map),
@@ -277,13 +279,13 @@ impl Names {
         }
     }
 
-    /// The route of a name at one switch, if it needs any.
+    /// Returns the route of a name at one switch, if the switch needs one.
     pub fn route(&self, name: &NameBytes, switch: &Name, map: Map) -> Option<Route> {
         self.all.get(name)?.route(name, switch, map)
     }
 
-    /// The records of the names that begin so and lie behind `after`, as far as one message holds
-    /// them, and entities of this domain may know them.
+    /// Returns the records of the names with this prefix after `after`, as many as fit in one
+    /// message. Records that entities of this domain may not know are left out.
     pub fn query(&self, now: Duration, prefix: &NamePrefix, after: Option<&RecordKey>) -> Response {
         let padded: Option<Name> = format!("{:0<64}", prefix.as_str()).parse().ok();
         let begin = padded.unwrap_or_default();
@@ -302,7 +304,7 @@ impl Names {
         Response::Records { records, truncated: false }
     }
 
-    /// At most `limit` records behind `after`, and whether there are more.
+    /// Returns at most `limit` records after `after`, and whether more follow.
     pub fn records(&self, now: Duration, after: Option<&RecordKey>, limit: usize) -> (Vec<Record>, bool) {
         let mut rest = self.behind(after, Name::default());
         let records = rest.by_ref().take(limit);
@@ -310,7 +312,8 @@ impl Names {
         (records, rest.next().is_some())
     }
 
-    /// All registrations of names from `begin` on and behind `after`, in the order of their places.
+    /// Iterates over the registrations of names from `begin` on and after `after`, in the order of
+    /// their keys.
     fn behind<'a>(
         &'a self,
         after: Option<&RecordKey>,

@@ -1,10 +1,12 @@
-//! What each attached entity is told of its counterparts in a name, and how far it is known to hold
-//! that: the whole in parts after its statement, changes while it follows, the whole again after a
-//! failure. Each name and role of an entity is one stream of messages, one of which is out at a
-//! time. Streams of one switch share what may be out there, so that entities that do not answer
-//! hold up none elsewhere, and little there. Of a stream that has nothing to say, as almost all
-//! have, nothing is kept here: what its entity holds then is
-//! [noted](super::names::Registration::sent_update) with what it has stated.
+//! Updates that tell each attached entity of its counterparts for a name. After the entity's
+//! statement it receives the full list in parts, then changes, and the full list again after a
+//! failure.
+//!
+//! Each name and role of an entity is one stream of messages with at most one in flight. The
+//! streams of one switch share a window. Entities that do not answer thus delay no other switch,
+//! and their own switch little. Idle streams, which are almost all, are not stored.
+//! [`sent_update`](super::names::Registration::sent_update) then holds the generation that the
+//! entity has.
 
 use crate::rib::model::RegistrationKey;
 use std::collections::btree_map::Entry;
@@ -20,22 +22,22 @@ use super::wrapped_keys::WrappedKeyStore;
 use crate::rib::model::UpdateId;
 use crate::rib::registration::Registration;
 
-/// Messages that are out at once to the entities at one switch, and to one of them.
+/// Maximum number of messages in flight to the entities at one switch, and to one entity.
 pub(super) const AT_ONCE: usize = 64;
 const AT_ONCE_TO_ONE: usize = 4;
 
-/// How long after a message that did not arrive the whole is sent: doubled from the first to the
-/// second.
+/// Initial and maximum delay before a full resend after a lost message. The delay doubles each
+/// time.
 const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(32));
 
-/// What an entity that is gone takes in a message.
+/// Bytes of a departed entity's entry in a message.
 const GONE_SIZE: usize = 40;
 
-/// What there is to tell of.
+/// Sources from which updates are composed.
 #[derive(Clone, Copy)]
 pub(super) struct UpdateSource<'a> {
     pub run: u64,
-    /// There may be more than the RIB knows yet.
+    /// The RIB may not know all registrations yet.
     pub settling: bool,
     pub now: Duration,
     pub names: &'a Names,
@@ -55,41 +57,42 @@ pub(super) struct PeerUpdates {
 struct Stream {
     switch: Name,
     phase: Phase,
-    /// Counterparts of which other records, or none any more, are to be told; and those of which
-    /// only boxes.
+    /// Counterparts whose records changed or ended, and counterparts of which only key boxes
+    /// changed.
     records: BTreeSet<Name>,
     boxes: BTreeSet<Name>,
     revocation: bool,
-    /// The generation of the last message.
+    /// Generation of the last message.
     sent: u64,
-    /// That is not answered.
+    /// A message is in flight.
     is_out: bool,
     is_queued: bool,
-    /// The whole was told while the RIB settled: it is to be told again.
+    /// The full list was sent while the RIB settled and must be sent again.
     is_unsettled: bool,
     wait: Duration,
-    /// From when on it may turn to another switch because of a failure: once in a
-    /// [wait](Self::wait), so that an entity that takes nothing anywhere is not told without end.
+    /// Earliest time at which a failure may move the stream to another switch. This is limited to
+    /// once per [wait](Self::wait), so that an entity that accepts nothing anywhere does not
+    /// receive messages without end.
     turns_from: Duration,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// Next is this part, of those above this one.
+    /// Part `part` of the full list is next, starting behind counterpart `after`.
     Whole {
         part: u32,
         after: Option<Name>,
     },
-    /// The entity holds everything but what is marked.
+    /// The entity holds everything except the marked changes.
     Following,
     Failed {
         retry: Duration,
     },
-    /// It is to be told that its credential was revoked, and nothing after.
+    /// The entity is to learn that its credential was revoked, and nothing after that.
     Farewell,
 }
 
-/// The streams to one switch that have something to say, and what is out.
+/// Streams to one switch with pending messages, and the number of messages in flight.
 #[derive(Debug, Default)]
 struct Turns {
     entities: VecDeque<Name>,
@@ -105,9 +108,11 @@ struct EntityQueue {
 }
 
 impl PeerUpdates {
-    /// Tells of all counterparts from now on. Returns the first part, which is the answer to the
-    /// statement that began it, and what the entity holds with it, if it is to be told nothing
-    /// more. `only`: there is no other way to it.
+    /// Starts a stream of updates about all counterparts.
+    ///
+    /// Returns the first part, which answers the entity's statement. If no further part is pending,
+    /// also returns the generation that the entity then holds. `only` states that no other switch
+    /// leads to the entity.
     pub fn begin(
         &mut self,
         registration_key: RegistrationKey,
@@ -118,20 +123,20 @@ impl PeerUpdates {
         let mut stream = Stream::new(switch, Phase::Whole { part: 0, after: None });
         self.generation += 1;
         let peers = stream.message(&registration_key, self.generation, source);
-        // What is out no longer counts; what is queued still stands in its place.
+        // The answer to a message in flight is ignored. A queued stream keeps its turn.
         let old = self.streams.get(&registration_key);
         stream.is_queued = old.is_some_and(|old| old.is_queued && old.switch == switch);
         self.streams.insert(registration_key, stream.into());
         (peers, self.go_on(registration_key, only))
     }
 
-    /// As [`Self::begin`] for a tool, that can be told of nothing after.
+    /// Returns the first part as [`Self::begin`] does, for a tool that receives no later updates.
     pub fn once(&mut self, registration_key: RegistrationKey, switch: Name, source: UpdateSource) -> Peers {
         self.generation += 1;
         Stream::new(switch, Phase::Whole { part: 0, after: None }).message(&registration_key, self.generation, source)
     }
 
-    /// Tells of all counterparts once more, as a RIB that takes the place of another.
+    /// Sends the full list of counterparts again. A RIB that replaces another one does so.
     pub fn resume(&mut self, registration_key: RegistrationKey, switch: Name) {
         self.streams
             .entry(registration_key)
@@ -139,7 +144,7 @@ impl PeerUpdates {
         self.queue(registration_key);
     }
 
-    /// Tells nothing any more through `switch`; the whole through `other`, if that is there.
+    /// Stops the updates through `switch` and restarts them through `other`, if given.
     pub fn follow(&mut self, registration_key: &RegistrationKey, switch: &Name, other: Option<Name>) {
         if self.streams.get(registration_key).is_none_or(|stream| stream.switch != *switch) {
             return;
@@ -152,25 +157,25 @@ impl PeerUpdates {
         }
     }
 
-    /// Has an entity told that its credential is revoked. Once: one that does not hear it is
-    /// refused next time.
+    /// Notifies an entity once that its credential is revoked. An entity that misses the message is
+    /// refused at its next request.
     pub fn farewell(&mut self, registration_key: RegistrationKey, switch: Name) {
         self.streams.insert(registration_key, Stream::new(switch, Phase::Farewell).into());
         self.queue(registration_key);
     }
 
-    /// A counterpart came, went, or shows another credential.
+    /// Marks a counterpart that appeared, departed or changed its credential.
     pub fn record_changed(&mut self, names: &Names, registration_key: RegistrationKey, counterpart: Name) {
         self.mark(names, registration_key, |stream| _ = stream.records.insert(counterpart));
     }
 
-    /// A counterpart has new boxes for the entity.
+    /// Marks a counterpart that has new key boxes for the entity.
     pub fn boxes_changed(&mut self, names: &Names, registration_key: RegistrationKey, counterpart: Name) {
         self.mark(names, registration_key, |stream| _ = stream.boxes.insert(counterpart));
     }
 
-    /// A counterpart has boxes for what it sends to the entity itself. The stream begins with the
-    /// first of them.
+    /// Marks a counterpart that has key boxes for the entity's inbox. The first of them starts the
+    /// stream.
     pub fn inbox_boxes_changed(
         &mut self,
         names: &Names,
@@ -198,12 +203,12 @@ impl PeerUpdates {
         self.queue(registration_key);
     }
 
-    /// Takes out what is to be sent now. Each is to be answered with [`Self::answered`].
+    /// Returns the updates to send now. Each must be answered with [`Self::answered`].
     pub fn next(&mut self, source: UpdateSource) -> Vec<PeersPush> {
         let mut pushes = Vec::new();
         for (switch, turns) in &mut self.switches {
             while let Some(registration_key) = turns.next() {
-                // It may have ended meanwhile, and begun anew, here or elsewhere.
+                // The stream may have ended in the meantime and started again, here or elsewhere.
                 let here =
                     self.streams.get_mut(&registration_key).filter(|stream| stream.switch == *switch && !stream.is_out);
                 let ready = here.and_then(|stream| {
@@ -226,9 +231,10 @@ impl PeerUpdates {
         pushes
     }
 
-    /// Whether a message arrived; if not, the whole follows: through `other`, if that is another
-    /// way that has not been tried just now, or a while later. Returns what the entity holds, if it
-    /// is to be told nothing more.
+    /// Records whether a message arrived. After a loss, the stream resends the full list through
+    /// `other`, if that is a switch not tried just now, or later through the same one.
+    ///
+    /// Returns the generation that the entity holds, if nothing more is pending.
     pub fn answered(&mut self, now: Duration, told: UpdateId, arrived: bool, other: Option<Name>) -> Option<u64> {
         let UpdateId { switch, registration_key, generation } = told;
         if let Some(turns) = self.switches.get_mut(&switch) {
@@ -254,8 +260,8 @@ impl PeerUpdates {
         None
     }
 
-    /// Has the rest told, if there is any. Else the stream ends, unless there are several ways to
-    /// the entity; returns what that holds.
+    /// Queues the stream's pending updates. An idle stream to an entity with only one switch ends
+    /// instead, and its generation is returned.
     fn go_on(&mut self, registration_key: RegistrationKey, only: bool) -> Option<u64> {
         if only
             && !registration_key.is_inbox()
@@ -267,12 +273,12 @@ impl PeerUpdates {
         None
     }
 
-    /// When [`Self::tick`] has something to do.
+    /// Returns the time at which [`Self::tick`] next has work.
     pub fn retry_at(&self) -> Option<Duration> {
         self.retries.first().map(|(retry, _)| *retry)
     }
 
-    /// Has what did not arrive sent again, once its time has come.
+    /// Resends the updates whose retry time has passed.
     pub fn tick(&mut self, now: Duration) {
         while let Some((retry, registration_key)) = self.retries.first().copied().filter(|(retry, _)| *retry <= now) {
             self.retries.pop_first();
@@ -280,7 +286,7 @@ impl PeerUpdates {
         }
     }
 
-    /// The switch is there again: what did not arrive through it is worth another attempt at once.
+    /// Retries failed streams at once because their switch has reconnected.
     pub fn reconnected(&mut self, switch: &Name) {
         let failed = |stream: &Stream| stream.switch == *switch && matches!(stream.phase, Phase::Failed { .. });
         let stakes: Vec<_> = self
@@ -292,7 +298,7 @@ impl PeerUpdates {
         stakes.into_iter().for_each(|registration_key| self.retry(registration_key, |_| true));
     }
 
-    /// The RIB knows by now all there are: who was told the whole before is told again.
+    /// Resends the full lists that were sent while the RIB settled.
     pub fn settled(&mut self) {
         let unsettled = self
             .streams
@@ -330,7 +336,7 @@ impl Turns {
         self.list(&registration_key.entity);
     }
 
-    /// Entities take turns, whatever each has waiting.
+    /// Returns the next stream. Entities take turns, however many streams each has queued.
     fn next(&mut self) -> Option<RegistrationKey> {
         if self.out >= AT_ONCE {
             return None;
@@ -385,12 +391,12 @@ impl Stream {
         }
     }
 
-    /// Whether its entity holds all there is.
+    /// Returns whether the entity holds all updates.
     fn is_at_rest(&self) -> bool {
         self.phase == Phase::Following && !self.has_more() && !self.is_unsettled
     }
 
-    /// The next message; call if there [is more](Self::has_more).
+    /// Composes the next message. Call it if [more is pending](Self::has_more).
     fn message(&mut self, registration_key: &RegistrationKey, generation: u64, source: UpdateSource) -> Peers {
         let extent = PeersExtent::Whole { part: 0, last: true };
         let (records, gone, boxes) = (Vec::new(), Vec::new(), Vec::new());
@@ -400,7 +406,8 @@ impl Stream {
         match self.phase {
             Phase::Whole { part, after } => {
                 let end = source.fill(&mut peers, registration_key, after);
-                // This part settles what is marked on it; what changed before it stays for later.
+                // This part covers all marked changes in its range. Changes before it wait for a
+                // later message.
                 let settled =
                     |name: &Name| after.is_none_or(|after| *name > after) && end.is_none_or(|end| *name <= end);
                 self.records.retain(|name| !settled(name));
@@ -448,8 +455,8 @@ impl Stream {
 }
 
 impl UpdateSource<'_> {
-    /// Adds the counterparts behind `after`, as many as there is room for. Returns the last of
-    /// them, if there are more.
+    /// Adds the counterparts behind `after`, as many as fit. Returns the last of them if more
+    /// follow.
     fn fill(self, peers: &mut Peers, registration_key: &RegistrationKey, after: Option<Name>) -> Option<Name> {
         let (mut room, mut end) = (RECORDS_SIZE, after);
         let mut add = |counterpart: Name| {
@@ -473,13 +480,13 @@ impl UpdateSource<'_> {
         if all { None } else { end }
     }
 
-    /// What a counterpart takes in a message.
+    /// Returns the bytes of a counterpart's entry in a message.
     fn size(self, registration_key: &RegistrationKey, counterpart: &Name) -> usize {
         let registration = self.names.get(&registration_key.name, counterpart, registration_key.role.counterpart());
         registration.map_or(GONE_SIZE, Registration::size) + self.boxes.size(registration_key, counterpart)
     }
 
-    /// What there is to tell of a counterpart, if the entity may know it.
+    /// Returns the record of a counterpart, if the entity may know it.
     fn record(self, registration_key: &RegistrationKey, counterpart: &Name) -> Option<Record> {
         self.names.record_for(self.now, registration_key, counterpart)
     }

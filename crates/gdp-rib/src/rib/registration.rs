@@ -1,4 +1,4 @@
-//! One entity's part in a name, at one switch.
+//! Registration of one entity for a name, at one switch.
 
 use crate::rib::model::{At, Realm};
 use gdp_core::cert::{Advert, Revocation, Signed};
@@ -8,38 +8,39 @@ use gdp_wire::Name;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// What an encoded record has besides credential and statement: two proofs, two names, field names.
+/// Bytes of an encoded record besides credential and statement: two proofs, two names, field names.
 pub const RECORD_OVERHEAD: usize = 512;
 
-/// One entity's part in a name, at one switch.
+/// Registration of one entity for a name, at one switch.
 #[derive(Clone, Debug)]
 pub struct Registration {
     pub by: Arc<EntityIdentity>,
-    /// Of another domain, if the entity is abroad.
+    /// Switch at which the entity registered. It belongs to another domain if the registration is
+    /// remote.
     pub switch: Name,
     pub remote: Option<Box<Remote>>,
     pub role: NameRole,
     pub credential: Credential,
     pub advert: Signed<Advert>,
-    /// Of the statement.
+    /// Serial of the statement.
     pub serial: u64,
-    /// Domains besides the one that it is stated in, that may know it; of those that read or call
-    /// always empty.
+    /// Other domains that may know the registration. Always empty for readers and callers.
     pub scope: Arc<[Name]>,
-    /// What is stated at other switches stands besides; and this one sends it on each link of the
-    /// entity.
+    /// The entity's registrations at other switches stay valid beside this one. The entity sends
+    /// this statement on each of its links.
     pub everywhere: bool,
     pub ends: Duration,
-    /// Ends with the attachment of its entity; the entity is told of its counterparts, and can be
-    /// reached by them. One from abroad can be reached; what it is told is for the RIB there.
+    /// The registration ends with the attachment of its entity. A bound entity receives updates
+    /// about its counterparts and can be reached by them. A remote entity can be reached, but its
+    /// own RIB updates it.
     pub bound: bool,
-    /// The generation that the entity holds of what it is told of the name through this switch,
-    /// while there is nothing more to tell: no [stream](super::peer_updates) is kept for it then.
-    /// 0: there is one, or it is told elsewhere.
+    /// Generation of the updates that the entity holds through this switch while none are pending.
+    /// No [stream](super::peer_updates) is stored then. 0 if a stream exists or another switch is
+    /// used.
     pub sent_update: u64,
 }
 
-/// An entity, as it shows itself in its statements: most of them share one.
+/// Identity that an entity presents in its statements. Most of them share one.
 #[derive(Debug, PartialEq, Eq)]
 pub struct EntityIdentity {
     pub name: Name,
@@ -47,32 +48,33 @@ pub struct EntityIdentity {
     pub box_key: [u8; 33],
 }
 
-/// Nothing is allocated for an empty scope, as most are.
+/// Shares a scope. An empty scope, the usual case, needs no allocation.
 pub fn shared(scope: Vec<Name>) -> Arc<[Name]> {
     if scope.is_empty() { Arc::default() } else { scope.into() }
 }
 
-/// What is known of a registration besides, if another RIB told of it.
+/// Properties of a registration that another RIB announced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Remote {
     pub realm: Realm,
-    /// As in [`super::Foreign`].
+    /// Same as in [`super::Foreign`].
     pub hops: u32,
     pub local: bool,
 }
 
-/// All about a registration that says with whom it may exchange messages.
+/// Properties of a registration that determine its counterparts.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Kind {
     pub realm: Option<Realm>,
-    /// Entities of this domain may know it.
+    /// Entities of this domain may know the registration.
     pub local: bool,
     pub scope: Arc<[Name]>,
 }
 
 impl Kind {
-    /// Whether a writer of this kind and a reader of `other` kind are counterparts here: as far as
-    /// the writer's scope goes, and not if their messages reach each other without passing here.
+    /// Returns whether a writer of this kind and a reader of kind `other` are counterparts here.
+    ///
+    /// The writer's scope must cover the reader, and their messages must pass through this domain.
     pub fn meets(&self, other: &Self) -> bool {
         match (self.realm, other.realm) {
             (None, None) => true,
@@ -90,17 +92,17 @@ impl Registration {
         self.remote.as_ref().map_or(At::Here(self.switch), |remote| At::RemoteRegistrations(remote.realm))
     }
 
-    /// Whether the entity is in this domain.
+    /// Returns whether the entity is in this domain.
     pub fn is_here(&self) -> bool {
         self.remote.is_none()
     }
 
-    /// By entity and switch.
+    /// Returns the entity and the switch, which order the registrations.
     pub fn entity_and_switch(&self) -> (Name, Name) {
         (self.by.name, self.switch)
     }
 
-    /// Whether all certificates in its credential still count.
+    /// Returns whether no certificate in the credential is revoked.
     pub fn stands_after(&self, revocation: &Revocation) -> bool {
         let check = |(what, serial): (_, u64)| revocation.check(what, serial).is_ok();
         self.credential.serials().is_ok_and(|serials| serials.into_iter().all(check))
@@ -111,7 +113,7 @@ impl Registration {
         Kind { realm, local, scope: self.scope.clone() }
     }
 
-    /// Whether two with opposite roles exchange messages.
+    /// Returns whether the entities of two registrations with opposite roles exchange messages.
     pub fn meets(&self, other: &Self) -> bool {
         meets(self.role, &self.kind(), &other.kind())
     }
@@ -132,8 +134,8 @@ impl Registration {
         }
     }
 
-    /// Whether a counterpart that knows `other` need not be told of this one. Who calls a service
-    /// wants to know where its servers are.
+    /// Returns whether a counterpart that knows `other` needs no update about this registration.
+    /// Callers of a service also need to know the switches of its servers.
     pub fn tells_the_same(&self, other: &Self) -> bool {
         let is_as_near = self.role != NameRole::Server || self.switch == other.switch;
         self.credential == other.credential
@@ -143,13 +145,13 @@ impl Registration {
     }
 }
 
-/// Whether one of this role and kind exchanges messages with one of the opposite role and kind
-/// `other`.
+/// Returns whether an entity of this role and kind exchanges messages with one of the opposite role
+/// and kind `other`.
 pub fn meets(role: NameRole, kind: &Kind, other: &Kind) -> bool {
     if role.is_writer() { kind.meets(other) } else { other.meets(kind) }
 }
 
-/// A statement that is verified, with what it rests on.
+/// Verified statement with its credential and derived limits.
 pub struct Verified {
     pub name: NameProof,
     pub credential: Credential,

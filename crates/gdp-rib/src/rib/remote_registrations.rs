@@ -1,4 +1,4 @@
-//! The registrations that RIBs of other domains announce, besides those in use.
+//! Registrations that RIBs of other domains announced, besides those in use.
 
 use crate::rib::model::{NameBytes, Realm, count_out};
 use crate::rib::registration::{Registration, Remote};
@@ -9,34 +9,34 @@ use gdp_proto::control::{Record, RecordKey};
 use gdp_wire::Name;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-/// A part that an entity of another domain has in a name, as that domain's RIB told, or one
-/// between.
+/// Registration of a remote entity, as announced by the RIB of its domain or of one on the way.
 #[derive(Clone, Debug)]
 pub struct Foreign {
     pub record: Record,
-    /// Of which the record's switch is a member; the caller has verified that.
+    /// Domain of the record's switch. The caller has verified its membership.
     pub domain: Name,
-    /// The neighbouring domain it came from: the next on the way to `domain`, where that has no
-    /// border with this one.
+    /// Neighbouring domain that announced the registration. It is the next hop to `domain`.
     pub next: Name,
-    /// Domains it has passed, its own included: 1 if it came from its own.
+    /// Number of domains passed including the entity's own: 1 if it came directly from there.
     pub hops: u32,
-    /// Of what the entity sends to the name, and to those it meets there, for whom this RIB knows.
+    /// Key boxes for what the entity sends to the name and to its counterparts' inboxes, for
+    /// readers that this RIB knows.
     pub boxes: Vec<Signed<KeyBox>>,
-    /// Entities of this domain may know it; otherwise it is only told on to other domains.
+    /// Entities of this domain may know the registration. Otherwise it is only announced to further
+    /// domains.
     pub local: bool,
 }
 
-/// What is known of other domains besides the registrations in use.
+/// State of other domains besides the registrations in use.
 #[derive(Debug, Default)]
 pub struct RemoteRegistrations {
-    /// The names that entities of a realm have a part in, and how many parts.
+    /// Names with registrations of each realm, and the number of registrations.
     pub names: BTreeMap<Realm, BTreeMap<NameBytes, usize>>,
-    /// By place and neighbour: what would count if another one did not.
+    /// Spare records by registration and neighbour, in case the one in use is withdrawn.
     pub spare: BTreeMap<RecordKey, BTreeMap<Name, (NameProof, Registration)>>,
-    /// How many records each neighbour has told of, in use or not.
+    /// Number of records that each neighbour announced, in use or spare.
     pub received: HashMap<Name, usize>,
-    /// What other RIBs are still to be told of; none before anybody has asked.
+    /// Records changed since they were last announced to other RIBs. `None` before the first query.
     pub changed: Option<BTreeSet<RecordKey>>,
 }
 

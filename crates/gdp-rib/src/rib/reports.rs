@@ -1,6 +1,6 @@
-//! What is known of switches: who is attached to them, as they report, and whether they are
-//! reached, as the topology of the RIB's own switch says. One that nobody reaches any more is
-//! forgotten after a while, with all that came through it.
+//! State of switches: the entities attached to them, from their reports, and their reachability,
+//! from the topology. The RIB forgets a switch that stays unreachable, with all registrations that
+//! came through it.
 
 use std::collections::BTreeSet;
 
@@ -42,8 +42,7 @@ impl Rib {
         Ok(())
     }
 
-    /// Compares the entities that are attached to a switch with those the RIB knows of, and sends
-    /// it the whole FIB.
+    /// Compares a switch's reported attachments with those stored, and sends it the full FIB.
     fn reconcile(&mut self, switch: &Name, attached: &[Name]) {
         let attached: BTreeSet<Name> = attached.iter().copied().collect();
         let Some(state) = self.switches.get_mut(switch) else { return };
@@ -57,7 +56,8 @@ impl Rib {
         self.peer_updates.reconnected(switch);
     }
 
-    /// Holds what is not reached, and has switches that are reached and have not reported asked to.
+    /// Schedules unreachable switches to be forgotten, and reachable ones without a report to be
+    /// asked for it.
     pub(super) fn check_reachability(&mut self, now: Now) {
         for (name, state) in &mut self.switches {
             let reached = *name == self.root || self.paths.reaches(name);
@@ -84,9 +84,9 @@ impl Rib {
         }
     }
 
-    /// Somebody the RIB has not heard of states a bit that it gave to another switch, and had it
-    /// before: as after a partition. Switches send what bears that bit to whoever had it first, so
-    /// the other one gets a new one.
+    /// Resolves egress bits in conflict after a partition. An unknown switch states a bit that the
+    /// RIB assigned to another switch. Switches send frames with that bit to its first owner, so
+    /// the other switch gets a new bit.
     pub(super) fn settle_bits(&mut self) {
         let lost = |(switch, bit): &(Name, u8)| {
             let has = self.paths.bits.get(bit);
@@ -109,7 +109,7 @@ impl Rib {
         }
     }
 
-    /// A switch that is reached has not reported for a while.
+    /// Asks a reachable switch that has not reported for a while to report.
     pub(super) fn ask_to_report(&mut self, now: Now, switch: Name) {
         self.unreported.remove(&switch);
         let is_silent = self.silent.contains(&switch) || !self.switches.contains_key(&switch);

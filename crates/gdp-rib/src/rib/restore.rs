@@ -1,8 +1,7 @@
-//! What is stored of the RIB, and how another RIB takes it back. Nothing that is read is believed
-//! because of where it was: all of it is verified as if a stranger had said it now, under bounds
-//! that hold for statements as well. What cannot be proven (where entities are attached, how far
-//! their serials are spent, egress bits) does no more than a switch could say, and ends unless the
-//! switch says it as well.
+//! Encodes the RIB's items for a store and restores them in a later RIB. The later RIB verifies all
+//! of it as if a stranger stated it now, within the limits for statements. Attachments, spent
+//! serials and egress bits cannot be proven. They have no more effect than a switch's own report,
+//! and end unless the switch confirms them.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -26,13 +25,13 @@ use super::{Rib, Timer};
 use crate::rib::model::{Now, RegistrationKey};
 use crate::rib::registration::{Registration, shared};
 
-/// Bytes of one stored item; records are what travels in messages of no more.
+/// Maximum bytes of one stored item. Records travel in messages of at most this size.
 pub const MAX_ITEM: usize = 64 * 1024;
 
-/// What is stored is written as an array of this and the value.
+/// Version of the encoding. An item is encoded as an array of this and the value.
 const VERSION: u8 = 1;
 
-/// Why an item that was stored is left out.
+/// Reason why a stored item is skipped.
 #[derive(Debug, thiserror::Error)]
 pub enum RestoreError {
     #[error(transparent)]
@@ -55,7 +54,7 @@ pub enum RestoreError {
 #[serde(deny_unknown_fields)]
 struct StoredEntity {
     floor: u64,
-    /// The switch through which it is known.
+    /// Switch through which the entity is known.
     through: Name,
     attachments: Vec<StoredAttachment>,
 }
@@ -65,7 +64,7 @@ struct StoredEntity {
 struct StoredAttachment {
     lane: u8,
     switch: Name,
-    /// Unix seconds.
+    /// End of the attachment in Unix seconds.
     ends: u64,
 }
 
@@ -73,13 +72,13 @@ struct StoredAttachment {
 #[serde(deny_unknown_fields)]
 struct StoredRegistration {
     record: Record,
-    /// Unix seconds.
+    /// End of the registration in Unix seconds.
     ends: u64,
     everywhere: bool,
     bound: bool,
 }
 
-/// As it is stored, at most [`MAX_ITEM`] bytes.
+/// Encodes a stored item of at most [`MAX_ITEM`] bytes.
 pub fn encode_item<T: Serialize>(value: &T) -> Result<Vec<u8>, CborError> {
     let bytes = cbor::encode(&(VERSION, value))?;
     if bytes.len() > MAX_ITEM {
@@ -88,7 +87,7 @@ pub fn encode_item<T: Serialize>(value: &T) -> Result<Vec<u8>, CborError> {
     Ok(bytes)
 }
 
-/// Reads back what [`encode_item`] wrote.
+/// Decodes an item that [`encode_item`] encoded.
 pub fn decode_item<T: DeserializeOwned + Serialize>(bytes: &[u8]) -> Result<T, RestoreError> {
     // Another version may have another shape.
     match bytes.get(..2) {
@@ -101,19 +100,19 @@ pub fn decode_item<T: DeserializeOwned + Serialize>(bytes: &[u8]) -> Result<T, R
 }
 
 impl Rib {
-    /// Notes from now on what changes, for [`Self::take_changed`].
+    /// Starts to record changed items for [`Self::take_changed`].
     pub fn open_journal(&mut self) {
         self.journals().into_iter().for_each(Journal::open);
     }
 
-    /// Takes out what has changed, or may have, since this was last asked.
+    /// Returns the items that have changed, or may have, since the last call.
     pub fn take_changed(&mut self) -> BTreeSet<Item> {
         let mut changed = BTreeSet::new();
         self.journals().into_iter().for_each(|journal| journal.drain(&mut changed));
         changed
     }
 
-    /// Whether [`Self::take_changed`] has something.
+    /// Returns whether [`Self::take_changed`] has items.
     pub fn has_changed(&mut self) -> bool {
         self.journals().iter().any(|journal| !journal.is_empty())
     }
@@ -128,7 +127,7 @@ impl Rib {
         ]
     }
 
-    /// What is to be stored of an item now; none if there is no such thing (any more).
+    /// Returns the encoded state of an item, or `None` if it does not exist (any more).
     pub fn stored(&self, now: Now, item: &Item) -> Option<Vec<u8>> {
         let unix = |ends: Duration| now.unix.saturating_add(ends.saturating_sub(now.clock).as_secs());
         let encoded = match item {
@@ -140,7 +139,8 @@ impl Rib {
                 let (floor, through) = self.entities.known(entity)?;
                 let stored = |(lane, Attachment { switch, ends })| StoredAttachment { lane, switch, ends: unix(ends) };
                 let attachments: Vec<_> = self.entities.attachments(entity).map(stored).collect();
-                // As it is once it is restored: of one that is attached, this says nothing else.
+                // Restoring sets the same value. For an attached entity the field has no other
+                // meaning.
                 let through = attachments.last().map_or(through, |attachment| attachment.switch);
                 encode_item(&StoredEntity { floor, through, attachments })
             }
@@ -158,8 +158,8 @@ impl Rib {
         encoded.inspect_err(|error| tracing::error!(%item, %error, "cannot be stored")).ok()
     }
 
-    /// Takes back what an earlier RIB of this domain had stored; call in the order of the items,
-    /// and [`Self::restored`] after the last.
+    /// Restores one item of an earlier RIB of this domain. Call it in the order of the items, then
+    /// [`Self::restored`].
     pub fn restore(&mut self, now: Now, item: &Item, bytes: &[u8]) -> Result<(), RestoreError> {
         match item {
             Item::Floor => self.entities.restore_forgotten(now, decode_item(bytes)?),
@@ -180,7 +180,7 @@ impl Rib {
         Ok(())
     }
 
-    /// All is taken back. What has no use after all is forgotten.
+    /// Ends the restoration. Forgets entities without an attachment or a name.
     pub fn restored(&mut self) {
         self.entities.retire_unused();
     }
@@ -224,7 +224,7 @@ impl Rib {
         }
         let RecordKey { name, role, entity, switch } = *place;
         let verified = record.verify(self.revocations.claims(name.as_bytes()), now.unix)?;
-        // Whatever is stored: no longer than if it were stated now.
+        // A stored registration lasts no longer than one stated now.
         let last = verified.not_after.min(now.unix.saturating_add(verified.advert.lifetime.into()));
         let ends = ends.min(last);
         if ends <= now.unix {
@@ -267,8 +267,8 @@ impl Rib {
             return Err(RestoreError::Misplaced);
         }
         let proof = self.proof_of(&writer).ok_or(RestoreError::Unbound)?;
-        // It may be attached to several switches, and may send to an inbox through one of them
-        // only.
+        // The writer may be attached to several switches, but may send to an inbox through one of
+        // them only.
         let switches = self.entities.attachments(&writer).map(|(_, attachment)| attachment.switch);
         let mut here: BTreeSet<Name> = switches.collect();
         here.extend(self.entities.known(&writer).map(|(_, through)| through));
@@ -283,7 +283,7 @@ impl Rib {
         outcome
     }
 
-    /// How the name of an entity is derived that has a part in any name.
+    /// Returns the proof of an entity's name, if the entity is registered for any name.
     fn proof_of(&self, entity: &Name) -> Option<NameProof> {
         let mut names = self.entities.names(entity).iter();
         let of = |name| NameRole::ALL.iter().find_map(|role| self.names.get(name, entity, *role));

@@ -1,6 +1,7 @@
-//! The newest revocation of each name: what its owner has taken back. Stored while anybody has a
-//! part in the name, and after that as long as there is room. Each origin has its share of it, here
-//! and in the file that outlives the RIB, so that a flood pushes out those of its own origin first.
+//! The newest revocation of each name, signed by its owner. A revocation stays while the name has
+//! registrations, and after that while there is room. Each origin has its share of the room, here
+//! and in the file that outlives the RIB. A flood from one origin thus evicts its own revocations
+//! first.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -15,17 +16,17 @@ use crate::rib::model::{Limits, NameBytes};
 pub(super) struct StoredRevocation {
     pub signed: SignedRevocation,
     pub claims: Revocation,
-    /// Its place among those that may go; none while it stays, because somebody has a part in the
-    /// name.
+    /// Position in the order of eviction. `None` while the name has registrations and the
+    /// revocation stays.
     idle: Option<u64>,
 }
 
-/// Those that came in at one place; at none: as a file has them from before origins were kept.
+/// Revocations from one origin. Files from before origins were recorded have none.
 #[derive(Debug, Default)]
 struct Share {
-    /// How many stay.
+    /// Number of revocations that stay.
     used: usize,
-    /// Those that may go, the one that has been so for longest first.
+    /// Revocations that may be evicted, the longest idle first.
     idle: BTreeMap<u64, NameBytes>,
 }
 
@@ -48,8 +49,8 @@ impl Revocations {
         self.stored.get(name).map(|held| &held.claims)
     }
 
-    /// Keeps a verified revocation that [replaces](Revocation::check_replaces) the one that is
-    /// held. `is_used`: somebody has a part in the name.
+    /// Stores a verified revocation that [replaces](Revocation::check_replaces) the present one.
+    /// `is_used` states that the name has registrations.
     pub fn put(
         &mut self,
         name: NameBytes,
@@ -73,13 +74,13 @@ impl Revocations {
         &mut self.journal
     }
 
-    /// Rises whenever one is put.
+    /// Returns a counter that increases with each stored revocation.
     pub fn changes(&self) -> u64 {
         self.changes
     }
 
-    /// Those of each origin in turn, as many bytes of one as of another: first those of names that
-    /// somebody has a part in, then the others, the one that has been so for longest last.
+    /// Returns all revocations, origins interleaved by equal shares of bytes. Within each origin,
+    /// used ones come first, then idle ones, the longest idle last.
     pub fn all(&self) -> Vec<SignedRevocation> {
         let mut all: Vec<&StoredRevocation> = self.stored.values().collect();
         all.sort_by_key(|held| held.idle.map_or(0, |place| u64::MAX - place));
@@ -94,7 +95,8 @@ impl Revocations {
         all.into_iter().map(|held| held.signed.clone()).collect()
     }
 
-    /// Somebody has a part in the name. If many of its origin are so, it may go all the same.
+    /// Marks the revocation of a newly registered name as used. If too many of its origin are used,
+    /// it stays evictable.
     pub fn enter(&mut self, name: &NameBytes, limits: &Limits) {
         let Some(held) = self.stored.get_mut(name) else { return };
         let Some(share) = self.shares.get_mut(&held.signed.origin) else { return };
@@ -107,8 +109,8 @@ impl Revocations {
         }
     }
 
-    /// Nobody has a part in the name any more. Of too many such the oldest goes, of the origin that
-    /// has most.
+    /// Marks the revocation of a name without registrations as idle. Above the limit, the oldest
+    /// idle one of the origin with the most is evicted.
     pub fn leave(&mut self, name: &NameBytes, limits: &Limits) {
         let Some(held) = self.stored.get_mut(name).filter(|held| held.idle.is_none()) else { return };
         let Some(share) = self.shares.get_mut(&held.signed.origin) else { return };

@@ -1,5 +1,5 @@
-//! Takes in an owner's revocation: what no longer holds goes at once, and all that have a part in
-//! the name are told. Nobody but the owner can make one, so it does not matter who brings it.
+//! Processes an owner's revocation. Invalid registrations end at once, and all entities registered
+//! for the name are notified. Only the owner can sign a revocation, so any sender may deliver it.
 
 use gdp_core::cert::{CertError, Revocation, Signed};
 use gdp_core::name::NameProof;
@@ -43,19 +43,19 @@ impl Rib {
         Ok(Response::Done)
     }
 
-    /// Somebody has no part in a name any more, and is told so.
+    /// Ends a revoked registration and notifies its entity.
     fn end_revoked(&mut self, now: Now, registration_key: RegistrationKey, switch: Name) {
         let RegistrationKey { name, entity, role } = registration_key;
         let is_told = self.names.get_at(&name, &entity, role, &switch).is_some_and(|r| r.bound && r.is_here());
         self.end(now, registration_key, switch);
-        // Through the last of its switches.
+        // The entity is notified through the last of its switches.
         if is_told && self.names.get(&name, &entity, role).is_none() {
             self.peer_updates.farewell(registration_key, switch);
         }
     }
 
-    /// Takes in what a domain has taken back, which was verified: by a grant to a role, only those
-    /// read that have it still.
+    /// Applies a domain's verified revocation. Only current holders of a role may still read names
+    /// granted to that role.
     pub fn domain_revoked(&mut self, now: Now, claims: &Revocation) {
         self.tick(now);
         self.domains.insert(claims.name, claims.clone());
@@ -64,13 +64,14 @@ impl Rib {
         }
     }
 
-    /// Takes in what the RIB of the neighbouring domain `next` told.
+    /// Applies a revocation announced by the RIB of the neighbouring domain `next`.
     pub fn revoke_from(&mut self, now: Now, next: Name, told: &SignedRevocation) -> Result<(), Refusal> {
         self.tick(now);
         self.revoke(now, Origin { through: next, by_tool: false }, &told.proof, &told.revocation).map(drop)
     }
 
-    /// Takes in what an earlier RIB kept, verified again, as [`Self::signed_revocations`] has it.
+    /// Restores the verified revocations of an earlier RIB, in the order of
+    /// [`Self::signed_revocations`].
     pub fn recall(&mut self, kept: Vec<(SignedRevocation, Revocation)>) {
         for (kept, claims) in kept.into_iter().rev() {
             let key = claims.name.to_bytes();
@@ -80,12 +81,12 @@ impl Rib {
         }
     }
 
-    /// Rises whenever a revocation is taken in that is to be kept.
+    /// Returns a counter that increases with each stored revocation.
     pub fn revocations_taken(&self) -> u64 {
         self.revocations.changes()
     }
 
-    /// All that a RIB after this one is to know, those first that count most.
+    /// Returns all revocations for a successor of this RIB, the most important first.
     pub fn signed_revocations(&self) -> Vec<SignedRevocation> {
         self.revocations.all()
     }

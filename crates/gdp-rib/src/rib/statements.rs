@@ -1,6 +1,6 @@
-//! What entities state: that they are attached, what they are to which names. Verified here,
-//! stored, and followed up: routes for the names, routes between counterparts, and who is to be
-//! told.
+//! Statements of entities: their attachments and their registrations for names. The RIB verifies
+//! and stores them. It then updates the routes of the names, the routes between counterparts, and
+//! the entities to notify.
 
 use crate::rib::model::lifetime;
 use crate::rib::registration::Verified;
@@ -20,8 +20,8 @@ use super::{Rib, Timer};
 use crate::rib::model::{At, InboxOwner, NameBytes, Now, RegistrationKey, limit_reached, refusal};
 use crate::rib::registration::{Registration, shared};
 
-/// Between two looks at which parts in a name are over: of a name that very many read, some always
-/// are.
+/// Minimum time between two examinations of a name for expired registrations. In a name with very
+/// many readers some expire all the time.
 const BETWEEN_ENDS: Duration = Duration::from_secs(1);
 
 impl Rib {
@@ -114,7 +114,7 @@ impl Rib {
         }
     }
 
-    /// Takes in a verified statement. Answers with the counterparts.
+    /// Stores a verified statement. Answers with the counterparts.
     fn state(
         &mut self,
         now: Now,
@@ -180,11 +180,12 @@ impl Rib {
         self.entities.spend(now, requester.entity, requester.switch, serial, self.limits.unattached_per_switch)
     }
 
-    /// Each lane of an entity is attached to one switch. Attaching it again there only renews, if
-    /// it resumes what was: a link that does not come back is told of by a detach. Attaching it
-    /// elsewhere ends what was, unless another lane is there; the old switch is told, in case its
-    /// link is still up: the entity must not believe that it is attached there. An entity that
-    /// begins anew has no other lanes.
+    /// Attaches one lane of an entity to a switch.
+    ///
+    /// A lane that attaches again to the same switch and resumes is only renewed, because the
+    /// switch reports a lost link by a detach. Attaching a lane elsewhere ends its old attachment.
+    /// The old switch is notified unless another lane is there, so that the entity does not believe
+    /// it is still attached. An entity that starts anew has no other lanes.
     fn attach(&mut self, requester: &Requester, lane: u8, ends: Duration, resumes: bool) -> Result<(), Refusal> {
         let limit = self.limits.attached_per_switch;
         let full = |s: &super::Switch| s.attached.len() >= limit && !s.attached.contains(&requester.entity);
@@ -210,14 +211,15 @@ impl Rib {
         Ok(())
     }
 
-    /// All its lanes there.
+    /// Ends the attachments of all the entity's lanes at a switch.
     pub(super) fn end_attachments_at(&mut self, entity: &Name, switch: &Name) {
         let here = self.entities.attachments(entity).filter(|(_, attachment)| attachment.switch == *switch);
         let lanes: Vec<u8> = here.map(|(lane, _)| lane).collect();
         lanes.into_iter().for_each(|lane| self.end_attachment(entity, lane));
     }
 
-    /// With the last of its lanes at a switch, what an entity has stated there goes.
+    /// Ends one attachment. With the last lane at a switch, the entity's registrations there end
+    /// too.
     pub(super) fn end_attachment(&mut self, entity: &Name, lane: u8) {
         let Some(Attachment { switch, ends }) = self.entities.take_attachment(entity, lane) else { return };
         self.timers.remove(&(ends, Timer::Attachment { entity: *entity, lane }));
@@ -233,14 +235,14 @@ impl Rib {
         self.entities.retire(entity);
     }
 
-    /// An entity is no longer to be told of this through `switch`, but through another one, if it
-    /// has stated it there.
+    /// Stops updates to an entity through `switch` and resumes them through another switch of its
+    /// registration.
     fn tell_elsewhere(&mut self, registration_key: RegistrationKey, switch: &Name) {
         let other = self.other_switch_of(registration_key, switch);
         self.peer_updates.follow(&registration_key, switch, other);
     }
 
-    /// Another switch through which an entity may be told of this.
+    /// Returns another switch through which updates reach the entity.
     pub(super) fn other_switch_of(&self, registration_key: RegistrationKey, switch: &Name) -> Option<Name> {
         if registration_key.is_inbox() {
             let attachments = self.entities.attachments(&registration_key.entity);
@@ -280,7 +282,7 @@ impl Rib {
         Ok(())
     }
 
-    /// Takes in a part in a name that is verified. Returns what its entity had stated there before.
+    /// Stores a verified registration. Returns the entity's previous one at the same switch.
     pub(super) fn store(
         &mut self,
         registration_key: RegistrationKey,
@@ -311,7 +313,7 @@ impl Rib {
             places.push(old.at());
             told.extend(self.who_knew(registration_key, old));
         }
-        // First those that are its counterparts now: those that stay so lose nothing.
+        // New counterparts join before old ones part, so that those in both sets lose nothing.
         let was = old.as_ref().filter(|old| old.bound);
         if bound && was.is_none_or(|old| old.kind() != kind) {
             self.join(registration_key, &switch);
@@ -333,7 +335,7 @@ impl Rib {
         Ok(old)
     }
 
-    /// A part in the name ends then.
+    /// Schedules the examination of the name for when a registration ends.
     fn expect_end(&mut self, name: NameBytes, ends: Duration) {
         if let Some(later) = self.names.look_by(&name, ends) {
             self.timers.remove(&(later, Timer::Name(name)));
@@ -341,7 +343,7 @@ impl Rib {
         }
     }
 
-    /// Ends what is over of the parts in a name.
+    /// Ends the expired registrations of a name.
     pub(super) fn end_due(&mut self, now: Now, name: NameBytes) {
         let (over, next) = self.names.look(&name, now.clock);
         over.into_iter().for_each(|(registration_key, switch)| self.end(now, registration_key, switch));
@@ -353,7 +355,7 @@ impl Rib {
     pub(super) fn unregister(&mut self, registration_key: RegistrationKey, switch: Name) {
         let RegistrationKey { name, entity, role } = registration_key;
         let Some(old) = self.names.remove(&name, &entity, role, &switch) else { return };
-        // What was told from abroad is told again.
+        // The journal skips remote registrations, because other domains announce them again.
         if old.is_here() {
             self.journal.mark(registration_key.at(switch));
         }
@@ -383,14 +385,14 @@ impl Rib {
         }
     }
 
-    /// Those that one with this part in a name exchanges messages with.
+    /// Returns the counterparts of a registration.
     fn counterparts(&self, name: &NameBytes, registration: &Registration) -> impl Iterator<Item = InboxOwner> {
         let others = self.names.bound(name, registration.role.counterpart());
         let others = others.filter(|(_, other)| registration.meets(other));
         others.map(|(entity, other)| InboxOwner { entity, at: other.at() })
     }
 
-    /// Lets an entity and its counterparts send to each other's inbox, because of what it stated at
+    /// Lets an entity and its counterparts send to each other's inboxes, for its registration at
     /// `switch`.
     fn join(&mut self, registration_key: RegistrationKey, switch: &Name) {
         let mut affected = BTreeSet::new();
@@ -402,7 +404,7 @@ impl Rib {
         self.reroute_inboxes(affected);
     }
 
-    /// The entity is no counterpart of these any more, as far as this statement goes.
+    /// Removes the pairs of counterparts that an ended registration allowed.
     fn part(&mut self, registration_key: RegistrationKey, old: &Registration) {
         let mut affected = BTreeSet::new();
         for (inbox, sender) in self.pairs(registration_key, old) {
@@ -415,8 +417,7 @@ impl Rib {
         self.reroute_inboxes(affected);
     }
 
-    /// The inboxes that concern an entity with this part in a name, each with who sends there for
-    /// it.
+    /// Returns the pairs (inbox, sender) that a registration allows.
     fn pairs(&self, registration_key: RegistrationKey, registration: &Registration) -> Vec<(InboxOwner, InboxOwner)> {
         let place = InboxOwner { entity: registration_key.entity, at: registration.at() };
         let others =
@@ -424,13 +425,14 @@ impl Rib {
         others.flat_map(|other| [(place, other), (other, place)]).collect()
     }
 
-    /// Those to be told of what an entity has stated at `switch`.
+    /// Returns the registrations to notify of the entity's registration at `switch`.
     fn to_tell_of(&self, registration_key: RegistrationKey, switch: &Name) -> Vec<RegistrationKey> {
         let stated = self.names.get_at(&registration_key.name, &registration_key.entity, registration_key.role, switch);
         stated.map_or_else(Vec::new, |stated| self.who_knew(registration_key, stated))
     }
 
-    /// Those that were told of it. Those of other domains are for their own RIB to tell.
+    /// Returns the local registrations that were notified of `stated`. Other RIBs notify the
+    /// entities of their own domains.
     fn who_knew(&self, registration_key: RegistrationKey, stated: &Registration) -> Vec<RegistrationKey> {
         let (name, role) = (registration_key.name, registration_key.role.counterpart());
         let others = self.names.bound(&name, role).filter(|(_, other)| other.is_here());
@@ -438,15 +440,14 @@ impl Rib {
         others.map(|(entity, _)| RegistrationKey { name, entity, role }).collect()
     }
 
-    /// Brings the desired FIBs in line with what is registered for one name, after a change at
-    /// these places.
+    /// Updates the desired FIBs for one name after a change at these locations.
     pub(super) fn follow_up(&mut self, name: NameBytes, at: &[At]) {
         let map = self.map();
         let switches = at.iter().flat_map(|at| map.switches(at)).collect();
         self.follow_up_at(name, switches);
     }
 
-    /// The same for these switches.
+    /// Updates the desired FIBs for one name after a change at these switches.
     pub(super) fn follow_up_at(&mut self, name: NameBytes, at: BTreeSet<Name>) {
         let map = Map { bits: &self.bits, ways: &self.ways };
         let switches = self.names.reroute(&name, at, map);
@@ -465,8 +466,9 @@ impl Rib {
         }
     }
 
-    /// A name that an entity advertises for another, as only its key can allow, is not an inbox for
-    /// as long.
+    /// Sets the route of a name at these switches. While a name is registered, it is routed by its
+    /// registrations and not as an inbox. Only the key of an entity can allow registrations for its
+    /// name.
     pub(super) fn reroute(&mut self, name: NameBytes, switches: impl IntoIterator<Item = Name>) {
         let is_stated = self.names.contains(&name);
         for switch in switches {
@@ -481,7 +483,8 @@ impl Rib {
         }
     }
 
-    /// Whoever has such a name may be abroad all the same, and send from there.
+    /// Returns the route of a registered name. The owner of such a name may still be in another
+    /// domain and send from there.
     fn stated_route(&self, name: &NameBytes, switch: &Name) -> Option<Route> {
         let arrives_by = self.inboxes.arrives_by(name, switch, self.map());
         let route = self.names.route(name, switch, self.map());

@@ -1,5 +1,5 @@
-//! One name: those who have a part in it, and where it is therefore routed. What is registered and
-//! the [`Map`] go in, routes come out. Called by [`super::names`].
+//! Registrations of one name and where its frames go. Registrations and the [`Map`] go in, routes
+//! come out. [`super::names`] calls it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -15,34 +15,35 @@ use crate::rib::registration::{Kind, Registration, meets};
 #[derive(Debug)]
 pub(super) struct Topic {
     pub proof: NameProof,
-    /// By role; of most nobody has any.
+    /// Registrations by role, most of them absent.
     parts: [Option<Box<Registrations>>; NameRole::ALL.len()],
-    /// As of the last [`Topic::reroute`]; none: nowhere.
+    /// Result of the last [`Topic::reroute`]. `None` if the name is not routed.
     spread: Option<Box<Spread>>,
-    /// When some part may be over: not after the first that is.
+    /// Time of the next examination for expired registrations, at the latest when the first one
+    /// ends.
     pub look_at: Duration,
 }
 
-/// Where frames to a name go.
+/// Egress bits to which the frames of a name are sent.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Spread {
-    /// By the switches at which they come in: all that send, or where what is sent abroad may come
-    /// in.
+    /// Egress bits by ingress switch: switches of senders, and borders where frames from other
+    /// domains may arrive.
     egress: BTreeMap<Name, u64>,
-    /// Those who send and those who take what is sent, if the name concerns other domains; within
-    /// one all send to all.
+    /// Kinds of senders and of receivers with a counterpart, if the name concerns other domains.
+    /// Within one domain all senders reach all receivers.
     met: Option<Box<[BTreeSet<Kind>; 2]>>,
 }
 
 static NOWHERE: Spread = Spread { egress: BTreeMap::new(), met: None };
 
 impl Spread {
-    /// Whether those of this kind send to anybody.
+    /// Returns whether senders of this kind have a receiver.
     fn has_sender(&self, kind: impl FnOnce() -> Kind) -> bool {
         self.met.as_deref().is_none_or(|[senders, _]| senders.contains(&kind()))
     }
 
-    /// Whether anybody sends to those of this kind.
+    /// Returns whether receivers of this kind have a sender.
     fn has_taker(&self, kind: impl FnOnce() -> Kind) -> bool {
         self.met.as_deref().is_none_or(|[_, takers]| takers.contains(&kind()))
     }
@@ -73,7 +74,7 @@ impl Topic {
         removed
     }
 
-    /// Whether somebody takes the name, and nobody sends to it.
+    /// Returns whether the name has subscribers or callers, but no publisher or server.
     pub fn has_no_writer(&self) -> bool {
         let has = |roles: [NameRole; 2]| roles.iter().any(|role| !self.part(*role).is_empty());
         has([NameRole::Subscriber, NameRole::Caller]) && !has([NameRole::Publisher, NameRole::Server])
@@ -89,25 +90,25 @@ impl Topic {
         all.map(move |(role, entity, switch)| RecordKey { name, role, entity, switch })
     }
 
-    /// Whether somebody publishes the name and somebody reads it. A service is not routed: its
-    /// servers and callers send to each other's own names.
+    /// Returns whether the name has a publisher and a subscriber that can meet. Services are not
+    /// routed: servers and callers send to each other's inboxes.
     pub fn is_routed(&self) -> bool {
         self.spread.is_some()
     }
 
-    /// Where anybody has a part in the name, or is reached by.
+    /// Returns the switches of all registrations and the borders that lead to them.
     pub fn switches(&self, map: Map) -> BTreeSet<Name> {
         let here = self.parts().flat_map(Registrations::switches);
         let borders = self.parts().flat_map(Registrations::realms).flat_map(|realm| map.ways.borders(&realm));
         here.chain(borders).collect()
     }
 
-    /// The switches whose route changes because registrations `at` these switches did, or ways over
-    /// them.
+    /// Recomputes the routing of the name after registrations or border links at the switches `at`
+    /// changed. Returns the switches whose route changes.
     ///
-    /// There are no routes unless somebody publishes the name and somebody reads it. One more taker
-    /// at a switch concerns that switch alone; the first or the last one there also those where
-    /// frames come in.
+    /// Routes exist only if the name has a publisher and a subscriber. A further subscriber at a
+    /// switch changes that switch alone. The first or last one there also changes the switches
+    /// where frames enter.
     pub fn reroute(&mut self, name: &NameBytes, at: BTreeSet<Name>, map: Map) -> BTreeSet<Name> {
         let spread = Some(self.spread(name, map)).filter(|spread| !spread.egress.is_empty());
         let before = std::mem::replace(&mut self.spread, spread.map(Box::new));
@@ -173,15 +174,14 @@ impl Topic {
     }
 }
 
-/// Those who have one role in a name; an entity as often as it has stated it at different switches.
-/// Of most names there is one, of some there are thousands: of neither is more kept than is needed
-/// to find them.
+/// Registrations for one role of a name, one for each entity and switch. Most names have one, some
+/// have thousands. The layout stores only what is needed to find them.
 #[derive(Debug, Default)]
 pub(super) struct Registrations {
-    /// By entity and switch, in that order.
+    /// Registrations ordered by entity, then switch.
     #[expect(clippy::vec_box, reason = "of thousands, half are moved by an insertion")]
     all: Vec<Box<Registration>>,
-    /// Indices of those, in the order of where they are, and then of entities.
+    /// Indices into `all`, ordered by location, then entity.
     by_location: Vec<u32>,
 }
 
@@ -226,12 +226,12 @@ impl Registrations {
         self.find(entity, switch).map(|index| &mut *self.all[index])
     }
 
-    /// By entity and switch.
+    /// Iterates over the registrations, ordered by entity and switch.
     pub fn iter(&self) -> impl Iterator<Item = ((Name, Name), &Registration)> {
         self.all.iter().map(|registration| (registration.entity_and_switch(), &**registration))
     }
 
-    /// Those behind a place, or all.
+    /// Iterates over the registrations after a given entity and switch, or over all.
     pub fn behind(&self, after: Option<(Name, Name)>) -> impl Iterator<Item = ((Name, Name), &Registration)> {
         let first = after.map_or(0, |after| self.all.partition_point(|held| held.entity_and_switch() <= after));
         self.all[first..].iter().map(|registration| (registration.entity_and_switch(), &**registration))
@@ -241,13 +241,13 @@ impl Registrations {
         distinct(self.iter().map(|(place, _)| place))
     }
 
-    /// What an entity has stated, at each of its switches.
+    /// Iterates over the registrations of an entity at each of its switches.
     pub fn of(&self, entity: &Name) -> impl Iterator<Item = &Registration> {
         let (first, entity) = (self.all.partition_point(|held| held.by.name < *entity), *entity);
         self.all[first..].iter().take_while(move |held| held.by.name == entity).map(Box::as_ref)
     }
 
-    /// The entities at a place.
+    /// Iterates over the entities at a location.
     pub fn at(&self, at: &At) -> impl Iterator<Item = (Name, &Registration)> {
         self.indices_at(at).iter().map(|index| {
             let registration = &*self.all[*index as usize];
@@ -265,7 +265,7 @@ impl Registrations {
         &rest[..rest.partition_point(|held| self.location(*held) == *at)]
     }
 
-    /// Where they are, each place once: those of this domain first.
+    /// Iterates over the distinct locations, those of this domain first.
     fn locations(&self) -> impl Iterator<Item = At> {
         let mut rest = &self.by_location[..];
         std::iter::from_fn(move || {
@@ -289,14 +289,14 @@ impl Registrations {
         self.by_location.last().is_some_and(|last| matches!(self.location(*last), At::RemoteRegistrations(_)))
     }
 
-    /// Each kind there is at a place, once.
+    /// Iterates over the distinct kinds at each location.
     fn kinds(&self) -> impl Iterator<Item = (At, Kind)> {
         let all: BTreeSet<(At, Kind)> = self.all.iter().map(|r| (r.at(), r.kind())).collect();
         all.into_iter()
     }
 }
 
-/// As [`Vec::insert`], which makes room for four where there is none.
+/// Inserts like [`Vec::insert`], but allocates room for one element instead of four at first.
 fn insert<T>(all: &mut Vec<T>, index: usize, new: T) {
     if all.is_empty() {
         all.reserve_exact(1);
@@ -304,7 +304,7 @@ fn insert<T>(all: &mut Vec<T>, index: usize, new: T) {
     all.insert(index, new);
 }
 
-/// Each entity once, of places in order.
+/// Returns each entity of an ordered list of (entity, switch) once.
 pub(super) fn distinct(places: impl Iterator<Item = (Name, Name)>) -> impl Iterator<Item = Name> {
     let mut before = None;
     places.filter_map(move |(entity, _)| (before.replace(entity) != Some(entity)).then_some(entity))

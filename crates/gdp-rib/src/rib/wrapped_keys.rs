@@ -1,6 +1,6 @@
-//! Key boxes: the content keys of writers, each wrapped for one reader. Stored beside the
-//! writer's advertisement, so that it need not be asked when a reader comes; only the reader can
-//! open them, and it verifies again who wrapped them.
+//! Key boxes: the content keys of writers, each wrapped for one reader. The RIB stores them beside
+//! the writer's advertisement, so that a new reader needs no round trip to the writer. Only the
+//! reader can open a box, and it verifies the writer's signature again.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Bound;
@@ -13,23 +13,23 @@ use gdp_wire::Name;
 use super::journal::{Item, Journal};
 use crate::rib::model::{At, InboxOwner, Limits, NameBytes, RegistrationKey, count_out, limit_reached};
 
-/// Epochs of one writer and name that are kept: the present one and the one before.
+/// Number of key epochs stored per writer and name: the present one and the one before.
 const EPOCHS: usize = 2;
 
-/// What an encoded box has in a message besides itself.
+/// Bytes that a message adds to each encoded box.
 const BOX_OVERHEAD: usize = 4;
 
 #[derive(Debug)]
 struct StoredKeys {
-    /// Where the writer was when it first gave some.
+    /// Location of the writer when it stored its first box.
     at: At,
-    /// By epoch, at most [`EPOCHS`], and reader.
+    /// Boxes by epoch, at most [`EPOCHS`], and reader.
     epochs: BTreeMap<u32, BTreeMap<Name, Signed<KeyBox>>>,
 }
 
 #[derive(Debug, Default)]
 pub(super) struct WrappedKeyStore {
-    /// By name and writer.
+    /// Boxes by name and writer.
     stored: BTreeMap<(NameBytes, Name), StoredKeys>,
     by_writer: HashMap<Name, usize>,
     by_switch: HashMap<At, usize>,
@@ -37,14 +37,14 @@ pub(super) struct WrappedKeyStore {
 }
 
 impl WrappedKeyStore {
-    /// Whether just this is kept already.
+    /// Returns whether this very box is already stored.
     pub fn holds(&self, claims: &KeyBox, signed: &Signed<KeyBox>) -> bool {
         let kept = self.stored.get(&(claims.name.to_bytes(), claims.writer));
         let readers = kept.and_then(|kept| kept.epochs.get(&claims.epoch));
         readers.and_then(|readers| readers.get(&claims.reader)).is_some_and(|held| held == signed)
     }
 
-    /// Keeps a verified box of the writer at `place`, and lets go of epochs that are too old.
+    /// Stores a verified box of the writer at `place`, and drops epochs that are too old.
     pub fn put(
         &mut self,
         place: InboxOwner,
@@ -99,7 +99,7 @@ impl WrappedKeyStore {
         Ok(())
     }
 
-    /// The writer sends to this name no more.
+    /// Removes all boxes of a writer that no longer sends to this name.
     pub fn forget(&mut self, name: &NameBytes, writer: &Name) {
         if let Some(kept) = self.stored.remove(&(*name, *writer)) {
             kept.epochs.iter().for_each(|(epoch, readers)| self.mark(&(*name, *writer), &kept.at, *epoch, readers));
@@ -108,8 +108,7 @@ impl WrappedKeyStore {
         }
     }
 
-    /// What a counterpart has for the entity: the keys of what it sends to the name, if the entity
-    /// is to take that.
+    /// Returns the boxes of a counterpart for the entity, if the entity subscribes to the name.
     pub fn between(
         &self,
         registration_key: &RegistrationKey,
@@ -123,12 +122,12 @@ impl WrappedKeyStore {
         kept.into_iter().flat_map(|kept| kept.epochs.values()).filter_map(move |readers| readers.get(&reader))
     }
 
-    /// All that a writer has for those that take what it sends to the name.
+    /// Returns all boxes of a writer for the readers of a name, with the readers.
     pub fn of(&self, name: &NameBytes, writer: &Name) -> impl Iterator<Item = (&Name, &Signed<KeyBox>)> {
         self.stored.get(&(*name, *writer)).into_iter().flat_map(|kept| kept.epochs.values()).flatten()
     }
 
-    /// Those behind `after` that have boxes for what they send to a name.
+    /// Returns the writers after `after` that have boxes for a name.
     pub fn writers(&self, name: &NameBytes, after: Option<Name>) -> impl Iterator<Item = Name> {
         let first = after.map_or(Bound::Included((*name, Name::default())), |after| Bound::Excluded((*name, after)));
         self.stored
@@ -137,7 +136,7 @@ impl WrappedKeyStore {
             .map(|((_, writer), _)| *writer)
     }
 
-    /// Bytes that [`Self::between`] takes in a message.
+    /// Returns the bytes of the boxes of [`Self::between`] in a message.
     pub fn size(&self, registration_key: &RegistrationKey, counterpart: &Name) -> usize {
         self.between(registration_key, counterpart).map(|signed| signed.as_bytes().len() + BOX_OVERHEAD).sum()
     }
@@ -171,7 +170,8 @@ impl WrappedKeyStore {
     }
 }
 
-/// What entities of other domains have for readers here is told again by their RIBs.
+/// Returns whether the store keeps the writer's boxes. RIBs of other domains announce those of
+/// their entities again.
 fn is_stored(at: &At) -> bool {
     matches!(at, At::Here(_))
 }
