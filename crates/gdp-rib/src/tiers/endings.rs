@@ -1,4 +1,4 @@
-//! What ends: by its time, with a neighbour that is gone, or because it was taken back.
+//! Expiry and removal of announced entries: by time, with a lost neighbour, or by revocation.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,8 +15,9 @@ use super::verification::{Judged, Revoked, Verification};
 use crate::rib::Now;
 
 impl Tiers {
-    /// An owner of a name, or a domain, has taken something back: what rests on it goes, and
-    /// neighbours that have to do with the name are told, but for the one that said so.
+    /// Applies a revocation by the owner of the name `about`, or by the domain `about`. Invalid
+    /// entries are removed. Neighbours concerned with the name are told, except the one that
+    /// announced the revocation.
     pub fn reconsider(&mut self, now: Now, about: Name, said_by: Option<Name>, revoked: &impl Revoked) {
         for (_, side) in self.sides.iter_mut().filter(|(domain, _)| said_by != Some(**domain)) {
             if let Some(kept) = revoked.signed(&about)
@@ -42,8 +43,8 @@ impl Tiers {
                 member.is_some_and(|member| member.domain.name().is_ok_and(|domain| domain == about))
             };
             let elsewhere = |held: &&Arc<TableRecord>| held.key.name != about && held.path.first() != Some(&about);
-            // There is no index of those who read for a role in a domain that they are not in:
-            // domains take something back rarely.
+            // Readers by role whose domain differs from the revoking one are not indexed, because
+            // domains revoke rarely.
             let all = is_domain.then(|| side.table.parts()).into_iter().flatten();
             let of_members = all.filter(elsewhere).filter(is_of_member);
             for held in side.table.parts_about(about).chain(of_members) {
@@ -100,7 +101,7 @@ impl Tiers {
         }
     }
 
-    /// When [`Self::effects`] has something to do, if nothing else happens before.
+    /// Returns the time at which [`Self::effects`] next has work, if nothing else happens before.
     pub fn next_tick(&self) -> Option<Duration> {
         let sides = self.sides.iter().flat_map(|(domain, side)| {
             let can_ask = self.adjacent.contains(domain) && !side.is_asked;
@@ -117,8 +118,8 @@ impl Tiers {
         sides.chain(self.endings.next()).chain(self.queries.next_tick()).min()
     }
 
-    /// Of what a neighbour said of where domain `about` is reached, a border is over: the others
-    /// stay. What was taken back of them is gone already.
+    /// Removes the expired borders from a neighbour's locator of domain `about`. Revoked borders
+    /// are already gone.
     fn border_ended(&mut self, now: Now, domain: Name, about: Name) {
         let key = TierKey::Locator(about);
         let Some(side) = self.sides.get_mut(&domain) else { return };
@@ -139,7 +140,7 @@ impl Tiers {
         self.changed(key);
     }
 
-    /// Forgets all that a neighbour said.
+    /// Removes all entries that a neighbour announced.
     pub(super) fn clear(&mut self, domain: Name) {
         let Some(side) = self.sides.get_mut(&domain) else { return };
         for key in std::mem::take(&mut side.table).keys() {

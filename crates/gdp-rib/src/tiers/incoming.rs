@@ -1,4 +1,4 @@
-//! What neighbours ask: hellos of children, what they and parents say, and queries.
+//! Requests of neighbours: hellos of children, pushes of children and parents, and queries.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -15,11 +15,11 @@ use super::verification::{Announced, Judged, Revoked, Verification, check_path};
 use super::{Reply, Tiers};
 use crate::rib::Now;
 
-/// Bytes of the records in an answer.
+/// Maximum bytes of the records in an answer.
 const ANSWER_SIZE: usize = 48 * 1024;
 
 impl Tiers {
-    /// Answers a neighbouring domain's RIB.
+    /// Answers a request of a neighbouring domain's RIB.
     pub fn request(&mut self, now: Now, from: Name, request: TierRequest, revoked: &impl Revoked) -> Reply {
         self.tick(now);
         let answer = match request {
@@ -83,7 +83,7 @@ impl Tiers {
         side.last_seen = now.clock;
         let judge = Verification { home: self.home, now, revoked };
         let (mut changed, mut refusals) = (BTreeSet::new(), Vec::new());
-        // Of these it is told what was taken back.
+        // Names whose revocations the neighbour does not know and is told.
         let mut unaware = BTreeSet::new();
         for key in push.remove {
             if side.table.remove(&key).is_some() {
@@ -107,8 +107,8 @@ impl Tiers {
                 }
                 entry => entry,
             };
-            // What it said before about the same it says no more, even if what it says now is
-            // refused.
+            // A new statement replaces the neighbour's earlier one for the same key, even if the
+            // new one is refused.
             let key = key_of(&entry);
             let judged = judge.entry(from, &side.table, entry);
             let fits = |judged: &Judged| side.table.check_room(&judged.key, &judged.item, &self.limits);
@@ -161,7 +161,8 @@ impl Tiers {
         self.climb(now, name, path, Some(from))
     }
 
-    /// What other domains know of a name, as far as this one may hear it: each record is verified.
+    /// Queries other domains for a name. The answer holds the verified records that this domain may
+    /// know.
     pub fn query(&mut self, now: Now, name: Name) -> Reply {
         self.tick(now);
         self.climb(now, name, Vec::new(), None)
@@ -190,7 +191,8 @@ impl Tiers {
         Reply::Later(self.queries.begin(climbing))
     }
 
-    /// What is known of a name that `asker` may hear, and did not say itself.
+    /// Returns the known records of a name that `asker` may know, except those that `asked_by`
+    /// announced.
     fn hear(&self, now: Now, name: Name, asker: Name, asked_by: Option<Name>) -> (Vec<TierEntry>, bool) {
         let (mut entries, mut room) = (Vec::new(), ANSWER_SIZE);
         let mut said = BTreeSet::new();
@@ -212,13 +214,13 @@ impl Tiers {
     }
 }
 
-/// Whether somebody in domain `asker` who knows the name may hear of a part in it: writers have a
-/// scope.
+/// Returns whether domain `asker`, if it knows the name, may know a registration. Registrations of
+/// writers have a scope.
 pub(super) fn may_hear(held: &TableRecord, asker: Name, home: Name) -> bool {
     held.origin(home) != asker && (!held.key.role.is_writer() || held.scope.contains(&asker))
 }
 
-/// What an entry is about, believed by nobody.
+/// Returns the key of an entry without verifying it.
 fn key_of(entry: &TierEntry) -> Option<TierKey> {
     match entry {
         TierEntry::Part(abroad) => abroad.record.place().ok().map(TierKey::Part),

@@ -1,4 +1,4 @@
-//! Who exchanges messages with whom: what decides which parts a side is told of.
+//! Interest of one side in registrations, which decides what the side is told.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -8,14 +8,14 @@ use gdp_wire::Name;
 
 use super::table::TableRecord;
 
-/// Those on one side who have a part in a name, by their domains: however many they are, a domain
-/// is looked at once.
+/// Registrations of one side for a name, grouped by domain. Each domain is examined once, however
+/// many registrations it has.
 #[derive(Debug, Default)]
 pub struct Interest {
-    /// Where those who read or call are, by role.
+    /// Domains of readers and callers, by role.
     readers: BTreeMap<NameRole, BTreeSet<Name>>,
-    /// By role, and the domain that is in their scope: where those who publish or serve are. Of
-    /// more than two domains two are kept, one of which is another than any that is asked for.
+    /// Domains of publishers and servers, by role and by domain in their scope. At most two are
+    /// stored. Two suffice to find one that differs from any given domain.
     writers: BTreeMap<(NameRole, Name), BTreeSet<Name>>,
 }
 
@@ -42,8 +42,8 @@ impl Interest {
         self.readers.is_empty() && self.writers.is_empty()
     }
 
-    /// Whether one of them exchanges messages with `other`: in another domain, and in the scope of
-    /// whichever of the two writes.
+    /// Returns whether a registration of this side and `other` exchange messages. They must be in
+    /// different domains, and the writer's scope must cover the reader's domain.
     pub fn wants(&self, other: &TableRecord, home: Name) -> bool {
         let (origin, role) = (other.origin(home), other.key.role.counterpart());
         if role.is_writer() {

@@ -1,15 +1,15 @@
-//! What the tables of the neighbouring domains hold at most.
+//! Limits on the tables of the neighbouring domains.
 
-/// What is kept of neighbours at most.
+/// Limits on the state stored for neighbours.
 #[derive(Clone, Copy, Debug)]
 pub struct TierLimits {
     pub children: usize,
-    /// Of each neighbour: records, key boxes and locators together.
+    /// Records, key boxes and locators of each neighbour together.
     pub entries: usize,
-    /// Of each neighbour.
+    /// Bytes of each neighbour's entries.
     pub bytes: usize,
-    /// Of each neighbour: more than anybody here exchanges messages with in one name
-    /// (`counterparts` of [`crate::rib::Limits`]), of writers and readers each.
+    /// Writers, and likewise readers, of one name that each neighbour may announce. This exceeds
+    /// the number of counterparts of an entity (`counterparts` of [`crate::rib::Limits`]).
     pub parts_per_name: usize,
 }
 

@@ -1,15 +1,16 @@
-//! Tiers: how the RIBs of different domains tell each other who publishes and reads which name.
-//! Sans-IO: time, what the own RIB knows and what neighbours say go in; messages to neighbours
-//! ([`Effect`]) and what the own RIB may know of other domains ([`TierChange`]) come out. No
-//! sockets, no clock; the daemon moves what travels.
+//! Tiers: the protocol by which the RIBs of different domains announce the publishers and readers
+//! of names to each other. It performs no I/O: time, the own RIB's records and the requests of
+//! neighbours go in. Messages to neighbours ([`Effect`]) and the records of other domains for the
+//! own RIB ([`TierChange`]) come out. It has no sockets and no clock; the daemon transports the
+//! messages.
 //!
-//! A domain has parents, in order, and children; any depth. To each it tells what [`spread`]
-//! chooses, kept the same at both ends by a [`Feed`](crate::feed::Feed). Each record carries the
-//! domains it came through: a domain that finds itself there refuses it, as it refuses a parent
-//! that it is above of. Nothing is believed because of who says it: [`verification`] verifies all
-//! again.
+//! A domain has parents, in order, and children, to any depth. [`spread`] selects what each
+//! neighbour is told, and a [`Feed`](crate::feed::Feed) keeps both ends the same. Each record
+//! carries the path of domains that it passed. A domain refuses a record whose path contains it,
+//! and a parent that has it as an ancestor. No neighbour is trusted: [`verification`] verifies
+//! everything again.
 //!
-//! What a neighbour that lies can do is to withhold, and to say what its own domain alone may say.
+//! A lying neighbour can only withhold records, and state what its own domain alone may state.
 
 mod endings;
 mod incoming;
@@ -52,19 +53,20 @@ pub use side::{Kind, OfEntity, RESTART_TIME, SILENCE, SessionState};
 pub use table::{Hosted, Item, TableRecord};
 pub use verification::Revoked;
 
-/// What is to be sent.
+/// Message to send.
 #[derive(Debug)]
 pub enum Effect {
-    /// To the RIB of a neighbouring domain. To be answered with [`Tiers::answered`].
+    /// Request to the RIB of a neighbouring domain, to be answered with [`Tiers::answered`].
     Ask { to: Name, sent: Sent, request: TierRequest },
-    /// To who waits for this ticket.
+    /// Answer to the query with this ticket.
     Answer { ticket: Ticket, response: TierResponse },
 }
 
-/// Which message it was.
+/// Identifies a sent message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
-    /// `run`: as in the message, which may be of a side that is no more when the answer comes.
+    /// `run` is the one in the message. The neighbour's session may have been replaced when the
+    /// answer arrives.
     Hello {
         run: u64,
     },
@@ -75,65 +77,66 @@ pub enum Sent {
 #[derive(Debug)]
 pub enum Reply {
     Now(TierResponse),
-    /// An [`Effect::Answer`] comes.
+    /// An [`Effect::Answer`] follows later.
     Later(Ticket),
 }
 
-/// What the own RIB may know of other domains now.
+/// Change of what the own RIB may know of other domains.
 #[derive(Clone, Debug)]
 pub enum TierChange {
     Set(Item),
     Remove(TierKey),
 }
 
-/// A neighbouring domain, as `gdp-ctl` shows it.
+/// State of a neighbouring domain, as `gdp-ctl` shows it.
 #[derive(Clone, Debug)]
 pub struct Neighbour {
     pub domain: Name,
     pub kind: Kind,
     pub session: SessionState,
-    /// Entries that it says, and that it is told.
+    /// Number of entries received from it, and of those sent to it.
     pub entries_in: usize,
     pub entries_out: usize,
-    /// What was refused of it, by reason.
+    /// Number of its refused messages and entries, by reason.
     pub refused: BTreeMap<&'static str, u64>,
-    /// Why it takes in only a part of what it is told.
+    /// Reason why the neighbour accepts only part of what it is sent.
     pub lacking: Option<String>,
 }
 
-/// The tiers as one domain's RIB sees them.
+/// The tiers as seen by one domain's RIB.
 #[derive(Debug)]
 pub struct Tiers {
     home: Name,
-    /// Of the side that was made last.
+    /// Run number of the newest session.
     run: u64,
     limits: TierLimits,
-    /// In the order in which they are asked.
+    /// Parents in the order in which they are queried.
     parents: Vec<Name>,
-    /// Domains that there is a border link to now.
+    /// Domains with a border link at present.
     adjacent: BTreeSet<Name>,
     sides: BTreeMap<Name, Side>,
-    /// What the own RIB says, and what it may know.
+    /// Entries of the own RIB, and the entries that it may know.
     own: RecordTable,
     known: SentUpdate,
     changed_names: BTreeSet<Name>,
     changed_writers: BTreeSet<Name>,
     changed_locators: BTreeSet<Name>,
-    /// When what neighbours said ends: by neighbour and what it is about.
+    /// End of each announced entry, by neighbour and key.
     endings: Deadlines<(Name, TierKey)>,
     queries: Queries,
     answers: Vec<(Ticket, TierResponse)>,
-    /// What owners have taken back, as neighbours have said since somebody last asked.
+    /// Revocations received from neighbours since the last call of [`Self::take_revoked`].
     received_revocations: Vec<SignedRevocation>,
-    /// Messages of domains that are neither parent nor child.
+    /// Number of messages from domains that are neither parent nor child.
     unknown_domains: u64,
 }
 
-/// What the own domain says of itself.
+/// Announcements of the own domain, and queries of its state.
 impl Tiers {
-    /// Of domain `home`. What it tells neighbours is of runs above `run`, one for each that comes:
-    /// nanoseconds since any fixed time do, as they are ahead of whatever an earlier RIB has come
-    /// to.
+    /// Creates the tiers of domain `home`.
+    ///
+    /// Each session with a neighbour gets its own run number above `run`. Nanoseconds since a fixed
+    /// time serve as `run`, because they exceed every number that an earlier RIB used.
     pub fn new(home: Name, run: u64, limits: TierLimits) -> Self {
         Self {
             home,
@@ -155,7 +158,7 @@ impl Tiers {
         }
     }
 
-    /// The domains whose RIBs are above this one, in the order in which they are asked.
+    /// Sets the parent domains, in the order in which they are queried.
     pub fn set_parents(&mut self, now: Now, parents: Vec<Name>) {
         if self.parents == parents {
             return;
@@ -178,7 +181,7 @@ impl Tiers {
         self.all_changed();
     }
 
-    /// The domains that there is a link to now.
+    /// Sets the domains that have a border link at present.
     pub fn set_adjacent(&mut self, now: Now, adjacent: BTreeSet<Name>) {
         for (domain, side) in &mut self.sides {
             match (self.adjacent.contains(domain), adjacent.contains(domain)) {
@@ -190,8 +193,8 @@ impl Tiers {
         self.adjacent = adjacent;
     }
 
-    /// What an entity has stated in this domain, verified by its RIB, with the switch it is
-    /// attached to. Of what is for this domain alone nothing is kept.
+    /// Announces an entity's registration in this domain, verified by its RIB, with the switch of
+    /// its attachment. A registration that only this domain may know is not stored.
     pub fn set_own(&mut self, now: Now, record: Record, host: Arc<Hosted>) -> Result<(), CertError> {
         let place = record.place()?;
         let scope = record.credential.scope()?;
@@ -215,7 +218,7 @@ impl Tiers {
         }
     }
 
-    /// All keys of a writer in this domain, each wrapped for one reader.
+    /// Replaces all key boxes of a writer in this domain, each wrapped for one reader.
     pub fn set_own_boxes(&mut self, writer: Name, boxes: Vec<Signed<KeyBox>>) -> Result<(), CertError> {
         let mut left: BTreeSet<TierKey> = self.own.boxes_of(writer).map(|(key, _)| *key).collect();
         for signed in boxes {
@@ -229,7 +232,7 @@ impl Tiers {
         Ok(())
     }
 
-    /// Where this domain can be reached; nowhere, if no border is named.
+    /// Sets the locator of this domain. A locator without borders removes it.
     pub fn set_own_locator(&mut self, locator: Locator) {
         let (key, domain) = (TierKey::Locator(self.home), self.home);
         let changed = match locator.borders.is_empty() {
@@ -241,7 +244,7 @@ impl Tiers {
         }
     }
 
-    /// What the own RIB may know of other domains, as far as it has changed.
+    /// Returns the changes of what the own RIB may know of other domains.
     pub fn take_changes(&mut self, now: Now) -> Vec<TierChange> {
         self.spread();
         let everything = Room { entries: usize::MAX, bytes: usize::MAX };
@@ -251,21 +254,21 @@ impl Tiers {
         removed.chain(parcel.set.into_iter().map(TierChange::Set)).collect()
     }
 
-    /// What owners of names have taken back, as a neighbour has said in the last
-    /// [request](Self::request); verified. The own RIB is to keep it, and then
-    /// [reconsider](Self::reconsider) each of these names.
+    /// Returns the verified revocations that neighbours announced in [requests](Self::request)
+    /// since the last call.
+    ///
+    /// The own RIB must store them and then [reconsider](Self::reconsider) each name.
     pub fn take_revoked(&mut self) -> Vec<SignedRevocation> {
         std::mem::take(&mut self.received_revocations)
     }
 
-    /// What the own RIB may know of an entity of another domain, with the keys it has for readers
-    /// here.
+    /// Returns the registrations and key boxes of an entity of another domain that the own RIB may
+    /// know.
     pub fn known_of(&self, entity: Name) -> OfEntity {
         self.known.of(entity)
     }
 
-    /// The part at a place that the own RIB may know, and whether it only passes through this
-    /// domain.
+    /// Returns the known record with this key, and whether it only passes through this domain.
     pub fn known_at(&self, place: &RecordKey) -> Option<(Arc<TableRecord>, bool)> {
         match self.known.feed.entries().get(&TierKey::Part(*place)) {
             Some(Item::Part { record: held, only_passes }) => Some((held.clone(), *only_passes)),
@@ -277,7 +280,7 @@ impl Tiers {
         &self.parents
     }
 
-    /// Where another domain can be reached, as far as the own RIB is to know.
+    /// Returns the locator of another domain, if the own RIB knows it.
     pub fn locator(&self, domain: Name) -> Option<&Locator> {
         match self.known.feed.entries().get(&TierKey::Locator(domain)) {
             Some(Item::Locator { locator, .. }) => Some(locator),
@@ -285,7 +288,7 @@ impl Tiers {
         }
     }
 
-    /// The domains in which somebody exchanges messages with somebody in this one.
+    /// Returns the domains with entities that exchange messages with entities of this one.
     pub fn concerned(&self) -> impl Iterator<Item = &Name> {
         self.known.origins()
     }
@@ -302,13 +305,13 @@ impl Tiers {
         })
     }
 
-    /// Messages of domains that are neither parent nor child.
+    /// Returns the number of messages from domains that are neither parent nor child.
     pub fn unknown_domains(&self) -> u64 {
         self.unknown_domains
     }
 }
 
-/// What has changed, and what is refused.
+/// Change marks and refusal counters.
 impl Tiers {
     fn changed(&mut self, key: TierKey) {
         match key {
@@ -318,12 +321,12 @@ impl Tiers {
             }
             TierKey::Box { writer, .. } => drop(self.changed_writers.insert(writer)),
             TierKey::Locator(domain) => drop(self.changed_locators.insert(domain)),
-            // Of these no side holds any.
+            // No table stores revocations.
             TierKey::Revocation(_) => {}
         }
     }
 
-    /// A neighbour came or went, or is another than before.
+    /// Marks all names as changed after a neighbour was added, removed or changed.
     fn all_changed(&mut self) {
         let tables = self.sides.values().map(|side| &side.table).chain([&self.own]);
         let names = tables.flat_map(RecordTable::parts).map(|held| held.key.name);

@@ -1,5 +1,4 @@
-//! What goes to neighbours, and what becomes of it: hellos to parents, what each is to be told,
-//! queries that climb.
+//! Messages to neighbours and their outcome: hellos to parents, pushes, and queries that climb.
 
 use std::time::Duration;
 
@@ -16,15 +15,15 @@ use crate::feed::Room;
 use crate::rib::Now;
 use crate::tiers::ticket::Ticket;
 
-/// What one push takes: a message has at most 64 KiB, and the rest is for what encloses the
-/// entries. A single one always fits.
+/// Capacity of one push. A message has at most 64 KiB, and the rest is for the envelope. A single
+/// entry always fits.
 const ROOM: Room = Room { entries: 512, bytes: 48 * 1024 };
 
-/// Bytes of a key that is removed.
+/// Encoded size in bytes of a removed key.
 const KEY_SIZE: usize = 160;
 
 impl Tiers {
-    /// Takes out what is to be sent now.
+    /// Returns the messages to send now.
     pub fn effects(&mut self, now: Now) -> Vec<Effect> {
         self.tick(now);
         self.spread();
@@ -56,7 +55,8 @@ impl Tiers {
         effects
     }
 
-    /// Sends a query to the next parent; if there is none, nobody knows.
+    /// Sends a query to the next parent. Without a further parent, the query is answered with no
+    /// entries.
     fn ask_next(&mut self, now: Now, ticket: Ticket) -> Option<Effect> {
         let climbing = self.queries.climbing.get_mut(&ticket)?;
         let Some(to) = climbing.left.pop() else {
@@ -71,7 +71,7 @@ impl Tiers {
         Some(Effect::Ask { to, sent: Sent::Query(ticket), request })
     }
 
-    /// What became of a message: the answer, or none.
+    /// Records the answer to a message, or `None` if it was lost.
     pub fn answered(&mut self, now: Now, to: Name, sent: Sent, response: Option<TierResponse>, revoked: &impl Revoked) {
         self.tick(now);
         let run = match sent {
@@ -112,7 +112,7 @@ impl Tiers {
         }
     }
 
-    /// A parent that this domain is above of is none.
+    /// Refuses a parent that has this domain as an ancestor.
     fn check_parent(&mut self, now: Now, parent: Name, ancestors: Vec<Name>) {
         let Some(side) = self.sides.get_mut(&parent) else { return };
         side.ancestors = ancestors.into_iter().take(MAX_ANCESTORS).collect();
@@ -123,7 +123,8 @@ impl Tiers {
             _ if is_below => {
                 side.cycles += 1;
                 side.count("cycle");
-                // All domains of the cycle may find it at once; not all are to try again at once.
+                // All domains of a cycle may detect it at once. The random delay keeps them from
+                // retrying at once.
                 let until = now.clock + RESTART_TIME + spread_out(self.home, side.cycles);
                 let reason = format!(
                     "a cycle: domain {:#} is above domain {parent:#}, which can be no parent of it: take `parent: \
@@ -174,7 +175,7 @@ impl Tiers {
     }
 }
 
-/// Up to 60 s, another time for each domain and attempt.
+/// Returns a delay of up to 60 s that differs for each domain and attempt.
 fn spread_out(domain: Name, attempt: u64) -> Duration {
     let mixed = (domain.words()[0] ^ attempt).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     Duration::from_millis((mixed >> 32) % 60_000)

@@ -1,6 +1,6 @@
-//! Which domains are to be reached directly, and who makes the link: where somebody in this domain
-//! exchanges messages with somebody in another, both let each other peer, and one of the two can be
-//! reached. Both sides come to the same pair of borders by the same rule.
+//! Selects the domains to peer with directly, and the end that dials. A link is made to a domain
+//! that exchanges messages with this one, if both allow peering and one of the two is reachable.
+//! Both domains select the same pair of borders by the same rule.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
@@ -9,28 +9,28 @@ use std::time::Duration;
 use gdp_core::cert::SwitchStatement;
 use gdp_wire::Name;
 
-/// How long a peering stays that nobody uses any more.
+/// Time for which an unused peering stays.
 pub const IDLE: Duration = Duration::from_secs(60);
 
-/// The border switches of other domains that a border is to have links with, and the addresses of
-/// each, best first.
+/// Border switches of other domains that a border must connect to, with the addresses of each, best
+/// first.
 pub type WantedPeerings = BTreeMap<Name, Vec<SocketAddr>>;
 
-/// A link that a border of this domain is to make.
+/// Link that a border of this domain must make.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Peering {
     pub border: Name,
     pub peer: Name,
-    /// Where the peer may be reached, best first; at least one.
+    /// Addresses of the peer, best first, at least one.
     pub addrs: Vec<SocketAddr>,
 }
 
-/// The domains that are to be reached directly.
+/// Domains to reach directly, each with the end of its peering.
 #[derive(Debug, Default)]
 pub struct Peerings(BTreeMap<Name, Duration>);
 
 impl Peerings {
-    /// These are the domains with which messages are exchanged now. Returns those to be reached
+    /// Updates the domains that exchange messages at present. Returns the domains to reach
     /// directly.
     pub fn follow(&mut self, now: Duration, concerned: impl Iterator<Item = Name>) -> BTreeSet<Name> {
         self.0.extend(concerned.map(|domain| (domain, now + IDLE)));
@@ -39,9 +39,10 @@ impl Peerings {
     }
 }
 
-/// The link that this domain is to make to another, if it is the one to make it. Each names the
-/// border that can be reached, then the one with the lower name; of two that can be reached the one
-/// with the lower name dials.
+/// Returns the link that this domain must make to another, or `None` if the other domain dials.
+///
+/// Each domain selects its reachable border, or else the one with the lowest name. If both borders
+/// are reachable, the one with the lower name dials.
 pub fn choose(own: &[SwitchStatement], other: &[SwitchStatement]) -> Option<Peering> {
     let (own, other) = (best(own)?, best(other)?);
     let (border, peer) = (own.switch, other.switch);

@@ -1,6 +1,6 @@
-//! Queries that miss climb: to one parent after the other, each of which asks its own. What nobody
-//! knows is remembered for a while, so that asking again costs no more than this RIB; who asks is
-//! not subscribed to anything.
+//! Queries that this domain cannot answer. They climb to one parent after the other, and each
+//! parent queries its own. Unanswered names are cached for a while, so that repeated queries cost
+//! only this RIB. A query is not a subscription.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -9,29 +9,29 @@ use gdp_wire::Name;
 
 use crate::tiers::ticket::Ticket;
 
-/// How long one parent is waited for.
+/// Time to wait for the answer of one parent.
 pub const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How long it is remembered that nobody knows a name.
+/// Time for which a negative answer is cached.
 pub const MISSED: Duration = Duration::from_secs(10);
 
 const MAX_MISSED: usize = 4096;
 
-/// Queries that climb at a time: in all, and of one neighbour.
+/// Maximum number of concurrent climbing queries, in total and per neighbour.
 const MAX_CLIMBING: usize = 1024;
 const MAX_CLIMBING_FOR_ONE: usize = 128;
 
-/// A query that is on its way up.
+/// Query that is being sent to parents.
 #[derive(Debug)]
 pub struct Climbing {
     pub name: Name,
-    /// As it goes to parents: this domain the last.
+    /// Path of the query as sent to parents. This domain is the last.
     pub path: Vec<Name>,
-    /// Who waits for it, if it is not this domain's own.
+    /// Neighbour that waits for the answer. `None` if this domain itself asked.
     pub asked_by: Option<Name>,
-    /// The parents that are still to be asked, the next one last.
+    /// Parents still to query, the next one last.
     pub left: Vec<Name>,
-    /// The one that is asked now.
+    /// Parent that is queried at present.
     pub at: Option<Name>,
     pub until: Duration,
 }
@@ -40,13 +40,13 @@ pub struct Climbing {
 pub struct Queries {
     next: u64,
     pub climbing: BTreeMap<Ticket, Climbing>,
-    /// Names that nobody knew, and the domains they were asked for; with when that is forgotten.
+    /// Negative answers by name and asking domain, each with its expiry.
     missed: BTreeMap<(Name, Name), Duration>,
     missed_until: BTreeSet<(Duration, (Name, Name))>,
 }
 
 impl Queries {
-    /// Whether one more query of this neighbour, or of this domain, may climb.
+    /// Returns whether one more query of this neighbour, or of this domain, may climb.
     pub fn has_room(&self, asked_by: Option<Name>) -> bool {
         let for_one = self.climbing.values().filter(|climbing| climbing.asked_by == asked_by).count();
         self.climbing.len() < MAX_CLIMBING && for_one < MAX_CLIMBING_FOR_ONE
@@ -59,7 +59,7 @@ impl Queries {
         ticket
     }
 
-    /// Nobody knew `name` when it was asked for `domain`.
+    /// Caches a negative answer for `name` to `domain`.
     pub fn miss(&mut self, now: Duration, name: Name, domain: Name) {
         let key = (name, domain);
         if self.missed.len() >= MAX_MISSED
@@ -79,7 +79,7 @@ impl Queries {
         self.missed.contains_key(&(name, domain))
     }
 
-    /// Something is known of the name now.
+    /// Removes the negative answers for a name that has become known.
     pub fn answered_for(&mut self, name: Name) {
         let nobody = Name::default();
         let all: Vec<_> = self.missed.range((name, nobody)..).take_while(|((of, _), _)| *of == name).collect();
@@ -90,7 +90,7 @@ impl Queries {
         }
     }
 
-    /// Forgets what was missed long ago.
+    /// Removes expired negative answers.
     pub fn expire(&mut self, now: Duration) {
         while let Some((until, key)) = self.missed_until.first().copied().filter(|(until, _)| *until <= now) {
             self.missed_until.remove(&(until, key));
@@ -98,7 +98,7 @@ impl Queries {
         }
     }
 
-    /// The queries whose parent has been waited for long enough.
+    /// Returns the queries whose present parent has timed out.
     pub fn overdue(&self, now: Duration) -> Vec<Ticket> {
         let overdue = self.climbing.iter().filter(|(_, climbing)| climbing.until <= now);
         overdue.map(|(ticket, _)| *ticket).collect()

@@ -1,10 +1,10 @@
-//! Why a RIB refuses what a neighbouring domain announces.
+//! Reasons why a RIB refuses an announcement of a neighbouring domain.
 
 use gdp_core::cert::CertError;
 use gdp_proto::control::MAX_PATH;
 use gdp_wire::Name;
 
-/// Why something that a neighbouring domain says is not taken in.
+/// Reason why an announcement of a neighbouring domain is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TierRefusal {
     #[error("a path of {0} domains, where 1 to {MAX_PATH} are allowed")]
@@ -45,7 +45,7 @@ pub enum TierRefusal {
 }
 
 impl TierRefusal {
-    /// The name whose owner has taken back what was said.
+    /// Returns the name whose owner has revoked the refused record, if that is the reason.
     pub fn revoked(&self) -> Option<Name> {
         match self {
             Self::Record { name, source } if matches!(**source, CertError::Revoked { .. }) => Some(*name),
@@ -53,7 +53,7 @@ impl TierRefusal {
         }
     }
 
-    /// By which it is counted.
+    /// Returns the label of the refusal's counter.
     pub fn as_str(&self) -> &'static str {
         match self {
             Self::PathLength(_) => "path_length",

@@ -1,5 +1,5 @@
-//! One neighbouring domain, as this RIB sees it: what it says, what it is to be told, and how the
-//! two stand.
+//! Session with one neighbouring domain: its announcements, what it is to be told, and the session
+//! state.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Bound::{Included, Unbounded};
@@ -15,24 +15,24 @@ use gdp_wire::Name;
 use super::table::{Item, RecordTable, TableRecord, count_out, first_box, first_key, is_box_of};
 use crate::feed::Feed;
 
-/// How long what a neighbour said stays after it was heard last: a restart or a short partition
-/// must not cost the names.
+/// Time for which a lost neighbour's announcements stay, as in graceful restart (RFC 4724). A
+/// restart or a short partition must not cost the names.
 pub const RESTART_TIME: Duration = Duration::from_secs(30);
 
-/// After so long a child that says nothing counts as lost.
+/// Silence after which a child counts as lost.
 pub const SILENCE: Duration = Duration::from_secs(15);
 
-/// Between two hellos to a parent, and after one that failed.
+/// Interval between two hellos to a parent, and after a failed one.
 pub const HELLO: Duration = Duration::from_secs(5);
 pub const HELLO_AGAIN: Duration = Duration::from_secs(1);
 
-/// Names of which one neighbour is told what was taken back.
+/// Maximum number of names whose revocations one neighbour is told.
 pub const MAX_REVOKED_NAMES: usize = 1024;
 
-/// What a neighbouring domain is to this one.
+/// Relation of a neighbouring domain to this one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
-    /// In the order in which parents are asked.
+    /// Parent, with its position in the order of queries.
     Parent(usize),
     Child,
 }
@@ -43,16 +43,17 @@ impl Kind {
     }
 }
 
-/// How this domain and a neighbour stand.
+/// State of the session with a neighbour.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum SessionState {
-    /// Nothing has been heard of it.
+    /// No message of the neighbour has arrived.
     #[default]
     Waiting,
     Up,
-    /// Since this time. What it said is kept for [`RESTART_TIME`].
+    /// The neighbour is lost since this time. Its announcements stay for [`RESTART_TIME`].
     Lost(Duration),
-    /// It would be above itself. Nothing is taken from it and nothing told to it before this time.
+    /// The neighbour would become its own ancestor. Nothing is accepted from it or sent to it
+    /// before this time.
     Refused {
         until: Duration,
         reason: String,
@@ -65,23 +66,23 @@ pub struct Side {
     pub session: SessionState,
     pub table: RecordTable,
     pub sent: SentUpdate,
-    /// Of what is told: another number than that of any side before, whose generations the
-    /// neighbour may still hold.
+    /// Run number of the pushes. It differs from that of every earlier session, whose generations
+    /// the neighbour may still hold.
     pub run: u64,
-    /// Of the neighbour's side that was heard last.
+    /// Run number of the neighbour's session, as received last.
     peer_run: Option<u64>,
     pub last_seen: Duration,
     pub hello_at: Duration,
-    /// A hello or a push is out; there is one at a time.
+    /// A hello or a push is in flight; there is at most one.
     pub is_asked: bool,
-    /// How often in a row it said to hold something else than it was sent.
+    /// Number of consecutive hellos that reported other holdings than those sent.
     drift: u8,
-    /// Of a parent: the domains above it.
+    /// Domains above a parent.
     pub ancestors: BTreeSet<Name>,
-    /// How often it was refused for a cycle.
+    /// Number of refusals for a cycle.
     pub cycles: u64,
     pub refused: BTreeMap<&'static str, u64>,
-    /// Why it takes in only a part of what it is told.
+    /// Reason why the neighbour accepts only part of what it is sent.
     pub lacking: Option<String>,
 }
 
@@ -109,12 +110,14 @@ impl Side {
         matches!(self.session, SessionState::Refused { .. })
     }
 
-    /// Whether it is told what changes: one that is refused, that it is told nothing any more.
+    /// Returns whether changes are sent to the neighbour. A refused one is sent the removal of its
+    /// entries.
     pub fn is_followed(&self) -> bool {
         matches!(self.session, SessionState::Up | SessionState::Refused { .. })
     }
 
-    /// It said hello, and which of this side's pushes it holds. What it lacks it is sent.
+    /// Processes a hello with the push that the neighbour holds. Restarts the feed if the neighbour
+    /// is new or lacks entries.
     pub fn hello(&mut self, now: Duration, run: u64, holds: Option<TierHolds>) {
         self.last_seen = now;
         if !self.is_refused() {
@@ -133,7 +136,7 @@ impl Side {
         }
     }
 
-    /// It does not answer, or is not reached.
+    /// Marks the neighbour as lost: it does not answer or is unreachable.
     pub fn lose(&mut self, now: Duration) {
         if self.session == SessionState::Up {
             self.session = SessionState::Lost(now);
@@ -145,29 +148,29 @@ impl Side {
     }
 }
 
-/// What is told of one entity.
+/// What the own RIB may know of one entity.
 pub struct OfEntity {
-    /// Each with whether it only passes through this domain.
+    /// Records, each with whether it only passes through this domain.
     pub parts: Vec<(Arc<TableRecord>, bool)>,
     pub boxes: Vec<Signed<KeyBox>>,
 }
 
-/// What one side is to be told, and by which sides it was said: this RIB's own entities are such a
-/// side, too.
+/// Entries that one side is to be told, and the sides that announced them. The own RIB is also such
+/// a side.
 #[derive(Debug, Default)]
 pub struct SentUpdate {
     pub feed: Feed<TierKey, Item>,
-    /// Of each entity the parts that are told, and who said them.
+    /// Sent records of each entity, with the domain that announced each.
     entities: BTreeMap<Name, BTreeMap<RecordKey, Name>>,
-    /// Of each domain how many of the parts stated there were said by whom.
+    /// Number of sent records by origin domain and by the domain that announced them.
     origins: BTreeMap<Name, BTreeMap<Name, usize>>,
-    /// The names of which it is told what was taken back, in the order in which that came.
+    /// Names whose revocations are sent, in the order of arrival.
     revoked: VecDeque<Name>,
 }
 
 impl SentUpdate {
-    /// Makes these the parts in a name that are told. Returns the entities that had a part before,
-    /// and the domains whose parts changed.
+    /// Replaces the sent records of a name. Returns the entities that had records before, and the
+    /// domains whose records changed.
     pub fn replace_parts(&mut self, home: Name, name: Name, parts: Vec<Item>) -> (BTreeSet<Name>, BTreeSet<Name>) {
         let (mut entities, mut origins) = (BTreeSet::new(), BTreeSet::new());
         let parts: BTreeMap<TierKey, Item> = parts
@@ -222,7 +225,7 @@ impl SentUpdate {
         (entities, origins)
     }
 
-    /// Makes these the boxes of a writer that are told.
+    /// Replaces the sent key boxes of a writer.
     pub fn replace_boxes(&mut self, writer: Name, boxes: BTreeMap<TierKey, Item>) {
         let held = self.feed.entries().range(first_box(writer)..).take_while(|(key, _)| is_box_of(key, writer));
         let gone: Vec<TierKey> = held.map(|(key, _)| *key).filter(|key| !boxes.contains_key(key)).collect();
@@ -230,14 +233,14 @@ impl SentUpdate {
         boxes.into_iter().for_each(|(key, item)| self.feed.set(key, Some(item)));
     }
 
-    /// Whether a part in this name is told.
+    /// Returns whether any record of this name is sent.
     pub fn tells_of(&self, name: Name) -> bool {
         let first = self.feed.entries().range(first_key(name)..).next();
         matches!(first, Some((TierKey::Part(place), _)) if place.name == name)
     }
 
-    /// Tells what the owner of a name has taken back. Of too many such the first is told no more;
-    /// whoever has heard it keeps it all the same.
+    /// Sends the revocation of a name. Above [`MAX_REVOKED_NAMES`] the oldest one is no longer
+    /// sent; neighbours that received it keep it.
     pub fn tell_revoked(&mut self, name: Name, kept: &SignedRevocation) {
         if !self.feed.entries().contains_key(&TierKey::Revocation(name)) {
             self.revoked.push_back(name);
@@ -250,7 +253,7 @@ impl SentUpdate {
         }
     }
 
-    /// The parts of an entity that are told, and its boxes.
+    /// Returns the sent records and key boxes of an entity.
     pub fn of(&self, entity: Name) -> OfEntity {
         let places = self.entities.get(&entity).into_iter().flat_map(BTreeMap::keys);
         let parts = places.filter_map(|place| match self.feed.entries().get(&TierKey::Part(*place)) {
@@ -265,17 +268,17 @@ impl SentUpdate {
         OfEntity { parts: parts.collect(), boxes: boxes.collect() }
     }
 
-    /// Who said the parts of an entity that are told.
+    /// Returns the domains that announced the sent records of an entity.
     pub fn said_of(&self, entity: &Name) -> BTreeSet<Name> {
         self.entities.get(entity).into_iter().flat_map(|places| places.values().copied()).collect()
     }
 
-    /// Who said the parts that are told of a domain.
+    /// Returns the domains that announced the sent records of an origin domain.
     pub fn said_from(&self, origin: &Name) -> impl Iterator<Item = Name> {
         self.origins.get(origin).into_iter().flat_map(|said_by| said_by.keys().copied())
     }
 
-    /// The domains whose parts are told.
+    /// Returns the origin domains of the sent records.
     pub fn origins(&self) -> impl Iterator<Item = &Name> {
         self.origins.keys()
     }

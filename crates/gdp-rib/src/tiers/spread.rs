@@ -1,7 +1,9 @@
-//! Who is told of what. Upward goes what may leave its domain; downward, and to this domain's own
-//! entities, what somebody there exchanges messages with. Of several ways to a part the shortest
-//! counts, of equal ones that through the first parent; nothing is told to a domain that it came
-//! through, and nothing that came from above is told above: so nothing circles.
+//! Selects what each neighbour is told. Parents are told everything that may leave its domain.
+//! Children and the own RIB are told the records of counterparts of their entities.
+//!
+//! Of several paths to a record, the shortest is used, and of equal ones that through the first
+//! parent. No record is sent to a domain on its path, and no record from a parent is sent to a
+//! parent, so that nothing loops.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -15,7 +17,7 @@ use super::table::{Item, TableRecord};
 use super::{Tiers, side::Side};
 
 impl Tiers {
-    /// Finds anew what each side is to be told, where something has changed.
+    /// Recomputes what each side is told, for everything that has changed.
     pub(super) fn spread(&mut self) {
         let mut writers = std::mem::take(&mut self.changed_writers);
         let mut origins = std::mem::take(&mut self.changed_locators);
@@ -75,8 +77,8 @@ impl Tiers {
         };
         let is_wanted =
             |held: &&Arc<TableRecord>| interests.get(&home).is_some_and(|interest| interest.wants(held, home));
-        // What was stated here is known here. Otherwise one neighbour's word is not to hide
-        // another's: a way that is of no use does not count, however short.
+        // Local records are known to the RIB already. Among remote paths, an unusable one must not
+        // hide a usable one of another neighbour, however short it is.
         let abroad = ways.values().filter(|ways| ways.iter().all(|held| !held.path.is_empty()));
         let known = abroad.filter_map(|ways| {
             let wanted = ways.iter().find(is_wanted);
@@ -88,7 +90,7 @@ impl Tiers {
         origins.extend(changed);
     }
 
-    /// The boxes of a writer go where its parts go and their readers are.
+    /// Sends the key boxes of a writer where its records and their readers are.
     fn spread_boxes(&mut self, writer: Name) {
         let mut desired: BTreeMap<Name, BTreeMap<TierKey, Item>> = BTreeMap::new();
         for domain in self.sides.keys().chain([&self.home]) {
@@ -116,7 +118,7 @@ impl Tiers {
         }
     }
 
-    /// Where a domain can be reached goes where its parts go.
+    /// Sends the locator of a domain where its records are sent.
     fn spread_locator(&mut self, origin: Name) {
         let key = TierKey::Locator(origin);
         let find = |side: Option<&Side>| {
@@ -138,7 +140,8 @@ impl Tiers {
         }
     }
 
-    /// Whose word counts first: this domain's, parents' in their order, children's.
+    /// Returns the preference of a domain's announcements: this domain first, then parents in
+    /// order, then children.
     fn rank(&self, via: Name) -> (usize, Name) {
         match self.parents.iter().position(|parent| *parent == via) {
             _ if via == self.home => (0, via),

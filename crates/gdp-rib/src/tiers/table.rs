@@ -1,5 +1,5 @@
-//! What one side says: parts in names, key boxes, locators, all verified before they come here. Of
-//! a neighbouring domain it is kept by mark and sweep, as a switch keeps its FIB.
+//! Table of the verified announcements of one side: records, key boxes, locators. A neighbour's
+//! full transfer updates its table by mark and sweep, as a FIB push does at a switch.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -14,44 +14,44 @@ use gdp_wire::Name;
 use crate::tiers::limits::TierLimits;
 use crate::tiers::refusal::TierRefusal;
 
-/// A verified part in a name.
+/// Verified registration.
 #[derive(Clone, Debug)]
 pub struct TableRecord {
     pub key: RecordKey,
     pub record: Record,
     pub host: Arc<Hosted>,
-    /// The domains it came through, the one that said it last; none for what was stated in this
+    /// Domains that the record passed, the announcing one last. Empty for a registration in this
     /// domain.
     pub path: Vec<Name>,
-    /// Of a writer: the domains its certificate names.
+    /// Domains in the certificate of a writer.
     pub scope: Vec<Name>,
-    /// On the clock of this RIB.
+    /// End of the registration on this RIB's clock.
     pub ends: Duration,
 }
 
-/// A switch that has been verified; shared by all parts that are stated there.
+/// Verified switch, shared by all registrations there.
 #[derive(Debug, PartialEq)]
 pub struct Hosted {
     pub host: Host,
-    /// That it is of.
+    /// Domain of the switch.
     pub domain: Name,
-    /// Unix seconds: until then it holds, unless the domain takes it back.
+    /// End of the switch's membership in Unix seconds, unless the domain revokes it.
     pub not_after: u64,
 }
 
 impl TableRecord {
-    /// The domain it was stated in.
+    /// Returns the domain in which the registration was made.
     pub fn origin(&self, home: Name) -> Name {
         self.path.first().copied().unwrap_or(home)
     }
 
-    /// The domain that said it.
+    /// Returns the domain that announced the record.
     pub fn via(&self, home: Name) -> Name {
         self.path.last().copied().unwrap_or(home)
     }
 
-    /// Whether this is what `abroad` says, path and remaining time aside: then it need not be
-    /// verified again.
+    /// Returns whether `abroad` states the same apart from path and remaining time, and thus needs
+    /// no new verification.
     pub fn states_the_same(&self, abroad: &RemoteRecord) -> bool {
         let (own, other) = (&self.record, &abroad.record);
         (own.proof, own.entity, own.switch) == (other.proof, other.entity, other.switch)
@@ -59,13 +59,13 @@ impl TableRecord {
             && self.host.host == abroad.host
     }
 
-    /// Whether any domain but its own may know it.
+    /// Returns whether other domains may know the record.
     pub fn may_leave(&self, home: Name) -> bool {
         let origin = self.origin(home);
         !self.key.role.is_writer() || self.scope.iter().any(|domain| *domain != origin)
     }
 
-    /// As it is told to a neighbour.
+    /// Returns the record as a neighbour is sent it.
     pub fn to_remote(&self, now: Duration, home: Name) -> RemoteRecord {
         let record = Record { expires_in: self.ends.saturating_sub(now).as_secs(), ..self.record.clone() };
         let path = self.path.iter().copied().chain([home]).collect();
@@ -73,7 +73,7 @@ impl TableRecord {
     }
 }
 
-/// How long it lasts is no part of it: a renewal comes as another statement.
+/// Ignores the remaining time, because a renewal is a new statement.
 impl PartialEq for TableRecord {
     fn eq(&self, other: &Self) -> bool {
         let Record { name: _, proof, entity, switch: _, credential, advert, expires_in: _ } = &self.record;
@@ -84,11 +84,11 @@ impl PartialEq for TableRecord {
     }
 }
 
-/// Something a side says; shared by all that hold it.
+/// Announced entry, shared by all tables that hold it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
-    /// `only_passes`: nobody of this domain may know it, but it takes part in routes through this
-    /// domain.
+    /// `only_passes` states that no entity of this domain may know the record. It still takes part
+    /// in routes through this domain.
     Part {
         record: Arc<TableRecord>,
         only_passes: bool,
@@ -98,7 +98,7 @@ pub enum Item {
         domain: Name,
         locator: Arc<Locator>,
     },
-    /// Only told: what a side says goes to the RIB, which keeps it.
+    /// Only sent. Received revocations go to the RIB, which stores them.
     Revocation(Arc<SignedRevocation>),
 }
 
@@ -116,7 +116,7 @@ impl Item {
         }
     }
 
-    /// Bytes, about: in a message and in memory.
+    /// Returns the approximate size in bytes, in a message and in memory.
     pub fn size(&self) -> usize {
         match self {
             Self::Part { record: held, .. } => {
@@ -134,14 +134,14 @@ impl Item {
     }
 }
 
-/// What an encoded record has besides what is signed: proofs, names, field names.
+/// Bytes of an encoded record besides its signed parts: proofs, names, field names.
 const PART_OVERHEAD: usize = 640;
 const NAME_SIZE: usize = 34;
 const BOX_OVERHEAD: usize = 32;
-/// A proof and field names.
+/// Bytes of a proof and field names.
 const REVOCATION_OVERHEAD: usize = 160;
 
-/// Where parts are, by something that many may have in common.
+/// Index of records by an attribute that many share.
 #[derive(Debug, Default)]
 struct RecordIndex(BTreeMap<Name, BTreeSet<RecordKey>>);
 
@@ -167,16 +167,17 @@ impl RecordIndex {
 pub struct RecordTable {
     items: BTreeMap<TierKey, Item>,
     entities: RecordIndex,
-    /// By the domain they were stated in, if it is another one.
+    /// Records by origin domain, if it is another one.
     origins: RecordIndex,
-    /// The switches that parts are at, each as it was told last, and how many parts there are.
+    /// Switches of the records as last announced, each with its number of records.
     hosts: BTreeMap<Name, (Arc<Hosted>, usize)>,
-    /// How many parts there are in each name, of those that write and of the others.
+    /// Number of records of each name, separately for writers (`true`) and readers.
     names: BTreeMap<(Name, bool), usize>,
     bytes: usize,
-    /// The last push that was taken in.
+    /// Last processed push.
     holds: Option<TierHolds>,
-    /// While the whole comes in: the part that is next, and what no part has named yet.
+    /// Full transfer in progress: the number of the next part, and the keys that no part has named
+    /// yet.
     whole: Option<(u32, BTreeSet<TierKey>)>,
 }
 
@@ -189,7 +190,7 @@ impl RecordTable {
         self.holds
     }
 
-    /// Whether a push is the one to take in now; if so, it is under way from here on.
+    /// Returns whether a push is the next one to process, and if so, starts processing it.
     pub fn begin(&mut self, push: TierHolds, extent: Extent) -> bool {
         let follows = self
             .holds
@@ -209,8 +210,8 @@ impl RecordTable {
         true
     }
 
-    /// The push that was begun is taken in. Returns what no part of the whole named, if that was
-    /// its last.
+    /// Finishes a push. After the last part of a full transfer, returns the keys that no part
+    /// named.
     pub fn end(&mut self, extent: Extent) -> BTreeSet<TierKey> {
         match extent {
             Extent::Full { last: true, .. } => self.whole.take().map_or_else(BTreeSet::new, |(_, unnamed)| unnamed),
@@ -222,7 +223,7 @@ impl RecordTable {
         self.items.get(key)
     }
 
-    /// Whether a neighbour may say this, in place of what it said of the same before.
+    /// Checks that the limits have room for an entry, which replaces the earlier one with this key.
     pub fn check_room(&self, key: &TierKey, item: &Item, limits: &TierLimits) -> Result<(), TierRefusal> {
         let before = self.items.get(key);
         let entries = self.items.len() + usize::from(before.is_none());
@@ -245,7 +246,7 @@ impl RecordTable {
         }
     }
 
-    /// Whether it is another than before.
+    /// Inserts an entry. Returns whether it differs from the earlier one.
     pub fn insert(&mut self, key: TierKey, item: Item) -> bool {
         if let Some((_, unnamed)) = &mut self.whole {
             unnamed.remove(&key);
@@ -286,18 +287,18 @@ impl RecordTable {
         self.items.keys()
     }
 
-    /// The parts that rest on what the owner of a name, or a domain, has said.
+    /// Returns the records that a revocation by this name's owner, or by this domain, may concern.
     pub fn parts_about(&self, about: Name) -> impl Iterator<Item = &Arc<TableRecord>> {
         let stated_there = self.origins.of(about).filter_map(|place| self.part_at(place));
         self.parts_of(about).chain(stated_there)
     }
 
-    /// All parts, in the order of their places.
+    /// Returns all records in the order of their keys.
     pub fn parts(&self) -> impl Iterator<Item = &Arc<TableRecord>> {
         self.items.values().map_while(|item| if let Item::Part { record: held, .. } = item { Some(held) } else { None })
     }
 
-    /// The parts in one name.
+    /// Returns the records of one name.
     pub fn parts_of(&self, name: Name) -> impl Iterator<Item = &Arc<TableRecord>> {
         self.items.range(first_key(name)..).map_while(move |(key, item)| match (key, item) {
             (TierKey::Part(place), Item::Part { record: held, .. }) if place.name == name => Some(held),
@@ -305,17 +306,17 @@ impl RecordTable {
         })
     }
 
-    /// The key boxes of one writer.
+    /// Returns the key boxes of one writer.
     pub fn boxes_of(&self, writer: Name) -> impl Iterator<Item = (&TierKey, &Item)> {
         self.items.range(first_box(writer)..).take_while(move |(key, _)| is_box_of(key, writer))
     }
 
-    /// A switch that parts are at, as it was told last.
+    /// Returns a switch as last announced, if it has records.
     pub fn host(&self, switch: &Name) -> Option<&Arc<Hosted>> {
         self.hosts.get(switch).map(|(host, _)| host)
     }
 
-    /// Some part that an entity has.
+    /// Returns any record of an entity.
     pub fn part_by(&self, entity: &Name) -> Option<&Arc<TableRecord>> {
         self.part_at(self.entities.of(*entity).next()?)
     }
@@ -332,7 +333,7 @@ impl RecordTable {
     }
 }
 
-/// There is one less.
+/// Decrements a counter and removes it at zero.
 pub fn count_out<K: Ord>(counts: &mut BTreeMap<K, usize>, of: &K) {
     if let Some(count) = counts.get_mut(of) {
         *count -= 1;
@@ -342,13 +343,13 @@ pub fn count_out<K: Ord>(counts: &mut BTreeMap<K, usize>, of: &K) {
     }
 }
 
-/// Where the parts in a name begin.
+/// Returns the key where the records of a name begin.
 pub fn first_key(name: Name) -> TierKey {
     let nobody = Name::default();
     TierKey::Part(RecordKey { name, role: NameRole::Publisher, entity: nobody, switch: nobody })
 }
 
-/// Where the boxes of a writer begin.
+/// Returns the key where the boxes of a writer begin.
 pub fn first_box(writer: Name) -> TierKey {
     TierKey::Box { writer, reader: Name::default(), name: Name::default(), epoch: 0 }
 }

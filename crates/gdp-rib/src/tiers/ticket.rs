@@ -1,5 +1,5 @@
-//! The number under which somebody waits for the answer to a query.
+//! Ticket of a query that is answered later.
 
-/// Of a query that is answered later.
+/// Number of a query that is answered later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub(super) u64);

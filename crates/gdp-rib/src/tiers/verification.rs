@@ -1,5 +1,5 @@
-//! Nothing that a neighbour says is taken in before it is verified here: paths, signatures, hosts,
-//! scopes, bounds. Each refusal has a reason that is counted.
+//! Verifies the announcements of neighbours before they are stored: paths, signatures, hosts,
+//! scopes, limits. Each refusal has a reason that is counted.
 
 pub use crate::tiers::refusal::TierRefusal;
 use std::collections::BTreeMap;
@@ -15,44 +15,44 @@ use gdp_wire::Name;
 use super::table::{Hosted, Item, RecordTable, TableRecord};
 use crate::rib::Now;
 
-/// What owners of names, and domains, are known to have taken back.
+/// Known revocations by owners of names and by domains.
 pub trait Revoked {
-    /// The newest revocation of a name, which may be a domain's.
+    /// Returns the newest revocation of a name, which may be that of a domain.
     fn newest(&self, name: &Name) -> Option<&Revocation>;
 
-    /// That of a name which is no domain's, as its owner signed it.
+    /// Returns the signed revocation of a name that is not a domain's.
     fn signed(&self, name: &Name) -> Option<&SignedRevocation>;
 }
 
-/// What a revocation that a neighbour tells is worth.
+/// Result of checking an announced revocation.
 #[derive(Debug)]
 pub enum Announced {
     News(SignedRevocation),
     Known,
-    /// A newer one of this name is known here.
+    /// A newer revocation of this name is known.
     Older(Name),
 }
 
-/// Who judges, and when.
+/// Context of a verification: the own domain, the time and the known revocations.
 pub struct Verification<'a, R> {
     pub home: Name,
     pub now: Now,
     pub revoked: &'a R,
 }
 
-/// What is taken in.
+/// Verified entry.
 #[derive(Debug)]
 pub struct Judged {
     pub key: TierKey,
     pub item: Item,
     pub ends: Duration,
-    /// Why borders of a locator were left out.
+    /// Reasons why borders of a locator were left out.
     pub left_out: Vec<TierRefusal>,
 }
 
 impl<R: Revoked> Verification<'_, R> {
-    /// Judges what `from` says and is to be held, of which `table` is already; of
-    /// [revocations](Self::revocation) nothing is.
+    /// Verifies an entry that `from` announced and `table` will store.
+    /// [Revocations](Self::revocation) are not stored in tables.
     pub fn entry(&self, from: Name, table: &RecordTable, entry: TierEntry) -> Result<Judged, TierRefusal> {
         match entry {
             TierEntry::Part(abroad) => {
@@ -79,8 +79,8 @@ impl<R: Revoked> Verification<'_, R> {
         }
     }
 
-    /// Judges what an owner is said to have taken back. Nobody else can have signed it, so it does
-    /// not matter who says it.
+    /// Verifies an announced revocation. Only the owner can have signed it, so any neighbour may
+    /// announce it.
     pub fn revocation(&self, proof: NameProof, revocation: Signed<Revocation>) -> Result<Announced, TierRefusal> {
         let unnamed = |source: CertError| TierRefusal::Revocation { name: Name::default(), source: source.into() };
         let name = proof.name().map_err(|error| unnamed(error.into()))?;
@@ -131,8 +131,8 @@ impl<R: Revoked> Verification<'_, R> {
         Ok(Judged { key, item, ends: self.now.clock_at(until), left_out })
     }
 
-    /// Whether nothing that something rests on has been taken back since it was verified. When it
-    /// ends is known besides.
+    /// Checks that nothing the record rests on has been revoked since its verification. Its expiry
+    /// is tracked separately.
     pub fn still_holds(&self, held: &TableRecord) -> Result<(), TierRefusal> {
         let (name, switch, domain) = (held.key.name, held.key.switch, held.origin(self.home));
         let wrong_host = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
@@ -180,8 +180,7 @@ impl<R: Revoked> Verification<'_, R> {
         Ok(held)
     }
 
-    /// The switch that a part is at. What has been verified of it with another part is not verified
-    /// again.
+    /// Returns the verified switch of a record, reusing the verification of an earlier record.
     fn host(&self, table: &RecordTable, switch: Name, host: Host, domain: Name) -> Result<Arc<Hosted>, TierRefusal> {
         let wrong = |source: CertError| TierRefusal::Host { switch, domain, source: source.into() };
         let revocation = self.revoked.newest(&domain);
@@ -200,7 +199,8 @@ impl<R: Revoked> Verification<'_, R> {
     }
 }
 
-/// Of domains that something came through to `home`, the last of them `from`.
+/// Checks the path by which `from` announced a record to `home`. Its length must be 1 to
+/// [`MAX_PATH`] domains, `from` must come last, and it must contain no cycle.
 pub fn check_path(home: Name, from: Name, path: &[Name]) -> Result<(), TierRefusal> {
     let (1..=MAX_PATH, Some(last)) = (path.len(), path.last()) else {
         return Err(TierRefusal::PathLength(path.len()));

@@ -1,50 +1,52 @@
-//! Computes the cost of a link from its round-trip time. The cost is steady, because every change
-//! may move traffic to another path.
+//! Link cost from the measured round-trip time. It is kept steady, because every change may move
+//! traffic to another path.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// The fixed cost of a hop, which equals 2 ms of round-trip time. Round-trip times on one site
-/// differ mostly by the load of the daemons. This fixed part keeps such differences from choosing a
-/// path.
+/// Base cost of a hop, equal to 2 ms of round-trip time. Differences between the links of one site
+/// thus do not decide a path: they mostly reflect how busy the daemons are.
 pub const HOP: u32 = 200;
 
-/// Maximum cost of a link, which equals a round-trip time of 1 s.
+/// Maximum cost of a link, equal to 1 s of round-trip time.
 pub const MOST: u32 = HOP + 100_000;
 
-/// The round-trip time that adds 1 to the cost.
+/// Round-trip time that adds 1 to the cost.
 const STEP: Duration = Duration::from_micros(10);
 
-/// The window whose shortest round-trip time counts. Radio links sometimes add delays that are not
-/// a property of the path.
+/// Window of the minimum filter. The smallest sample counts, because occasional delays of radio
+/// links are no property of the path.
 const WINDOW: Duration = Duration::from_secs(30);
 
-/// Time for which the cost must differ by more than a quarter before the meter changes it.
+/// Time for which the cost must differ by more than a quarter before a new one is stated.
 const STEADY: Duration = Duration::from_secs(5);
 
-/// The measured cost of the link to one neighbour.
+/// Measured cost of the link to one neighbour.
 #[derive(Debug)]
 pub struct Meter {
     cost: u32,
-    /// Samples as time and cost, both in ascending order.
+    /// Samples (time, cost), both increasing from front to back.
     recent: VecDeque<(Duration, u32)>,
     differs_since: Option<Duration>,
-    /// Whether only the link's handshake has been measured.
+    /// Only the link's handshake has been measured.
     is_first: bool,
 }
 
 impl Meter {
-    /// Creates the meter of a new link, with the round-trip time of its handshake. `rtt` is `None`
-    /// for a link that an earlier daemon made. Such a link costs [`HOP`], and the measurement of
-    /// its other end decides.
+    /// Creates the meter of a new link from the round-trip time of its handshake.
+    ///
+    /// `None` stands for a link that an earlier daemon made and of which nothing is known. It costs
+    /// one hop until measured, so the other end's measurement counts.
     pub fn new(now: Duration, rtt: Option<Duration>) -> Self {
         let recent = rtt.map(|rtt| (now, cost_of(rtt))).into_iter().collect();
         Self { cost: rtt.map_or(HOP, cost_of), recent, differs_since: None, is_first: rtt.is_some() }
     }
 
-    /// Adds the round-trip time of the first request over a new link. A lower cost counts at once,
-    /// because both sides compute during the handshake, which makes that slower. Returns whether
-    /// the cost changed.
+    /// Processes the round-trip time of the first request over a new link. Returns whether the cost
+    /// has changed.
+    ///
+    /// The handshake took longer, because both sides computed. A lower time therefore counts at
+    /// once.
     pub fn answered(&mut self, now: Duration, rtt: Duration) -> bool {
         let cost = cost_of(rtt);
         if !std::mem::take(&mut self.is_first) || cost >= self.cost {
@@ -59,7 +61,7 @@ impl Meter {
         self.cost
     }
 
-    /// Adds a sample of the round-trip time. Returns whether the cost changed.
+    /// Adds a sample of the round-trip time. Returns whether the cost has changed.
     pub fn sample(&mut self, now: Duration, rtt: Duration) -> bool {
         let cost = cost_of(rtt);
         while self.recent.back().is_some_and(|(_, larger)| *larger >= cost) {

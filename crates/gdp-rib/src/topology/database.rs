@@ -1,5 +1,5 @@
-//! The newest link state of each switch, until it expires. The database is bounded; a new switch
-//! replaces one that is not reachable.
+//! Link-state database: the newest statement of each switch until it expires. It is bounded: new
+//! switches displace unreachable ones.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -10,7 +10,8 @@ use gdp_proto::control::Flooded;
 use gdp_wire::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
 
-/// Maximum number of switches: those with an egress bit, and transit switches.
+/// Maximum number of known switches: those with an egress bit, and further ones that only forward
+/// frames.
 const MAX_SWITCHES: usize = 4 * EGRESS_SET_SIZE as usize;
 
 #[derive(Default)]
@@ -22,11 +23,10 @@ struct StoredState {
     expires: Duration,
 }
 
-/// The result of [`Database::take`].
+/// Outcome of storing a statement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Taken {
-    /// The link state is the newest. `changed` is true if its content differs from the previous
-    /// one.
+    /// The statement is the newest. `changed`: its content differs from the one before.
     News {
         changed: bool,
     },
@@ -36,8 +36,8 @@ pub enum Taken {
 }
 
 impl Database {
-    /// Stores a link state that is newer than the stored one. If the database is full, it replaces
-    /// a switch for which `reached` returns false.
+    /// Stores a statement that is newer than the present one. Without room, it displaces one whose
+    /// switch is not `reached`.
     pub fn take(
         &mut self,
         now: Duration,
@@ -62,7 +62,7 @@ impl Database {
         Taken::News { changed }
     }
 
-    /// Removes expired link states. Returns whether there were any.
+    /// Removes expired statements. Returns whether there were any.
     pub fn expire(&mut self, now: Duration) -> bool {
         let before = self.0.len();
         self.0.retain(|_, held| held.expires > now);
@@ -73,17 +73,17 @@ impl Database {
         self.0.values().map(|held| held.expires).min()
     }
 
-    /// Compares the age of a link state with the stored one. A switch that lost its sequence number
-    /// may reuse one with different content. Then all switches prefer the same of the two, and the
-    /// switch itself chooses a higher number.
+    /// Compares the age of a statement with that of the stored one.
+    ///
+    /// A switch that lost its numbers may state different content under a used number. All switches
+    /// then prefer the same one of the two, and the switch itself continues with a higher number.
     pub fn compare(&self, flooded: &Flooded, claims: &LinkState) -> Ordering {
         let Some(held) = self.0.get(&claims.switch) else { return Ordering::Greater };
         let age = |claims: &LinkState, flooded: &Flooded| (claims.version(), flooded.state.as_bytes().to_vec());
         age(claims, flooded).cmp(&age(&held.claims, &held.flooded))
     }
 
-    /// Returns the link state of a switch to send to a neighbour. Returns `None` if it expires
-    /// within a second.
+    /// Returns the statement of a switch for flooding, or `None` if it expires within a second.
     pub fn flooded(&self, now: Duration, switch: &Name) -> Option<Flooded> {
         let held = self.0.get(switch)?;
         let expires_in = u32::try_from(held.expires.saturating_sub(now).as_secs()).unwrap_or(u32::MAX);

@@ -1,6 +1,6 @@
-//! Tracks which link states each neighbour still needs. Unacknowledged ones are sent again, and
-//! those that the neighbour has sent itself are skipped. It stores only names of switches; the link
-//! states are in [`super::database`].
+//! Flooding state: which statements each neighbour still has to be sent. Unacknowledged batches are
+//! repeated. A statement received from a neighbour is not sent back to it. Only names are tracked
+//! here; [`super::database`] holds the statements.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -10,19 +10,18 @@ use gdp_wire::Name;
 
 use super::database::Database;
 
-/// Maximum number of unacknowledged batches per neighbour. New link states need not wait for
-/// earlier acknowledgements.
+/// Maximum number of unacknowledged batches per neighbour. New statements need not wait for the
+/// acknowledgement of earlier ones.
 const MOST_OUT: usize = 4;
 
-/// Maximum size of the link states in one batch, in bytes. `STATE_SIZE` is the overhead of each. A
-/// message has at most 64 KiB.
+/// Bytes of the statements in one batch, and the overhead of each; a message has at most 64 KiB.
 const BATCH_SIZE: usize = 48 * 1024;
 const STATE_SIZE: usize = 200;
 
-/// Delays before retransmission of a lost batch: the first, and the maximum to which it doubles.
+/// Initial and maximum delay before the next batch after a lost one. The delay doubles each time.
 const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
-/// Link states to send to a neighbour.
+/// Batch of statements for one neighbour.
 #[derive(Clone, Debug)]
 pub struct Batch {
     pub id: BatchId,
@@ -41,10 +40,10 @@ pub struct Flooding {
     number: u64,
 }
 
-/// The link states that one neighbour still needs.
+/// Flooding state of one neighbour.
 struct PendingAcks {
     owed: BTreeSet<Name>,
-    /// Batches that were sent and not acknowledged.
+    /// Batches in flight, with the switches whose statements they hold.
     out: BTreeMap<BatchId, Vec<Name>>,
     retry: Option<Duration>,
     wait: Duration,
@@ -60,21 +59,21 @@ impl Flooding {
         self.links.remove(&link);
     }
 
-    /// Schedules a switch's new link state for all neighbours.
+    /// Marks the new statement of a switch for all neighbours.
     pub fn owe_all(&mut self, switch: Name) {
         for desk in self.links.values_mut() {
             desk.owed.insert(switch);
         }
     }
 
-    /// Schedules a switch's link state for the neighbour on this link, which lacks the newest one.
+    /// Marks a switch for this neighbour, which has shown that it lacks the newest statement.
     pub fn owe(&mut self, link: u32, switch: Name) {
         if let Some(desk) = self.links.get_mut(&link) {
             desk.owed.insert(switch);
         }
     }
 
-    /// Unschedules a switch's link state for the neighbour on this link, which has the newest one.
+    /// Unmarks a switch for this neighbour, which has shown that it holds the newest statement.
     pub fn holds(&mut self, link: u32, switch: &Name) {
         if let Some(desk) = self.links.get_mut(&link) {
             desk.owed.remove(switch);
@@ -121,8 +120,8 @@ impl Flooding {
 }
 
 impl PendingAcks {
-    /// Removes as many scheduled switches as fit into a message. Skips those whose link states have
-    /// expired since.
+    /// Removes as many marked switches as fit in a batch and returns their statements. Switches
+    /// without a statement are dropped.
     fn page(&mut self, now: Duration, database: &Database) -> (Vec<Flooded>, Vec<Name>) {
         let (mut states, mut names, mut room) = (Vec::new(), Vec::new(), BATCH_SIZE);
         while let Some(switch) = self.owed.first().copied() {
