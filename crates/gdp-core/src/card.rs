@@ -1,6 +1,6 @@
-//! Name cards: the JSON files that hold the metadata a name is derived from. Whoever has the card
-//! derives the name. A card is no secret key, but it tells the topic: it is given to those who
-//! should know it.
+//! Name cards: JSON files with the metadata from which a name is derived. Anyone who has the card
+//! can derive the name. A card is not a secret key, but it reveals the topic, so it is given only
+//! to those who may know it.
 
 use crate::crypto::CryptoError;
 use crate::name::{Metadata, Name, NameProof};
@@ -43,7 +43,8 @@ pub struct NameCard {
 }
 
 impl NameCard {
-    /// A card with exactly this metadata; refused if it is larger than a card may be.
+    /// Creates a card with exactly this metadata. Refuses metadata that exceeds the limits of a
+    /// card.
     pub fn new(owner_key: VerifyKey, metadata: Metadata) -> Result<Self, CardError> {
         let refuse = |reason: String| Err(CardError::Bounds(reason));
         if metadata.len() > MAX_ENTRIES {
@@ -63,9 +64,10 @@ impl NameCard {
         Ok(Self { owner_key, metadata })
     }
 
-    /// The card of a topic, service or action. `kind` is `topic`, …; `type_name` is, for ROS 2,
-    /// `std_msgs/msg/String`. Without a `nonce` 128 random bits are drawn; a memorable one lets
-    /// others guess what the name stands for.
+    /// Creates the card of a topic, service or action.
+    ///
+    /// `kind` is `topic`, …; `type_name` is, for ROS 2, `std_msgs/msg/String`. Without a `nonce`,
+    /// 128 random bits are drawn. A memorable nonce lets others guess what the name stands for.
     pub fn create(
         owner_key: VerifyKey,
         kind: &str,
@@ -98,7 +100,7 @@ impl NameCard {
         &self.metadata
     }
 
-    /// One metadata value, such as `topic`.
+    /// Returns one metadata value, such as `topic`.
     pub fn get(&self, key: &str) -> Option<&str> {
         self.metadata.get(key).map(String::as_str)
     }
@@ -146,8 +148,8 @@ impl NameCard {
         })
     }
 
-    /// Writes a new file, readable by its owner only: the card tells the topic. An existing file is
-    /// never overwritten.
+    /// Writes a new file that only its owner can read, because the card reveals the topic. Never
+    /// overwrites an existing file.
     pub fn save_new(&self, path: &Path) -> Result<(), CardError> {
         let mut file = OpenOptions::new()
             .write(true)
@@ -163,8 +165,7 @@ impl NameCard {
     }
 }
 
-/// The JSON form. `name` repeats what follows from the rest, so that people find it and damage
-/// shows.
+/// JSON form of a card. `name` is redundant: it lets people find the card and reveals damage.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CardFile {
@@ -174,8 +175,7 @@ struct CardFile {
     metadata: UniqueMap,
 }
 
-/// A map that refuses a key given twice: two readers could otherwise derive two names from one
-/// card.
+/// Map that refuses duplicate keys. Two readers could otherwise derive two names from one card.
 #[derive(Serialize)]
 #[serde(transparent)]
 struct UniqueMap(Metadata);

@@ -1,11 +1,11 @@
-//! Deterministic CBOR (RFC 8949 §4.2.1) of serde types, and byte arrays as byte strings (hex text
-//! in formats for people). Called by certificates and control messages; nothing here knows what it
-//! encodes.
+//! Deterministic CBOR (RFC 8949 §4.2.1) of serde types. Byte arrays become byte strings, or hex
+//! text in human-readable formats. Certificates and control messages use it. Nothing here depends
+//! on what it encodes.
 
 use ciborium::Value;
 use serde::{Serialize, de::DeserializeOwned};
 
-/// Nesting no honest value of this project comes near.
+/// Maximum nesting depth, far above that of any valid value of this project.
 const MAX_DEPTH: usize = 16;
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -28,9 +28,10 @@ pub fn encode<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>, CborError> {
     to_bytes(&value)
 }
 
-/// Decodes at most `max` bytes of `bytes` as exactly one `T`. What another encoder could have
-/// written differently is refused, and with it trailing bytes, duplicate keys and fields that `T`
-/// does not know.
+/// Decodes `bytes`, at most `max` of them, as exactly one `T`.
+///
+/// Refuses any encoding that [`encode`] would not produce, and thereby trailing bytes, duplicate
+/// keys and fields unknown to `T`.
 pub fn decode<T: DeserializeOwned + Serialize>(bytes: &[u8], max: usize) -> Result<T, CborError> {
     if bytes.len() > max {
         return Err(CborError::TooLong { got: bytes.len(), max });

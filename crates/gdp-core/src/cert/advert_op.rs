@@ -1,22 +1,22 @@
-//! What the statement of an entity asks of a RIB.
+//! Operation that an entity's statement requests of a RIB.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// What an entity states about a name.
+/// Operation of an entity on a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AdvertOp {
-    /// I send messages to the name.
+    /// The entity sends messages to the name.
     Publish,
-    /// I read the name's messages.
+    /// The entity reads the name's messages.
     Subscribe,
-    /// I answer requests to the name.
+    /// The entity answers requests to the name.
     Serve,
-    /// I send requests to the name.
+    /// The entity sends requests to the name.
     Call,
-    /// Whatever I stated about the name ends.
+    /// The entity withdraws its statements about the name.
     Withdraw,
 }
 

@@ -1,13 +1,13 @@
-//! What all certificates and statements have in common. Times are Unix seconds, both ends included.
+//! Common parts of all certificates and statements. Times are Unix seconds, both ends included.
 
 use crate::cert::error::CertError;
 use serde::{Serialize, de::DeserializeOwned};
 
-/// Seconds by which the clock of who issues something may be ahead of that of who verifies it.
-/// Nothing is taken so much longer: a clock that is behind already errs that way.
+/// Tolerance in seconds for an issuer's clock that is ahead of the verifier's. Expiry has no such
+/// tolerance: a verifier whose clock is behind already accepts longer.
 pub const CLOCKS_DIFFER: u64 = 60;
 
-/// When something holds.
+/// Validity period in Unix seconds, both ends included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Validity {
     pub not_before: u64,
@@ -15,10 +15,12 @@ pub struct Validity {
 }
 
 impl Validity {
-    /// For what is bounded in another way, as a statement is by its serial and its attachment.
+    /// Unlimited validity, for what is bounded otherwise. A statement, for example, is bounded by
+    /// its serial and its attachment.
     pub const ALWAYS: Self = Self { not_before: 0, not_after: u64::MAX };
 
-    /// Whether it is so at `now`, give or take [`CLOCKS_DIFFER`] at the beginning.
+    /// Checks that `now` is within the period, with a tolerance of [`CLOCKS_DIFFER`] at its
+    /// beginning.
     pub fn check(&self, now: u64) -> Result<(), CertError> {
         if now.saturating_add(CLOCKS_DIFFER) < self.not_before {
             return Err(CertError::NotYetValid { from: self.not_before, now });
@@ -29,7 +31,7 @@ impl Validity {
         Ok(())
     }
 
-    /// When this and `other` both hold.
+    /// Returns the intersection of two periods.
     pub fn and(self, other: Self) -> Self {
         Self { not_before: self.not_before.max(other.not_before), not_after: self.not_after.min(other.not_after) }
     }
@@ -43,18 +45,18 @@ impl Validity {
     }
 }
 
-/// One kind of certificate or statement.
+/// Claims of one kind of certificate or statement.
 pub trait Claims: Serialize + DeserializeOwned {
-    /// What people call it.
+    /// Name of the kind in messages for people.
     const KIND: &'static str;
-    /// Between `-----BEGIN ` and `-----` in its text form.
+    /// Label of the text form, between `-----BEGIN ` and `-----`.
     const LABEL: &'static str;
-    /// Content type and external AAD of the signature; differs for each kind and version.
+    /// Content type and external AAD of the signature. It differs for each kind and version.
     const CONTEXT: &'static str;
 
     fn validity(&self) -> Validity;
 
-    /// Bounds that the types do not express.
+    /// Checks bounds that the types do not express.
     fn check_bounds(&self) -> Result<(), CertError> {
         self.validity().check_order()
     }

@@ -1,8 +1,8 @@
-//! What a trust domain issues: to its members, to who may admit one more, and to other domains. A
-//! domain is an entity of kind "domain" whose key is kept off the switches. What it takes back is a
-//! [`Revocation`] of the domain's own name.
+//! Certificates that a trust domain issues: to its members, to inviters of members, and to other
+//! domains. A domain is an entity of kind "domain" whose key is kept off the switches. The domain
+//! revokes them by a [`Revocation`] of its own name.
 //!
-//! Serials are those of owners' certificates: the Unix time in nanoseconds of the issue.
+//! Serials are those of owners' certificates: the Unix time of issue in nanoseconds.
 
 use super::owner::check_role;
 use super::pem::Blocks;
@@ -18,22 +18,22 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
-/// Roles that the fabric itself knows. Any other is for grants to name.
+/// Roles that the fabric itself knows. Grants may name any other role.
 pub mod roles {
-    /// May have links with the domain's switches, as one.
+    /// Switch that may have links with the domain's switches.
     pub const SWITCH: &str = "switch";
-    /// A switch with the domain's RIB.
+    /// Switch with the domain's RIB.
     pub const RIB: &str = "rib";
-    /// A switch that has links with those of other domains.
+    /// Switch that has links with switches of other domains.
     pub const BORDER: &str = "border";
 
-    /// Whether who has this role may be a switch of the domain.
+    /// Returns whether a holder of this role may be a switch of the domain.
     pub fn is_switch(role: &str) -> bool {
         [SWITCH, RIB, BORDER].contains(&role)
     }
 }
 
-/// Domain → entity: has this role among my members.
+/// Certificate of a domain that an entity has this role among its members.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MemberCert {
@@ -60,8 +60,10 @@ impl Claims for MemberCert {
     }
 }
 
-/// Domain → whoever holds `key`: may admit one entity in this role, the first that the domain's RIB
-/// sees. It is to be used while the invitation holds; who was admitted may be a member for longer.
+/// Invitation by a domain: the holder of `key` may admit one entity in this role.
+///
+/// The first such entity that the domain's RIB sees is admitted. The validity bounds the use of the
+/// invitation; the admitted membership may last longer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Invite {
@@ -71,7 +73,7 @@ pub struct Invite {
     pub serial: u64,
     pub not_before: u64,
     pub not_after: u64,
-    /// Until when who was admitted may be a member.
+    /// Latest end of the admitted membership in Unix seconds.
     pub member_until: u64,
 }
 
@@ -94,15 +96,16 @@ impl Claims for Invite {
     }
 }
 
-/// What a domain lets another do. That there is a certificate at all says that the other is known.
+/// Rights that a domain grants another. The certificate itself states that the other domain is
+/// known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PeerRights {
-    /// Its border switches may have links with mine.
+    /// Border switches of the other domain may have links with this domain's.
     pub peering: bool,
-    /// What it sends may cross me into a third domain.
+    /// Traffic of the other domain may cross this domain into a third.
     pub transit: bool,
-    /// Its robots may attach to my switches.
+    /// Robots of the other domain may attach to this domain's switches.
     pub visit: bool,
 }
 
@@ -117,7 +120,7 @@ impl fmt::Display for PeerRights {
 impl FromStr for PeerRights {
     type Err = String;
 
-    /// `peering,transit,visit`: one or more of them.
+    /// Parses one or more of `peering`, `transit` and `visit`, separated by commas.
     fn from_str(text: &str) -> Result<Self, String> {
         let mut rights = Self::default();
         for right in text.split(',') {
@@ -132,7 +135,7 @@ impl FromStr for PeerRights {
     }
 }
 
-/// Domain → another domain: may do this with me.
+/// Certificate of a domain that grants these rights to another domain.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PeerCert {
@@ -162,7 +165,8 @@ impl Claims for PeerCert {
 }
 
 impl Signed<PeerCert> {
-    /// What the domain that `proof` shows states, if it stands behind it now.
+    /// Verifies the signature, domain, revocation and validity of the certificate and returns its
+    /// claims.
     pub fn verify_peer(
         &self,
         proof: &NameProof,
@@ -177,8 +181,8 @@ impl Signed<PeerCert> {
     }
 }
 
-/// An entity's role in a domain, and what that rests on: how the domain's name shows the key that
-/// says so, and the invitation by which the entity was admitted, if it was.
+/// Role of an entity in a domain, with its evidence. The evidence is the proof of the domain's
+/// name, which holds its key, and the invitation, if the entity was admitted by one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Membership {
@@ -188,15 +192,16 @@ pub struct Membership {
 }
 
 impl Membership {
-    /// Signed by `domain`, an identity of kind "domain", about one of its members.
+    /// Issues a membership signed by `domain`, an identity of kind "domain".
     pub fn issue(domain: &Identity, claims: &MemberCert) -> Result<Self, CertError> {
         expect_domain(domain.name(), claims.domain)?;
         Ok(Self { domain: domain.proof(), cert: issue(domain.key(), claims)?, invite: None })
     }
 
-    /// What it states, if this domain stands behind it at `now`. `revocation` is the newest that is
-    /// known of the domain. Whether an invitation has admitted somebody else already is for the
-    /// domain's RIB to know.
+    /// Verifies the membership in `domain` at `now` and returns its claims.
+    ///
+    /// `revocation` is the newest known one of the domain. Only the domain's RIB knows whether an
+    /// invitation has already admitted another entity.
     pub fn verify(&self, domain: Name, revocation: Option<&Revocation>, now: u64) -> Result<MemberCert, CertError> {
         let claims = self.verify_signatures(domain)?;
         self.check_revoked(revocation)?;
@@ -204,7 +209,7 @@ impl Membership {
         Ok(claims)
     }
 
-    /// As [`Self::verify`], at any time and whatever was revoked.
+    /// Verifies the signatures as [`Self::verify`] does, regardless of time and revocations.
     pub fn verify_signatures(&self, domain: Name) -> Result<MemberCert, CertError> {
         expect_domain(domain, self.domain.name()?)?;
         let domain_key = self.domain.verify_key()?;
@@ -226,12 +231,12 @@ impl Membership {
                 claims.not_after, invite.member_until
             )));
         }
-        // Honest late-comers are told here; those who backdate, by the RIB.
+        // This check catches honest latecomers. The RIB catches backdated certificates.
         let issued = claims.serial / 1_000_000_000;
         if issued > invite.not_after {
             return Err(CertError::Expired { at: invite.not_after, now: issued });
         }
-        // Otherwise what was issued under an invitation that was taken back would hold by the next
+        // Otherwise a certificate issued under a revoked invitation would be valid under the next
         // one.
         if claims.serial < invite.serial {
             return Err(CertError::BeforeDelegation {
@@ -243,13 +248,13 @@ impl Membership {
         Ok(claims)
     }
 
-    /// The invitation that it rests on, believed by nobody.
+    /// Returns the invitation of the membership, unverified.
     pub fn invite_unverified(&self) -> Result<Option<Invite>, CertError> {
         self.invite.as_ref().map(Signed::claims_unverified).transpose()
     }
 
-    /// The serial that takes it back: whoever holds an invitation's key chooses the serials of what
-    /// it issues.
+    /// Returns the serial by which the membership is revoked. With an invitation, that is the
+    /// invitation's serial, because the holder of its key chooses the serials of what it issues.
     pub fn serial_unverified(&self) -> Result<u64, CertError> {
         match self.invite_unverified()? {
             Some(invite) => Ok(invite.serial),
@@ -257,8 +262,8 @@ impl Membership {
         }
     }
 
-    /// Whether nothing of it was taken back. `revocation` is the newest that is known of the
-    /// domain.
+    /// Checks that neither certificate nor invitation is revoked. `revocation` is the newest known
+    /// one of the domain.
     pub fn check_revoked(&self, revocation: Option<&Revocation>) -> Result<(), CertError> {
         if let Some(invite) = self.invite_unverified()? {
             check_not_revoked(Invite::KIND, invite.serial, revocation)?;
@@ -266,13 +271,13 @@ impl Membership {
         check_not_revoked(MemberCert::KIND, self.cert.claims_unverified()?.serial, revocation)
     }
 
-    /// Bytes of what is signed in it.
+    /// Returns the bytes of the signed parts and the maximum size of a proof.
     pub fn size(&self) -> usize {
         self.cert.as_bytes().len() + self.invite.as_ref().map_or(0, |invite| invite.as_bytes().len()) + MAX_PROOF
     }
 
-    /// The text form for files: MemberCert, Invite, name proof of the domain, one block after
-    /// another.
+    /// Returns the text form for files: the blocks of MemberCert, Invite and the domain's name
+    /// proof, in this order.
     pub fn to_pem(&self) -> String {
         let proof = cbor::encode(&self.domain).expect("a map of two byte strings has an encoding");
         let proof = pem::encode_string(PROOF_LABEL, LineEnding::LF, &proof);

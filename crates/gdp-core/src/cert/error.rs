@@ -1,12 +1,12 @@
-//! Why a certificate or statement is refused.
+//! Reasons why a certificate or statement is refused.
 
 use crate::cbor::CborError;
 use crate::cert::advert_op::AdvertOp;
 use crate::crypto::CryptoError;
 use crate::name::Name;
 
-/// Why a certificate or statement is refused. The display names what is wrong and what to do about
-/// it.
+/// Reason why a certificate or statement is refused. The display names what is wrong and what to do
+/// about it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CertError {
     #[error("bad signature: the {what} was changed after it was signed")]

@@ -1,5 +1,5 @@
-//! A certificate with all that shows that it holds, as it travels and as it lies in a file: who
-//! issued it for the owner, and for a grant to a role, that the reader has that role.
+//! Certificates with their evidence, as sent in messages and stored in files. The evidence is the
+//! delegation to the issuer, and for a grant to a role, the reader's membership.
 
 use super::pem::{Blocks, MAX_TEXT};
 use super::{AboutName, Claims, Delegation, Grantee, Membership, ReadGrant, Revocation, Signed};
@@ -7,12 +7,12 @@ use crate::cert::error::CertError;
 use crate::name::{Name, NameProof};
 use serde::{Deserialize, Serialize};
 
-/// A certificate of a name's owner, or of a delegate with the delegation that allows it.
+/// Certificate of a name's owner, or of a delegate with its delegation.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(bound = "", deny_unknown_fields)]
 pub struct Issued<T: Claims> {
     pub cert: Signed<T>,
-    /// None if the owner signed the certificate itself.
+    /// Delegation to the issuer. `None` if the owner signed the certificate.
     pub delegation: Option<Signed<Delegation>>,
 }
 
@@ -23,9 +23,10 @@ impl<T: Claims> From<Signed<T>> for Issued<T> {
 }
 
 impl<T: AboutName> Issued<T> {
-    /// What the certificate states, if the owner that `proof` shows stands behind it at `now` (Unix
-    /// seconds). `revocation` is the newest that is known of the name. The validity of what is
-    /// returned is that of the whole chain.
+    /// Verifies the chain to the owner in `proof` at `now` (Unix seconds) and returns the claims.
+    ///
+    /// `revocation` is the newest known one of the name. The validity of the returned claims is
+    /// that of the whole chain.
     pub fn verify(&self, proof: &NameProof, revocation: Option<&Revocation>, now: u64) -> Result<T, CertError> {
         let name = proof.name()?;
         if let Some(revocation) = revocation {
@@ -47,8 +48,8 @@ impl<T: AboutName> Issued<T> {
         let mut claims = self.cert.verify(&delegation.delegate, now)?;
         expect_name(name, claims.name())?;
         holds(T::KIND, claims.serial())?;
-        // Otherwise a new delegation of the same key would bring back what fell with an earlier
-        // one.
+        // Otherwise a new delegation to the same key would restore certificates that fell with an
+        // earlier one.
         if claims.serial() < delegation.serial {
             return Err(CertError::BeforeDelegation {
                 what: T::KIND,
@@ -62,8 +63,7 @@ impl<T: AboutName> Issued<T> {
 }
 
 impl<T: AboutName> Issued<T> {
-    /// Of what a revocation can take back: what it is, and its serial. Believe it once the
-    /// certificate is verified.
+    /// Returns the kind and serial of each revocable part, unverified.
     pub fn serials(&self) -> Result<Vec<(&'static str, u64)>, CertError> {
         let mut serials = vec![(T::KIND, self.cert.claims_unverified()?.serial())];
         if let Some(delegation) = &self.delegation {
@@ -74,12 +74,12 @@ impl<T: AboutName> Issued<T> {
 }
 
 impl<T: Claims> Issued<T> {
-    /// Bytes of what is signed in it.
+    /// Returns the bytes of the signed parts.
     pub fn size(&self) -> usize {
         self.cert.as_bytes().len() + self.delegation.as_ref().map_or(0, |delegation| delegation.as_bytes().len())
     }
 
-    /// The text form for files: one block after another.
+    /// Returns the text form for files: one block after another.
     pub fn to_pem(&self) -> String {
         self.cert.to_pem() + &self.delegation.as_ref().map(Signed::to_pem).unwrap_or_default()
     }
@@ -98,7 +98,7 @@ impl<T: Claims> Issued<T> {
     }
 }
 
-/// All that a reader shows: the grant, and its membership if the grant is for a role.
+/// Evidence of a reader: its grant, and its membership if the grant is for a role.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reading {
@@ -113,9 +113,10 @@ impl<T: Into<Issued<ReadGrant>>> From<T> for Reading {
 }
 
 impl Reading {
-    /// As [`Issued::verify`], and that the grant reaches `entity`. The validity of what is returned
-    /// is that of all that was shown. Whether the domain still stands behind a membership,
-    /// [`Self::check_member`] says.
+    /// Verifies the grant as [`Issued::verify`] does, and that it covers `entity`.
+    ///
+    /// The validity of the returned claims is that of all the evidence. [`Self::check_member`]
+    /// checks whether the domain has revoked the membership.
     pub fn verify(
         &self,
         proof: &NameProof,
@@ -133,8 +134,8 @@ impl Reading {
                 return Err(CertError::NotAMember { role: role.clone(), domain: *domain });
             }
             (Grantee::Role { domain, role }, Some(member)) => {
-                // That an invitation admits one reader only is known to the RIB alone, and writers
-                // need not believe a RIB.
+                // Only the RIB knows that an invitation admits one reader only, and writers need
+                // not trust a RIB.
                 if member.invite.is_some() {
                     return Err(CertError::ByInvitation { role: role.clone(), domain: *domain });
                 }
@@ -149,24 +150,24 @@ impl Reading {
         Ok(grant)
     }
 
-    /// Whether the domain has not taken back the membership that the grant asks for, if it asks for
-    /// one. `newest`: the newest revocation that is known of a domain.
+    /// Checks that the domain has not revoked the membership, if there is one. `newest` returns the
+    /// newest known revocation of a domain.
     pub fn check_member<'a>(&self, newest: impl FnOnce(&Name) -> Option<&'a Revocation>) -> Result<(), CertError> {
         let Some(member) = &self.member else { return Ok(()) };
         member.check_revoked(newest(&member.domain.name()?))
     }
 
-    /// Bytes of what is signed in it.
+    /// Returns the bytes of the signed parts.
     pub fn size(&self) -> usize {
         self.grant.size() + self.member.as_ref().map_or(0, |member| member.size())
     }
 
-    /// The text form for files: one block after another.
+    /// Returns the text form for files: one block after another.
     pub fn to_pem(&self) -> String {
         self.grant.to_pem() + &self.member.as_ref().map(|member| member.to_pem()).unwrap_or_default()
     }
 
-    /// The blocks of the grant, then those of the membership, if there are any.
+    /// Parses the blocks of the grant, then those of the membership, if there are any.
     pub fn from_pem(text: &str) -> Result<Self, CertError> {
         let mut blocks = Blocks::of(text)?;
         let grant = Issued::from_blocks(&mut blocks)?;
@@ -176,7 +177,7 @@ impl Reading {
     }
 }
 
-/// A longer file is not a certificate.
+/// Maximum bytes of a certificate file.
 pub const MAX_CERT_FILE: usize = MAX_TEXT;
 
 pub(super) fn expect_name(expected: Name, got: Name) -> Result<(), CertError> {

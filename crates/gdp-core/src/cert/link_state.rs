@@ -1,5 +1,5 @@
-//! What a switch states of itself to all switches of its domain: its egress bit, whether the RIB is
-//! there, and which switches it has links with, in the domain and in others.
+//! Link state of a switch, which it states to all switches of its domain. It holds the egress bit,
+//! whether the RIB is there, and the links within the domain and to other domains.
 
 use super::{Claims, Validity};
 use crate::cert::error::CertError;
@@ -7,61 +7,61 @@ use crate::name::Name;
 use gdp_wire::table::EGRESS_SET_SIZE;
 use serde::{Deserialize, Serialize};
 
-/// Neighbours that one switch states, at most: with them and [`MAX_BORDERS`] the statement is still
-/// one certificate's size.
+/// Maximum number of neighbours that one switch states. With them and [`MAX_BORDERS`] the statement
+/// still has the size of one certificate.
 pub const MAX_NEIGHBOURS: usize = 45;
 
-/// Links into other domains that one switch states, at most.
+/// Maximum number of links into other domains that one switch states.
 pub const MAX_BORDERS: usize = 16;
 
-/// The longest that a statement may hold without being renewed, in seconds.
+/// Maximum lifetime of a statement in seconds without renewal.
 pub const MAX_LIFETIME: u32 = 3600;
 
-/// A switch → the switches of its domain: these are my neighbours. Signed by its own key; the
-/// newest counts.
+/// Link state of a switch, signed by its own key. The newest statement counts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LinkState {
     pub switch: Name,
-    /// Which run of the switch this is: higher after a restart.
+    /// Run of the switch, which is higher after a restart.
     pub run: u64,
-    /// Rises with every statement of the run.
+    /// Number of the statement within the run, increasing.
     pub number: u64,
-    /// Index (0 … 63) of its egress bit, once it has one.
+    /// Index (0 to 63) of the switch's egress bit, once it has one.
     pub bit: Option<u8>,
-    /// In the order of their names, with what a frame to each costs: 1 or more.
+    /// Neighbours in the order of their names, with the cost of a frame to each, at least 1.
     pub neighbours: Vec<(Name, u32)>,
-    /// Bit i: the daemon of neighbour i does not answer, though its data plane does. Frames may go
-    /// that way, control may not.
+    /// Bit mask of silent neighbours. Bit i is set if the daemon of neighbour i does not answer
+    /// though its data plane does. Frames may go that way, control messages may not.
     pub silent: u64,
-    /// The domain's RIB is here.
+    /// The domain's RIB runs beside this switch.
     pub rib: bool,
-    /// In the order of domains and switches.
+    /// Border links in the order of domains and switches.
     pub borders: Vec<Adjoining>,
-    /// Seconds from when it was stated, as far as that is known: on the clock of whoever holds it.
+    /// Lifetime in seconds since the statement, as far as that time is known, on the clock of each
+    /// holder.
     pub lifetime: u32,
 }
 
-/// A link of a border switch into another domain.
+/// Link of a border switch into another domain.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Adjoining {
     pub domain: Name,
-    /// The border switch over there.
+    /// Border switch of the other domain.
     pub switch: Name,
-    /// What a frame over the link costs: 1 or more.
+    /// Cost of a frame over the link, at least 1.
     pub cost: u32,
-    /// That domain lets what this one sends cross it into a third.
+    /// The other domain lets this one's traffic cross it into a third.
     pub transit: bool,
-    /// This domain lets that one do so.
+    /// This domain lets the other one's traffic cross it into a third.
     pub ours_transit: bool,
-    /// The RIB of that domain is a parent of this one's; those with a lower number are asked
-    /// before.
+    /// Position among the parents if the other domain's RIB is one. Lower numbers are asked first.
     pub parent: Option<u8>,
 }
 
 impl LinkState {
-    /// Of two statements of a switch the one with the higher version is the newer.
+    /// Returns the version of the statement. Of two statements of a switch, the one with the higher
+    /// version is newer.
     pub fn version(&self) -> (u64, u64) {
         (self.run, self.number)
     }

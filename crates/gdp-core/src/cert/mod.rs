@@ -1,12 +1,12 @@
 //! Certificates and statements: COSE_Sign1 / ES256 over deterministic CBOR (RFC 9052, RFC 8949
-//! §4.2.1). [`owner`], [`domain`], [`switch`], [`statements`] and [`link_state`] say what they
-//! state, [`Signed`] keeps and checks the exact bytes, [`issued`] the chain from a certificate to
-//! the owner of its name. Who must have signed what for a request to be granted is checked in
-//! [`request`]. The RIB, and whoever receives its answers, call this.
+//! §4.2.1). [`owner`], [`domain`], [`switch`], [`statements`] and [`link_state`] define the claims.
+//! [`Signed`] keeps and verifies the exact bytes, and [`issued`] verifies the chain from a
+//! certificate to the owner of its name. [`request`] checks the signatures that a request needs.
+//! The RIB and the receivers of its answers call this module.
 //!
 //! Domain separation: the type of a certificate is its external AAD and its protected content type,
-//! so one type never verifies as another; a COSE `Sig_structure` begins with a CBOR array head and
-//! "Signature1", which no other input that this project signs begins with (`gdp::seal` signs
+//! so one type never verifies as another. A COSE `Sig_structure` begins with a CBOR array head and
+//! "Signature1". No other input that this project signs begins so (`gdp::seal` signs
 //! "gdp/batch/1…", TLS signs 64 spaces and a context).
 
 mod advert_op;

@@ -1,12 +1,12 @@
-//! The proof of a domain name in the file of a certificate.
+//! Proof of a domain's name in the file of a certificate.
 
 use super::error::CertError;
 use crate::name::Name;
 
-/// Between `-----BEGIN ` and `-----` in a name proof's text form.
+/// Label of a name proof's text form, between `-----BEGIN ` and `-----`.
 pub(super) const PROOF_LABEL: &str = "GDP NAME PROOF";
 
-/// A name proof in CBOR has 89 bytes.
+/// Maximum bytes of a name proof in CBOR, which actually has 89.
 pub(super) const MAX_PROOF: usize = 128;
 
 pub(super) fn expect_domain(expected: Name, got: Name) -> Result<(), CertError> {

@@ -1,9 +1,9 @@
-//! What the owner of a name issues about it: who may write it, who may read it, who else may issue
-//! that, and what of it no longer holds.
+//! Certificates that the owner of a name issues: rights to write and to read it, delegations, and
+//! revocations.
 //!
-//! Every certificate has a serial: the Unix time in nanoseconds at which it was issued, so that an
-//! owner and its delegates need not agree on one, and so that a revocation's floor means "nothing
-//! issued before then".
+//! Every certificate has a serial: the Unix time of its issue in nanoseconds. An owner and its
+//! delegates thus need not agree on serials, and a revocation's floor means "nothing issued before
+//! then".
 
 use super::{Claims, Validity};
 use crate::cert::error::CertError;
@@ -12,25 +12,25 @@ use crate::verify_key::VerifyKey;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// More domains than one name is ever meant for.
+/// Maximum number of domains in the scope of a name.
 pub const MAX_SCOPE: usize = 64;
 
-/// Serials that a revocation lists besides its floor.
+/// Maximum number of serials that a revocation lists besides its floor.
 pub const MAX_REVOKED: usize = 128;
 
-/// Longest name of a role, in bytes.
+/// Maximum length of a role's name in bytes.
 pub const MAX_ROLE: usize = 32;
 
-/// A certificate about a name that its owner issues, or a delegate for it.
+/// Certificate about a name, issued by its owner or a delegate.
 pub trait AboutName: Claims {
     fn name(&self) -> Name;
     fn serial(&self) -> u64;
-    /// Whether this delegation lets its delegate issue such a certificate.
+    /// Returns whether this delegation permits issuing such a certificate.
     fn is_delegated(delegation: &Delegation) -> bool;
     fn set_validity(&mut self, validity: Validity);
 }
 
-/// How a name's messages are delivered.
+/// Delivery mode of a name's messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
@@ -39,14 +39,14 @@ pub enum Mode {
     Unicast,
 }
 
-/// Owner → entity: may publish or serve the name.
+/// Certificate of a name's owner that an entity may publish or serve the name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AdCert {
     pub name: Name,
     pub entity: Name,
     pub mode: Mode,
-    /// Domains the name may be known in; none named means only the domain it is advertised in.
+    /// Domains in which the name may be known. If empty, only the domain in which it is advertised.
     pub scope: Vec<Name>,
     pub serial: u64,
     pub not_before: u64,
@@ -91,7 +91,8 @@ impl AboutName for AdCert {
     }
 }
 
-/// Owner → entity, or → domain and role: may subscribe to or call the name.
+/// Grant by a name's owner to an entity, or to a role of a domain, to subscribe to or call the
+/// name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReadGrant {
@@ -102,12 +103,13 @@ pub struct ReadGrant {
     pub not_after: u64,
 }
 
-/// Whom a grant is for.
+/// Receiver of a grant.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Grantee {
     Entity(Name),
-    /// Every entity that the domain says has this role: 1 to 32 bytes of `a-z`, `0-9`, `_` and `-`.
+    /// Every entity to which the domain certifies this role: 1 to 32 bytes of `a-z`, `0-9`, `_` and
+    /// `-`.
     Role {
         domain: Name,
         role: String,
@@ -158,8 +160,8 @@ impl AboutName for ReadGrant {
     }
 }
 
-/// Owner → another key: may issue AdCerts (`publish`) or ReadGrants (`read`) for the name. It
-/// cannot be passed on.
+/// Delegation by a name's owner: another key may issue AdCerts (`publish`) or ReadGrants (`read`)
+/// for the name. It cannot be delegated further.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Delegation {
@@ -182,22 +184,22 @@ impl Claims for Delegation {
     }
 }
 
-/// Owner → everybody: certificates of the name with a serial below `floor`, or in `revoked`, do not
-/// hold. Of two revocations the one with the higher number counts. No delegate can issue one. The
-/// name of a domain is one like any other: what the domain issued falls by the revocation of its
-/// name.
+/// Revocation by a name's owner of all certificates with a serial below `floor` or in `revoked`.
+///
+/// Of two revocations the one with the higher number counts. No delegate can issue one. The
+/// certificates of a domain are revoked by a revocation of the domain's own name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Revocation {
     pub name: Name,
     pub number: u64,
     pub floor: u64,
-    /// In rising order, at most [`MAX_REVOKED`].
+    /// Revoked serials in ascending order, at most [`MAX_REVOKED`].
     pub revoked: Vec<u64>,
 }
 
 impl Revocation {
-    /// Whether a certificate of this kind and serial still holds.
+    /// Checks that a certificate of this kind and serial is not revoked.
     pub fn check(&self, what: &'static str, serial: u64) -> Result<(), CertError> {
         if serial < self.floor || self.revoked.binary_search(&serial).is_ok() {
             return Err(CertError::Revoked { what, serial, floor: self.floor, number: self.number });
@@ -205,8 +207,8 @@ impl Revocation {
         Ok(())
     }
 
-    /// Whether this one may take the place of `held`: the same again is no harm, an older or
-    /// another one of its number is.
+    /// Checks that this revocation may replace `held`. The same one may; an older one, or a
+    /// different one with the same number, may not.
     pub fn check_replaces(&self, held: Option<&Self>) -> Result<(), CertError> {
         match held {
             Some(held) if self.number < held.number || self.number == held.number && self != held => {

@@ -1,22 +1,21 @@
-//! Text with several blocks of RFC 7468 in it, taken apart. What the blocks hold is for who asks
-//! for them.
+//! Parser of text with several blocks of RFC 7468. The callers decode the content of the blocks.
 
 use super::MAX_SIGNED;
 use crate::cert::error::CertError;
 use std::collections::VecDeque;
 
-/// Blocks that one file may have: a grant, a delegation, a member's certificate, an invitation, a
-/// domain's proof.
+/// Maximum number of blocks in one file: a grant, a delegation, a member's certificate, an
+/// invitation, a domain's proof.
 const MAX_BLOCKS: usize = 5;
 
-/// Base64 and its lines need less than twice the bytes.
+/// Maximum bytes of text. Base64 and its line breaks need less than twice the bytes.
 pub(super) const MAX_TEXT: usize = MAX_BLOCKS * 2 * MAX_SIGNED;
 
-/// The blocks of a text, each with its label, in their order.
+/// Blocks of a text in their order, each with its label.
 pub(super) struct Blocks<'t>(VecDeque<(&'t str, &'t str)>);
 
 impl<'t> Blocks<'t> {
-    /// Nothing but blank lines may be around the blocks.
+    /// Splits a text into blocks. Only blank lines may surround the blocks.
     pub fn of(text: &'t str) -> Result<Self, CertError> {
         if text.len() > MAX_TEXT {
             return Err(CertError::Malformed(format!("{} characters of text are too many", text.len())));
@@ -42,20 +41,20 @@ impl<'t> Blocks<'t> {
         self.0.is_empty()
     }
 
-    /// The next block, which must have this label.
+    /// Removes and returns the next block, which must have this label.
     pub fn take(&mut self, label: &str) -> Result<&'t str, CertError> {
         let found = self.0.front().map_or_else(|| "nothing".into(), |(found, _)| format!("\"BEGIN {found}\""));
         let wrong = || CertError::Malformed(format!("expected \"BEGIN {label}\", found {found}"));
         self.take_if(label).ok_or_else(wrong)
     }
 
-    /// The next block, if it has this label.
+    /// Removes and returns the next block, if it has this label.
     pub fn take_if(&mut self, label: &str) -> Option<&'t str> {
         self.0.front().filter(|(found, _)| *found == label)?;
         self.0.pop_front().map(|(_, block)| block)
     }
 
-    /// That nothing is left.
+    /// Checks that no block is left.
     pub fn end(&self) -> Result<(), CertError> {
         match self.0.front() {
             Some((label, _)) => Err(CertError::Malformed(format!("\"BEGIN {label}\" does not belong in this file"))),

@@ -1,6 +1,7 @@
-//! The checks that a request must pass before anything is stored: derivation of the name, the
-//! certificate, the entity's own statement, and that all of them are about the same name, entity
-//! and switch. Scope and transit rights between domains are checked where domains meet, not here.
+//! Checks that a request must pass before anything is stored. They cover the derivation of the
+//! name, the certificate, the entity's own statement, and that all concern the same name, entity
+//! and switch. Scope and transit rights between domains are checked at the border between domains,
+//! not here.
 
 use super::issued::{expect_entity, expect_name};
 use super::{AdCert, Advert, AdvertOp, Issued, ReadGrant, Reading, Revocation, Signed};
@@ -8,21 +9,23 @@ use crate::cert::error::CertError;
 use crate::name::{Name, NameProof};
 use crate::verify_key::VerifyKey;
 
-/// Who asks, as its link or an earlier verification showed, and when.
+/// Authenticated requester, identified by its link or an earlier verification, and the time of the
+/// request.
 #[derive(Clone, Debug)]
 pub struct Requester {
     pub entity: Name,
     pub entity_key: VerifyKey,
-    /// The switch it is attached to.
+    /// Switch to which the requester is attached.
     pub switch: Name,
-    /// The highest serial seen of the entity: a statement must be above it.
+    /// Highest serial seen of the entity. A statement must exceed it.
     pub floor: u64,
-    /// Unix seconds.
+    /// Unix time in seconds.
     pub now: u64,
 }
 
-/// May `speaker` publish or serve the name that `proof` shows? `revocation` is the newest that is
-/// known of it. Returns the certificate, with the validity of its chain, and the statement.
+/// Verifies that `speaker` may publish or serve the name in `proof`. `revocation` is the newest
+/// known one of the name. Returns the certificate, with the validity of its chain, and the
+/// statement.
 pub fn authorise_advertise(
     speaker: &Requester,
     proof: &NameProof,
@@ -36,7 +39,8 @@ pub fn authorise_advertise(
     Ok((claims, advert))
 }
 
-/// May `speaker` subscribe to or call the name that `proof` shows? As [`authorise_advertise`].
+/// Verifies that `speaker` may subscribe to or call the name in `proof`, as [`authorise_advertise`]
+/// does.
 pub fn authorise_subscribe(
     speaker: &Requester,
     proof: &NameProof,
@@ -49,7 +53,7 @@ pub fn authorise_subscribe(
     Ok((claims, advert))
 }
 
-/// An entity may always withdraw what it stated itself.
+/// Verifies a withdrawal. An entity may always withdraw its own statements.
 pub fn authorise_withdraw(speaker: &Requester, advert: &Signed<Advert>) -> Result<Advert, CertError> {
     let name = advert.claims_unverified()?.name;
     speaker.verify_statement(name, Side::Neither, advert)
@@ -65,14 +69,14 @@ impl Requester {
     }
 }
 
-/// Which right a statement makes use of.
+/// Kind of right that a statement needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// That of an AdCert.
+    /// The right of an AdCert.
     Writer,
-    /// That of a ReadGrant.
+    /// The right of a ReadGrant.
     Reader,
-    /// None: it only takes back.
+    /// No right, for a withdrawal.
     Neither,
 }
 
@@ -94,8 +98,8 @@ impl Side {
     }
 }
 
-/// That `entity` itself states about `name`, at `switch`, something for which it needs the right of
-/// this side.
+/// Verifies that `entity` itself made this statement about `name` at `switch`, and that it needs
+/// the right of this side.
 pub fn verify_statement(
     advert: &Signed<Advert>,
     side: Side,

@@ -1,4 +1,4 @@
-//! The exact bytes of a certificate, and what it takes to believe them.
+//! Exact bytes of a certificate, and their verification.
 
 use super::Claims;
 use crate::cbor;
@@ -12,17 +12,17 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use std::fmt;
 use std::marker::PhantomData;
 
-/// The largest certificate, in bytes: an AdCert with a full scope has about 2.5 kB.
+/// Maximum bytes of a certificate. An AdCert with a full scope has about 2.5 kB.
 pub const MAX_SIGNED: usize = 4096;
 
-/// A certificate or statement as it was signed: the bytes travel and are stored unchanged, so that
-/// everybody checks the same thing. Nothing in it is believed before [`Signed::verify`].
+/// Certificate or statement as it was signed. The bytes are sent and stored unchanged, so that
+/// everybody verifies the same input. Nothing in it is trusted before [`Signed::verify`].
 pub struct Signed<T> {
     bytes: Box<[u8]>,
     claims: PhantomData<fn() -> T>,
 }
 
-/// Signs `claims`. The key of the signer rides along as key id.
+/// Signs `claims`. The key id of the result is the public key of the signer.
 pub fn issue<T: Claims>(key: &SigningKey, claims: &T) -> Result<Signed<T>, CertError> {
     claims.check_bounds()?;
     let unsigned = envelope::<T>(&key.verify_key(), cbor::encode(claims)?);
@@ -33,7 +33,7 @@ pub fn issue<T: Claims>(key: &SigningKey, claims: &T) -> Result<Signed<T>, CertE
 }
 
 impl<T> Signed<T> {
-    /// Takes bytes as they came; only their number is checked here.
+    /// Wraps received bytes and checks only their length.
     pub fn from_bytes(bytes: Vec<u8>) -> Result<Self, CertError> {
         if bytes.len() > MAX_SIGNED {
             return Err(CertError::Malformed(format!("{} bytes where at most {MAX_SIGNED} are allowed", bytes.len())));
@@ -47,14 +47,16 @@ impl<T> Signed<T> {
 }
 
 impl<T: Claims> Signed<T> {
-    /// What it states, if `key` signed it and it holds at `now` (Unix seconds).
+    /// Verifies the signature by `key` and the validity at `now` (Unix seconds), and returns the
+    /// claims.
     pub fn verify(&self, key: &VerifyKey, now: u64) -> Result<T, CertError> {
         let claims = self.verify_signature(key)?;
         claims.validity().check(now)?;
         Ok(claims)
     }
 
-    /// As [`Self::verify`], at any time. For showing what an expired certificate says.
+    /// Verifies the signature as [`Self::verify`] does, regardless of time. For showing the claims
+    /// of an expired certificate.
     pub fn verify_signature(&self, key: &VerifyKey) -> Result<T, CertError> {
         let (cose, claims) = self.parse()?;
         let signer = &cose.protected.header.key_id;
@@ -69,13 +71,12 @@ impl<T: Claims> Signed<T> {
         Ok(claims)
     }
 
-    /// What it states, believed by nobody: to show it, or to find out which key it should verify
-    /// under.
+    /// Returns the unverified claims, to show them or to find the key for verification.
     pub fn claims_unverified(&self) -> Result<T, CertError> {
         Ok(self.parse()?.1)
     }
 
-    /// Accepts one encoding only, the one that [`issue`] produces.
+    /// Parses the bytes. Accepts only the encoding that [`issue`] produces.
     fn parse(&self) -> Result<(CoseSign1, T), CertError> {
         let cose = CoseSign1::from_tagged_slice(&self.bytes).map_err(malformed)?;
         let header = &cose.protected.header;
@@ -99,7 +100,8 @@ impl<T: Claims> Signed<T> {
         Ok((cose, claims))
     }
 
-    /// The text form for files: base64 between `-----BEGIN GDP AD CERT-----` lines (RFC 7468).
+    /// Returns the text form for files: base64 between `-----BEGIN GDP AD CERT-----` lines (RFC
+    /// 7468).
     pub fn to_pem(&self) -> String {
         pem::encode_string(T::LABEL, LineEnding::LF, &self.bytes)
             .expect("the label is fixed and the size is bounded, so there is a text form")

@@ -1,5 +1,4 @@
-//! What entities state themselves: which switch may carry their traffic, and what they do with a
-//! name.
+//! Statements of entities: which switch may carry their traffic, and what they do with a name.
 
 use super::advert_op::AdvertOp;
 use super::{Claims, Validity};
@@ -9,7 +8,7 @@ use crate::name::Name;
 use crate::verify_key::VerifyKey;
 use serde::{Deserialize, Serialize};
 
-/// Entity → switch: may carry my traffic.
+/// Statement of an entity that a switch may carry its traffic.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RtCert {
@@ -28,8 +27,7 @@ impl Claims for RtCert {
     }
 }
 
-/// An entity's own statement: what it does with the name, at which switch. No switch can make it
-/// up.
+/// Statement of an entity: what it does with the name, at which switch. No switch can forge it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Advert {
@@ -37,12 +35,12 @@ pub struct Advert {
     pub name: Name,
     pub entity: Name,
     pub switch: Name,
-    /// Rises with every statement of the entity; the RIB refuses one that is not above the highest
-    /// it saw.
+    /// Serial that increases with every statement of the entity. The RIB refuses one that is not
+    /// above the highest it saw.
     pub serial: u64,
-    /// Seconds from when the RIB accepts it, on the RIB's clock.
+    /// Lifetime in seconds from the RIB's acceptance, on the RIB's clock.
     pub lifetime: u32,
-    /// Content keys for the entity are wrapped to this key: P-256, SEC1 compressed.
+    /// Public key to which content keys for the entity are wrapped: P-256, SEC1 compressed.
     #[serde(with = "crate::cbor::array")]
     pub box_key: [u8; PUBLIC_KEY_LEN],
 }

@@ -1,5 +1,5 @@
-//! Of which domain a switch is, which both have to say, and where its domain can be reached: at
-//! those that are borders.
+//! Statements of a switch's domain, which both switch and domain must sign, and of the addresses of
+//! the domain's borders.
 
 use std::net::SocketAddr;
 
@@ -11,26 +11,26 @@ use crate::cert::error::CertError;
 use crate::cert::name_proof::MAX_PROOF;
 use crate::name::{Name, NameProof};
 
-/// Addresses of one switch.
+/// Maximum number of addresses of one switch.
 pub const MAX_ADDRESSES: usize = 8;
 
-/// Border switches of one domain that are told of.
+/// Maximum number of border switches in a locator.
 pub const MAX_LOCATED: usize = 8;
 
-/// Bytes of all that is signed in a locator.
+/// Maximum bytes of all signed parts in a locator.
 pub const MAX_LOCATOR: usize = 16 << 10;
 
-/// A switch → other domains: I am of this one, and here you reach me. Signed by its own key; of a
-/// switch the highest serial counts.
+/// Statement of a switch to other domains: its domain and its addresses. The switch signs it with
+/// its own key, and its highest serial counts.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SwitchStatement {
     pub switch: Name,
     pub domain: Name,
-    /// Best first. None if it can only dial, or is no border.
+    /// Addresses, best first. Empty if the switch can only dial or is no border.
     pub addresses: Vec<SocketAddr>,
     pub serial: u64,
-    /// The last Unix second at which it holds.
+    /// Last Unix second of validity.
     pub not_after: u64,
 }
 
@@ -52,21 +52,23 @@ impl Claims for SwitchStatement {
     }
 }
 
-/// A switch and its domain, as any other domain may judge them. A domain alone could say of any
-/// switch that it is its own, and draw what is for the entities there.
+/// Switch and its domain, as any other domain can verify them. Without the switch's own statement,
+/// a domain could claim any switch and attract the traffic of its entities.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Host {
-    /// How the name of the switch is derived, and its key.
+    /// Proof of the switch's name, which holds its key.
     pub proof: NameProof,
     pub statement: Signed<SwitchStatement>,
     pub membership: Membership,
 }
 
 impl Host {
-    /// What `domain` and the switch say of it, if both say that it is a switch of `domain` at `now`
-    /// (Unix seconds). `revocation` is the newest that is known of the domain. The statement that
-    /// is returned ends with all that it rests on.
+    /// Verifies that both `domain` and the switch state its membership at `now` (Unix seconds).
+    /// Returns the certificate and the statement.
+    ///
+    /// `revocation` is the newest known one of the domain. The returned statement ends with the
+    /// first of its parts to expire.
     pub fn verify(
         &self,
         domain: Name,
@@ -92,7 +94,7 @@ impl Host {
         Ok((member, claims))
     }
 
-    /// Whether `other` says nothing else, whenever it was stated.
+    /// Returns whether `other` states the same, apart from the serial.
     pub fn says_the_same(&self, other: &Self) -> bool {
         let claims =
             |host: &Self| host.statement.claims_unverified().ok().map(|claims| SwitchStatement { serial: 0, ..claims });
@@ -101,15 +103,15 @@ impl Host {
             && (self.statement == other.statement || is_same_claim())
     }
 
-    /// Bytes of what is signed in it, and of the proof.
+    /// Returns the bytes of the signed parts and the maximum size of a proof.
     pub fn size(&self) -> usize {
         self.statement.as_bytes().len() + self.membership.size() + MAX_PROOF
     }
 }
 
-/// Where a domain can be reached: its borders, best first. Each stands for itself: whoever receives
-/// it leaves out those that do not verify, because one border whose membership is over must not
-/// hide the others. One that names too many, or of which none is left, says nothing.
+/// Locator of a domain: its borders, best first. Receivers skip borders that do not verify, because
+/// one border whose membership ended must not hide the others. A locator with too many borders, or
+/// with none left, is void.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Locator {
@@ -117,8 +119,8 @@ pub struct Locator {
 }
 
 impl Locator {
-    /// As [`Host::verify`], of each by itself, which must be a border. The error: they are more
-    /// than allowed.
+    /// Verifies each border separately, as [`Host::verify`] does, and that its role is that of a
+    /// border. Fails if the locator exceeds its limits.
     pub fn verify(
         &self,
         domain: Name,
@@ -138,7 +140,7 @@ impl Locator {
         Ok(statements.collect())
     }
 
-    /// As [`Host::size`], of all.
+    /// Returns the sum of [`Host::size`] of all borders.
     pub fn size(&self) -> usize {
         self.borders.iter().map(Host::size).sum()
     }

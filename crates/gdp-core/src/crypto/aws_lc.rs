@@ -14,8 +14,8 @@ use aws_lc_rs::{
 use zeroize::Zeroizing;
 
 pub fn sha256(parts: &[&[u8]]) -> [u8; 32] {
-    // Hashing at once is several times faster for a few blocks: a context is a structure on the
-    // library's heap.
+    // Hashing at once is several times faster for a few blocks, because the library allocates a
+    // context on the heap.
     let mut gathered = [0u8; 512];
     let digest = match parts {
         [all] => digest::digest(&digest::SHA256, all),
@@ -33,7 +33,7 @@ pub fn sha256(parts: &[&[u8]]) -> [u8; 32] {
     out
 }
 
-/// The parts one behind the other, if there is room for them.
+/// Concatenates the parts in `place`, or returns `None` if they do not fit.
 fn gather<'a>(parts: &[&[u8]], place: &'a mut [u8]) -> Option<&'a [u8]> {
     let mut at = 0;
     for part in parts {

@@ -1,4 +1,4 @@
-//! Why a cryptographic primitive failed.
+//! Errors of the cryptographic primitives.
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CryptoError {

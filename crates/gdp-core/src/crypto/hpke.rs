@@ -1,6 +1,6 @@
-//! Hybrid public key encryption (RFC 9180) in base mode, one message at a time: DHKEM(P-256,
-//! HKDF-SHA256), HKDF-SHA256, AES-256-GCM, by rustls over AWS-LC. Only `crypto` calls it. There is
-//! no second implementation of it to choose.
+//! Hybrid public key encryption (HPKE, RFC 9180) in base mode, one message at a time. The suite is
+//! DHKEM(P-256, HKDF-SHA256), HKDF-SHA256, AES-256-GCM, by rustls over AWS-LC. Only `crypto` calls
+//! it. There is no second back end.
 
 use p256::PublicKey;
 use p256::elliptic_curve::sec1::ToSec1Point;
@@ -11,7 +11,7 @@ use zeroize::Zeroizing;
 use crate::crypto::error::CryptoError;
 use crate::crypto::lengths::{PUBLIC_KEY_LEN, TAG_LEN};
 
-/// SEC1 uncompressed, as RFC 9180 §7.1.1 has it.
+/// Bytes of an encapsulated key: a SEC1 uncompressed point (RFC 9180 §7.1.1).
 const ENCAPSULATED_LEN: usize = 65;
 
 pub const OVERHEAD: usize = ENCAPSULATED_LEN + TAG_LEN;

@@ -6,5 +6,5 @@ pub const NONCE_LEN: usize = 12;
 
 pub const SIGNATURE_LEN: usize = 64;
 
-/// SEC1 compressed P-256 point.
+/// Bytes of a SEC1 compressed P-256 point.
 pub const PUBLIC_KEY_LEN: usize = 33;

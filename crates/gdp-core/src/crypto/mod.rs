@@ -1,10 +1,10 @@
-//! The few primitives everything else is built from, with two interchangeable back ends: aws-lc-rs
-//! (default, fast) and RustCrypto (portable). Both are always compiled, and the tests check each
-//! against the other. No protocol lives here.
+//! Cryptographic primitives with two interchangeable back ends: aws-lc-rs (default, fast) and
+//! RustCrypto (portable). Both are always compiled, and the tests check each against the other.
+//! This module contains no protocol.
 //!
 //! ECDSA signatures are 64 bytes `r ‖ s`. A high `s` is accepted, as RFC 9053 and both back ends
-//! do: nothing in this project identifies anything by its signature bytes, so that a signature can
-//! be restated is of no use to anybody.
+//! do. Nothing in this project identifies anything by its signature bytes, so malleable signatures
+//! do no harm.
 
 mod aws_lc;
 mod error;
@@ -19,7 +19,7 @@ pub use error::CryptoError;
 pub use lengths::{NONCE_LEN, PUBLIC_KEY_LEN, SIGNATURE_LEN, TAG_LEN};
 pub use parsed::parsed;
 
-/// Which implementation does the work. Their outputs are interchangeable.
+/// Implementation of the primitives. The outputs of both are interchangeable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Backend {
     #[default]
@@ -30,7 +30,7 @@ pub enum Backend {
 impl Backend {
     pub const ALL: [Self; 2] = [Self::AwsLc, Self::RustCrypto];
 
-    /// SHA-256 of the concatenation of `parts`.
+    /// Returns the SHA-256 hash of the concatenation of `parts`.
     pub fn sha256(self, parts: &[&[u8]]) -> [u8; 32] {
         match self {
             Self::AwsLc => aws_lc::sha256(parts),
@@ -38,7 +38,7 @@ impl Backend {
         }
     }
 
-    /// HKDF-SHA256 (RFC 5869), 32 bytes, with `info` as the concatenation of its parts.
+    /// Derives 32 bytes by HKDF-SHA256 (RFC 5869), with `info` as the concatenation of its parts.
     pub fn hkdf_sha256(
         self,
         salt: &[u8],
@@ -51,7 +51,7 @@ impl Backend {
         }
     }
 
-    /// AES-256-GCM under `key`.
+    /// Creates an AES-256-GCM cipher with `key`.
     pub fn aead(self, key: &[u8; 32]) -> Result<Aead, CryptoError> {
         Ok(Aead(match self {
             Self::AwsLc => AeadImpl::AwsLc(aws_lc::Aead::new(key)?),
@@ -59,7 +59,7 @@ impl Backend {
         }))
     }
 
-    /// A parsed public key, for verifying many signatures.
+    /// Parses a public key for verifying many signatures.
     pub fn verifier(self, public: &[u8; PUBLIC_KEY_LEN]) -> Result<Verifier, CryptoError> {
         Ok(Verifier(match self {
             Self::AwsLc => VerifierImpl::AwsLc(aws_lc::Verifier::new(public)?),
@@ -67,7 +67,7 @@ impl Backend {
         }))
     }
 
-    /// A key pair that signs, from a PKCS#8 P-256 private key.
+    /// Creates a signing key pair from a PKCS#8 P-256 private key.
     pub fn signer(self, pkcs8_der: &[u8]) -> Result<Signer, CryptoError> {
         Ok(Signer(match self {
             Self::AwsLc => SignerImpl::AwsLc(aws_lc::Signer::new(pkcs8_der)?),
@@ -75,7 +75,7 @@ impl Backend {
         }))
     }
 
-    /// The public key, SEC1 compressed, of a private P-256 key: 32 bytes, big endian.
+    /// Returns the public key, SEC1 compressed, of a private P-256 key (32 bytes, big endian).
     pub fn agreement_public(self, secret: &[u8; 32]) -> Result<[u8; PUBLIC_KEY_LEN], CryptoError> {
         match self {
             Self::AwsLc => aws_lc::agreement_public(secret),
@@ -83,7 +83,7 @@ impl Backend {
         }
     }
 
-    /// ECDH on P-256: the x coordinate that both sides get. To be put through
+    /// Performs ECDH on P-256 and returns the shared x coordinate. Pass it through
     /// [`Self::hkdf_sha256`].
     pub fn agree(
         self,
@@ -97,8 +97,7 @@ impl Backend {
     }
 }
 
-/// AES-256-GCM with detached 16-byte tags. A nonce must never seal twice under one key: that is the
-/// caller's duty.
+/// AES-256-GCM with detached 16-byte tags. The caller must never use a nonce twice with one key.
 pub struct Aead(AeadImpl);
 
 enum AeadImpl {
@@ -115,8 +114,8 @@ impl Aead {
         }
     }
 
-    /// Decrypts `ciphertext` into `out`, which must be as long. After an error the content of `out`
-    /// is unspecified.
+    /// Decrypts `ciphertext` into `out`, which must have the same length. After an error the
+    /// content of `out` is unspecified.
     pub fn open(
         &self,
         nonce: &[u8; NONCE_LEN],
@@ -138,7 +137,7 @@ impl fmt::Debug for Aead {
     }
 }
 
-/// ECDSA P-256 with SHA-256.
+/// Verifier of ECDSA P-256 signatures with SHA-256.
 pub struct Verifier(VerifierImpl);
 
 enum VerifierImpl {
@@ -161,7 +160,7 @@ impl fmt::Debug for Verifier {
     }
 }
 
-/// ECDSA P-256 with SHA-256. Clears its key when dropped.
+/// Signer of ECDSA P-256 signatures with SHA-256. Clears its key when dropped.
 pub struct Signer(SignerImpl);
 
 enum SignerImpl {
@@ -184,27 +183,29 @@ impl fmt::Debug for Signer {
     }
 }
 
-/// What [`hpke_seal`] adds to a plaintext, in bytes.
+/// Bytes that [`hpke_seal`] adds to a plaintext.
 pub const HPKE_OVERHEAD: usize = hpke::OVERHEAD;
 
-/// Seals `plaintext` for who holds the private half of `public` (RFC 9180, base mode, DHKEM(P-256,
-/// HKDF-SHA256), HKDF-SHA256, AES-256-GCM, no additional data): the encapsulated key, 65 bytes,
-/// then ciphertext and tag. It does not say who sealed.
+/// Encrypts `plaintext` to the holder of the private key of `public`.
+///
+/// HPKE (RFC 9180) in base mode: DHKEM(P-256, HKDF-SHA256), HKDF-SHA256, AES-256-GCM, no additional
+/// data. The result is the encapsulated key (65 bytes), then ciphertext and tag. It does not
+/// authenticate the sender.
 pub fn hpke_seal(public: &[u8; PUBLIC_KEY_LEN], info: &[u8], plaintext: &[u8]) -> Result<Vec<u8>, CryptoError> {
     hpke::seal(public, info, plaintext)
 }
 
-/// Opens what [`hpke_seal`] sealed with the same `info`.
+/// Decrypts the output of [`hpke_seal`] with the same `info`.
 pub fn hpke_open(secret: &[u8; 32], info: &[u8], sealed: &[u8]) -> Result<zeroize::Zeroizing<Vec<u8>>, CryptoError> {
     hpke::open(secret, info, sealed)
 }
 
-/// Whether two secrets are the same, in a time that does not tell where they differ.
+/// Compares two secrets in constant time.
 pub fn same_secret(a: &[u8; 32], b: &[u8; 32]) -> bool {
     aws_lc_rs::constant_time::verify_slices_are_equal(a, b).is_ok()
 }
 
-/// Random bytes from the system, fit for keys, sessions and nonces.
+/// Returns random bytes from the system, fit for keys, sessions and nonces.
 pub fn random<const N: usize>() -> Result<[u8; N], CryptoError> {
     let mut bytes = [0u8; N];
     getrandom::fill(&mut bytes).map_err(|_| CryptoError::NoRandom)?;

@@ -1,6 +1,6 @@
-//! Public keys that were parsed lately. A point takes as long to decompress as half a verification,
-//! and what one owner or entity signs comes again and again, each time with the key beside it. A
-//! few keys for each thread, whatever comes.
+//! Cache of recently parsed public keys, a few per thread. Decompressing a point takes half as long
+//! as verifying a signature. The same owners and entities sign again and again, each time with the
+//! key beside the signature.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -16,7 +16,7 @@ type Entry = ([u8; PUBLIC_KEY_LEN], Rc<Verifier>);
 #[derive(Default)]
 struct KeyCache {
     keys: Vec<Entry>,
-    /// Whose place the next one takes.
+    /// Index of the entry that is replaced next.
     oldest: usize,
 }
 
@@ -24,7 +24,7 @@ thread_local! {
     static KEY_CACHE: RefCell<KeyCache> = RefCell::default();
 }
 
-/// The key for verifying, by the default back end.
+/// Returns the parsed key for verification by the default back end.
 pub fn parsed(public: &[u8; PUBLIC_KEY_LEN]) -> Result<Rc<Verifier>, CryptoError> {
     KEY_CACHE.with_borrow_mut(|lately| {
         if let Some((_, known)) = lately.keys.iter().find(|(key, _)| key == public) {

@@ -41,8 +41,8 @@ impl Peerings {
 
 /// Returns the link that this domain must make to another, or `None` if the other domain dials.
 ///
-/// Each domain selects its reachable border, or else the one with the lowest name. If both borders
-/// are reachable, the one with the lower name dials.
+/// Each domain prefers reachable borders, and of several selects the one with the lowest name. If
+/// both selected borders are reachable, the one with the lower name dials.
 pub fn choose(own: &[SwitchStatement], other: &[SwitchStatement]) -> Option<Peering> {
     let (own, other) = (best(own)?, best(other)?);
     let (border, peer) = (own.switch, other.switch);

@@ -1,15 +1,15 @@
-//! The switches of the domain and the paths to them. Every switch floods its signed link state, and
-//! each computes the shortest paths from all of these. The module is sans-IO: time, links and
-//! messages go in; messages and masks come out. It does not need a RIB and does not use topic
-//! names. `gdp-daemon` transports the messages. The RIB beside this switch reads which switches are
-//! reachable.
+//! Topology of the domain: its switches and the paths to them. The switches flood their link
+//! states, from which this switch computes shortest paths. It performs no I/O: time, links and
+//! messages go in, messages and masks come out. It needs no RIB and does not know the names of
+//! topics. `gdp-daemon` transports the messages, and the RIB beside this switch reads which
+//! switches are reachable.
 //!
-//! [`database`] stores the newest link state of each switch. [`flooding`] tracks which neighbour
-//! lacks which link state. [`paths`] computes masks from link states, and [`cost`] computes the
-//! cost of a link from its round-trip time.
+//! [`database`] holds the newest statement of each switch, and [`flooding`] tracks which neighbour
+//! lacks which. [`paths`] computes masks from statements, [`cost`] the cost of a link from its
+//! round-trip time.
 //!
-//! Every link state is verified before it gets here ([`Verified`]). A malicious switch can state
-//! links that do not exist, so an adjacency counts only if both ends state it.
+//! Every statement is verified before it is stored ([`Verified`]). A lying switch can only state
+//! links that it does not have, and an adjacency counts only if both ends state it.
 
 pub mod cost;
 mod database;
@@ -33,53 +33,53 @@ use flooding::Flooding;
 pub use flooding::{Batch, BatchId};
 pub use paths::Paths;
 
-/// Lifetime of a link state, in seconds. A switch renews it after a third. The rest exceeds the
-/// graceful-restart time of a dead daemon's links. So a switch that forwards without its daemon
-/// stays in the topology.
+/// Lifetime of a statement in seconds. The switch restates it after a third of that. The remainder
+/// exceeds the time for which the links of a dead daemon are held, so a switch that forwards
+/// without its daemon stays on the map.
 pub const LIFETIME: u32 = 180;
 
 const REFRESH: Duration = Duration::from_secs(LIFETIME as u64 / 3);
 
 const _: () = assert!(LIFETIME as u64 * 2 / 3 > gdp_core::peer::GRACEFUL_RESTART_TIME.as_secs());
 
-/// Minimum and maximum delay between two link states of this switch if its links change. The delay
-/// doubles with each change that comes within twice its time. The first change after a quiet time
-/// is sent at once. A lost neighbour is announced after the minimum delay, so that a flapping one
-/// counts as lost.
+/// Minimum and maximum interval between two statements of this switch when its links change. The
+/// interval doubles with each change within twice its length. The first change after a quiet time
+/// is stated at once. A lost neighbour is always stated after the minimum, so a flapping link is
+/// stated as down rather than up.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(5));
 
-/// A link state with a verified signature.
+/// Statement whose switch's signature is verified.
 pub struct Verified {
     flooded: Flooded,
     claims: LinkState,
 }
 
 impl Verified {
-    /// Verifies the signature of a link state. This takes some time but no lock.
+    /// Verifies a statement's signature. This takes time, but no lock.
     pub fn new(flooded: Flooded) -> Result<Self, CertError> {
         let claims = flooded.verify()?;
         Ok(Self { flooded, claims })
     }
 }
 
-/// The topology of the domain, as this switch knows it.
+/// This switch's view of the switches of its domain.
 pub struct Topology {
     own: Own,
     database: Database,
     flooding: Flooding,
     paths: Paths,
-    /// Whether the database has changed since the paths were computed.
+    /// The paths must be recomputed from the database.
     is_stale: bool,
 }
 
-/// The state that this switch announces about itself.
+/// Link state of this switch: what it has and what it stated.
 struct Own {
     identity: Identity,
     version: (u64, u64),
     has: Stated,
-    /// The last announced state. `None` forces an announcement.
+    /// Content of the last statement. `None` forces a new statement.
     stated: Option<Stated>,
-    /// Time of the last announcement or attempt.
+    /// Time of the last statement or attempt.
     stated_at: Option<Duration>,
     wait: Duration,
 }
@@ -90,7 +90,7 @@ struct Stated {
     neighbours: BTreeMap<Name, u32>,
     silent: BTreeSet<Name>,
     rib: bool,
-    /// The border links, by domain and switch.
+    /// Border links by domain and switch.
     borders: BTreeMap<(Name, Name), Adjoining>,
 }
 
@@ -105,8 +105,10 @@ impl Stated {
 }
 
 impl Topology {
-    /// Creates a topology. `run` must exceed that of this switch's last start. Otherwise the switch
-    /// corrects it as soon as a neighbour sends back an old link state.
+    /// Creates the topology of a switch.
+    ///
+    /// `run` must be higher than that of the switch's last start. If it is not, the switch learns
+    /// so from the first neighbour.
     pub fn new(identity: Identity, run: u64) -> Self {
         let own =
             Own { identity, version: (run, 0), has: Stated::default(), stated: None, stated_at: None, wait: BACKOFF.0 };
@@ -114,8 +116,7 @@ impl Topology {
         Self { own, database, flooding, paths: Paths::default(), is_stale: true }
     }
 
-    /// Sets the neighbours that accept frames now, each with its cost. Those beyond
-    /// [`MAX_NEIGHBOURS`] are not announced.
+    /// Sets the usable neighbours and the cost to each. At most [`MAX_NEIGHBOURS`] are stated.
     pub fn set_neighbours(&mut self, neighbours: impl IntoIterator<Item = (Name, u32)>) {
         let own = self.own.identity.name();
         let usable = neighbours.into_iter().filter(|(name, _)| *name != own);
@@ -123,13 +124,13 @@ impl Topology {
         self.own.has.neighbours = all.into_iter().take(MAX_NEIGHBOURS).collect();
     }
 
-    /// Sets the neighbours whose daemons do not respond. They get frames, but no control messages.
+    /// Sets the neighbours whose daemons do not answer. Frames may go to them, control messages may
+    /// not.
     pub fn set_silent(&mut self, silent: impl IntoIterator<Item = Name>) {
         self.own.has.silent = silent.into_iter().filter(|near| self.own.has.neighbours.contains_key(near)).collect();
     }
 
-    /// Sets the links into other domains that accept frames now. Those beyond [`MAX_BORDERS`] are
-    /// not announced.
+    /// Sets the usable links into other domains. At most [`MAX_BORDERS`] are stated.
     pub fn set_borders(&mut self, borders: impl IntoIterator<Item = Adjoining>) {
         let own = self.own.identity.name();
         let usable = borders.into_iter().filter(|border| border.switch != own);
@@ -139,22 +140,22 @@ impl Topology {
         self.own.has.borders = all.into_iter().take(MAX_BORDERS).collect();
     }
 
-    /// Sets whether the domain's RIB is beside this switch.
+    /// Sets whether the domain's RIB runs beside this switch.
     pub fn set_rib(&mut self, rib: bool) {
         self.own.has.rib = rib;
     }
 
-    /// Sets the egress bit that the RIB has assigned to this switch.
+    /// Sets the egress bit that the RIB assigned to this switch.
     pub fn set_bit(&mut self, bit: Option<u8>) {
         self.own.has.bit = bit;
     }
 
-    /// Returns the egress bit of this switch, even if it is not announced yet.
+    /// Returns the egress bit of this switch, whether it is stated yet or not.
     pub fn bit(&self) -> Option<u8> {
         self.own.has.bit
     }
 
-    /// Adds a link to a neighbouring switch, which receives all link states.
+    /// Adds a link to a neighbouring switch, which is sent all statements.
     pub fn link_up(&mut self, link: u32) {
         self.flooding.up(link, self.database.switches());
     }
@@ -163,8 +164,8 @@ impl Topology {
         self.flooding.down(link);
     }
 
-    /// Returns those of the received link states that may be new. The caller must verify them and
-    /// pass them to [`Self::learn`].
+    /// Returns the received statements that may be newer than the stored ones. The caller verifies
+    /// them and passes them to [`Self::learn`].
     pub fn news(&mut self, link: u32, states: Vec<Flooded>) -> Result<Vec<Flooded>, CertError> {
         let mut news = Vec::new();
         for flooded in states {
@@ -178,7 +179,7 @@ impl Topology {
         Ok(news)
     }
 
-    /// Stores link states received over a link, and floods them over the other links. Call
+    /// Stores verified statements received over a link and floods them over the others. Call
     /// [`Self::tick`] afterwards.
     pub fn learn(&mut self, now: Duration, link: u32, states: Vec<Verified>) {
         let own = self.own.identity.name();
@@ -203,8 +204,8 @@ impl Topology {
         }
     }
 
-    /// Announces this switch's link state if it is due, removes expired ones, and computes the
-    /// paths. Returns whether the paths or the RIB changed.
+    /// States this switch's links if due, removes expired statements and recomputes paths. Returns
+    /// whether the paths or the nearest RIB changed.
     pub fn tick(&mut self, now: Duration) -> bool {
         self.is_stale |= self.database.expire(now);
         if self.own.next(now).is_some_and(|at| at <= now) {
@@ -227,19 +228,19 @@ impl Topology {
         changed
     }
 
-    /// Returns when [`Self::tick`] or [`Self::batches`] must run next if nothing else happens.
+    /// Returns the time at which [`Self::tick`] or [`Self::batches`] next have work, if nothing
+    /// else happens before.
     pub fn next_tick(&self, now: Duration) -> Option<Duration> {
         let all = [self.own.next(now), self.database.next_expiry(), self.flooding.retry_at()];
         all.into_iter().flatten().min()
     }
 
-    /// Returns the batches to send now. The caller must report the result of each to
-    /// [`Self::answered`].
+    /// Returns the batches to send now. Each must be answered with [`Self::answered`].
     pub fn batches(&mut self, now: Duration) -> Vec<Batch> {
         self.flooding.next(now, &self.database)
     }
 
-    /// Records whether a batch arrived. A lost batch is sent again after a backoff.
+    /// Records whether a batch arrived. A lost batch is repeated later.
     pub fn answered(&mut self, now: Duration, batch: BatchId, arrived: bool) {
         self.flooding.answered(now, batch, arrived);
     }
@@ -249,28 +250,28 @@ impl Topology {
         &self.paths
     }
 
-    /// Returns the switch of the nearest RIB that control messages can reach, and its run. The
-    /// value is as of the last [`Self::tick`].
+    /// Returns the switch and the run of the nearest RIB that control messages reach, as of the
+    /// last [`Self::tick`].
     pub fn rib(&self) -> Option<(Name, u64)> {
         self.paths.rib
     }
 
-    /// Returns the links into other domains of all reachable switches, each with its switch. The
-    /// value is as of the last [`Self::tick`].
+    /// Returns the border links of all reachable switches, including this one, each with its
+    /// switch, as of the last [`Self::tick`].
     pub fn borders(&self) -> impl Iterator<Item = (Name, &Adjoining)> {
         let reached = self.states().filter(|state| self.paths.reaches(&state.switch));
         reached.flat_map(|state| state.borders.iter().map(|border| (state.switch, border)))
     }
 
-    /// Returns the link states of all switches, including this one.
+    /// Returns the statements of all switches, including this one.
     pub fn states(&self) -> impl Iterator<Item = &LinkState> {
         self.database.claims()
     }
 }
 
 impl Own {
-    /// Handles a link state of this switch that an earlier run signed. If its version is not lower
-    /// than the current one, the clock went back or the number was lost.
+    /// Adopts the version of a statement by an earlier run, if it is not below the present one. The
+    /// clock went back, or the number was lost.
     fn received_own_state(&mut self, older: &LinkState) {
         if older.version() >= self.version {
             self.version = older.version();
@@ -278,7 +279,7 @@ impl Own {
         }
     }
 
-    /// Returns when the next announcement is due.
+    /// Returns the time of the next statement.
     fn next(&self, now: Duration) -> Option<Duration> {
         let Some(stated_at) = self.stated_at else { return Some(now) };
         let wait = match &self.stated {

@@ -1,5 +1,5 @@
-//! Computes the shortest paths from one switch to all others: the next hop toward each, and the
-//! egress bits behind each neighbour as masks. Pure: link states in, paths out.
+//! Shortest paths from one switch to all others. The result is the next hop to each switch, and the
+//! mask of egress bits behind each neighbour. Pure: statements in, paths out.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,26 +8,24 @@ use gdp_wire::Name;
 use petgraph::algo::dijkstra;
 use petgraph::graphmap::UnGraphMap;
 
-/// Switches, and the adjacencies that both ends state, each with the larger of the two costs.
+/// Graph of switches and the adjacencies that both ends state, with the larger of the two costs.
 type SwitchGraph = UnGraphMap<Name, u64>;
 
-/// The paths of one switch, computed from all link states.
+/// Paths of one switch, computed from the statements of all.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Paths {
-    /// Masks of egress bits by neighbour. No bit is in two masks, and the switch's own bit is in
-    /// none.
+    /// Egress bits by neighbour. No bit is behind two neighbours, and none is the switch's own.
     pub reach: BTreeMap<Name, u64>,
-    /// The reachable switches, including this one, each with the cost of its path.
+    /// Reachable switches including this one, with the cost of the path.
     pub costs: BTreeMap<Name, u64>,
-    /// The switch of each egress bit. If two switches state the same bit, the one with the lower
-    /// run number has it.
+    /// Owner of each egress bit. If two switches state the same bit, the one that has run longest
+    /// owns it.
     pub bits: BTreeMap<u8, Name>,
-    /// The neighbour through which control messages reach each other switch. Every daemon on such a
-    /// path, including the last, responds.
+    /// Next hop of control messages to each switch. Neither the destination nor any switch on the
+    /// way has a daemon that does not answer.
     pub next: BTreeMap<Name, Name>,
-    /// The nearest switch with the domain's RIB that control messages reach, and its run. Of two at
-    /// the same cost, the lower name counts. It may be this switch. A restarted RIB has another
-    /// run.
+    /// Nearest switch with the domain's RIB that control messages reach, and its run. The lower
+    /// name wins a tie; it may be this switch. A restarted RIB counts as another.
     pub rib: Option<(Name, u64)>,
 }
 
@@ -57,13 +55,13 @@ impl Paths {
         self.costs.contains_key(switch)
     }
 
-    /// Returns the egress bit of a switch, unless another switch has it by a lower run number.
+    /// Returns the egress bit that a switch owns.
     pub fn bit(&self, switch: &Name) -> Option<u8> {
         self.bits.iter().find(|(_, of)| *of == switch).map(|(bit, _)| *bit)
     }
 }
 
-/// Returns the neighbour on the shortest path to each reachable switch.
+/// Returns the next hop to each of the reachable switches.
 fn next_hops(graph: &SwitchGraph, own: Name, reached: &BTreeMap<Name, u64>) -> BTreeMap<Name, Name> {
     let onward: Vec<_> = graph.edges(own).map(|(_, via, cost)| (via, *cost, costs_from(graph, via))).collect();
     let hop = |switch: &Name| {
@@ -89,7 +87,8 @@ fn bits<'a>(states: impl Iterator<Item = &'a &'a LinkState>) -> BTreeMap<u8, Nam
     bits
 }
 
-/// Builds the graph. `counts` selects the neighbours of a link state by their index.
+/// Builds the graph of adjacencies. `counts` states whether a switch's adjacency to the neighbour
+/// with this index is used.
 fn graph(states: &BTreeMap<Name, &LinkState>, counts: impl Fn(&LinkState, usize) -> bool) -> SwitchGraph {
     let cost_to = |state: &LinkState, neighbour: &Name| {
         let at = state.neighbours.binary_search_by(|(name, _)| name.cmp(neighbour)).ok()?;
