@@ -28,10 +28,10 @@ pub fn encode<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>, CborError> {
     to_bytes(&value)
 }
 
-/// Decodes `bytes`, at most `max` of them, as exactly one `T`.
+/// Decodes `bytes` as exactly one `T`. Refuses more than `max` bytes.
 ///
-/// Refuses any encoding that [`encode`] would not produce, and thereby trailing bytes, duplicate
-/// keys and fields unknown to `T`.
+/// Also refuses any encoding that [`encode`] would not produce, and thereby trailing bytes,
+/// duplicate keys and fields unknown to `T`.
 pub fn decode<T: DeserializeOwned + Serialize>(bytes: &[u8], max: usize) -> Result<T, CborError> {
     if bytes.len() > max {
         return Err(CborError::TooLong { got: bytes.len(), max });

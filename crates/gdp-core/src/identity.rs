@@ -1,5 +1,5 @@
-//! P-256 keys, and the entity one of them makes. Private keys live in PKCS#8 PEM files of mode
-//! 0600, never in a log and no longer in memory than their owner.
+//! P-256 keys and the entities that hold them. Private keys are stored in PKCS#8 PEM files of mode
+//! 0600. They never appear in a log and stay in memory no longer than their owner.
 
 use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN, SIGNATURE_LEN, Signer};
 use crate::keys::BoxKey;
@@ -15,10 +15,10 @@ use std::path::Path;
 use std::sync::Arc;
 use zeroize::Zeroizing;
 
-/// A PEM file of a P-256 key has about 240 bytes.
+/// Maximum bytes of a key file. A PEM file of a P-256 key has about 240 bytes.
 const MAX_KEY_FILE: usize = 4096;
 
-/// A private P-256 key. Clones share one copy, which is cleared with the last of them.
+/// Private P-256 key. Clones share one copy, which is cleared with the last of them.
 #[derive(Clone)]
 pub struct SigningKey(Arc<Inner>);
 
@@ -40,7 +40,7 @@ impl SigningKey {
         }
     }
 
-    /// Reads a PKCS#8 PEM file. One that others may read or write is refused.
+    /// Reads a PKCS#8 PEM file. Refuses a file that others may read or write.
     pub fn load(path: &Path) -> Result<Self, SecretFileError> {
         let malformed = |reason: String| SecretFileError::malformed(path, reason);
         let content = secret_file::read(path, MAX_KEY_FILE)?;
@@ -53,14 +53,14 @@ impl SigningKey {
         Self::from_secret(secret).map_err(|e| malformed(e.to_string()))
     }
 
-    /// Writes a new PKCS#8 PEM file of mode 0600. An existing file is never overwritten.
+    /// Writes a new PKCS#8 PEM file of mode 0600. Never overwrites an existing file.
     pub fn save_new(&self, path: &Path) -> Result<(), SecretFileError> {
         let pem = self.0.secret.to_pkcs8_pem(LineEnding::LF).map_err(|e| SecretFileError::malformed(path, e))?;
         secret_file::create(path, pem.as_bytes())
     }
 
-    /// Loads `path`, or creates it with a new key. Of two processes that create it at once, both
-    /// get the same key.
+    /// Loads `path`, or creates it with a new key. If two processes create it at once, both get the
+    /// same key.
     pub fn load_or_generate(path: &Path) -> Result<Self, SecretFileError> {
         match Self::load(path) {
             Err(e) if e.is_not_found() => {}
@@ -74,7 +74,7 @@ impl SigningKey {
         }
     }
 
-    /// The public key, SEC1 compressed.
+    /// Returns the public key, SEC1 compressed.
     pub fn public(&self) -> [u8; PUBLIC_KEY_LEN] {
         self.0.public
     }
@@ -83,28 +83,28 @@ impl SigningKey {
         VerifyKey(self.0.public)
     }
 
-    /// ECDSA with SHA-256, `r ‖ s`. The caller separates domains: what is signed for one purpose
-    /// must not be a valid input of another.
+    /// Signs by ECDSA with SHA-256 and returns `r ‖ s`. The caller must separate domains: a message
+    /// signed for one purpose must not be a valid input for another.
     pub fn sign(&self, message: &[u8]) -> Result<[u8; SIGNATURE_LEN], CryptoError> {
         self.0.signer.sign(message)
     }
 
-    /// A signer of the chosen back end, for the places that let it be chosen.
+    /// Returns a signer of the chosen back end.
     pub fn signer(&self, backend: Backend) -> Result<Signer, CryptoError> {
         backend.signer(&self.pkcs8_der())
     }
 
-    /// PKCS#8 DER, for a TLS certificate of this key.
+    /// Returns the key as PKCS#8 DER, for a TLS certificate of this key.
     pub fn pkcs8_der(&self) -> Zeroizing<Vec<u8>> {
         pkcs8_der(&self.0.secret)
     }
 
-    /// The scalar, to be carried in an invitation.
+    /// Returns the scalar, to be sent in an invitation.
     pub(crate) fn secret_bytes(&self) -> Zeroizing<[u8; 32]> {
         Zeroizing::new(self.0.secret.to_bytes().into())
     }
 
-    /// The key with this scalar (big-endian).
+    /// Returns the key with this scalar (big-endian).
     ///
     /// # Errors
     ///
@@ -123,7 +123,7 @@ impl SigningKey {
     }
 }
 
-/// The encoding of a valid P-256 key has a fixed shape of about 140 bytes: it cannot fail.
+/// Encodes the key. A valid P-256 key has a fixed shape of about 140 bytes, so this cannot fail.
 fn pkcs8_der(secret: &SecretKey) -> Zeroizing<Vec<u8>> {
     secret.to_pkcs8_der().expect("a P-256 key always has a PKCS#8 form").to_bytes()
 }
@@ -134,7 +134,7 @@ impl fmt::Debug for SigningKey {
     }
 }
 
-/// An entity: a proxy, switch, RIB or domain. Its name follows from its own key and its metadata,
+/// Entity: a proxy, switch, RIB or domain. Its name is derived from its own key and its metadata,
 /// `{kind: …}`.
 #[derive(Clone, Debug)]
 pub struct Identity {
@@ -145,7 +145,7 @@ pub struct Identity {
 }
 
 impl Identity {
-    /// `kind` is `switch`, `proxy`, `rib`, `tool`, …
+    /// Creates an identity. `kind` is `switch`, `proxy`, `rib`, `tool`, …
     pub fn new(key: SigningKey, kind: &str) -> Self {
         let metadata = Metadata::from([("kind".to_owned(), kind.to_owned())]);
         let proof = NameProof { owner_key: key.public(), digest: name::inner_digest(&metadata) };
@@ -157,7 +157,7 @@ impl Identity {
         Ok(Self::new(SigningKey::generate()?, kind))
     }
 
-    /// The identity whose key is in the PEM file `path`, which is created if there is none.
+    /// Loads the identity whose key is in the PEM file `path`. Creates the file if there is none.
     pub fn load_or_generate(path: &Path, kind: &str) -> Result<Self, SecretFileError> {
         Ok(Self::new(SigningKey::load_or_generate(path)?, kind))
     }
@@ -178,12 +178,12 @@ impl Identity {
         self.name
     }
 
-    /// What keys are wrapped to it with, and agreed upon with it.
+    /// Returns the key for HPKE and for key agreement.
     pub fn box_key(&self) -> &BoxKey {
         &self.key.0.box_key
     }
 
-    /// The public half of [`Self::box_key`], SEC1 compressed.
+    /// Returns the public key of [`Self::box_key`], SEC1 compressed.
     pub fn box_public(&self) -> [u8; PUBLIC_KEY_LEN] {
         self.box_key().public()
     }

@@ -1,8 +1,9 @@
 //! Names, name cards, identities, certificates, domains, wrapped keys and revocations of the Global
 //! Data Plane.
 //!
-//! The cryptography stands behind [`crypto`]. No sockets and no clock: callers bring the time.
-// They panic where stdout or stderr cannot be written.
+//! [`crypto`] encapsulates the cryptography. This crate has no sockets and no clock: callers pass
+//! the time.
+// These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod card;

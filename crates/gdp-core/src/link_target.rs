@@ -1,4 +1,4 @@
-//! Where a node finds its switch, as written in configurations: `eth://INTERFACE[/MAC]` or
+//! Address of a node's switch, as written in configurations: `eth://INTERFACE[/MAC]` or
 //! `udp://HOST[:PORT][%INTERFACE]`.
 
 use std::fmt;
@@ -6,13 +6,13 @@ use std::str::FromStr;
 
 use crate::mac::{DisplayMac, parse_mac};
 
-/// What a node dials.
+/// Address that a node dials.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum LinkTarget {
-    /// The switch with this MAC address on the segment of an interface; without one, whichever
-    /// answers there.
+    /// Switch with this MAC address on the segment of an interface. Without a MAC address, any
+    /// switch that answers there.
     Ethernet { interface: String, mac: Option<[u8; 6]> },
-    /// A host name or address, and a port. With an interface: through that one only, whatever the
+    /// Host name or address, and a port. With an interface, only that one is used, whatever the
     /// routing table prefers.
     Udp { host: String, port: u16, interface: Option<String> },
 }

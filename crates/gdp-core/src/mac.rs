@@ -1,8 +1,8 @@
-//! MAC addresses as text.
+//! Text form of MAC addresses.
 
 use std::fmt;
 
-/// A MAC address as people write it.
+/// Formats a MAC address with colons.
 pub struct DisplayMac(pub [u8; 6]);
 
 impl fmt::Display for DisplayMac {
@@ -12,7 +12,7 @@ impl fmt::Display for DisplayMac {
     }
 }
 
-/// Six pairs of hex digits, with colons between them.
+/// Parses six pairs of hex digits, separated by colons.
 pub fn parse_mac(text: &str) -> Option<[u8; 6]> {
     let mut mac = [0; 6];
     let mut parts = text.split(':');

@@ -1,6 +1,6 @@
-//! Derives names from owner key and metadata, and parses the prefixes that commands accept.
-//! The bytes are specified in `docs/wire-format.md`, "Names":
-//! `name = SHA-256("gdp/name/1" ‖ owner key ‖ SHA-256(JCS(metadata)))`.
+//! Derivation of names from owner key and metadata, and the prefixes that commands accept.
+//! `docs/wire-format.md`, "Names", specifies the bytes: `name = SHA-256("gdp/name/1" ‖ owner key ‖
+//! SHA-256(JCS(metadata)))`.
 
 use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN};
 use crate::verify_key::VerifyKey;
@@ -10,22 +10,22 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-/// The string map a name is derived from. Its order in memory is not the order of its canonical
+/// String map from which a name is derived. Its order in memory is not the order of its canonical
 /// form.
 pub type Metadata = BTreeMap<String, String>;
 
-/// SHA-256 of the canonical JSON (RFC 8785) of `metadata`.
+/// Returns the SHA-256 hash of the canonical JSON (RFC 8785) of `metadata`.
 pub fn inner_digest(metadata: &Metadata) -> [u8; 32] {
     Backend::default().sha256(&[canonical_json(metadata).as_bytes()])
 }
 
-/// The name of what `owner_key` (SEC1 compressed) calls by the metadata with this inner digest.
+/// Derives the name from `owner_key` (SEC1 compressed) and the inner digest of its metadata.
 pub fn derive(owner_key: &[u8; PUBLIC_KEY_LEN], digest: &[u8; 32]) -> Name {
     Name::from_bytes(Backend::default().sha256(&[b"gdp/name/1", owner_key, digest]))
 }
 
-/// RFC 8785 for a map of strings: keys ordered by their UTF-16 code units, no white space, the
-/// fewest escapes.
+/// Returns the canonical JSON (RFC 8785) of a map of strings. Keys are ordered by their UTF-16 code
+/// units, with no white space and the fewest escapes.
 pub fn canonical_json(metadata: &Metadata) -> String {
     let mut entries: Vec<(&String, &String)> = metadata.iter().collect();
     entries.sort_by(|a, b| a.0.encode_utf16().cmp(b.0.encode_utf16()));
@@ -42,7 +42,7 @@ pub fn canonical_json(metadata: &Metadata) -> String {
     json
 }
 
-/// RFC 8785 §3.2.2.2.
+/// Appends a string literal (RFC 8785 §3.2.2.2).
 fn push_string(json: &mut String, text: &str) {
     json.push('"');
     for c in text.chars() {
@@ -61,11 +61,11 @@ fn push_string(json: &mut String, text: &str) {
     json.push('"');
 }
 
-/// Shows how a name was made without telling the metadata.
+/// Proof of a name's derivation that does not reveal the metadata.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NameProof {
-    /// SEC1 compressed.
+    /// Public key of the owner, SEC1 compressed.
     #[serde(with = "crate::cbor::array")]
     pub owner_key: [u8; PUBLIC_KEY_LEN],
     #[serde(with = "crate::cbor::array")]
@@ -73,14 +73,14 @@ pub struct NameProof {
 }
 
 impl NameProof {
-    /// The name this proves. Refuses an owner key that is no point on the curve: nobody could sign
-    /// for its names.
+    /// Returns the proven name. Refuses an owner key that is not a point on the curve, because
+    /// nobody could sign for its names.
     pub fn name(&self) -> Result<Name, CryptoError> {
         self.verify_key()?;
         Ok(derive(&self.owner_key, &self.digest))
     }
 
-    /// The owner's key: what certificates about the name must verify under.
+    /// Returns the owner's key, which verifies certificates about the name.
     pub fn verify_key(&self) -> Result<VerifyKey, CryptoError> {
         VerifyKey::from_bytes(&self.owner_key)
     }
@@ -92,7 +92,7 @@ impl fmt::Debug for NameProof {
     }
 }
 
-/// The first 1 to 64 hex digits of a name, as a person types them.
+/// Prefix of a name as a person types it: 1 to 64 hex digits.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct NamePrefix(String);
@@ -106,7 +106,7 @@ impl NamePrefix {
         name.to_string().starts_with(&self.0)
     }
 
-    /// The name itself, if the prefix is all of it.
+    /// Returns the name if the prefix is complete.
     pub fn full(&self) -> Option<Name> {
         self.0.parse().ok()
     }

@@ -1,4 +1,4 @@
-//! The entity at the other end of a link.
+//! Entity at the other end of a link.
 
 use std::time::Duration;
 
@@ -8,17 +8,17 @@ use serde::{Deserialize, Serialize};
 use crate::name::{Name, NameProof};
 use crate::verify_key::VerifyKey;
 
-/// How long keys and routes of a lost link stay in use, unless a new link replaces it earlier (RFC
-/// 4724, section 4.2).
+/// Time in which keys and routes of a lost link stay in use, unless a new link replaces it earlier
+/// (RFC 4724, section 4.2).
 ///
-/// The daemon of a switch may be gone while its kernel forwards on: the neighbour's data plane must
-/// answer echoes meanwhile.
+/// The daemon of a switch may be down while its kernel continues to forward. The neighbour's data
+/// plane must answer echoes meanwhile.
 pub const GRACEFUL_RESTART_TIME: Duration = Duration::from_secs(60);
 
-/// Links that an endpoint has at once, to one switch or several.
+/// Maximum number of concurrent links of an endpoint, to one switch or several.
 pub const MAX_LANES: usize = 4;
 
-/// What an entity is on its links.
+/// Role of an entity on its links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Role {
     Endpoint,
@@ -34,14 +34,14 @@ impl From<Role> for LinkRole {
     }
 }
 
-/// Who is at the other end. The key is proven and the name derived from it; the role is what it
-/// says of itself.
+/// Identity of the other end. The key is proven and the name derived from it; the role is its own
+/// claim.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Peer {
     pub name: Name,
     pub proof: NameProof,
     pub key: VerifyKey,
     pub role: Role,
-    /// Of an endpoint: which of its links this is, of those it has at once; below [`MAX_LANES`].
+    /// Number of an endpoint's link among its concurrent ones, below [`MAX_LANES`].
     pub lane: u8,
 }

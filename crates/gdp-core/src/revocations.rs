@@ -1,6 +1,6 @@
-//! Revocations that outlive a process: a file of the newest that were verified, written whole and
-//! read back with suspicion. So what an owner took back stays so for a node or a RIB that starts
-//! anew, also before anybody tells it again.
+//! Revocations that outlive a process. The file holds the newest verified ones. It is written as a
+//! whole, and its content is verified again when read. A revocation thus stays in force for a
+//! restarted node or RIB, even before it is announced again.
 
 use std::path::{Path, PathBuf};
 
@@ -12,35 +12,35 @@ use crate::name::{Name, NameProof};
 use crate::secret_file::SecretFileError;
 use crate::{cbor, secret_file};
 
-/// The first bytes of such a file.
+/// First bytes of the file.
 const HEAD: &[u8] = b"gdp revocations 1\n";
 
-/// Bytes of one entry: a revocation of as many serials as there may be, and a proof.
+/// Maximum bytes of one entry: a revocation with the maximum number of serials, and a proof.
 const MAX_ENTRY: usize = 32 << 10;
 
-/// A revocation, and how the name it is about shows its owner's key.
+/// Signed revocation with the proof of its name, which holds the owner's key.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SignedRevocation {
     pub proof: NameProof,
     pub revocation: Signed<Revocation>,
-    /// Where it came in, if a RIB keeps it.
+    /// Origin of the revocation, if a RIB stores it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub origin: Option<Origin>,
 }
 
-/// Where a RIB took something in: through a switch, from a tool there or from an entity; or from
-/// the RIB of a neighbouring domain.
+/// Origin of a revocation at a RIB. It is an entity or a tool at a switch, or the RIB of a
+/// neighbouring domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Origin {
-    /// The switch, or the neighbouring domain.
+    /// Name of the switch or of the neighbouring domain.
     pub through: Name,
     pub by_tool: bool,
 }
 
 impl SignedRevocation {
-    /// What the owner of the name has taken back.
+    /// Verifies the owner's signature and returns the claims.
     pub fn verify(&self) -> Result<Revocation, CertError> {
         let (name, key) = (self.proof.name()?, self.proof.verify_key()?);
         let claims = self.revocation.verify(&key, 0)?;
@@ -51,7 +51,7 @@ impl SignedRevocation {
     }
 }
 
-/// Where revocations are kept: at mode 0600, and at most so many bytes.
+/// File of revocations with mode 0600 and a maximum size in bytes.
 #[derive(Clone, Debug)]
 pub struct RevocationFile {
     path: PathBuf,
@@ -59,23 +59,23 @@ pub struct RevocationFile {
 }
 
 impl RevocationFile {
-    /// At `path`, and of `max` bytes.
+    /// Creates a handle for the file at `path` of at most `max` bytes.
     pub fn new(path: PathBuf, max: usize) -> Self {
         Self { path, max }
     }
 
-    /// In a folder for what an entity keeps.
+    /// Creates a handle for an entity's file in a folder.
     pub fn of_entity(folder: &Path, entity: Name, max: usize) -> Self {
         Self::new(folder.join(format!("{entity}.revocations")), max)
     }
 
-    /// Where it is, if anything was kept.
+    /// Returns the path, whether the file exists or not.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// All that were kept and still verify, in the order in which they were; none if there is no
-    /// file.
+    /// Returns the stored revocations that still verify, in their order. Returns none if there is
+    /// no file.
     pub fn load(&self) -> Result<Vec<(SignedRevocation, Revocation)>, SecretFileError> {
         let bytes = match secret_file::read(&self.path, self.max) {
             Err(error) if error.is_not_found() => return Ok(Vec::new()),
@@ -93,8 +93,8 @@ impl RevocationFile {
         Ok(loaded)
     }
 
-    /// Keeps these instead of what is there, as many of them as there is room for. Returns how many
-    /// there was none for.
+    /// Replaces the content of the file by as many of these as fit. Returns the number of those
+    /// that did not fit.
     pub fn save<'a>(&self, kept: impl IntoIterator<Item = &'a SignedRevocation>) -> Result<usize, SecretFileError> {
         let (mut bytes, mut omitted) = (HEAD.to_vec(), 0);
         for entry in kept {

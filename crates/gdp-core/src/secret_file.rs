@@ -1,6 +1,6 @@
-//! Files that hold secrets: created at mode 0600 and never visible wider or half-written, refused
-//! when anybody but the owner may touch them. Used for private keys and what the command line
-//! remembers of a name; the content is the caller's business.
+//! Files that hold secrets. They are created with mode 0600 and never visible half-written or with
+//! a wider mode. A file that others than the owner can access is refused. They hold private keys
+//! and the command line's state of a name; the caller defines the content.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -29,15 +29,15 @@ impl SecretFileError {
         matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
     }
 
-    /// What is in the file is not what belongs there, for this reason.
+    /// Creates the error that the content of the file is malformed, for this reason.
     pub fn malformed(path: &Path, reason: impl ToString) -> Self {
         Self::Malformed { path: path.into(), reason: reason.to_string() }
     }
 }
 
 /// Creates `path` with `content`. The bytes are written and synced under a temporary name and then
-/// linked to the final one, which fails if that exists: whoever opens `path` sees the whole content
-/// or no file.
+/// linked to the final one, which fails if that exists. A reader of `path` thus sees the whole
+/// content or no file.
 pub(crate) fn create(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
     with_temporary(path, content, |temporary| {
         fs::hard_link(temporary, path).map_err(|source| match source.kind() {
@@ -47,8 +47,8 @@ pub(crate) fn create(path: &Path, content: &[u8]) -> Result<(), SecretFileError>
     })
 }
 
-/// As [`create`], but takes the place of a file that is there. After a crash there is the one or
-/// the other, whole.
+/// Creates a file as [`create`] does, but replaces an existing one. After a crash, either the old
+/// or the new file exists in full.
 pub fn replace(path: &Path, content: &[u8]) -> Result<(), SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
     with_temporary(path, content, |temporary| {
@@ -76,14 +76,14 @@ fn with_temporary(
         .open(&temporary)
         .and_then(|mut file| file.write_all(content).and_then(|()| file.sync_all()));
     let result = written.map_err(io).and_then(|()| place(&temporary));
-    // Nothing to do about a failure: the file has moved, was not created, or its name is of no
-    // interest to anybody.
+    // A failure needs no handling: the file has moved, was not created, or its name does not
+    // matter.
     let _ = fs::remove_file(&temporary);
     result
 }
 
-/// The whole of `path`, at most `max` bytes. A symbolic link is followed; what counts is the file
-/// it leads to.
+/// Reads the whole of `path`, at most `max` bytes. It follows a symbolic link and checks the
+/// target.
 pub fn read(path: &Path, max: usize) -> Result<Zeroizing<Vec<u8>>, SecretFileError> {
     let io = |action| move |source| SecretFileError::Io { path: path.into(), action, source };
     // Without O_NONBLOCK, opening a FIFO would wait for a writer.
@@ -97,7 +97,7 @@ pub fn read(path: &Path, max: usize) -> Result<Zeroizing<Vec<u8>>, SecretFileErr
     Ok(content)
 }
 
-/// Looks at the open file, not at its name, so that nothing can be exchanged in between.
+/// Checks the open file instead of its name, so that nothing can be exchanged in between.
 fn check(path: &Path, file: &File) -> Result<(), SecretFileError> {
     let metadata =
         file.metadata().map_err(|source| SecretFileError::Io { path: path.into(), action: "examine", source })?;

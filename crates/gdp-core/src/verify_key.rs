@@ -1,4 +1,4 @@
-//! P-256 public keys that signatures are checked with.
+//! P-256 public keys for verifying signatures.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use crate::crypto::{self, Backend, CryptoError, PUBLIC_KEY_LEN, SIGNATURE_LEN, Verifier};
 
-/// A public P-256 key, SEC1 compressed, known to be a point on the curve. Text form: 66 hex digits.
+/// Public P-256 key, SEC1 compressed, known to be a point on the curve. Text form: 66 hex digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct VerifyKey(pub(crate) [u8; PUBLIC_KEY_LEN]);
 
@@ -22,7 +22,7 @@ impl VerifyKey {
         &self.0
     }
 
-    /// Checks one signature. To check many, keep a [`Self::verifier`].
+    /// Verifies one signature. To verify many, keep a [`Self::verifier`].
     pub fn verify(&self, message: &[u8], signature: &[u8; SIGNATURE_LEN]) -> Result<(), CryptoError> {
         crypto::parsed(&self.0)?.verify(message, signature)
     }

@@ -1,13 +1,13 @@
-//! What travels on a link's control streams: requests, responses and the records in them, and their
+//! Messages on a link's control streams: requests, responses and the records in them, with their
 //! bounded encoding.
 //!
-//! Types and checks only, no I/O: `gdp-link` moves them, `gdp` asks, the daemon's
-//! RIB answers. One request and its response to a QUIC stream, each a big-endian u32 length and
-//! that many bytes of CBOR, at most [`MAX_MESSAGE`]. Streams are not ordered among each other: who
-//! needs an order waits for the response before asking again.
+//! Types and checks only, no I/O: `gdp-link` transports them, `gdp` sends requests, the daemon's
+//! RIB answers. Each QUIC stream carries one request and its response. Each is a big-endian u32
+//! length and that many bytes of CBOR, at most [`MAX_MESSAGE`]. Streams are not ordered among each
+//! other: a sender that needs an order waits for the response before its next request.
 //!
-//! Nothing here is trusted because of who sent it: certificates and statements are verified by the
-//! RIB before it stores them and again, with [`Record::verify`], by whoever receives an answer.
+//! No sender is trusted: the RIB verifies certificates and statements before it stores them. The
+//! receiver of an answer verifies them again with [`Record::verify`].
 
 mod extent;
 mod peers;
@@ -44,153 +44,163 @@ use gdp_core::domain::Credentials;
 use gdp_core::keys::KeyBox;
 use gdp_core::name::{NamePrefix, NameProof};
 
-/// Largest encoded request or response, in bytes, without its length prefix.
+/// Maximum bytes of an encoded request or response, without its length prefix.
 pub const MAX_MESSAGE: usize = 64 * 1024;
 
-/// Hops that control goes between switches, at most: more than any path has on which it arrives in
-/// time.
+/// Maximum number of hops of a control message between switches. Any longer path would be too slow.
 pub const MAX_HOPS: u8 = 64;
 
-/// Deepest nesting of a message; the deepest real one has fifteen levels.
+/// Maximum nesting depth of a message; the deepest real one has fifteen levels.
 const MAX_DEPTH: usize = 24;
 
-/// Whatever one side of a link asks of the other.
+/// Request from one side of a link to the other.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Request {
-    /// Endpoint → its switch: on behalf of the entity at the other end of the link.
+    /// Endpoint → its switch: a request of the entity at the other end of the link.
     Entity(EntityRequest),
-    /// Switch → neighbouring switch: a request to the switch `to`, or to the RIB beside it; pass it
-    /// on along the shortest path, with one hop less, and its answer back. What a switch asks of
-    /// the RIB goes so, and what the RIB says to a switch.
+    /// Switch → neighbouring switch: a request to forward to the switch `to`, or to the RIB beside
+    /// it. Each switch forwards it along the shortest path with one hop less, and returns the
+    /// answer. Requests between switches and the RIB travel this way.
     Onward { to: Name, hops: u8, request: Box<Request> },
-    /// Switch → RIB: what an entity attached to `switch` (or a tool on its host) asks. `entity`
-    /// shows the RIB the key that the entity's statements must verify under; `None` for
-    /// revocations, and for queries of a name in full. `by_tool`: not over a link of the entity, so
-    /// nothing is bound to an attachment, only to the statement's lifetime.
+    /// Switch → RIB: a request of an entity attached to `switch`, or of a tool on its host.
+    ///
+    /// `entity` proves the key that verifies the entity's statements. It is `None` for revocations
+    /// and for queries of a full name. `by_tool` states that the request did not arrive over a link
+    /// of the entity. Its registrations are then bound to the statement's lifetime only, not to an
+    /// attachment.
     Relay { switch: Name, entity: Option<NameProof>, by_tool: bool, request: EntityRequest },
-    /// Switch → RIB, first when it reaches that RIB, and when it reaches it again: I am here, with
-    /// these entities attached. The RIB drops those it holds beyond these, and answers those it
-    /// does not hold with [`Request::Detach`], so that they attach again. A switch whose daemon has
-    /// just started names those whose links it took over. `own_bit`: the egress bit it had, if it
-    /// had one; frames on their way carry it, so a RIB that does not know the switch gives it the
-    /// same one if nobody else has it. `shown`: what other domains may see of it, if it is a member
-    /// of a domain.
+    /// Switch → RIB: a report of the attached entities, sent whenever the switch reaches a RIB, for
+    /// the first time or again.
+    ///
+    /// The RIB ends other attachments that it holds for the switch. It answers entities that it
+    /// does not know with [`Request::Detach`], so that they attach again. A restarted daemon
+    /// reports the entities whose links it took over. `own_bit` is the switch's previous egress
+    /// bit. Frames in flight carry it, so a RIB that does not know the switch assigns the same bit
+    /// if it is free. `shown` is the identity for other domains, if the switch is a member of a
+    /// domain.
     Report { switch: NameProof, attached: Vec<Name>, own_bit: Option<u8>, shown: Option<Box<Host>> },
-    /// RIB → its border switch: have links with these border switches of other domains, which may
-    /// be reached at these addresses, best first, and with no others that I wanted. `run`: as in
-    /// [`FibPush`].
+    /// RIB → its border switch: the complete set of wanted links to border switches of other
+    /// domains, each with its addresses, best first. `run` is the same as in [`FibPush`].
     Peerings { run: u64, wanted: Vec<(Name, Vec<SocketAddr>)> },
     /// RIB → its border switch → the border switch of a neighbouring domain → that domain's RIB.
     Tier(Box<TierMessage>),
-    /// Switch → neighbouring switch: what switches of the domain state of their links, as far as
-    /// the neighbour is not known to hold it. Answered once it does; until then it is sent again.
+    /// Switch → neighbouring switch: the link states that the neighbour may lack. The neighbour
+    /// answers once it holds them; until then they are repeated.
     Flood { states: Vec<Flooded> },
     /// Switch → RIB: the entity's link is gone, and with it everything it advertised through this
-    /// switch. RIB → switch → the entity: I hold no attachment of it; it is to attach again, on the
-    /// link it has.
+    /// switch.
+    ///
+    /// RIB → switch → entity: the RIB holds no attachment of the entity, which must attach again on
+    /// its present link.
     Detach { switch: Name, entity: Name },
-    /// Switch → neighbouring switch: data frames are taken on this link from now on. Endpoint → its
-    /// switch: of my links to you, send me on this one what I take on one.
+    /// Switch → neighbouring switch: this side accepts data frames on this link from now on.
+    /// Endpoint → its switch: of the links between the two, use this one for names that the
+    /// endpoint accepts on a single link.
     Ready,
-    /// RIB → switch: what the switch's FIB holds.
+    /// RIB → switch: content of the switch's FIB.
     Fib(FibPush),
-    /// RIB → switch → entity: its counterparts in a name are now these.
+    /// RIB → switch → entity: the entity's counterparts for a name.
     Peers(PeersPush),
-    /// Endpoint → its switch: what does the path to each switch of the domain cost, now and
-    /// whenever that changes? For one that chooses among servers. Answered by [`Response::Costs`];
-    /// changes come as [`Request::Costs`], on this link.
+    /// Endpoint → its switch: subscribes to the path costs to each switch of the domain, for
+    /// choosing among servers. [`Response::Costs`] answers it, and changes arrive as
+    /// [`Request::Costs`] on this link.
     WatchCosts,
-    /// Switch → an endpoint that watches: the paths cost this now. The next comes once this is
-    /// answered, and a while after.
+    /// Switch → subscribed endpoint: the current path costs. The next update follows a while after
+    /// this one is answered.
     Costs(PathCosts),
-    /// Either end of a link → the other: my data frames are now under the link key of this
-    /// generation. Answered once the one after it is held; until then there is no further change.
+    /// Either end of a link → the other: the sender's data frames now use the link key of this
+    /// generation. The receiver answers once it holds the next key; until then the key does not
+    /// change again.
     Ratcheted { generation: u64 },
-    /// Either end of a link → the other: my membership, or what my domain lets others do, was
-    /// renewed. If it does not hold, the answer says why, and what was shown before goes on to
-    /// count.
+    /// Either end of a link → the other: renewed credentials. If they are not valid, the answer
+    /// states the reason, and the previous credentials stay in force.
     Papers(Box<Credentials>),
-    /// Either end of a link → the other: a domain has taken certificates back. Sent of all domains
-    /// that the sender has to do with, first on every link and whenever there is news; it is the
-    /// domain's signature that counts.
+    /// Either end of a link → the other: a domain's revocation. Each side sends those of all
+    /// related domains at the start of a link, and new ones when they arrive. The domain's
+    /// signature authenticates it, not the sender.
     DomainRevoked { proof: NameProof, revocation: Signed<Revocation> },
-    /// Switch → RIB: this entity shows a membership by an invitation; is it the one that was
-    /// admitted? The first that asks is.
+    /// Switch → RIB: asks whether this entity is the one admitted by its invitation. The first
+    /// entity to ask is admitted.
     Admitted { switch: Name, entity: Name, membership: Box<Membership> },
-    /// Switch → switch: a probe of yours ended here.
+    /// Switch → switch: the receiver's probe ended at the sender.
     Traced(Traced),
-    /// Switch → its border switch → the border switch of a neighbouring domain: trace a name on
-    /// there.
+    /// Switch → its border switch → the border switch of a neighbouring domain: a request to trace
+    /// a name onward there.
     TraceOn(TraceOn),
 }
 
-/// What an entity may ask of the RIB, through the switch it is attached to.
+/// Request of an entity to the RIB, through the switch of its attachment.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum EntityRequest {
-    /// First on every link of an endpoint: this switch may carry my traffic, and data frames are
-    /// taken on this link from now on. Answered by [`Response::Attached`]. `resumes`: what this
-    /// entity advertised before stands; otherwise it has started anew, and what the RIB holds of
-    /// its last attachments ends. `lane`: which of its links this is, of those it has at once
-    /// (below [`MAX_LANES`](gdp_core::peer::MAX_LANES)): what that was attached to before, it is no
-    /// more.
+    /// Attaches the entity: the switch may carry its traffic and use this link for data frames. It
+    /// is the first request on every link of an endpoint. [`Response::Attached`] answers it.
+    ///
+    /// `resumes` states that the entity's earlier advertisements stay valid. Otherwise the entity
+    /// has started anew, and the RIB ends its earlier attachments. `lane` is the number of the link
+    /// among the entity's concurrent ones, below [`MAX_LANES`](gdp_core::peer::MAX_LANES). An
+    /// earlier attachment of that lane ends.
     Attach { rt_cert: Signed<RtCert>, resumes: bool, lane: u8 },
-    /// I publish or serve a name. Lives as long as the attachment, or the statement's lifetime if
-    /// that ends first. Answered, as a subscription is, by [`Response::Peers`] with its readers or
-    /// callers; changes come as [`PeersPush`]. `everywhere`: what I stated of this at other
-    /// switches stands, and if I take the name, this switch sends it on each of my links to it.
-    /// Otherwise this is where I publish or serve it now, and what I take comes on one link.
+    /// Advertises that the entity publishes or serves a name. It lasts as long as the attachment,
+    /// or the statement's lifetime if that ends first.
+    ///
+    /// [`Response::Peers`] answers it, as it answers a subscription, with the readers or callers.
+    /// Changes arrive as [`PeersPush`]. `everywhere` states that the entity's statements about the
+    /// name at other switches stay valid. The switch then delivers the name on each of the entity's
+    /// links. Otherwise this switch alone counts, and delivery uses one link.
     Advertise { proof: NameProof, ad_cert: Issued<AdCert>, advert: Signed<Advert>, everywhere: bool },
-    /// I read or call a name. Answered with its publishers or servers.
+    /// Subscribes to or calls a name. The answer holds its publishers or servers.
     Subscribe { proof: NameProof, grant: Reading, advert: Signed<Advert>, everywhere: bool },
-    /// I have no part any more in the name in the statement.
+    /// Withdraws the entity's statements about the name.
     Withdraw { advert: Signed<Advert> },
-    /// The keys of what I send, each wrapped for one reader. Kept beside what I stated, for as long
-    /// as that; given to each reader when it states that it takes the name, and when they come.
+    /// Stores the keys with which the entity sends, each wrapped for one reader. They last as long
+    /// as the entity's statement. The RIB sends them to each reader when it subscribes or when they
+    /// arrive.
     KeyBoxes { boxes: Vec<Signed<KeyBox>> },
-    /// The owner of a name takes certificates back. Anybody may pass this on, also without showing
-    /// who it is: the owner's signature is what counts.
+    /// Revokes certificates of a name. Any sender may deliver it, even without identifying itself,
+    /// because the owner's signature authenticates it.
     Revoke { proof: NameProof, revocation: Signed<Revocation> },
-    /// Who publishes and reads the names that begin so? Answered by [`Response::Records`], from the
-    /// one behind `after` on.
+    /// Queries the registrations of names with this prefix, after the record `after`.
+    /// [`Response::Records`] answers it.
     Query { prefix: NamePrefix, after: Option<RecordKey> },
 }
 
-/// The answer to a request.
+/// Response to a request.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Response {
     Done,
-    /// Attached. `serial` is the highest serial the RIB has seen from this entity: its next
-    /// statement needs a higher one.
+    /// The entity is attached. `serial` is the highest serial that the RIB has seen from it; the
+    /// next statement needs a higher one.
     Attached {
         serial: u64,
     },
-    /// Taken, by this [run](FibPush::run) of the RIB: it is the one to follow now, also if an
-    /// earlier one had a higher number.
+    /// This [run](FibPush::run) of the RIB accepted the report. The switch follows this run from
+    /// now on, even if an earlier one had a higher number.
     Reported {
         run: u64,
     },
-    /// In the order of their [places](RecordKey). `truncated`: there are more than fit an answer;
-    /// ask for those behind the last one.
+    /// Records in the order of their [keys](RecordKey). `truncated` states that more follow; query
+    /// again after the last one.
     Records {
         records: Vec<Record>,
         truncated: bool,
     },
-    /// Accepted; these are the counterparts, or the first of them: then pushes bring the others.
+    /// The statement is accepted. These are all counterparts or the first of them; pushes bring the
+    /// rest.
     Peers(Peers),
-    /// Of another domain's RIB.
+    /// Response of another domain's RIB.
     Tier(Box<TierResponse>),
-    /// What paths cost from the switch that answers.
+    /// Path costs from the switch that answers.
     Costs(PathCosts),
-    /// Of a border: the domain behind its link, and those behind that one, each before those that
-    /// are behind it.
+    /// Answer of a border: the domain behind its link and the domains behind that one, in
+    /// depth-first order.
     TracedOn {
         domains: Vec<TracedDomain>,
     },
     Refused(Refusal),
 }
 
-/// What the path to each switch of a domain costs that there is one to. Unsigned: who states it is
-/// the switch that all frames to those switches go by. At most as many as a domain has switches.
+/// Path costs to each reachable switch of a domain, at most one entry for each switch. They are not
+/// signed, because the stating switch forwards all frames to those switches anyway.
 pub type PathCosts = BTreeMap<Name, u64>;
 
 impl From<Refusal> for Response {
@@ -199,59 +209,60 @@ impl From<Refusal> for Response {
     }
 }
 
-/// A change of a switch's FIB, or a part of its whole. The RIB sends the next one once this is
+/// Change of a switch's FIB, or part of a full transfer. The RIB sends the next one once this is
 /// answered.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FibPush {
-    /// Whose FIB.
+    /// Switch that owns the FIB.
     pub switch: Name,
-    /// Which run of a RIB this is: after a restart, or of another replica, a higher number. A
-    /// switch that follows a higher one refuses.
+    /// Run of the RIB, which is higher after a restart or on another replica. A switch that follows
+    /// a higher run refuses the push.
     pub run: u64,
-    /// The RIB has started so recently that it may not know all there is: what an earlier one said
-    /// counts besides, unless [`Self::remove`] takes it back.
+    /// The RIB started recently and may not know all registrations yet. Routes of an earlier RIB
+    /// stay valid, unless [`Self::remove`] removes them.
     pub settling: bool,
-    /// Counts up by one with each push to this switch.
+    /// Generation, which increases by one with each push to this switch.
     pub generation: u64,
     pub extent: Extent,
-    /// Index (0 … 63) of the switch's own egress bit.
+    /// Index (0 to 63) of the switch's own egress bit.
     pub own_bit: u8,
     pub set: Vec<Route>,
     pub remove: Vec<Name>,
 }
 
-/// Where a name leads, in names: the switch translates entities and neighbours to its links.
+/// Route of a name, in terms of names. The switch maps entities and neighbours to its links.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Route {
     pub name: Name,
-    /// Egress switches that want the name; for switches with somebody who sends to it. 0 elsewhere.
+    /// Egress switches for the name, at switches where frames enter. 0 elsewhere.
     pub egress_bits: u64,
-    /// The local endpoints that take the name, at their egress switch; as many as a switch has
-    /// links, at most. An entity takes its own.
+    /// Local endpoints that receive the name, at their egress switch. There are at most as many as
+    /// a switch has links. An entity receives its own name.
     pub locals: Vec<Name>,
-    /// Those of them that take it on each of their links to the switch; the others do on one.
+    /// Local endpoints that receive the name on each of their links to the switch. The others
+    /// receive it on one.
     pub everywhere: Vec<Name>,
-    /// The local endpoints that may send to the name: those that publish it through this switch; to
-    /// the name of an entity, its counterparts.
+    /// Local endpoints that may send to the name: its publishers at this switch, or for an inbox,
+    /// the counterparts of its entity.
     pub writers: Vec<Name>,
-    /// The switches of other domains that frames from this name may come from, at a border: if it
-    /// is that of an entity abroad. They stand among [`Self::locals`] and [`Self::writers`], too,
+    /// Switches of other domains from which a border may receive frames of this name, if the name
+    /// is that of a remote entity. [`Self::locals`] and [`Self::writers`] also list such switches,
     /// for the entities behind them.
     pub arrives_by: Vec<Name>,
 }
 
-/// What a switch states of its links, as it is passed on.
+/// Link state of a switch, as it is flooded.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Flooded {
-    /// How the name of the switch is derived, and its key.
+    /// Proof of the switch's name, which holds its key.
     pub proof: NameProof,
     pub state: Signed<LinkState>,
-    /// Seconds that are left of its lifetime, as whoever passes it on counts them.
+    /// Remaining lifetime in seconds, as counted by the forwarding switch.
     pub expires_in: u32,
 }
 
 impl Flooded {
-    /// What it states, if the switch itself stated it.
+    /// Verifies that the switch itself signed the link state, and returns it.
     pub fn verify(&self) -> Result<LinkState, CertError> {
         let claims = self.state.verify_signature(&self.proof.verify_key()?)?;
         let got = self.proof.name()?;
@@ -262,7 +273,7 @@ impl Flooded {
     }
 }
 
-/// Why a message could not be encoded or decoded.
+/// Error of encoding or decoding a message.
 #[derive(Debug, thiserror::Error)]
 pub enum CodecError {
     #[error("a control message of {0} bytes exceeds the limit of {MAX_MESSAGE}")]
@@ -271,7 +282,7 @@ pub enum CodecError {
     Malformed(String),
 }
 
-/// Encodes a message with its length in front, as it goes on a stream.
+/// Encodes a message with its length prefix, as sent on a stream.
 pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
     let mut bytes = vec![0; 4];
     ciborium::into_writer(message, &mut bytes).map_err(|error| CodecError::Malformed(error.to_string()))?;
@@ -283,13 +294,13 @@ pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
     Ok(bytes)
 }
 
-/// The length in a message's prefix, if such a message is allowed.
+/// Returns the length in a message's prefix. Refuses a length above [`MAX_MESSAGE`].
 pub fn decode_length(prefix: [u8; 4]) -> Result<usize, CodecError> {
     let length = u32::from_be_bytes(prefix) as usize;
     if length > MAX_MESSAGE { Err(CodecError::TooLong(length)) } else { Ok(length) }
 }
 
-/// Decodes a message without its length prefix; bytes behind it are refused.
+/// Decodes a message without its length prefix. Refuses trailing bytes.
 pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
     if bytes.len() > MAX_MESSAGE {
         return Err(CodecError::TooLong(bytes.len()));
@@ -304,7 +315,7 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
 }
 
 impl Response {
-    /// The response, unless it is a refusal.
+    /// Returns the response, or the refusal as an error.
     pub fn accepted(self) -> Result<Self, Refusal> {
         match self {
             Self::Refused(refusal) => Err(refusal),

@@ -1,12 +1,12 @@
-//! Whom an entity exchanges messages with under one name, as far as it believes its RIB: what the
-//! RIB tells goes in, who joins and leaves comes out. Sans-IO; `gdp` feeds one
+//! Counterparts of an entity under one name, as verified from the updates of its RIB. Updates go
+//! in; counterparts that join and leave come out. It performs no I/O; `gdp` feeds one
 //! [`Counterparts`] for each name and role it has stated.
 //!
-//! The RIB is not believed. Every record is verified again from the owner's key on, under the
-//! newest revocation that came by, whoever brought it; one that is older, as a RIB may keep giving
-//! out, takes nothing back. Key boxes are handed on unverified: who opens one knows the key that
-//! its writer must have signed with, from here. So a RIB that lies can keep a counterpart, a box or
-//! a revocation from the entity, and can make nobody a counterpart.
+//! The RIB is not trusted. Every record is verified again from the owner's key on, under the newest
+//! received revocation, whatever its sender. An older revocation, as a RIB may repeat, restores
+//! nothing. Key boxes are passed on unverified: the opener knows the writer's key from here. A
+//! lying RIB can thus withhold a counterpart, a box or a revocation, but cannot make anybody a
+//! counterpart.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,29 +17,28 @@ use gdp_core::identity::VerifyKey;
 use gdp_core::keys::KeyBox;
 use gdp_core::name::{Name, NameProof};
 
-/// Counterparts in one name that are believed at once; a RIB has no more.
+/// Maximum number of concurrent counterparts for one name; a RIB has no more.
 pub const MAX_COUNTERPARTS: usize = 8192;
 
-/// A counterpart whose right to its part in the name was verified.
+/// Counterpart whose right to the name is verified.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Counterpart {
     pub entity: Name,
-    /// A switch that it is attached to.
+    /// A switch of its attachment.
     pub switch: Name,
-    /// What it signs with.
+    /// Public key of its signatures.
     pub key: VerifyKey,
-    /// What keys for it are wrapped to, and agreed on with it: P-256, SEC1 compressed.
+    /// Public key for wrapping keys to it and for key agreement: P-256, SEC1 compressed.
     pub box_key: [u8; PUBLIC_KEY_LEN],
-    /// When its right ends, in Unix seconds.
+    /// End of its right in Unix seconds.
     pub not_after: u64,
     serials: Vec<(&'static str, u64)>,
-    /// What its right rests on, if that was for a role in a domain.
+    /// Membership behind its right, if that was granted to a role in a domain.
     member: Option<Box<Membership>>,
 }
 
 impl Counterpart {
-    /// As if a certificate with this serial had been verified: for tests of what builds on
-    /// counterparts.
+    /// Creates a counterpart as if a certificate with this serial had been verified, for tests.
     #[doc(hidden)]
     pub fn for_test(entity: Name, switch: Name, key: VerifyKey, not_after: u64, serial: u64) -> Self {
         Self {
@@ -53,33 +52,33 @@ impl Counterpart {
         }
     }
 
-    /// Whether its right holds under this revocation of the name.
+    /// Returns whether its right is still valid under this revocation of the name.
     pub fn holds(&self, revocation: &Revocation) -> bool {
         self.serials.iter().all(|(what, serial)| revocation.check(what, *serial).is_ok())
     }
 }
 
-/// What changes for the entity.
+/// Change for the entity.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PeerEvent {
-    /// This counterpart is new, or shows another right or key than before.
+    /// The counterpart is new, or presents another right or key than before.
     Joined(Counterpart),
-    /// It withdrew, is not attached any more, or its right has ended or was revoked.
+    /// The counterpart withdrew, detached, or its right ended or was revoked.
     Left(Name),
-    /// Its domain has taken back the membership that its right rests on.
+    /// The counterpart's domain has revoked the membership behind its right.
     Expelled(Name),
-    /// The owner has revoked something. It may be the entity's own right.
+    /// The owner has revoked certificates, possibly the entity's own.
     Revoked(Revocation),
-    /// The RIB does not know this revocation, as after it has lost its memory: give it to it, so
-    /// that it enforces it again.
+    /// The RIB does not know this revocation, for example after losing its state. The entity must
+    /// send it to the RIB, which then enforces it again.
     RibIsBehind(Signed<Revocation>),
-    /// From a counterpart to the entity; to be verified by who opens it.
+    /// Key box from a counterpart to the entity, which verifies it when opening it.
     KeyBox(Signed<KeyBox>),
-    /// The RIB told something that does not verify.
+    /// The RIB sent something that does not verify.
     Refused(CertError),
 }
 
-/// What does not follow what is held: the RIB is to tell the whole.
+/// Error: the update does not follow the state held. The RIB must send the full list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("told generation {got} (run {run:#x}), which does not follow what is held; tell the whole")]
 pub struct OutOfStep {
@@ -87,24 +86,24 @@ pub struct OutOfStep {
     pub got: u64,
 }
 
-/// The counterparts of an entity in one name.
+/// Counterparts of an entity for one name.
 #[derive(Debug)]
 pub struct Counterparts {
     name: Name,
     proof: NameProof,
     role: NameRole,
     revocation: Option<(Signed<Revocation>, Revocation)>,
-    /// What domains have taken back, by domain: of those that whoever feeds this has to do with.
+    /// Revocations by related domains, by domain.
     domains: BTreeMap<Name, Revocation>,
     known: BTreeMap<Name, Counterpart>,
-    /// Run and generation of what came last.
+    /// Run and generation of the last update.
     known_generation: Option<(u64, u64)>,
-    /// The next part of a whole that is under way, and whom it has named so far.
+    /// Full list in progress: the number of the next part, and the entities named so far.
     whole: Option<(u32, BTreeSet<Name>)>,
 }
 
 impl Counterparts {
-    /// None yet. `role` is what the entity itself is to the name that `proof` shows.
+    /// Creates an empty set. `role` is the entity's own role for the name in `proof`.
     pub fn new(proof: NameProof, role: NameRole) -> Result<Self, CertError> {
         let (name, domains, known) = (proof.name()?, BTreeMap::new(), BTreeMap::new());
         Ok(Self { name, proof, role, revocation: None, domains, known, known_generation: None, whole: None })
@@ -118,28 +117,27 @@ impl Counterparts {
         self.known.get(entity)
     }
 
-    /// Holds to a revocation from now on that was verified before, as one that an earlier process
-    /// heard of.
+    /// Restores a revocation that was verified before, for example by an earlier process.
     pub fn recall(&mut self, revocation: (Signed<Revocation>, Revocation)) {
         self.revocation = Some(revocation);
     }
 
-    /// The newest that came by, as its owner signed it.
+    /// Returns the newest received revocation with its owner's signature.
     pub fn signed_revocation(&self) -> Option<&Signed<Revocation>> {
         self.revocation.as_ref().map(|(signed, _)| signed)
     }
 
-    /// The newest that came by.
+    /// Returns the newest received revocation.
     pub fn revocation(&self) -> Option<&Revocation> {
         self.revocation.as_ref().map(|(_, claims)| claims)
     }
 
-    /// How the name is derived.
+    /// Returns the proof of the name.
     pub fn proof(&self) -> &NameProof {
         &self.proof
     }
 
-    /// Takes what the RIB told at `now` (Unix seconds): in its answer, or pushed.
+    /// Processes an update of the RIB, an answer or a push, at `now` (Unix seconds).
     pub fn take(&mut self, now: u64, peers: &Peers) -> Result<Vec<PeerEvent>, OutOfStep> {
         self.check_order(peers).ok_or(OutOfStep { run: peers.run, got: peers.generation })?;
         self.known_generation = Some((peers.run, peers.generation));
@@ -182,8 +180,8 @@ impl Counterparts {
         Ok(events)
     }
 
-    /// A domain has taken something back, which was verified: lets go of counterparts whose right
-    /// rests on it, now and from now on.
+    /// Applies a domain's verified revocation. Removes counterparts whose right rests on it, and
+    /// refuses such ones from now on.
     pub fn domain_revoked(&mut self, claims: &Revocation) -> Vec<PeerEvent> {
         self.domains.insert(claims.name, claims.clone());
         let is_over = |counterpart: &Counterpart| {
@@ -195,7 +193,7 @@ impl Counterparts {
         gone.into_iter().map(PeerEvent::Expelled).collect()
     }
 
-    /// Lets go of counterparts whose right has ended.
+    /// Removes counterparts whose right has ended.
     pub fn expire(&mut self, now: u64) -> Vec<PeerEvent> {
         let mut events = Vec::new();
         let gone: Vec<Name> = self.known().filter(|c| c.not_after < now).map(|c| c.entity).collect();
@@ -203,7 +201,7 @@ impl Counterparts {
         events
     }
 
-    /// The counterpart that a record is of, if it holds.
+    /// Verifies a record and returns its counterpart.
     pub fn believe(&self, now: u64, record: &Record) -> Result<Counterpart, CertError> {
         if record.name != self.name {
             return Err(CertError::WrongName { expected: self.name, got: record.name });

@@ -1,4 +1,4 @@
-//! The files that an entity's [`Credentials`] are in.
+//! Files that hold an entity's [`Credentials`].
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -18,18 +18,18 @@ pub enum PaperFileError {
     Cert { path: PathBuf, source: CertError },
 }
 
-/// Where they are.
+/// Paths of the files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CredentialFiles {
-    /// The domain's card.
+    /// Card of the domain.
     pub card: PathBuf,
     pub membership: PathBuf,
-    /// What the domain lets others do, a certificate to a file.
+    /// Certificates of the domain for other domains, one per file.
     pub peers: Vec<PathBuf>,
 }
 
 impl CredentialFiles {
-    /// Reads them; whether they are of each other is checked, not whether they hold.
+    /// Reads the files. Checks that they belong together, but not that they are valid.
     pub fn load(&self) -> Result<Credentials, PaperFileError> {
         let domain = NameCard::load(&self.card)?.proof();
         let membership = read(&self.membership, Membership::from_pem)?;
@@ -45,7 +45,7 @@ impl CredentialFiles {
         Ok(papers)
     }
 
-    /// All of them, to be watched: the papers are others when one is.
+    /// Returns all paths, to be watched for changes.
     pub fn paths(&self) -> impl Iterator<Item = &Path> {
         [&self.card, &self.membership].into_iter().chain(&self.peers).map(PathBuf::as_path)
     }

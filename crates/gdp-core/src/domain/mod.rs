@@ -1,7 +1,7 @@
-//! Trust domains, as their members apply them: what an entity shows on its links ([`Credentials`]),
-//! and whom it takes a link with ([`Trust`]). No I/O and no clock. Switches and nodes call this;
-//! the certificates are in [`crate::cert::domain`], the invitation that a person carries in
-//! [`token`].
+//! Trust domains as their members apply them: the credentials that an entity presents on its links
+//! ([`Credentials`]), and the peers it accepts ([`Trust`]). It has no I/O and no clock. Switches
+//! and nodes call it. The certificates are in [`crate::cert::domain`], the invitation that a person
+//! passes on in [`token`].
 
 mod files;
 pub mod token;
@@ -21,18 +21,18 @@ use crate::revocations::SignedRevocation;
 pub use files::{CredentialFiles, PaperFileError};
 pub use token::{Token, TokenError};
 
-/// Certificates for other domains that one entity shows.
+/// Maximum number of certificates for other domains that one entity presents.
 pub const MAX_PEERS: usize = 16;
 
-/// Bytes of all that is signed in what one entity shows.
+/// Maximum bytes of all signed parts that one entity presents.
 pub const MAX_PAPERS: usize = 12 << 10;
 
-/// What an entity shows of its domain on a link.
+/// Credentials of its domain that an entity presents on a link.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Credentials {
     pub membership: Membership,
-    /// What its domain lets other domains do.
+    /// Rights that its domain grants to other domains.
     pub peers: Vec<Signed<PeerCert>>,
 }
 
@@ -49,7 +49,7 @@ impl Credentials {
     }
 }
 
-/// What an entity shows now, on all its ports. Clones are the same.
+/// Credentials that an entity presents at present on all its ports. Clones share the same state.
 #[derive(Clone, Debug, Default)]
 pub struct CurrentCredentials(Arc<Mutex<Option<Arc<Credentials>>>>);
 
@@ -63,26 +63,26 @@ impl CurrentCredentials {
     }
 }
 
-/// What a peer is to this side's domain.
+/// Relationship of a peer to this side's domain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Relationship {
-    /// Shows nothing of a domain, and need not.
+    /// The peer presents no credentials of a domain and needs none.
     Stranger,
     Member {
         role: String,
     },
-    /// The border switch of another domain. `ours` is what this domain lets that one do, `theirs`
-    /// the reverse.
+    /// Border switch of another domain. `ours` are the rights that this domain grants that one,
+    /// `theirs` the reverse.
     Border {
         domain: Name,
         ours: PeerRights,
         theirs: PeerRights,
     },
-    /// An endpoint of another domain.
+    /// Endpoint of another domain.
     Visitor {
         domain: Name,
     },
-    /// Of an endpoint: a switch of another domain, to which it pays a visit.
+    /// Switch of another domain that this endpoint visits.
     Host {
         domain: Name,
     },
@@ -104,21 +104,21 @@ impl Relationship {
     }
 }
 
-/// That a peer may have a link.
+/// Permission for a link with a peer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Admission {
     pub standing: Relationship,
-    /// The last Unix second at which all of it holds.
+    /// Last Unix second at which all of it is valid.
     pub until: u64,
 }
 
 impl Admission {
-    /// Of one that need not show anything.
+    /// Admission of a peer that needs no credentials.
     pub const STRANGER: Self = Self { standing: Relationship::Stranger, until: u64::MAX };
 }
 
-/// Why a peer gets no link, or an entity cannot be what its files say. Both sides read it: it names
-/// the certificate and the remedy.
+/// Reason why a peer is refused a link, or why an entity's own credentials do not apply. Both sides
+/// read it: it names the certificate and the remedy.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DomainError {
     #[error(
@@ -156,7 +156,7 @@ pub enum DomainError {
     NotABorder { of: Name, role: String, domain: Name },
 }
 
-/// Whom an entity takes links with, by the domain it is a member of.
+/// Policy of an entity for accepting links, based on the domain of which it is a member.
 #[derive(Debug)]
 pub struct Trust {
     entity: Name,
@@ -167,15 +167,16 @@ pub struct Trust {
 }
 
 impl Trust {
-    /// For an entity that is what `papers` says. That these hold now is looked at with each link: a
-    /// machine may start without a clock. `members_only`: no endpoint gets a link without a
-    /// membership.
+    /// Creates the policy of an entity with these credentials. `members_only` states that no
+    /// endpoint gets a link without a membership.
+    ///
+    /// The validity period is checked with each link, because a machine may start without a clock.
     pub fn new(entity: Name, papers: Arc<Credentials>, members_only: bool) -> Result<Self, DomainError> {
         let home = check_own(entity, &papers)?;
         Ok(Self { entity, home, papers, members_only, revocations: BTreeMap::new() })
     }
 
-    /// Puts renewed papers in place of those there are, and with them what the configuration says.
+    /// Replaces the credentials by renewed ones, and the configured `members_only`.
     pub fn renew(&mut self, papers: Arc<Credentials>, members_only: bool) -> Result<(), DomainError> {
         let home = check_own(self.entity, &papers)?;
         (self.home, self.papers, self.members_only) = (home, papers, members_only);
@@ -194,13 +195,13 @@ impl Trust {
         self.members_only
     }
 
-    /// What this entity is in its domain; an error if that does not hold at `now` (Unix seconds).
+    /// Returns this entity's own membership certificate, if it is valid at `now` (Unix seconds).
     pub fn own(&self, now: u64) -> Result<MemberCert, DomainError> {
         self.member(self.entity, &self.papers.membership, self.home, now)
     }
 
-    /// Whether `peer` may have a link with this entity, whose own part in links is `own`; `shown`
-    /// is what the peer shows.
+    /// Decides whether `peer` may have a link with this entity. `own` is this entity's role on
+    /// links, `shown` are the peer's credentials.
     pub fn admit(
         &self,
         own: Role,
@@ -259,16 +260,16 @@ impl Trust {
                 needs(&ours, ours.rights.visit, "visit")?;
                 Relationship::Visitor { domain }
             }
-            // That it may visit is for its host to know.
+            // Only the host can decide whether this entity may visit.
             (Role::Endpoint, _) => Relationship::Host { domain },
         };
         Ok(Admission { standing, until })
     }
 
-    /// Takes in what a domain has revoked. Whether that is news; nothing of domains that this one
-    /// has nothing to do with is kept.
+    /// Verifies and stores a domain's revocation. Returns whether it is new. Revocations of
+    /// unrelated domains are ignored.
     pub fn take_revocation(&mut self, proof: &NameProof, signed: &Signed<Revocation>) -> Result<bool, CertError> {
-        // Anybody may send one: those of no interest cost no more than this.
+        // Anybody may send a revocation. This check keeps unrelated ones cheap.
         if !self.knows(&proof.name()?) {
             return Ok(false);
         }
@@ -283,13 +284,14 @@ impl Trust {
         Ok(true)
     }
 
-    /// Whether a domain is this entity's own, or one that has been given rights.
+    /// Returns whether a domain is this entity's own, or one to which its domain has granted
+    /// rights.
     pub fn knows(&self, domain: &Name) -> bool {
         let is_peer = |signed: &Signed<PeerCert>| signed.claims_unverified().is_ok_and(|claims| claims.peer == *domain);
         *domain == self.home || self.papers.peers.iter().any(is_peer)
     }
 
-    /// The newest revocation of each domain, with the name proof that shows its key.
+    /// Returns the newest revocation of each domain, with the proof of the domain's name.
     pub fn revocations(&self) -> impl Iterator<Item = &SignedRevocation> {
         self.revocations.values().map(|(kept, _)| kept)
     }
@@ -298,7 +300,7 @@ impl Trust {
         self.revocations.get(domain).map(|(_, claims)| claims)
     }
 
-    /// The certificate of a member of `domain`, if it holds.
+    /// Verifies the membership of `of` in `domain` and returns its certificate.
     fn member(&self, of: Name, membership: &Membership, domain: Name, now: u64) -> Result<MemberCert, DomainError> {
         let unreadable = |source: CertError| DomainError::Unreadable { of, source: source.into() };
         let serial = membership.serial_unverified().map_err(unreadable)?;
@@ -311,8 +313,8 @@ impl Trust {
         Ok(cert)
     }
 
-    /// What `domain`, whose member shows `papers`, lets `to` do, if it has stated anything. Of
-    /// several certificates the newest that holds counts.
+    /// Returns the rights that `domain` grants `to`, from the credentials of one of its members. Of
+    /// several valid certificates the newest counts.
     fn granted(&self, papers: &Credentials, domain: Name, to: Name, now: u64) -> Result<Option<PeerCert>, DomainError> {
         let (mut newest, mut failure) = (None::<PeerCert>, None);
         for signed in &papers.peers {
@@ -340,7 +342,7 @@ fn needs(cert: &PeerCert, held: bool, right: &'static str) -> Result<(), DomainE
     if held { Ok(()) } else { Err(DomainError::NoRight { domain, to, serial, has, right }) }
 }
 
-/// The domain that an entity's own papers are of, if the signatures in them are right.
+/// Verifies the signatures in an entity's own credentials and returns their domain.
 fn check_own(entity: Name, papers: &Credentials) -> Result<Name, DomainError> {
     let unreadable = |source: CertError| DomainError::Unreadable { of: entity, source: source.into() };
     papers.check_bounds().map_err(unreadable)?;

@@ -1,6 +1,5 @@
-//! An invitation as one line of text: `gdp1` and base64url (RFC 4648 §5, no padding) of
-//! deterministic CBOR. It holds a private key: whoever has the line can be the one that is
-//! admitted.
+//! Invitation as one line of text: `gdp1` and base64url (RFC 4648 §5, no padding) of deterministic
+//! CBOR. It holds a private key, so anyone who has the line can be admitted.
 
 use base64ct::{Base64UrlUnpadded, Encoding};
 use serde::{Deserialize, Serialize};
@@ -15,7 +14,7 @@ use crate::name::{Name, NameProof};
 
 const PREFIX: &str = "gdp1";
 
-/// Bytes of the CBOR; a usual one has about 700.
+/// Maximum bytes of the CBOR; a typical invitation has about 700.
 const MAX_TOKEN: usize = 4096;
 
 #[derive(Debug, thiserror::Error)]
@@ -34,7 +33,7 @@ impl From<CborError> for TokenError {
     }
 }
 
-/// An invitation with the key that it gives a right to, and where to go with it.
+/// Invitation with its private key and the address of the fabric.
 #[derive(Clone, Debug)]
 pub struct Token {
     domain: NameProof,
@@ -62,7 +61,8 @@ impl Drop for Form {
 }
 
 impl Token {
-    /// `at` is where the fabric is to be reached, `switch` who must be there.
+    /// Creates a token. `at` is the address of the fabric, `switch` the entity that must answer
+    /// there.
     pub fn new(
         domain: NameProof,
         invite: Signed<Invite>,
@@ -75,7 +75,7 @@ impl Token {
         Ok(token)
     }
 
-    /// What the domain says with it, at any time.
+    /// Verifies the invitation, regardless of time, and returns its claims.
     pub fn invite(&self) -> Result<Invite, CertError> {
         let (domain, key) = (self.domain.name()?, self.domain.verify_key()?);
         let claims = self.invite.verify_signature(&key)?;
@@ -106,8 +106,8 @@ impl Token {
         self.switch
     }
 
-    /// Makes `entity` the member. `serial` is the time in nanoseconds; the invitation has to hold
-    /// then.
+    /// Issues a membership to `entity`. `serial` is the time in nanoseconds, at which the
+    /// invitation must be valid.
     pub fn admit(&self, entity: Name, not_before: u64, serial: u64) -> Result<Membership, CertError> {
         let invite = self.invite()?;
         let now = serial / 1_000_000_000;
@@ -120,7 +120,7 @@ impl Token {
         Ok(membership)
     }
 
-    /// The line. Keep it from logs and lists of processes.
+    /// Returns the line of text. Keep it out of logs and process lists.
     pub fn to_line(&self) -> Zeroizing<String> {
         let form = Form {
             domain: self.domain,
@@ -134,7 +134,7 @@ impl Token {
         Zeroizing::new(format!("{PREFIX}{}", *encoded))
     }
 
-    /// Reads a line, and checks what the domain signed in it. Nothing of the line is in an error.
+    /// Parses a line and verifies the domain's signature in it. Errors contain nothing of the line.
     pub fn from_line(line: &str) -> Result<Self, TokenError> {
         let encoded = line.trim().strip_prefix(PREFIX).ok_or(TokenError::NotAToken)?;
         if encoded.len() > 2 * MAX_TOKEN {

@@ -1,7 +1,6 @@
-//! The key of an entity that others wrap keys to and agree on keys with: it follows from the key
-//! that the entity signs with, so that it needs no file and a restarted reader opens what was
-//! wrapped before, but is another key, so that no signature helps with key agreement, or the other
-//! way round.
+//! Box key of an entity, to which others wrap keys and with which they agree on keys. It is derived
+//! from the signing key, so it needs no file, and a restarted reader can open earlier boxes. It is
+//! a separate key, so that signatures do not weaken key agreement, or the reverse.
 
 use std::fmt;
 use std::sync::Arc;
@@ -13,7 +12,7 @@ use crate::crypto::{Backend, CryptoError, PUBLIC_KEY_LEN};
 
 const CONTEXT: &[u8] = b"gdp/box-key/1";
 
-/// A private P-256 key for key agreement. Clones share one copy, which is cleared with the last of
+/// Private P-256 key for key agreement. Clones share one copy, which is cleared with the last of
 /// them.
 #[derive(Clone)]
 pub struct BoxKey(Arc<Inner>);
@@ -24,8 +23,8 @@ struct Inner {
 }
 
 impl BoxKey {
-    /// `HKDF-SHA256(signing key, info = "gdp/box-key/1" ‖ i)` with the lowest `i`, of one byte, for
-    /// which that is a key: 0 but for one in 2³².
+    /// Derives `HKDF-SHA256(signing key, info = "gdp/box-key/1" ‖ i)`. `i` is the lowest byte for
+    /// which the result is a valid key: 0 except for one in 2³².
     pub(crate) fn derive(signing_secret: &[u8; 32]) -> Result<Self, CryptoError> {
         for i in 0..=u8::MAX {
             let secret = Backend::default().hkdf_sha256(&[], signing_secret, &[CONTEXT, &[i]])?;
@@ -36,17 +35,18 @@ impl BoxKey {
         Err(CryptoError::BadPrivateKey)
     }
 
-    /// The public key, SEC1 compressed.
+    /// Returns the public key, SEC1 compressed.
     pub fn public(&self) -> [u8; PUBLIC_KEY_LEN] {
         self.0.public
     }
 
-    /// What was sealed for this key with [`crypto::hpke_seal`].
+    /// Decrypts what [`crypto::hpke_seal`] sealed for this key.
     pub fn open(&self, info: &[u8], sealed: &[u8]) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
         crypto::hpke_open(&self.0.secret, info, sealed)
     }
 
-    /// The secret that this key and the private key of `peer` (SEC1 compressed) have in common.
+    /// Returns the shared secret of this key and the private key of `peer` (public key SEC1
+    /// compressed).
     pub fn agree(&self, peer: &[u8; PUBLIC_KEY_LEN]) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
         Backend::default().agree(&self.0.secret, peer)
     }

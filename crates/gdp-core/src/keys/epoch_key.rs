@@ -1,5 +1,5 @@
-//! The secret that the writers and readers of a name share for an epoch. Sessions derive their own
-//! keys from it.
+//! Epoch key: the secret that the writers and readers of a name share for an epoch. Session keys
+//! are derived from it.
 
 use crate::crypto;
 use crate::crypto::{Aead, Backend, CryptoError};
@@ -7,7 +7,7 @@ use crate::name::Name;
 use std::fmt;
 use zeroize::Zeroizing;
 
-/// What a session's key is derived with.
+/// Context string for deriving a session's key.
 pub const SESSION_CONTEXT: &[u8] = b"gdp/session/1";
 
 #[derive(Clone)]
@@ -22,7 +22,7 @@ impl EpochKey {
         Self(Zeroizing::new(bytes))
     }
 
-    /// `None` if these are not 32 bytes.
+    /// Creates a key from a slice. Returns `None` unless it has 32 bytes.
     pub fn from_slice(bytes: &[u8]) -> Option<Self> {
         let mut key = Zeroizing::new([0u8; 32]);
         if bytes.len() != key.len() {
@@ -32,12 +32,13 @@ impl EpochKey {
         Some(Self(key))
     }
 
-    /// For wrapping it, and for nothing else.
+    /// Returns the key bytes, only for wrapping them.
     pub fn as_bytes(&self) -> &[u8; 32] {
         &self.0
     }
 
-    /// `HKDF-SHA256(epoch key, salt = session, info = "gdp/session/1" ‖ name ‖ writer)`.
+    /// Derives the session's cipher by `HKDF-SHA256(epoch key, salt = session, info =
+    /// "gdp/session/1" ‖ name ‖ writer)`.
     pub fn session_aead(
         &self,
         backend: Backend,

@@ -1,6 +1,6 @@
-//! The key of an epoch, wrapped for one reader and signed by the writer: kept beside the writer's
-//! advertisement, so that the reader gets it while the writer is away. Whoever keeps it learns who
-//! may read whom, and no key.
+//! Key box: an epoch key, wrapped for one reader and signed by the writer. It is stored beside the
+//! writer's advertisement, so that the reader receives it while the writer is away. Its storer
+//! learns which reader may read which writer, but no key.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,16 +16,17 @@ use crate::verify_key::VerifyKey;
 const CONTEXT: &[u8] = b"gdp/key-box/1";
 const SEALED_LEN: usize = 32 + HPKE_OVERHEAD;
 
-/// Writer → reader: the key of this epoch of the name. It holds until the writer makes another.
+/// Key of the writer's epoch for the name, wrapped for the reader. It is valid until the writer
+/// starts another epoch.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct KeyBox {
     pub name: Name,
     pub writer: Name,
     pub reader: Name,
-    /// Rises with every epoch of the writer for the name.
+    /// Epoch number, which increases with every epoch of the writer for the name.
     pub epoch: u32,
-    /// The epoch key, 32 bytes, sealed for the reader's box key ([`crypto::hpke_seal`]).
+    /// Epoch key, 32 bytes, encrypted to the reader's box key ([`crypto::hpke_seal`]).
     #[serde(with = "crate::cbor::bytes")]
     pub sealed: Vec<u8>,
 }
@@ -48,7 +49,7 @@ impl Claims for KeyBox {
 }
 
 impl KeyBox {
-    /// By which no box opens as one of another name, writer, reader or epoch.
+    /// Returns the HPKE `info`, which binds the box to its name, writer, reader and epoch.
     pub fn info(&self) -> Vec<u8> {
         let names = [self.name, self.writer, self.reader].map(|name| *name.as_bytes());
         [CONTEXT, names.as_flattened(), &self.epoch.to_be_bytes()].concat()
@@ -69,8 +70,8 @@ pub fn wrap(
     issue(writer.key(), &claims)
 }
 
-/// The epoch and key in a box for `reader` that `writer`, whose key is `writer_key`, made for
-/// `name`.
+/// Opens a box for `reader` and returns its epoch and key. Verifies the signature by `writer_key`
+/// and that the box is for `name`.
 pub fn open(
     signed: &Signed<KeyBox>,
     name: Name,

@@ -1,4 +1,4 @@
-//! Keys that messages are sealed with, and how they are wrapped for each reader (HPKE, RFC 9180).
+//! Keys that encrypt messages, and their wrapping for each reader (HPKE, RFC 9180).
 
 mod box_key;
 mod epoch_key;

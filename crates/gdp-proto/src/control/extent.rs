@@ -1,14 +1,15 @@
-//! How much of a set is in one message.
+//! Extent of a push: changes or part of the full set.
 
 use serde::{Deserialize, Serialize};
 
-/// How a push relates to what the switch holds.
+/// Relation of a push to the state that the receiver holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Extent {
-    /// Changes generation − 1. A switch that holds another one refuses, and is sent the whole.
+    /// Changes relative to generation − 1. A receiver with another generation refuses the push, and
+    /// a full transfer follows.
     Delta,
-    /// Part of the whole: with part 0 the switch marks all it holds, with the last it sweeps what
-    /// was not set since. What an earlier RIB, or an earlier daemon of the switch, had said is
-    /// swept only if this RIB is not [settling](FibPush).
+    /// Part of a full transfer. At part 0 the receiver marks all its entries. After the last part
+    /// it sweeps the entries not set since. A switch keeps entries of an earlier RIB or daemon as
+    /// long as this RIB is [settling](FibPush).
     Full { part: u32, last: bool },
 }

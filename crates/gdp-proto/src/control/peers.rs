@@ -1,4 +1,4 @@
-//! What the RIB tells an entity of those on the other side of a name: types only. [`crate::peers`]
+//! Updates of the RIB to an entity about its counterparts for a name: types only. [`crate::peers`]
 //! receives them.
 
 pub use crate::control::role::NameRole;
@@ -10,49 +10,48 @@ use crate::control::record::Record;
 use gdp_core::cert::{Revocation, Signed};
 use gdp_core::keys::KeyBox;
 
-/// Those on the other side of a name, all of them or what changed; to be verified by the entity
-/// that is told.
+/// Counterparts for a name, all of them or changes. The receiving entity verifies them.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Peers {
-    /// Which run of a RIB this is, as in a [`FibPush`](super::FibPush).
+    /// Run of the RIB, as in a [`FibPush`](super::FibPush).
     pub run: u64,
-    /// The RIB has started so recently that it may not know all there are: whom a whole does not
-    /// name is not gone for that. Another whole follows.
+    /// The RIB started recently and may not know all counterparts yet. A counterpart missing from a
+    /// full list is then not gone. Another full list follows.
     pub settling: bool,
-    /// Rises with everything that this RIB tells anybody.
+    /// Generation, which increases with every update that this RIB sends to any entity.
     pub generation: u64,
     pub extent: PeersExtent,
-    /// In the order of the names of their entities.
+    /// Records in the order of their entities' names.
     pub records: Vec<Record>,
-    /// Entities that are counterparts no more.
+    /// Entities that are no longer counterparts.
     pub gone: Vec<Name>,
-    /// The newest of the name, with part 0 of the whole and when it changed.
+    /// Newest revocation of the name, sent with part 0 of a full list and when it changes.
     pub revocation: Option<Signed<Revocation>>,
-    /// From counterparts to the entity that is told: the keys of what they send to the name, and to
-    /// the entity itself.
+    /// Key boxes from counterparts for the entity: for the name and for the entity's inbox.
     pub boxes: Vec<Signed<KeyBox>>,
 }
 
-/// How a message relates to what the entity was told before.
+/// Relation of an update to the earlier ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum PeersExtent {
-    /// Changes what the message of this generation left. An entity that holds another one refuses,
-    /// and is told the whole.
+    /// Changes relative to the update of this generation. An entity with another generation refuses
+    /// it and receives the full list.
     After(u64),
-    /// Part of the whole: what it does not name up to the last part is gone. The answer to a
-    /// statement is part 0.
+    /// Part of a full list. Counterparts that no part names are gone after the last part. The
+    /// answer to a statement is part 0.
     Whole { part: u32, last: bool },
 }
 
-/// RIB → entity, relayed down. The RIB sends the next one about the same name once this is
+/// RIB → entity, relayed by switches. The RIB sends the next one about the same name once this is
 /// answered.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PeersPush {
-    /// Switches on the way pass the push on to this one, and this one to `entity`.
+    /// Switch of the entity. Switches on the way forward the push to it, and it delivers the push
+    /// to `entity`.
     pub switch: Name,
     pub entity: Name,
     pub name: Name,
-    /// What `entity` is to the name: the records are of its counterparts.
+    /// Role of `entity` for the name. The records are those of its counterparts.
     pub role: NameRole,
     pub peers: Peers,
 }

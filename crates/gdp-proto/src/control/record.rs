@@ -1,4 +1,4 @@
-//! One statement with the certificates that authorise it, as a RIB stores it.
+//! Statement with the certificates that authorise it, as a RIB stores it.
 
 use crate::control::role::NameRole;
 use gdp_core::cert::{
@@ -8,24 +8,24 @@ use gdp_core::name::NameProof;
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
-/// One verified advertisement or subscription, with all that is needed to verify it again.
+/// Verified advertisement or subscription, with everything needed to verify it again.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
     pub name: Name,
-    /// How `name` is derived, and the owner's key.
+    /// Proof of `name`, which holds the owner's key.
     pub proof: NameProof,
-    /// How the name of the entity is derived, and its key.
+    /// Proof of the entity's name, which holds its key.
     pub entity: NameProof,
-    /// The switch the entity is attached to.
+    /// Switch of the entity's attachment.
     pub switch: Name,
     pub credential: Credential,
-    /// What the entity itself stated.
+    /// Statement of the entity itself.
     pub advert: Signed<Advert>,
-    /// Seconds until the record ends by itself, on the clock of who answers.
+    /// Seconds until the record expires, on the clock of the answering RIB.
     pub expires_in: u64,
 }
 
-/// What the owner of a name gave an entity: it also tells what the entity is to the name.
+/// Credential of a name's owner for an entity. Its kind tells writers from readers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Credential {
     Writer(Issued<AdCert>),
@@ -33,7 +33,7 @@ pub enum Credential {
 }
 
 impl Credential {
-    /// Bytes of what is signed in it.
+    /// Returns the bytes of the signed parts.
     pub fn size(&self) -> usize {
         match self {
             Self::Writer(cert) => cert.size(),
@@ -41,8 +41,8 @@ impl Credential {
         }
     }
 
-    /// Domains that a writer may be known in besides its own; a reader's credential names none.
-    /// Believe it once the credential is verified.
+    /// Returns the domains, besides its own, that may know a writer; empty for a reader. The result
+    /// is unverified.
     pub fn scope(&self) -> Result<Vec<Name>, CertError> {
         match self {
             Self::Writer(cert) => Ok(cert.cert.claims_unverified()?.scope),
@@ -50,7 +50,7 @@ impl Credential {
         }
     }
 
-    /// The membership that it asks for, if it asks for one.
+    /// Returns the membership of a reader's credential, if it needs one.
     pub fn member(&self) -> Option<&Membership> {
         match self {
             Self::Writer(_) => None,
@@ -58,7 +58,7 @@ impl Credential {
         }
     }
 
-    /// As [`Reading::check_member`]; a writer needs no membership.
+    /// Checks the membership as [`Reading::check_member`] does; a writer needs none.
     pub fn check_member<'a>(&self, newest: impl FnOnce(&Name) -> Option<&'a Revocation>) -> Result<(), CertError> {
         match self {
             Self::Writer(_) => Ok(()),
@@ -66,8 +66,7 @@ impl Credential {
         }
     }
 
-    /// Of what a revocation can take back: what it is, and its serial. Believe it once the
-    /// credential is verified.
+    /// Returns the kind and serial of each revocable part, unverified.
     pub fn serials(&self) -> Result<Vec<(&'static str, u64)>, CertError> {
         match self {
             Self::Writer(cert) => cert.serials(),
@@ -76,17 +75,17 @@ impl Credential {
     }
 }
 
-/// What a record is worth once it verified.
+/// Result of verifying a record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Verified {
     pub entity: Name,
     pub advert: Advert,
-    /// When the credential's chain ends, in Unix seconds.
+    /// End of the credential's chain in Unix seconds.
     pub not_after: u64,
 }
 
-/// A record's place in the order in which a RIB lists them: by name, of each its writers before its
-/// readers; of those one at each of its switches.
+/// Key of a record, in the order in which a RIB lists records: by name, then role with writers
+/// before readers, then entity and switch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct RecordKey {
     pub name: Name,
@@ -96,23 +95,25 @@ pub struct RecordKey {
 }
 
 impl Record {
-    /// Where the record is listed; an error if the entity's key is not one, or the statement none
-    /// that is listed.
+    /// Returns the record's key. Fails if the entity's key is invalid or the statement is a
+    /// withdrawal.
     pub fn place(&self) -> Result<RecordKey, CertError> {
         let (role, entity) = (self.role()?, self.entity.name()?);
         Ok(RecordKey { name: self.name, role, entity, switch: self.switch })
     }
 
-    /// What the entity says it is to the name. Believe it once the record is
+    /// Returns the entity's role for the name. The result is unverified until the record is
     /// [verified](Self::verify).
     pub fn role(&self) -> Result<NameRole, CertError> {
         let op = self.advert.claims_unverified()?.op;
         NameRole::of(op).ok_or_else(|| CertError::Malformed("a record of a withdrawal".into()))
     }
 
-    /// Verifies the record as if nobody had before: derivation of both names, the credential at
-    /// `now` (Unix seconds) under the newest revocation that is known of the name, and the entity's
-    /// own statement. What domains have taken back, [`Credential::check_member`] says.
+    /// Verifies the record from scratch.
+    ///
+    /// It checks the derivation of both names, the credential at `now` (Unix seconds) under the
+    /// newest known revocation of the name, and the entity's own statement.
+    /// [`Credential::check_member`] checks revocations by domains.
     pub fn verify(&self, revocation: Option<&Revocation>, now: u64) -> Result<Verified, CertError> {
         let name = self.proof.name()?;
         if name != self.name {
@@ -134,7 +135,7 @@ impl Record {
         Ok(Verified { entity, advert, not_after })
     }
 
-    /// Whether this is an advertisement (and not a subscription).
+    /// Returns whether this is an advertisement rather than a subscription.
     pub fn is_writer(&self) -> bool {
         matches!(self.credential, Credential::Writer(_))
     }

@@ -1,9 +1,9 @@
-//! What a RIB refuses, and why.
+//! Refusals of requests, with their reasons.
 
 use serde::{Deserialize, Serialize};
 
-/// Why a request was refused: a code for programs and a sentence that names the thing and the
-/// remedy for people.
+/// Refusal of a request: a code for programs, and for people a sentence that names the cause and
+/// the remedy.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[error("{reason}")]
 pub struct Refusal {
@@ -12,8 +12,7 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// A refusal with this code and sentence; an overlong sentence is cut, so that it always fits a
-    /// response.
+    /// Creates a refusal. An overlong reason is truncated, so that it always fits a response.
     pub fn new(code: RefusalCode, reason: impl Into<String>) -> Self {
         const LONGEST: usize = 1024;
         let mut reason = reason.into();
@@ -24,16 +23,16 @@ impl Refusal {
     }
 }
 
-/// What kind of refusal it is.
+/// Kind of a refusal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum RefusalCode {
-    /// Not a message this side understands, or not one that this peer may send.
+    /// The message is not understood, or this peer may not send it.
     Malformed,
-    /// The entity has to attach first.
+    /// The entity must attach first.
     NotAttached,
-    /// A signature does not verify under the key it must verify under.
+    /// A signature does not verify under the required key.
     BadSignature,
-    /// The name is not derived from the key and digest shown, or a certificate is for another name.
+    /// The name is not derived from the given key and digest, or a certificate is for another name.
     WrongName,
     /// A certificate or statement is for, or by, another entity.
     WrongEntity,
@@ -43,19 +42,19 @@ pub enum RefusalCode {
     Expired,
     /// The owner has revoked the certificate.
     Revoked,
-    /// The delegation, membership or role that the certificate needs is not there.
+    /// The delegation, membership or role that the certificate needs is missing.
     NotEntitled,
-    /// The serial of the statement is not above the floor of its entity, or a revocation older than
-    /// the one known.
+    /// The serial of the statement is not above the floor of its entity, or the revocation is older
+    /// than the known one.
     ReplayedSerial,
-    /// Nothing is known of the name.
+    /// The name is unknown.
     NotFound,
-    /// A bound of the RIB or the switch is reached.
+    /// A limit of the RIB or the switch is reached.
     Limit,
-    /// The switch has no way to the RIB, or to the peer, right now; worth another attempt later.
+    /// The switch has no path to the RIB or to the peer at present. Retry later.
     Unreachable,
-    /// Something that this release does not do.
+    /// This release does not support the request.
     Unsupported,
-    /// It comes from a RIB that another one has taken the place of.
+    /// The message comes from a RIB that another one has replaced.
     Fenced,
 }

@@ -1,10 +1,10 @@
-//! The role of an entity for a name.
+//! Role of an entity for a name.
 
 use gdp_core::cert::AdvertOp;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// What an entity is to a name.
+/// Role of an entity for a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum NameRole {
@@ -17,7 +17,8 @@ pub enum NameRole {
 impl NameRole {
     pub const ALL: [Self; 4] = [Self::Publisher, Self::Server, Self::Subscriber, Self::Caller];
 
-    /// What the statement of this operation makes its entity; nothing if it withdraws.
+    /// Returns the role that a statement of this operation gives its entity; `None` for a
+    /// withdrawal.
     pub fn of(op: AdvertOp) -> Option<Self> {
         match op {
             AdvertOp::Publish => Some(Self::Publisher),
@@ -28,7 +29,7 @@ impl NameRole {
         }
     }
 
-    /// The statement that makes an entity this.
+    /// Returns the operation that gives an entity this role.
     pub fn op(self) -> AdvertOp {
         match self {
             Self::Publisher => AdvertOp::Publish,
@@ -38,7 +39,7 @@ impl NameRole {
         }
     }
 
-    /// Those it exchanges messages with.
+    /// Returns the role of the counterparts.
     pub fn counterpart(self) -> Self {
         match self {
             Self::Publisher => Self::Subscriber,
@@ -48,13 +49,13 @@ impl NameRole {
         }
     }
 
-    /// Whether it takes an AdCert; the others take a ReadGrant.
+    /// Returns whether the role needs an AdCert; the others need a ReadGrant.
     pub fn is_writer(self) -> bool {
         matches!(self, Self::Publisher | Self::Server)
     }
 
-    /// Whether it has a part in a service. Nothing is sent to the name of one: callers and servers
-    /// send to each other's own names.
+    /// Returns whether the role belongs to a service. Nothing is sent to the name of a service:
+    /// callers and servers send to each other's inboxes.
     pub fn is_of_service(self) -> bool {
         matches!(self, Self::Server | Self::Caller)
     }

@@ -1,9 +1,9 @@
-//! What the RIBs of neighbouring domains tell each other: types only. The daemon's `tiers` send and
-//! judge them.
+//! Messages between the RIBs of neighbouring domains: types only. The daemon's `tiers` send and
+//! verify them.
 //!
 //! A message goes from a RIB to the border switch that has the link, across it, and on to the other
 //! domain's RIB. The border attests the domain of the link's peer, so a domain speaks only for
-//! itself; for what others are said to have stated, they have signed.
+//! itself. Statements of others carry the signatures of their authors.
 
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
@@ -15,59 +15,61 @@ use gdp_core::cert::{Host, Locator, Revocation, Signed};
 use gdp_core::keys::KeyBox;
 use gdp_core::name::NameProof;
 
-/// Domains that a record comes through, or a query, at most.
+/// Maximum number of domains that a record or a query passes.
 pub const MAX_PATH: usize = 16;
 
-/// Domains above one, at most.
+/// Maximum number of domains above one domain.
 pub const MAX_ANCESTORS: usize = 64;
 
-/// A message between RIBs, on its way.
+/// Message between RIBs, in transit.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct TierMessage {
     pub leg: TierLeg,
     pub request: TierRequest,
 }
 
-/// How far a message between RIBs has come.
+/// Leg of a message between RIBs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TierLeg {
-    /// Within its own domain: for the border switch that has a link to this one of this domain.
+    /// Within the sending domain, toward the border switch that has a link to switch `peer` of
+    /// `domain`.
     Out { domain: Name, peer: Name },
-    /// On that link.
+    /// On the link between the domains.
     Across,
-    /// Within the other domain: for its RIB. The border says whose link it came by.
+    /// Within the receiving domain, toward its RIB. The border states the domain whose link the
+    /// message came by.
     In { from: Name },
 }
 
 /// RIB → the RIB of a neighbouring domain.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum TierRequest {
-    /// To a parent, first and every few seconds: I am your child. Answered with
-    /// [`TierResponse::Hello`]. `run`: of the pushes to that one.
+    /// Hello to a parent, first and then every few seconds: the sender is its child.
+    /// [`TierResponse::Hello`] answers it. `run` is that of the pushes to the parent.
     Hello { run: u64, holds: Option<TierHolds> },
-    /// What I have for you.
+    /// Push of entries for the receiver.
     Push(Box<TierPush>),
-    /// To a parent: who publishes and reads this name? `path`: the domains that have asked already,
-    /// the first of them for itself.
+    /// Query to a parent for the publishers and readers of a name. `path` lists the domains that
+    /// have asked already, the origin of the query first.
     Query { name: Name, path: Vec<Name> },
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum TierResponse {
     Done,
-    /// Taken in but for so many entries, or borders in locators, of which this is the reason of the
-    /// first.
+    /// The push is accepted except for this number of entries or borders in locators. `reason` is
+    /// that of the first refusal.
     Partly {
         refused: u32,
         reason: String,
     },
-    /// Of a parent: the domains above it, in the order of their names.
+    /// Answer of a parent, with the domains above it in the order of their names.
     Hello {
         run: u64,
         holds: Option<TierHolds>,
         ancestors: Vec<Name>,
     },
-    /// To a query. `truncated`: there are more than fit.
+    /// Answer to a query. `truncated` states that more entries exist than fit.
     Answer {
         entries: Vec<TierEntry>,
         truncated: bool,
@@ -75,7 +77,7 @@ pub enum TierResponse {
     Refused(Refusal),
 }
 
-/// Which push of the other side was the last that was taken in: so it sees whether this side holds
+/// Last push of the other side that was accepted. It shows the other side whether this side holds
 /// what it should.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TierHolds {
@@ -83,34 +85,34 @@ pub struct TierHolds {
     pub generation: u64,
 }
 
-/// A change of what a neighbour is told, or a part of its whole, as a [`FibPush`](super::FibPush)
-/// is for a switch.
+/// Change of a neighbour's entries, or part of a full transfer, like a [`FibPush`](super::FibPush)
+/// for a switch.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct TierPush {
-    /// Another number whenever what this neighbour is told begins anew: after a restart, or when it
-    /// was no neighbour for a while.
+    /// Run, which differs whenever the entries for this neighbour start anew: after a restart, or
+    /// after a time without the neighbour.
     pub run: u64,
-    /// Counts up by one with each push of the run.
+    /// Generation, which increases by one with each push of the run.
     pub generation: u64,
     pub extent: Extent,
     pub set: Vec<TierEntry>,
     pub remove: Vec<TierKey>,
 }
 
-/// Something that is told of another domain.
+/// Key of an entry.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Copy, Serialize, Deserialize)]
 pub enum TierKey {
     Part(RecordKey),
-    /// A key of `writer` for `reader`.
+    /// Key box of `writer` for `reader`.
     Box {
         writer: Name,
         reader: Name,
         name: Name,
         epoch: u32,
     },
-    /// Where this domain can be reached.
+    /// Locator of this domain.
     Locator(Name),
-    /// What the owner of this name has taken back.
+    /// Revocation of this name.
     Revocation(Name),
 }
 
@@ -122,19 +124,19 @@ pub enum TierEntry {
         domain: Name,
         locator: Locator,
     },
-    /// Of a name; what domains take back goes from switch to switch.
+    /// Revocation of a name. Revocations by domains travel from switch to switch instead.
     Revocation {
         proof: NameProof,
         revocation: Signed<Revocation>,
     },
 }
 
-/// One entity's part in a name, in another domain, with all that is needed to verify it.
+/// Registration of an entity in another domain, with everything needed to verify it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RemoteRecord {
     pub record: Record,
-    /// The switch that the entity is attached to, which is of the first domain of the path.
+    /// Switch of the entity's attachment, a member of the first domain of the path.
     pub host: Host,
-    /// The domains that it came through, its own first and the one that says it last.
+    /// Domains that the record passed: its own first, the announcing one last.
     pub path: Vec<Name>,
 }

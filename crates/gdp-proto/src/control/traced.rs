@@ -1,108 +1,110 @@
-//! What a switch answers to a probe that ended at it, and what borders ask each other to trace a
-//! name into other domains: types only.
+//! Answers to probes, sent by the switch where a probe ended, and the requests of borders to trace
+//! a name into other domains: types only.
 
 use gdp_wire::Name;
 use serde::{Deserialize, Serialize};
 
-/// Switches of other domains that an answer lists, at most.
+/// Maximum number of switches of other domains in an answer.
 pub const MAX_BEYOND: usize = 16;
 
-/// A probe ended at a switch. Believed only by who knows its cookie, and as a hint: switches of the
-/// domain pass it on.
+/// Report that a probe ended at a switch. Only the sender of the probe knows its cookie. Other
+/// switches of the domain forward the report, so it is only a hint.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Traced {
-    /// Random, of the probe.
+    /// Random cookie of the probe.
     pub cookie: u64,
-    /// The switch at which the probe ended.
+    /// Switch at which the probe ended.
     pub switch: Name,
-    /// If that is where the name leaves the switches of the domain, what it would be delivered to.
+    /// Receivers of the name, if this switch is an egress switch for it.
     pub end: Option<TracedEnd>,
 }
 
-/// What an egress switch delivers a name to. Endpoints are counted, not named.
+/// Receivers of a name at an egress switch. Endpoints are counted, not named.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TracedEnd {
-    /// Links to local endpoints.
+    /// Number of links to local endpoints.
     pub links: u32,
-    /// By links into other domains: the domain, and its switch at the other end; [`MAX_BEYOND`] of
-    /// them at most. What lies behind these, they are asked by [`TraceOn`].
+    /// Links into other domains, each with the domain and its switch at the other end, at most
+    /// [`MAX_BEYOND`]. [`TraceOn`] traces beyond them.
     pub beyond: Vec<(Name, Name)>,
 }
 
-/// Domains that the answer to a [`TraceOn`] lists, at most.
+/// Maximum number of domains in the answer to a [`TraceOn`].
 pub const MAX_TRACED_DOMAINS: usize = 32;
 
-/// Switches inside of domains that it lists, at most, in all of these together.
+/// Maximum number of switches within domains in the answer, in all domains together.
 pub const MAX_TRACED_SWITCHES: usize = 256;
 
-/// A request to trace a name on in another domain, and in those behind it. Answered with
-/// [`Response::TracedOn`](super::Response::TracedOn).
+/// Request to trace a name onward in another domain, and in those behind it.
+/// [`Response::TracedOn`](super::Response::TracedOn) answers it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TraceOn {
     pub leg: TraceLeg,
     pub name: Name,
-    /// The domains that frames for the name have crossed before, the first that of who traces and
-    /// the last that of who asks: 1 to [`MAX_PATH`](super::MAX_PATH). No domain is entered twice.
+    /// Domains that frames for the name have crossed: the tracing domain first, the asking one
+    /// last, 1 to [`MAX_PATH`](super::MAX_PATH). No domain is entered twice.
     pub path: Vec<Name>,
-    /// Milliseconds for which the answer is waited for.
+    /// Time to wait for the answer, in milliseconds.
     pub within_ms: u32,
 }
 
-/// How far a [`TraceOn`] has come.
+/// Leg of a [`TraceOn`] request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TraceLeg {
-    /// Within its own domain: for the border switch that has a link to this one of this domain.
+    /// Within the asking domain, toward the border switch that has a link to switch `peer` of
+    /// `domain`.
     Out { domain: Name, peer: Name },
-    /// On that link.
+    /// On the link between the domains.
     Across,
 }
 
-/// A domain on the way to a name. What a domain says of itself and of those behind it is its word,
-/// and no more.
+/// Domain on the path of a name. What a domain states about itself and the domains behind it is not
+/// verified.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TracedDomain {
-    /// Links between domains from the border that was asked: 1 for the domain at the other end of
-    /// that border's link. A domain that is behind another follows it, one deeper.
+    /// Number of links between domains, counted from the asked border: 1 for the domain at the
+    /// other end of its link. A domain behind another one follows it and is one deeper.
     pub depth: u8,
     pub domain: Name,
-    /// Its switch at the link by which it is entered.
+    /// Switch of the domain by which the trace enters it.
     pub entry: Name,
-    /// µs from the border before it to that switch and back, in their data planes; none: there was
-    /// no answer.
+    /// Round-trip time in µs between the border before it and that switch, in their data planes.
+    /// `None` if there was no answer.
     pub rtt_us: Option<u64>,
     pub crossing: Crossing,
 }
 
-/// What became of a trace in a domain.
+/// Outcome of a trace in a domain.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Crossing {
-    /// Its egress switches for the name have answered, or some of them.
+    /// All or some of the domain's egress switches for the name have answered.
     Traced {
-        /// Links to its endpoints that the name is delivered to.
+        /// Number of links to endpoints that receive the name.
         links: u32,
-        /// µs from the entry to the slowest of the egress switches and back; none: not all have
-        /// answered.
+        /// Round-trip time in µs from the entry to the slowest egress switch. `None` unless all
+        /// have answered.
         time_us: Option<u64>,
-        /// The switches behind the entry, unless the domain hides them.
+        /// Switches behind the entry, unless the domain hides them.
         switches: Option<Vec<TracedSwitch>>,
     },
-    /// Nobody has answered in time.
+    /// No answer arrived in time.
     Unanswered,
-    /// It was not traced, for this reason.
+    /// The domain was not traced, for this reason.
     Refused { reason: String },
     /// The frames have crossed the domain before.
     Loop,
-    /// They have crossed [`MAX_PATH`](super::MAX_PATH) domains before it.
+    /// The frames have crossed [`MAX_PATH`](super::MAX_PATH) domains before this one.
     TooFar,
 }
 
-/// A switch inside of a domain.
+/// Switch within a domain.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TracedSwitch {
-    /// Switches from the entry: 1 for the next one. Begins anew with the way to each egress switch.
+    /// Number of hops from the entry: 1 for the next switch. It restarts with the path to each
+    /// egress switch.
     pub hop: u8,
-    /// None: it has not answered.
+    /// Name of the switch. `None` if it has not answered.
     pub switch: Option<Name>,
-    /// µs from the entry to it and back.
+    /// Round-trip time in µs from the entry.
     pub rtt_us: Option<u64>,
 }
