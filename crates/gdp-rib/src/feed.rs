@@ -176,7 +176,7 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
     /// Records whether the push with this generation succeeded. Returns whether that push was in
     /// flight.
     ///
-    /// After a failure, the feed starts a full transfer when [`RETRY`] has passed.
+    /// After a failure, the feed starts a full transfer a moment later.
     pub fn answered(&mut self, now: Duration, generation: u64, done: bool) -> bool {
         if self.in_flight.take_if(|push| push.generation == generation).is_none() {
             return false;

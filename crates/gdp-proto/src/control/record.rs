@@ -111,8 +111,8 @@ impl Record {
 
     /// Verifies the record from scratch.
     ///
-    /// It checks the derivation of both names, the credential at `now` (Unix seconds) under the
-    /// newest known revocation of the name, and the entity's own statement.
+    /// It checks the derivation of both names and the entity's own statement. It checks the
+    /// credential at `now` (Unix seconds) under the newest known revocation of the name.
     /// [`Credential::check_member`] checks revocations by domains.
     pub fn verify(&self, revocation: Option<&Revocation>, now: u64) -> Result<Verified, CertError> {
         let name = self.proof.name()?;

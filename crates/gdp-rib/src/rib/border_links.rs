@@ -19,7 +19,8 @@ use crate::rib::model::NameBytes;
 
 /// Grace period after a link is removed or added, until the other domain has noticed.
 ///
-/// Frames may still arrive by a removed link. A new link is used only where no older one exists.
+/// Meanwhile frames may still arrive by the removed link, and the new link is used only where no
+/// established one exists.
 pub(super) const GRACE: Duration = Duration::from_secs(2);
 
 #[derive(Clone, Debug, Default)]
@@ -105,8 +106,8 @@ impl BorderLinks {
 
     /// Returns the link by which frames to the name leave for the realm.
     ///
-    /// Prefers a direct link to the realm's domain over one to its neighbour, and an established
-    /// link over a new one.
+    /// Prefers an established link over a new one, then a direct link to the realm's domain over
+    /// one to its neighbour.
     fn elect(&self, name: &NameBytes, realm: &Realm, bits: &Bits) -> Option<&BorderLink> {
         let best = |(is_fresh, domain): (bool, &Name)| {
             let ways = self.present.get(domain)?.iter().filter(|way| bits.of(&way.border).is_some());

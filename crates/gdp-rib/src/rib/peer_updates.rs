@@ -231,8 +231,8 @@ impl PeerUpdates {
         pushes
     }
 
-    /// Records whether a message arrived. After a loss, the stream resends the full list through
-    /// `other`, if that is a switch not tried just now, or later through the same one.
+    /// Records whether a message arrived. After a loss, the stream resends the full list: through
+    /// `other` at most once per [wait](Stream::wait), else later through the same switch.
     ///
     /// Returns the generation that the entity holds, if nothing more is pending.
     pub fn answered(&mut self, now: Duration, told: UpdateId, arrived: bool, other: Option<Name>) -> Option<u64> {

@@ -43,8 +43,8 @@ impl Tiers {
                 member.is_some_and(|member| member.domain.name().is_ok_and(|domain| domain == about))
             };
             let elsewhere = |held: &&Arc<TableRecord>| held.key.name != about && held.path.first() != Some(&about);
-            // Readers by role whose domain differs from the revoking one are not indexed, because
-            // domains revoke rarely.
+            // No index finds readers whose role is of another domain than the one they are in,
+            // because domains revoke rarely.
             let all = is_domain.then(|| side.table.parts()).into_iter().flatten();
             let of_members = all.filter(elsewhere).filter(is_of_member);
             for held in side.table.parts_about(about).chain(of_members) {

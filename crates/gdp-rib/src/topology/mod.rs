@@ -34,8 +34,8 @@ pub use flooding::{Batch, BatchId};
 pub use paths::Paths;
 
 /// Lifetime of a statement in seconds. The switch restates it after a third of that. The remainder
-/// exceeds the time for which the links of a dead daemon are held, so a switch that forwards
-/// without its daemon stays on the map.
+/// exceeds the time for which the links of a dead daemon are held. A switch that forwards without
+/// its daemon thus stays on the map.
 pub const LIFETIME: u32 = 180;
 
 const REFRESH: Duration = Duration::from_secs(LIFETIME as u64 / 3);
