@@ -56,12 +56,12 @@ pub fn run(options: Options) -> Result<()> {
         Rule { name: "a document's sentence has more than 25 words", limit: 0, findings: prose::documents()? },
         Rule {
             name: "a type name is defined more than three times",
-            limit: 10,
+            limit: 8,
             findings: names::repeated_types(&product),
         },
         Rule {
             name: "a word of the list that may not come back",
-            limit: 102,
+            limit: 29,
             findings: names::retired_words(&product),
         },
         Rule { name: "the facade shows more than 60 items", limit: 0, findings: facade::findings(&product) },
