@@ -33,9 +33,9 @@ pub fn show(file: &Path, card: Option<&Path>, context: &Context) -> anyhow::Resu
     let paper = CredentialFile::load(file)?;
     let mut output = paper.describe().with_context(|| file.display().to_string())?;
     output.verified = match card.map(IssuanceLog::open).transpose()? {
-        Some(books) => {
-            let (_, revocation) = books.revocation()?.unzip();
-            let verdict = paper.verify(books.card(), revocation.as_ref(), unix_seconds());
+        Some(issuance_log) => {
+            let (_, revocation) = issuance_log.revocation()?.unzip();
+            let verdict = paper.verify(issuance_log.card(), revocation.as_ref(), unix_seconds());
             verdict.with_context(|| file.display().to_string())?
         }
         None => false,

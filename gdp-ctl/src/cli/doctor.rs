@@ -7,7 +7,7 @@ use clap::Args;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::output::Shown;
+use super::output::AlreadyPrinted;
 use crate::cli::context::Context;
 use gdp_daemon::config::Config;
 use gdp_daemon::doctor;
@@ -52,7 +52,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     context.output.print(&output, || output.findings.iter().flat_map(lines).collect::<Vec<_>>())?;
     match failed {
         0 => Ok(()),
-        _ => Err(Shown(format!("{failed} of {} checks failed", output.findings.len())).into()),
+        _ => Err(AlreadyPrinted(format!("{failed} of {} checks failed", output.findings.len())).into()),
     }
 }
 

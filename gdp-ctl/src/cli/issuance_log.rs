@@ -55,13 +55,13 @@ struct Ledger<E> {
 impl IssuanceLog {
     /// Waits for another command that has them open.
     pub fn open(card: &Path) -> anyhow::Result<Self> {
-        let books = Self {
+        let issuance_log = Self {
             card: NameCard::load(card)?,
             path: card.into(),
             _lock: File::open(card).with_context(|| format!("cannot open {}", card.display()))?,
         };
-        books._lock.lock().with_context(|| format!("cannot lock {}", card.display()))?;
-        Ok(books)
+        issuance_log._lock.lock().with_context(|| format!("cannot lock {}", card.display()))?;
+        Ok(issuance_log)
     }
 
     pub fn card(&self) -> &NameCard {
@@ -69,11 +69,11 @@ impl IssuanceLog {
     }
 
     pub fn ledger_path<E: Entry>(&self) -> PathBuf {
-        self.beside(E::SUFFIX)
+        self.sibling(E::SUFFIX)
     }
 
     pub fn revocation_path(&self) -> PathBuf {
-        self.beside(".revocation")
+        self.sibling(".revocation")
     }
 
     /// What was issued from here, in the order of serials; empty if nothing was.
@@ -122,7 +122,7 @@ impl IssuanceLog {
         Ok(secret_file::replace(&self.revocation_path(), signed.to_pem().as_bytes())?)
     }
 
-    fn beside(&self, suffix: &str) -> PathBuf {
+    fn sibling(&self, suffix: &str) -> PathBuf {
         let mut name = self.path.file_name().unwrap_or_default().to_owned();
         name.push(suffix);
         self.path.with_file_name(name)

@@ -20,7 +20,7 @@ use crate::client::ClientError;
 /// A failure that what was printed shows already, so that `-j` prints no object for it.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub struct Shown(pub String);
+pub struct AlreadyPrinted(pub String);
 
 /// What `-j` prints of a command that fails.
 #[derive(Debug, Serialize, JsonSchema)]
@@ -53,7 +53,7 @@ impl Output {
 
     /// With `-j`, prints why the command failed, unless its output shows that.
     pub fn print_failure(&self, error: &anyhow::Error) -> anyhow::Result<()> {
-        if !self.json || error.is::<Shown>() {
+        if !self.json || error.is::<AlreadyPrinted>() {
             return Ok(());
         }
         let code = error.downcast_ref().map_or(ErrorCode::Failed, ClientError::code);

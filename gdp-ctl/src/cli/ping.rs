@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::name_location::{self, millis};
-use super::output::Shown;
+use super::output::AlreadyPrinted;
 use crate::cli::context::Context;
 use crate::client::{Client, ClientError};
 use gdp_proto::admin::Request;
@@ -86,7 +86,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     }
     context.output.print(&tally.statistics(location.name), || tally.lines(&location.name))?;
     match tally.times.is_empty() {
-        true => Err(Shown(format!("nothing answered for {:#}", location.name)).into()),
+        true => Err(AlreadyPrinted(format!("nothing answered for {:#}", location.name)).into()),
         false => Ok(()),
     }
 }

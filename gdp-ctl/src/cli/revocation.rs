@@ -26,15 +26,15 @@ const CLOCKS_DIFFER: u64 = 86400;
 /// `anew`: it was made now, so it is worth something though no daemon answers; `again` is the
 /// command that publishes it then.
 pub fn publish(
-    books: &IssuanceLog,
+    issuance_log: &IssuanceLog,
     signed: Signed<Revocation>,
     claims: &Revocation,
     anew: bool,
     again: &str,
     context: &Context,
 ) -> anyhow::Result<()> {
-    let file = books.revocation_path();
-    let published = match send(books.card(), signed, context) {
+    let file = issuance_log.revocation_path();
+    let published = match send(issuance_log.card(), signed, context) {
         Ok(()) => true,
         // It holds as soon as the fabric knows it; this machine need not be one that is connected.
         Err(error) if anew && matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. })) => {
@@ -54,7 +54,7 @@ pub fn publish(
         }
     };
     let revocation = RevocationOutput::new(claims);
-    let output = RevokeOutput { revocation, name: books.card().name(), file: file.clone(), published };
+    let output = RevokeOutput { revocation, name: issuance_log.card().name(), file: file.clone(), published };
     context.output.print(&output, || {
         let told = if published { "published" } else { "not published" };
         [format!("revocation {} of {:#}, {told}: {}", claims.number, claims.name, file.display())]

@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::name_location::{self, millis};
-use super::output::Shown;
+use super::output::AlreadyPrinted;
 use crate::cli::context::Context;
 use crate::client::{Client, ClientError};
 use gdp_proto::admin::Request;
@@ -88,7 +88,8 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         return Ok(());
     }
     let name = output.name;
-    Err(Shown(format!("the probes did not get to every switch where {name:#} is, or a domain does not tell")).into())
+    Err(AlreadyPrinted(format!("the probes did not get to every switch where {name:#} is, or a domain does not tell"))
+        .into())
 }
 
 /// The path to one egress switch.

@@ -10,7 +10,7 @@ use gdp_wire::table::ABI;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::output::{Shown, table};
+use super::output::{AlreadyPrinted, table};
 use crate::cli::context::Context;
 use gdp_dataplane::pins::{self, BPFFS, Found, Pins, PinsError};
 use gdp_dataplane::{host_pair, kernel};
@@ -73,7 +73,10 @@ fn detach(options: &Options, context: &Context) -> anyhow::Result<()> {
     })?;
     match output.running.as_slice() {
         [] => Ok(()),
-        all => Err(Shown(format!("a daemon runs with {}: stop it, which detaches it as well", all.join(", "))).into()),
+        all => {
+            Err(AlreadyPrinted(format!("a daemon runs with {}: stop it, which detaches it as well", all.join(", ")))
+                .into())
+        }
     }
 }
 

@@ -52,7 +52,7 @@ pub fn identity(keyring: &Path, key: Option<&PathBuf>, kind: &str) -> anyhow::Re
 impl Fabric {
     /// Attaches at a switch.
     pub async fn join(keyring: Keyring, identity: Identity, switch: LinkTarget) -> anyhow::Result<Self> {
-        let credentials = keyring.papers.as_ref().map(|files| files.load()).transpose()?;
+        let credentials = keyring.credentials.as_ref().map(|files| files.load()).transpose()?;
         let place = switch.to_string();
         let config = NodeConfig { credentials, ..NodeConfig::new(identity, switch) };
         let node = Node::connect(config).await.with_context(|| format!("cannot attach at {place}"))?;

@@ -26,7 +26,7 @@ pub struct Publisher {
 }
 
 /// A message, and what it is of.
-pub struct Heard {
+pub struct ReceivedMessage {
     pub message: Message,
     pub kind: Kind,
     pub definition: Option<Arc<str>>,
@@ -39,7 +39,7 @@ pub struct Feed {
     publishers: BTreeMap<(Name, u32), Publisher>,
     /// For writers that tell no publishers apart.
     carded: Option<Kind>,
-    released: VecDeque<Heard>,
+    released: VecDeque<ReceivedMessage>,
     /// What is worth a word of what was left out, since it was last asked for.
     said: Vec<String>,
 }
@@ -68,10 +68,10 @@ impl Feed {
     }
 
     /// The next message; `None` once the right to read has ended. Safe to cancel.
-    pub async fn next(&mut self) -> Option<Heard> {
+    pub async fn next(&mut self) -> Option<ReceivedMessage> {
         loop {
-            if let Some(heard) = self.released.pop_front() {
-                return Some(heard);
+            if let Some(received) = self.released.pop_front() {
+                return Some(received);
             }
             self.step().await?;
         }
@@ -111,11 +111,11 @@ impl Feed {
                 if let Some(Publisher { kind, definition, .. }) =
                     self.publishers.get(&(message.writer, number)).cloned()
                 {
-                    self.released.push_back(Heard { message, kind, definition });
+                    self.released.push_back(ReceivedMessage { message, kind, definition });
                 }
             }
             Taken::Plain(message) => match self.carded.clone() {
-                Some(kind) => self.released.push_back(Heard { message, kind, definition: None }),
+                Some(kind) => self.released.push_back(ReceivedMessage { message, kind, definition: None }),
                 None => self.said.push(format!(
                     "{:#} does not say of what type its messages are, and the name's card does not either",
                     message.writer
@@ -182,8 +182,8 @@ impl Decoder {
         Self { types, known: HashMap::new() }
     }
 
-    pub fn decode(&mut self, heard: &Heard) -> Result<Decoded<'_>, DecodeError> {
-        let Heard { message, kind, definition } = heard;
+    pub fn decode(&mut self, received: &ReceivedMessage) -> Result<Decoded<'_>, DecodeError> {
+        let ReceivedMessage { message, kind, definition } = received;
         let misread = |error: String| DecodeError::Message(kind.name.clone(), error);
         let unsealed = unsealed(message.encoding, message.body.clone());
         let (encoding, body) = unsealed.map_err(|error| misread(error.to_string()))?;
@@ -194,7 +194,7 @@ impl Decoder {
         let reader = match self.known.entry(key) {
             std::collections::hash_map::Entry::Occupied(entry) => entry.into_mut(),
             std::collections::hash_map::Entry::Vacant(entry) => {
-                let made = Reader::new(&self.types, heard, encoding)
+                let made = Reader::new(&self.types, received, encoding)
                     .map_err(|error| DecodeError::Type(kind.name.clone(), error.into()))?;
                 entry.insert(made)
             }
@@ -207,8 +207,8 @@ impl Decoder {
 }
 
 impl Reader {
-    fn new(types: &Types, heard: &Heard, encoding: Encoding) -> Result<Self, TypeError> {
-        let Heard { kind, definition, .. } = heard;
+    fn new(types: &Types, received: &ReceivedMessage, encoding: Encoding) -> Result<Self, TypeError> {
+        let ReceivedMessage { kind, definition, .. } = received;
         let schema = types.schema(kind, definition.as_deref())?;
         let mapping = Mapping::within(&schema, encoding, Encoding::Json)?;
         let root = Base::Named(schema.name().clone());

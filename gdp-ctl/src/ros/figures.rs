@@ -79,7 +79,7 @@ impl Intervals {
     }
 
     /// A message came, at this time of a clock in nanoseconds.
-    pub fn came(&mut self, now: u64) {
+    pub fn record(&mut self, now: u64) {
         if let Some(last) = self.last {
             self.window.add(now.saturating_sub(last) as i64);
         }
@@ -102,7 +102,7 @@ impl Delays {
     }
 
     /// A message came that was as old, in nanoseconds; less than nothing if its clock is ahead.
-    pub fn came(&mut self, age: i64) {
+    pub fn record(&mut self, age: i64) {
         self.0.add(age);
     }
 
@@ -138,7 +138,7 @@ impl Sizes {
         Self { most, messages: VecDeque::new() }
     }
 
-    pub fn came(&mut self, now: u64, bytes: usize) {
+    pub fn record(&mut self, now: u64, bytes: usize) {
         self.messages.push_back((now, bytes));
         if self.messages.len() > self.most {
             self.messages.pop_front();

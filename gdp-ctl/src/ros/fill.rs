@@ -24,10 +24,10 @@ pub enum FillError {
     TooLarge { path: String },
 }
 
-/// The message that is meant by `given`. `now`: seconds and nanoseconds for times that are given as
+/// The message that is meant by `input`. `now`: seconds and nanoseconds for times that are given as
 /// `now`, and for headers given as `auto`.
-pub fn fill(schema: &Schema, given: &UserInput, now: (u64, u32)) -> Result<Value, FillError> {
-    Fill { schema, now, room: MAX_FILLED }.message("", schema.name(), given)
+pub fn fill(schema: &Schema, input: &UserInput, now: (u64, u32)) -> Result<Value, FillError> {
+    Fill { schema, now, room: MAX_FILLED }.message("", schema.name(), input)
 }
 
 struct Fill<'a> {
@@ -37,10 +37,10 @@ struct Fill<'a> {
 }
 
 impl Fill<'_> {
-    fn message(&mut self, path: &str, of: &TypeName, given: &UserInput) -> Result<Value, FillError> {
+    fn message(&mut self, path: &str, of: &TypeName, input: &UserInput) -> Result<Value, FillError> {
         let fields = definition(self.schema, of).map_or(&[][..], |definition| &definition.fields);
         let auto = UserInput::Map(vec![("stamp".into(), UserInput::Text("now".into()))]);
-        let given = match given {
+        let input = match input {
             UserInput::Nothing => &[][..],
             UserInput::Map(members) => members,
             UserInput::Text(text) if text == "auto" && is(of, "std_msgs", "Header") => match &auto {
@@ -52,15 +52,15 @@ impl Fill<'_> {
             }
             other => return Err(unlike(path, format!("a mapping with fields of {of}"), other)),
         };
-        if let Some((name, _)) = given.iter().find(|(name, _)| !fields.iter().any(|field| *field.name == **name)) {
+        if let Some((name, _)) = input.iter().find(|(name, _)| !fields.iter().any(|field| *field.name == **name)) {
             let there = fields.iter().map(|field| field.name.to_string()).collect();
             return Err(FillError::Unknown { field: inside(path, name), of: of.clone(), there });
         }
         let mut members = Map::new();
         for field in fields {
             let path = inside(path, &field.name);
-            let value = match given.iter().find(|(name, _)| *field.name == **name) {
-                Some((_, given)) => self.field(&path, field, given)?,
+            let value = match input.iter().find(|(name, _)| *field.name == **name) {
+                Some((_, input)) => self.field(&path, field, input)?,
                 None => self.default(&path, field)?,
             };
             members.insert(field.name.to_string(), value);
@@ -71,17 +71,17 @@ impl Fill<'_> {
     /// What the definition begins a message with; its texts are YAML.
     fn default(&mut self, path: &str, field: &Field) -> Result<Value, FillError> {
         match field.default.as_ref().and_then(|text| UserInput::parse(text).ok()) {
-            Some(given) => self.field(path, field, &given),
+            Some(input) => self.field(path, field, &input),
             None => self.field(path, field, &UserInput::Nothing),
         }
     }
 
-    fn field(&mut self, path: &str, field: &Field, given: &UserInput) -> Result<Value, FillError> {
+    fn field(&mut self, path: &str, field: &Field, input: &UserInput) -> Result<Value, FillError> {
         if field.count == Count::One {
-            return self.one(path, &field.base, given);
+            return self.one(path, &field.base, input);
         }
         let octets = matches!(field.base, Base::Scalar(scalar) if is_octet(scalar));
-        let items = match (given, field.count) {
+        let items = match (input, field.count) {
             (UserInput::List(items), Count::Fixed(length)) if items.len() != length as usize => {
                 return Err(FillError::Length { path: path.into(), length, got: items.len() });
             }
@@ -101,11 +101,11 @@ impl Fill<'_> {
         filled.collect::<Result<_, _>>().map(Value::Array)
     }
 
-    fn one(&mut self, path: &str, base: &Base, given: &UserInput) -> Result<Value, FillError> {
+    fn one(&mut self, path: &str, base: &Base, input: &UserInput) -> Result<Value, FillError> {
         match base {
-            Base::Named(name) => self.message(path, name, given),
-            Base::Time | Base::Duration => self.stamp_of_ros1(path, given),
-            Base::String(_) | Base::WString(_) => match given {
+            Base::Named(name) => self.message(path, name, input),
+            Base::Time | Base::Duration => self.stamp_of_ros1(path, input),
+            Base::String(_) | Base::WString(_) => match input {
                 UserInput::Nothing => Ok("".into()),
                 UserInput::Text(text) => Ok(text.clone().into()),
                 // `data: 5` means a text as well, as in ROS 2.
@@ -113,13 +113,13 @@ impl Fill<'_> {
                 UserInput::Float(value) => Ok(super::python::float(*value).into()),
                 other => Err(unlike(path, "a text, in quotes".into(), other)),
             },
-            Base::Scalar(scalar) => self.scalar(path, *scalar, given),
+            Base::Scalar(scalar) => self.scalar(path, *scalar, input),
         }
     }
 
-    fn scalar(&self, path: &str, scalar: Scalar, given: &UserInput) -> Result<Value, FillError> {
+    fn scalar(&self, path: &str, scalar: Scalar, input: &UserInput) -> Result<Value, FillError> {
         let is_float = matches!(scalar, Scalar::Float32 | Scalar::Float64);
-        match (scalar, given) {
+        match (scalar, input) {
             (Scalar::Bool, UserInput::Nothing) => Ok(false.into()),
             (Scalar::Bool, UserInput::Bool(value)) => Ok((*value).into()),
             (Scalar::Bool, other) => Err(unlike(path, "true or false".into(), other)),
@@ -141,7 +141,7 @@ impl Fill<'_> {
                 if self.schema.dialect() == Dialect::Ros2 && text.chars().count() == 1 =>
             {
                 let byte = text.chars().next().and_then(|c| u8::try_from(c).ok());
-                byte.map(Value::from).ok_or_else(|| unlike(path, "a character of one byte".into(), given))
+                byte.map(Value::from).ok_or_else(|| unlike(path, "a character of one byte".into(), input))
             }
             (Scalar::Int64 | Scalar::UInt64 | Scalar::Float32 | Scalar::Float64, UserInput::Text(text)) => {
                 Ok(text.clone().into())
@@ -150,8 +150,8 @@ impl Fill<'_> {
         }
     }
 
-    fn stamp_of_ros1(&mut self, path: &str, given: &UserInput) -> Result<Value, FillError> {
-        let members = match given {
+    fn stamp_of_ros1(&mut self, path: &str, input: &UserInput) -> Result<Value, FillError> {
+        let members = match input {
             UserInput::Text(text) if text == "now" => return Ok(self.stamp(["secs", "nsecs"])),
             UserInput::Nothing => &[][..],
             UserInput::Map(members) => members,
@@ -159,11 +159,11 @@ impl Fill<'_> {
         };
         let mut stamp = Map::new();
         for name in ["secs", "nsecs"] {
-            let given = members.iter().find(|(given, _)| given == name).map_or(&UserInput::Nothing, |(_, given)| given);
-            stamp.insert(name.into(), self.scalar(&inside(path, name), Scalar::Int64, given)?);
+            let input = members.iter().find(|(input, _)| input == name).map_or(&UserInput::Nothing, |(_, input)| input);
+            stamp.insert(name.into(), self.scalar(&inside(path, name), Scalar::Int64, input)?);
         }
         match members.iter().find(|(name, _)| !stamp.contains_key(name)) {
-            Some((name, given)) => Err(unlike(&inside(path, name), "secs or nsecs".into(), given)),
+            Some((name, input)) => Err(unlike(&inside(path, name), "secs or nsecs".into(), input)),
             None => Ok(Value::Object(stamp)),
         }
     }

@@ -80,7 +80,7 @@ pub struct Keyring {
     ads: Vec<(PathBuf, Name, Issued<AdCert>)>,
     grants: Vec<(PathBuf, Name, Reading)>,
     /// Of the domain that the entity is a member of.
-    pub papers: Option<CredentialFiles>,
+    pub credentials: Option<CredentialFiles>,
     /// Files that were left out, and why.
     pub left_out: Vec<String>,
 }
@@ -120,7 +120,8 @@ impl Keyring {
         match (&domains[..], &members[..]) {
             (_, []) => {}
             ([card], [membership]) => {
-                keyring.papers = Some(CredentialFiles { card: card.clone(), membership: membership.clone(), peers });
+                keyring.credentials =
+                    Some(CredentialFiles { card: card.clone(), membership: membership.clone(), peers });
             }
             _ => keyring.left_out.push(format!(
                 "{} memberships and {} cards of domains: one of each makes a member",

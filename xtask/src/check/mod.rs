@@ -59,11 +59,7 @@ pub fn run(options: Options) -> Result<()> {
             limit: 8,
             findings: names::repeated_types(&product),
         },
-        Rule {
-            name: "a word of the list that may not come back",
-            limit: 29,
-            findings: names::retired_words(&product),
-        },
+        Rule { name: "a word of the list that may not come back", limit: 29, findings: names::retired_words(&product) },
         Rule { name: "the facade shows more than 60 items", limit: 0, findings: facade::findings(&product) },
         Rule { name: "a crate depends on what it must not", limit: 0, findings: dependencies::findings()? },
     ];

@@ -40,9 +40,9 @@ impl CredentialFiles {
             return Err(wrong(CertError::WrongDomain { expected, got }));
         }
         let peers = self.peers.iter().map(|path| read(path, Signed::from_pem)).collect::<Result<_, _>>()?;
-        let papers = Credentials { membership, peers };
-        papers.check_bounds().map_err(|source| PaperFileError::Cert { path: self.membership.clone(), source })?;
-        Ok(papers)
+        let credentials = Credentials { membership, peers };
+        credentials.check_bounds().map_err(|source| PaperFileError::Cert { path: self.membership.clone(), source })?;
+        Ok(credentials)
     }
 
     /// Returns all paths, to be watched for changes.

@@ -58,8 +58,8 @@ impl CurrentCredentials {
         self.0.lock().clone()
     }
 
-    pub fn set(&self, papers: Arc<Credentials>) {
-        *self.0.lock() = Some(papers);
+    pub fn set(&self, credentials: Arc<Credentials>) {
+        *self.0.lock() = Some(credentials);
     }
 }
 
@@ -161,7 +161,7 @@ pub enum DomainError {
 pub struct Trust {
     entity: Name,
     home: Name,
-    papers: Arc<Credentials>,
+    credentials: Arc<Credentials>,
     members_only: bool,
     revocations: BTreeMap<Name, (SignedRevocation, Revocation)>,
 }
@@ -171,15 +171,15 @@ impl Trust {
     /// endpoint gets a link without a membership.
     ///
     /// The validity period is checked with each link, because a machine may start without a clock.
-    pub fn new(entity: Name, papers: Arc<Credentials>, members_only: bool) -> Result<Self, DomainError> {
-        let home = check_own(entity, &papers)?;
-        Ok(Self { entity, home, papers, members_only, revocations: BTreeMap::new() })
+    pub fn new(entity: Name, credentials: Arc<Credentials>, members_only: bool) -> Result<Self, DomainError> {
+        let home = check_own(entity, &credentials)?;
+        Ok(Self { entity, home, credentials, members_only, revocations: BTreeMap::new() })
     }
 
     /// Replaces the credentials by renewed ones, and the configured `members_only`.
-    pub fn renew(&mut self, papers: Arc<Credentials>, members_only: bool) -> Result<(), DomainError> {
-        let home = check_own(self.entity, &papers)?;
-        (self.home, self.papers, self.members_only) = (home, papers, members_only);
+    pub fn renew(&mut self, credentials: Arc<Credentials>, members_only: bool) -> Result<(), DomainError> {
+        let home = check_own(self.entity, &credentials)?;
+        (self.home, self.credentials, self.members_only) = (home, credentials, members_only);
         Ok(())
     }
 
@@ -187,8 +187,8 @@ impl Trust {
         self.home
     }
 
-    pub fn papers(&self) -> &Arc<Credentials> {
-        &self.papers
+    pub fn credentials(&self) -> &Arc<Credentials> {
+        &self.credentials
     }
 
     pub fn members_only(&self) -> bool {
@@ -197,7 +197,7 @@ impl Trust {
 
     /// Returns this entity's own membership certificate, if it is valid at `now` (Unix seconds).
     pub fn own(&self, now: u64) -> Result<MemberCert, DomainError> {
-        self.member(self.entity, &self.papers.membership, self.home, now)
+        self.member(self.entity, &self.credentials.membership, self.home, now)
     }
 
     /// Decides whether `peer` may have a link with this entity. `own` is this entity's role on
@@ -228,7 +228,7 @@ impl Trust {
             return Ok(Admission { standing: Relationship::Member { role: cert.role }, until });
         }
         let home = self.home;
-        let ours = self.granted(&self.papers, home, domain, now)?.ok_or(DomainError::Foreign {
+        let ours = self.granted(&self.credentials, home, domain, now)?.ok_or(DomainError::Foreign {
             peer: peer.name,
             domain,
             home,
@@ -288,7 +288,7 @@ impl Trust {
     /// rights.
     pub fn knows(&self, domain: &Name) -> bool {
         let is_peer = |signed: &Signed<PeerCert>| signed.claims_unverified().is_ok_and(|claims| claims.peer == *domain);
-        *domain == self.home || self.papers.peers.iter().any(is_peer)
+        *domain == self.home || self.credentials.peers.iter().any(is_peer)
     }
 
     /// Returns the newest revocation of each domain, with the proof of the domain's name.
@@ -315,14 +315,20 @@ impl Trust {
 
     /// Returns the rights that `domain` grants `to`, from the credentials of one of its members. Of
     /// several valid certificates the newest counts.
-    fn granted(&self, papers: &Credentials, domain: Name, to: Name, now: u64) -> Result<Option<PeerCert>, DomainError> {
+    fn granted(
+        &self,
+        credentials: &Credentials,
+        domain: Name,
+        to: Name,
+        now: u64,
+    ) -> Result<Option<PeerCert>, DomainError> {
         let (mut newest, mut failure) = (None::<PeerCert>, None);
-        for signed in &papers.peers {
+        for signed in &credentials.peers {
             let Ok(claims) = signed.claims_unverified() else { continue };
             if claims.peer != to || newest.as_ref().is_some_and(|newest| newest.serial > claims.serial) {
                 continue;
             }
-            match signed.verify_peer(&papers.membership.domain, self.revocation(&domain), now) {
+            match signed.verify_peer(&credentials.membership.domain, self.revocation(&domain), now) {
                 Ok(claims) => newest = Some(claims),
                 Err(source) => {
                     let (what, serial, source) = ("PeerCert", claims.serial, source.into());
@@ -343,16 +349,16 @@ fn needs(cert: &PeerCert, held: bool, right: &'static str) -> Result<(), DomainE
 }
 
 /// Verifies the signatures in an entity's own credentials and returns their domain.
-fn check_own(entity: Name, papers: &Credentials) -> Result<Name, DomainError> {
+fn check_own(entity: Name, credentials: &Credentials) -> Result<Name, DomainError> {
     let unreadable = |source: CertError| DomainError::Unreadable { of: entity, source: source.into() };
-    papers.check_bounds().map_err(unreadable)?;
-    let domain = papers.membership.domain.name().map_err(|error| unreadable(error.into()))?;
-    let cert = papers.membership.verify_signatures(domain).map_err(unreadable)?;
+    credentials.check_bounds().map_err(unreadable)?;
+    let domain = credentials.membership.domain.name().map_err(|error| unreadable(error.into()))?;
+    let cert = credentials.membership.verify_signatures(domain).map_err(unreadable)?;
     if cert.entity != entity {
         return Err(unreadable(CertError::WrongEntity { expected: entity, got: cert.entity }));
     }
-    let key = papers.membership.domain.verify_key().map_err(|error| unreadable(error.into()))?;
-    for signed in &papers.peers {
+    let key = credentials.membership.domain.verify_key().map_err(|error| unreadable(error.into()))?;
+    for signed in &credentials.peers {
         let claims = signed.verify_signature(&key).map_err(unreadable)?;
         if claims.domain != domain {
             return Err(unreadable(CertError::WrongDomain { expected: domain, got: claims.domain }));

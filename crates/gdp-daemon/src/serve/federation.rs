@@ -160,7 +160,7 @@ impl Federation {
             locator.borders.iter().filter_map(|border| border.statement.claims_unverified().ok()).collect()
         };
         let may_peer = |domain: &Name| {
-            let certs = trust.papers().peers.iter().filter_map(|cert| cert.claims_unverified().ok());
+            let certs = trust.credentials().peers.iter().filter_map(|cert| cert.claims_unverified().ok());
             certs.into_iter().any(|cert| cert.peer == *domain && cert.rights.peering)
         };
         let concerned: Vec<Name> = self.tiers.concerned().copied().collect();

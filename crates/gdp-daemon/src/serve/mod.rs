@@ -99,7 +99,7 @@ pub async fn start(config: Config) -> Result<Running, StartError> {
     let mut domain_store = None;
     if let Some(domain_config) = &config.domain {
         let (store, member) = DomainStore::recall(domain_config, &identity, &config.identity)?;
-        port_config.credentials.set(member.trust.papers().clone());
+        port_config.credentials.set(member.trust.credentials().clone());
         domain_store = Some(store);
         core.join_domain(member, config.public.clone(), domain_config.trace);
     }

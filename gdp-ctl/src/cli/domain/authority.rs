@@ -13,7 +13,7 @@ use super::ledger::Issue;
 /// A domain's key and ledger, for as long as a command issues something.
 pub struct Authority {
     pub identity: Identity,
-    pub books: IssuanceLog,
+    pub issuance_log: IssuanceLog,
     pub issued: Vec<Issue>,
     pub revocation: Option<Revocation>,
     /// Of what is issued next.
@@ -24,20 +24,21 @@ impl Authority {
     /// The card lies beside the key, unless it is said where.
     pub fn open(key: &Path, card: Option<&Path>) -> anyhow::Result<Self> {
         let identity = Identity::new(SigningKey::load(key)?, "domain");
-        let card = card.map_or_else(|| card_beside(key), Path::to_path_buf);
-        let books = IssuanceLog::open(&card)?;
-        if books.card().name() != identity.name() {
+        let card = card.map_or_else(|| card_file_of(key), Path::to_path_buf);
+        let issuance_log = IssuanceLog::open(&card)?;
+        if issuance_log.card().name() != identity.name() {
             bail!(
                 "{} is the key of domain {}, and {} the card of {}",
                 key.display(),
                 identity.name(),
                 card.display(),
-                books.card().name()
+                issuance_log.card().name()
             );
         }
-        let (issued, revocation) = (books.ledger::<Issue>()?, books.revocation()?.map(|(_, claims)| claims));
+        let (issued, revocation) =
+            (issuance_log.ledger::<Issue>()?, issuance_log.revocation()?.map(|(_, claims)| claims));
         let serial = next_serial(&issued, revocation.as_ref())?;
-        Ok(Self { identity, books, issued, revocation, serial })
+        Ok(Self { identity, issuance_log, issued, revocation, serial })
     }
 
     /// Remembers first what is then given away: what is not known to be issued would not be
@@ -45,11 +46,11 @@ impl Authority {
     pub fn remember(self, issue: Issue) -> anyhow::Result<()> {
         let mut issued = self.issued;
         issued.push(issue);
-        self.books.keep_ledger(issued)
+        self.issuance_log.keep_ledger(issued)
     }
 }
 
-pub fn card_beside(key: &Path) -> PathBuf {
+pub fn card_file_of(key: &Path) -> PathBuf {
     key.with_extension("card")
 }
 

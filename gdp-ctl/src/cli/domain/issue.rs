@@ -18,7 +18,7 @@ use super::super::credential_file::{IssuedOutput, claim_map};
 use super::super::output;
 use super::ledger::{Issue, To};
 use crate::cli::context::Context;
-use crate::cli::domain::authority::{Authority, card_beside, expect_new};
+use crate::cli::domain::authority::{Authority, card_file_of, expect_new};
 use crate::cli::issuing::validity;
 use gdp_util::unix_time::unix_seconds;
 
@@ -116,7 +116,7 @@ pub fn init(options: &InitOptions, context: &Context) -> anyhow::Result<()> {
     let folder = &options.output;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let key_file = folder.join("domain.pem");
-    let card_file = card_beside(&key_file);
+    let card_file = card_file_of(&key_file);
     expect_new(&card_file)?;
     let identity = Identity::new(SigningKey::generate()?, "domain");
     identity.key().save_new(&key_file)?;
@@ -149,7 +149,7 @@ pub fn invite(options: &InviteOptions, context: &Context) -> anyhow::Result<()> 
         if switch.is_none() {
             bail!("a switch has to know which one it dials: add --switch NAME, as `gdp-ctl status` there prints it");
         }
-        is_place(&at)?;
+        check_address(&at)?;
     }
     let authority = options.key.open()?;
     let invited = SigningKey::generate()?;
@@ -186,7 +186,7 @@ pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
 }
 
 /// Whether a daemon's configuration can say this.
-pub(super) fn is_place(at: &LinkTarget) -> anyhow::Result<()> {
+pub(super) fn check_address(at: &LinkTarget) -> anyhow::Result<()> {
     match at {
         LinkTarget::Ethernet { mac: None, .. } => Ok(()),
         LinkTarget::Udp { host, interface: None, .. } if host.parse::<std::net::IpAddr>().is_ok() => Ok(()),

@@ -19,7 +19,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::super::output;
-use super::issue::is_place;
+use super::issue::check_address;
 use crate::cli::context::Context;
 use crate::cli::domain::authority::expect_new;
 use crate::cli::issuing::{serial_now, validity};
@@ -126,7 +126,7 @@ fn card(token: &Token) -> anyhow::Result<NameCard> {
 }
 
 fn switch(token: &Token, role: &str, identity: &Path) -> anyhow::Result<String> {
-    is_place(token.at())?;
+    check_address(token.at())?;
     let via = match token.at() {
         LinkTarget::Ethernet { interface, .. } => format!("interface: {}", quoted(interface)),
         LinkTarget::Udp { host, port, .. } => {

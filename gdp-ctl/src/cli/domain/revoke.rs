@@ -45,14 +45,14 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         let (name, known) = (authority.identity.name(), authority.revocation.as_ref());
         let claims = next(name, known, &authority.issued, &chosen, floor, unix_seconds())?;
         let signed = issue(authority.identity.key(), &claims)?;
-        authority.books.keep_revocation(&signed)?;
+        authority.issuance_log.keep_revocation(&signed)?;
         (signed, claims)
     } else {
-        let known = authority.books.revocation()?;
+        let known = authority.issuance_log.revocation()?;
         known.with_context(|| format!("nothing of {} is revoked yet; say what to revoke", authority.identity.name()))?
     };
     let again = format!("gdp-ctl domain revoke --key {}", options.key.key.display());
-    publish(&authority.books, signed, &claims, anew, &again, context)
+    publish(&authority.issuance_log, signed, &claims, anew, &again, context)
 }
 
 impl Options {

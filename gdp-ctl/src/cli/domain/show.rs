@@ -89,13 +89,14 @@ fn token(token: &Token, context: &Context) -> anyhow::Result<()> {
 }
 
 fn domain(card: &Path, context: &Context) -> anyhow::Result<()> {
-    let books = IssuanceLog::open(card)?;
-    let (issued, (_, revocation), now) = (books.ledger::<Issue>()?, books.revocation()?.unzip(), unix_seconds());
+    let issuance_log = IssuanceLog::open(card)?;
+    let (issued, (_, revocation), now) =
+        (issuance_log.ledger::<Issue>()?, issuance_log.revocation()?.unzip(), unix_seconds());
     let state = |issue: &Issue| issue.state(revocation.as_ref(), now);
-    let name = books.card().name();
+    let name = issuance_log.card().name();
     let output = DomainOutput {
         name,
-        public_key: books.card().owner_key().to_string(),
+        public_key: issuance_log.card().owner_key().to_string(),
         issued: issued.iter().map(|issue| issue.describe(state(issue))).collect(),
         revocation: revocation.as_ref().map(RevocationOutput::new),
     };

@@ -87,8 +87,8 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     if options.output.exists() {
         bail!("{}: a file of this name exists and is not overwritten", options.output.display());
     }
-    let books = IssuanceLog::open(&options.card)?;
-    let issuer = Issuer::open(&options, &books)?;
+    let issuance_log = IssuanceLog::open(&options.card)?;
+    let issuer = Issuer::open(&options, &issuance_log)?;
     let (name, serial, Validity { not_before, not_after }) = (issuer.card.name(), issuer.serial, issuer.validity);
     let (publish, read) = (options.publish, options.read);
     let (to, (text, output)) = match (options.delegate, options.entity, &options.role, options.domain) {
@@ -117,7 +117,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     let mut grants = issuer.grants;
     let file = std::path::absolute(&options.output)?;
     grants.push(Grant { serial, publish, read, to, not_before, not_after, file });
-    books.keep_ledger(grants)?;
+    issuance_log.keep_ledger(grants)?;
     output::write_new(&options.output, &text)?;
     context.output.print(&output, || [options.output.display().to_string()])
 }
@@ -134,9 +134,10 @@ struct Issuer<'b> {
 }
 
 impl<'b> Issuer<'b> {
-    fn open(options: &Options, books: &'b IssuanceLog) -> anyhow::Result<Self> {
-        let (card, key) = (books.card(), SigningKey::load(&options.key)?);
-        let (grants, revocation) = (books.ledger::<Grant>()?, books.revocation()?.map(|(_, revocation)| revocation));
+    fn open(options: &Options, issuance_log: &'b IssuanceLog) -> anyhow::Result<Self> {
+        let (card, key) = (issuance_log.card(), SigningKey::load(&options.key)?);
+        let (grants, revocation) =
+            (issuance_log.ledger::<Grant>()?, issuance_log.revocation()?.map(|(_, revocation)| revocation));
         let mut serial = next_serial(&grants, revocation.as_ref())?;
         let (not_before, not_after) = validity(u64::from(options.lifetime));
         let mut validity = Validity { not_before, not_after };

@@ -22,12 +22,12 @@ pub struct Options {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let books = IssuanceLog::open(&options.card)?;
-    let (grants, (_, revocation)) = (books.ledger::<Grant>()?, books.revocation()?.unzip());
+    let issuance_log = IssuanceLog::open(&options.card)?;
+    let (grants, (_, revocation)) = (issuance_log.ledger::<Grant>()?, issuance_log.revocation()?.unzip());
     let now = unix_seconds();
     let state = |grant: &Grant| state(grant, revocation.as_ref(), now);
     let output = GrantsOutput {
-        name: books.card().name(),
+        name: issuance_log.card().name(),
         grants: grants.iter().map(|grant| GrantOutput::new(grant, state(grant))).collect(),
         revocation: revocation.as_ref().map(RevocationOutput::new),
     };

@@ -40,20 +40,22 @@ pub struct Options {
 }
 
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
-    let books = IssuanceLog::open(&options.card)?;
-    let known = books.revocation()?;
-    let anew =
-        options.revokes().then(|| options.revoke(&books, known.as_ref().map(|(_, claims)| claims))).transpose()?;
+    let issuance_log = IssuanceLog::open(&options.card)?;
+    let known = issuance_log.revocation()?;
+    let anew = options
+        .revokes()
+        .then(|| options.revoke(&issuance_log, known.as_ref().map(|(_, claims)| claims)))
+        .transpose()?;
     let (signed, claims) = match (anew, known) {
         (Some(anew), _) => {
-            books.keep_revocation(&anew.0)?;
+            issuance_log.keep_revocation(&anew.0)?;
             anew
         }
         (None, Some(known)) => known,
-        (None, None) => bail!("nothing of {} is revoked yet; say what to revoke", books.card().name()),
+        (None, None) => bail!("nothing of {} is revoked yet; say what to revoke", issuance_log.card().name()),
     };
     publish(
-        &books,
+        &issuance_log,
         signed,
         &claims,
         options.revokes(),
@@ -69,16 +71,16 @@ impl Options {
 
     fn revoke(
         &self,
-        books: &IssuanceLog,
+        issuance_log: &IssuanceLog,
         known: Option<&Revocation>,
     ) -> anyhow::Result<(Signed<Revocation>, Revocation)> {
-        let card = books.card();
+        let card = issuance_log.card();
         let path = self.key.as_deref().context("only the owner revokes: add --key OWNER.pem")?;
         let key = SigningKey::load(path)?;
         if key.verify_key() != *card.owner_key() {
             bail!("{} is not the owner of {}, and only the owner revokes", path.display(), card.name());
         }
-        let grants = books.ledger::<Grant>()?;
+        let grants = issuance_log.ledger::<Grant>()?;
         let floor = if self.all { Some(next_serial(&grants, known)?) } else { None };
         let claims = next(card.name(), known, &grants, &self.chosen(card, &grants)?, floor, unix_seconds())?;
         Ok((issue(&key, &claims)?, claims))

@@ -21,7 +21,7 @@ use crate::ros::fabric::Fabric;
 use crate::ros::item::Item;
 use crate::ros::keyring::called;
 use crate::ros::yaml::document;
-use crate::ros::{feed::Decoder, feed::Feed, feed::Heard, python, view::Limits, view::View};
+use crate::ros::{feed::Decoder, feed::Feed, feed::ReceivedMessage, python, view::Limits, view::View};
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -72,17 +72,17 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut decoder = Decoder::new(types);
     let mut echo = async |fabric: &Fabric| {
         let mut feed = listen(fabric, &card, SubscribeOptions::as_offered()).await?;
-        let mut shown = 0u64;
+        let mut printed = 0u64;
         let all = async {
             tokio::select! {
-                done = print_all(options, context, fabric, &card, &mut feed, &mut decoder, &mut shown) => done,
+                done = print_all(options, context, fabric, &card, &mut feed, &mut decoder, &mut printed) => done,
                 done = tell_if_silent(fabric, &card) => done,
             }
         };
         let Some(seconds) = options.timeout else { return all.await };
         match tokio::time::timeout(Duration::from_secs_f64(seconds.min(1e9)), all).await {
             Ok(done) => done,
-            Err(_) if shown > 0 => Ok(()),
+            Err(_) if printed > 0 => Ok(()),
             Err(_) => {
                 bail!("no message of {} came in time; `gdp-ctl topic info` shows who publishes it", called(&card))
             }
@@ -99,19 +99,19 @@ async fn print_all(
     card: &NameCard,
     feed: &mut Feed,
     decoder: &mut Decoder,
-    shown: &mut u64,
+    printed: &mut u64,
 ) -> anyhow::Result<()> {
-    while let Some(heard) = feed.next().await {
+    while let Some(received) = feed.next().await {
         for said in feed.take_said() {
             note(format_args!("gdp-ctl: {said}"));
         }
-        match print(options, context, card, decoder, &heard) {
-            Ok(()) => *shown += 1,
+        match print(options, context, card, decoder, &received) {
+            Ok(()) => *printed += 1,
             // The next one may be another's.
             Err(Failed::Message(error)) => note(format_args!("gdp-ctl: {error}")),
             Err(Failed::Output(error)) => return Err(error),
         }
-        if options.once && *shown > 0 {
+        if options.once && *printed > 0 {
             return Ok(());
         }
     }
@@ -151,13 +151,13 @@ fn print(
     context: &Context,
     card: &NameCard,
     decoder: &mut Decoder,
-    heard: &Heard,
+    received: &ReceivedMessage,
 ) -> Result<(), Failed> {
-    let message = &heard.message;
+    let message = &received.message;
     let mut output = EchoOutput {
         topic: called(card).to_owned(),
         name: message.name,
-        r#type: heard.kind.name.clone(),
+        r#type: received.kind.name.clone(),
         writer: message.writer,
         sequence: message.sequence,
         timestamp_ns: message.timestamp_ns,
@@ -173,7 +173,7 @@ fn print(
         let text = || [python::bytes(&body), "---".to_owned()];
         return context.output.print(&output, text).map_err(Failed::Output);
     }
-    let decoded = decoder.decode(heard).map_err(|error| Failed::Message(error.into()))?;
+    let decoded = decoder.decode(received).map_err(|error| Failed::Message(error.into()))?;
     let path = options.field.as_ref().map_or(&[][..], |path| &path.0);
     // A field that is not there is not there in any message.
     let view = View::of(decoded.schema, decoded.root, &decoded.value);
@@ -181,12 +181,12 @@ fn print(
     output.message = Some(view.value.clone());
     let length = if options.full_length { usize::MAX } else { options.truncate_length };
     let limits = Limits { length, no_arrays: options.no_arr, no_texts: options.no_str };
-    let text = shown(&view, &limits).map_err(Failed::Message)?;
+    let text = printed(&view, &limits).map_err(Failed::Message)?;
     context.output.print(&output, || lines_of(&format!("{text}---"))).map_err(Failed::Output)
 }
 
 /// A message as YAML; of what is none, its value as Python prints it.
-fn shown(view: &View<'_>, limits: &Limits) -> anyhow::Result<String> {
+fn printed(view: &View<'_>, limits: &Limits) -> anyhow::Result<String> {
     let item = view.item(limits)?;
     Ok(match item {
         Item::Map(_) if view.is_message() => document(&item)?,

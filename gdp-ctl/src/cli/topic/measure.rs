@@ -101,7 +101,7 @@ pub fn hz(options: &Options, context: &Context) -> anyhow::Result<()> {
     let mut intervals = Intervals::new(options.window(TIMES));
     measure(options, context, |figure| match figure {
         Figure::Arrivals(at, _) => {
-            intervals.came(at);
+            intervals.record(at);
             Ok(())
         }
         Figure::Show(_) => {
@@ -119,7 +119,7 @@ pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
     measure(options, context, |figure| match figure {
         Figure::Arrivals(at, message) => {
             match unpacked(message.encoding, message.body.clone()) {
-                Ok((_, body)) => sizes.came(at, body.len()),
+                Ok((_, body)) => sizes.record(at, body.len()),
                 Err(error) => note(format_args!("gdp-ctl: {error}")),
             }
             Ok(())
@@ -199,7 +199,7 @@ pub fn delay(options: &DelayOptions, context: &Context) -> anyhow::Result<()> {
                 );
             }
             let sent = heard.message.latched.map_or(heard.message.timestamp_ns, |first| first.timestamp_ns);
-            delays.came((unix_time().as_nanos() as i128 - stamped.unwrap_or(sent.into())) as i64);
+            delays.record((unix_time().as_nanos() as i128 - stamped.unwrap_or(sent.into())) as i64);
         }
     };
     run(options, context, keyring, &card, all)

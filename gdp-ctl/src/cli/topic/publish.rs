@@ -147,7 +147,7 @@ struct Maker {
     kind: Kind,
     schema: std::sync::Arc<Schema>,
     root: Base,
-    given: UserInput,
+    input: UserInput,
     mapping: Mapping,
 }
 
@@ -166,14 +166,14 @@ impl Maker {
         let hash = gdp_msg::hash::type_hash(&schema);
         kind.hash = hex::decode(hash.trim_start_matches("RIHS01_")).unwrap_or_default();
         let mapping = Mapping::within(&schema, Encoding::Json, Encoding::Cdr)?;
-        let (root, given) = (Base::Named(schema.name().clone()), UserInput::parse(values)?);
-        Ok(Self { kind, schema, root, given, mapping })
+        let (root, input) = (Base::Named(schema.name().clone()), UserInput::parse(values)?);
+        Ok(Self { kind, schema, root, input, mapping })
     }
 
     /// With the present time where `now` is given.
     fn make(&mut self) -> anyhow::Result<Made> {
         let now = unix_time();
-        let json = fill(&self.schema, &self.given, (now.as_secs(), now.subsec_nanos()))?;
+        let json = fill(&self.schema, &self.input, (now.as_secs(), now.subsec_nanos()))?;
         let mut body = Vec::new();
         self.mapping.transcode(json.to_string().as_bytes(), &mut body, &Limits::default()).map_err(|error| {
             // Where it is in the text that was made here says nothing to the user.

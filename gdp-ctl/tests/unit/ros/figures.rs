@@ -5,10 +5,10 @@ use super::*;
 #[test]
 fn intervals_are_of_the_last_messages_and_told_once() {
     let mut intervals = Intervals::new(2);
-    intervals.came(0);
+    intervals.record(0);
     assert_eq!(intervals.spread(), None);
     for now in [50_000_000, 150_000_000, 350_000_000] {
-        intervals.came(now);
+        intervals.record(now);
     }
     let spread = intervals.spread().unwrap();
     assert_eq!((spread.mean, spread.count), (150_000_000.0, 2));
@@ -19,8 +19,8 @@ fn intervals_are_of_the_last_messages_and_told_once() {
 #[test]
 fn ages_may_be_less_than_nothing() {
     let mut delays = Delays::new(10);
-    delays.came(-2_000_000);
-    delays.came(4_000_000);
+    delays.record(-2_000_000);
+    delays.record(4_000_000);
     let spread = delays.spread().unwrap();
     assert_eq!((spread.mean, spread.min, spread.max), (1_000_000.0, -2_000_000, 4_000_000));
 }
@@ -28,10 +28,10 @@ fn ages_may_be_less_than_nothing() {
 #[test]
 fn bandwidth_has_one_unit() {
     let mut sizes = Sizes::new(3);
-    sizes.came(0, 99);
+    sizes.record(0, 99);
     assert_eq!(sizes.bandwidth(1), None, "of one message");
     for (now, bytes) in [(0, 200), (500_000_000, 400), (1_000_000_000, 600)] {
-        sizes.came(now, bytes);
+        sizes.record(now, bytes);
     }
     let text = sizes.bandwidth(1_000_000_000).unwrap().text();
     assert_eq!(text, "1.20 KB/s from 3 messages\n\tMessage size mean: 0.40 KB min: 0.20 KB max: 0.60 KB");

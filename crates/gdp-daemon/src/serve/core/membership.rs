@@ -106,7 +106,7 @@ impl Membership {
     /// renewed, and so before the old statement expires.
     pub fn statement(&mut self, identity: &Identity) -> Option<Host> {
         let domain = self.domain.as_ref()?;
-        let membership = &domain.trust.papers().membership;
+        let membership = &domain.trust.credentials().membership;
         if self.statement.as_ref().is_none_or(|statement| statement.membership != *membership) {
             let own = domain.trust.own(unix_seconds()).ok()?;
             let addresses = if own.role == roles::BORDER { self.public.clone() } else { Vec::new() };
