@@ -13,7 +13,7 @@ use gdp_wire::counter::is_sampled;
 use gdp_wire::{Counter, Header};
 use zerocopy::{FromBytes, IntoBytes};
 
-use super::tables::Reader;
+use super::tables::TablesReader;
 use super::userspace::{CopyOut, Outcome, copies, handle};
 
 /// Frames that a thread hands to an interface before it looks again whether they wait there, if
@@ -39,7 +39,7 @@ impl Forwarder {
         socket: Arc<DataSocket>,
         largest: usize,
         shared: &Arc<Shared>,
-        tables: Reader,
+        tables: TablesReader,
     ) -> io::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
         sockets(shared, |sockets| sockets.insert(medium, socket.clone()));
@@ -78,7 +78,7 @@ impl Drop for Forwarder {
 struct Worker {
     socket: Arc<DataSocket>,
     shared: Arc<Shared>,
-    tables: Reader,
+    tables: TablesReader,
     stop: Arc<AtomicBool>,
     batch: RecvBatch,
     /// What is to be sent of the batch.

@@ -5,7 +5,7 @@ pub use crate::attach_mode::Mode;
 use crate::kernel_failures::FLOOR;
 pub use crate::kernel_failures::{AttachError, LoadError, UpdateError};
 use crate::kernel_programs::Programs;
-pub use crate::kernel_programs::{Action, Buffers};
+pub use crate::kernel_programs::{Buffers, XdpAction};
 use crate::map_update::{removed, update};
 use std::collections::{HashMap as Table, HashSet};
 use std::hash::Hash;

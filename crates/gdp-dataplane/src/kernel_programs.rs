@@ -49,7 +49,7 @@ impl Buffers {
 
 /// The action an XDP program returned in [`Programs::test_run`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Action {
+pub enum XdpAction {
     Drop,
     Pass,
     Redirect,
@@ -187,7 +187,7 @@ impl Programs {
 
     /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as
     /// it left it.
-    pub fn test_run(&mut self, buffers: Buffers, frame: &[u8]) -> Result<(Action, Vec<u8>), ProgramError> {
+    pub fn test_run(&mut self, buffers: Buffers, frame: &[u8]) -> Result<(XdpAction, Vec<u8>), ProgramError> {
         // What carries it may grow.
         let mut out = vec![0; frame.len() + 64];
         let mut options = TestRunOptions::new();
@@ -196,10 +196,10 @@ impl Programs {
         let result = self.switch(buffers).test_run(options)?;
         out.truncate(result.data_size_out as usize);
         let action = match result.return_value {
-            1 => Action::Drop,
-            2 => Action::Pass,
-            4 => Action::Redirect,
-            other => Action::Other(other),
+            1 => XdpAction::Drop,
+            2 => XdpAction::Pass,
+            4 => XdpAction::Redirect,
+            other => XdpAction::Other(other),
         };
         Ok((action, out))
     }

@@ -19,7 +19,7 @@ const LOOK: Duration = Duration::from_secs(1);
 
 /// What is known of a publisher in ROS.
 #[derive(Clone, Debug)]
-pub struct Publisher {
+pub struct RemotePublisher {
     pub kind: Kind,
     pub definition: Option<Arc<str>>,
     pub offers: Offer,
@@ -36,7 +36,7 @@ pub struct ReceivedMessage {
 pub struct Feed {
     subscription: Subscription,
     incoming: Incoming,
-    publishers: BTreeMap<(Name, u32), Publisher>,
+    publishers: BTreeMap<(Name, u32), RemotePublisher>,
     /// For writers that tell no publishers apart.
     carded: Option<Kind>,
     released: VecDeque<ReceivedMessage>,
@@ -59,7 +59,7 @@ impl Feed {
     }
 
     /// By writer and number.
-    pub fn publishers(&self) -> &BTreeMap<(Name, u32), Publisher> {
+    pub fn publishers(&self) -> &BTreeMap<(Name, u32), RemotePublisher> {
         &self.publishers
     }
 
@@ -108,7 +108,7 @@ impl Feed {
     fn sort(&mut self, message: Message) {
         match self.incoming.message(Instant::now(), message) {
             Taken::From(number, message) => {
-                if let Some(Publisher { kind, definition, .. }) =
+                if let Some(RemotePublisher { kind, definition, .. }) =
                     self.publishers.get(&(message.writer, number)).cloned()
                 {
                     self.released.push_back(ReceivedMessage { message, kind, definition });
@@ -136,7 +136,7 @@ impl Feed {
         for change in changes {
             match change {
                 Change::Joined { writer, number, kind, definition, offers } => {
-                    self.publishers.insert((writer, number), Publisher { kind, definition, offers });
+                    self.publishers.insert((writer, number), RemotePublisher { kind, definition, offers });
                 }
                 Change::Left { writer, number } | Change::Silent { writer, number } => {
                     drop(self.publishers.remove(&(writer, number)))
@@ -149,13 +149,13 @@ impl Feed {
 /// Reads messages as values.
 pub struct Decoder {
     types: Types,
-    known: HashMap<(Kind, Option<Arc<str>>, Encoding), Reader>,
+    known: HashMap<(Kind, Option<Arc<str>>, Encoding), ReaderConverters>,
 }
 
 /// Kinds and encodings that are kept ready to be read.
 const MAX_KNOWN: usize = 256;
 
-struct Reader {
+struct ReaderConverters {
     schema: Arc<Schema>,
     root: Base,
     mapping: Mapping,
@@ -194,7 +194,7 @@ impl Decoder {
         let reader = match self.known.entry(key) {
             std::collections::hash_map::Entry::Occupied(entry) => entry.into_mut(),
             std::collections::hash_map::Entry::Vacant(entry) => {
-                let made = Reader::new(&self.types, received, encoding)
+                let made = ReaderConverters::new(&self.types, received, encoding)
                     .map_err(|error| DecodeError::Type(kind.name.clone(), error.into()))?;
                 entry.insert(made)
             }
@@ -206,7 +206,7 @@ impl Decoder {
     }
 }
 
-impl Reader {
+impl ReaderConverters {
     fn new(types: &Types, received: &ReceivedMessage, encoding: Encoding) -> Result<Self, TypeError> {
         let ReceivedMessage { kind, definition, .. } = received;
         let schema = types.schema(kind, definition.as_deref())?;

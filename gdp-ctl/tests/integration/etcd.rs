@@ -4,8 +4,8 @@
 use std::time::Duration;
 
 use gdp_daemon::store::{
-    Access, Endpoint, StoreError, client::EtcdClient, client::Watch, items::Copy, items::KeySpace, items::Writer,
-    kv::Event, kv::Op,
+    Access, Endpoint, StoreError, client::EtcdClient, client::Watch, items::Copy, items::ItemWriter, items::KeySpace,
+    kv::Op, kv::WatchEvent,
 };
 use gdp_rib::rib::Item;
 use gdp_wire::Name;
@@ -160,7 +160,7 @@ impl Replica {
     }
 
     /// Who writes, if it is elected.
-    async fn elected(&mut self) -> Option<Writer> {
+    async fn elected(&mut self) -> Option<ItemWriter> {
         self.lease = self.client.grant(self.ttl).await.unwrap();
         let term = self.place.stand(&mut self.client, &self.name, self.lease).await.unwrap()?;
         // An answer may be lost.
@@ -185,13 +185,13 @@ fn client(endpoints: &[Endpoint]) -> EtcdClient {
 }
 
 /// Within a time that is long enough for a lease to end.
-async fn next(watch: &mut Watch) -> Result<Vec<Event>, StoreError> {
+async fn next(watch: &mut Watch) -> Result<Vec<WatchEvent>, StoreError> {
     timeout(Duration::from_secs(30), watch.next()).await.expect("something changes")
 }
 
 /// Once a cluster that has lost a member has found another leader, and a slow disk has what was
 /// written.
-async fn written(writer: &mut Writer, changes: &[(Item, Option<Vec<u8>>)]) {
+async fn written(writer: &mut ItemWriter, changes: &[(Item, Option<Vec<u8>>)]) {
     let attempts = async {
         while let Err(error) = writer.write(changes).await {
             assert!(matches!(error, StoreError::Unreachable { .. }), "{error}");

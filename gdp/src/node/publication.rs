@@ -48,7 +48,7 @@ pub struct Publication {
 
 #[derive(Default)]
 struct Readers {
-    known: HashMap<Name, Reader>,
+    known: HashMap<Name, KnownReader>,
     revocation: Option<Revocation>,
     /// One was welcomed since the latched messages went again, and when that was.
     lacks_latched: bool,
@@ -57,7 +57,7 @@ struct Readers {
     has_warned: bool,
 }
 
-struct Reader {
+struct KnownReader {
     right: Counterpart,
     /// What it is told to begin with.
     from: u64,
@@ -69,14 +69,15 @@ struct Reader {
 }
 
 impl Readers {
-    fn attached(&self) -> impl Iterator<Item = (&Name, &Reader)> {
+    fn attached(&self) -> impl Iterator<Item = (&Name, &KnownReader)> {
         self.known.iter().filter(|(_, reader)| reader.absent.is_none())
     }
 
     /// Whether one is attached that asks for every message, as far as it has said.
     fn asks_for_all(&self, reader: &Name) -> bool {
-        let asks =
-            |reader: &Reader| reader.absent.is_none() && (reader.wants != Wants::Newest || reader.greeted.is_none());
+        let asks = |reader: &KnownReader| {
+            reader.absent.is_none() && (reader.wants != Wants::Newest || reader.greeted.is_none())
+        };
         self.known.get(reader).is_some_and(asks)
     }
 }
@@ -226,7 +227,7 @@ impl Publication {
         self.pairs.introduce(entity, box_key);
         // Beyond what the transport keeps account of, readers get what the others get.
         let from = self.admit(entity).unwrap_or(1);
-        readers.known.insert(entity, Reader { right, from, greeted: None, absent: None, wants: Wants::Newest });
+        readers.known.insert(entity, KnownReader { right, from, greeted: None, absent: None, wants: Wants::Newest });
     }
 
     /// The sequence that the reader begins with from now on, if the transport keeps account of it.
@@ -240,7 +241,7 @@ impl Publication {
         let too_many = known.values().filter(|reader| reader.absent.is_some()).count().saturating_sub(MOST_ABSENT);
         let mut away: Vec<_> = known.iter().filter_map(|(name, reader)| Some((reader.absent?, *name))).collect();
         away.sort_unstable();
-        let holds = |reader: &Reader| {
+        let holds = |reader: &KnownReader| {
             reader.right.not_after >= now_unix && revocation.as_ref().is_none_or(|r| reader.right.holds(r))
         };
         let longest = away.iter().take(too_many).map(|(_, name)| *name);

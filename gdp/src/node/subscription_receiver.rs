@@ -140,7 +140,7 @@ pub struct SubscriptionReceiver {
     options: SubscribeOptions,
     queue: mpsc::Sender<Message>,
     shared: Arc<QueueState>,
-    writers: HashMap<Name, Writer>,
+    writers: HashMap<Name, KnownWriter>,
     /// Of reliable sessions, what the application has no room for yet.
     stalled: VecDeque<Message>,
     /// Empty between calls; keeps its capacity.
@@ -151,7 +151,7 @@ pub struct SubscriptionReceiver {
 }
 
 #[derive(Default)]
-struct Writer {
+struct KnownWriter {
     greeting: Greeting,
     session: Option<Session>,
 }
@@ -369,7 +369,7 @@ impl SubscriptionReceiver {
 
     /// When [`Self::poll`] has something to do, if nothing else happens.
     pub fn next_wake(&self) -> Option<u64> {
-        let of = |known: &Writer| {
+        let of = |known: &KnownWriter| {
             let inbound = known.session.as_ref().and_then(|session| session.inbound.next_wake());
             [known.greeting.next_wake(), inbound].into_iter().flatten().min()
         };
@@ -428,7 +428,7 @@ impl SubscriptionReceiver {
     }
 }
 
-impl Writer {
+impl KnownWriter {
     fn ask(&mut self, now: u64) {
         if let Err(error) = self.greeting.ask(now) {
             tracing::warn!(%error, "a writer could not be asked for its session");

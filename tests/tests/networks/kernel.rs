@@ -5,7 +5,7 @@
 use std::sync::Barrier;
 
 use anyhow::{Context, Result, ensure};
-use gdp_dataplane::kernel::{self, Action, Buffers, KernelPlane, LoadError, UpdateError};
+use gdp_dataplane::kernel::{self, Buffers, KernelPlane, LoadError, UpdateError, XdpAction};
 use gdp_dataplane::link_memory::LinkMemory;
 use gdp_dataplane::pins::{self, Pins};
 use gdp_dataplane::userspace::{Outcome, handle};
@@ -135,7 +135,7 @@ fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
 
     let mut won = [0, 0];
     for (frame, (kernel, (by_userspace, outcome))) in in_kernel.into_iter().zip(in_userspace).enumerate() {
-        let by_kernel = kernel? == Action::Redirect;
+        let by_kernel = kernel? == XdpAction::Redirect;
         ensure!(by_kernel != by_userspace, "frame {frame}: sent by the kernel: {by_kernel}; userspace: {outcome:?}");
         ensure!(by_userspace || outcome == Outcome::Drop(Counter::Replayed), "frame {frame}: {outcome:?}");
         won[usize::from(by_userspace)] += 1;

@@ -56,10 +56,10 @@ pub fn run(options: Options) -> Result<()> {
         Rule { name: "a document's sentence has more than 25 words", limit: 0, findings: prose::documents()? },
         Rule {
             name: "a type name is defined more than three times",
-            limit: 8,
+            limit: 3,
             findings: names::repeated_types(&product),
         },
-        Rule { name: "a word of the list that may not come back", limit: 29, findings: names::retired_words(&product) },
+        Rule { name: "a word of the list that may not come back", limit: 18, findings: names::retired_words(&product) },
         Rule { name: "the facade shows more than 60 items", limit: 0, findings: facade::findings(&product) },
         Rule { name: "a crate depends on what it must not", limit: 0, findings: dependencies::findings()? },
     ];

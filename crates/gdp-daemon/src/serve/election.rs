@@ -24,7 +24,7 @@ use super::replica::{Replica, Stage};
 use super::term::{Term, within};
 use crate::domain::Used;
 use crate::store::client::EtcdClient;
-use crate::store::{StoreError, items::Copy, items::ItemChange, items::KeySpace, items::Writer};
+use crate::store::{StoreError, items::Copy, items::ItemChange, items::ItemWriter, items::KeySpace};
 
 /// The lifetime of a leader's lease, in seconds.
 const TTL: u64 = 5;
@@ -208,7 +208,7 @@ async fn take_over(
     replica: &Replica,
     copy: Copy,
     elected: &Elected,
-) -> Result<(Writer, BTreeSet<Item>), StoreError> {
+) -> Result<(ItemWriter, BTreeSet<Item>), StoreError> {
     let known = daemon.revocations.known().unwrap_or_else(|error| {
         tracing::error!(%error, "what is kept here of revocations is of no use; those at etcd count");
         Vec::new()
@@ -276,7 +276,7 @@ fn unstored(core: &mut Core, changed: &mut BTreeSet<Item>) -> Option<(u64, Vec<I
 
 /// Writes the changes of the RIB, those of all waiting clients at once. Returns the error that ends
 /// the term.
-async fn write(daemon: &Daemon, term: &Term, mut writer: Writer, mut changed: BTreeSet<Item>) -> StoreError {
+async fn write(daemon: &Daemon, term: &Term, mut writer: ItemWriter, mut changed: BTreeSet<Item>) -> StoreError {
     loop {
         let batch = unstored(&mut daemon.core(), &mut changed);
         let Some((last, batch)) = batch else { return StoreError::Fenced };

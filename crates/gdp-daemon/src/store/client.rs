@@ -18,7 +18,7 @@ use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio::time::timeout;
 use tonic::{Code, Status};
 
-use super::kv::{Compare, Event, KeyValue, Op, Outcome};
+use super::kv::{Compare, KeyValue, Op, Outcome, WatchEvent};
 use super::{Access, Endpoint, Login, StoreError, Tls};
 
 /// The time limits to connect to one member and for its answer. They leave a leader time to try
@@ -214,7 +214,7 @@ impl EtcdClient {
 impl Watch {
     /// Returns the next changes in order, at least one. Never ends except with an error.
     /// Cancel-safe.
-    pub async fn next(&mut self) -> Result<Vec<Event>, StoreError> {
+    pub async fn next(&mut self) -> Result<Vec<WatchEvent>, StoreError> {
         loop {
             let answer = self.stream.message().await;
             let answer = answer.map_err(|error| store_error(&self.endpoint, &self.access, &error))?;
@@ -231,9 +231,9 @@ impl Watch {
             }
             let events = answer.events().iter().filter_map(|event| {
                 let kv = event.kv()?.clone().into();
-                Some(if event.event_type() == EventType::Delete { Event::Delete(kv) } else { Event::Put(kv) })
+                Some(if event.event_type() == EventType::Delete { WatchEvent::Delete(kv) } else { WatchEvent::Put(kv) })
             });
-            let events: Vec<Event> = events.collect();
+            let events: Vec<WatchEvent> = events.collect();
             // etcd also confirms the start of the watch.
             if !events.is_empty() {
                 return Ok(events);

@@ -10,7 +10,7 @@ use gdp_wire::Name;
 
 use super::StoreError;
 use super::client::EtcdClient;
-use super::kv::{Compare, Event, KeyValue, Op};
+use super::kv::{Compare, KeyValue, Op, WatchEvent};
 use gdp_rib::rib::{Item, MAX_ITEM};
 
 /// The maximum size of all keys and values that a replica accepts, in bytes. It is etcd's own
@@ -108,15 +108,15 @@ impl Copy {
     }
 
     /// Applies changes. Returns whether one of them deleted the leader's key.
-    pub fn apply(&mut self, events: Vec<Event>) -> Result<bool, StoreError> {
+    pub fn apply(&mut self, events: Vec<WatchEvent>) -> Result<bool, StoreError> {
         let mut leader_gone = false;
         for event in events {
-            let (Event::Put(kv) | Event::Delete(kv)) = &event;
+            let (WatchEvent::Put(kv) | WatchEvent::Delete(kv)) = &event;
             self.revision = self.revision.max(kv.mod_revision);
             match event {
-                Event::Put(kv) => self.put(kv),
-                Event::Delete(kv) if kv.key == self.keys.leader() => leader_gone = true,
-                Event::Delete(KeyValue { key, .. }) => {
+                WatchEvent::Put(kv) => self.put(kv),
+                WatchEvent::Delete(kv) if kv.key == self.keys.leader() => leader_gone = true,
+                WatchEvent::Delete(KeyValue { key, .. }) => {
                     if let Some(old) = self.keys.item(&key).and_then(|item| self.items.remove(&item)) {
                         self.size -= old.value.len();
                     }
@@ -151,9 +151,9 @@ impl Copy {
     }
 
     /// Converts the copy into the writer of the leader whose key has creation revision `term`.
-    pub fn into_writer(self, client: EtcdClient, term: i64) -> Writer {
+    pub fn into_writer(self, client: EtcdClient, term: i64) -> ItemWriter {
         let revisions = self.items.into_iter().map(|(item, stored)| (item, stored.revision)).collect();
-        Writer { keys: self.keys, client, term, revisions }
+        ItemWriter { keys: self.keys, client, term, revisions }
     }
 }
 
@@ -161,7 +161,7 @@ impl Copy {
 pub type ItemChange = (Item, Option<Vec<u8>>);
 
 /// The writer of the leader for one term.
-pub struct Writer {
+pub struct ItemWriter {
     keys: KeySpace,
     client: EtcdClient,
     term: i64,
@@ -169,7 +169,7 @@ pub struct Writer {
     revisions: BTreeMap<Item, i64>,
 }
 
-impl Writer {
+impl ItemWriter {
     /// Writes or deletes items in as few transactions as possible. Sends at least one, to confirm
     /// that this replica leads. After an error, any of the changes may have been applied.
     pub async fn write(&mut self, changes: &[ItemChange]) -> Result<(), StoreError> {

@@ -36,7 +36,7 @@ pub struct Outcome {
 
 /// A change of a key.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Event {
+pub enum WatchEvent {
     Put(KeyValue),
     /// The value is empty, and the revision is that of the deletion.
     Delete(KeyValue),

@@ -1,7 +1,7 @@
 //! Replaces the etcd client in a build without the cargo feature `etcd`. It has the same functions,
 //! and all of them fail.
 
-use super::kv::{Compare, Event, KeyValue, Op, Outcome};
+use super::kv::{Compare, KeyValue, Op, Outcome, WatchEvent};
 use super::{Access, Endpoint, StoreError};
 
 /// The etcd client, which this build does not have.
@@ -43,7 +43,7 @@ impl EtcdClient {
 }
 
 impl Watch {
-    pub async fn next(&mut self) -> Result<Vec<Event>, StoreError> {
+    pub async fn next(&mut self) -> Result<Vec<WatchEvent>, StoreError> {
         Err(StoreError::NotBuilt)
     }
 }

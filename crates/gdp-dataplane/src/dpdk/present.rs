@@ -23,7 +23,7 @@ use crate::forwarder_state::Shared;
 use crate::host_pair::Ends;
 use crate::interface_plane::InterfacePlane;
 use crate::kernel_failures::UpdateError;
-use crate::tables::{Reader, View};
+use crate::tables::{TablesReader, View};
 use crate::udp;
 use crate::userspace_plane::UserspacePlane;
 
@@ -235,12 +235,12 @@ impl PortDevice {
 
 /// A loop's way to the tables, and to where it counts.
 pub struct LoopReader {
-    tables: Reader,
+    tables: TablesReader,
     shared: Arc<Shared>,
 }
 
 impl LoopReader {
-    pub fn new(tables: Reader, shared: Arc<Shared>) -> Self {
+    pub fn new(tables: TablesReader, shared: Arc<Shared>) -> Self {
         Self { tables, shared }
     }
 }

@@ -1,5 +1,5 @@
 //! The full tables of a switch, in this process. One owner changes them; every thread that forwards
-//! has a [`Reader`] and looks things up while they change, without locks: the userspace plane
+//! has a [`TablesReader`] and looks things up while they change, without locks: the userspace plane
 //! ([`super::userspace`]) and any other data plane of this process. No sockets, no threads.
 //!
 //! - Links, next hops and the own bit are a [`Snapshot`]: a change makes another one, which readers
@@ -61,7 +61,7 @@ pub struct UserTables {
 
 /// The tables, for one thread that forwards.
 #[derive(Clone)]
-pub struct Reader {
+pub struct TablesReader {
     current: Cache<Arc<ArcSwap<Snapshot>>, Arc<Snapshot>>,
     common: Arc<Common>,
 }
@@ -133,8 +133,8 @@ impl UserTables {
     }
 
     /// For another thread.
-    pub fn reader(&self) -> Reader {
-        Reader { current: Cache::new(self.published.clone()), common: self.common.clone() }
+    pub fn reader(&self) -> TablesReader {
+        TablesReader { current: Cache::new(self.published.clone()), common: self.common.clone() }
     }
 
     /// Returns the entry that was at this link's index.
@@ -316,7 +316,7 @@ impl UserTables {
     }
 }
 
-impl Reader {
+impl TablesReader {
     /// Once for each batch of frames, and now and then while there are none.
     #[inline]
     pub fn enter(&mut self) -> View<'_> {

@@ -86,7 +86,7 @@ pub struct Repeated {
 }
 
 #[derive(Debug)]
-struct Entry {
+struct QueuedMessage {
     message: Arc<Sealed>,
     pushed: u64,
     /// Frames that went, or will not any more.
@@ -97,7 +97,7 @@ struct Entry {
     resealing: bool,
 }
 
-impl Entry {
+impl QueuedMessage {
     fn is_sent(&self) -> bool {
         self.sent == self.message.frames()
     }
@@ -112,7 +112,7 @@ pub struct Outbox {
     reliability: Reliability,
     history: History,
     /// In the order of sequences.
-    entries: VecDeque<Entry>,
+    entries: VecDeque<QueuedMessage>,
     bytes: usize,
     /// Messages in the entries.
     messages: u64,
@@ -176,7 +176,7 @@ impl Outbox {
 
     /// Messages that wait to go, or have not gone whole.
     pub fn unsent(&self) -> u64 {
-        self.entries.iter().skip(self.cursor).filter(|entry| !entry.is_sent()).map(Entry::messages).sum()
+        self.entries.iter().skip(self.cursor).filter(|entry| !entry.is_sent()).map(QueuedMessage::messages).sum()
     }
 
     /// The first sequence that can still be repaired.
@@ -204,7 +204,7 @@ impl Outbox {
 
     /// Whether so many messages, of so many bytes, find room, or the oldest may go for them.
     pub fn has_room(&self, messages: u64, bytes: usize, acknowledged: u64) -> bool {
-        let oldest_may_go = |entry: &Entry| entry.is_sent() && entry.message.last() <= acknowledged;
+        let oldest_may_go = |entry: &QueuedMessage| entry.is_sent() && entry.message.last() <= acknowledged;
         let full = self.messages + messages > self.history.messages as u64 || self.bytes + bytes > self.history.bytes;
         !full || self.entries.is_empty() || self.entries.front().is_some_and(oldest_may_go)
     }
@@ -266,7 +266,7 @@ impl Outbox {
         self.last = message.last();
         self.bytes += message.total_bytes();
         let message = Arc::new(message);
-        self.entries.push_back(Entry { message, pushed: now, sent: 0, repeated: Vec::new(), resealing: false });
+        self.entries.push_back(QueuedMessage { message, pushed: now, sent: 0, repeated: Vec::new(), resealing: false });
         Ok(())
     }
 
@@ -302,7 +302,7 @@ impl Outbox {
             entry.repeated[chosen.frame] = Repeated { at: now, total, queued: false };
         } else {
             entry.sent = chosen.frame + 1;
-            while self.entries.get(self.cursor).is_some_and(Entry::is_sent) {
+            while self.entries.get(self.cursor).is_some_and(QueuedMessage::is_sent) {
                 self.cursor += 1;
             }
         }
@@ -324,8 +324,13 @@ impl Outbox {
         }
         self.bytes = self.bytes - entry.message.total_bytes() + message.total_bytes();
         let first = message.first();
-        *entry =
-            Entry { message: Arc::new(message), pushed: entry.pushed, sent: 0, repeated: Vec::new(), resealing: false };
+        *entry = QueuedMessage {
+            message: Arc::new(message),
+            pushed: entry.pushed,
+            sent: 0,
+            repeated: Vec::new(),
+            resealing: false,
+        };
         self.repairs.retain(|(of, _)| *of != first);
         self.cursor = self.cursor.min(index);
     }

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use super::batch::{OutFrame, RecvBatch, Sent};
 use super::send::{Chunk, Offload};
-use super::sys::{self, Event, RawAddr};
+use super::sys::{self, RawAddr, WakeFd};
 use super::udp::SharedUdp;
 use super::{LinkAddr, ethernet};
 
@@ -19,7 +19,7 @@ use super::{LinkAddr, ethernet};
 /// them.
 pub struct DataSocket {
     kind: Kind,
-    wake: Arc<Event>,
+    wake: Arc<WakeFd>,
     offload: Offload,
     lost: AtomicU64,
 }
@@ -32,7 +32,7 @@ pub(super) enum Kind {
 impl DataSocket {
     pub(super) fn new(kind: Kind) -> io::Result<Self> {
         let (wake, offload) = match &kind {
-            Kind::Ethernet { .. } => (Arc::new(Event::new()?), Offload::never()),
+            Kind::Ethernet { .. } => (Arc::new(WakeFd::new()?), Offload::never()),
             Kind::Udp(socket) => (socket.data_wake(), Offload::default()),
         };
         Ok(Self { kind, wake, offload, lost: AtomicU64::new(0) })

@@ -83,12 +83,12 @@ pub struct Handshakes {
 #[derive(Debug, Default)]
 struct Running {
     /// Oldest first.
-    entries: VecDeque<Entry>,
+    entries: VecDeque<PendingHandshake>,
     begun: u64,
 }
 
 #[derive(Debug)]
-struct Entry {
+struct PendingHandshake {
     number: u64,
     from: IpAddr,
     began: Instant,
@@ -127,7 +127,7 @@ impl Handshakes {
         }
         running.begun += 1;
         let number = running.begun;
-        running.entries.push_back(Entry { number, from, began: now, task: None });
+        running.entries.push_back(PendingHandshake { number, from, began: now, task: None });
         drop(running);
         // The end of a task may come back here.
         displaced.inspect(AbortHandle::abort);

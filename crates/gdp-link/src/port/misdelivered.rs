@@ -13,7 +13,7 @@ use quinn::udp::{EcnCodepoint, RecvMeta};
 
 use super::LinkAddr;
 use super::batch::RecvBatch;
-use super::sys::Event;
+use super::sys::WakeFd;
 use crate::port::udp_mtu::UDP_MTU;
 
 /// How many wait of a kind, and how long each may be: no link takes more.
@@ -32,18 +32,18 @@ pub struct Frames {
     queue: Mutex<VecDeque<Stray>>,
     /// How long the queue is, to be asked without the lock.
     length: AtomicUsize,
-    wake: Arc<Event>,
+    wake: Arc<WakeFd>,
     dropped: AtomicU64,
 }
 
 impl Frames {
     pub fn new() -> io::Result<Self> {
         let (queue, length, dropped) = (Mutex::default(), AtomicUsize::new(0), AtomicU64::new(0));
-        Ok(Self { queue, length, wake: Arc::new(Event::new()?), dropped })
+        Ok(Self { queue, length, wake: Arc::new(WakeFd::new()?), dropped })
     }
 
     /// Set when a frame was put.
-    pub fn wake(&self) -> Arc<Event> {
+    pub fn wake(&self) -> Arc<WakeFd> {
         self.wake.clone()
     }
 

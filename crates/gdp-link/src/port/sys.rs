@@ -130,9 +130,9 @@ pub const fn step(code: u32, jump_true: u8, jump_false: u8, k: u32) -> libc::soc
 
 /// Waits until the descriptor is ready for `events` (POLLIN, POLLOUT), `wake` is set, or the time
 /// is over; tells whether the descriptor is ready. Clears `wake`.
-pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&Event>, timeout: Duration) -> io::Result<bool> {
+pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&WakeFd>, timeout: Duration) -> io::Result<bool> {
     let poll = |fd: BorrowedFd, events| libc::pollfd { fd: fd.as_raw_fd(), events, revents: 0 };
-    let mut polls = [poll(fd, events), poll(wake.map_or(fd, Event::fd), libc::POLLIN)];
+    let mut polls = [poll(fd, events), poll(wake.map_or(fd, WakeFd::fd), libc::POLLIN)];
     let count = if wake.is_some() { 2 } else { 1 };
     let time = libc::timespec {
         tv_sec: timeout.as_secs().min(i32::MAX as u64) as libc::time_t,
@@ -153,7 +153,7 @@ pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&Event>, timeout: Duration
 
 /// Waits until one of the descriptors can be read, one of the events is set, or the time is over.
 /// Clears the events.
-pub fn wait_any(all: &[(BorrowedFd, &Event)], timeout: Duration) -> io::Result<()> {
+pub fn wait_any(all: &[(BorrowedFd, &WakeFd)], timeout: Duration) -> io::Result<()> {
     let poll = |fd: BorrowedFd| libc::pollfd { fd: fd.as_raw_fd(), events: libc::POLLIN, revents: 0 };
     let mut polls: Vec<_> = all.iter().flat_map(|(fd, wake)| [poll(*fd), poll(wake.fd())]).collect();
     let time = libc::timespec {
@@ -174,9 +174,9 @@ pub fn wait_any(all: &[(BorrowedFd, &Event)], timeout: Duration) -> io::Result<(
 
 /// An eventfd: lets a queue in memory be waited for like a socket.
 #[derive(Debug)]
-pub struct Event(OwnedFd);
+pub struct WakeFd(OwnedFd);
 
-impl Event {
+impl WakeFd {
     pub fn new() -> io::Result<Self> {
         // SAFETY: no pointers; the descriptor is owned from here on.
         Ok(Self(unsafe { OwnedFd::from_raw_fd(check(libc::eventfd(0, libc::EFD_NONBLOCK | libc::EFD_CLOEXEC))?) }))

@@ -21,7 +21,7 @@ use tokio::net::UdpSocket;
 use super::batch::RecvBatch;
 use super::control::Control;
 use super::misdelivered::{Frames, Packets};
-use super::sys::{self, Event, RawAddr, step};
+use super::sys::{self, RawAddr, WakeFd, step};
 use super::{LinkAddr, host};
 
 /// Socket buffers. A burst of a 1 MB message in frames of 1500 B occupies about 2 MB of the
@@ -94,7 +94,7 @@ impl SharedUdp {
     }
 
     /// Set when data frames wait that came to the other socket.
-    pub fn data_wake(&self) -> Arc<Event> {
+    pub fn data_wake(&self) -> Arc<WakeFd> {
         self.stray_frames.wake()
     }
 

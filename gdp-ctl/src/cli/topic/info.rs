@@ -13,7 +13,7 @@ use serde::Serialize;
 use super::super::node::{NodeOptions, listen, unless_interrupted};
 use crate::cli::context::Context;
 use crate::ros::keyring::called;
-use crate::ros::{fabric::Entities, fabric::Fabric, feed::Feed, feed::Publisher};
+use crate::ros::{fabric::Entities, fabric::Fabric, feed::Feed, feed::RemotePublisher};
 
 /// For what the writers say of their publishers.
 const TIMEOUT: Duration = Duration::from_secs(3);
@@ -68,7 +68,7 @@ struct PublisherOutput {
 struct Info {
     entities: Entities,
     /// Of the ROS publishers behind the writers, each with its writer and its number.
-    publishers: Vec<((Name, u32), Publisher)>,
+    publishers: Vec<((Name, u32), RemotePublisher)>,
     /// Writers that say nothing of publishers.
     silent: Vec<Name>,
 }
@@ -124,7 +124,7 @@ impl InfoOutput {
 }
 
 impl PublisherOutput {
-    fn new(((writer, number), publisher): &((Name, u32), Publisher)) -> Self {
+    fn new(((writer, number), publisher): &((Name, u32), RemotePublisher)) -> Self {
         let Offer { reliable, transient_local, depth, deadline_ns, lifespan_ns, liveliness_ns } = publisher.offers;
         Self {
             writer: *writer,
@@ -165,7 +165,7 @@ fn lines(card: &NameCard, info: &Info, verbose: bool) -> Vec<String> {
     if verbose { parts.join(&String::new()) } else { parts.concat() }
 }
 
-fn endpoint(what: &str, gid: &[u8], publisher: Option<&Publisher>, card: &NameCard) -> Vec<String> {
+fn endpoint(what: &str, gid: &[u8], publisher: Option<&RemotePublisher>, card: &NameCard) -> Vec<String> {
     let gid = gid.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(".");
     let (kind, hash) = match publisher {
         Some(publisher) => (publisher.kind.name.clone(), hash(&publisher.kind)),

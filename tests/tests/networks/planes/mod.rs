@@ -5,7 +5,7 @@ pub mod dpdk;
 
 use anyhow::{Context, Result, bail, ensure};
 use gdp_dataplane::group_slots::Member;
-use gdp_dataplane::kernel::{Action, Buffers, KernelPlane};
+use gdp_dataplane::kernel::{Buffers, KernelPlane, XdpAction};
 use gdp_dataplane::link_memory::LinkMemory;
 use gdp_dataplane::tables::UserTables;
 use gdp_dataplane::udp::Routing;
@@ -131,13 +131,13 @@ pub fn run(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) -> Result<Fa
 pub fn run_uncounted(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) -> Result<Fate> {
     let (action, out) = plane.programs.test_run(buffers, frame)?;
     Ok(match action {
-        Action::Redirect => Fate::sent(out, Counter::Forwarded),
-        Action::Pass => {
+        XdpAction::Redirect => Fate::sent(out, Counter::Forwarded),
+        XdpAction::Pass => {
             ensure!(out == frame, "a frame that passes was changed");
             Fate::new(Verdict::Pass, Counter::Slow)
         }
-        Action::Drop => Fate::new(Verdict::Drop, Counter::RedirectFailed),
-        Action::Other(action) => bail!("action {action}"),
+        XdpAction::Drop => Fate::new(Verdict::Drop, Counter::RedirectFailed),
+        XdpAction::Other(action) => bail!("action {action}"),
     })
 }
 
