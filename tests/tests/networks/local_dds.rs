@@ -92,7 +92,7 @@ fn a_large_reliable_topic_goes_on_where_every_datagram_comes_twice() -> Result<(
 #[test]
 fn a_subscriber_that_was_killed_takes_nothing_from_the_others() -> Result<()> {
     const MESSAGES: i64 = 1200;
-    let mut site = Site::build()?;
+    let site = Site::build()?;
     let mut healthy = site.peer(Vendor::FastDds, &site.cloud, "listen", 1, TOPIC)?;
     healthy.args(["--depth", &MESSAGES.to_string()]);
     let mut healthy = Process::spawn("healthy", healthy, site.folder.path())?;

@@ -57,8 +57,9 @@ fn a_log_disk_that_is_full_costs_nothing_but_lines_of_the_log() -> Result<()> {
 
 #[test]
 fn a_log_that_nobody_takes_costs_nothing_else() -> Result<()> {
+    type Sink<'a> = Box<dyn Fn() -> Result<Stdio> + 'a>;
     let (_full, full) = full_pipe()?;
-    let sinks: [(&str, Box<dyn Fn() -> Result<Stdio>>); 3] = [
+    let sinks: [(&str, Sink<'_>); 3] = [
         ("/dev/full", Box::new(|| Ok(OpenOptions::new().write(true).open("/dev/full")?.into()))),
         ("a pipe whose reader has ended", Box::new(|| Ok(std::io::pipe()?.1.into()))),
         ("a pipe whose reader stands still", Box::new(|| Ok(full.try_clone()?.into()))),

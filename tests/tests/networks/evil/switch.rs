@@ -20,7 +20,7 @@ use gdp_proto::control::{
     EntityRequest, NameRole, Peers, PeersExtent, PeersPush, Record, Refusal, RefusalCode, Request, Response,
 };
 use gdp_rib::rib::fib::Pushed;
-use gdp_rib::rib::{Effect, Limits, Now, Rib, Run, UpdateId};
+use gdp_rib::rib::{Effect, Limits, Now, Rib, RibRun, UpdateId};
 use gdp_wire::replay::{self, Window};
 use gdp_wire::table::PORT_USERSPACE;
 use gdp_wire::{FrameType, Header, Name, forward};
@@ -293,7 +293,7 @@ impl Inner {
         let link = state.link_to(push.entity);
         if let Some(heard) = state.rogues.get_mut(&push.entity) {
             heard.pushes.push(push);
-            state.rib.told(self.now(), told, true);
+            state.rib.update_answered(self.now(), told, true);
             return;
         }
         let inner = self.clone();
@@ -303,7 +303,7 @@ impl Inner {
                 None => false,
             };
             let state = &mut *inner.state();
-            state.rib.told(inner.now(), told, arrived);
+            state.rib.update_answered(inner.now(), told, arrived);
             inner.carry_out(state);
         });
     }
@@ -364,7 +364,7 @@ impl State {
 }
 
 fn new_rib(identity: &Identity, id: u64) -> Rib {
-    Rib::new(identity.name(), Run { id, settling: Duration::ZERO }, Limits::default())
+    Rib::new(identity.name(), RibRun { id, settling: Duration::ZERO }, Limits::default())
 }
 
 async fn accept_all(inner: Arc<Inner>) {
