@@ -28,7 +28,7 @@ reasons! {
         Lost = "lost",
         /// The fabric refused the message.
         SendFailed = "send_failed",
-        /// A local message arrived sooner than the configured maximum rate allows.
+        /// A newer local message replaced it before its turn under the configured maximum rate.
         MaxHz = "max_hz",
         /// A message does not match its type, or the proxy cannot convert its type.
         Unconvertible = "unconvertible",

@@ -1,5 +1,5 @@
-//! When a reader asks a writer which session is its own now: at first, and when frames come of a
-//! session that the writer did not confirm_session for, which it may have begun, or which may be
+//! Decides when a reader asks a writer for its current session: at first, and when frames arrive
+//! of a session that the writer has not confirmed. Such frames may be of a new session, or
 //! recorded. No I/O.
 
 use gdp_core::crypto;

@@ -156,7 +156,11 @@ impl SendPath {
     pub fn pump(&self) {
         loop {
             let next = self.drain(&mut self.sender.lock(), usize::MAX);
-            let Some(Due { now, batches, events }) = self.scheduler.wait(next) else { return };
+            let Some(Due { now, batches, events }) = self.scheduler.wait(next) else {
+                // Counts the copies that are left.
+                self.sender.lock().active();
+                return;
+            };
             batches.into_iter().for_each(|topic| self.seal_batch(topic, now));
             events.into_iter().for_each(|event| self.handle(event));
         }

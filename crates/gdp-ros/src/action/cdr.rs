@@ -116,8 +116,9 @@ pub fn not_canceling() -> Bytes {
     Canceling { code: REJECTED, goals: vec![] }.write()
 }
 
-/// Returns a response of `get_result` for an aborted goal. The result is 4096 zero bytes, because
-/// its type depends on the action. Readers decode them as zero numbers and empty strings and lists.
+/// Returns a response of `get_result` for an aborted goal, of 4096 bytes with the status. The rest
+/// is zeros, because the result's type depends on the action. Readers decode zero numbers and empty
+/// strings and lists; a result of more bytes does not decode.
 pub fn aborted() -> Bytes {
     const RESULT: usize = 4096;
     let mut message = write(&ABORTED).to_vec();
