@@ -67,3 +67,7 @@ pub fn is_root() -> bool {
     // SAFETY: geteuid has no preconditions.
     unsafe { libc::geteuid() == 0 }
 }
+
+#[cfg(test)]
+#[path = "../tests/unit/workspace.rs"]
+mod tests;
