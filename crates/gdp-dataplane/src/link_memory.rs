@@ -33,7 +33,7 @@ pub struct LinkMaps<'a> {
 }
 
 impl LinkMemory {
-    /// AtomicWords that no kernel plane shares.
+    /// Returns memory that no kernel plane shares.
     pub fn new() -> Self {
         let own = |words| Arc::new(AtomicWords::own(words));
         Self { counts: own(LINKS), windows: own(LINKS * WORDS), complaints: own(LINKS), punts: own(LINKS) }

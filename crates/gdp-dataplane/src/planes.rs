@@ -114,7 +114,10 @@ impl Planes {
         }
         let medium = Medium::Ethernet(interface.index);
         let started = self.state.userspace.attach(medium, socket, interface.mtu as usize);
-        started.map_err(|source| PlaneError::Thread { interface: interface.name.clone(), source })?;
+        if let Err(source) = started {
+            self.leave_device(device);
+            return Err(PlaneError::Thread { interface: interface.name.clone(), source });
+        }
         self.ports.insert(interface.index, port);
         self.refresh()?;
         self.state.set_all_groups();

@@ -175,7 +175,7 @@ fn wrong_usage(error: &clap::Error) -> ExitCode {
     if error.use_stderr() {
         let text = error.render().to_string();
         text.lines().for_each(note);
-        let output = Output { json: std::env::args().any(|argument| argument == "-j" || argument == "--json") };
+        let output = Output { json: std::env::args_os().any(|argument| argument == "-j" || argument == "--json") };
         let reason = text.split("\n\n").next().unwrap_or_default().trim_start_matches("error: ").to_owned();
         let remedy = Some("see the usage: add --help".to_owned());
         let failure = ErrorReply { code: ErrorCode::Usage, reason, remedy };

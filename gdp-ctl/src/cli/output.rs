@@ -58,7 +58,8 @@ impl Output {
         }
         let code = error.downcast_ref().map_or(ErrorCode::Failed, ClientError::code);
         let causes: Vec<_> = error.chain().map(|cause| ErrorReply::new(code, &cause.to_string())).collect();
-        let remedy = causes.iter().find_map(|cause| cause.remedy.clone());
+        let remedies: Vec<_> = causes.iter().filter_map(|cause| cause.remedy.clone()).collect();
+        let remedy = Some(remedies.join("; ")).filter(|remedy| !remedy.is_empty());
         let reason = join_causes(causes.into_iter().map(|cause| cause.reason));
         self.print(&FailureOutput { error: ErrorReply { code, reason, remedy } }, || None)
     }

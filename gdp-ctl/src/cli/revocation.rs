@@ -1,8 +1,6 @@
 //! What `gdp-ctl grant revoke` and `gdp-ctl domain revoke` share: the next revocation of a name,
 //! and telling the fabric.
 
-use std::path::PathBuf;
-
 use anyhow::{Context as _, bail};
 use gdp_core::card::NameCard;
 use gdp_core::cert::{MAX_REVOKED, Revocation, Signed};
@@ -22,7 +20,7 @@ use gdp_proto::admin::error::ErrorCode;
 /// Seconds that an expired certificate stays listed: a clock may be so much behind.
 const CLOCKS_DIFFER: u64 = 86400;
 
-/// Sends the newest revocation of the books' name to the daemon, and prints what became of it.
+/// Sends the newest revocation of the issuance log's name to the daemon, and prints what became of it.
 /// `anew`: it was made now, so it is worth something though no daemon answers; `again` is the
 /// command that publishes it then.
 pub fn publish(
@@ -54,7 +52,8 @@ pub fn publish(
         }
     };
     let revocation = RevocationOutput::new(claims);
-    let output = RevokeOutput { revocation, name: issuance_log.card().name(), file: file.clone(), published };
+    let output =
+        RevokeOutput { revocation, name: issuance_log.card().name(), file: file.display().to_string(), published };
     context.output.print(&output, || {
         let told = if published { "published" } else { "not published" };
         [format!("revocation {} of {:#}, {told}: {}", claims.number, claims.name, file.display())]
@@ -84,7 +83,7 @@ pub struct RevokeOutput {
     #[serde(flatten)]
     revocation: RevocationOutput,
     name: Name,
-    file: PathBuf,
+    file: String,
     /// A RIB has it.
     published: bool,
 }

@@ -52,7 +52,7 @@ fn command() -> String {
         true => word,
         false => format!("'{}'", word.replace('\'', "'\\''")),
     };
-    std::env::args().map(word).collect::<Vec<_>>().join(" ")
+    std::env::args_os().map(|argument| word(argument.to_string_lossy().into_owned())).collect::<Vec<_>>().join(" ")
 }
 
 pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {

@@ -1,6 +1,8 @@
 //! The command line as a user or a script meets it: output, files, exit statuses, and messages that
 //! name the remedy.
 
+use std::ffi::OsStr;
+use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
@@ -165,6 +167,9 @@ fn a_failure_is_an_object_for_programs() {
     assert_eq!((&missing["code"], &missing["remedy"]), (&"Failed".into(), &Value::Null));
     let usage = user.failure(2, &["frobnicate"]);
     assert!(usage["code"] == "Usage" && usage["reason"].as_str().unwrap().contains("frobnicate"), "{usage}");
+    let no_text = user.command(&["query"]).arg(OsStr::from_bytes(b"\xff")).arg("-j").output().unwrap();
+    assert_eq!(no_text.status.code(), Some(2), "{no_text:?}");
+    assert!(String::from_utf8_lossy(&no_text.stdout).contains(r#""code":"Usage""#), "{no_text:?}");
 
     let _daemon = Daemon::start(&user);
     let unknown = user.failure(1, &["trace", &"9".repeat(64)]);

@@ -37,9 +37,9 @@ pub enum PlaneChange {
 
 /// A push that does not follow the last generation. The switch needs the whole FIB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the switch holds generation {expected}, so it cannot apply a change to generation {got}; send the whole FIB")]
+#[error("the switch has generation {current}, so it cannot apply a change to generation {got}; send the whole FIB")]
 pub struct OutOfStep {
-    pub expected: u64,
+    pub current: u64,
     pub got: u64,
 }
 
@@ -273,7 +273,7 @@ impl Routes {
             Extent::Full { part, .. } => next && self.sweep.as_ref().is_some_and(|(_, expected)| *expected == part),
             Extent::Delta => next && self.sweep.is_none(),
         };
-        if in_order { Ok(()) } else { Err(OutOfStep { expected: self.generation, got: push.generation }) }
+        if in_order { Ok(()) } else { Err(OutOfStep { current: self.generation, got: push.generation }) }
     }
 
     /// Moves the known routes to the stale layer, because a new RIB run starts empty.

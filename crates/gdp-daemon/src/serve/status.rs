@@ -238,7 +238,8 @@ fn links_in_grace(core: &Core) -> Vec<GraceLink> {
 
 /// What became of the frames that came in on a link; counters without any are left out.
 fn arrivals(core: &Core, link: u32) -> Option<Counts> {
-    let counts = core.switch.planes.arrivals(link).ok()?;
+    let counts = core.switch.planes.arrivals(link);
+    let counts = counts.inspect_err(|error| tracing::warn!(link, %error, "a link's counters cannot be read")).ok()?;
     let counts = Counter::ALL.iter().zip(counts).filter(|(_, frames)| *frames > 0);
     Some(counts.map(|(counter, frames)| (counter.as_str().to_owned(), frames)).collect())
 }

@@ -18,8 +18,8 @@ pub struct ErrorReply {
 }
 
 impl ErrorReply {
-    /// Splits a message at its last semicolon: what follows it is the remedy, in all errors of this
-    /// project.
+    /// Splits a message at its last semicolon. By this project's convention, the remedy follows it.
+    /// A message from elsewhere may have a second half of another kind there.
     pub fn new(code: ErrorCode, message: &str) -> Self {
         let (reason, remedy) = match message.rsplit_once("; ") {
             Some((reason, remedy)) => (reason, Some(remedy.to_owned())),

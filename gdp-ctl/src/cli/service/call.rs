@@ -70,8 +70,10 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         server.check(&wanted, &card)?;
         let [request, response] = types.service_schemas(&server.description)?.map(Half::new);
         let json = fill(&request.schema, &given, (unix_time().as_secs(), unix_time().subsec_nanos()))?;
-        let text = request.text(&json)?;
-        context.output.tell(|| format!("requester: making request: {text}"))?;
+        if !context.output.json {
+            let text = request.text(&json)?;
+            context.output.tell(|| format!("requester: making request: {text}"))?;
+        }
         let native = server.description.kind.dialect.native();
         let answer = server.call(&client, request.encode(&json, native)?).await?;
         let answer = response.decode(&answer, native)?;

@@ -386,7 +386,7 @@ fn a_push_out_of_step_changes_nothing() {
     assert!(r.push(&push(1, Extent::Full { part: 1, last: true }, set.clone())).is_err(), "a part without a first");
     r.push(&push(5, Extent::Full { part: 0, last: true }, set.clone())).unwrap();
     for generation in [4, 5, 7] {
-        assert_eq!(r.push(&push(generation, Extent::Delta, vec![])), Err(OutOfStep { expected: 5, got: generation }));
+        assert_eq!(r.push(&push(generation, Extent::Delta, vec![])), Err(OutOfStep { current: 5, got: generation }));
     }
     let mut delta = push(6, Extent::Delta, vec![]);
     delta.remove = vec![name(1), name(2)];
