@@ -20,8 +20,8 @@ use gdp_proto::admin::error::ErrorCode;
 /// Seconds that an expired certificate stays listed: a clock may be so much behind.
 const CLOCKS_DIFFER: u64 = 86400;
 
-/// Sends the newest revocation of the issuance log's name to the daemon, and prints what became of it.
-/// `anew`: it was made now, so it is worth something though no daemon answers; `again` is the
+/// Sends the newest revocation of the issuance log's name to the daemon, and prints the result.
+/// `anew`: the revocation was made now, so it is of use though no daemon answers. `again` is the
 /// command that publishes it then.
 pub fn publish(
     issuance_log: &IssuanceLog,
