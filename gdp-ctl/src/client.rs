@@ -8,6 +8,7 @@ use std::time::Duration;
 use gdp_proto::admin::error::{ErrorCode, ErrorReply};
 use gdp_proto::admin::event::TimedEvent;
 use gdp_proto::admin::{MAX_REPLY, Reply, Request, VERSION, Versioned, check_version};
+use gdp_proto::control::RefusalCode;
 use serde_json::Value;
 
 /// A daemon that takes longer than this is not well.
@@ -37,7 +38,7 @@ impl ClientError {
             Self::NoDaemon { .. } => ErrorCode::NoDaemon,
             Self::NotAllowed(_) => ErrorCode::NotAllowed,
             Self::Broken(_) => ErrorCode::Disconnected,
-            Self::Malformed(_) => ErrorCode::Malformed,
+            Self::Malformed(_) => ErrorCode::Refused(RefusalCode::Malformed),
             Self::Refused(failure) => failure.code,
         }
     }

@@ -20,5 +20,8 @@ pub fn split(executable: &Path) -> Result<()> {
     strip.arg("--strip-all").arg(format!("--add-gnu-debuglink={name}")).arg(executable).arg(&stripped);
     shell::run(strip.current_dir(folder))?;
     // Not in place, because Cargo's own copy is a hard link to the same file.
-    std::fs::rename(&stripped, executable).with_context(|| format!("cannot replace {}", executable.display()))
+    std::fs::rename(&stripped, executable).with_context(|| format!("cannot replace {}", executable.display()))?;
+    let megabytes = executable.metadata()?.len() as f64 / 1e6;
+    println!("{}: {megabytes:.1} MB, its debug symbols beside it", executable.display());
+    Ok(())
 }

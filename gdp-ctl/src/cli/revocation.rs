@@ -16,6 +16,7 @@ use crate::cli::issuing::serial_now;
 use crate::client::ClientError;
 use gdp_proto::admin::Request;
 use gdp_proto::admin::error::ErrorCode;
+use gdp_proto::control::RefusalCode;
 
 /// Seconds that an expired certificate stays listed: a clock may be so much behind.
 const CLOCKS_DIFFER: u64 = 86400;
@@ -46,7 +47,7 @@ pub fn publish(
         }
         Err(error) => {
             let refused = error.downcast_ref().map(ClientError::code);
-            let rolled_back = refused == Some(ErrorCode::ReplayedSerial);
+            let rolled_back = refused == Some(ErrorCode::Refused(RefusalCode::ReplayedSerial));
             let remedy = if rolled_back { "; if newer files have been lost, take all back with --all" } else { "" };
             return Err(error.context(format!("{} is kept, but not published{remedy}", file.display())));
         }

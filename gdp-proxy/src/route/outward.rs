@@ -332,7 +332,8 @@ impl Route {
                 tracing::info!(topic = %self.config.topic, name = %self.route_status.name(), "not carried on: {error}")
             }
             _ => {
-                tracing::warn!(topic = %self.config.topic, name = %self.route_status.name(), "the switch refused a frame: {error}")
+                let name = self.route_status.name();
+                tracing::warn!(topic = %self.config.topic, %name, "the switch refused a frame: {error}")
             }
         }
     }

@@ -47,7 +47,8 @@ pub enum NodeError {
     #[error("{instance:#}, a server of {service:#}, is not attached at the moment; call again later, or another")]
     NoInstance { service: Name, instance: Name },
     #[error(
-        "{instance:#}, a server of {service:#}, left before it replied; the request may have been carried out, so it is sent to no other"
+        "{instance:#}, a server of {service:#}, left before it replied; the request may have been carried out, so it \
+         is sent to no other"
     )]
     InstanceLeft { service: Name, instance: Name },
     #[error("{0} calls wait for their replies already; wait for some, or give some up")]

@@ -13,7 +13,7 @@ fn what_was_kept_comes_back_and_is_verified() {
     let file = RevocationFile::new(folder.path().join("revocations"), 1 << 20);
     assert_eq!(file.load().unwrap(), []);
     let origin = Some(Origin { through: Name::from_bytes([9; 32]), by_tool: true });
-    let (one, full) = (kept(1, 1, vec![7]), kept(2, 3, (0..MAX_REVOKED as u64).collect()));
+    let (one, full) = (signed(1, 1, vec![7]), signed(2, 3, (0..MAX_REVOKED as u64).collect()));
     let full = SignedRevocation { origin, ..full };
     // Signed by another owner.
     let forged = SignedRevocation { proof: one.proof, ..full.clone() };
@@ -29,7 +29,7 @@ fn what_was_kept_comes_back_and_is_verified() {
 fn files_are_bounded_and_damage_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let file = RevocationFile::new(folder.path().join("revocations"), 1000);
-    let many: Vec<_> = (1..10).map(|seed| kept(seed, 1, vec![])).collect();
+    let many: Vec<_> = (1..10).map(|seed| signed(seed, 1, vec![])).collect();
     let omitted = file.save(&many).unwrap();
     let loaded = file.load().unwrap();
     assert!(omitted > 0 && loaded.len() + omitted == many.len());
@@ -46,7 +46,7 @@ fn files_are_bounded_and_damage_is_told() {
     assert!(matches!(file.load(), Err(SecretFileError::TooLong { .. })));
 }
 
-fn kept(seed: u8, number: u64, revoked: Vec<u64>) -> SignedRevocation {
+fn signed(seed: u8, number: u64, revoked: Vec<u64>) -> SignedRevocation {
     let owner = SigningKey::from_secret_bytes(&[seed; 32]).unwrap();
     let proof = NameProof { owner_key: owner.public(), digest: [seed; 32] };
     let claims = Revocation { name: proof.name().unwrap(), number, floor: 0, revoked };

@@ -12,7 +12,7 @@ use gdp_proto::admin::trace::{
     Beyond, BeyondReply, DomainHop, DomainInside, EchoReply, InsideHop, LocateReply, PathEnd, ProbeReply,
 };
 use gdp_proto::admin::words::Outcome;
-use gdp_proto::control::{Crossing, Response, TracedDomain, TracedEnd, TracedSwitch};
+use gdp_proto::control::{Crossing, RefusalCode, Response, TracedDomain, TracedEnd, TracedSwitch};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{UnixListener, UnixStream};
@@ -225,5 +225,5 @@ fn or_failure<R: Into<Reply>, E: ToString>(result: Result<R, E>) -> Reply {
 }
 
 fn malformed(reason: &str) -> Reply {
-    Reply::Error(ErrorReply::new(ErrorCode::Malformed, reason))
+    Reply::Error(ErrorReply::new(ErrorCode::Refused(RefusalCode::Malformed), reason))
 }

@@ -64,7 +64,11 @@ fn show_renewed(daemon: &Arc<Daemon>, credentials: &Arc<Credentials>) {
         daemon.spawn(async move {
             match link.request(&request).await {
                 Ok(Response::Refused(refusal)) => {
-                    tracing::warn!(peer = %format_args!("{:#}", link.peer().name), %refusal, "a peer does not take the renewed membership");
+                    tracing::warn!(
+                        peer = %format_args!("{:#}", link.peer().name),
+                        %refusal,
+                        "a peer does not take the renewed membership"
+                    );
                 }
                 Ok(_) => {}
                 Err(error) => tracing::debug!(%error, "a peer was not told of the renewed membership"),

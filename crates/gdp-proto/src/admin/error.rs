@@ -39,7 +39,7 @@ impl ErrorReply {
 
 impl From<Refusal> for ErrorReply {
     fn from(Refusal { code, reason }: Refusal) -> Self {
-        Self::new(code.into(), &reason)
+        Self::new(ErrorCode::Refused(code), &reason)
     }
 }
 
@@ -56,65 +56,16 @@ pub enum ErrorCode {
     Disconnected,
     /// Any other cause, which `reason` states.
     Failed,
-    /// A message that the other side does not understand, or may not receive from this one.
-    Malformed,
-    /// The entity has to attach first.
-    NotAttached,
-    /// A signature does not verify under the key it must verify under.
-    BadSignature,
-    /// The name does not follow from the key and digest, or a certificate is for another name.
-    WrongName,
-    /// A certificate or statement is for, or by, another entity.
-    WrongEntity,
-    /// A certificate or statement is for another switch.
-    WrongSwitch,
-    /// A certificate is not valid yet.
-    NotYetValid,
-    /// A certificate has expired.
-    Expired,
-    /// The owner has revoked the certificate.
-    Revoked,
-    /// The delegation, membership or role that the certificate needs is missing.
-    NotEntitled,
-    /// The serial of a statement, or the number of a revocation, is not above the newest known one.
-    ReplayedSerial,
-    /// The RIB knows nothing of the name.
-    NotFound,
-    /// A bound of the RIB or the switch is reached.
-    Limit,
-    /// The switch has no path to the RIB, or to the peer, now. Try again later.
-    Unreachable,
-    /// This release does not do that.
-    Unsupported,
-    /// It comes from a RIB that another one has replaced.
-    Fenced,
+    /// The daemon, or a RIB behind it, refused the request.
+    #[serde(untagged)]
+    Refused(RefusalCode),
 }
 
 impl fmt::Display for ErrorCode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{self:?}")
-    }
-}
-
-impl From<RefusalCode> for ErrorCode {
-    fn from(code: RefusalCode) -> Self {
-        match code {
-            RefusalCode::Malformed => Self::Malformed,
-            RefusalCode::NotAttached => Self::NotAttached,
-            RefusalCode::BadSignature => Self::BadSignature,
-            RefusalCode::WrongName => Self::WrongName,
-            RefusalCode::WrongEntity => Self::WrongEntity,
-            RefusalCode::WrongSwitch => Self::WrongSwitch,
-            RefusalCode::NotYetValid => Self::NotYetValid,
-            RefusalCode::Expired => Self::Expired,
-            RefusalCode::Revoked => Self::Revoked,
-            RefusalCode::NotEntitled => Self::NotEntitled,
-            RefusalCode::ReplayedSerial => Self::ReplayedSerial,
-            RefusalCode::NotFound => Self::NotFound,
-            RefusalCode::Limit => Self::Limit,
-            RefusalCode::Unreachable => Self::Unreachable,
-            RefusalCode::Unsupported => Self::Unsupported,
-            RefusalCode::Fenced => Self::Fenced,
+        match self {
+            Self::Refused(code) => write!(f, "{code:?}"),
+            code => write!(f, "{code:?}"),
         }
     }
 }

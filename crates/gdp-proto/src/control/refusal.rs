@@ -1,5 +1,6 @@
 //! Refusals of requests, with their reasons.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Refusal of a request: a code for programs, and for people a sentence that names the cause and
@@ -24,7 +25,7 @@ impl Refusal {
 }
 
 /// Kind of a refusal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 pub enum RefusalCode {
     /// The message is not understood, or this peer may not send it.
     Malformed,
@@ -38,7 +39,9 @@ pub enum RefusalCode {
     WrongEntity,
     /// A certificate or statement is for another switch.
     WrongSwitch,
+    /// A certificate is not valid yet.
     NotYetValid,
+    /// A certificate has expired.
     Expired,
     /// The owner has revoked the certificate.
     Revoked,
