@@ -77,7 +77,7 @@ impl Domain {
         vec![
             ("a switch's report", Request::Report { switch: reports, attached: vec![entity], own_bit: None, shown }),
             ("tier push", Request::Tier(Box::new(TierMessage { leg: TierLeg::Across, request: push }))),
-            ("papers", Request::Papers(Box::new(self.papers.clone()))),
+            ("papers", Request::Credentials(Box::new(self.papers.clone()))),
             ("domain revoked", Request::DomainRevoked { proof, revocation }),
             ("admitted", Request::Admitted { switch, entity, membership: Box::new(self.invited.clone()) }),
         ]

@@ -228,7 +228,7 @@ impl Credentials {
             advert: advert.clone(),
             expires_in: 60,
         };
-        let place = record.place().ok();
+        let place = record.key().ok();
         let route = Route {
             name,
             egress_bits: 3,
@@ -254,7 +254,7 @@ impl Credentials {
             generation: 7,
             extent: PeersExtent::Whole { part: 0, last: false },
             records: vec![record.clone()],
-            gone: vec![entity],
+            departed: vec![entity],
             revocation: Some(self.revocation.clone()),
             boxes: vec![issue(self.robot.key(), &key).expect("a box")],
         };

@@ -165,7 +165,7 @@ pub struct StageLatency {
 
 /// Version of the statistics file's format. It changes whenever a key is removed or changes its
 /// meaning.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
 
 /// The whole statistics file: one JSON object.
 #[derive(Serialize)]

@@ -58,7 +58,7 @@ pub struct Counts {
     pub duplicated: u64,
     /// Number of frames delayed by [`Reorder`](crate::Reorder), even if none overtook them. This
     /// and the next two counters include duplicates.
-    pub held_back: u64,
+    pub reordered: u64,
     pub corrupted: u64,
     pub marked: u64,
     /// Size of all delivered frames, in bytes.
@@ -189,7 +189,7 @@ impl<T: Clone> Link<T> {
             && self.random.reorder.chance(reorder.probability)
         {
             at += self.random.reorder.up_to(reorder.by);
-            self.counts.held_back += 1;
+            self.counts.reordered += 1;
         }
         self.counts.delivered += 1;
         self.counts.bytes += bytes as u64;

@@ -76,9 +76,15 @@ pub enum Request {
     /// does not know with [`Request::Detach`], so that they attach again. A restarted daemon
     /// reports the entities whose links it took over. `own_bit` is the switch's previous egress
     /// bit. Frames in flight carry it, so a RIB that does not know the switch assigns the same bit
-    /// if it is free. `shown` is the identity for other domains, if the switch is a member of a
+    /// if it is free. `membership` is the identity for other domains, if the switch is a member of a
     /// domain.
-    Report { switch: NameProof, attached: Vec<Name>, own_bit: Option<u8>, shown: Option<Box<Host>> },
+    Report {
+        switch: NameProof,
+        attached: Vec<Name>,
+        own_bit: Option<u8>,
+        #[serde(rename = "shown")]
+        membership: Option<Box<Host>>,
+    },
     /// RIB → its border switch: the complete set of wanted links to border switches of other
     /// domains, each with its addresses, best first. `run` is the same as in [`FibPush`].
     Peerings { run: u64, wanted: Vec<(Name, Vec<SocketAddr>)> },
@@ -114,7 +120,8 @@ pub enum Request {
     Ratcheted { generation: u64 },
     /// Either end of a link → the other: renewed credentials. If they are not valid, the answer
     /// states the reason, and the previous credentials stay in force.
-    Papers(Box<Credentials>),
+    #[serde(rename = "Papers")]
+    Credentials(Box<Credentials>),
     /// Either end of a link → the other: a domain's revocation. Each side sends those of all
     /// related domains at the start of a link, and new ones when they arrive. The domain's
     /// signature authenticates it, not the sender.

@@ -165,13 +165,13 @@ impl Counterparts {
                 Err(error) => events.push(PeerEvent::Refused(error)),
             }
         }
-        self.leave(&peers.gone, &mut events);
+        self.leave(&peers.departed, &mut events);
         match (peers.extent, &mut self.whole) {
             (PeersExtent::Whole { last: true, .. }, whole) => {
                 let named = whole.take().map_or_else(BTreeSet::new, |(_, named)| named);
                 let unnamed = self.known.keys().filter(|entity| !peers.settling && !named.contains(*entity));
-                let gone: Vec<Name> = unnamed.copied().collect();
-                self.leave(&gone, &mut events);
+                let departed: Vec<Name> = unnamed.copied().collect();
+                self.leave(&departed, &mut events);
             }
             (PeersExtent::Whole { last: false, .. }, Some((next, _))) => *next += 1,
             _ => {}
@@ -188,16 +188,16 @@ impl Counterparts {
             let of_domain = |member: &&Membership| member.domain.name().is_ok_and(|domain| domain == claims.name);
             counterpart.member.as_deref().filter(of_domain).is_some_and(|it| it.check_revoked(Some(claims)).is_err())
         };
-        let gone: Vec<Name> = self.known().filter(|c| is_over(c)).map(|c| c.entity).collect();
-        gone.iter().for_each(|entity| drop(self.known.remove(entity)));
-        gone.into_iter().map(PeerEvent::Expelled).collect()
+        let departed: Vec<Name> = self.known().filter(|c| is_over(c)).map(|c| c.entity).collect();
+        departed.iter().for_each(|entity| drop(self.known.remove(entity)));
+        departed.into_iter().map(PeerEvent::Expelled).collect()
     }
 
     /// Removes counterparts whose right has ended.
     pub fn expire(&mut self, now: u64) -> Vec<PeerEvent> {
         let mut events = Vec::new();
-        let gone: Vec<Name> = self.known().filter(|c| c.not_after < now).map(|c| c.entity).collect();
-        self.leave(&gone, &mut events);
+        let departed: Vec<Name> = self.known().filter(|c| c.not_after < now).map(|c| c.entity).collect();
+        self.leave(&departed, &mut events);
         events
     }
 
@@ -256,14 +256,14 @@ impl Counterparts {
                 return events.push(PeerEvent::RibIsBehind(newest.clone()));
             }
         }
-        let gone: Vec<Name> = self.known().filter(|c| !c.holds(&claims)).map(|c| c.entity).collect();
+        let departed: Vec<Name> = self.known().filter(|c| !c.holds(&claims)).map(|c| c.entity).collect();
         self.revocation = Some((signed.clone(), claims.clone()));
         events.push(PeerEvent::Revoked(claims));
-        self.leave(&gone, events);
+        self.leave(&departed, events);
     }
 
-    fn leave(&mut self, gone: &[Name], events: &mut Vec<PeerEvent>) {
-        events.extend(gone.iter().filter(|entity| self.known.remove(*entity).is_some()).copied().map(PeerEvent::Left));
+    fn leave(&mut self, departed: &[Name], events: &mut Vec<PeerEvent>) {
+        events.extend(departed.iter().filter(|entity| self.known.remove(*entity).is_some()).copied().map(PeerEvent::Left));
     }
 }
 

@@ -1,30 +1,29 @@
-//! Synchronises a set of entries to a remote peer. [`Feed`] sends deltas while the peer follows,
-//! and the full set in parts after each (re)connect. It is pure state and independent of the type
-//! of entry. The RIB keeps one feed for the FIB of each switch, tiers keep one for each
-//! neighbouring domain. The owner sends what [`Feed::next`] returns.
+//! Synchronises a set of entries to a remote peer: deltas while the peer follows, and the full set
+//! in parts after each (re)connect. [`Feed`] is pure state and independent of the type of entry.
+//! The RIB keeps one feed for the FIB of each switch, tiers keep one for each neighbouring domain.
+//! The owner sends what [`Feed::next`] returns.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Bound::{Excluded, Included, Unbounded};
+use std::ops::Bound::{Excluded, Unbounded};
 use std::time::Duration;
 
 use gdp_proto::control::Extent;
+use gdp_util::backoff::Backoff;
+
+use crate::delta_sync::{DeltaSync, NextMessage};
 
 /// Delay between a failed push and the next full transfer.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// Initial and maximum delay before the feed sends again what the peer accepted only in part. The
-/// delay doubles with each partial acceptance in a row.
-const TELL_AGAIN: Duration = Duration::from_secs(60);
-const TELL_AGAIN_AT_MOST: Duration = Duration::from_secs(16 * 60);
+/// Delay before the feed sends again what the peer accepted only in part.
+const PARTLY: Backoff = Backoff::new(Duration::from_secs(60), Duration::from_secs(16 * 60));
 
 /// Desired entries of one peer, and how much of them the peer is known to hold.
 #[derive(Debug)]
 pub struct Feed<K, V> {
     entries: BTreeMap<K, V>,
-    /// Keys whose desired value differs from the value sent last.
-    dirty: BTreeSet<K>,
+    sync: DeltaSync<K>,
     generation: u64,
-    phase: Phase<K>,
     /// Pushes that failed in a row.
     failures: u32,
     /// Push that the peer has not answered yet.
@@ -46,7 +45,7 @@ struct Partly<K> {
 
 /// One push to the peer.
 #[derive(Debug)]
-pub struct Parcel<K, V> {
+pub struct Push<K, V> {
     pub generation: u64,
     pub extent: Extent,
     pub set: Vec<V>,
@@ -66,23 +65,10 @@ struct InFlight<K> {
     keys: BTreeSet<K>,
 }
 
-#[derive(Debug, PartialEq, Eq)]
-enum Phase<K> {
-    /// The peer receives the full set. `part` is the number of the next part, which starts behind
-    /// key `after`.
-    Full { part: u32, after: Option<K> },
-    /// The peer holds every entry except the dirty ones.
-    Following,
-    /// A push failed. The feed starts a full transfer at `retry`.
-    Failed { retry: Duration },
-}
-
 impl<K, V> Default for Feed<K, V> {
     fn default() -> Self {
-        let phase = Phase::Full { part: 0, after: None };
-        let (entries, dirty) = Default::default();
         let partly = Partly { keys: BTreeSet::new(), at: None, times: 0 };
-        Self { entries, dirty, generation: 0, phase, failures: 0, in_flight: None, partly }
+        Self { entries: BTreeMap::new(), sync: DeltaSync::new(), generation: 0, failures: 0, in_flight: None, partly }
     }
 }
 
@@ -90,7 +76,7 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
     /// Sets the desired value of `key`, or removes the key if `value` is `None`.
     pub fn set(&mut self, key: K, value: Option<V>) {
         if self.entries.get(&key) != value.as_ref() {
-            self.dirty.insert(key);
+            self.sync.change(key, ());
         }
         match value {
             Some(value) => self.entries.insert(key, value),
@@ -105,7 +91,7 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
 
     /// Starts a full transfer. The feed ignores the answer to a push still in flight.
     pub fn restart(&mut self) {
-        self.phase = Phase::Full { part: 0, after: None };
+        self.sync.restart();
         self.in_flight = None;
         // The full transfer includes the partly accepted entries.
         (self.partly.keys, self.partly.at) = (BTreeSet::new(), None);
@@ -115,62 +101,46 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
     ///
     /// `size` returns the bytes of an entry, or of a removed key if given `None`. A single entry is
     /// always pushed, even if it exceeds `room`.
-    pub fn next(&mut self, now: Duration, room: Room, size: impl Fn(Option<&V>) -> usize) -> Option<Parcel<K, V>> {
+    pub fn next(&mut self, now: Duration, room: Room, size: impl Fn(Option<&V>) -> usize) -> Option<Push<K, V>> {
         if self.in_flight.is_some() {
             return None;
         }
-        if matches!(self.phase, Phase::Failed { retry } if now >= retry) {
+        if self.sync.retry_at().is_some_and(|retry| now >= retry) {
             self.restart();
         }
         if self.partly.at.take_if(|at| now >= *at).is_some() {
             self.partly.times += 1;
             let again = std::mem::take(&mut self.partly.keys).into_iter();
-            self.dirty.extend(again.filter(|key| self.entries.contains_key(key)));
+            again.filter(|key| self.entries.contains_key(key)).for_each(|key| self.sync.change(key, ()));
         }
-        let (entries, dirty) = (&self.entries, &mut self.dirty);
+        let entries = &self.entries;
         let mut filling = Filling { whole: room, left: room };
         let (mut keys, mut set, mut remove) = (BTreeSet::new(), Vec::new(), Vec::new());
-        let extent = match &mut self.phase {
-            Phase::Failed { .. } => return None,
-            Phase::Full { part, after } => {
-                let start = *after;
-                let mut rest = entries.range((start.map_or(Unbounded, Excluded), Unbounded)).peekable();
+        let extent = match self.sync.next_message()? {
+            NextMessage::Part { after } => {
+                let mut rest = entries.range((after.map_or(Unbounded, Excluded), Unbounded)).peekable();
                 while let Some((key, value)) = rest.next_if(|(_, value)| filling.takes(size(Some(value)))) {
                     keys.insert(*key);
                     set.push(value.clone());
                 }
-                let last = rest.peek().is_none();
-                // This part covers all dirty keys in its range. Dirty keys before it wait for a
-                // delta.
-                let end = if last { None } else { keys.last().copied() };
-                let page = (start.map_or(Unbounded, Excluded), end.map_or(Unbounded, Included));
-                dirty.extract_if(page, |_| true).for_each(drop);
-                let extent = Extent::Full { part: *part, last };
-                self.phase = if last { Phase::Following } else { Phase::Full { part: *part + 1, after: end } };
-                extent
+                let end = rest.peek().and(keys.last().copied());
+                let part = self.sync.part_composed(end);
+                Extent::Full { part: part.number, last: part.is_last }
             }
-            Phase::Following => {
-                if dirty.is_empty() {
-                    return None;
-                }
-                while let Some(key) = dirty.first() {
-                    let value = entries.get(key);
-                    if !filling.takes(size(value)) {
-                        break;
-                    }
-                    keys.insert(*key);
-                    match value {
+            NextMessage::Delta => {
+                while let Some((key, ())) = self.sync.next_change(|key| filling.takes(size(entries.get(key)))) {
+                    keys.insert(key);
+                    match entries.get(&key) {
                         Some(value) => set.push(value.clone()),
-                        None => remove.push(*key),
+                        None => remove.push(key),
                     }
-                    dirty.pop_first();
                 }
                 Extent::Delta
             }
         };
         self.generation += 1;
         self.in_flight = Some(InFlight { generation: self.generation, keys });
-        Some(Parcel { generation: self.generation, extent, set, remove })
+        Some(Push { generation: self.generation, extent, set, remove })
     }
 
     /// Records whether the push with this generation succeeded. Returns whether that push was in
@@ -183,8 +153,8 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         }
         self.failures = if done { 0 } else { self.failures.saturating_add(1) };
         if !done {
-            self.phase = Phase::Failed { retry: now + RETRY };
-        } else if !self.lacks() && self.dirty.is_empty() && self.phase == Phase::Following {
+            self.sync.failed(now + RETRY);
+        } else if !self.lacks() && self.sync.is_following() && !self.sync.has_changes() {
             self.partly.times = 0;
         }
         true
@@ -196,8 +166,7 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
         let Some(push) = self.in_flight.take_if(|push| push.generation == generation) else { return };
         self.failures = 0;
         self.partly.keys.extend(push.keys);
-        let pause = TELL_AGAIN.saturating_mul(1 << self.partly.times.min(16)).min(TELL_AGAIN_AT_MOST);
-        self.partly.at.get_or_insert(now + pause);
+        self.partly.at.get_or_insert(now + PARTLY.after(self.partly.times + 1));
     }
 
     /// Returns whether the peer has accepted some push only in part.
@@ -209,25 +178,20 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
     ///
     /// Also returns true once pushes have failed more than once, because waiting is then pointless.
     pub fn is_settled(&self, key: &K) -> bool {
-        let sent = match &self.phase {
-            Phase::Failed { .. } => return self.failures > 1,
-            Phase::Following => true,
-            Phase::Full { after, .. } => after.is_some_and(|after| *key <= after),
-        };
-        sent && !self.dirty.contains(key) && self.in_flight.as_ref().is_none_or(|push| !push.keys.contains(key))
+        if self.sync.retry_at().is_some() {
+            return self.failures > 1;
+        }
+        self.sync.is_sent(key) && self.in_flight.as_ref().is_none_or(|push| !push.keys.contains(key))
     }
 
     /// Returns the generation that the peer is known to hold.
     pub fn acknowledged(&self) -> Option<u64> {
-        (self.phase == Phase::Following && self.in_flight.is_none()).then_some(self.generation)
+        (self.sync.is_following() && self.in_flight.is_none()).then_some(self.generation)
     }
 
     /// Returns the time at which [`Self::next`] should be called again if nothing else happens.
     pub fn retry_at(&self) -> Option<Duration> {
-        match self.phase {
-            Phase::Failed { retry } => Some(retry),
-            _ => self.partly.at,
-        }
+        self.sync.retry_at().or(self.partly.at)
     }
 }
 

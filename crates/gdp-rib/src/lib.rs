@@ -8,6 +8,7 @@
 
 pub mod crossing;
 pub mod deadlines;
+mod delta_sync;
 pub mod feed;
 pub mod rib;
 pub mod tiers;

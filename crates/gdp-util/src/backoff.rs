@@ -16,6 +16,11 @@ impl Backoff {
         Self { first, longest, next: first }
     }
 
+    /// Returns the delay before the next attempt.
+    pub fn delay(&self) -> Duration {
+        self.next
+    }
+
     /// Returns the delay before the next attempt, and doubles the following one.
     pub fn next_delay(&mut self) -> Duration {
         let delay = self.next;

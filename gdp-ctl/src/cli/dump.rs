@@ -108,7 +108,7 @@ pub fn rib(command: &RibCommand, context: &Context) -> anyhow::Result<()> {
     let switches = loop {
         let page: RibReply = client.ask(&Request::Rib { after })?;
         records.extend(page.records);
-        let last = records.last().map(Record::place).transpose()?;
+        let last = records.last().map(Record::key).transpose()?;
         if !page.more || last == after {
             break page.switches;
         }

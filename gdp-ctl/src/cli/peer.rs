@@ -46,7 +46,7 @@ fn describe(reply: &PeersReply) -> Vec<String> {
     });
     let rows: Vec<_> = rows.collect();
     table(
-        ["peer", "domain", "standing", "may do here", "lets us", "ends in", "link", "via", "why there is no link"],
+        ["peer", "domain", "relationship", "may do here", "lets us", "ends in", "link", "via", "why there is no link"],
         &rows,
     )
 }

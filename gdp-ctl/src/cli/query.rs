@@ -83,7 +83,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
 fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>, bool)> {
     let mut records: Vec<Record> = Vec::new();
     loop {
-        let after = records.last().map(Record::place).transpose()?;
+        let after = records.last().map(Record::key).transpose()?;
         let request = EntityRequest::Query { prefix: prefix.clone(), after };
         let Response::Records { records: page, truncated } =
             client.ask(&Request::Entity { entity: None, request: request.into() })?
@@ -91,12 +91,12 @@ fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>,
             bail!("the RIB answered another question");
         };
         for record in page {
-            if records.last().map(Record::place).transpose()? >= Some(record.place()?) {
+            if records.last().map(Record::key).transpose()? >= Some(record.key()?) {
                 bail!("the answer is out of order at {}: the RIB is faulty or lies", record.name);
             }
             records.push(record);
         }
-        if !truncated || records.len() >= MOST || records.last().map(Record::place).transpose()? == after {
+        if !truncated || records.len() >= MOST || records.last().map(Record::key).transpose()? == after {
             return Ok((records, truncated));
         }
     }

@@ -75,7 +75,7 @@ impl Fabric {
                 }
             }
             seen += records.len();
-            after = records.last().map(Record::place).transpose()?;
+            after = records.last().map(Record::key).transpose()?;
             if !truncated || after.is_none() || seen >= MAX_RECORDS {
                 return Ok(entities);
             }

@@ -261,7 +261,7 @@ fn hostile_admin_clients_get_an_error_and_others_are_served() {
         "{}\n".into(),
         "[[[[\n".into(),
         "x".repeat(100_000) + "\n",
-        "{\"v\":1,\"op\":\"entity\"}\n".into(),
+        "{\"v\":2,\"op\":\"entity\"}\n".into(),
     ] {
         let mut stream = UnixStream::connect(user.file("ctl.sock")).unwrap();
         // The daemon may hang up in the middle of an endless line.

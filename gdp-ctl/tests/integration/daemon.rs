@@ -33,7 +33,7 @@ async fn two_applications_meet_at_one_switch() {
     let warnings = switch.status().await["warnings"].clone();
     assert_eq!(
         (&warnings[0]["kind"], &warnings[0]["names"][0]),
-        (&"unserved".into(), &papers.card.name().to_string().into())
+        (&"not_served".into(), &papers.card.name().to_string().into())
     );
     let writer = papers.writer(at).await;
     let mut publisher = papers.publish(&writer).await;

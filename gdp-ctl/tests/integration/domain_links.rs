@@ -248,7 +248,7 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
         Some(Credentials { membership, peers: vec![] })
     };
     let node = attach(&robot, papers(&robot), mid.addr).await.unwrap();
-    assert_eq!(link_of(&mid_running, robot.name()).await.unwrap()["standing"], "member");
+    assert_eq!(link_of(&mid_running, robot.name()).await.unwrap()["relationship"], "member");
     node.close().await;
     let error = attach(&thief, papers(&thief), mid.addr).await.err().unwrap().to_string();
     assert!(error.contains("closed by the peer") && error.contains("has admitted"), "{error}");
@@ -291,7 +291,7 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
         peers: peers.iter().map(|peer| (*peer).clone()).collect(),
     };
     let node = attach(&robot, Some(papers(&home, LONG, &[])), hub.addr).await.unwrap();
-    assert_eq!(link_of(&hub_running, robot.name()).await.unwrap()["standing"], "member");
+    assert_eq!(link_of(&hub_running, robot.name()).await.unwrap()["relationship"], "member");
     node.close().await;
     let error = attach(&robot, Some(papers(&home, -5, &[])), hub.addr).await.err().unwrap().to_string();
     assert!(error.contains("expired at Unix time"), "{error}");
@@ -301,7 +301,7 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     let knows_home = away.peer(&home, "peering", LONG);
     let visitor = papers(&away, LONG, &[&knows_home]);
     let node = attach(&robot, Some(visitor), hub.addr).await.unwrap();
-    assert_eq!(link_of(&hub_running, robot.name()).await.unwrap()["standing"], "visitor");
+    assert_eq!(link_of(&hub_running, robot.name()).await.unwrap()["relationship"], "visitor");
     node.close().await;
     let error = attach(&robot, Some(papers(&away, LONG, &[])), hub.addr).await.err().unwrap().to_string();
     assert!(error.contains("does not know"), "{error}");
@@ -384,7 +384,7 @@ impl Place {
 
 /// What the peer of a daemon's link is to it; "none" without a link.
 async fn standing(running: &Running, peer: &Place) -> String {
-    link_to(running, peer).await.map_or("none".into(), |link| link["standing"].as_str().unwrap().to_owned())
+    link_to(running, peer).await.map_or("none".into(), |link| link["relationship"].as_str().unwrap().to_owned())
 }
 
 async fn link_to(running: &Running, peer: &Place) -> Option<Value> {

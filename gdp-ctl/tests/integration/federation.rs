@@ -79,7 +79,7 @@ async fn borders_peer_on_demand_and_the_third_domain_carries_nothing_until_they_
     let is_direct = async || {
         let (status, far) = (f.edge_running.status().await, f.far.name.to_string());
         let links = status["links"].as_array().unwrap().clone();
-        links.iter().any(|link| link["peer"] == far.as_str() && link["standing"] == "border")
+        links.iter().any(|link| link["peer"] == far.as_str() && link["relationship"] == "border")
     };
     assert!(!is_direct().await, "nobody needs it");
     let topic = Topic::new("/chatter");

@@ -88,7 +88,7 @@ async fn what_happens_is_told_and_peers_say_why_there_is_no_link() {
     let listed = chain.lines(0, &["peer", "list"]).await.remove(0);
     let peer = &listed["peers"][0];
     assert_eq!(
-        (&peer["peer"], &peer["link"], &peer["standing"]),
+        (&peer["peer"], &peer["link"], &peer["relationship"]),
         (&second.clone().into(), &"up".into(), &"stranger".into())
     );
 

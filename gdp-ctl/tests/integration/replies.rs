@@ -21,7 +21,7 @@ fn each_reply_is_read_as_it_was_written_and_matches_its_schema() {
     let [name, other] = ["7", "a"].map(|digit| digit.repeat(64));
     let errors = json!({"no_route": 2});
     let link = json!({
-        "peer": name, "role": "switch", "lane": 0, "standing": "member", "domain": null, "admitted_until": 9,
+        "peer": name, "role": "switch", "lane": 0, "relationship": "member", "domain": null, "admitted_until": 9,
         "via": "e0", "address": "192.0.2.1:31415", "id": 7, "mtu": 1452, "key_generations": {"rx": 1, "tx": 2},
         "cost": 3, "rtt_us": 120, "age_s": 5, "errors_received": errors, "arrivals": null, "traces_refused": 0,
         "sent": 4, "carrier": true, "plane": "kernel",
@@ -34,7 +34,7 @@ fn each_reply_is_read_as_it_was_written_and_matches_its_schema() {
     let status = json!({
         "name": name, "data_plane": "userspace", "data_plane_reason": "asked for", "interfaces": [interface],
         "dpdk_processor_time_us": [7], "udp": "192.0.2.1:31415", "links": [link],
-        "links_held": [{"peer": other, "role": "endpoint", "address": "a", "id": 8, "errors_received": {}}],
+        "links_in_grace": [{"peer": other, "role": "endpoint", "address": "a", "id": 8, "errors_received": {}}],
         "handshakes": {"challenged": 1, "refused": 2, "displaced": 3, "failed": 4}, "counters": {"forwarded": 9},
         "counters_by_plane": {"forwarded": {"kernel": 4, "userspace": 5}}, "busiest": [{"name": other, "frames": 64}],
         "fib": {"names": 1, "generation": 2, "own_bit": null}, "topology": {"switches": 2, "reached": 1},
@@ -45,12 +45,12 @@ fn each_reply_is_read_as_it_was_written_and_matches_its_schema() {
         "tiers": [{"domain": other, "kind": "parent", "state": "up", "reason": null, "entries_in": 1,
             "entries_out": 2, "refused": {"Limit": 3}}],
         "warnings": [{"kind": "silent", "entity": name, "names": 2, "for_s": 11},
-            {"kind": "unserved", "count": 1, "names": [name]}],
+            {"kind": "not_served", "count": 1, "names": [name]}],
         "errors": ["of e1"],
     });
     let peer = json!({
-        "peer": name, "listed": true, "role": null, "domain": other, "standing": "border", "rights_given": "peering",
-        "rights_held": "none", "until": 7, "link": "held", "via": "e0", "reason": "no answer", "reason_age_s": 3,
+        "peer": name, "listed": true, "role": null, "domain": other, "relationship": "border", "rights_granted": "peering",
+        "rights_received": "none", "until": 7, "link": "grace", "via": "e0", "reason": "no answer", "reason_age_s": 3,
     });
     let switch = json!({
         "switch": name, "bit": 1, "cost": 2, "next": other, "run": 3, "number": 4, "rib": true,
@@ -83,7 +83,7 @@ fn each_reply_is_read_as_it_was_written_and_matches_its_schema() {
     check::<BeyondReply>(json!({"domains": [traced, domain("too_far", json!({"reason": "no"}))]}));
     check::<ErrorReply>(json!({"code": "ReplayedSerial", "reason": "rolled back", "remedy": null}));
     for event in [
-        json!({"event": "link_up", "peer": name, "role": "border", "standing": "visitor", "via": "e0", "address": "a"}),
+        json!({"event": "link_up", "peer": name, "role": "border", "relationship": "visitor", "via": "e0", "address": "a"}),
         json!({"event": "link_refused", "peer": name, "via": "e0", "reason": "no"}),
         json!({"event": "missed", "events": 3}),
     ] {

@@ -108,7 +108,7 @@ impl Borders {
     /// What the daemon says of the link.
     async fn status(&self) -> Option<Value> {
         let status = self.running.status().await;
-        status["links"].as_array()?.iter().find(|link| link["standing"] == "border").cloned()
+        status["links"].as_array()?.iter().find(|link| link["relationship"] == "border").cloned()
     }
 
     /// What the inner switch finds behind the link.

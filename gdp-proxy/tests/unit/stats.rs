@@ -7,7 +7,7 @@ use gdp::LinkState;
 use super::*;
 use crate::config::What;
 
-/// Of version 4.
+/// Of version 5.
 const KEYS: [&str; 10] = [
     "calls catalogs entity links node switch topics version",
     "bytes bytes_carried direction drops fabric graph latency_us messages name status topic type",
@@ -20,7 +20,7 @@ const KEYS: [&str; 10] = [
      frames_sent frames_unsent links messages_received messages_sent messages_unsent",
     "evicted expired frames incompatible_readers marked messages over_budget readers refused \
      repeated replaced slowed",
-    "beyond delivered drops duplicates expired given_up incompatible_writers overtaken \
+    "abandoned beyond delivered drops duplicates expired incompatible_writers overtaken \
      queue_full repeats",
     "answers calls direction events events_dropped failures graph name pending servers service status type what",
 ];

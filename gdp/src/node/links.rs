@@ -96,7 +96,6 @@ pub enum LinkState {
     /// It is up, but the switch has not answered for a moment.
     Silent,
     /// The switch fell silent; its data plane may forward on.
-    #[serde(rename = "held")]
     Stale,
     Down,
 }

@@ -39,7 +39,7 @@ fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
         let link = wait_for(&format!("{socket} to have the link"), TIMEOUT, || {
             home.process.check_alive()?;
             newcomer.check_alive()?;
-            Ok(standing(socket, peer).filter(|link| link["standing"] == "member"))
+            Ok(standing(socket, peer).filter(|link| link["relationship"] == "member"))
         })
         .with_context(|| home.process.report() + &newcomer.report())?;
         ensure!(link["plane"] == "kernel", "{link:#}");
@@ -164,7 +164,7 @@ impl Home {
             self.process.check_alive()?;
             proxy.check_alive()?;
             let link = standing(&self.tools, folder, "first.sock", name);
-            Ok(link.filter(|link| link["standing"] == "member" && link["role"] == "endpoint"))
+            Ok(link.filter(|link| link["relationship"] == "member" && link["role"] == "endpoint"))
         })
         .with_context(|| self.process.report() + &proxy.report())?;
         Ok(proxy)

@@ -147,7 +147,7 @@ fn tcp_gets_through_a_bad_wire() -> Result<()> {
     ensure!(received == sent, "what arrived is not what was sent");
     ensure!(sender.join().is_ok_and(|sent| sent.is_ok()));
     let counts = site.wire.counts(0);
-    ensure!([counts.lost, counts.duplicated, counts.corrupted, counts.held_back].iter().all(|n| *n > 0), "{counts:?}");
+    ensure!([counts.lost, counts.duplicated, counts.corrupted, counts.reordered].iter().all(|n| *n > 0), "{counts:?}");
     site.wire.check()
 }
 

@@ -107,14 +107,14 @@ impl Relationship {
 /// Permission for a link with a peer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Admission {
-    pub standing: Relationship,
+    pub relationship: Relationship,
     /// Last Unix second at which all of it is valid.
     pub until: u64,
 }
 
 impl Admission {
     /// Admission of a peer that needs no credentials.
-    pub const STRANGER: Self = Self { standing: Relationship::Stranger, until: u64::MAX };
+    pub const STRANGER: Self = Self { relationship: Relationship::Stranger, until: u64::MAX };
 }
 
 /// Reason why a peer is refused a link, or why an entity's own credentials do not apply. Both sides
@@ -225,7 +225,7 @@ impl Trust {
                 return Err(DomainError::NotASwitch { peer: peer.name, role: cert.role, domain });
             }
             let until = own_cert.not_after.min(cert.not_after);
-            return Ok(Admission { standing: Relationship::Member { role: cert.role }, until });
+            return Ok(Admission { relationship: Relationship::Member { role: cert.role }, until });
         }
         let home = self.home;
         let ours = self.granted(&self.credentials, home, domain, now)?.ok_or(DomainError::Foreign {
@@ -238,7 +238,7 @@ impl Trust {
             return Err(DomainError::NotASwitch { peer: peer.name, role: cert.role, domain });
         }
         let mut until = own_cert.not_after.min(ours.not_after).min(cert.not_after);
-        let standing = match (own, peer.role) {
+        let relationship = match (own, peer.role) {
             (Role::Switch, Role::Switch) => {
                 let theirs = self.granted(shown, domain, home, now)?.ok_or(DomainError::OneSided {
                     peer: peer.name,
@@ -263,7 +263,7 @@ impl Trust {
             // Only the host can decide whether this entity may visit.
             (Role::Endpoint, _) => Relationship::Host { domain },
         };
-        Ok(Admission { standing, until })
+        Ok(Admission { relationship, until })
     }
 
     /// Verifies and stores a domain's revocation. Returns whether it is new. Revocations of

@@ -14,11 +14,11 @@ fn members_of_a_domain_take_links_with_each_other() {
     let (switch, other, robot) = (home.member(11, "switch"), home.member(12, "rib"), home.member(13, "arm"));
     let trust = switch.trust(true);
     let met = trust.admit(Role::Switch, &other.as_switch(), other.shows(), NOW).unwrap();
-    assert_eq!(met, Admission { standing: Relationship::Member { role: "rib".into() }, until: NOW + 60 });
+    assert_eq!(met, Admission { relationship: Relationship::Member { role: "rib".into() }, until: NOW + 60 });
     let met = trust.admit(Role::Switch, &robot.as_endpoint(), robot.shows(), NOW).unwrap();
-    assert_eq!(met.standing, Relationship::Member { role: "arm".into() });
+    assert_eq!(met.relationship, Relationship::Member { role: "arm".into() });
     let met = robot.trust(false).admit(Role::Endpoint, &switch.as_switch(), switch.shows(), NOW).unwrap();
-    assert_eq!(met.standing, Relationship::Member { role: "switch".into() });
+    assert_eq!(met.relationship, Relationship::Member { role: "switch".into() });
 
     let refused = trust.admit(Role::Switch, &robot.as_switch(), robot.shows(), NOW).unwrap_err();
     assert!(refused.to_string().contains("is arm in domain"), "{refused}");
@@ -97,8 +97,8 @@ fn domains_peer_when_each_has_said_so() {
         ours: ours.parse().unwrap(),
         theirs: theirs.parse().unwrap(),
     };
-    assert_eq!(at_home.unwrap().standing, standing(&away, "peering,transit", "peering"));
-    assert_eq!(abroad.unwrap().standing, standing(&home, "peering", "peering,transit"));
+    assert_eq!(at_home.unwrap().relationship, standing(&away, "peering,transit", "peering"));
+    assert_eq!(abroad.unwrap().relationship, standing(&home, "peering", "peering,transit"));
 
     for (ours, theirs, at_home, abroad) in [
         ("", "", "does not know", "does not know"),
@@ -147,8 +147,8 @@ fn a_robot_pays_visits_where_both_domains_let_it() {
     assert!(at_host(&robot, &host).unwrap_err().to_string().contains("and visit is needed"));
     host.papers.peers = vec![away.peer(&home, "visit", 5)];
     robot.papers.peers = vec![home.peer(&away, "visit", 6)];
-    assert_eq!(at_host(&robot, &host).unwrap().standing, Relationship::Visitor { domain: home.identity.name() });
-    assert_eq!(at_robot(&robot, &host).unwrap().standing, Relationship::Host { domain: away.identity.name() });
+    assert_eq!(at_host(&robot, &host).unwrap().relationship, Relationship::Visitor { domain: home.identity.name() });
+    assert_eq!(at_robot(&robot, &host).unwrap().relationship, Relationship::Host { domain: away.identity.name() });
 }
 
 #[test]

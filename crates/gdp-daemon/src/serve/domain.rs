@@ -60,7 +60,7 @@ fn renew(daemon: &Arc<Daemon>, config: &DomainConfig) -> Result<Arc<Credentials>
 fn show_renewed(daemon: &Arc<Daemon>, credentials: &Arc<Credentials>) {
     let links: Vec<Link> = daemon.core().switch.links.values().map(|state| state.link.clone()).collect();
     for link in links {
-        let request = Request::Papers(Box::new(Credentials::clone(credentials)));
+        let request = Request::Credentials(Box::new(Credentials::clone(credentials)));
         daemon.spawn(async move {
             match link.request(&request).await {
                 Ok(Response::Refused(refusal)) => {
@@ -209,7 +209,7 @@ pub async fn ask_admitted(daemon: &Arc<Daemon>, request: Request) -> Result<(), 
 /// Answers requests that any peer may send. Returns other requests as the error.
 pub async fn answer(daemon: &Arc<Daemon>, link: &Link, request: Request) -> Result<Response, Request> {
     match request {
-        Request::Papers(credentials) => Ok(take_credentials(daemon, link, *credentials).await),
+        Request::Credentials(credentials) => Ok(take_credentials(daemon, link, *credentials).await),
         Request::DomainRevoked { proof, revocation } => {
             Ok(take_revocation(daemon, proof, revocation, Some(link)).await)
         }

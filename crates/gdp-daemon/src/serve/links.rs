@@ -42,7 +42,7 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
     if daemon.is_stopping() {
         return refuse("shutting down".into());
     }
-    let standing = admission.standing.as_str();
+    let relationship = admission.relationship.as_str();
     let replaced = match daemon.core().link_up(&link, via.clone(), admission) {
         Ok(replaced) => replaced,
         Err(error) => {
@@ -58,7 +58,7 @@ pub async fn take(daemon: &Arc<Daemon>, link: Link, via: Via) -> Result<(), Stri
         replaced.close("replaced by a newer link");
     }
     let role = if switch { "switch" } else { "endpoint" };
-    tracing::info!(peer = %format_args!("{peer:#}"), role, standing, %via, addr = %link.addr(), "link up");
+    tracing::info!(peer = %format_args!("{peer:#}"), role, relationship, %via, addr = %link.addr(), "link up");
     domain::tell_revocations(daemon, &link);
     daemon.spawn(keep_keys(daemon.clone(), link.clone()));
     if switch {

@@ -154,8 +154,8 @@ pub fn links(core: &Core) -> Vec<LinkStatus> {
             peer: peer.name,
             role: link_role(state.role()),
             lane: peer.lane,
-            relationship: (&state.admission.standing).into(),
-            domain: foreign(&state.admission.standing),
+            relationship: (&state.admission.relationship).into(),
+            domain: foreign(&state.admission.relationship),
             admitted_until: (state.admission.until < u64::MAX).then_some(state.admission.until),
             via: state.via.to_string(),
             address: link.addr().to_string(),
@@ -181,7 +181,7 @@ pub fn links(core: &Core) -> Vec<LinkStatus> {
 pub fn peers(core: &Core) -> PeersReply {
     let listed = core.neighbours.listed.iter().map(|neighbour| neighbour.address.switch);
     let is_peer =
-        |state: &&LiveLink| state.link.peer().role == Role::Switch || foreign(&state.admission.standing).is_some();
+        |state: &&LiveLink| state.link.peer().role == Role::Switch || foreign(&state.admission.relationship).is_some();
     let linked = core.switch.links.values().filter(is_peer).map(|state| state.link.peer().name);
     let refused = core.switch.refusals.iter().map(|(peer, _)| *peer);
     let all: BTreeSet<Name> = listed.chain(linked).chain(refused).collect();
@@ -192,8 +192,8 @@ fn peer(core: &Core, name: Name) -> PeerStatus {
     let neighbour = core.neighbours.get(&name);
     let link = core.switch.link_to(&name);
     let state = link.as_ref().and_then(|link| core.switch.links.get(&link.local_id()));
-    let standing = state.map(|state| &state.admission.standing);
-    let (ours, theirs) = match standing {
+    let relationship = state.map(|state| &state.admission.relationship);
+    let (ours, theirs) = match relationship {
         Some(Relationship::Border { ours, theirs, .. }) => (Some(ours.to_string()), Some(theirs.to_string())),
         _ => (None, None),
     };
@@ -202,12 +202,12 @@ fn peer(core: &Core, name: Name) -> PeerStatus {
         peer: name,
         listed: neighbour.is_some(),
         role: state.map(|state| link_role(state.role())),
-        domain: match standing {
+        domain: match relationship {
             Some(Relationship::Member { .. }) => core.membership.home(),
-            Some(standing) => foreign(standing),
+            Some(relationship) => foreign(relationship),
             None => None,
         },
-        relationship: standing.map(Into::into),
+        relationship: relationship.map(Into::into),
         rights_granted: ours,
         rights_received: theirs,
         until: state.map(|state| state.admission.until).filter(|until| *until < u64::MAX),
@@ -288,8 +288,8 @@ fn domain(domain: &Domain) -> DomainStatus {
 }
 
 /// Returns the domain of a peer that is of another domain than this switch.
-fn foreign(standing: &Relationship) -> Option<Name> {
-    match standing {
+fn foreign(relationship: &Relationship) -> Option<Name> {
+    match relationship {
         Relationship::Border { domain, .. } | Relationship::Visitor { domain } | Relationship::Host { domain } => {
             Some(*domain)
         }

@@ -73,7 +73,6 @@ pub struct InboundCounters {
     /// Not complete at the deadline.
     pub expired: u64,
     /// Reliable: the writer has it no more, or there was no room to wait for it.
-    #[serde(rename = "given_up")]
     pub abandoned: u64,
     /// Segments that were there, or belong to a message that is dealt with.
     pub duplicates: u64,

@@ -30,7 +30,7 @@ fn counts_add_up() {
         assert_eq!(arrived.iter().filter(|d| d.corrupted.is_some()).count() as u64, counts.corrupted);
         assert_eq!(arrived.iter().filter(|d| d.marked).count() as u64, counts.marked);
         assert!(arrived.is_sorted_by_key(|delivery| delivery.at));
-        let all = [counts.lost, counts.lost_in_bursts, counts.partitioned, counts.overflowed, counts.held_back];
+        let all = [counts.lost, counts.lost_in_bursts, counts.partitioned, counts.overflowed, counts.reordered];
         assert!(all.iter().all(|count| *count > 0), "{counts:?}");
     }
 }
@@ -74,7 +74,7 @@ fn jitter_keeps_the_order_and_reordering_does_not() {
     assert!(arrived.iter().all(|d| (MILLISECOND..=6 * MILLISECOND).contains(&took(d))));
     let reorder = Some(Reorder { probability: 0.02, by: MILLISECOND });
     let (arrived, counts) = carry(Faults { jitter: 0, reorder, ..faults }, 5, 10_000);
-    assert_near(counts.held_back, 0.02);
+    assert_near(counts.reordered, 0.02);
     let overtaken = arrived.windows(2).filter(|pair| pair[1].frame < pair[0].frame).count() as f64;
     assert!(overtaken > 0.01 * FRAMES as f64, "{overtaken}");
 }

@@ -22,7 +22,6 @@ pub enum Event {
     LinkUp {
         peer: Name,
         role: PeerRole,
-        #[serde(rename = "standing")]
         relationship: PeerRelationship,
         via: String,
         address: String,

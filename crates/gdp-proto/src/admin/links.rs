@@ -25,7 +25,6 @@ pub struct LinkStatus {
     pub role: PeerRole,
     /// Which of the peer's parallel links this is.
     pub lane: u8,
-    #[serde(rename = "standing")]
     pub relationship: PeerRelationship,
     /// The peer's domain, if that is another one.
     pub domain: Option<Name>,
@@ -88,13 +87,10 @@ pub struct PeerStatus {
     pub listed: bool,
     pub role: Option<PeerRole>,
     pub domain: Option<Name>,
-    #[serde(rename = "standing")]
     pub relationship: Option<PeerRelationship>,
     /// What this domain lets the peer's do.
-    #[serde(rename = "rights_given")]
     pub rights_granted: Option<String>,
     /// What the peer's domain lets this one do.
-    #[serde(rename = "rights_held")]
     pub rights_received: Option<String>,
     /// When the relationship ends, in Unix seconds; none if it does not.
     pub until: Option<u64>,

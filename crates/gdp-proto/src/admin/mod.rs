@@ -1,6 +1,6 @@
 //! What commands and the daemon say to each other over the admin socket, a JSON object to a line.
 //!
-//! A request is `{"v":1,"op":…}`, and a reply `{"v":1,REPLY:…}`, where REPLY names what follows:
+//! A request is `{"v":2,"op":…}`, and a reply `{"v":2,REPLY:…}`, where REPLY names what follows:
 //! `status`, `links` …, `control` or `error`. Types only: the daemon serves, the command line asks.
 //! The command line prints most of the same types with `-j`.
 
@@ -28,7 +28,7 @@ use topology::TopologyReply;
 use trace::{BeyondReply, EchoReply, LocateReply, ProbeReply};
 
 /// The version of this protocol.
-pub const VERSION: u64 = 1;
+pub const VERSION: u64 = 2;
 
 /// Longest request, in bytes: certificates as hex, with room.
 pub const MAX_REQUEST: usize = 64 * 1024;
@@ -171,7 +171,7 @@ pub fn check_version(value: &mut Value) -> Result<(), String> {
     match object.remove("v").and_then(|v| v.as_u64()) {
         Some(VERSION) => Ok(()),
         Some(other) => Err(format!("protocol version {other}, but this program speaks version {VERSION}")),
-        None => Err("no protocol version: \"v\": 1 is missing".into()),
+        None => Err(format!("no protocol version: \"v\": {VERSION} is missing")),
     }
 }
 

@@ -35,7 +35,6 @@ pub struct StatusReply {
     /// By id.
     pub links: Vec<LinkStatus>,
     /// Links whose peers fell silent or have a newer link, or that an earlier daemon left; by id.
-    #[serde(rename = "links_held")]
     pub links_in_grace: Vec<GraceLink>,
     pub handshakes: Handshakes,
     /// Of all data planes together.
@@ -185,6 +184,6 @@ pub enum Warning {
     /// An endpoint may send to so many names with readers, and has sent nothing for a while.
     Silent { entity: Name, names: usize, for_s: u64 },
     /// Names with readers or callers that nobody publishes or serves; the first of them.
-    #[serde(rename = "unserved")]
+    #[serde(rename = "not_served")]
     NotServed { count: usize, names: Vec<Name> },
 }

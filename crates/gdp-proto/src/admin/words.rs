@@ -58,7 +58,7 @@ words! {
     PeerLink {
         Up = "up",
         /// The peer is silent, and its data plane may still forward.
-        Grace = "held",
+        Grace = "grace",
         Down = "down",
     }
 }

@@ -16,7 +16,7 @@ pub struct Peers {
     /// Run of the RIB, as in a [`FibPush`](super::FibPush).
     pub run: u64,
     /// The RIB started recently and may not know all counterparts yet. A counterpart missing from a
-    /// full list is then not gone. Another full list follows.
+    /// full list may still be attached. Another full list follows.
     pub settling: bool,
     /// Generation, which increases with every update that this RIB sends to any entity.
     pub generation: u64,
@@ -24,7 +24,8 @@ pub struct Peers {
     /// Records in the order of their entities' names.
     pub records: Vec<Record>,
     /// Entities that are no longer counterparts.
-    pub gone: Vec<Name>,
+    #[serde(rename = "gone")]
+    pub departed: Vec<Name>,
     /// Newest revocation of the name, sent with part 0 of a full list and when it changes.
     pub revocation: Option<Signed<Revocation>>,
     /// Key boxes from counterparts for the entity: for the name and for the entity's inbox.

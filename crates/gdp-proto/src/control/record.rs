@@ -97,7 +97,7 @@ pub struct RecordKey {
 impl Record {
     /// Returns the record's key. Fails if the entity's key is invalid or the statement is a
     /// withdrawal.
-    pub fn place(&self) -> Result<RecordKey, CertError> {
+    pub fn key(&self) -> Result<RecordKey, CertError> {
         let (role, entity) = (self.role()?, self.entity.name()?);
         Ok(RecordKey { name: self.name, role, entity, switch: self.switch })
     }

@@ -36,7 +36,7 @@ fn a_rib_that_has_just_started_takes_nobody_away_by_not_knowing_him() {
     let settling = Peers { run: 2, settling: true, extent, records, ..w.nothing() };
     assert_eq!(w.take(settling), []);
     assert!(w.held.get(&b.name()).is_some());
-    let gone = Peers { run: 2, settling: true, gone: vec![a.name()], ..w.nothing() };
+    let gone = Peers { run: 2, settling: true, departed: vec![a.name()], ..w.nothing() };
     assert_eq!(w.take(gone), [PeerEvent::Left(a.name())], "it says so");
     let settled = Peers { run: 2, extent, ..w.nothing() };
     assert_eq!(w.take(settled), [PeerEvent::Left(b.name())]);
@@ -175,8 +175,8 @@ impl World {
 
     fn nothing(&self) -> Peers {
         let extent = PeersExtent::After(self.generation);
-        let (run, generation, gone, boxes) = (1, self.generation + 1, vec![], vec![]);
-        Peers { run, settling: false, generation, extent, records: vec![], gone, revocation: None, boxes }
+        let (run, generation, departed, boxes) = (1, self.generation + 1, vec![], vec![]);
+        Peers { run, settling: false, generation, extent, records: vec![], departed, revocation: None, boxes }
     }
 
     fn whole(&mut self, records: &[Record]) -> Vec<PeerEvent> {
@@ -185,7 +185,7 @@ impl World {
     }
 
     fn changes(&mut self, records: &[Record], gone: &[Name]) -> Vec<PeerEvent> {
-        self.take(Peers { records: records.to_vec(), gone: gone.to_vec(), ..self.nothing() })
+        self.take(Peers { records: records.to_vec(), departed: gone.to_vec(), ..self.nothing() })
     }
 
     fn revocation(&mut self, owner: &SigningKey, number: u64, revoked: &[u64]) -> Vec<PeerEvent> {

@@ -29,7 +29,7 @@ impl Rib {
     pub fn set_foreign(&mut self, now: Now, foreign: Foreign) -> Result<Option<Refusal>, Refusal> {
         self.tick(now);
         let Foreign { record, domain, next, hops, boxes, local } = foreign;
-        let place = record.place().map_err(refusal)?;
+        let place = record.key().map_err(refusal)?;
         let (key, role) = (record.name.to_bytes(), place.role);
         // This check precedes signature verification, because neighbours repeat records that did
         // not fit.

@@ -8,30 +8,30 @@
 //! [`sent_update`](super::names::Registration::sent_update) then holds the generation that the
 //! entity has.
 
-use crate::rib::model::RegistrationKey;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::time::Duration;
 
 use gdp_proto::control::{Peers, PeersExtent, PeersPush, Record};
+use gdp_util::backoff::Backoff;
 use gdp_wire::Name;
 
 use super::names::{Names, RECORDS_SIZE};
 use super::revocations::Revocations;
 use super::wrapped_keys::WrappedKeyStore;
-use crate::rib::model::UpdateId;
+use crate::delta_sync::{DeltaSync, NextMessage};
+use crate::rib::model::{RegistrationKey, UpdateId};
 use crate::rib::registration::Registration;
 
 /// Maximum number of messages in flight to the entities at one switch, and to one entity.
 pub(super) const AT_ONCE: usize = 64;
 const AT_ONCE_TO_ONE: usize = 4;
 
-/// Initial and maximum delay before a full resend after a lost message. The delay doubles each
-/// time.
-const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(32));
+/// Delays before a full resend after lost messages.
+const RETRY: Backoff = Backoff::new(Duration::from_millis(500), Duration::from_secs(32));
 
 /// Bytes of a departed entity's entry in a message.
-const GONE_SIZE: usize = 40;
+const DEPARTED_SIZE: usize = 40;
 
 /// Sources from which updates are composed.
 #[derive(Clone, Copy)]
@@ -48,7 +48,7 @@ pub(super) struct UpdateSource<'a> {
 #[derive(Debug, Default)]
 pub(super) struct PeerUpdates {
     streams: BTreeMap<RegistrationKey, Box<Stream>>,
-    switches: BTreeMap<Name, Turns>,
+    switches: BTreeMap<Name, SwitchQueue>,
     retries: BTreeSet<(Duration, RegistrationKey)>,
     generation: u64,
 }
@@ -56,11 +56,10 @@ pub(super) struct PeerUpdates {
 #[derive(Debug)]
 struct Stream {
     switch: Name,
-    phase: Phase,
-    /// Counterparts whose records changed or ended, and counterparts of which only key boxes
-    /// changed.
-    records: BTreeSet<Name>,
-    boxes: BTreeSet<Name>,
+    /// The entity's copy of the list of its counterparts.
+    sync: DeltaSync<Name, CounterpartChange>,
+    /// The entity is to learn that its credential was revoked, and nothing after that.
+    is_farewell: bool,
     revocation: bool,
     /// Generation of the last message.
     sent: u64,
@@ -69,40 +68,34 @@ struct Stream {
     is_queued: bool,
     /// The full list was sent while the RIB settled and must be sent again.
     is_unsettled: bool,
-    wait: Duration,
+    backoff: Backoff,
     /// Earliest time at which a failure may move the stream to another switch. This is limited to
-    /// once per [wait](Self::wait), so that an entity that accepts nothing anywhere does not
+    /// once per [backoff](Self::backoff), so that an entity that accepts nothing anywhere does not
     /// receive messages without end.
-    turns_from: Duration,
+    moves_from: Duration,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Phase {
-    /// Part `part` of the full list is next, starting behind counterpart `after`.
-    Whole {
-        part: u32,
-        after: Option<Name>,
-    },
-    /// The entity holds everything except the marked changes.
-    Following,
-    Failed {
-        retry: Duration,
-    },
-    /// The entity is to learn that its credential was revoked, and nothing after that.
-    Farewell,
+/// What changed of a counterpart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum CounterpartChange {
+    /// Only its key boxes changed.
+    Boxes,
+    /// Its record changed or ended. Its key boxes may have changed as well.
+    Record,
 }
 
 /// Streams to one switch with pending messages, and the number of messages in flight.
 #[derive(Debug, Default)]
-struct Turns {
+struct SwitchQueue {
+    /// Entities with a stream that may be sent, in turn.
     entities: VecDeque<Name>,
-    desks: HashMap<Name, EntityQueue>,
+    queues: HashMap<Name, EntityQueue>,
     out: usize,
 }
 
 #[derive(Debug, Default)]
 struct EntityQueue {
-    queue: VecDeque<RegistrationKey>,
+    keys: VecDeque<RegistrationKey>,
     out: usize,
     is_listed: bool,
 }
@@ -120,7 +113,7 @@ impl PeerUpdates {
         only: bool,
         source: UpdateSource,
     ) -> (Peers, Option<u64>) {
-        let mut stream = Stream::new(switch, Phase::Whole { part: 0, after: None });
+        let mut stream = Stream::new(switch, DeltaSync::new());
         self.generation += 1;
         let peers = stream.message(&registration_key, self.generation, source);
         // The answer to a message in flight is ignored. A queued stream keeps its turn.
@@ -133,14 +126,14 @@ impl PeerUpdates {
     /// Returns the first part as [`Self::begin`] does, for a tool that receives no later updates.
     pub fn once(&mut self, registration_key: RegistrationKey, switch: Name, source: UpdateSource) -> Peers {
         self.generation += 1;
-        Stream::new(switch, Phase::Whole { part: 0, after: None }).message(&registration_key, self.generation, source)
+        Stream::new(switch, DeltaSync::new()).message(&registration_key, self.generation, source)
     }
 
     /// Sends the full list of counterparts again. A RIB that replaces another one does so.
     pub fn resume(&mut self, registration_key: RegistrationKey, switch: Name) {
         self.streams
             .entry(registration_key)
-            .or_insert_with(|| Stream::new(switch, Phase::Whole { part: 0, after: None }).into());
+            .or_insert_with(|| Stream::new(switch, DeltaSync::new()).into());
         self.queue(registration_key);
     }
 
@@ -150,9 +143,9 @@ impl PeerUpdates {
             return;
         }
         let ended = self.streams.remove(registration_key).map(|stream| *stream);
-        if let (Some(Stream { wait, turns_from, .. }), Some(other)) = (ended, other) {
-            let stream = Stream::new(other, Phase::Whole { part: 0, after: None });
-            self.streams.insert(*registration_key, Stream { wait, turns_from, ..stream }.into());
+        if let (Some(Stream { backoff, moves_from, .. }), Some(other)) = (ended, other) {
+            let stream = Stream::new(other, DeltaSync::new());
+            self.streams.insert(*registration_key, Stream { backoff, moves_from, ..stream }.into());
             self.queue(*registration_key);
         }
     }
@@ -160,18 +153,19 @@ impl PeerUpdates {
     /// Notifies an entity once that its credential is revoked. An entity that misses the message is
     /// refused at its next request.
     pub fn farewell(&mut self, registration_key: RegistrationKey, switch: Name) {
-        self.streams.insert(registration_key, Stream::new(switch, Phase::Farewell).into());
+        let stream = Stream { is_farewell: true, ..Stream::new(switch, DeltaSync::following()) };
+        self.streams.insert(registration_key, stream.into());
         self.queue(registration_key);
     }
 
     /// Marks a counterpart that appeared, departed or changed its credential.
     pub fn record_changed(&mut self, names: &Names, registration_key: RegistrationKey, counterpart: Name) {
-        self.mark(names, registration_key, |stream| _ = stream.records.insert(counterpart));
+        self.mark(names, registration_key, |stream| stream.sync.change(counterpart, CounterpartChange::Record));
     }
 
     /// Marks a counterpart that has new key boxes for the entity.
     pub fn boxes_changed(&mut self, names: &Names, registration_key: RegistrationKey, counterpart: Name) {
-        self.mark(names, registration_key, |stream| _ = stream.boxes.insert(counterpart));
+        self.mark(names, registration_key, |stream| stream.sync.change(counterpart, CounterpartChange::Boxes));
     }
 
     /// Marks a counterpart that has key boxes for the entity's inbox. The first of them starts the
@@ -196,7 +190,7 @@ impl PeerUpdates {
             Entry::Occupied(stream) => stream.into_mut(),
             Entry::Vacant(vacant) => {
                 let Some((switch, sent)) = names.last_update(&registration_key) else { return };
-                vacant.insert(Stream { sent, ..Stream::new(switch, Phase::Following) }.into())
+                vacant.insert(Stream { sent, ..Stream::new(switch, DeltaSync::following()) }.into())
             }
         };
         mark(stream);
@@ -206,8 +200,8 @@ impl PeerUpdates {
     /// Returns the updates to send now. Each must be answered with [`Self::answered`].
     pub fn next(&mut self, source: UpdateSource) -> Vec<PeersPush> {
         let mut pushes = Vec::new();
-        for (switch, turns) in &mut self.switches {
-            while let Some(registration_key) = turns.next() {
+        for (switch, queue) in &mut self.switches {
+            while let Some(registration_key) = queue.next() {
                 // The stream may have ended in the meantime and started again, here or elsewhere.
                 let here =
                     self.streams.get_mut(&registration_key).filter(|stream| stream.switch == *switch && !stream.is_out);
@@ -216,7 +210,7 @@ impl PeerUpdates {
                     stream.has_more().then_some(stream)
                 });
                 let Some(stream) = ready else {
-                    turns.done(&registration_key.entity);
+                    queue.done(&registration_key.entity);
                     continue;
                 };
                 self.generation += 1;
@@ -227,34 +221,33 @@ impl PeerUpdates {
                 pushes.push(PeersPush { switch: *switch, entity, name, role, peers });
             }
         }
-        self.switches.retain(|_, turns| !turns.is_idle());
+        self.switches.retain(|_, queue| !queue.is_idle());
         pushes
     }
 
     /// Records whether a message arrived. After a loss, the stream resends the full list: through
-    /// `other` at most once per [wait](Stream::wait), else later through the same switch.
+    /// `other` at most once per [backoff](Stream::backoff), else later through the same switch.
     ///
     /// Returns the generation that the entity holds, if nothing more is pending.
-    pub fn answered(&mut self, now: Duration, told: UpdateId, arrived: bool, other: Option<Name>) -> Option<u64> {
-        let UpdateId { switch, registration_key, generation } = told;
-        if let Some(turns) = self.switches.get_mut(&switch) {
-            turns.done(&registration_key.entity);
+    pub fn answered(&mut self, now: Duration, update: UpdateId, arrived: bool, other: Option<Name>) -> Option<u64> {
+        let UpdateId { switch, registration_key, generation } = update;
+        if let Some(queue) = self.switches.get_mut(&switch) {
+            queue.done(&registration_key.entity);
         }
         let stream =
             self.streams.get_mut(&registration_key).filter(|stream| stream.is_out && stream.sent == generation)?;
         stream.is_out = false;
-        if stream.phase == Phase::Farewell {
+        if stream.is_farewell {
             self.streams.remove(&registration_key);
         } else if arrived {
-            stream.wait = RETRY.0;
+            stream.backoff.reset();
             return self.go_on(registration_key, other.is_none());
-        } else if other.is_some() && now >= stream.turns_from {
-            stream.turns_from = now + stream.wait;
+        } else if other.is_some() && now >= stream.moves_from {
+            stream.moves_from = now + stream.backoff.delay();
             self.follow(&registration_key, &switch, other);
         } else {
-            let retry = now + stream.wait;
-            stream.wait = (stream.wait * 2).min(RETRY.1);
-            stream.phase = Phase::Failed { retry };
+            let retry = now + stream.backoff.next_delay();
+            stream.sync.failed(retry);
             self.retries.insert((retry, registration_key));
         }
         None
@@ -282,31 +275,18 @@ impl PeerUpdates {
     pub fn tick(&mut self, now: Duration) {
         while let Some((retry, registration_key)) = self.retries.first().copied().filter(|(retry, _)| *retry <= now) {
             self.retries.pop_first();
-            self.retry(registration_key, |phase| phase == Phase::Failed { retry });
+            self.restart(registration_key, |stream| stream.sync.retry_at() == Some(retry));
         }
     }
 
     /// Retries failed streams at once because their switch has reconnected.
     pub fn reconnected(&mut self, switch: &Name) {
-        let failed = |stream: &Stream| stream.switch == *switch && matches!(stream.phase, Phase::Failed { .. });
-        let stakes: Vec<_> = self
-            .streams
-            .iter()
-            .filter(|(_, stream)| failed(stream))
-            .map(|(registration_key, _)| *registration_key)
-            .collect();
-        stakes.into_iter().for_each(|registration_key| self.retry(registration_key, |_| true));
+        self.restart_all(|stream| stream.switch == *switch && stream.sync.retry_at().is_some());
     }
 
     /// Resends the full lists that were sent while the RIB settled.
     pub fn settled(&mut self) {
-        let unsettled = self
-            .streams
-            .iter()
-            .filter(|(_, stream)| stream.is_unsettled)
-            .map(|(registration_key, _)| *registration_key);
-        let stakes: Vec<_> = unsettled.collect();
-        stakes.into_iter().for_each(|registration_key| self.retry(registration_key, |phase| phase != Phase::Farewell));
+        self.restart_all(|stream| stream.is_unsettled && !stream.is_farewell);
     }
 
     #[cfg(test)]
@@ -314,9 +294,14 @@ impl PeerUpdates {
         self.streams.len()
     }
 
-    fn retry(&mut self, registration_key: RegistrationKey, due: impl FnOnce(Phase) -> bool) {
-        if let Some(stream) = self.streams.get_mut(&registration_key).filter(|stream| due(stream.phase)) {
-            stream.phase = Phase::Whole { part: 0, after: None };
+    fn restart_all(&mut self, is_due: impl Fn(&Stream) -> bool) {
+        let due: Vec<_> = self.streams.iter().filter(|(_, stream)| is_due(stream)).map(|(key, _)| *key).collect();
+        due.into_iter().for_each(|registration_key| self.restart(registration_key, |_| true));
+    }
+
+    fn restart(&mut self, registration_key: RegistrationKey, is_due: impl FnOnce(&Stream) -> bool) {
+        if let Some(stream) = self.streams.get_mut(&registration_key).filter(|stream| is_due(stream)) {
+            stream.sync.restart();
             self.queue(registration_key);
         }
     }
@@ -330,9 +315,9 @@ impl PeerUpdates {
     }
 }
 
-impl Turns {
+impl SwitchQueue {
     fn queue(&mut self, registration_key: RegistrationKey) {
-        self.desks.entry(registration_key.entity).or_default().queue.push_back(registration_key);
+        self.queues.entry(registration_key.entity).or_default().keys.push_back(registration_key);
         self.list(&registration_key.entity);
     }
 
@@ -342,90 +327,85 @@ impl Turns {
             return None;
         }
         let entity = self.entities.pop_front()?;
-        let desk = self.desks.get_mut(&entity)?;
-        desk.is_listed = false;
-        let registration_key = desk.queue.pop_front()?;
-        desk.out += 1;
+        let queue = self.queues.get_mut(&entity)?;
+        queue.is_listed = false;
+        let registration_key = queue.keys.pop_front()?;
+        queue.out += 1;
         self.out += 1;
         self.list(&entity);
         Some(registration_key)
     }
 
     fn done(&mut self, entity: &Name) {
-        let Some(desk) = self.desks.get_mut(entity).filter(|desk| desk.out > 0) else { return };
-        desk.out -= 1;
+        let Some(queue) = self.queues.get_mut(entity).filter(|queue| queue.out > 0) else { return };
+        queue.out -= 1;
         self.out -= 1;
-        if desk.out == 0 && desk.queue.is_empty() {
-            self.desks.remove(entity);
+        if queue.out == 0 && queue.keys.is_empty() {
+            self.queues.remove(entity);
         } else {
             self.list(entity);
         }
     }
 
     fn list(&mut self, entity: &Name) {
-        let desk = self.desks.get_mut(entity);
-        if let Some(desk) = desk.filter(|d| !d.is_listed && !d.queue.is_empty() && d.out < AT_ONCE_TO_ONE) {
-            desk.is_listed = true;
+        let may_send =
+            |queue: &&mut EntityQueue| !queue.is_listed && !queue.keys.is_empty() && queue.out < AT_ONCE_TO_ONE;
+        if let Some(queue) = self.queues.get_mut(entity).filter(may_send) {
+            queue.is_listed = true;
             self.entities.push_back(*entity);
         }
     }
 
     fn is_idle(&self) -> bool {
-        self.desks.is_empty()
+        self.queues.is_empty()
     }
 }
 
 impl Stream {
-    fn new(switch: Name, phase: Phase) -> Self {
-        let (records, boxes) = Default::default();
-        let (revocation, sent, is_out, is_queued, is_unsettled) = (false, 0, false, false, false);
-        let (wait, turns_from) = (RETRY.0, Duration::ZERO);
-        Self { switch, phase, records, boxes, revocation, sent, is_out, is_queued, is_unsettled, wait, turns_from }
+    fn new(switch: Name, sync: DeltaSync<Name, CounterpartChange>) -> Self {
+        Self {
+            switch,
+            sync,
+            is_farewell: false,
+            revocation: false,
+            sent: 0,
+            is_out: false,
+            is_queued: false,
+            is_unsettled: false,
+            backoff: RETRY,
+            moves_from: Duration::ZERO,
+        }
     }
 
     fn has_more(&self) -> bool {
-        match self.phase {
-            Phase::Whole { .. } | Phase::Farewell => true,
-            Phase::Following => !self.records.is_empty() || !self.boxes.is_empty() || self.revocation,
-            Phase::Failed { .. } => false,
-        }
+        self.is_farewell || self.sync.next_message().is_some() || (self.revocation && self.sync.is_following())
     }
 
     /// Returns whether the entity holds all updates.
     fn is_at_rest(&self) -> bool {
-        self.phase == Phase::Following && !self.has_more() && !self.is_unsettled
+        self.sync.is_following() && !self.has_more() && !self.is_unsettled
     }
 
     /// Composes the next message. Call it if [more is pending](Self::has_more).
     fn message(&mut self, registration_key: &RegistrationKey, generation: u64, source: UpdateSource) -> Peers {
         let extent = PeersExtent::Whole { part: 0, last: true };
-        let (records, gone, boxes) = (Vec::new(), Vec::new(), Vec::new());
+        let (records, departed, boxes) = (Vec::new(), Vec::new(), Vec::new());
         let UpdateSource { run, settling, .. } = source;
-        let mut peers = Peers { run, settling, generation, extent, records, gone, revocation: None, boxes };
+        let mut peers = Peers { run, settling, generation, extent, records, departed, revocation: None, boxes };
         let before = std::mem::replace(&mut self.sent, generation);
-        match self.phase {
-            Phase::Whole { part, after } => {
-                let end = source.fill(&mut peers, registration_key, after);
-                // This part covers all marked changes in its range. Changes before it wait for a
-                // later message.
-                let settled =
-                    |name: &Name| after.is_none_or(|after| *name > after) && end.is_none_or(|end| *name <= end);
-                self.records.retain(|name| !settled(name));
-                self.boxes.retain(|name| !settled(name));
-                peers.extent = PeersExtent::Whole { part, last: end.is_none() };
-                if part == 0 {
+        match self.sync.next_message() {
+            _ if self.is_farewell => self.revocation = true,
+            Some(NextMessage::Part { after }) => {
+                let part = self.sync.part_composed(source.fill(&mut peers, registration_key, after));
+                peers.extent = PeersExtent::Whole { part: part.number, last: part.is_last };
+                if part.number == 0 {
                     (self.revocation, self.is_unsettled) = (true, settling);
                 }
-                self.phase = match end {
-                    Some(_) => Phase::Whole { part: part + 1, after: end },
-                    None => Phase::Following,
-                };
             }
-            Phase::Following | Phase::Failed { .. } => {
+            Some(NextMessage::Delta) | None => {
                 peers.extent = PeersExtent::After(before);
                 self.changes(&mut peers, registration_key, source);
             }
-            Phase::Farewell => self.revocation = true,
         }
         if std::mem::take(&mut self.revocation) {
             peers.revocation =
@@ -436,19 +416,18 @@ impl Stream {
 
     fn changes(&mut self, peers: &mut Peers, registration_key: &RegistrationKey, source: UpdateSource) {
         let mut room = RECORDS_SIZE;
-        while let Some(name) = self.records.first().into_iter().chain(self.boxes.first()).min().copied() {
-            let size = source.size(registration_key, &name);
-            if size > room {
-                break;
-            }
-            room -= size;
-            if self.records.remove(&name) {
+        let mut fits = |name: &Name| {
+            let left = room.checked_sub(source.size(registration_key, name));
+            room = left.unwrap_or(room);
+            left.is_some()
+        };
+        while let Some((name, change)) = self.sync.next_change(&mut fits) {
+            if change == CounterpartChange::Record {
                 match source.record(registration_key, &name) {
                     Some(record) => peers.records.push(record),
-                    None => peers.gone.push(name),
+                    None => peers.departed.push(name),
                 }
             }
-            self.boxes.remove(&name);
             peers.boxes.extend(source.boxes.between(registration_key, &name).cloned());
         }
     }
@@ -483,7 +462,7 @@ impl UpdateSource<'_> {
     /// Returns the bytes of a counterpart's entry in a message.
     fn size(self, registration_key: &RegistrationKey, counterpart: &Name) -> usize {
         let registration = self.names.get(&registration_key.name, counterpart, registration_key.role.counterpart());
-        registration.map_or(GONE_SIZE, Registration::size) + self.boxes.size(registration_key, counterpart)
+        registration.map_or(DEPARTED_SIZE, Registration::size) + self.boxes.size(registration_key, counterpart)
     }
 
     /// Returns the record of a counterpart, if the entity may know it.

@@ -219,7 +219,7 @@ impl Rib {
         stored: StoredRegistration,
     ) -> Result<(), RestoreError> {
         let StoredRegistration { record, ends, everywhere, bound } = stored;
-        if record.place()? != *place {
+        if record.key()? != *place {
             return Err(RestoreError::Misplaced);
         }
         let RecordKey { name, role, entity, switch } = *place;

@@ -223,7 +223,7 @@ pub(super) fn may_hear(held: &TableRecord, asker: Name, home: Name) -> bool {
 /// Returns the key of an entry without verifying it.
 fn key_of(entry: &TierEntry) -> Option<TierKey> {
     match entry {
-        TierEntry::Part(abroad) => abroad.record.place().ok().map(TierKey::Part),
+        TierEntry::Part(abroad) => abroad.record.key().ok().map(TierKey::Part),
         TierEntry::Box(signed) => signed.claims_unverified().ok().map(|claims| TierKey::Box {
             writer: claims.writer,
             reader: claims.reader,

@@ -196,7 +196,7 @@ impl Tiers {
     /// Announces an entity's registration in this domain, verified by its RIB, with the switch of
     /// its attachment. A registration that only this domain may know is not stored.
     pub fn set_own(&mut self, now: Now, record: Record, host: Arc<Hosted>) -> Result<(), CertError> {
-        let place = record.place()?;
+        let place = record.key()?;
         let scope = record.credential.scope()?;
         if record.is_writer() && scope.iter().all(|domain| *domain == self.home) {
             self.remove_own(place);

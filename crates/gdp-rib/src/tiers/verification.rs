@@ -150,7 +150,7 @@ impl<R: Revoked> Verification<'_, R> {
         check_path(self.home, from, &abroad.path)?;
         let origin = abroad.path[0];
         let place =
-            abroad.record.place().map_err(|source: CertError| TierRefusal::Record { name, source: source.into() })?;
+            abroad.record.key().map_err(|source: CertError| TierRefusal::Record { name, source: source.into() })?;
         let said = self.now.clock + Duration::from_secs(abroad.record.expires_in.min(u32::MAX.into()));
         if let Some(Item::Part { record: held, .. }) = table.get(&TierKey::Part(place))
             && held.origin(self.home) == origin

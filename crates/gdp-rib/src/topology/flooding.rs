@@ -1,11 +1,15 @@
-//! Flooding state: which statements each neighbour still has to be sent. Unacknowledged batches are
-//! repeated. A statement received from a neighbour is not sent back to it. Only names are tracked
-//! here; [`super::database`] holds the statements.
+//! Flooding state: which link states each neighbour still has to be sent, as in the retransmission
+//! lists of OSPF. Unacknowledged batches are repeated. A link state received from a neighbour is
+//! not sent back to it. Only names are tracked here; [`super::database`] holds the link states.
+//!
+//! There is no full transfer after a loss, unlike in [`crate::delta_sync`]: each link state has its
+//! own version, so a lost batch concerns no other.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use gdp_proto::control::Flooded;
+use gdp_util::backoff::Backoff;
 use gdp_wire::Name;
 
 use super::database::Database;
@@ -18,8 +22,8 @@ const MOST_OUT: usize = 4;
 const BATCH_SIZE: usize = 48 * 1024;
 const STATE_SIZE: usize = 200;
 
-/// Initial and maximum delay before the next batch after a lost one. The delay doubles each time.
-const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
+/// Delays before the next batch after lost ones.
+const RETRY: Backoff = Backoff::new(Duration::from_millis(100), Duration::from_secs(5));
 
 /// Batch of statements for one neighbour.
 #[derive(Clone, Debug)]
@@ -46,13 +50,13 @@ struct PendingAcks {
     /// Batches in flight, with the switches whose statements they hold.
     out: BTreeMap<BatchId, Vec<Name>>,
     retry: Option<Duration>,
-    wait: Duration,
+    backoff: Backoff,
 }
 
 impl Flooding {
     pub fn up<'a>(&mut self, link: u32, all: impl Iterator<Item = &'a Name>) {
-        let desk = PendingAcks { owed: all.copied().collect(), out: BTreeMap::new(), retry: None, wait: RETRY.0 };
-        self.links.insert(link, desk);
+        let neighbour = PendingAcks { owed: all.copied().collect(), out: BTreeMap::new(), retry: None, backoff: RETRY };
+        self.links.insert(link, neighbour);
     }
 
     pub fn down(&mut self, link: u32) {
@@ -61,41 +65,41 @@ impl Flooding {
 
     /// Marks the new statement of a switch for all neighbours.
     pub fn owe_all(&mut self, switch: Name) {
-        for desk in self.links.values_mut() {
-            desk.owed.insert(switch);
+        for neighbour in self.links.values_mut() {
+            neighbour.owed.insert(switch);
         }
     }
 
     /// Marks a switch for this neighbour, which has shown that it lacks the newest statement.
     pub fn owe(&mut self, link: u32, switch: Name) {
-        if let Some(desk) = self.links.get_mut(&link) {
-            desk.owed.insert(switch);
+        if let Some(neighbour) = self.links.get_mut(&link) {
+            neighbour.owed.insert(switch);
         }
     }
 
     /// Unmarks a switch for this neighbour, which has shown that it holds the newest statement.
     pub fn holds(&mut self, link: u32, switch: &Name) {
-        if let Some(desk) = self.links.get_mut(&link) {
-            desk.owed.remove(switch);
+        if let Some(neighbour) = self.links.get_mut(&link) {
+            neighbour.owed.remove(switch);
         }
     }
 
     /// Returns the batches to send now.
     pub fn next(&mut self, now: Duration, database: &Database) -> Vec<Batch> {
         let mut batches = Vec::new();
-        for (link, desk) in &mut self.links {
-            if desk.retry.is_some_and(|at| at > now) {
+        for (link, neighbour) in &mut self.links {
+            if neighbour.retry.is_some_and(|at| at > now) {
                 continue;
             }
-            desk.retry = None;
-            while desk.out.len() < MOST_OUT && !desk.owed.is_empty() {
-                let (states, names) = desk.page(now, database);
+            neighbour.retry = None;
+            while neighbour.out.len() < MOST_OUT && !neighbour.owed.is_empty() {
+                let (states, names) = neighbour.page(now, database);
                 if states.is_empty() {
                     continue;
                 }
                 self.number += 1;
                 let id = BatchId { link: *link, number: self.number };
-                desk.out.insert(id, names);
+                neighbour.out.insert(id, names);
                 batches.push(Batch { id, states });
             }
         }
@@ -103,19 +107,18 @@ impl Flooding {
     }
 
     pub fn answered(&mut self, now: Duration, batch: BatchId, arrived: bool) {
-        let Some(desk) = self.links.get_mut(&batch.link) else { return };
-        let Some(names) = desk.out.remove(&batch) else { return };
+        let Some(neighbour) = self.links.get_mut(&batch.link) else { return };
+        let Some(names) = neighbour.out.remove(&batch) else { return };
         if arrived {
-            desk.wait = RETRY.0;
+            neighbour.backoff.reset();
             return;
         }
-        desk.owed.extend(names);
-        desk.retry = Some(now + desk.wait);
-        desk.wait = (desk.wait * 2).min(RETRY.1);
+        neighbour.owed.extend(names);
+        neighbour.retry = Some(now + neighbour.backoff.next_delay());
     }
 
     pub fn retry_at(&self) -> Option<Duration> {
-        self.links.values().filter_map(|desk| desk.retry).min()
+        self.links.values().filter_map(|neighbour| neighbour.retry).min()
     }
 }
 

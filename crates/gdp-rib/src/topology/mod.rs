@@ -26,6 +26,7 @@ use std::time::Duration;
 use gdp_core::cert::{Adjoining, CertError, LinkState, MAX_BORDERS, MAX_NEIGHBOURS, issue};
 use gdp_core::identity::Identity;
 use gdp_proto::control::Flooded;
+use gdp_util::backoff::Backoff;
 use gdp_wire::Name;
 
 use database::{Database, Taken};
@@ -42,11 +43,14 @@ const REFRESH: Duration = Duration::from_secs(LIFETIME as u64 / 3);
 
 const _: () = assert!(LIFETIME as u64 * 2 / 3 > gdp_core::peer::GRACEFUL_RESTART_TIME.as_secs());
 
-/// Minimum and maximum interval between two statements of this switch when its links change. The
-/// interval doubles with each change within twice its length. The first change after a quiet time
-/// is stated at once. A lost neighbour is always stated after the minimum, so a flapping link is
-/// stated as down rather than up.
-const BACKOFF: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(5));
+/// Minimum interval between two statements of this switch when its links change.
+const MIN_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Intervals between two statements of this switch when its links change. The interval doubles with
+/// each change within twice its length. The first change after a quiet time is stated at once. A
+/// lost neighbour is always stated after the minimum, so a flapping link is stated as down rather
+/// than up.
+const BACKOFF: Backoff = Backoff::new(MIN_INTERVAL, Duration::from_secs(5));
 
 /// Statement whose switch's signature is verified.
 pub struct Verified {
@@ -81,7 +85,7 @@ struct Own {
     stated: Option<Stated>,
     /// Time of the last statement or attempt.
     stated_at: Option<Duration>,
-    wait: Duration,
+    backoff: Backoff,
 }
 
 #[derive(Clone, Default, PartialEq, Eq)]
@@ -111,7 +115,7 @@ impl Topology {
     /// so from the first neighbour.
     pub fn new(identity: Identity, run: u64) -> Self {
         let own =
-            Own { identity, version: (run, 0), has: Stated::default(), stated: None, stated_at: None, wait: BACKOFF.0 };
+            Own { identity, version: (run, 0), has: Stated::default(), stated: None, stated_at: None, backoff: BACKOFF };
         let (database, flooding) = (Database::default(), Flooding::default());
         Self { own, database, flooding, paths: Paths::default(), is_stale: true }
     }
@@ -283,16 +287,18 @@ impl Own {
     fn next(&self, now: Duration) -> Option<Duration> {
         let Some(stated_at) = self.stated_at else { return Some(now) };
         let wait = match &self.stated {
-            Some(stated) if self.has.lacks_one_of(stated) => BACKOFF.0,
+            Some(stated) if self.has.lacks_one_of(stated) => MIN_INTERVAL,
             Some(stated) if *stated == self.has => REFRESH,
-            _ => self.wait,
+            _ => self.backoff.delay(),
         };
         Some(stated_at + wait)
     }
 
     fn state(&mut self, now: Duration) -> Result<(Flooded, LinkState), CertError> {
-        let recent = self.stated_at.is_some_and(|at| now < at + self.wait * 2);
-        self.wait = if recent { (self.wait * 2).min(BACKOFF.1) } else { BACKOFF.0 };
+        match self.stated_at {
+            Some(at) if now < at + self.backoff.delay() * 2 => _ = self.backoff.next_delay(),
+            _ => self.backoff.reset(),
+        }
         self.stated_at = Some(now);
         let (run, number) = match self.version {
             (run, u64::MAX) => (run.saturating_add(1), 1),

@@ -13,8 +13,9 @@ fn delays_double_up_to_the_longest_and_begin_again() {
         [1, 2, 3, 40, u32::MAX].map(|failures| backoff.after(failures)),
         [100, 200, 350, 350, 350].map(|ms| ms * MS)
     );
+    assert_eq!(backoff.delay(), 350 * MS);
     backoff.reset();
-    assert_eq!(backoff.next_delay(), 100 * MS);
+    assert_eq!([backoff.delay(), backoff.next_delay(), backoff.delay()], [100 * MS, 100 * MS, 200 * MS]);
 }
 
 #[test]

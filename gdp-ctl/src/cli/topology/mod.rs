@@ -48,7 +48,7 @@ fn names(client: &mut Client) -> anyhow::Result<BTreeMap<Name, Vec<String>>> {
             let line = format!("{:#} {}", record.name, record.role()?);
             names.entry(record.switch).or_default().push(line);
         }
-        after = records.last().map(Record::place).transpose()?;
+        after = records.last().map(Record::key).transpose()?;
         if !more || after.is_none() || seen >= MOST_RECORDS {
             return Ok(names);
         }

@@ -12,7 +12,7 @@ use crate::config::Via;
 use crate::domain::{Admission, Credentials};
 
 impl Core {
-    /// Returns the standing under which a peer gets a link on its incoming path. Fails with the
+    /// Returns the relationship under which a peer gets a link on its incoming path. Fails with the
     /// reason if it gets none.
     pub fn admit(&self, link: &Link, via: &Via) -> Result<Admission, String> {
         let peer = link.peer();

@@ -33,7 +33,7 @@ impl LinkState {
 
     /// Returns the peer's domain, if the peer is a border of another domain.
     pub fn domain(&self) -> Option<Name> {
-        match self.admission.standing {
+        match self.admission.relationship {
             Relationship::Border { domain, .. } => Some(domain),
             _ => None,
         }
@@ -43,7 +43,7 @@ impl LinkState {
 /// Returns the role that the data planes give the peer of a link.
 pub fn role_on(link: &Link, admission: &Admission) -> LinkRole {
     match link.peer().role {
-        _ if admission.standing.is_border() => LinkRole::Border,
+        _ if admission.relationship.is_border() => LinkRole::Border,
         Role::Endpoint => LinkRole::Endpoint,
         Role::Switch => LinkRole::Switch,
     }
@@ -51,7 +51,7 @@ pub fn role_on(link: &Link, admission: &Admission) -> LinkRole {
 
 /// Returns the flags of a link's data-plane entry: whether the peer's domain has transit.
 pub fn flags_of(admission: &Admission) -> u16 {
-    match &admission.standing {
+    match &admission.relationship {
         Relationship::Border { ours, .. } if ours.transit => LinkEntry::TRANSIT,
         _ => 0,
     }

@@ -72,12 +72,12 @@ impl Neighbours {
     pub fn adjacencies(&self, switch: &Switch) -> Adjacencies {
         const SWITCH: u32 = LinkRole::Switch as u32;
         let live = switch.links.values().filter(|state| switch.has_carrier(state.to));
-        let live = live.map(|state| (true, state.role(), state.link.peer().name, Some(&state.admission.standing)));
+        let live = live.map(|state| (true, state.role(), state.link.peer().name, Some(&state.admission.relationship)));
         let stale = switch.stale.iter().filter(|stale| switch.has_carrier(stale.to));
         let stale = stale.map(|stale| (false, stale.entry.role, stale.peer, stale.relationship.as_ref()));
         let mut all = Adjacencies::default();
-        for (is_live, role, peer, standing) in live.chain(stale) {
-            match standing {
+        for (is_live, role, peer, relationship) in live.chain(stale) {
+            match relationship {
                 Some(Relationship::Border { domain, ours, theirs }) => {
                     let (domain, cost) = (*domain, self.cost(&peer));
                     let (transit, ours_transit) = (theirs.transit, ours.transit);

@@ -129,7 +129,7 @@ impl Core {
             let reason = format!("domain {domain:#} has asked for too many traces; try again in a second");
             return Err(Refusal::new(RefusalCode::Limit, reason));
         }
-        let is_transit = matches!(&state.admission.standing, Relationship::Border { ours, .. } if ours.transit);
+        let is_transit = matches!(&state.admission.relationship, Relationship::Border { ours, .. } if ours.transit);
         check_path(&request.path, &domain, &home)?;
         // The refusal is the same for an unknown name and for one to which the domain may not send.
         if !self.switch.planes.writers(&request.name).contains(&id) {

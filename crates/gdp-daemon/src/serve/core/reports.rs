@@ -18,9 +18,9 @@ impl Core {
         let link = self.link_toward(&by).ok()?;
         self.rib_client.report = Report::Sent;
         let attached = self.switch.attached.iter().copied().collect();
-        let shown = self.membership.statement(&self.identity).map(Box::new);
+        let membership = self.membership.statement(&self.identity).map(Box::new);
         let (switch, own_bit) = (self.identity.proof(), self.switch.routes.own_bit());
-        let report = Request::Report { switch, attached, own_bit, shown };
+        let report = Request::Report { switch, attached, own_bit, membership };
         let follows = self.rib_client.fence.follows();
         Some(PendingReport { by, run, follows, link, request: onward(by, report) })
     }

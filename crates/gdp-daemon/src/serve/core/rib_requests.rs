@@ -57,8 +57,8 @@ impl Core {
             Request::Relay { switch, entity, by_tool, request } => {
                 rib_host.request(now, domain, switch, (entity.as_ref(), by_tool), &request)
             }
-            Request::Report { switch, attached, own_bit, shown } => {
-                rib_host.report(now, domain, &switch, (&attached, own_bit), shown.map(|shown| *shown))
+            Request::Report { switch, attached, own_bit, membership } => {
+                rib_host.report(now, domain, &switch, (&attached, own_bit), membership.map(|membership| *membership))
             }
             Request::Detach { switch, entity } => rib_host.detach(now, &switch, &entity),
             _ => refuse(RefusalCode::Malformed, "not a request to a RIB"),

@@ -194,5 +194,5 @@ impl Home {
 }
 
 fn place(record: &Record) -> RecordKey {
-    record.place().unwrap()
+    record.key().unwrap()
 }

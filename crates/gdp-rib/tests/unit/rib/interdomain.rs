@@ -338,7 +338,7 @@ fn of_several_that_tell_the_newest_counts_and_then_the_nearest() {
         Foreign { record, domain, next, hops, boxes: vec![], local: true }
     };
     let old = foreign(&mut f, 1, 5, 3);
-    let place = old.record.place().unwrap();
+    let place = old.record.key().unwrap();
     let now = f.domains[1].now;
     let next =
         |f: &Federation| f.domains[1].rib.export(now, &place).and_then(|export| export.origin).map(|(_, next)| next);
@@ -367,7 +367,7 @@ fn what_another_neighbour_says_is_not_lost_for_lack_of_room() {
     let writer = f.domains[0].attached("writer", 0);
     f.domains[0].publish(&writer, 0, 1);
     let (records, _) = f.domains[0].rib.records(f.domains[0].now, None, 1);
-    let (place, now) = (records[0].place().unwrap(), f.domains[1].now);
+    let (place, now) = (records[0].key().unwrap(), f.domains[1].now);
     let tell = |f: &mut Federation, next: usize| {
         let (record, domain, next, hops) = (records[0].clone(), domain(0), domain(next), next as u32);
         f.domains[1].rib.set_foreign(now, Foreign { record, domain, next, hops, boxes: vec![], local: true })

@@ -23,7 +23,7 @@ fn of_who_has_been_told_all_no_stream_is_kept_and_changes_follow_all_the_same() 
     let pushes = w.tell();
     let [to_reader] = &pushes[..] else { panic!("{pushes:?}") };
     assert!(matches!(to_reader.peers.extent, PeersExtent::After(_)), "not the whole: {to_reader:?}");
-    assert_eq!((to_reader.peers.records.len(), &to_reader.peers.gone[..]), (1, &[robot.name()][..]));
+    assert_eq!((to_reader.peers.records.len(), &to_reader.peers.departed[..]), (1, &[robot.name()][..]));
     assert_eq!((w.tell_all(), w.rib.peer_updates.streams()), (0, 0));
     w.check_record_limit();
 }

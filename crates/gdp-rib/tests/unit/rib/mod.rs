@@ -234,7 +234,7 @@ fn a_reader_is_told_of_its_writers_in_order() {
     let pushes = pushed(&mut w);
     let [second] = &pushes[..] else { panic!("{pushes:?}") };
     assert_eq!(second.peers.extent, PeersExtent::After(first.peers.generation));
-    assert_eq!((second.peers.records.len(), &second.peers.gone[..]), (1, &[robot.name()][..]));
+    assert_eq!((second.peers.records.len(), &second.peers.departed[..]), (1, &[robot.name()][..]));
 
     w.rib.update_answered(w.now, UpdateId::from(second), false);
     assert!(pushed(&mut w).is_empty(), "not at once after a failure");
@@ -443,7 +443,7 @@ fn a_query_is_answered_page_by_page() {
     let prefix: NamePrefix = w.card.name().into();
     let mut found: Vec<Record> = Vec::new();
     loop {
-        let after = found.last().map(|record| record.place().unwrap());
+        let after = found.last().map(|record| record.key().unwrap());
         let request = EntityRequest::Query { prefix: prefix.clone(), after };
         let response = w.rib.request(w.now, w.switch(0), None, false, &request);
         control::encode(&response).expect("fits a message");
@@ -454,11 +454,11 @@ fn a_query_is_answered_page_by_page() {
             break;
         }
     }
-    assert!(found.len() == 151 && found.is_sorted_by_key(|record| record.place().unwrap()));
+    assert!(found.len() == 151 && found.is_sorted_by_key(|record| record.key().unwrap()));
     let (all, more) = w.rib.records(w.now, None, 151);
     assert_eq!((all.len(), more), (151, false));
-    let (rest, more) = w.rib.records(w.now, Some(found[99].place().unwrap()), 50);
-    assert!(more && rest.iter().zip(&found[100..]).all(|(a, b)| a.place().unwrap() == b.place().unwrap()));
+    let (rest, more) = w.rib.records(w.now, Some(found[99].key().unwrap()), 50);
+    assert!(more && rest.iter().zip(&found[100..]).all(|(a, b)| a.key().unwrap() == b.key().unwrap()));
 }
 
 #[test]

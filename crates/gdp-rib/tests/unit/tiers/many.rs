@@ -57,7 +57,7 @@ fn one_neighbour_fills_no_name() {
     assert_eq!((v.entries(), v.counted("name_limit")), (2, 2));
     let (again, other) = (part(&mut v, 0, 100), part(&mut v, 1, 103));
     assert!(matches!(v.push(vec![again, other]), TierResponse::Done), "what replaces one, and another name");
-    let gone = TierKey::Part(v.part_in(2, 0, 101, &[0]).record.place().unwrap());
+    let gone = TierKey::Part(v.part_in(2, 0, 101, &[0]).record.key().unwrap());
     v.remove(vec![gone]);
     assert!(matches!(v.push(vec![all[2].clone()]), TierResponse::Done), "there is room again");
     assert_eq!((v.entries(), v.counted("name_limit")), (3, 2));
@@ -121,7 +121,7 @@ fn template() -> TableRecord {
     let mut w = World::new(1, &[&[]]);
     let record = w.record(0, 0, 0, Publisher, &[]);
     let (place, host, ends) =
-        (record.place().unwrap(), hosted(w.domains[0].identity.name(), &w.domains[0].host), w.now.clock);
+        (record.key().unwrap(), hosted(w.domains[0].identity.name(), &w.domains[0].host), w.now.clock);
     TableRecord { key: place, record, host, path: Vec::new(), scope: Vec::new(), ends }
 }
 

@@ -205,7 +205,7 @@ impl World {
     pub fn state(&mut self, at: usize, topic: usize, entity: usize, role: NameRole, scope: &[usize]) -> RecordKey {
         let scope: Vec<Name> = scope.iter().map(|index| self.domains[*index].identity.name()).collect();
         let record = self.record(at, topic, entity, role, &scope);
-        let place = record.place().unwrap();
+        let place = record.key().unwrap();
         let (now, domain) = (self.now, &mut self.domains[at]);
         domain.tiers.set_own(now, record.clone(), hosted(domain.identity.name(), &domain.host)).unwrap();
         domain.parts.insert(place, Part { record, scope, at });
@@ -456,7 +456,7 @@ impl World {
                     && domain.parts.values().any(|own| meets(own, other))
             };
             let expected: BTreeSet<RecordKey> =
-                all.iter().filter(hears).map(|part| part.record.place().unwrap()).collect();
+                all.iter().filter(hears).map(|part| part.record.key().unwrap()).collect();
             let known: BTreeSet<RecordKey> = domain
                 .known
                 .values()
@@ -468,7 +468,7 @@ impl World {
             assert_eq!(known, expected, "{what}: what domain {index} knows");
 
             // Keys come for those who are to have them, and none for anybody who is not here.
-            let other_parts = all.iter().filter(|part| known.contains(&part.record.place().unwrap()));
+            let other_parts = all.iter().filter(|part| known.contains(&part.record.key().unwrap()));
             let pairs: BTreeSet<(Name, Name)> = other_parts
                 .flat_map(|other| domain.parts.values().filter(|own| meets(own, other)).map(move |own| (other, own)))
                 .map(|(other, own)| (other.record.entity.name().unwrap(), own.record.entity.name().unwrap()))
@@ -544,7 +544,7 @@ fn box_key(signed: &Signed<KeyBox>) -> TierKey {
 
 fn places(entries: &[TierEntry]) -> Vec<RecordKey> {
     let places = entries.iter().filter_map(|entry| match entry {
-        TierEntry::Part(abroad) => Some(abroad.record.place().unwrap()),
+        TierEntry::Part(abroad) => Some(abroad.record.key().unwrap()),
         _ => None,
     });
     places.collect()

@@ -48,7 +48,7 @@ impl Switch {
         self.events.tell(Event::LinkUp {
             peer,
             role: link_role(entry.role),
-            relationship: (&admission.standing).into(),
+            relationship: (&admission.relationship).into(),
             via: via.to_string(),
             address: to.to_string(),
         });
@@ -105,7 +105,7 @@ impl Switch {
         }
         let time = if is_replaced { GRACE } else { GRACEFUL_RESTART_TIME };
         let (until, id) = (Instant::now() + time, Reservation::Closed { link });
-        let stale = StaleLink { peer, lane, role, entry, to, until, relationship: Some(admission.standing), id };
+        let stale = StaleLink { peer, lane, role, entry, to, until, relationship: Some(admission.relationship), id };
         if let Some(first) = self.stale.keep(stale) {
             self.release(first);
         }
@@ -142,12 +142,12 @@ impl Switch {
         }
     }
 
-    /// Updates a link whose peer renewed its credentials. Fails if the peer's standing changed,
+    /// Updates a link whose peer renewed its credentials. Fails if the peer's relationship changed,
     /// which needs a new link.
     pub fn readmit(&mut self, link: &Link, admission: Admission) -> Result<(), String> {
         let Some(state) = self.links.get_mut(&link.local_id()) else { return Ok(()) };
-        if admission.standing.as_str() != state.admission.standing.as_str() {
-            let (was, is) = (state.admission.standing.as_str(), admission.standing.as_str());
+        if admission.relationship.as_str() != state.admission.relationship.as_str() {
+            let (was, is) = (state.admission.relationship.as_str(), admission.relationship.as_str());
             return Err(format!("the peer was taken as {was} and is {is} now: make the link anew"));
         }
         let is_other = flags_of(&admission) != state.entry.flags;
@@ -171,12 +171,12 @@ impl Switch {
         let is_due = |state: &&mut LinkState| !only_ended || state.admission.until < now;
         for state in self.links.values_mut().filter(is_due).filter(|state| state.link.close_reason().is_none()) {
             match admit(&state.link) {
-                Ok(admission) if admission.standing.as_str() == state.admission.standing.as_str() => {
+                Ok(admission) if admission.relationship.as_str() == state.admission.relationship.as_str() => {
                     changed.extend((flags_of(&admission) != state.entry.flags).then_some(state.entry.id));
                     state.admission = admission;
                 }
                 Ok(admission) => {
-                    let is = admission.standing.as_str();
+                    let is = admission.relationship.as_str();
                     refused.push((state.link.clone(), format!("the peer is {is} now: make the link anew")));
                 }
                 Err(error) => refused.push((state.link.clone(), error.to_string())),

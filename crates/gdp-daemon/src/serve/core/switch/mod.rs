@@ -250,7 +250,7 @@ impl Switch {
         let mut end = TracedEnd::default();
         let Some(entry) = self.planes.route(name) else { return end };
         for id in self.planes.readers(&entry) {
-            match self.links.get(&id).map(|state| (&state.admission.standing, state.link.peer().name)) {
+            match self.links.get(&id).map(|state| (&state.admission.relationship, state.link.peer().name)) {
                 Some((Relationship::Border { domain, .. }, switch)) if end.beyond.len() < MAX_BEYOND => {
                     end.beyond.push((*domain, switch));
                 }
