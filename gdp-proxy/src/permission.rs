@@ -62,10 +62,7 @@ pub fn check_permission(
     match side {
         Side::Out => {
             let cert = Issued::<AdCert>::from_pem(text)?;
-            let certified = cert.verify(&card.proof(), None, now)?.entity;
-            if certified != entity {
-                return Err(CertError::WrongEntity { expected: entity, got: certified });
-            }
+            cert.verify_for(&card.proof(), entity, None, now)?;
             Ok(Permission::Publish(cert))
         }
         Side::In => {

@@ -2,9 +2,9 @@
 //!
 //! [`roster`] describes the publishers of a topic. [`catalog`] lists the names that a proxy
 //! exposes. [`call`] frames the requests and replies of services and actions. [`action`] tracks
-//! goals. [`names`] validates ROS names. [`types`] and [`services`] convert messages between types
-//! and encodings. [`compression`] compresses message bodies. This crate does no I/O and holds no
-//! ROS graph; the proxy does both.
+//! goals. [`names`] validates ROS names. [`qos_mapping`] maps QoS to the fabric. [`types`] and
+//! [`services`] convert messages between types and encodings. [`compression`] compresses message
+//! bodies. This crate does no I/O and holds no ROS graph; `gdp-proxy` and `gdp-ctl topic` do both.
 #![deny(unsafe_code)]
 // These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
@@ -14,6 +14,7 @@ pub mod call;
 pub mod catalog;
 pub mod compression;
 pub mod names;
+pub mod qos_mapping;
 pub mod roster;
 pub mod services;
 pub mod types;

@@ -22,6 +22,7 @@ mod node;
 mod output;
 mod peer;
 mod ping;
+mod progress;
 mod query;
 mod revocation;
 mod schema;

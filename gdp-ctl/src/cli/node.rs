@@ -15,6 +15,7 @@ use gdp_util::terminal::note;
 
 use super::key::Kind;
 use crate::cli::context::Context;
+use crate::cli::progress::while_waiting;
 use crate::ros::feed::Feed;
 use crate::ros::{fabric::Fabric, fabric::identity, fabric::local_switch, keyring::Keyring, keyring::called};
 use gdp_daemon::folders;
@@ -75,7 +76,8 @@ impl NodeOptions {
         // One thread keeps the link alive while another writes to a terminal that is stopped.
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
         runtime.block_on(async {
-            let fabric = Fabric::join(keyring, identity, switch).await?;
+            let attaching = format!("attaching at {switch}");
+            let fabric = while_waiting(&attaching, Fabric::join(keyring, identity, switch)).await?;
             let done = what(&fabric).await;
             fabric.node.close().await;
             done

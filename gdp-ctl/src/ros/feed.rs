@@ -9,7 +9,7 @@ use gdp::Subscription;
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::Message;
 use gdp_msg::{Base, Encoding, Mapping, Options, Schema};
-use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, ROSTER, Taken};
+use gdp_ros::roster::{Change, Dialect, Event, Incoming, Kind, Offer};
 use gdp_ros::types::{TypeError, Types, unsealed};
 use gdp_wire::Name;
 use serde_json::Value;
@@ -80,55 +80,41 @@ impl Feed {
     /// Takes in what comes next, whatever it is. Safe to cancel.
     pub async fn step(&mut self) -> Option<()> {
         tokio::select! {
-            message = self.subscription.recv() => self.take(message?),
+            message = self.subscription.recv() => {
+                let events = self.incoming.receive(Instant::now(), message?);
+                events.into_iter().for_each(|event| self.on_event(event));
+            }
             () = tokio::time::sleep(LOOK) => {
-                let (changes, forgotten) = self.incoming.poll(Instant::now());
-                self.change(changes);
-                self.leave_out(forgotten);
+                let events = self.incoming.poll(Instant::now());
+                events.into_iter().for_each(|event| self.on_event(event));
             }
         }
         Some(())
     }
 
-    fn take(&mut self, message: Message) {
-        if message.encoding != ROSTER {
-            return self.sort(message);
-        }
-        match self.incoming.roster(Instant::now(), &message) {
-            Ok((changes, released)) => {
-                self.change(changes);
-                released.into_iter().for_each(|message| self.sort(message));
-            }
-            Err(error) => {
-                self.said.push(format!("what {:#} says of its publishers is not understood: {error}", message.writer))
-            }
-        }
-    }
-
-    fn sort(&mut self, message: Message) {
-        match self.incoming.message(Instant::now(), message) {
-            Taken::From(number, message) => {
+    fn on_event(&mut self, event: Event) {
+        match event {
+            Event::Changes(changes) => self.change(changes),
+            Event::Message(number, message) => {
                 if let Some(RemotePublisher { kind, definition, .. }) =
                     self.publishers.get(&(message.writer, number)).cloned()
                 {
                     self.released.push_back(ReceivedMessage { message, kind, definition });
                 }
             }
-            Taken::Plain(message) => match self.carded.clone() {
+            Event::Plain(message) => match self.carded.clone() {
                 Some(kind) => self.released.push_back(ReceivedMessage { message, kind, definition: None }),
                 None => self.said.push(format!(
                     "{:#} does not say of what type its messages are, and the name's card does not either",
                     message.writer
                 )),
             },
-            Taken::Pending => {}
-            Taken::Crowded(gone) => self.leave_out(gone),
-        }
-    }
-
-    fn leave_out(&mut self, messages: usize) {
-        if messages > 0 {
-            self.said.push(format!("{messages} messages are left out: their writers do not say of what they are"));
+            Event::Unannounced(messages) => {
+                self.said.push(format!("{messages} messages are left out: their writers do not say of what they are"))
+            }
+            Event::Malformed(writer, error) => {
+                self.said.push(format!("what {writer:#} says of its publishers is not understood: {error}"))
+            }
         }
     }
 

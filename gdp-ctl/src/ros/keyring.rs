@@ -204,11 +204,7 @@ impl Keyring {
     pub fn ad(&self, card: &NameCard, entity: Name, now: u64) -> Result<Issued<AdCert>, RightError> {
         let ours = self.ads.iter().filter(|(_, of, _)| *of == card.name());
         let checked = ours.map(|(file, _, ad)| {
-            let claims = ad.verify(&card.proof(), None, now);
-            let until = claims.and_then(|claims| match claims.entity == entity {
-                true => Ok(claims.not_after),
-                false => Err(CertError::WrongEntity { expected: entity, got: claims.entity }),
-            });
+            let until = ad.verify_for(&card.proof(), entity, None, now).map(|claims| claims.not_after);
             (file, ad, until)
         });
         newest(checked, card)?

@@ -126,7 +126,12 @@ async fn what_is_published_at_the_command_line_arrives_with_its_roster() {
             message = Some(got);
             continue;
         }
-        for change in incoming.roster(Instant::now(), &got).unwrap().0 {
+        let events = incoming.receive(Instant::now(), got);
+        let changes = events.into_iter().flat_map(|event| match event {
+            roster::Event::Changes(changes) => changes,
+            other => panic!("{other:?}"),
+        });
+        for change in changes {
             match change {
                 Change::Joined { number, kind, offers, .. } => joined = Some((number, kind, offers)),
                 Change::Left { .. } | Change::Silent { .. } => left = true,

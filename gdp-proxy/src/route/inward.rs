@@ -15,13 +15,13 @@ use super::format::Inbound;
 use super::local::{Local, Made};
 use super::locals::{Locals, Whose};
 use super::{Route, Way};
-use crate::delivery::subscribe_options;
 use crate::graph::Graph;
 use crate::peer_proxies::Candidate;
+use crate::qos_mapping::subscribe_options;
 use crate::ros2::{Qos, TypeName};
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
-use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, ROSTER, Taken};
+use gdp_ros::roster::{Change, Dialect, Event, Incoming, Kind, Offer};
 use gdp_ros::types::Form;
 
 const NOT_SAID: &str = "its writer does not say of what it is";
@@ -96,9 +96,9 @@ impl Route {
                         let Some(Some(message)) = next.now_or_never() else { break };
                         self.take(to, message).await;
                     }
-                    let (changes, forgotten) = to.incoming.poll(Instant::now());
-                    self.change(to, changes).await;
-                    self.drop_all(Drop::Unannounced, forgotten as u64, NOT_SAID);
+                    for event in to.incoming.poll(Instant::now()) {
+                        self.on_event(to, event).await;
+                    }
                     to.misfit = self.misfit(to);
                     self.look(to).await;
                     continue;
@@ -119,33 +119,24 @@ impl Route {
         if to.candidate.is_twin(Instant::now(), &message.writer) {
             return self.drop(Drop::Own, "another proxy of the same ROS graph wrote it");
         }
-        if message.encoding == ROSTER {
-            match to.incoming.roster(Instant::now(), &message) {
-                Ok((changes, released)) => {
-                    self.change(to, changes).await;
-                    for message in released {
-                        self.sort(to, message).await;
-                    }
-                }
-                Err(error) => self.drop(Drop::Malformed, format_args!("{:#}: {error}", message.writer)),
-            }
-            return;
+        for event in to.incoming.receive(Instant::now(), message) {
+            self.on_event(to, event).await;
         }
-        self.sort(to, message).await;
     }
 
-    async fn sort(&self, to: &mut In<'_>, message: Message) {
-        match to.incoming.message(Instant::now(), message) {
-            Taken::From(number, message) => self.write(to, Some((message.writer, number)), message).await,
-            Taken::Plain(message) => {
+    async fn on_event(&self, to: &mut In<'_>, event: Event) {
+        match event {
+            Event::Changes(changes) => self.change(to, changes).await,
+            Event::Message(number, message) => self.write(to, Some((message.writer, number)), message).await,
+            Event::Plain(message) => {
                 if to.locals.get(&None).is_none() {
                     to.locals.insert(None, plain(to.kind));
                     self.make(to).await;
                 }
                 self.write(to, None, message).await;
             }
-            Taken::Pending => {}
-            Taken::Crowded(gone) => self.drop_all(Drop::Unannounced, gone as u64, NOT_SAID),
+            Event::Unannounced(messages) => self.drop_all(Drop::Unannounced, messages as u64, NOT_SAID),
+            Event::Malformed(writer, error) => self.drop(Drop::Malformed, format_args!("{writer:#}: {error}")),
         }
     }
 

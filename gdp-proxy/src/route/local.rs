@@ -9,9 +9,9 @@ use gdp_util::backoff::Backoff;
 
 use super::format::Inbound;
 use super::pending_match::PendingMatch;
-use crate::delivery::latched;
 use crate::graph::{WriteError, Writer};
 use crate::stats::{Drop, RouteCounters};
+use gdp_ros::qos_mapping::latched_depth;
 use gdp_ros::roster::{Kind, Offer};
 use gdp_ros::types::Types;
 
@@ -128,7 +128,7 @@ impl Local {
 
     /// Stores a message in the history, if its publisher is transient-local.
     pub fn keep(&mut self, message: &Message) {
-        let most = latched(&self.offers);
+        let most = latched_depth(&self.offers);
         if most == 0 {
             return self.forget();
         }

@@ -13,12 +13,13 @@ use tokio::runtime::Handle;
 use super::format::Outbound;
 use super::pace::Pace;
 use super::{Published, Route, Way};
-use crate::delivery::{lacks, latched, publish_options, stronger};
 use crate::graph::{Arrived, Event, GraphError, Key, Reader};
 use crate::offload::is_large;
+use crate::qos_mapping::publish_options;
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
-use gdp_ros::roster::{self, Announcement, Kind, Offer, Outgoing};
+use gdp_ros::qos_mapping::{exceeds, latched_depth, merged};
+use gdp_ros::roster::{self, Kind, Offer, Outgoing};
 
 /// Reasons for which a route must publish its name anew.
 enum Turn {
@@ -75,7 +76,7 @@ impl Route {
             pause = RETRY;
             self.is_up(candidate);
             self.show_out("up", &out.incompatible_publishers);
-            out.roster.offers().for_each(|(number, offers)| new.latch(&roster::origin(number), latched(&offers)));
+            out.roster.offers().for_each(|(number, offers)| new.latch(&roster::origin(number), latched_depth(&offers)));
             out.wait_for_reader(new).await?;
             let turn = self.carry_out(&mut out, new, right).await?;
             let published = publisher.take();
@@ -140,7 +141,7 @@ impl Route {
         };
         let mut roster = Outgoing::new(kind.clone(), definition);
         first.into_iter().for_each(|key| roster.joined(key, offered));
-        let offers = offers.map_or(offered, |before| stronger(before, offered));
+        let offers = offers.map_or(offered, |before| merged(before, offered));
         Ok(Out {
             reader,
             roster,
@@ -197,10 +198,10 @@ impl Route {
                     let offers = self.config.qos.map_or(offers, Offer::from);
                     out.roster.joined(key, offers);
                     if let Some(number) = out.roster.number(&key) {
-                        publisher.latch(&roster::origin(number), latched(&offers));
+                        publisher.latch(&roster::origin(number), latched_depth(&offers));
                     }
-                    let is_lacking = lacks(&out.offers, &offers);
-                    out.offers = stronger(out.offers, offers);
+                    let is_lacking = exceeds(&offers, &out.offers);
+                    out.offers = merged(out.offers, offers);
                     if is_lacking {
                         return Ok(Turn::More);
                     }
@@ -251,11 +252,8 @@ impl Route {
 
     /// Sends a roster, if one is due.
     fn announce(&self, out: &mut Out<'_>, publisher: &Publisher) {
-        match out.roster.poll(Instant::now()) {
-            Ok(None) => {}
-            Ok(Some(Announcement::Whole(body))) => publisher.pin(roster::ROSTER, &body),
-            Ok(Some(Announcement::Brief(body))) => publisher.mention(roster::ROSTER, &body),
-            Err(error) => tracing::error!(topic = %self.config.topic, "no roster: {error}"),
+        if let Err(error) = out.roster.announce(Instant::now(), publisher) {
+            tracing::error!(topic = %self.config.topic, "no roster: {error}");
         }
     }
 

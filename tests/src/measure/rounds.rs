@@ -2,6 +2,7 @@
 //! all of them; every other round goes backwards, so that none always follows the same one.
 
 use anyhow::{Context, Result};
+use indicatif::{ProgressBar, ProgressStyle};
 
 use super::figure::Measure;
 
@@ -28,9 +29,12 @@ impl<'a> Contender<'a> {
     }
 }
 
-/// Measures all contenders `rounds` times, at least once.
+/// Measures all contenders `rounds` times, at least once. Shows the progress if stderr is a
+/// terminal.
 pub fn alternate(rounds: usize, mut contenders: Vec<Contender<'_>>) -> Result<Vec<Measure>> {
     let mut samples: Vec<Vec<Sample>> = contenders.iter().map(|_| Vec::new()).collect();
+    let progress = ProgressBar::new(((rounds.max(1) + 1) * contenders.len()) as u64);
+    progress.set_style(ProgressStyle::with_template("{wide_bar} {pos}/{len}, {eta} left: {msg}")?);
     // The first round warms caches and neighbour tables up.
     for round in 0..=rounds.max(1) {
         let mut order: Vec<usize> = (0..contenders.len()).collect();
@@ -40,12 +44,15 @@ pub fn alternate(rounds: usize, mut contenders: Vec<Contender<'_>>) -> Result<Ve
         for i in order {
             crate::wait::check_interrupt()?;
             let Contender { series, case, measure } = &mut contenders[i];
+            progress.set_message(format!("{series}, {case}"));
             let sample = measure().with_context(|| format!("{series}, {case}"))?;
             if round > 0 {
                 samples[i].push(sample);
             }
+            progress.inc(1);
         }
     }
+    progress.finish_and_clear();
     let finished = contenders.into_iter().zip(samples).map(|(Contender { series, case, .. }, samples)| {
         let mut measure = Measure::new(series, case, samples.iter().map(|sample| sample.value).collect());
         let [sent, lost] = [|s: &Sample| s.sent, |s: &Sample| s.lost].map(|of| samples.iter().map(of).sum::<u64>());

@@ -98,6 +98,21 @@ impl<T: Claims> Issued<T> {
     }
 }
 
+impl Issued<AdCert> {
+    /// Verifies the certificate as [`Issued::verify`] does, and that it is for `entity`.
+    pub fn verify_for(
+        &self,
+        proof: &NameProof,
+        entity: Name,
+        revocation: Option<&Revocation>,
+        now: u64,
+    ) -> Result<AdCert, CertError> {
+        let cert = self.verify(proof, revocation, now)?;
+        expect_entity(entity, cert.entity)?;
+        Ok(cert)
+    }
+}
+
 /// Evidence of a reader: its grant, and its membership if the grant is for a role.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

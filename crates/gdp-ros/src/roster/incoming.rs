@@ -8,7 +8,7 @@ use std::time::Instant;
 use gdp_e2e::seal::Message;
 use gdp_wire::Name;
 
-use super::{Kind, LEASE, Offer, Roster, RosterError, number};
+use super::{Kind, LEASE, Offer, ROSTER, Roster, RosterError, number};
 
 /// Maximum number of writers of a name.
 const MAX_PEERS: usize = 256;
@@ -67,23 +67,39 @@ pub enum Change {
     },
 }
 
-/// The result of [`Incoming::message`].
+/// An event on a name that is read.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Taken {
-    /// The message is from the publisher with this number, which has [joined](Change::Joined).
-    From(u32, Message),
-    /// The message has no publisher number, because its writer assigns none.
+pub enum Event {
+    /// The publishers changed.
+    Changes(Vec<Change>),
+    /// A message of the publisher with this number, which has [joined](Change::Joined).
+    Message(u32, Message),
+    /// A message without a publisher number, because its writer assigns none.
     Plain(Message),
-    /// The message is queued until the roster arrives.
-    Pending,
-    /// The message is queued, and this number of older ones was dropped.
-    Crowded(usize),
+    /// This number of messages was dropped, because no roster named their publishers in time.
+    Unannounced(usize),
+    /// A writer sent a roster that cannot be used.
+    Malformed(Name, RosterError),
 }
 
 impl Incoming {
+    /// Returns what a received message, which may be a roster, leads to.
+    pub fn receive(&mut self, now: Instant, message: Message) -> Vec<Event> {
+        if message.encoding != ROSTER {
+            return self.message(now, message).into_iter().collect();
+        }
+        match self.roster(now, &message) {
+            Ok((changes, released)) => {
+                let released = released.into_iter().filter_map(|message| self.message(now, message));
+                changes_event(changes).into_iter().chain(released).collect()
+            }
+            Err(error) => vec![Event::Malformed(message.writer, error)],
+        }
+    }
+
     /// Applies a received roster. Returns the changes, and the queued messages that can now be
     /// delivered, in their order.
-    pub fn roster(&mut self, now: Instant, message: &Message) -> Result<(Vec<Change>, Vec<Message>), RosterError> {
+    pub(super) fn roster(&mut self, now: Instant, message: &Message) -> Result<(Vec<Change>, Vec<Message>), RosterError> {
         let Roster { kind, definition, writers, .. } = Roster::from_bytes(&message.body)?;
         let (writer, said) = (message.writer, (message.session, message.sequence));
         let mut changes = Vec::new();
@@ -131,31 +147,31 @@ impl Incoming {
         Ok((changes, self.release(writer)))
     }
 
-    /// Classifies a received message that is not a roster.
-    pub fn message(&mut self, now: Instant, message: Message) -> Taken {
-        let Some(number) = number(&message.origin) else { return Taken::Plain(message) };
+    /// Classifies a received message that is not a roster. Returns `None` if it waits for a roster.
+    pub(super) fn message(&mut self, now: Instant, message: Message) -> Option<Event> {
+        let Some(number) = number(&message.origin) else { return Some(Event::Plain(message)) };
         if let Some(peer) = self.peers.get_mut(&message.writer)
             && peer.said.0 == message.session
             && peer.writers.get(&number).is_some_and(|from| !from.is_silent)
         {
             peer.last_seen = now;
-            return Taken::From(number, message);
+            return Some(Event::Message(number, message));
         }
         // The next roster will announce a silent publisher again. Other messages wait for their
         // first roster.
         self.pending_bytes += message.body.len();
         self.pending.push_back((now, message));
-        let mut gone = 0;
+        let mut dropped = 0;
         while self.pending.len() > MAX_PENDING || (self.pending_bytes > MAX_PENDING_BYTES && self.pending.len() > 1) {
             self.drop_oldest();
-            gone += 1;
+            dropped += 1;
         }
-        if gone == 0 { Taken::Pending } else { Taken::Crowded(gone) }
+        unannounced_event(dropped)
     }
 
     /// Marks publishers as silent whose lease has expired, and drops messages that waited for
-    /// [`LEASE`]. Returns the changes and the number of dropped messages.
-    pub fn poll(&mut self, now: Instant) -> (Vec<Change>, usize) {
+    /// [`LEASE`].
+    pub fn poll(&mut self, now: Instant) -> Vec<Event> {
         let mut changes = Vec::new();
         for (writer, peer) in &mut self.peers {
             let silence = now.saturating_duration_since(peer.last_seen);
@@ -170,7 +186,7 @@ impl Incoming {
         while self.pending.front().is_some_and(|(came, _)| now.saturating_duration_since(*came) >= LEASE) {
             self.drop_oldest();
         }
-        (changes, before - self.pending.len())
+        changes_event(changes).into_iter().chain(unannounced_event(before - self.pending.len())).collect()
     }
 
     /// Removes all publishers, and returns the changes.
@@ -211,4 +227,12 @@ impl Incoming {
         self.pending_bytes = self.pending.iter().map(|(_, message)| message.body.len()).sum();
         released.into_iter().map(|(_, message)| message).collect()
     }
+}
+
+fn changes_event(changes: Vec<Change>) -> Option<Event> {
+    (!changes.is_empty()).then_some(Event::Changes(changes))
+}
+
+fn unannounced_event(dropped: usize) -> Option<Event> {
+    (dropped > 0).then_some(Event::Unannounced(dropped))
 }

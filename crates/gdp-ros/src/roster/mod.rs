@@ -17,8 +17,8 @@ use gdp_core::cbor::CborError;
 use gdp_e2e::seal::Encoding;
 use serde::{Deserialize, Serialize};
 
-pub use incoming::{Change, Incoming, Taken};
-pub use outgoing::{Announcement, Outgoing};
+pub use incoming::{Change, Event, Incoming};
+pub use outgoing::Outgoing;
 
 /// Encoding number of a message that is a roster.
 pub const ROSTER: Encoding = Encoding::Other(0x4752);

@@ -4,9 +4,10 @@
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
 
+use gdp::Publisher;
 use gdp_core::cbor::CborError;
 
-use super::{Kind, LEASE, MAX_WRITERS, Offer, REFRESH, Roster, VERSION, Writer};
+use super::{Kind, LEASE, MAX_WRITERS, Offer, REFRESH, ROSTER, Roster, VERSION, Writer};
 
 /// The roster of a topic that this proxy publishes. `K` identifies a publisher in the ROS graph.
 pub struct Outgoing<K> {
@@ -28,7 +29,7 @@ const BRIEFS: u32 = 10;
 
 /// A roster to send.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Announcement {
+pub(super) enum Announcement {
     /// A roster with the definition. The proxy also pins it in place of the previous one.
     Whole(Vec<u8>),
     /// A roster without the definition, for readers that have the pinned one.
@@ -97,8 +98,18 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         Roster { version: VERSION, kind: self.kind.clone(), definition: None, writers: vec![] }.to_bytes()
     }
 
+    /// Sends the roster, if one is due. `publisher` is that of the topic's name.
+    pub fn announce(&mut self, now: Instant, publisher: &Publisher) -> Result<(), CborError> {
+        match self.poll(now)? {
+            Some(Announcement::Whole(body)) => publisher.pin(ROSTER, &body),
+            Some(Announcement::Brief(body)) => publisher.mention(ROSTER, &body),
+            None => {}
+        }
+        Ok(())
+    }
+
     /// Returns the roster to send now, if any is due.
-    pub fn poll(&mut self, now: Instant) -> Result<Option<Announcement>, CborError> {
+    pub(super) fn poll(&mut self, now: Instant) -> Result<Option<Announcement>, CborError> {
         if !self.changed && self.due.is_some_and(|due| now < due) {
             return Ok(None);
         }

@@ -18,6 +18,7 @@ use serde_json::Value;
 
 use super::super::node::{Definitions, NodeOptions, unless_interrupted};
 use crate::cli::context::Context;
+use crate::cli::progress::while_waiting;
 use crate::ros::fabric::Fabric;
 use crate::ros::fill::fill;
 use crate::ros::keyring::called;
@@ -101,7 +102,8 @@ impl Server {
         while client.servers() == 0 {
             changes.changed().await.context("the right to call it has ended")?;
         }
-        let reply = describe(client).await?;
+        let asking = format!("asking a server of {} for its description", called(card));
+        let reply = while_waiting(&asking, describe(client)).await?;
         match Reply::from_bytes(&reply.body)? {
             Reply::Description(epoch, description) => Ok(Self { instance: reply.writer, epoch, description }),
             Reply::Failure(failure) => bail!("{} is not served: {failure}", called(card)),

@@ -12,6 +12,7 @@ use serde::Serialize;
 
 use super::super::node::{NodeOptions, listen, unless_interrupted};
 use crate::cli::context::Context;
+use crate::cli::progress::while_waiting;
 use crate::ros::keyring::called;
 use crate::ros::{fabric::Entities, fabric::Fabric, feed::Feed, feed::RemotePublisher};
 
@@ -76,7 +77,10 @@ struct Info {
 pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let keyring = options.node.keyring()?;
     let card = keyring.find(&options.what, "topic")?;
-    let gather = async |fabric: &Fabric| unless_interrupted(gather(fabric, &card)).await;
+    let gather = async |fabric: &Fabric| {
+        let asking = format!("asking the publishers of {}", called(&card));
+        while_waiting(&asking, unless_interrupted(gather(fabric, &card))).await
+    };
     let Some(info) = options.node.with_fabric(keyring, context, gather)? else { return Ok(()) };
     context.output.print(&InfoOutput::new(&card, &info), || lines(&card, &info, options.verbose))
 }

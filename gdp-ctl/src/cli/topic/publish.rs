@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use clap::{Args, ValueEnum};
-use gdp::{Overflow, PublishOptions, Publisher, Reliability};
+use gdp::{PublishOptions, Publisher};
 use gdp_e2e::seal::Draft;
 use gdp_msg::{Base, Encoding, Mapping, Options as Limits, Schema, TypeName};
-use gdp_ros::roster::{self, Announcement, Dialect, Kind, Offer, Outgoing, ROSTER};
+use gdp_ros::qos_mapping;
+use gdp_ros::roster::{self, Dialect, Kind, Offer, Outgoing};
 use gdp_ros::types::{Types, sealed};
 use gdp_util::terminal::note;
 use schemars::JsonSchema;
@@ -33,9 +34,6 @@ const TIMEOUT: Duration = Duration::from_secs(5);
 
 /// How often it is looked for readers, and whether a roster is due.
 const LOOK: Duration = Duration::from_millis(100);
-
-/// Messages that a reader may ask for again, whatever the depth.
-const REPAIRABLE: usize = 256;
 
 #[derive(Debug, Args)]
 pub struct Options {
@@ -107,8 +105,11 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     maker.make()?;
     options.node.with_fabric(keyring, context, async |fabric: &Fabric| {
         let ad = fabric.keyring.ad(&card, fabric.node.name(), unix_seconds())?;
-        let publisher = fabric.node.publish(card.proof(), ad, publish_options(options)).await?;
-        let mut source = Source::new(publisher, &maker, offer(options));
+        let offers = offer(options);
+        let latched = qos_mapping::latched_depth(&offers);
+        let published = PublishOptions { latched, ..qos_mapping::publish_options(&offers) };
+        let publisher = fabric.node.publish(card.proof(), ad, published).await?;
+        let mut source = Source::new(publisher, &maker, offers);
         tokio::select! {
             done = source.publish(options, context, &mut maker) => done?,
             interrupted = tokio::signal::ctrl_c() => interrupted.context("cannot wait for ^C")?,
@@ -127,18 +128,6 @@ fn offer(options: &Options) -> Offer {
         deadline_ns: 0,
         lifespan_ns: 0,
         liveliness_ns: 0,
-    }
-}
-
-fn publish_options(options: &Options) -> PublishOptions {
-    let Offer { reliable, transient_local, depth, .. } = offer(options);
-    let depth = depth as usize;
-    let latched = if transient_local { depth } else { 0 };
-    if reliable {
-        let reliability = Reliability::Reliable { overflow: Overflow::DropOldest };
-        PublishOptions { reliability, history: depth.max(REPAIRABLE), latched, ..PublishOptions::reliable() }
-    } else {
-        PublishOptions { history: depth, latched, ..PublishOptions::best_effort() }
     }
 }
 
@@ -201,12 +190,7 @@ impl Source {
     }
 
     fn announce(&mut self) -> anyhow::Result<()> {
-        match self.roster.poll(Instant::now())? {
-            Some(Announcement::Whole(body)) => self.publisher.pin(ROSTER, &body),
-            Some(Announcement::Brief(body)) => self.publisher.mention(ROSTER, &body),
-            None => {}
-        }
-        Ok(())
+        Ok(self.roster.announce(Instant::now(), &self.publisher)?)
     }
 
     async fn publish(&mut self, options: &Options, context: &Context, maker: &mut Maker) -> anyhow::Result<()> {
