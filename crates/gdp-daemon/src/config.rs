@@ -266,7 +266,7 @@ struct File {
     identity: Option<PathBuf>,
     socket: Option<PathBuf>,
     interfaces: Option<Vec<String>>,
-    udp: Udp,
+    udp: UdpConfig,
     data_plane: DataPlane,
     dpdk: DpdkEntry,
     rib: Option<bool>,
@@ -298,14 +298,14 @@ struct DomainEntry {
 
 /// The `udp` key. Unlike a missing key, `null` turns UDP off.
 #[derive(Debug, Default)]
-enum Udp {
+enum UdpConfig {
     #[default]
     Absent,
     Off,
     On(SocketAddr),
 }
 
-impl<'de> Deserialize<'de> for Udp {
+impl<'de> Deserialize<'de> for UdpConfig {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let addr = Option::<String>::deserialize(deserializer)?;
         let Some(addr) = addr else { return Ok(Self::Off) };
@@ -366,7 +366,7 @@ impl File {
                 None => neighbours.push(uplink),
             }
         }
-        if let (Udp::Off, Some(over_udp)) =
+        if let (UdpConfig::Off, Some(over_udp)) =
             (&self.udp, neighbours.iter().find(|n| matches!(n.address.via, Via::Udp(_))))
         {
             let switch = over_udp.address.switch;
@@ -416,9 +416,9 @@ impl File {
             interfaces: self.interfaces,
             all_interfaces: false,
             udp: match self.udp {
-                Udp::Absent => Some(default_udp()),
-                Udp::Off => None,
-                Udp::On(addr) => Some(addr),
+                UdpConfig::Absent => Some(default_udp()),
+                UdpConfig::Off => None,
+                UdpConfig::On(addr) => Some(addr),
             },
             data_plane: self.data_plane,
             dpdk,

@@ -4,7 +4,7 @@
 use std::sync::LazyLock;
 
 use crate::dialect::Dialect;
-use crate::name::{Kind, TypeName};
+use crate::name::{InterfaceKind, TypeName};
 use crate::registry::Registry;
 
 macro_rules! packages {
@@ -33,7 +33,7 @@ static REGISTRY: LazyLock<Registry> = LazyLock::new(|| {
             for section in text.split("=== ").skip(1) {
                 let (head, body) = section.split_once('\n').expect("a section has a head");
                 let (kind, name) = head.split_once('/').expect("a head has a kind");
-                let kind = Kind::from_folder(kind).expect("a kind");
+                let kind = InterfaceKind::from_folder(kind).expect("a kind");
                 let name = TypeName::new(package, kind, name).expect("a name");
                 registry.add_file(dialect, &name, body).expect("a definition");
             }

@@ -103,7 +103,7 @@ pub use definition::{
 };
 pub use encode::{Encoding, Fault};
 pub use mapping::{MapError, Mapping, Note, Options, TranscodeError};
-pub use name::{Kind, NameError, TypeName};
+pub use name::{InterfaceKind, NameError, TypeName};
 pub use registry::{AddError, Registry};
 pub use schema::{Schema, SchemaError};
 pub use share::{LoadError, Loaded};

@@ -9,13 +9,13 @@ pub const MAX_NAME: usize = 255;
 
 /// The kind of file that defines a type.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub enum Kind {
+pub enum InterfaceKind {
     Message,
     Service,
     Action,
 }
 
-impl Kind {
+impl InterfaceKind {
     /// Returns the folder of such files in a package, which is also the middle part of a ROS 2
     /// name.
     pub fn folder(self) -> &'static str {
@@ -36,7 +36,7 @@ impl Kind {
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct TypeName {
     package: Box<str>,
-    kind: Kind,
+    kind: InterfaceKind,
     name: Box<str>,
 }
 
@@ -51,7 +51,7 @@ impl TypeName {
     /// # Errors
     /// If the package or the name is longer than [`MAX_NAME`]. Also if it does not consist of
     /// letters, digits and underscores after a letter.
-    pub fn new(package: &str, kind: Kind, name: &str) -> Result<Self, NameError> {
+    pub fn new(package: &str, kind: InterfaceKind, name: &str) -> Result<Self, NameError> {
         if is_identifier(package) && is_identifier(name) {
             return Ok(Self { package: package.into(), kind, name: name.into() });
         }
@@ -60,7 +60,7 @@ impl TypeName {
 
     /// Returns the name of a message of this package.
     pub(crate) fn message(package: &str, name: &str) -> Self {
-        Self { package: package.into(), kind: Kind::Message, name: name.into() }
+        Self { package: package.into(), kind: InterfaceKind::Message, name: name.into() }
     }
 
     /// Parses a name as ROS 1 (`std_msgs/String`), ROS 2 (`std_msgs/msg/String`) or DDS
@@ -82,13 +82,14 @@ impl TypeName {
                 return Err(refused());
             };
             let name = name.strip_suffix('_').ok_or_else(refused)?;
-            return Self::new(package, Kind::from_folder(folder).ok_or_else(refused)?, name).map_err(|_| refused());
+            return Self::new(package, InterfaceKind::from_folder(folder).ok_or_else(refused)?, name)
+                .map_err(|_| refused());
         }
         let mut parts = text.split('/');
         let name = match (parts.next(), parts.next(), parts.next(), parts.next()) {
-            (Some(package), Some(name), None, None) => Self::new(package, Kind::Message, name),
+            (Some(package), Some(name), None, None) => Self::new(package, InterfaceKind::Message, name),
             (Some(package), Some(folder), Some(name), None) => {
-                Self::new(package, Kind::from_folder(folder).ok_or_else(refused)?, name)
+                Self::new(package, InterfaceKind::from_folder(folder).ok_or_else(refused)?, name)
             }
             _ => return Err(refused()),
         };
@@ -98,14 +99,14 @@ impl TypeName {
     /// Returns the names of request and response of the service with this package and name. Ignores
     /// the kind of this name.
     pub fn service_halves(&self) -> [Self; 2] {
-        ["_Request", "_Response"].map(|half| self.with(Kind::Service, half))
+        ["_Request", "_Response"].map(|half| self.with(InterfaceKind::Service, half))
     }
 
     pub fn package(&self) -> &str {
         &self.package
     }
 
-    pub fn kind(&self) -> Kind {
+    pub fn kind(&self) -> InterfaceKind {
         self.kind
     }
 
@@ -120,7 +121,9 @@ impl TypeName {
         match dialect {
             Dialect::Ros2 => self.to_string(),
             Dialect::Ros1 => match self.name.rsplit_once('_') {
-                Some((service, half)) if self.kind == Kind::Service => format!("{}/{service}{half}", self.package),
+                Some((service, half)) if self.kind == InterfaceKind::Service => {
+                    format!("{}/{service}{half}", self.package)
+                }
                 _ => format!("{}/{}", self.package, self.name),
             },
         }
@@ -132,13 +135,13 @@ impl TypeName {
     }
 
     /// Returns the name with `suffix` and of this kind, for a part of a service or action.
-    pub(crate) fn with(&self, kind: Kind, suffix: &str) -> Self {
+    pub(crate) fn with(&self, kind: InterfaceKind, suffix: &str) -> Self {
         Self { package: self.package.clone(), kind, name: format!("{}{suffix}", self.name).into() }
     }
 
     /// Returns whether this is the message `package/Name`.
     pub(crate) fn is_message(&self, package: &str, name: &str) -> bool {
-        self.kind == Kind::Message && &*self.package == package && &*self.name == name
+        self.kind == InterfaceKind::Message && &*self.package == package && &*self.name == name
     }
 }
 

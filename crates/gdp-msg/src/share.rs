@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use crate::definition::MAX_TEXT;
 use crate::dialect::Dialect;
-use crate::name::{Kind, TypeName};
+use crate::name::{InterfaceKind, TypeName};
 use crate::registry::{AddError, Registry};
 
 /// Maximum number of entries in one folder. The share folder of a full desktop installation has a
@@ -90,7 +90,7 @@ impl Registry {
     }
 
     fn load_kinds(&mut self, dialect: Dialect, package: &Path, loaded: &mut Loaded) -> Result<(), LoadError> {
-        for kind in [Kind::Message, Kind::Service, Kind::Action] {
+        for kind in [InterfaceKind::Message, InterfaceKind::Service, InterfaceKind::Action] {
             let folder = package.join(kind.folder());
             if !folder.is_dir() {
                 continue;
@@ -109,8 +109,10 @@ impl Registry {
     }
 }
 
-fn kind(ending: &str) -> Option<Kind> {
-    [Kind::Message, Kind::Service, Kind::Action].into_iter().find(|kind| kind.folder() == ending)
+fn kind(ending: &str) -> Option<InterfaceKind> {
+    [InterfaceKind::Message, InterfaceKind::Service, InterfaceKind::Action]
+        .into_iter()
+        .find(|kind| kind.folder() == ending)
 }
 
 /// Returns the sorted entries of a folder, so that loading does not depend on the file system's

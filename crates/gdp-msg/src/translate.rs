@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::definition::{Base, Constant, Count, Definition, Field, Scalar};
 use crate::dialect::Dialect;
-use crate::name::{Kind, TypeName};
+use crate::name::{InterfaceKind, TypeName};
 use crate::registry::Registry;
 use crate::schema::{Schema, SchemaError};
 
@@ -67,7 +67,7 @@ fn to_ros1(base: &Base, count: Count) -> (Base, Count) {
 }
 
 fn named(name: &str) -> Option<TypeName> {
-    TypeName::new("builtin_interfaces", Kind::Message, name).ok()
+    TypeName::new("builtin_interfaces", InterfaceKind::Message, name).ok()
 }
 
 #[cfg(test)]

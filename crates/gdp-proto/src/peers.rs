@@ -263,7 +263,9 @@ impl Counterparts {
     }
 
     fn leave(&mut self, departed: &[Name], events: &mut Vec<PeerEvent>) {
-        events.extend(departed.iter().filter(|entity| self.known.remove(*entity).is_some()).copied().map(PeerEvent::Left));
+        events.extend(
+            departed.iter().filter(|entity| self.known.remove(*entity).is_some()).copied().map(PeerEvent::Left),
+        );
     }
 }
 

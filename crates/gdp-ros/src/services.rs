@@ -26,7 +26,7 @@ pub fn service_name(name: &str, dialect: Dialect) -> Result<String, TypeError> {
     let name = TypeName::parse(name)?;
     Ok(match dialect {
         Dialect::Ros1 => format!("{}/{}", name.package(), name.name()),
-        Dialect::Ros2 => TypeName::new(name.package(), gdp_msg::Kind::Service, name.name())?.to_string(),
+        Dialect::Ros2 => TypeName::new(name.package(), gdp_msg::InterfaceKind::Service, name.name())?.to_string(),
     })
 }
 

@@ -75,6 +75,20 @@ async fn what_etcd_refuses_is_named() {
     assert!(refused.contains("etcd.user is not set"), "{refused}");
 }
 
+#[tokio::test]
+async fn a_renewed_certificate_is_read_at_the_next_connection() {
+    let site = Site::new();
+    let (place, mut client) = (KeySpace::new(PREFIX), site.client(&site.access()));
+    let files = [&site.client.cert, &site.client.key];
+    let valid = files.map(|file| fs::read(file).unwrap());
+    let strange = Authority::new(site.folder.path(), "other").certify(site.folder.path(), "strange");
+    fs::copy(&strange.cert, files[0]).unwrap();
+    fs::copy(&strange.key, files[1]).unwrap();
+    Copy::list(&place, &mut client).await.expect_err("etcd knows no such authority");
+    files.iter().zip(valid).for_each(|(file, content)| fs::write(file, content).unwrap());
+    Copy::list(&place, &mut client).await.expect("the client reads the files again");
+}
+
 #[test]
 fn files_that_others_may_read_or_that_hold_something_else_are_refused() {
     let folder = tempfile::tempdir().unwrap();

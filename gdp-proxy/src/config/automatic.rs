@@ -52,7 +52,7 @@ pub struct ExposeConfig {
     /// Entities and roles in domains that may read everything exposed.
     #[serde(default)]
     #[schemars(schema_with = "schema::readers")]
-    pub readers: Vec<Reader>,
+    pub readers: Vec<ReaderConfig>,
     /// Domains besides the proxy's own in which the names may be announced.
     #[serde(default)]
     #[schemars(with = "Vec<String>")]
@@ -155,7 +155,7 @@ pub(super) struct RuleSaid {
 
 /// A reader of exposed names: an entity, or a role in a domain.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Reader(pub Grantee);
+pub struct ReaderConfig(pub Grantee);
 
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -336,7 +336,7 @@ impl<'de> Deserialize<'de> for Rule {
     }
 }
 
-impl<'de> Deserialize<'de> for Reader {
+impl<'de> Deserialize<'de> for ReaderConfig {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let text =
             |text: &str| text.parse().map(|name| Self(Grantee::Entity(name))).map_err(|error| format!("{error}"));

@@ -30,7 +30,7 @@ use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
-pub use self::automatic::{ExposeConfig, ImportConfig, Reader, Remap, Rule, RuleOptions, remapped};
+pub use self::automatic::{ExposeConfig, ImportConfig, ReaderConfig, Remap, Rule, RuleOptions, remapped};
 pub use self::calls::CallConfig;
 pub use self::frames::FramePrefix;
 pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config};

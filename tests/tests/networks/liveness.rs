@@ -59,7 +59,8 @@ fn a_cut_cable_ends_the_hold_on_both_sides_and_a_mended_one_carries_again() -> R
     .with_context(|| fabric.report())?;
     wait_for("the switch to give the robot up", GIVEN_UP, || {
         let status = fabric.status(0)?;
-        let all = ["links", "links_in_grace"].map(|links| status[links].as_array().cloned().unwrap_or_default()).concat();
+        let all =
+            ["links", "links_in_grace"].map(|links| status[links].as_array().cloned().unwrap_or_default()).concat();
         Ok(all.iter().all(|link| link["role"] != "endpoint").then_some(()))
     })
     .with_context(|| fabric.report())?;

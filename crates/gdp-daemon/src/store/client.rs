@@ -40,7 +40,6 @@ const MAX_FILE: usize = 1 << 20;
 pub struct EtcdClient {
     endpoints: Vec<Endpoint>,
     access: Access,
-    options: ConnectOptions,
     /// The index of the current endpoint.
     at: usize,
     /// The connection. It and its requests are boxed because they are large, and tasks nest many of
@@ -58,16 +57,12 @@ pub struct Watch {
 }
 
 impl EtcdClient {
-    /// Reads the files of `access`, without sending a request. `endpoints` has at least one.
+    /// Checks the files of `access`, without sending a request. `endpoints` has at least one.
+    ///
+    /// Each connection reads the files again, so renewed certificates need no restart.
     pub fn new(endpoints: &[Endpoint], access: &Access) -> Result<Self, StoreError> {
-        let mut options = ConnectOptions::new().with_connect_timeout(CONNECT).with_auto_token_refresh(true);
-        if let Some(tls) = &access.tls {
-            options = options.with_tls(tls_options(tls)?);
-        }
-        if let Some(login) = &access.login {
-            options = options.with_user(&login.user, password(login)?);
-        }
-        Ok(Self { endpoints: endpoints.to_vec(), access: access.clone(), options, at: 0, connection: None })
+        connect_options(access)?;
+        Ok(Self { endpoints: endpoints.to_vec(), access: access.clone(), at: 0, connection: None })
     }
 
     /// Returns all keys under `prefix`, and the revision of the listing. Fails if keys and values
@@ -187,7 +182,8 @@ impl EtcdClient {
     }
 
     async fn connect(&mut self) -> Result<Box<etcd_client::Client>, StoreError> {
-        let connecting = etcd_client::Client::connect([self.endpoint().to_string()], Some(self.options.clone()));
+        let options = connect_options(&self.access)?;
+        let connecting = etcd_client::Client::connect([self.endpoint().to_string()], Some(options));
         self.in_time(Box::pin(connecting)).await.map(Box::new)
     }
 
@@ -284,6 +280,17 @@ fn end_of(prefix: &[u8]) -> Vec<u8> {
     }
     // To etcd, a zero byte means no end.
     vec![0]
+}
+
+fn connect_options(access: &Access) -> Result<ConnectOptions, StoreError> {
+    let mut options = ConnectOptions::new().with_connect_timeout(CONNECT).with_auto_token_refresh(true);
+    if let Some(tls) = &access.tls {
+        options = options.with_tls(tls_options(tls)?);
+    }
+    if let Some(login) = &access.login {
+        options = options.with_user(&login.user, password(login)?);
+    }
+    Ok(options)
 }
 
 fn tls_options(tls: &Tls) -> Result<TlsOptions, StoreError> {

@@ -183,10 +183,12 @@ impl XdpPlane {
                 Some(_) => Ok(()),
             };
         };
-        let Some((addresses, found)) = udp.taken() else { return Ok(()) };
+        let taken = udp.taken();
+        // The ready line names the devices of the first reading, unless it failed.
+        let logs = std::mem::replace(&mut udp.logs, true);
+        let Some((addresses, found)) = taken else { return Ok(()) };
         self.routing.get_or_insert_with(Routing::enable);
         self.kernel.set_addresses(&addresses)?;
-        let logs = udp.logs;
         let before = std::mem::replace(&mut udp.devices, found.keys().copied().collect());
         for (ifindex, name) in found.iter().filter(|(ifindex, _)| !before.contains(ifindex)) {
             let is_new = !self.devices.contains_key(ifindex);
@@ -199,7 +201,6 @@ impl XdpPlane {
             .into_iter()
             .filter(|ifindex| !found.contains_key(ifindex))
             .for_each(|ifindex| self.leave_device(ifindex));
-        self.udp.iter_mut().for_each(|udp| udp.logs = true);
         Ok(())
     }
 

@@ -3,7 +3,7 @@
 
 use super::{Base, Count, Definition, DefinitionError, Field, Problem, Scalar, parse};
 use crate::dialect::Dialect;
-use crate::name::{Kind, TypeName};
+use crate::name::{InterfaceKind, TypeName};
 
 /// Returns all messages that a file defines. `name` consists of the package, the kind, and the
 /// file's name without its extension.
@@ -19,22 +19,24 @@ use crate::name::{Kind, TypeName};
 /// # Errors
 /// If a definition is invalid. The error names the type and the line, and suggests a correction.
 pub fn definitions(dialect: Dialect, name: &TypeName, text: &str) -> Result<Vec<Definition>, DefinitionError> {
-    if name.kind() == Kind::Message {
+    if name.kind() == InterfaceKind::Message {
         return Ok(vec![parse(dialect, name, text, 1)?]);
     }
     let parts = parts(name, text)?;
     let names = match (name.kind(), dialect) {
-        (Kind::Service, _) => ["_Request", "_Response", ""].map(|suffix| name.with(Kind::Service, suffix)),
-        (_, Dialect::Ros2) => ["_Goal", "_Result", "_Feedback"].map(|suffix| name.with(Kind::Action, suffix)),
-        (_, Dialect::Ros1) => ["Goal", "Result", "Feedback"].map(|suffix| name.with(Kind::Message, suffix)),
+        (InterfaceKind::Service, _) => {
+            ["_Request", "_Response", ""].map(|suffix| name.with(InterfaceKind::Service, suffix))
+        }
+        (_, Dialect::Ros2) => ["_Goal", "_Result", "_Feedback"].map(|suffix| name.with(InterfaceKind::Action, suffix)),
+        (_, Dialect::Ros1) => ["Goal", "Result", "Feedback"].map(|suffix| name.with(InterfaceKind::Message, suffix)),
     };
     let mut all = Vec::new();
     for ((first_line, part), name) in parts.iter().zip(&names) {
         all.push(parse(dialect, name, part, *first_line)?);
     }
     match (name.kind(), dialect) {
-        (Kind::Service, Dialect::Ros1) => {}
-        (Kind::Service, Dialect::Ros2) => all.extend(service(name)),
+        (InterfaceKind::Service, Dialect::Ros1) => {}
+        (InterfaceKind::Service, Dialect::Ros2) => all.extend(service(name)),
         (_, Dialect::Ros2) => all.extend(action(name)),
         (_, Dialect::Ros1) => all.extend(ros1_action(name)),
     }
@@ -73,7 +75,7 @@ fn service(name: &TypeName) -> [Definition; 2] {
 }
 
 fn action(name: &TypeName) -> Vec<Definition> {
-    let of = |suffix| name.with(Kind::Action, suffix);
+    let of = |suffix| name.with(InterfaceKind::Action, suffix);
     let goal_id = || named("goal_id", TypeName::message("unique_identifier_msgs", "UUID"));
     let scalar = |scalar, field| Field::new(Base::Scalar(scalar), Count::One, field);
     let stamp = named("stamp", TypeName::message("builtin_interfaces", "Time"));
@@ -99,7 +101,7 @@ fn action(name: &TypeName) -> Vec<Definition> {
 }
 
 fn ros1_action(name: &TypeName) -> Vec<Definition> {
-    let of = |suffix: &str| name.with(Kind::Message, suffix);
+    let of = |suffix: &str| name.with(InterfaceKind::Message, suffix);
     let header = || named("header", TypeName::message("std_msgs", "Header"));
     let part = |field: &str, part: &str| named(field, TypeName::message("actionlib_msgs", part));
     let whole =

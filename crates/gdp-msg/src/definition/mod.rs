@@ -13,7 +13,7 @@ pub(crate) use line::parse;
 pub(crate) use print::{print_all, type_text};
 pub use text::split;
 
-use crate::name::{Kind, TypeName};
+use crate::name::{InterfaceKind, TypeName};
 
 /// Maximum length of a text of definitions, in bytes. All of `sensor_msgs` with its comments takes
 /// a tenth of it.
@@ -210,7 +210,7 @@ impl DefinitionError {
     }
 }
 
-impl Kind {
+impl InterfaceKind {
     /// Returns the number of parts in a file of this kind.
     fn parts(self) -> usize {
         match self {

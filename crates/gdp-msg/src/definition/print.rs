@@ -3,7 +3,7 @@
 use std::fmt::{self, Write};
 
 use super::{Base, Constant, Count, Definition, Field};
-use crate::name::Kind;
+use crate::name::InterfaceKind;
 
 /// The line between two definitions, as `rosmsg` and `rosbag` write it.
 const SEPARATOR: &str = "================================================================================";
@@ -14,8 +14,8 @@ pub(crate) fn print_all<'a>(definitions: impl IntoIterator<Item = &'a Definition
     for (index, definition) in definitions.into_iter().enumerate() {
         if index > 0 {
             let name = match definition.name.kind() {
-                Kind::Message => format!("{}/{}", definition.name.package(), definition.name.name()),
-                Kind::Service | Kind::Action => definition.name.to_string(),
+                InterfaceKind::Message => format!("{}/{}", definition.name.package(), definition.name.name()),
+                InterfaceKind::Service | InterfaceKind::Action => definition.name.to_string(),
             };
             let _ = write!(text, "{SEPARATOR}\nMSG: {name}\n");
         }
@@ -48,7 +48,7 @@ pub(crate) fn type_text(base: &Base, count: Count) -> String {
         Base::WString(bound) => bounded("wstring", *bound),
         Base::Time => "time".to_owned(),
         Base::Duration => "duration".to_owned(),
-        Base::Named(name) if name.kind() == Kind::Message => format!("{}/{}", name.package(), name.name()),
+        Base::Named(name) if name.kind() == InterfaceKind::Message => format!("{}/{}", name.package(), name.name()),
         Base::Named(name) => name.to_string(),
     };
     let _ = match count {

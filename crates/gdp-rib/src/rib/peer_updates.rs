@@ -131,9 +131,7 @@ impl PeerUpdates {
 
     /// Sends the full list of counterparts again. A RIB that replaces another one does so.
     pub fn resume(&mut self, registration_key: RegistrationKey, switch: Name) {
-        self.streams
-            .entry(registration_key)
-            .or_insert_with(|| Stream::new(switch, DeltaSync::new()).into());
+        self.streams.entry(registration_key).or_insert_with(|| Stream::new(switch, DeltaSync::new()).into());
         self.queue(registration_key);
     }
 

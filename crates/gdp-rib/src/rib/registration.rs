@@ -64,14 +64,14 @@ pub struct Remote {
 
 /// Properties of a registration that determine its counterparts.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Kind {
+pub struct EndpointScope {
     pub realm: Option<Realm>,
     /// Entities of this domain may know the registration.
     pub local: bool,
     pub scope: Arc<[Name]>,
 }
 
-impl Kind {
+impl EndpointScope {
     /// Returns whether a writer of this kind and a reader of kind `other` are counterparts here.
     ///
     /// The writer's scope must cover the reader, and their messages must pass through this domain.
@@ -108,9 +108,9 @@ impl Registration {
         self.credential.serials().is_ok_and(|serials| serials.into_iter().all(check))
     }
 
-    pub fn kind(&self) -> Kind {
+    pub fn kind(&self) -> EndpointScope {
         let (realm, local) = self.remote.as_ref().map_or((None, true), |remote| (Some(remote.realm), remote.local));
-        Kind { realm, local, scope: self.scope.clone() }
+        EndpointScope { realm, local, scope: self.scope.clone() }
     }
 
     /// Returns whether the entities of two registrations with opposite roles exchange messages.
@@ -147,7 +147,7 @@ impl Registration {
 
 /// Returns whether an entity of this role and kind exchanges messages with one of the opposite role
 /// and kind `other`.
-pub fn meets(role: NameRole, kind: &Kind, other: &Kind) -> bool {
+pub fn meets(role: NameRole, kind: &EndpointScope, other: &EndpointScope) -> bool {
     if role.is_writer() { kind.meets(other) } else { other.meets(kind) }
 }
 

@@ -10,7 +10,7 @@ use gdp_wire::Name;
 
 use super::border_links::Map;
 use crate::rib::model::{At, NameBytes, Realm};
-use crate::rib::registration::{Kind, Registration, meets};
+use crate::rib::registration::{EndpointScope, Registration, meets};
 
 #[derive(Debug)]
 pub(super) struct Topic {
@@ -32,19 +32,19 @@ struct Spread {
     egress: BTreeMap<Name, u64>,
     /// Kinds of senders and of receivers with a counterpart, if the name concerns other domains.
     /// Within one domain all senders reach all receivers.
-    met: Option<Box<[BTreeSet<Kind>; 2]>>,
+    met: Option<Box<[BTreeSet<EndpointScope>; 2]>>,
 }
 
 static NOWHERE: Spread = Spread { egress: BTreeMap::new(), met: None };
 
 impl Spread {
     /// Returns whether senders of this kind have a receiver.
-    fn has_sender(&self, kind: impl FnOnce() -> Kind) -> bool {
+    fn has_sender(&self, kind: impl FnOnce() -> EndpointScope) -> bool {
         self.met.as_deref().is_none_or(|[senders, _]| senders.contains(&kind()))
     }
 
     /// Returns whether receivers of this kind have a sender.
-    fn has_taker(&self, kind: impl FnOnce() -> Kind) -> bool {
+    fn has_taker(&self, kind: impl FnOnce() -> EndpointScope) -> bool {
         self.met.as_deref().is_none_or(|[_, takers]| takers.contains(&kind()))
     }
 }
@@ -130,7 +130,7 @@ impl Topic {
             let switches = senders.switches().filter(|_| bits != 0);
             return Spread { egress: switches.map(|switch| (switch, bits)).collect(), met: None };
         }
-        let mut bits: BTreeMap<Kind, u64> = BTreeMap::new();
+        let mut bits: BTreeMap<EndpointScope, u64> = BTreeMap::new();
         takers.kinds().for_each(|(at, kind)| *bits.entry(kind).or_default() |= map.bits_to(name, &at));
         bits.retain(|_, bits| *bits != 0);
         let (mut egress, mut met) = (BTreeMap::new(), [BTreeSet::new(), BTreeSet::new()]);
@@ -290,8 +290,8 @@ impl Registrations {
     }
 
     /// Iterates over the distinct kinds at each location.
-    fn kinds(&self) -> impl Iterator<Item = (At, Kind)> {
-        let all: BTreeSet<(At, Kind)> = self.all.iter().map(|r| (r.at(), r.kind())).collect();
+    fn kinds(&self) -> impl Iterator<Item = (At, EndpointScope)> {
+        let all: BTreeSet<(At, EndpointScope)> = self.all.iter().map(|r| (r.at(), r.kind())).collect();
         all.into_iter()
     }
 }

@@ -9,7 +9,7 @@ use gdp_wire::Name;
 
 use super::Tiers;
 use super::queries::TIMEOUT;
-use super::side::{Kind, RESTART_TIME, SILENCE, SessionState};
+use super::side::{DomainRelation, RESTART_TIME, SILENCE, SessionState};
 use super::table::{Item, TableRecord};
 use super::verification::{Judged, Revoked, Verification};
 use crate::rib::Now;
@@ -76,7 +76,7 @@ impl Tiers {
         }
         let mut gone = Vec::new();
         for (domain, side) in &mut self.sides {
-            if side.kind == Kind::Child && now.clock >= side.last_seen + SILENCE {
+            if side.kind == DomainRelation::Child && now.clock >= side.last_seen + SILENCE {
                 side.lose(now.clock);
             }
             if matches!(side.session, SessionState::Lost(since) if now.clock >= since + RESTART_TIME) {
@@ -107,8 +107,8 @@ impl Tiers {
             let can_ask = self.adjacent.contains(domain) && !side.is_asked;
             let hello = (can_ask && side.kind.is_parent()).then_some(side.hello_at);
             let retry = side.sent.feed.retry_at().filter(|_| can_ask && side.is_followed());
-            let silence =
-                (side.kind == Kind::Child && side.session == SessionState::Up).then(|| side.last_seen + SILENCE);
+            let silence = (side.kind == DomainRelation::Child && side.session == SessionState::Up)
+                .then(|| side.last_seen + SILENCE);
             let hold = match side.session {
                 SessionState::Lost(since) => Some(since + RESTART_TIME),
                 _ => None,

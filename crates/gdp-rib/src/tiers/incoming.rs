@@ -9,7 +9,7 @@ use gdp_proto::control::{
 use gdp_wire::Name;
 
 use super::queries::Climbing;
-use super::side::{Kind, SessionState, Side};
+use super::side::{DomainRelation, SessionState, Side};
 use super::table::{Item, TableRecord};
 use super::verification::{Announced, Judged, Revoked, Verification, check_path};
 use super::{Reply, Tiers};
@@ -47,7 +47,7 @@ impl Tiers {
                 return Err(Refusal::new(RefusalCode::Limit, reason));
             }
             self.run += 1;
-            self.sides.insert(from, Side::new(now.clock, Kind::Child, self.run));
+            self.sides.insert(from, Side::new(now.clock, DomainRelation::Child, self.run));
             self.all_changed();
         }
         let mut above: BTreeSet<Name> = BTreeSet::new();
@@ -148,7 +148,8 @@ impl Tiers {
     }
 
     fn asked(&mut self, now: Now, from: Name, name: Name, path: Vec<Name>) -> Reply {
-        let is_child = self.sides.get(&from).is_some_and(|side| side.kind == Kind::Child && !side.is_refused());
+        let is_child =
+            self.sides.get(&from).is_some_and(|side| side.kind == DomainRelation::Child && !side.is_refused());
         if !is_child {
             self.unknown_domains += 1;
             return Reply::Now(TierResponse::Refused(not_a_neighbour(from)));

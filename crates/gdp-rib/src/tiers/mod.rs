@@ -49,7 +49,7 @@ use side::{SentUpdate, Side};
 use table::RecordTable;
 
 pub use crate::tiers::refusal::TierRefusal;
-pub use side::{Kind, OfEntity, RESTART_TIME, SILENCE, SessionState};
+pub use side::{DomainRelation, OfEntity, RESTART_TIME, SILENCE, SessionState};
 pub use table::{Hosted, Item, TableRecord};
 pub use verification::Revoked;
 
@@ -92,7 +92,7 @@ pub enum TierChange {
 #[derive(Clone, Debug)]
 pub struct Neighbour {
     pub domain: Name,
-    pub kind: Kind,
+    pub kind: DomainRelation,
     pub session: SessionState,
     /// Number of entries received from it, and of those sent to it.
     pub entries_in: usize,
@@ -170,7 +170,7 @@ impl Tiers {
             self.sides.remove(&domain);
         }
         for (index, parent) in parents.iter().enumerate().filter(|(_, parent)| **parent != self.home) {
-            let kind = Kind::Parent(index);
+            let kind = DomainRelation::Parent(index);
             let new = || {
                 self.run += 1;
                 Side::new(now.clock, kind, self.run)

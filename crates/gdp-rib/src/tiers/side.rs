@@ -31,13 +31,13 @@ pub const MAX_REVOKED_NAMES: usize = 1024;
 
 /// Relation of a neighbouring domain to this one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Kind {
+pub enum DomainRelation {
     /// Parent, with its position in the order of queries.
     Parent(usize),
     Child,
 }
 
-impl Kind {
+impl DomainRelation {
     pub fn is_parent(self) -> bool {
         matches!(self, Self::Parent(_))
     }
@@ -62,7 +62,7 @@ pub enum SessionState {
 
 #[derive(Debug)]
 pub struct Side {
-    pub kind: Kind,
+    pub kind: DomainRelation,
     pub session: SessionState,
     pub table: RecordTable,
     pub sent: SentUpdate,
@@ -87,7 +87,7 @@ pub struct Side {
 }
 
 impl Side {
-    pub fn new(now: Duration, kind: Kind, run: u64) -> Self {
+    pub fn new(now: Duration, kind: DomainRelation, run: u64) -> Self {
         Self {
             kind,
             session: SessionState::Waiting,

@@ -12,7 +12,7 @@ use gdp_proto::control::{MAX_PATH, RecordKey, TierKey};
 use gdp_wire::Name;
 
 use super::interest::Interest;
-use super::side::Kind;
+use super::side::DomainRelation;
 use super::table::{Item, TableRecord};
 use super::{Tiers, side::Side};
 
@@ -57,8 +57,8 @@ impl Tiers {
                 held.path.len() < MAX_PATH
                     && !held.path.contains(domain)
                     && match side.kind {
-                        Kind::Parent(_) => held.may_leave(home) && !is_from_above(held),
-                        Kind::Child => interest.is_some_and(|interest| interest.wants(held, home)),
+                        DomainRelation::Parent(_) => held.may_leave(home) && !is_from_above(held),
+                        DomainRelation::Child => interest.is_some_and(|interest| interest.wants(held, home)),
                     }
             };
             let is_told = !side.is_refused() && (side.kind.is_parent() || interest.is_some());

@@ -114,8 +114,14 @@ impl Topology {
     /// `run` must be higher than that of the switch's last start. If it is not, the switch learns
     /// so from the first neighbour.
     pub fn new(identity: Identity, run: u64) -> Self {
-        let own =
-            Own { identity, version: (run, 0), has: Stated::default(), stated: None, stated_at: None, backoff: BACKOFF };
+        let own = Own {
+            identity,
+            version: (run, 0),
+            has: Stated::default(),
+            stated: None,
+            stated_at: None,
+            backoff: BACKOFF,
+        };
         let (database, flooding) = (Database::default(), Flooding::default());
         Self { own, database, flooding, paths: Paths::default(), is_stale: true }
     }

@@ -99,7 +99,11 @@ impl Incoming {
 
     /// Applies a received roster. Returns the changes, and the queued messages that can now be
     /// delivered, in their order.
-    pub(super) fn roster(&mut self, now: Instant, message: &Message) -> Result<(Vec<Change>, Vec<Message>), RosterError> {
+    pub(super) fn roster(
+        &mut self,
+        now: Instant,
+        message: &Message,
+    ) -> Result<(Vec<Change>, Vec<Message>), RosterError> {
         let Roster { kind, definition, writers, .. } = Roster::from_bytes(&message.body)?;
         let (writer, said) = (message.writer, (message.session, message.sequence));
         let mut changes = Vec::new();

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::*;
-use crate::config::{Reader, RuleOptions, What};
+use crate::config::{ReaderConfig, RuleOptions, What};
 use crate::ros2::TopicName;
 
 const NOW: u64 = 1_800_000_000_000_000_000;
@@ -43,7 +43,7 @@ fn papers_are_good_for_this_proxy_and_its_readers_and_grow_old() {
     assert_eq!((card.get("topic"), card.get("nonce").unwrap().len()), (Some("/a"), 32));
     let mut config: ExposeConfig = serde_saphyr::from_str("{owner: o, catalog: c, topics: [/a]}").unwrap();
     let to = Grantee::Role { domain: entity(), role: "operator".into() };
-    config.readers = vec![Reader(Grantee::Entity(entity())), Reader(to.clone())];
+    config.readers = vec![ReaderConfig(Grantee::Entity(entity())), ReaderConfig(to.clone())];
     let credentials = issuer.issue(card.name(), &config, NOW).unwrap();
     let seconds = NOW / 1_000_000_000;
     assert_eq!(credentials.cert.verify(&card.proof(), None, seconds).unwrap().entity, entity());

@@ -78,12 +78,12 @@ fn frames_of_what_is_imported_get_a_prefix_as_its_topics_do() {
 #[test]
 fn readers_are_entities_or_roles() {
     let name = "ab".repeat(32);
-    let readers: Vec<Reader> =
+    let readers: Vec<ReaderConfig> =
         serde_saphyr::from_str(&format!("- {name}\n- {{domain: {name}, role: operator}}\n")).unwrap();
     let name: Name = name.parse().unwrap();
     let role = Grantee::Role { domain: name, role: "operator".into() };
-    assert_eq!(readers, [Reader(Grantee::Entity(name)), Reader(role)]);
+    assert_eq!(readers, [ReaderConfig(Grantee::Entity(name)), ReaderConfig(role)]);
     for wrong in ["[12]", "[{domain: x}]", "[{domian: x, role: y}]"] {
-        assert!(serde_saphyr::from_str::<Vec<Reader>>(wrong).is_err(), "{wrong}");
+        assert!(serde_saphyr::from_str::<Vec<ReaderConfig>>(wrong).is_err(), "{wrong}");
     }
 }

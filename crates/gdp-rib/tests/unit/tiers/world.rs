@@ -20,7 +20,7 @@ use gdp_proto::control::{Credential, NameRole, Record, RecordKey, TierEntry, Tie
 
 use gdp_rib::rib::Now;
 use gdp_rib::tiers::{
-    Effect, Hosted, Item, Kind, Reply, Revoked, Sent, SessionState, Ticket, TierChange, TierLimits, Tiers,
+    DomainRelation, Effect, Hosted, Item, Reply, Revoked, Sent, SessionState, Ticket, TierChange, TierLimits, Tiers,
 };
 
 pub const UNIX: u64 = 1_800_000_000;
@@ -418,10 +418,9 @@ impl World {
     /// The parents of each domain that it has accepted, over links that are up.
     pub fn accepted(&self) -> Vec<BTreeSet<usize>> {
         let parents = |index: usize| {
-            let up = self.domains[index]
-                .tiers
-                .neighbours()
-                .filter(|neighbour| matches!(neighbour.kind, Kind::Parent(_)) && neighbour.session == SessionState::Up);
+            let up = self.domains[index].tiers.neighbours().filter(|neighbour| {
+                matches!(neighbour.kind, DomainRelation::Parent(_)) && neighbour.session == SessionState::Up
+            });
             up.map(|neighbour| self.index(neighbour.domain)).collect()
         };
         (0..self.domains.len()).map(parents).collect()
