@@ -158,7 +158,7 @@ impl Port {
         let control = ethernet::ControlSocket::open(&found, config.ethertype, answer_as).map_err(fail(opening))?;
         let control = Arc::new(control);
         let fd = ethernet::open_data(&found, config.ethertype).map_err(fail(opening))?;
-        let data = DataSocket::new(data::Kind::Ethernet { fd, ifindex: found.index, ethertype: config.ethertype })
+        let data = DataSocket::new(data::Medium::Ethernet { fd, ifindex: found.index, ethertype: config.ethertype })
             .map_err(fail(opening))?;
         let quic = (found.mtu - ControlHeader::LEN as u32).min(MAX_ETHERNET_QUIC) as u16;
         let mtu = QuicMtu { initial: quic, discover_up_to: None };
@@ -172,7 +172,7 @@ impl Port {
         let fail = |source| LinkError::Io { what: format!("cannot bind UDP {bind}{through}"), source };
         let socket = Arc::new(udp::SharedUdp::bind(bind, config.through.as_deref()).map_err(fail)?);
         let mtu = QuicMtu { initial: SMALLEST_PATH, discover_up_to: Some(UDP_MTU as u16) };
-        let data = DataSocket::new(data::Kind::Udp(socket.clone())).map_err(fail)?;
+        let data = DataSocket::new(data::Medium::Udp(socket.clone())).map_err(fail)?;
         let medium = Medium::Udp {
             bound: socket.local_addr().map_err(fail)?,
             zero_checksum: socket.takes_zero_checksums(),

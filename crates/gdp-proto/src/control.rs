@@ -76,8 +76,8 @@ pub enum Request {
     /// does not know with [`Request::Detach`], so that they attach again. A restarted daemon
     /// reports the entities whose links it took over. `own_bit` is the switch's previous egress
     /// bit. Frames in flight carry it, so a RIB that does not know the switch assigns the same bit
-    /// if it is free. `membership` is the identity for other domains, if the switch is a member of a
-    /// domain.
+    /// if it is free. `membership` is the identity for other domains, if the switch is a member of
+    /// a domain.
     Report {
         switch: NameProof,
         attached: Vec<Name>,

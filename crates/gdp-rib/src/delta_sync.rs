@@ -38,7 +38,7 @@ pub enum NextMessage<K> {
 
 /// A composed part of a full transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Part {
+pub struct TransferPart {
     pub number: u32,
     pub is_last: bool,
 }
@@ -100,7 +100,7 @@ impl<K: Ord + Copy, C: Ord> DeltaSync<K, C> {
     /// Records that the next part was composed up to key `end`, or up to the last entry if `None`.
     ///
     /// The part covers all changes in its range. Changes of earlier parts wait for a delta.
-    pub fn part_composed(&mut self, end: Option<K>) -> Part {
+    pub fn part_composed(&mut self, end: Option<K>) -> TransferPart {
         let (number, after) = match self.phase {
             Phase::Full { part, after } => (part, after),
             Phase::Following | Phase::Failed { .. } => (0, None),
@@ -111,7 +111,7 @@ impl<K: Ord + Copy, C: Ord> DeltaSync<K, C> {
             Some(_) => Phase::Full { part: number + 1, after: end },
             None => Phase::Following,
         };
-        Part { number, is_last: end.is_none() }
+        TransferPart { number, is_last: end.is_none() }
     }
 
     /// Removes and returns the first changed entry, if it fits into the message.

@@ -14,7 +14,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::credential_file::CredentialFile;
-use super::key::Kind;
+use super::key::EntityKind;
 use crate::cli::context::Context;
 use crate::cli::issuing::{parse_seconds, serial_now, validity};
 use crate::client::Client;
@@ -57,7 +57,7 @@ struct Entity {
     key: PathBuf,
     /// What the entity is, as it was when its key was made.
     #[arg(long, value_enum, default_value = "proxy")]
-    kind: Kind,
+    kind: EntityKind,
 }
 
 /// What `gdp-ctl advertise` and `withdraw` show.
@@ -113,9 +113,9 @@ fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow:
             bail!("{}: not a certificate to publish; `gdp-ctl cert show` tells what it is", file.display());
         };
         let meant = cert.cert.claims_unverified().map_err(|error| anyhow!("{}: {error}", file.display()))?.entity;
-        let other = |kind: &&Kind| Identity::new(entity.key().clone(), kind.as_str()).name() == meant;
+        let other = |kind: &&EntityKind| Identity::new(entity.key().clone(), kind.as_str()).name() == meant;
         if meant != entity.name()
-            && let Some(kind) = Kind::value_variants().iter().find(other)
+            && let Some(kind) = EntityKind::value_variants().iter().find(other)
         {
             bail!(
                 "{} is for the key {} as a {}; add --kind {}",

@@ -18,26 +18,26 @@ pub enum Command {
         file: PathBuf,
         /// What the key is for; part of the entity's name.
         #[arg(long, value_enum)]
-        kind: Kind,
+        kind: EntityKind,
     },
     /// Show the public key of a private key, and the names of the entities it makes.
     Show {
         file: PathBuf,
         /// Only the entity of this kind.
         #[arg(long, value_enum)]
-        kind: Option<Kind>,
+        kind: Option<EntityKind>,
     },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Kind {
+pub enum EntityKind {
     Owner,
     Proxy,
     Switch,
     Tool,
 }
 
-impl Kind {
+impl EntityKind {
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Owner => "owner",
@@ -84,8 +84,8 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
         }
         Command::Show { file, kind } => {
             let key = SigningKey::load(&file)?;
-            let kinds = kind.map_or_else(|| Kind::value_variants().to_vec(), |kind| vec![kind]);
-            let name = |kind: Kind| Identity::new(key.clone(), kind.as_str()).name();
+            let kinds = kind.map_or_else(|| EntityKind::value_variants().to_vec(), |kind| vec![kind]);
+            let name = |kind: EntityKind| Identity::new(key.clone(), kind.as_str()).name();
             let names = kinds.iter().map(|kind| (kind.as_str(), name(*kind))).collect();
             let output = KeyOutput { public_key: key.verify_key().to_string(), names, name: kind.map(name) };
             context.output.print(&output, || {

@@ -13,7 +13,7 @@ use gdp_ros::roster::Dialect;
 use gdp_ros::types::Types;
 use gdp_util::terminal::note;
 
-use super::key::Kind;
+use super::key::EntityKind;
 use crate::cli::context::Context;
 use crate::cli::progress::while_waiting;
 use crate::ros::feed::Feed;
@@ -35,7 +35,7 @@ pub struct NodeOptions {
     key: Option<PathBuf>,
     /// What the key's entity is, as it was when its key was made.
     #[arg(long, value_enum, default_value = "proxy")]
-    kind: Kind,
+    kind: EntityKind,
     /// A switch, as udp://HOST[:PORT] or eth://INTERFACE; the one of this machine's daemon if
     /// nothing is said.
     #[arg(long, env = "GDP_SWITCH", value_name = "LINK")]

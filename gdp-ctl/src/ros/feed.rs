@@ -9,7 +9,7 @@ use gdp::Subscription;
 use gdp_core::card::NameCard;
 use gdp_e2e::seal::Message;
 use gdp_msg::{Base, Encoding, Mapping, Options, Schema};
-use gdp_ros::roster::{Change, Dialect, Event, Incoming, Kind, Offer};
+use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, RosterEvent};
 use gdp_ros::types::{TypeError, Types, unsealed};
 use gdp_wire::Name;
 use serde_json::Value;
@@ -92,27 +92,27 @@ impl Feed {
         Some(())
     }
 
-    fn on_event(&mut self, event: Event) {
+    fn on_event(&mut self, event: RosterEvent) {
         match event {
-            Event::Changes(changes) => self.change(changes),
-            Event::Message(number, message) => {
+            RosterEvent::Changes(changes) => self.change(changes),
+            RosterEvent::Message(number, message) => {
                 if let Some(RemotePublisher { kind, definition, .. }) =
                     self.publishers.get(&(message.writer, number)).cloned()
                 {
                     self.released.push_back(ReceivedMessage { message, kind, definition });
                 }
             }
-            Event::Plain(message) => match self.carded.clone() {
+            RosterEvent::Plain(message) => match self.carded.clone() {
                 Some(kind) => self.released.push_back(ReceivedMessage { message, kind, definition: None }),
                 None => self.said.push(format!(
                     "{:#} does not say of what type its messages are, and the name's card does not either",
                     message.writer
                 )),
             },
-            Event::Unannounced(messages) => {
+            RosterEvent::Unannounced(messages) => {
                 self.said.push(format!("{messages} messages are left out: their writers do not say of what they are"))
             }
-            Event::Malformed(writer, error) => {
+            RosterEvent::Malformed(writer, error) => {
                 self.said.push(format!("what {writer:#} says of its publishers is not understood: {error}"))
             }
         }

@@ -128,7 +128,7 @@ async fn what_is_published_at_the_command_line_arrives_with_its_roster() {
         }
         let events = incoming.receive(Instant::now(), got);
         let changes = events.into_iter().flat_map(|event| match event {
-            roster::Event::Changes(changes) => changes,
+            roster::RosterEvent::Changes(changes) => changes,
             other => panic!("{other:?}"),
         });
         for change in changes {

@@ -21,7 +21,7 @@ use crate::qos_mapping::subscribe_options;
 use crate::ros2::{Qos, TypeName};
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::stats::{Drop, FabricCounters};
-use gdp_ros::roster::{Change, Dialect, Event, Incoming, Kind, Offer};
+use gdp_ros::roster::{Change, Dialect, Incoming, Kind, Offer, RosterEvent};
 use gdp_ros::types::Form;
 
 const NOT_SAID: &str = "its writer does not say of what it is";
@@ -124,19 +124,19 @@ impl Route {
         }
     }
 
-    async fn on_event(&self, to: &mut In<'_>, event: Event) {
+    async fn on_event(&self, to: &mut In<'_>, event: RosterEvent) {
         match event {
-            Event::Changes(changes) => self.change(to, changes).await,
-            Event::Message(number, message) => self.write(to, Some((message.writer, number)), message).await,
-            Event::Plain(message) => {
+            RosterEvent::Changes(changes) => self.change(to, changes).await,
+            RosterEvent::Message(number, message) => self.write(to, Some((message.writer, number)), message).await,
+            RosterEvent::Plain(message) => {
                 if to.locals.get(&None).is_none() {
                     to.locals.insert(None, plain(to.kind));
                     self.make(to).await;
                 }
                 self.write(to, None, message).await;
             }
-            Event::Unannounced(messages) => self.drop_all(Drop::Unannounced, messages as u64, NOT_SAID),
-            Event::Malformed(writer, error) => self.drop(Drop::Malformed, format_args!("{writer:#}: {error}")),
+            RosterEvent::Unannounced(messages) => self.drop_all(Drop::Unannounced, messages as u64, NOT_SAID),
+            RosterEvent::Malformed(writer, error) => self.drop(Drop::Malformed, format_args!("{writer:#}: {error}")),
         }
     }
 

@@ -18,22 +18,22 @@ use super::{LinkAddr, ethernet};
 /// Where data frames of a port arrive and leave. Shared by threads; receiving is meant for one of
 /// them.
 pub struct DataSocket {
-    kind: Kind,
+    kind: Medium,
     wake: Arc<WakeFd>,
     offload: Offload,
     lost: AtomicU64,
 }
 
-pub(super) enum Kind {
+pub(super) enum Medium {
     Ethernet { fd: OwnedFd, ifindex: u32, ethertype: u16 },
     Udp(Arc<SharedUdp>),
 }
 
 impl DataSocket {
-    pub(super) fn new(kind: Kind) -> io::Result<Self> {
+    pub(super) fn new(kind: Medium) -> io::Result<Self> {
         let (wake, offload) = match &kind {
-            Kind::Ethernet { .. } => (Arc::new(WakeFd::new()?), Offload::never()),
-            Kind::Udp(socket) => (socket.data_wake(), Offload::default()),
+            Medium::Ethernet { .. } => (Arc::new(WakeFd::new()?), Offload::never()),
+            Medium::Udp(socket) => (socket.data_wake(), Offload::default()),
         };
         Ok(Self { kind, wake, offload, lost: AtomicU64::new(0) })
     }
@@ -43,8 +43,8 @@ impl DataSocket {
     pub fn try_recv_batch(&self, batch: &mut RecvBatch) -> io::Result<usize> {
         batch.clear();
         match &self.kind {
-            Kind::Ethernet { fd, ifindex, .. } => ethernet::receive(fd.as_fd(), *ifindex, batch)?,
-            Kind::Udp(socket) => socket.receive_data(batch)?,
+            Medium::Ethernet { fd, ifindex, .. } => ethernet::receive(fd.as_fd(), *ifindex, batch)?,
+            Medium::Udp(socket) => socket.receive_data(batch)?,
         }
         Ok(batch.len())
     }
@@ -110,8 +110,8 @@ impl DataSocket {
     /// Frames that arrived and were dropped because nobody took them in time.
     pub fn receive_drops(&self) -> u64 {
         let strays = match &self.kind {
-            Kind::Ethernet { .. } => 0,
-            Kind::Udp(socket) => socket.stray_drops(),
+            Medium::Ethernet { .. } => 0,
+            Medium::Udp(socket) => socket.stray_drops(),
         };
         sys::receive_drops(self.as_fd()) + strays
     }
@@ -122,25 +122,25 @@ impl DataSocket {
     }
 
     fn has_misdelivered(&self) -> bool {
-        matches!(&self.kind, Kind::Udp(socket) if socket.has_stray_data())
+        matches!(&self.kind, Medium::Udp(socket) if socket.has_stray_data())
     }
 
     fn raw_addr(&self, to: LinkAddr) -> Option<(RawAddr, u32)> {
         match (&self.kind, to) {
-            (Kind::Ethernet { ifindex, ethertype, .. }, LinkAddr::Ethernet { ifindex: to_ifindex, mac })
+            (Medium::Ethernet { ifindex, ethertype, .. }, LinkAddr::Ethernet { ifindex: to_ifindex, mac })
                 if *ifindex == to_ifindex =>
             {
                 Some((RawAddr::station(*ifindex, mac, *ethertype), size_of::<libc::sockaddr_ll>() as u32))
             }
-            (Kind::Udp(socket), LinkAddr::Udp(addr)) => Some(RawAddr::socket(addr, socket.is_v6())),
+            (Medium::Udp(socket), LinkAddr::Udp(addr)) => Some(RawAddr::socket(addr, socket.is_v6())),
             _ => None,
         }
     }
 
     fn as_fd(&self) -> BorrowedFd<'_> {
         match &self.kind {
-            Kind::Ethernet { fd, .. } => fd.as_fd(),
-            Kind::Udp(socket) => socket.data_fd(),
+            Medium::Ethernet { fd, .. } => fd.as_fd(),
+            Medium::Udp(socket) => socket.data_fd(),
         }
     }
 }

@@ -69,7 +69,7 @@ pub enum Change {
 
 /// An event on a name that is read.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Event {
+pub enum RosterEvent {
     /// The publishers changed.
     Changes(Vec<Change>),
     /// A message of the publisher with this number, which has [joined](Change::Joined).
@@ -84,7 +84,7 @@ pub enum Event {
 
 impl Incoming {
     /// Returns what a received message, which may be a roster, leads to.
-    pub fn receive(&mut self, now: Instant, message: Message) -> Vec<Event> {
+    pub fn receive(&mut self, now: Instant, message: Message) -> Vec<RosterEvent> {
         if message.encoding != ROSTER {
             return self.message(now, message).into_iter().collect();
         }
@@ -93,7 +93,7 @@ impl Incoming {
                 let released = released.into_iter().filter_map(|message| self.message(now, message));
                 changes_event(changes).into_iter().chain(released).collect()
             }
-            Err(error) => vec![Event::Malformed(message.writer, error)],
+            Err(error) => vec![RosterEvent::Malformed(message.writer, error)],
         }
     }
 
@@ -152,14 +152,14 @@ impl Incoming {
     }
 
     /// Classifies a received message that is not a roster. Returns `None` if it waits for a roster.
-    pub(super) fn message(&mut self, now: Instant, message: Message) -> Option<Event> {
-        let Some(number) = number(&message.origin) else { return Some(Event::Plain(message)) };
+    pub(super) fn message(&mut self, now: Instant, message: Message) -> Option<RosterEvent> {
+        let Some(number) = number(&message.origin) else { return Some(RosterEvent::Plain(message)) };
         if let Some(peer) = self.peers.get_mut(&message.writer)
             && peer.said.0 == message.session
             && peer.writers.get(&number).is_some_and(|from| !from.is_silent)
         {
             peer.last_seen = now;
-            return Some(Event::Message(number, message));
+            return Some(RosterEvent::Message(number, message));
         }
         // The next roster will announce a silent publisher again. Other messages wait for their
         // first roster.
@@ -175,7 +175,7 @@ impl Incoming {
 
     /// Marks publishers as silent whose lease has expired, and drops messages that waited for
     /// [`LEASE`].
-    pub fn poll(&mut self, now: Instant) -> Vec<Event> {
+    pub fn poll(&mut self, now: Instant) -> Vec<RosterEvent> {
         let mut changes = Vec::new();
         for (writer, peer) in &mut self.peers {
             let silence = now.saturating_duration_since(peer.last_seen);
@@ -233,10 +233,10 @@ impl Incoming {
     }
 }
 
-fn changes_event(changes: Vec<Change>) -> Option<Event> {
-    (!changes.is_empty()).then_some(Event::Changes(changes))
+fn changes_event(changes: Vec<Change>) -> Option<RosterEvent> {
+    (!changes.is_empty()).then_some(RosterEvent::Changes(changes))
 }
 
-fn unannounced_event(dropped: usize) -> Option<Event> {
-    (dropped > 0).then_some(Event::Unannounced(dropped))
+fn unannounced_event(dropped: usize) -> Option<RosterEvent> {
+    (dropped > 0).then_some(RosterEvent::Unannounced(dropped))
 }

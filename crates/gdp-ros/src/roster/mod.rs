@@ -17,7 +17,7 @@ use gdp_core::cbor::CborError;
 use gdp_e2e::seal::Encoding;
 use serde::{Deserialize, Serialize};
 
-pub use incoming::{Change, Event, Incoming};
+pub use incoming::{Change, Incoming, RosterEvent};
 pub use outgoing::Outgoing;
 
 /// Encoding number of a message that is a roster.

@@ -79,7 +79,7 @@ fn publishers_come_and_go_at_the_other_end() {
 
     let silent = |number| Change::Silent { writer: name(1), number };
     assert_eq!(into.poll(now + LEASE / 2), []);
-    assert_eq!(into.poll(now + LEASE), [Event::Changes(vec![silent(1), silent(2)])]);
+    assert_eq!(into.poll(now + LEASE), [RosterEvent::Changes(vec![silent(1), silent(2)])]);
     assert_eq!(into.poll(now + 2 * LEASE), [], "once");
     let back = body(out.poll(now + LEASE).unwrap());
     let (changes, _) = into.roster(now + LEASE, &message(1, 9, b"", back)).unwrap();
@@ -110,7 +110,7 @@ fn who_promises_more_is_missed_sooner_and_spoken_of_more_often() {
     into.message(at(1500), message(1, 2, &origin(0), "x"));
     assert_eq!(into.poll(at(3499)), []);
     let missed = Change::Silent { writer: name(1), number: 1 };
-    assert_eq!(into.poll(at(3500)), [Event::Changes(vec![missed])]);
+    assert_eq!(into.poll(at(3500)), [RosterEvent::Changes(vec![missed])]);
     let again = body(out.poll(at(3600)).unwrap());
     let (changes, _) = into.roster(at(3600), &message(1, 3, b"", again)).unwrap();
     assert_eq!(changes, [joined(1, lively, None)], "the other was never missed");
@@ -122,7 +122,7 @@ fn who_promises_more_is_missed_sooner_and_spoken_of_more_often() {
 fn messages_wait_for_the_roster_that_tells_of_their_publisher() {
     let now = Instant::now();
     let (mut out, mut into) = (Outgoing::new(kind(), None), Incoming::default());
-    assert!(matches!(into.message(now, message(1, 1, b"", "plain")), Some(Event::Plain(_))));
+    assert!(matches!(into.message(now, message(1, 1, b"", "plain")), Some(RosterEvent::Plain(_))));
     for i in 0..3u32 {
         assert_eq!(into.message(now, message(1, 2 + u64::from(i), &origin(i), "held")), None);
     }
@@ -131,12 +131,12 @@ fn messages_wait_for_the_roster_that_tells_of_their_publisher() {
     out.joined(1, RELIABLE);
     let (_, released) = into.roster(now, &message(1, 5, b"", body(out.poll(now).unwrap()))).unwrap();
     assert_eq!(released.iter().map(|message| message.sequence).collect::<Vec<_>>(), [2, 3]);
-    assert!(matches!(into.message(now, message(1, 6, &origin(1), "x")), Some(Event::Message(1, _))));
+    assert!(matches!(into.message(now, message(1, 6, &origin(1), "x")), Some(RosterEvent::Message(1, _))));
     // A writer that began anew numbers its publishers anew.
     let mut anew = message(1, 1, &origin(1), "x");
     anew.session = [9; 16];
     assert_eq!(into.message(now, anew), None);
-    let unannounced = Event::Unannounced(3);
+    let unannounced = RosterEvent::Unannounced(3);
     assert!(into.poll(now + LEASE).contains(&unannounced), "two of publishers that were never listed, and this one");
 }
 
@@ -158,10 +158,10 @@ fn what_waits_is_bounded() {
     let (mut into, now) = (Incoming::default(), Instant::now());
     let large = Bytes::from(vec![0; 20 << 20]);
     assert_eq!(into.message(now, message(1, 1, &origin(0), large.clone())), None);
-    assert_eq!(into.message(now, message(1, 2, &origin(0), large)), Some(Event::Unannounced(1)));
+    assert_eq!(into.message(now, message(1, 2, &origin(0), large)), Some(RosterEvent::Unannounced(1)));
     let mut crowded = 0;
     for i in 0..3000 {
-        if let Some(Event::Unannounced(gone)) = into.message(now, message(1, 3 + i, &origin(0), "")) {
+        if let Some(RosterEvent::Unannounced(gone)) = into.message(now, message(1, 3 + i, &origin(0), "")) {
             crowded += gone;
         }
     }

@@ -40,8 +40,8 @@ impl Membership {
         self.domain.as_ref().map(|domain| domain.trust.home())
     }
 
-    /// Returns the relationship that a peer's credentials give it on a link. Fails with the reason if
-    /// they give none.
+    /// Returns the relationship that a peer's credentials give it on a link. Fails with the reason
+    /// if they give none.
     pub fn admit(&self, link: &Link, credentials: Option<&Credentials>) -> Result<Admission, String> {
         let Some(domain) = &self.domain else { return Ok(Admission::STRANGER) };
         let admitted = domain.trust.admit(Role::Switch, link.peer(), credentials, unix_seconds());

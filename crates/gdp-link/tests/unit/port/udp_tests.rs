@@ -14,7 +14,7 @@ use quinn::udp::{EcnCodepoint, RecvMeta};
 
 use super::batch::{BATCH, OutFrame, RecvBatch, Sent};
 use super::control::Control;
-use super::data::{DataSocket, Kind};
+use super::data::{DataSocket, Medium};
 use super::sys::{self, RawAddr};
 use super::udp::SharedUdp;
 use super::{InFrame, LinkAddr};
@@ -253,7 +253,7 @@ struct End {
 impl End {
     fn bind(addr: &str) -> Self {
         let udp = Arc::new(SharedUdp::bind(addr.parse().unwrap(), None).unwrap());
-        Self { data: DataSocket::new(Kind::Udp(udp.clone())).unwrap(), udp }
+        Self { data: DataSocket::new(Medium::Udp(udp.clone())).unwrap(), udp }
     }
 
     fn addr(&self) -> SocketAddr {
