@@ -1,4 +1,4 @@
-//! Embeds the XDP programs, if `cargo xtask build` has compiled them from the present source.
+//! Embeds the XDP programs if `cargo xtask build` has compiled them from the current source.
 
 use std::path::Path;
 use std::{env, fs, io};
@@ -11,8 +11,8 @@ fn main() -> io::Result<()> {
     let out = env::var("OUT_DIR").map_err(io::Error::other)?;
     let root = Path::new(&manifest).ancestors().nth(2).ok_or(io::ErrorKind::NotFound)?;
     let object = fingerprint::object(root)?;
-    // The folder is there before the object is: Cargo would take a file that is missing for one
-    // that has changed.
+    // Watch the folder while the object does not exist. Cargo treats a missing file as a changed
+    // file.
     let object_or_folder = if object.is_file() { object.clone() } else { root.join(fingerprint::FOLDER) };
     for path in fingerprint::files(root)?.iter().chain([&object_or_folder]) {
         println!("cargo::rerun-if-changed={}", path.display());

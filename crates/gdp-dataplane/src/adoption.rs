@@ -1,5 +1,5 @@
-//! Takes over what an earlier daemon left in BPF maps: reads back from them where its links lead,
-//! who reads a group, and the routes.
+//! Takes over the BPF maps of an earlier daemon. It reads the addresses of links, the readers of
+//! groups, and the routes back from them.
 
 use std::collections::{HashMap, HashSet};
 use std::net::{IpAddr, SocketAddr};
@@ -16,18 +16,19 @@ use crate::kernel_failures::UpdateError;
 use crate::route::PlaneRoute;
 use crate::tables::UserTables;
 
-/// What an earlier daemon left in the kernel, and nobody has confirmed or removed yet.
+/// State of an earlier daemon in the kernel that the control plane has neither confirmed nor
+/// removed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Left {
     /// This switch's egress bit.
     pub own_bit: u64,
-    /// With where frames of each go.
+    /// Links, each with the address of its frames.
     pub links: Vec<(KeyedEntry, LinkAddr)>,
     pub routes: Vec<(Name, PlaneRoute)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
 }
 
-/// Gives the userspace plane what the fast path holds.
+/// Copies the state of the fast path to the userspace plane.
 pub fn adopt(state: &mut Dispatcher, adopted: Adopted) -> Result<Left, UpdateError> {
     let Adopted { config, links, routes, next_hops, ports, groups, sources } = adopted;
     state.own_bit = config.own_bit;
@@ -41,7 +42,7 @@ pub fn adopt(state: &mut Dispatcher, adopted: Adopted) -> Result<Left, UpdateErr
             state.fast_path.iter_mut().for_each(|fast_path| _ = fast_path.follow_route(&entry));
             left.links.push((entry, to));
         } else {
-            // Only the daemon that died knew where it leads.
+            // The address of this link is not in the maps; only the earlier daemon had it.
             state.on_fast_path(|fast_path| fast_path.remove_link(entry.id))?;
         }
     }
@@ -49,17 +50,18 @@ pub fn adopt(state: &mut Dispatcher, adopted: Adopted) -> Result<Left, UpdateErr
     state.userspace.set_next_hops(&next_hops)?;
     let readers = readers(&state.userspace.tables, &groups);
     let mut sources = sources_of(&state.userspace.tables, sources);
-    // Those with a number of their own come first, so that no other takes it.
+    // Entries with their own group number come first, so that no other entry takes that number.
     let (numbered, others): (Vec<_>, Vec<_>) =
         routes.into_iter().partition(|(_, entry)| readers.contains_key(&entry.group));
     for (name, entry) in numbered.into_iter().chain(others) {
         let readers = readers.get(&entry.group).map(Vec::as_slice);
         let route = route_of(&entry, readers, sources.remove(&name).unwrap_or_default());
-        // By the same number, so that nothing changes for frames under way.
+        // Reuse the number, so that frames in flight see no change.
         state.set_route(name, &route, readers.map(|_| entry.group))?;
         left.routes.push((name, route));
     }
-    // Not before the entries that say to look for permits are gone: frames go on meanwhile.
+    // Remove permits only after the entries that refer to them, because forwarding continues
+    // meanwhile.
     let stay = left.routes.iter().flat_map(|(name, route)| route.source_permits(name)).collect();
     state.on_fast_path(|fast_path| fast_path.retain_permits(&stay))?;
     for group in readers.into_keys().filter(|group| state.groups.readers(*group).is_empty()) {
@@ -68,7 +70,7 @@ pub fn adopt(state: &mut Dispatcher, adopted: Adopted) -> Result<Left, UpdateErr
     Ok(left)
 }
 
-/// Where a link leads, if its entry tells.
+/// Returns the address of a link, if its entry contains it.
 fn address_of(entry: &LinkEntry) -> Option<LinkAddr> {
     let carrier = &entry.carrier;
     match carrier.kind {
@@ -77,7 +79,7 @@ fn address_of(entry: &LinkEntry) -> Option<LinkAddr> {
         }
         Carrier::UDP4 | Carrier::UDP6 => {
             let ip = ip_of(carrier.kind, carrier.peer_ip);
-            // A link-local address leads nowhere without its interface.
+            // A link-local address is not usable without its interface.
             let link_local = matches!(ip, IpAddr::V6(ip) if ip.is_unicast_link_local());
             (!link_local).then(|| LinkAddr::udp(SocketAddr::new(ip, u16::from_be(carrier.peer_port))))
         }
@@ -85,7 +87,8 @@ fn address_of(entry: &LinkEntry) -> Option<LinkAddr> {
     }
 }
 
-/// The links by which frames may come from each name, sorted, of those that are there.
+/// Returns the links on which frames from each name may arrive, sorted. Links that no longer exist
+/// are omitted.
 fn sources_of(tables: &UserTables, permits: Vec<Permit>) -> HashMap<Name, Vec<u32>> {
     let mut sources: HashMap<Name, Vec<u32>> = HashMap::new();
     for permit in permits.into_iter().filter(|permit| tables.link(permit.link).is_some()) {
@@ -95,7 +98,7 @@ fn sources_of(tables: &UserTables, permits: Vec<Permit>) -> HashMap<Name, Vec<u3
     sources
 }
 
-/// The local readers of each group that has any, sorted.
+/// Returns the local readers of each group that has any, sorted.
 fn readers(tables: &UserTables, groups: &[(u32, Vec<u32>)]) -> HashMap<u32, Vec<u32>> {
     let is_reader = |id: &u32| tables.link(*id).is_some_and(|link| link.role != LinkRole::Switch as u32);
     let of = |members: &[u32]| {
@@ -107,9 +110,10 @@ fn readers(tables: &UserTables, groups: &[(u32, Vec<u32>)]) -> HashMap<u32, Vec<
     groups.filter(|(group, readers)| *group != NEIGHBOURS && !readers.is_empty()).collect()
 }
 
-/// The route of a name. Permits of several writers cannot be read back: until the RIB states them
-/// again, every endpoint may send to the name, as itself, and other domains as those they may;
-/// readers know who may write. `readers`: of its group, as far as that was in the kernel.
+/// Returns the route of a name. The permits of several writers cannot be read back. Until the RIB
+/// states them again, every endpoint may send to the name under its own name. Other domains may
+/// send as the names permitted to them. Readers verify writers themselves. `readers`: readers of
+/// the group, as far as the kernel had them.
 fn route_of(entry: &FibEntry, readers: Option<&[u32]>, sources: Vec<u32>) -> PlaneRoute {
     let only = Some(entry.local_link).filter(|link| *link != 0);
     PlaneRoute {

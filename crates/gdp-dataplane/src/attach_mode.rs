@@ -1,6 +1,6 @@
-//! How an XDP program is attached.
+//! XDP attach modes.
 
-/// How a program is attached to an interface.
+/// Mode in which a program is attached to an interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
     Native,

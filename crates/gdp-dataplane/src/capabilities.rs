@@ -1,11 +1,11 @@
-//! Linux capabilities (capabilities(7)): which a switch needs, which the calling thread has, and
-//! giving up the others.
+//! Linux capabilities (capabilities(7)): the capabilities that a switch needs, those of the calling
+//! thread, and dropping the others.
 //!
-//! They belong to threads. A new thread has those of the thread that starts it.
+//! Capabilities belong to threads. A new thread inherits those of the thread that starts it.
 
 use std::io;
 
-/// A capability, as `linux/capability.h` has it.
+/// A capability, as defined in `linux/capability.h`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capability {
     pub name: &'static str,
@@ -23,20 +23,22 @@ pub const SYS_ADMIN: Capability = capability("CAP_SYS_ADMIN", 21);
 const PERFMON: Capability = capability("CAP_PERFMON", 38);
 const BPF: Capability = capability("CAP_BPF", 39);
 
-/// For maps and programs, for arithmetic on packet pointers, and to attach programs.
+/// Needed for maps and programs, for arithmetic on packet pointers, and to attach programs.
 pub const XDP: [Capability; 3] = [BPF, PERFMON, NET_ADMIN];
 
-/// For XDP, and for the packet sockets of links on Ethernet.
+/// Needed for XDP, and for the packet sockets of links on Ethernet.
 pub const SWITCH: [Capability; 4] = [BPF, PERFMON, NET_ADMIN, NET_RAW];
 
-/// Those that the calling thread lacks. CAP_SYS_ADMIN includes CAP_BPF and CAP_PERFMON.
+/// Returns the capabilities that the calling thread lacks. CAP_SYS_ADMIN includes CAP_BPF and
+/// CAP_PERFMON.
 pub fn missing(wanted: &[Capability]) -> Vec<&'static str> {
     let effective = Sets::read().map_or(0, |sets| sets.effective);
     wanted.iter().filter(|wanted| !includes(effective, **wanted)).map(|wanted| wanted.name).collect()
 }
 
-/// Gives up all capabilities but these, for good: of the calling thread, which is to be the only
-/// one, and of every program that it runs. Those that it does not have it does not get.
+/// Permanently drops all capabilities except `keep`, for the calling thread and every program that
+/// it runs. The calling thread must be the only thread. Capabilities that the thread lacks are not
+/// added.
 pub fn keep_only(keep: &[Capability]) -> io::Result<()> {
     let permitted = Sets::read()?.permitted;
     let mut kept = keep.iter().fold(0, |kept, capability| kept | bit(*capability)) & permitted;
@@ -44,12 +46,13 @@ pub fn keep_only(keep: &[Capability]) -> io::Result<()> {
         kept |= bit(SYS_ADMIN);
     }
     for number in (0..u64::BITS).filter(|number| kept & 1 << number == 0) {
-        // Without CAP_SETPCAP it fails; then `no_new_privs` alone has programs not get more.
-        // SAFETY: plain numbers.
+        // This fails without CAP_SETPCAP. `no_new_privs` then still stops programs from gaining
+        // capabilities.
+        // SAFETY: the arguments are plain numbers.
         unsafe { libc::prctl(libc::PR_CAPBSET_DROP, libc::c_ulong::from(number), 0, 0, 0) };
     }
     Sets { effective: kept, permitted: kept }.write()?;
-    // SAFETY: plain numbers.
+    // SAFETY: the arguments are plain numbers.
     match unsafe { libc::prctl(libc::PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) } {
         0 => Ok(()),
         _ => Err(io::Error::last_os_error()),
@@ -65,7 +68,7 @@ fn bit(capability: Capability) -> u64 {
     1 << capability.number
 }
 
-/// Of the calling thread.
+/// Capability sets of the calling thread.
 #[derive(Clone, Copy)]
 struct Sets {
     effective: u64,
@@ -91,7 +94,8 @@ struct CapWords {
 impl Sets {
     fn read() -> io::Result<Self> {
         let (mut header, mut words) = (header(), [CapWords::default(); 2]);
-        // SAFETY: the structures of version 3, which the kernel reads and writes during the call.
+        // SAFETY: these are the structures of version 3, which the kernel reads and writes during
+        // the call.
         let result = unsafe { libc::syscall(libc::SYS_capget, &raw mut header, words.as_mut_ptr()) };
         let whole = |low: u32, high: u32| u64::from(high) << 32 | u64::from(low);
         match (result, words) {
@@ -103,7 +107,7 @@ impl Sets {
         }
     }
 
-    /// Nothing is inheritable, so that ambient capabilities go too.
+    /// Sets the capabilities. The inheritable set is empty, which also clears ambient capabilities.
     fn write(self) -> io::Result<()> {
         let mut header = header();
         let words = [0, 32].map(|shift| CapWords {
@@ -111,7 +115,7 @@ impl Sets {
             permitted: (self.permitted >> shift) as u32,
             inheritable: 0,
         });
-        // SAFETY: the structures of version 3, which the kernel reads during the call.
+        // SAFETY: these are the structures of version 3, which the kernel reads during the call.
         match unsafe { libc::syscall(libc::SYS_capset, &raw mut header, words.as_ptr()) } {
             0 => Ok(()),
             _ => Err(io::Error::last_os_error()),
@@ -120,7 +124,7 @@ impl Sets {
 }
 
 fn header() -> CapHeader {
-    /// Two words for each set.
+    /// Version with two words for each set.
     const VERSION_3: u32 = 0x2008_0522;
     CapHeader { version: VERSION_3, pid: 0 }
 }

@@ -1,4 +1,4 @@
-//! How the data planes are set up, and why that fails.
+//! Configuration and errors of the data planes.
 
 use std::path::PathBuf;
 
@@ -8,14 +8,14 @@ use crate::dpdk::{DpdkConfig, DpdkPlaneError};
 use crate::kernel_failures::{LoadError, UpdateError};
 use crate::pins::PinsError;
 
-/// Names the FIB can hold unless configured otherwise. The kernel's table begins with room for 1024
-/// names and doubles as names come: 128 to 256 B of kernel memory each.
+/// Default capacity of the FIB, in names. The kernel's table starts with room for 1024 names and
+/// doubles as names are added: 128 to 256 B of kernel memory for each name.
 pub const FIB_CAPACITY: u32 = 65536;
 
-/// Which data plane the operator wants.
+/// Data plane that the operator requested.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Wanted {
-    /// Native XDP, else generic XDP, else userspace; the report says which and why.
+    /// Native XDP, else generic XDP, else userspace. The report states the choice and the reason.
     #[default]
     Auto,
     /// XDP, or an error.
@@ -26,29 +26,29 @@ pub enum Wanted {
     Userspace,
 }
 
-/// How the planes are set up.
+/// Configuration of the planes.
 #[derive(Clone, Debug)]
 pub struct PlaneConfig {
     pub wanted: Wanted,
-    /// The eBPF object, if not the one that [`crate::object::Object::find`] finds.
+    /// The eBPF object, if different from the result of [`crate::object::Object::find`].
     pub ebpf_object: Option<PathBuf>,
     /// For the DPDK plane.
     pub dpdk: DpdkConfig,
-    /// The file in which DPDK's settings of interfaces outlive a daemon that is killed, if they are
-    /// to.
+    /// File that stores DPDK's interface settings, so that they survive a daemon that is killed.
+    /// `None`: not stored.
     pub dpdk_settings: Option<PathBuf>,
-    /// Names the FIB can hold.
+    /// Maximum number of names in the FIB.
     pub fib_capacity: u32,
-    /// Of GDP frames.
+    /// Ethertype of GDP frames.
     pub ethertype: u16,
-    /// Where the kernel keeps what is to outlive the daemon, if anything is.
+    /// Location of the pins that outlive the daemon. `None`: no pins.
     pub pins: Option<PinLocation>,
-    /// Whether to count the frames that are lost after a redirect. What counts them sees each batch
-    /// of redirected frames of the whole machine, so one switch of a machine should.
+    /// Whether to count frames lost after a redirect. The counting program sees every batch of
+    /// redirected frames on the whole machine, so only one switch of a machine should count.
     pub count_losses: bool,
 }
 
-/// A place for the pins of a switch.
+/// Location of a switch's pins.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PinLocation {
     pub bpffs: PathBuf,

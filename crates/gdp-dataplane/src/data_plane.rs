@@ -1,5 +1,5 @@
-//! What the data planes have in common: [`DataPlane`] is what all three hold and count,
-//! [`FastPath`] how XDP and DPDK take frames before the userspace plane gets them. The
+//! Traits of the data planes. [`DataPlane`] covers the state and counters of all three planes.
+//! [`FastPath`] covers how XDP and DPDK process frames before the userspace plane. The
 //! implementations are [`crate::userspace_plane`], [`crate::xdp`] and [`crate::dpdk`];
 //! [`crate::Planes`] calls them.
 
@@ -20,15 +20,15 @@ use crate::kernel_failures::UpdateError;
 use crate::tables::RouteEntry;
 use crate::tally::LinkCounters;
 
-/// State of a switch that frames are forwarded by. A plane that decides by the tables of the
-/// userspace plane holds none of its own: the defaults do nothing.
+/// Forwarding state of a switch. A plane that uses the tables of the userspace plane has no state
+/// of its own: the default methods do nothing.
 pub trait DataPlane {
-    /// Forgets what was counted of the link that had the index of `id` before.
+    /// Clears the counters of the link that previously had the index of `id`.
     fn begin_link(&mut self, _id: u32) -> Result<(), UpdateError> {
         Ok(())
     }
 
-    /// Adds or replaces a link; frames of it are sent to `to`.
+    /// Adds or replaces a link. Its frames are sent to `to`.
     fn set_link(&mut self, _link: &LinkEntry, _to: LinkAddr) -> Result<(), UpdateError> {
         Ok(())
     }
@@ -37,153 +37,156 @@ pub trait DataPlane {
         Ok(())
     }
 
-    /// Adds or replaces where a name leads. After an error nothing has changed. `before`: where it
-    /// led until now.
+    /// Adds or replaces the route of a name. After an error nothing has changed. `before`: the
+    /// previous route.
     fn set_route(&mut self, _: &Name, _: &RouteEntry, _before: Option<&RouteEntry>) -> Result<(), UpdateError> {
         Ok(())
     }
 
-    /// `permits`: those of the name. An unknown name is no error.
+    /// Removes a route. `permits`: the permits of the name. An unknown name is no error.
     fn remove_route(&mut self, _: &Name, _permits: &[Permit]) -> Result<(), UpdateError> {
         Ok(())
     }
 
-    /// Sets the local readers of a group and the links that take copies; none, if no frame for it
-    /// can need copies.
+    /// Sets the local readers of a group and the links that receive copies. `copies` is `None` if
+    /// no frame to the group can need copies.
     fn set_group(&mut self, _group: u32, _readers: &[u32], _copies: Option<&[&LinkEntry]>) {}
 
-    /// No route leads to the group any more.
+    /// Releases a group that no route uses any more.
     fn release_group(&mut self, _group: u32) {}
 
-    /// For each egress bit the link toward that switch, or 0.
+    /// Sets the link toward each egress switch by its egress bit; 0 for none.
     fn set_next_hops(&mut self, _: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), UpdateError> {
         Ok(())
     }
 
-    /// This switch's own egress bit, or 0.
+    /// Sets this switch's own egress bit, or 0.
     fn set_own_bit(&mut self, _own_bit: u64) -> Result<(), UpdateError> {
         Ok(())
     }
 
-    /// In the order of [`Counter::ALL`].
+    /// Returns the counters in the order of [`Counter::ALL`].
     fn counters(&self) -> Result<[u64; Counter::COUNT], UpdateError>;
 
-    /// What became of the frames that this plane took from a link.
+    /// Returns the outcomes of the frames that this plane received on a link.
     fn arrivals(&self, _link: u32) -> Result<LinkCounters, UpdateError> {
         Ok([0; Counter::COUNT])
     }
 
-    /// About how many frames this plane sent for the busiest names.
+    /// Returns the approximate number of frames this plane sent for the busiest names.
     fn busiest(&self) -> Result<HashMap<Name, u64>, UpdateError> {
         Ok(HashMap::new())
     }
 }
 
-/// A plane that takes frames from devices before the userspace plane gets them. It leaves to that
-/// what it cannot do.
+/// A plane that receives frames from devices before the userspace plane. It leaves frames that it
+/// cannot process to the userspace plane.
 pub trait FastPath: DataPlane + Send {
-    /// As the status shows it.
+    /// Returns the name of the plane in the status output.
     fn name(&self) -> &'static str;
 
-    /// Whether there are XDP programs, or why not.
+    /// Returns whether XDP programs are available, or the reason why not.
     fn xdp(&self) -> Result<(), String>;
 
-    /// Takes over what arrives on a device that the operator named, or says why it does not.
+    /// Starts to serve a device that the operator named, or returns the reason why not.
     fn attach(&mut self, _device: u32, _name: &str) -> Result<(), String> {
         Ok(())
     }
 
-    /// No port uses the device any more.
+    /// Stops serving a device that no port uses any more.
     fn detach(&mut self, _device: u32) {}
 
-    /// Takes over what arrives over UDP at `bound`, from the next refresh on. `pair`: by which
-    /// endpoints on this host are to send.
+    /// Serves UDP at `bound` from the next refresh on. `pair`: the host pair for endpoints on this
+    /// host.
     fn attach_udp(&mut self, bound: SocketAddr, pair: Option<Ends>) -> Result<(), UpdateError>;
 
     fn detach_udp(&mut self);
 
-    /// Devices from which this plane takes what arrives over UDP, with their names.
+    /// Returns the devices on which this plane receives UDP, with their names.
     fn udp_devices(&self) -> Vec<(u32, String)> {
         Vec::new()
     }
 
-    /// The pair by which endpoints on this host reach this plane, and it them, if that works now.
+    /// Returns the host pair between this plane and endpoints on this host, if it currently works.
     fn host_pair(&self) -> Option<HostPair> {
         None
     }
 
-    /// Which plane takes what arrives on an interface, and why. `device`: what takes its frames.
+    /// Returns which plane serves an interface, and the reason. `device`: the device that receives
+    /// its frames.
     fn describe(&self, interface: &str, device: u32) -> InterfacePlane;
 
-    /// Why links over UDP, of IPv4 and of IPv6, are left to the userspace plane, if they are.
+    /// Returns, for IPv4 and IPv6, the reason why links over UDP use the userspace plane, if they
+    /// do.
     fn udp_in_userspace(&self) -> [Option<String>; 2] {
         [None, None]
     }
 
-    /// Looks where a link leaves that is about to be set, if that is to be known before.
+    /// Resolves the egress of a link before it is set, if the plane needs that.
     fn resolve(&mut self, _link: &LinkEntry) {}
 
-    /// The port by which this plane can send on a link now. `device`: where frames of an Ethernet
-    /// link leave.
+    /// Returns the port by which this plane can send on a link now. `device`: egress device of an
+    /// Ethernet link.
     fn egress_port(&self, link: &LinkEntry, device: Option<u32>) -> Option<u32>;
 
-    /// Looks where a link that is set leaves; whether that has changed.
+    /// Resolves the egress of an existing link again. Returns whether it has changed.
     fn follow_route(&mut self, _link: &LinkEntry) -> bool {
         false
     }
 
-    /// Looks again at addresses, devices and routes of the network namespace. `vlans`: those that
-    /// GDP runs on.
+    /// Updates addresses, devices and routes of the network namespace. `vlans`: VLANs on which GDP
+    /// runs.
     fn begin_refresh(
         &mut self,
         vlans: &[Vlan],
         links: &mut dyn Iterator<Item = &KeyedEntry>,
     ) -> Result<(), UpdateError>;
 
-    /// No link leads any more to a port that this plane cannot send to.
+    /// Ends a refresh: no link uses a port any more that this plane cannot send to.
     fn end_refresh(&mut self) -> Result<(), UpdateError> {
         Ok(())
     }
 
-    /// Of these routes those that frames are forwarded by, as this plane holds them.
+    /// Returns the subset of these routes that this plane forwards by, with the plane's entries.
     fn read_back(&self, routes: Vec<(Name, FibEntry)>) -> Vec<(Name, FibEntry)> {
         routes
     }
 
-    /// Frames that were lost after the decision, by the name of the interface they were to leave
-    /// by; or why that is not known.
+    /// Returns the frames lost after the forwarding decision, by the name of their egress
+    /// interface; or the reason why they are unknown.
     fn losses(&self) -> Result<HashMap<String, u64>, String>;
 
-    /// What devices have counted, by the name of the interface on the host's side.
+    /// Returns the device counters, by the name of the host's interface.
     fn device_counters(&self) -> HashMap<String, DeviceCounters> {
         HashMap::new()
     }
 
-    /// Processor time that each loop of this plane has taken.
+    /// Returns the processor time that each loop of this plane has used.
     fn processor_time(&self) -> Vec<Duration> {
         Vec::new()
     }
 
-    /// What an earlier daemon left in this plane, which keeps it for now.
+    /// Returns the state that an earlier daemon left in this plane. The plane retains it until
+    /// [`Self::end_adoption`].
     fn begin_adoption(&mut self) -> Result<Option<Adopted>, UpdateError> {
         Ok(None)
     }
 
-    /// Takes back every permit that an earlier daemon left but these.
+    /// Removes all permits of an earlier daemon except these.
     fn retain_permits(&mut self, _permits: &HashSet<Permit>) -> Result<(), UpdateError> {
         Ok(())
     }
 
-    /// Removes what an earlier daemon left and nobody took over, but for links and routes.
+    /// Removes unclaimed state of an earlier daemon, except links and routes.
     fn end_adoption(&mut self) -> Result<(), UpdateError> {
         Ok(())
     }
 
-    /// Whether this plane forwards on when this process dies.
+    /// Returns whether this plane continues to forward when this process ends.
     fn outlives(&self) -> bool {
         false
     }
 
-    /// From now on everything ends with this plane.
+    /// Removes all pins, so that all state ends with this plane.
     fn unpin(&mut self) {}
 }

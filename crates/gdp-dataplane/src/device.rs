@@ -1,6 +1,6 @@
-//! One interface as the kernel describes it: state, driver, offloads, and the XDP program on it,
-//! whoever's. Only asks. For [`crate::Planes`], which says whose program is in its way, and for
-//! `gdp-ctl doctor`.
+//! An interface as the kernel describes it: state, driver, offloads, and any attached XDP program.
+//! This module only queries, except [`set_gro`]. [`crate::Planes`] uses it to report conflicting
+//! programs, and `gdp-ctl doctor` uses it too.
 
 use std::collections::{HashMap, HashSet};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
@@ -14,7 +14,7 @@ use super::capabilities::{SYS_ADMIN, missing};
 use super::netlink::{Netlink, attribute, number};
 use crate::attach_mode::Mode;
 
-/// Of an `ifinfomsg`.
+/// Length of an `ifinfomsg`.
 pub(super) const HEADER: usize = 16;
 const RTEXT_FILTER_SKIP_STATS: u32 = 1 << 3;
 const IFLA_IFNAME: u16 = 3;
@@ -36,12 +36,12 @@ pub struct Device {
     /// Whether GDP can run on it directly.
     pub ethernet: bool,
     pub up: bool,
-    /// Whether the cable, or the other end, is there.
+    /// Whether the carrier is present, or the peer is up.
     pub running: bool,
     pub mtu: u32,
     /// `veth`, `bridge`, `vlan`, …; empty for hardware.
     pub kind: String,
-    /// The interface that a VLAN is on.
+    /// Lower interface of a VLAN.
     pub lower: Option<u32>,
     pub program: Option<AttachedProgram>,
 }
@@ -51,16 +51,15 @@ pub struct Device {
 pub struct AttachedProgram {
     pub interface: String,
     pub id: u32,
-    /// Its first 15 characters; empty if the kernel does not say.
+    /// First 15 characters of the name; empty if the kernel does not report it.
     pub name: String,
     pub mode: Mode,
-    /// Whether a BPF link holds it, and not the interface itself; `None` if the kernel does not
-    /// say.
+    /// Whether a BPF link attaches it, rather than the interface itself; `None` if the kernel does
+    /// not report it.
     pub by_link: Option<bool>,
 }
 
-/// What the hardware, or who plays it, does to packets before XDP or after; `None` where the driver
-/// does not say.
+/// Offloads that change packets before or after XDP; `None` where the driver does not report them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Offloads {
     pub lro: Option<bool>,
@@ -69,36 +68,36 @@ pub struct Offloads {
 }
 
 impl Device {
-    /// In the calling thread's network namespace.
+    /// Returns an interface in the calling thread's network namespace.
     pub fn find(ifindex: u32) -> io::Result<Self> {
         parse(&ask(ifindex)?).ok_or_else(|| io::ErrorKind::InvalidData.into())
     }
 
-    /// [`Self::running`], without a look at anything else.
+    /// Returns [`Self::running`] without querying anything else.
     #[cfg(feature = "dpdk")]
     pub fn is_running(ifindex: u32) -> io::Result<bool> {
         let flags = flags(&ask(ifindex)?).ok_or(io::ErrorKind::InvalidData)?;
         Ok(flags & libc::IFF_RUNNING as u32 != 0)
     }
 
-    /// All there are, in the order of their indices.
+    /// Returns all interfaces in the order of their indices.
     pub fn list() -> io::Result<Vec<Self>> {
-        // SAFETY: no arguments; the list is freed below.
+        // SAFETY: the call has no arguments, and the list is freed below.
         let names = unsafe { libc::if_nameindex() };
         if names.is_null() {
             return Err(io::Error::last_os_error());
         }
         let mut indices = Vec::new();
         let mut entry = names;
-        // SAFETY: the list ends with an entry of index 0, and nobody else has it.
+        // SAFETY: the list ends with an entry of index 0, and no other code accesses it.
         while let Some(index) = Some(unsafe { (*entry).if_index }).filter(|index| *index != 0) {
             indices.push(index);
-            // SAFETY: not the last entry.
+            // SAFETY: this is not the last entry.
             entry = unsafe { entry.add(1) };
         }
-        // SAFETY: what if_nameindex returned, once.
+        // SAFETY: if_nameindex returned this list, and it is freed once.
         unsafe { libc::if_freenameindex(names) };
-        // One may be gone meanwhile.
+        // An interface may have been deleted meanwhile.
         let found = indices.into_iter().map(Self::find);
         found.filter(|device| !matches!(device, Err(error) if error.raw_os_error() == Some(libc::ENODEV))).collect()
     }
@@ -109,12 +108,12 @@ impl Device {
 }
 
 impl AttachedProgram {
-    /// Whether it is a GDP switch.
+    /// Returns whether the program is a GDP switch.
     pub fn is_switch(&self) -> bool {
         self.name.starts_with("gdp_switch")
     }
 
-    /// What takes it off.
+    /// Returns instructions for detaching the program.
     pub fn remedy(&self) -> String {
         let (interface, id) = (&self.interface, self.id);
         let attribute = match self.mode {
@@ -157,8 +156,8 @@ impl Offloads {
     }
 }
 
-/// Turns generic receive offload on. A veth takes redirected frames for its other end only if that
-/// has it (or a program).
+/// Turns generic receive offload on. A veth accepts redirected frames for its peer only if the peer
+/// has GRO on or runs a program.
 pub fn set_gro(interface: &str) -> io::Result<()> {
     const ETHTOOL_SGRO: u32 = 0x2c;
     let socket = socket()?;
@@ -168,9 +167,9 @@ pub fn set_gro(interface: &str) -> io::Result<()> {
     }
 }
 
-/// The driver of an interface as `ethtool -i` names it; `None` if it does not say.
+/// Returns the driver of an interface as in `ethtool -i`; `None` if the driver does not report it.
 pub fn driver(interface: &str) -> Option<String> {
-    /// `struct ethtool_drvinfo`, with what follows the name left as it is.
+    /// `struct ethtool_drvinfo`; the fields after the name are unused.
     #[repr(C)]
     struct DriverInfo {
         command: u32,
@@ -187,7 +186,7 @@ pub fn driver(interface: &str) -> Option<String> {
 }
 
 fn socket() -> io::Result<OwnedFd> {
-    // SAFETY: no pointers; the descriptor is owned at once.
+    // SAFETY: the call takes no pointers, and the descriptor is owned immediately.
     unsafe {
         match libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0) {
             -1 => Err(io::Error::last_os_error()),
@@ -196,36 +195,38 @@ fn socket() -> io::Result<OwnedFd> {
     }
 }
 
-/// The value that the driver has after a command with one; `None` if it does not know the command,
-/// or refuses.
+/// Returns the driver's value after a command with a value; `None` if the driver does not know or
+/// refuses the command.
 fn ethtool(socket: &OwnedFd, interface: &str, mut value: [u32; 2]) -> Option<u32> {
     // These commands read and write eight bytes.
     ioctl(socket, interface, value.as_mut_ptr().cast()).then_some(value[1])
 }
 
-/// Gives the driver a command, whether it was taken. `data`: what that command reads and writes.
+/// Sends a command to the driver. Returns whether it succeeded. `data`: memory that the command
+/// reads and writes.
 fn ioctl(socket: &OwnedFd, interface: &str, data: *mut libc::c_char) -> bool {
     const SIOCETHTOOL: libc::c_ulong = 0x8946;
     // SAFETY: zero is a valid value of this structure.
     let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
-    // The last byte stays 0.
+    // The last byte remains 0.
     let room = &mut request.ifr_name[..libc::IFNAMSIZ - 1];
     if interface.len() > room.len() {
         return false;
     }
     room.iter_mut().zip(interface.bytes()).for_each(|(to, byte)| *to = byte as libc::c_char);
     request.ifr_ifru.ifru_data = data;
-    // SAFETY: the request points to what the command reads and writes, which outlives the call.
+    // SAFETY: the request points to memory that the command reads and writes, which outlives the
+    // call.
     unsafe { libc::ioctl(socket.as_raw_fd(), SIOCETHTOOL as _, &raw mut request) == 0 }
 }
 
-/// What the kernel says of an interface: an `ifinfomsg`, then attributes.
+/// Returns the kernel's description of an interface: an `ifinfomsg`, then attributes.
 pub(super) fn ask(ifindex: u32) -> io::Result<Vec<u8>> {
     let skip = (IFLA_EXT_MASK, &RTEXT_FILTER_SKIP_STATS.to_ne_bytes()[..]);
     Netlink::open(libc::NETLINK_ROUTE)?.ask(libc::RTM_GETLINK, &header(ifindex), &[skip])
 }
 
-/// The `ifinfomsg` of a question about an interface, or of a change of it.
+/// Returns the `ifinfomsg` of a query or change of an interface.
 pub(super) fn header(ifindex: u32) -> [u8; HEADER] {
     let mut header = [0; HEADER];
     header[4..8].copy_from_slice(&ifindex.to_ne_bytes());
@@ -262,7 +263,7 @@ fn program(interface: &str, xdp: &[u8]) -> Option<AttachedProgram> {
     let native = number(xdp, IFLA_XDP_DRV_PROG_ID);
     let (id, mode) = match native.or_else(|| number(xdp, IFLA_XDP_SKB_PROG_ID)) {
         Some(id) => (id, if native.is_some() { Mode::Native } else { Mode::Generic }),
-        // In hardware, then.
+        // The program runs in hardware.
         None => (number(xdp, IFLA_XDP_PROG_ID)?, Mode::Native),
     };
     let (name, by_link) = match missing(&[SYS_ADMIN])[..] {
@@ -273,15 +274,14 @@ fn program(interface: &str, xdp: &[u8]) -> Option<AttachedProgram> {
     Some(AttachedProgram { interface: interface.to_owned(), id, name: name.unwrap_or_default(), mode, by_link })
 }
 
-/// The programs in the kernel, by number: their name, and whether a BPF link holds them to an
+/// The programs in the kernel by id, each with its name and whether a BPF link attaches it to an
 /// interface.
 type Programs = HashMap<u32, (String, bool)>;
 
-/// Those that were there when this process could still ask.
+/// The programs that [`remember_programs`] recorded.
 static SEEN: OnceLock<Programs> = OnceLock::new();
 
-/// Keeps in mind the programs that are there now: without CAP_SYS_ADMIN the kernel does not name
-/// them.
+/// Records the current programs. Without CAP_SYS_ADMIN the kernel does not report their names.
 pub fn remember_programs() {
     SEEN.get_or_init(programs);
 }

@@ -1,5 +1,6 @@
-//! Applies links, routes and groups to each plane: compares what is wanted with what the planes
-//! hold, passes on what changes, and takes it back from all if one refuses it.
+//! Applies links, routes and groups to each plane. It compares the desired state with the planes'
+//! state and passes on the differences. If one plane refuses a change, it reverts the change in
+//! all.
 
 use gdp_link::port::LinkAddr;
 use gdp_wire::table::{NEIGHBOURS, PORT_ROUTED, PORT_USERSPACE};
@@ -13,7 +14,7 @@ use crate::userspace_plane::UserspacePlane;
 
 pub struct Dispatcher {
     pub userspace: UserspacePlane,
-    /// The plane before it, or why there is none.
+    /// The fast path, or the reason why there is none.
     pub fast_path: Result<Box<dyn FastPath>, String>,
     pub groups: Groups,
     pub own_bit: u64,
@@ -21,7 +22,7 @@ pub struct Dispatcher {
 }
 
 impl Dispatcher {
-    /// `fib_capacity`: names the FIB can hold.
+    /// Creates a dispatcher. `fib_capacity`: maximum number of names in the FIB.
     pub fn new(userspace: UserspacePlane, fast_path: Result<Box<dyn FastPath>, String>, fib_capacity: u32) -> Self {
         Self { userspace, fast_path, groups: Groups::default(), own_bit: 0, fib_capacity }
     }
@@ -31,7 +32,7 @@ impl Dispatcher {
         std::iter::once(&self.userspace as &dyn DataPlane).chain(fast_path)
     }
 
-    /// Changes the userspace plane, then the one before it.
+    /// Changes the userspace plane, then the fast path.
     pub fn on_each(
         &mut self,
         change: impl Fn(&mut dyn DataPlane) -> Result<(), UpdateError>,
@@ -47,14 +48,14 @@ impl Dispatcher {
         self.fast_path.as_mut().map_or(Ok(()), |fast_path| change(&mut **fast_path))
     }
 
-    /// The port by which the fast path can send on a link, or [`PORT_USERSPACE`]. `device`: where
-    /// frames of an Ethernet link leave.
+    /// Returns the port by which the fast path can send on a link, or [`PORT_USERSPACE`]. `device`:
+    /// egress device of an Ethernet link.
     pub fn port_for(&self, entry: &LinkEntry, device: Option<u32>) -> u32 {
         let port = self.fast_path.as_ref().ok().and_then(|fast_path| fast_path.egress_port(entry, device));
         port.unwrap_or(PORT_USERSPACE)
     }
 
-    /// Adds or replaces a link. `entry.port` is filled in here; `device`: see [`Self::port_for`].
+    /// Adds or replaces a link. This function sets `entry.port`. `device`: see [`Self::port_for`].
     pub fn set_link(&mut self, mut entry: LinkEntry, to: LinkAddr, device: Option<u32>) -> Result<(), UpdateError> {
         if let Ok(fast_path) = &mut self.fast_path {
             fast_path.resolve(&entry);
@@ -74,7 +75,7 @@ impl Dispatcher {
         Ok(())
     }
 
-    /// An unknown link is no error.
+    /// Removes a link. An unknown link is no error.
     pub fn remove_link(&mut self, id: u32) -> Result<(), UpdateError> {
         let Some(removed) = self.userspace.tables.link(id).copied() else { return Ok(()) };
         self.userspace.remove_link(id)?;
@@ -82,8 +83,8 @@ impl Dispatcher {
         self.on_fast_path(|fast_path| fast_path.remove_link(id))
     }
 
-    /// Asks again by which interfaces links over UDP leave; and has the fast path copy again what
-    /// it left to the userspace plane since a copy found that this was not so any more.
+    /// Looks up the egress interfaces of links over UDP again. The fast path then copies again for
+    /// groups that it left to the userspace plane because such a route had changed.
     pub fn follow_routes(&mut self) {
         let Ok(fast_path) = &mut self.fast_path else { return };
         let links = self.userspace.tables.links().map(|(entry, _)| **entry);
@@ -92,8 +93,8 @@ impl Dispatcher {
         self.set_groups_of(&routed);
     }
 
-    /// Adds or replaces where a name leads. After an error nothing has changed. `number`: the one
-    /// that the group of the readers had, if it is new here.
+    /// Adds or replaces the route of a name. After an error nothing has changed. `number`: the
+    /// group number to reuse if the group of these readers is new here.
     pub fn set_route(&mut self, name: Name, route: &PlaneRoute, number: Option<u32>) -> Result<(), UpdateError> {
         if !self.userspace.tables.has_room_for(&name) {
             return Err(UpdateError::FibFull { capacity: self.fib_capacity });
@@ -111,7 +112,7 @@ impl Dispatcher {
         let entry = route.entry(&name, group);
         let set = self.on_each(|plane| plane.set_route(&name, &entry, before.as_ref()));
         if set.is_err() {
-            // What it held until now it has room for.
+            // Restoring the previous route never exceeds the table's capacity.
             let _ = match &before {
                 Some(before) => self.userspace.set_route(&name, before, None),
                 None => self.userspace.remove_route(&name, &[]),
@@ -122,7 +123,7 @@ impl Dispatcher {
         set
     }
 
-    /// An unknown name is no error.
+    /// Removes a route. An unknown name is no error.
     pub fn remove_route(&mut self, name: &Name) -> Result<(), UpdateError> {
         let before = self.userspace.tables.route_entry(name);
         let permits = before.as_ref().map_or(&[][..], |(_, permits)| permits);
@@ -132,7 +133,7 @@ impl Dispatcher {
         removed
     }
 
-    /// One name less takes copies by this group.
+    /// Releases one name's reference to a group.
     fn release_group(&mut self, group: u32) {
         if self.groups.release(group) {
             self.userspace.release_group(group);
@@ -152,7 +153,7 @@ impl Dispatcher {
         groups.into_iter().chain([NEIGHBOURS]).for_each(|group| self.set_group(group));
     }
 
-    /// Of the groups that the links are in, or were.
+    /// Updates the groups that contain or contained these links.
     fn set_groups_of(&mut self, links: &[LinkEntry]) {
         if links.iter().any(|link| link.role == LinkRole::Switch as u32) {
             return self.set_all_groups();
@@ -162,7 +163,7 @@ impl Dispatcher {
         groups.collect::<Vec<_>>().into_iter().for_each(|group| self.set_group(group));
     }
 
-    /// Has the fast path copy frames to the links of a group, if there are copies to make for it.
+    /// Makes the fast path copy frames to the links of a group, if the group needs copies.
     pub fn set_group(&mut self, group: u32) {
         let Ok(fast_path) = &mut self.fast_path else { return };
         let tables = &self.userspace.tables;

@@ -1,15 +1,16 @@
-//! Whether native XDP on an interface disturbs what else uses the interface. Then it is for people
-//! to say that it is wanted.
+//! Detects whether native XDP on an interface would disturb its other users. The operator must then
+//! request XDP explicitly.
 
 use super::device::driver;
 use super::xdp_features::Features;
 
-/// Drivers that take a program without a change of the link, its queues, MTU or offloads. Those of
-/// network cards set their queues up anew, and most take the link down meanwhile; virtio_net gives
-/// up offloads.
+/// Drivers that accept a program without changing the link, its queues, MTU or offloads. Drivers of
+/// network cards set up their queues again, and most take the link down meanwhile. virtio_net
+/// disables offloads.
 const UNDISTURBED: [&str; 2] = ["veth", "tun"];
 
-/// What attaching would disturb; `None`: nothing. `features`: `None` before Linux 6.3.
+/// Returns what attaching would disturb, or `None` for no disturbance. `features` is `None` before
+/// Linux 6.3.
 pub fn of(interface: &str, features: Option<Features>) -> Option<String> {
     disturbs(driver(interface).as_deref(), features)
 }

@@ -1,15 +1,16 @@
-//! The FIB in the kernel: the flat table that programs read (`gdp_wire::flat`), written through a
-//! mapping, without a system call.
+//! The FIB in the kernel: the flat table that programs read (`gdp_wire::flat`). The daemon writes
+//! it through a memory mapping, without system calls.
 //!
-//! It begins small and doubles when it is full, up to the configured number of names. Programs read
-//! the old table until the new one has every name, and then the new one: no frame waits or is lost.
-//! 128 B a name when a table is full, so 256 B at most, and while it grows half as much again: 64
-//! MiB of kernel memory hold 524288 names, 128 MiB 1048576.
+//! The table starts small and doubles when it is full, up to the configured number of names.
+//! Programs read the old table until the new table contains every name, and then the new table. No
+//! frame waits or is lost. A full table uses 128 B for each name, so a name uses at most 256 B.
+//! Growing temporarily adds half as much again. 64 MiB of kernel memory store 524288 names, and 128
+//! MiB store 1048576.
 //!
-//! Where the kernel outlives the daemon, the table is pinned beside the other maps, as `FIB_TABLE`;
-//! a larger one that is ready to replace it is for a moment `FIB_TABLE_NEW`. Whichever there is,
-//! the next daemon takes the newest, which is complete. Called by [`super::kernel`], by its tests
-//! and by `bench forward`.
+//! Where the kernel state outlives the daemon, the table is pinned beside the other maps as
+//! `FIB_TABLE`. While a larger table replaces it, the new table is pinned as `FIB_TABLE_NEW`. The
+//! next daemon takes the newest pinned table, which is complete. [`super::kernel`], its tests and
+//! `bench forward` call this module.
 
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -23,31 +24,31 @@ use super::pins::{Pins, PinsError};
 use super::resizable_table::{self, FIRST, ResizableTable};
 use crate::kernel_failures::{LoadError, UpdateError};
 
-// The kernel wants no dots in them.
+// The kernel allows no dots in these names.
 const PIN: &str = "FIB_TABLE";
 const NEW_PIN: &str = "FIB_TABLE_NEW";
 
-// Not in `aya`.
+// `aya` does not define these flags.
 const BPF_F_MMAPABLE: u32 = 1 << 10;
 const BPF_F_INNER_MAP: u32 = 1 << 12;
 
 type Buckets = Array<MapData, [u64; BUCKET]>;
 
-/// The map that programs find their table in.
+/// The map in which programs find the current table.
 pub type Current = ArrayOfMaps<MapData, Buckets>;
 
-/// The names that the kernel forwards by. The only writer.
+/// The names that the kernel forwards by. This is their only writer.
 pub struct Fib {
     current: Current,
     table: Table<Mapping>,
     limit: u32,
-    /// The folder of pins.
+    /// Folder of the pins.
     pinned: Option<PathBuf>,
 }
 
 impl Fib {
-    /// The table that an earlier daemon left, or a new one. `limit`: names it may hold; what is
-    /// there beyond stays.
+    /// Opens the table of an earlier daemon, or creates one. `limit`: maximum number of names.
+    /// Existing names beyond the limit remain.
     pub fn open(current: Current, limit: u32, pins: Option<&Pins>) -> Result<Self, LoadError> {
         let pinned = pins.map(|pins| pins.folder().to_owned());
         let left = pinned.as_deref().map_or(Ok(None), adopt)?;
@@ -68,17 +69,18 @@ impl Fib {
         self.table.get(name)
     }
 
-    /// All names, in no order.
+    /// Returns all names, in no particular order.
     pub fn iter(&self) -> impl Iterator<Item = (Name, FibEntry)> {
         self.table.iter()
     }
 
-    /// Adds a name, or changes where it leads. If there is no room, nothing is changed.
+    /// Adds a name, or changes its entry. If the table is full, nothing changes.
     pub fn insert(&mut self, name: &Name, entry: FibEntry) -> Result<(), UpdateError> {
         ResizableTable::insert(self, name, entry)
     }
 
-    /// [`Self::insert`] for many. Those before the one that was refused are in.
+    /// Adds many names, as [`Self::insert`] does. On an error, the preceding names remain in the
+    /// table.
     pub fn insert_all(&mut self, mut routes: &[(Name, FibEntry)]) -> Result<(), UpdateError> {
         while !routes.is_empty() {
             let room = self.limit.min(self.table.capacity()).saturating_sub(self.table.len()) as usize;
@@ -91,23 +93,23 @@ impl Fib {
         Ok(())
     }
 
-    /// Whether the name was there.
+    /// Removes a name. Returns whether it was present.
     pub fn remove(&mut self, name: &Name) -> bool {
         self.table.remove(name)
     }
 
-    /// From now on no table is pinned.
+    /// Stops pinning tables.
     pub fn unpin(&mut self) {
         self.pinned = None;
     }
 
-    /// Has programs find their table in `map`, and the next daemon as well.
+    /// Publishes `map` to the programs and to the next daemon.
     fn publish(&mut self, map: &Buckets) -> Result<(), UpdateError> {
         self.current.set(0, map, 0).map_err(map_error)?;
         let Some(folder) = &self.pinned else { return Ok(()) };
         let new = folder.join(NEW_PIN);
         match fs::rename(&new, folder.join(PIN)) {
-            // It was already there.
+            // The table was already pinned under its final name.
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
             renamed => renamed.map_err(|source| UpdateError::FibPin { path: new, source }),
         }
@@ -134,33 +136,33 @@ impl ResizableTable for Fib {
         self.copy_to(&mut table)?;
         pin(&map, self.pinned.as_deref())?;
         self.publish(&map)?;
-        // Of the old one nothing is left but what programs still read.
+        // Only programs that are still reading the old table reference it now.
         self.table = table;
         Ok(())
     }
 }
 
-/// Names in the table in a folder of pins; a daemon may be at work on it.
+/// Returns the number of names in a pinned table, which a daemon may be changing.
 pub fn names_pinned(folder: &Path) -> Result<usize, MapError> {
     let Some(pin) = pinned_table(folder) else { return Ok(0) };
     let map = Buckets::try_from(Map::Array(MapData::from_pin(pin)?))?;
     Ok(count(map_memory(&map).map_err(MapError::IoError)?.as_ref()))
 }
 
-/// An empty table for so many names, not yet pinned.
+/// Returns an empty table with room for `names` names, not yet pinned.
 fn make(names: u32) -> Result<(Table<Mapping>, Buckets), UpdateError> {
     let map = Buckets::create(buckets_for(names), BPF_F_MMAPABLE | BPF_F_INNER_MAP).map_err(map_error)?;
     let table = resizable_table::begin(names, || map_memory(&map))?;
     Ok((table, map))
 }
 
-/// Pins a table that has every name.
+/// Pins a table that contains every name.
 fn pin(map: &Buckets, folder: Option<&Path>) -> Result<(), UpdateError> {
     let Some(path) = folder.map(|folder| folder.join(NEW_PIN)) else { return Ok(()) };
     map.map().pin(&path).map_err(|error| UpdateError::FibPin { path, source: io::Error::other(error) })
 }
 
-/// What an earlier daemon left, if it did.
+/// Opens the table of an earlier daemon, if there is one.
 fn adopt(folder: &Path) -> Result<Option<(Table<Mapping>, Buckets)>, LoadError> {
     let Some(path) = pinned_table(folder) else { return Ok(None) };
     let broken = |source| PinsError::Map { path: path.clone(), source };
@@ -170,7 +172,7 @@ fn adopt(folder: &Path) -> Result<Option<(Table<Mapping>, Buckets)>, LoadError> 
     Ok(Some((table, map)))
 }
 
-/// The newest, which has every name before it is pinned.
+/// Returns the newest pinned table. A table is pinned only when it contains every name.
 fn pinned_table(folder: &Path) -> Option<PathBuf> {
     [NEW_PIN, PIN].map(|name| folder.join(name)).into_iter().find(|path| path.exists())
 }

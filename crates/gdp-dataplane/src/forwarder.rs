@@ -1,5 +1,6 @@
-//! Moves frames between data sockets according to [`super::userspace::handle`]: one thread for each
-//! socket that receives. Nothing is allocated for a batch, and the tables are entered once.
+//! Moves frames between data sockets according to [`super::userspace::handle`], with one thread for
+//! each receiving socket. A thread enters the tables once for each batch and allocates nothing for
+//! it.
 
 pub use crate::forwarder_state::{Medium, Shared, sockets};
 use std::io;
@@ -16,14 +17,14 @@ use zerocopy::{FromBytes, IntoBytes};
 use super::tables::TablesReader;
 use super::userspace::{CopyOut, Outcome, copies, handle};
 
-/// Frames that a thread hands to an interface before it looks again whether they wait there, if
-/// they did not.
+/// Number of frames a thread sends to an interface without a queue before it checks for a queue
+/// again.
 const LOOK: usize = 16;
 
-/// How long a thread takes to notice that it should end.
+/// Maximum time until a thread notices that it should end.
 const NOTICE: Duration = Duration::from_millis(100);
 
-/// One socket's thread. Dropping it ends the thread; frames to that medium are then lost and
+/// The thread of one socket. Dropping it ends the thread; frames to that medium are then lost and
 /// counted.
 pub struct Forwarder {
     medium: Medium,
@@ -33,7 +34,8 @@ pub struct Forwarder {
 }
 
 impl Forwarder {
-    /// `largest`: bytes of the largest frame the socket can deliver.
+    /// Starts the thread. `largest`: size in bytes of the largest frame that the socket can
+    /// deliver.
     pub fn start(
         medium: Medium,
         socket: Arc<DataSocket>,
@@ -56,7 +58,7 @@ impl Forwarder {
         Ok(Self { medium, shared: shared.clone(), stop, thread: Some(thread) })
     }
 
-    /// Says that the thread should end, without waiting until it has.
+    /// Tells the thread to end, without waiting for it.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }
@@ -81,9 +83,9 @@ struct Worker {
     tables: TablesReader,
     stop: Arc<AtomicBool>,
     batch: RecvBatch,
-    /// What is to be sent of the batch.
+    /// Frames of the batch to send.
     sends: Vec<Send>,
-    /// Frames handed to each interface since its queue was looked at.
+    /// Number of frames sent to each interface since the last check of its queue.
     unseen: Vec<(u32, usize)>,
 }
 
@@ -92,7 +94,7 @@ struct Send {
     frame: usize,
     to: LinkAddr,
     length: usize,
-    /// In place of the frame's own.
+    /// Header that replaces the frame's own.
     header: Option<Header>,
     counter: Counter,
 }
@@ -100,7 +102,8 @@ struct Send {
 impl Worker {
     fn run(mut self) {
         while !self.stop.load(Ordering::Relaxed) {
-            // Keys that are gone from the tables are not to stay because nothing comes.
+            // Enter the tables regularly, also without traffic, so that the keys of removed links
+            // are freed.
             drop(self.tables.enter());
             let received = match self.socket.wait_readable(NOTICE) {
                 Ok(false) => continue,
@@ -122,7 +125,8 @@ impl Worker {
         }
     }
 
-    /// Before more is handed over: what is still there waits.
+    /// Checks the queues of interfaces before this batch adds to them. Frames still queued there
+    /// are waiting.
     fn look_at_queues(&mut self) {
         let shared = &self.shared;
         let due = self.unseen.extract_if(.., |(_, frames)| *frames >= LOOK).map(|(ifindex, _)| ifindex);
@@ -178,7 +182,7 @@ impl Worker {
     }
 
     fn send(&mut self) {
-        // As a rule all frames of a batch leave by one socket, so this loop runs once.
+        // All frames of a batch usually leave by one socket, so this loop usually runs once.
         while let Some(first) = self.sends.first() {
             let medium = Medium::from(first.to);
             let socket = {
@@ -211,8 +215,9 @@ impl Worker {
         }
     }
 
-    /// Counts what was to be sent as it was decided, but for what was lost. Which ones those were
-    /// is not known, so they are taken off in the order of the counters.
+    /// Counts the frames of a batch under the counters of their forwarding decisions, except lost
+    /// frames. The socket does not report which frames were lost, so losses are subtracted in the
+    /// order of the counters.
     fn account(&self, intended: [u64; Counter::COUNT], lost: u64) {
         let mut open = lost;
         for (counter, frames) in Counter::ALL.iter().zip(intended) {

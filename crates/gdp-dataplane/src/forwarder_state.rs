@@ -1,4 +1,4 @@
-//! The tables and sockets that the threads of the userspace plane share.
+//! State that the threads of the userspace plane share.
 
 use crate::notices::Notices;
 use crate::queues::Queues;
@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use zerocopy::IntoBytes as _;
 
-/// Where frames can be sent: an interface, or UDP.
+/// Medium on which frames can be sent: an interface, or UDP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Medium {
     Ethernet(u32),
@@ -27,7 +27,7 @@ impl From<LinkAddr> for Medium {
     }
 }
 
-/// What all threads share.
+/// State shared by all threads.
 pub struct Shared {
     pub notices: Arc<Notices>,
     pub tally: Tally,
@@ -37,7 +37,7 @@ pub struct Shared {
 }
 
 impl Shared {
-    /// `queues`: those of the tables.
+    /// Creates the shared state. `queues`: the queues of the tables.
     pub fn new(queues: Arc<Queues>) -> Self {
         Self {
             notices: Arc::default(),
@@ -48,12 +48,12 @@ impl Shared {
         }
     }
 
-    /// In the order of [`Counter::ALL`].
+    /// Returns the counters in the order of [`Counter::ALL`].
     pub fn counters(&self) -> [u64; Counter::COUNT] {
         std::array::from_fn(|i| self.counters[i].load(Ordering::Relaxed))
     }
 
-    /// Sends a frame of this node itself; if it is lost, so be it.
+    /// Sends a frame of this node, without reporting a loss.
     pub fn send_own(&self, to: LinkAddr, header: Header, payload: &[u8]) {
         let sockets = self.sockets.read();
         if let Some(socket) = sockets.get(&Medium::from(to)) {

@@ -1,10 +1,10 @@
-//! Assigns the links of a multicast group to slots of the kernel's map. Changes are ordered so that
-//! no other link of the group misses a frame or gets one twice. The rules are those of
-//! `gdp-ebpf/src/groups.rs`. Sans-IO; called by [`super::kernel_groups`].
+//! Assigns the links of a multicast group to slots of the kernel's map. The order of changes
+//! ensures that no other link of the group misses a frame or receives a duplicate.
+//! `gdp-ebpf/src/groups.rs` defines the rules. Sans-IO; [`super::kernel_groups`] calls it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A link that takes copies, and the interface they leave by.
+/// A link that receives copies, and its egress interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Member {
     pub link: u32,
@@ -19,14 +19,13 @@ pub struct GroupSlots {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Slot {
-    /// In the device map; which of an interface's keys belongs to which of its slots does not
-    /// matter.
+    /// Key in the device map. The keys of one interface are interchangeable between its slots.
     key: u32,
-    /// 0: empty.
+    /// Link id; 0 for an empty slot.
     link: u32,
 }
 
-/// One write.
+/// One write to the kernel's maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
     Occupy { interface: u32, index: u32, link: u32 },
@@ -36,8 +35,8 @@ pub enum Step {
 }
 
 impl GroupSlots {
-    /// What is found in the maps: (key, interface) and (interface, index, link). `None` if a slot
-    /// has no key, as when a daemon ended between two steps.
+    /// Builds the slots from the maps: (key, interface) and (interface, index, link). Returns
+    /// `None` if a slot has no key, for example because a daemon ended between two steps.
     pub fn found(keys: &[(u32, u32)], occupied: &[(u32, u32, u32)]) -> Option<Self> {
         let mut slots = Self::default();
         for (key, interface) in keys {
@@ -54,8 +53,8 @@ impl GroupSlots {
         slots.filter(|(_, slot)| slot.link != 0).map(|(interface, slot)| Member { link: slot.link, interface })
     }
 
-    /// Makes `wanted` the members. `None`, and no change, if that takes more than `capacity` keys,
-    /// those of empty slots included.
+    /// Makes `wanted` the members and returns the steps. Returns `None` without changes if this
+    /// needs more than `capacity` keys, including the keys of empty slots.
     pub fn become_these(&mut self, wanted: &[Member], capacity: usize) -> Option<Vec<Step>> {
         let (wanted, before): (BTreeSet<_>, BTreeSet<_>) = (wanted.iter().copied().collect(), self.members().collect());
         let mut after = self.clone();

@@ -1,5 +1,5 @@
-//! Which group of links takes the copies of a name: names with the same local readers share one.
-//! Sans-IO; the numbers are [`gdp_wire::FibEntry::group`]. Called by [`crate::Planes`].
+//! Assigns names to groups of links for copies: names with the same local readers share a group.
+//! Sans-IO. Group numbers are [`gdp_wire::FibEntry::group`]. [`crate::Planes`] calls this module.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -12,7 +12,7 @@ pub struct Groups {
     used: HashMap<u32, Group>,
     /// Whether a name without local readers leads to several neighbours.
     neighbours_fork: bool,
-    /// Below the highest number that was used.
+    /// Free numbers below the highest number used.
     free: BTreeSet<u32>,
     highest: u32,
 }
@@ -20,20 +20,20 @@ pub struct Groups {
 struct Group {
     readers: Box<[u32]>,
     names: usize,
-    /// Whether one of its names, by its egress bits, leads to several links from here.
+    /// Whether the egress bits of any of its names lead to several links from here.
     forks: bool,
 }
 
 impl Groups {
-    /// The group of these readers, for one more name; and whether it is new. `readers`: link ids,
-    /// sorted, without duplicates. The lowest free number is taken first: the kernel holds only so
-    /// many groups.
+    /// Adds one name to the group of these readers. Returns the group number and whether the group
+    /// is new. `readers`: link ids, sorted, without duplicates. A new group gets the lowest free
+    /// number, because the kernel supports a limited number of groups.
     pub fn take(&mut self, readers: &[u32]) -> (u32, bool) {
         self.take_as(readers, None)
     }
 
-    /// As [`Self::take`]; if the group is new, with a number that it had before, unless another has
-    /// that now.
+    /// Adds a name as [`Self::take`] does. A new group gets `number`, its previous number, unless
+    /// another group has that number now.
     pub fn take_as(&mut self, readers: &[u32], number: Option<u32>) -> (u32, bool) {
         if readers.is_empty() {
             return (NEIGHBOURS, false);
@@ -54,7 +54,7 @@ impl Groups {
         (number, true)
     }
 
-    /// One name less; `true` if it was the last of its group, which is then free.
+    /// Removes one name. Returns `true` if it was the group's last name; the group is then free.
     pub fn release(&mut self, number: u32) -> bool {
         let Some(group) = self.used.get_mut(&number) else { return false };
         group.names -= 1;
@@ -68,8 +68,8 @@ impl Groups {
         true
     }
 
-    /// From now on, until its last name goes, the group has a name that leads to several links from
-    /// here; `true` if it had none.
+    /// Records that a name of the group leads to several links from here, until the group is freed.
+    /// Returns `true` if this is new.
     pub fn fork(&mut self, number: u32) -> bool {
         let forks = match self.used.get_mut(&number) {
             Some(group) => &mut group.forks,
@@ -79,9 +79,9 @@ impl Groups {
         !std::mem::replace(forks, true)
     }
 
-    /// Whether frames for the group can need copies, where so many links lead to switches. A frame
-    /// from a neighbour can be for all the other links, whatever the routes here say; one from an
-    /// endpoint is for those that its name's route says.
+    /// Returns whether frames to the group can need copies, given this many links to switches. A
+    /// frame from a neighbour can be for all other links, regardless of local routes. A frame from
+    /// an endpoint is for the links of its name's route.
     pub fn makes_copies(&self, number: u32, neighbours: usize) -> bool {
         let (readers, forks) = match self.used.get(&number) {
             Some(group) => (group.readers.len(), group.forks),
@@ -90,12 +90,12 @@ impl Groups {
         forks || neighbours + readers > 2 && neighbours > 0
     }
 
-    /// The local readers of a group.
+    /// Returns the local readers of a group.
     pub fn readers(&self, number: u32) -> &[u32] {
         self.used.get(&number).map_or(&[], |group| &group.readers)
     }
 
-    /// All groups in use, with their local readers.
+    /// Returns all groups in use, with their local readers.
     pub fn iter(&self) -> impl Iterator<Item = (u32, &[u32])> {
         self.used.iter().map(|(number, group)| (*number, &*group.readers))
     }

@@ -1,15 +1,14 @@
-//! The pair of interfaces by which endpoints on the switch's own host reach its program, and it
-//! them:
+//! The pair of interfaces that connects endpoints on the switch's own host with its XDP program:
 //!
 //! ```text
 //!   endpoint's socket ── IP ── gdp75e1a2b3h ═══ gdp75e1a2b3s ── XDP ──▶ other interfaces
 //!                              169.254.31.64    169.254.31.65
-//!                              of the host      of nobody: the host sends what is for it out of the pair
+//!                              of the host      unassigned: the host routes it to the pair
 //! ```
 //!
-//! Made, found again and removed here, over netlink; that needs CAP_NET_ADMIN. What goes over it is
-//! not known here. It outlives a daemon that is killed, as the program does. Called by the daemon
-//! (`serve`) and by `gdp-ctl xdp detach`.
+//! This module creates, finds and removes the pair over netlink, which needs CAP_NET_ADMIN. It does
+//! not handle the traffic on the pair. Like the program, the pair outlives a daemon that is killed.
+//! The daemon (`serve`) and `gdp-ctl xdp detach` call this module.
 
 use std::io;
 use std::net::Ipv4Addr;
@@ -22,21 +21,21 @@ use rtnetlink::{Handle, LinkUnspec, LinkVeth};
 
 use super::{device, udp};
 
-/// Bytes behind the Ethernet header: what any UDP carrier takes.
+/// MTU in bytes, without the Ethernet header, as for any UDP carrier.
 const MTU: u32 = 1500;
 
-/// Pairs have their addresses in here, two each, the host's the even one.
+/// Address range of all pairs. Each pair uses two addresses; the host has the even one.
 const ADDRESSES: [u8; 3] = [169, 254, 31];
 
 /// Both ends of a pair.
 #[derive(Clone, Debug)]
 pub struct Ends {
-    /// The one that has the program.
+    /// The end with the program.
     pub switch: Interface,
     pub addresses: HostPair,
 }
 
-/// Why there is no pair.
+/// Reasons why there is no pair.
 #[derive(Debug, thiserror::Error)]
 pub enum HostPairError {
     #[error("{interface}: {source}")]
@@ -47,14 +46,14 @@ pub enum HostPairError {
     NoAddress,
 }
 
-/// Whether an interface is an end of a pair, whichever switch's.
+/// Returns whether an interface is an end of the pair of any switch.
 pub fn is_end(interface: &str) -> bool {
     let digits = interface.strip_prefix("gdp").and_then(|rest| rest.strip_suffix(['h', 's']));
     digits.is_some_and(|digits| digits.len() == 8 && digits.bytes().all(|c| c.is_ascii_hexdigit()))
 }
 
-/// The pair of a switch in the calling thread's network namespace: the one that an earlier daemon
-/// left, or a new one.
+/// Returns the pair of a switch in the calling thread's network namespace. Creates it unless an
+/// earlier daemon left one.
 pub async fn open(switch: &Name) -> Result<Ends, HostPairError> {
     let [host, inner] = names(&switch.to_string());
     let io_at = |interface: &str| {
@@ -70,8 +69,8 @@ pub async fn open(switch: &Name) -> Result<Ends, HostPairError> {
     let (outer, switch_end) =
         (Interface::find(&host).map_err(io_at(&host))?, Interface::find(&inner).map_err(io_at(&inner))?);
     for end in [&outer, &switch_end] {
-        // Nothing but frames is to go by it: no neighbour discovery, no DDS that looks for
-        // interfaces.
+        // Only GDP frames may use the pair, so disable neighbour discovery, and multicast for DDS
+        // discovery.
         let _ = std::fs::write(Path::new("/proc/sys/net/ipv6/conf").join(&end.name).join("disable_ipv6"), "1");
         let up = LinkUnspec::new_with_index(end.index).multicast(false).up().build();
         handle.link().set(up).execute().await.map_err(at)?;
@@ -88,18 +87,18 @@ pub async fn open(switch: &Name) -> Result<Ends, HostPairError> {
     message.header.scope = AddressScope::Link;
     message.attributes = vec![
         AddressAttribute::Local(host_ip.into()),
-        // The other end's: so that there is a route to it, and no broadcast address.
+        // The peer address adds a route to the other end, and avoids a broadcast address.
         AddressAttribute::Address(pair.switch_ip.into()),
     ];
     address.execute().await.map_err(at)?;
     let neighbour = handle.neighbours().add(outer.index, pair.switch_ip.into()).replace();
     neighbour.link_layer_address(&pair.switch_mac).execute().await.map_err(at)?;
-    // Only then does it take redirected frames.
+    // The host's end accepts redirected frames only with GRO.
     device::set_gro(&host).map_err(io_at(&host))?;
     Ok(Ends { switch: switch_end, addresses: pair })
 }
 
-/// Removes the pair of a switch, whose name begins with these digits, from the calling thread's
+/// Removes the pair of the switch whose name begins with these digits, in the calling thread's
 /// network namespace. Returns whether there was one.
 pub async fn remove(switch: &str) -> Result<bool, HostPairError> {
     let [host, _] = names(switch);
@@ -109,13 +108,14 @@ pub async fn remove(switch: &str) -> Result<bool, HostPairError> {
     removed.map(|()| true).map_err(|source| HostPairError::Netlink { interface: host, source })
 }
 
-/// Of the host's end and of the switch's.
+/// Returns the interface names of the host's and the switch's end.
 fn names(switch: &str) -> [String; 2] {
     ['h', 's'].map(|end| format!("gdp{}{end}", switch.get(..8).unwrap_or(switch)))
 }
 
-/// The address that the host's end has, or one that it can have, if there is one: first where the
-/// switch's name puts it, so that switches of one host seldom look twice.
+/// Returns the current address of the host's end, or a free address for it, if any. The search
+/// starts at an address derived from the switch's name, so that switches of one host seldom
+/// collide.
 fn addresses(host: &str, switch: &Name) -> io::Result<Option<Ipv4Addr>> {
     let taken = udp::addresses()?;
     let taken = taken.iter().filter_map(|address| match address.ip {
@@ -133,7 +133,7 @@ fn addresses(host: &str, switch: &Name) -> io::Result<Option<Ipv4Addr>> {
     Ok(candidates.into_iter().find(free))
 }
 
-/// A connection whose task ends with this.
+/// A netlink connection. Dropping it ends its task.
 struct Netlink {
     handle: Handle,
     task: tokio::task::JoinHandle<()>,

@@ -1,27 +1,27 @@
-//! The plane that an interface got, for people.
+//! Report of the plane of an interface, for operators.
 
-/// Which plane forwards what arrives on an interface, and why that one.
+/// The plane that serves an interface, and the reason for this choice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct InterfacePlane {
     pub interface: String,
     /// `xdp-native`, `xdp-generic`, `dpdk` or `userspace`.
     pub kind: &'static str,
-    /// For people.
+    /// Explanation for the operator.
     pub reason: String,
-    /// XDP would be attached, or attempted in its generic mode, if the interface were named.
+    /// The daemon would attach XDP, or attempt generic mode, if the operator named the interface.
     pub left_alone: bool,
 }
 
-/// Why native XDP is on an interface, if there is nothing more to say.
+/// Default reason for native XDP on an interface.
 pub const SUPPORTED: &str = "the driver supports it";
 
 impl InterfacePlane {
-    /// No plane before the userspace plane takes what arrives.
+    /// Describes an interface that only the userspace plane serves.
     pub(crate) fn userspace(interface: &str, reason: &str) -> Self {
         Self { interface: interface.to_owned(), kind: "userspace", reason: reason.to_owned(), left_alone: false }
     }
 
-    /// Tells people which plane an interface got that was not there before.
+    /// Logs the plane of a new interface.
     pub fn log(&self) {
         let Self { interface, kind, reason, left_alone } = self;
         let remedy = if *left_alone { format!("; `--interface {interface}` has it attached") } else { String::new() };

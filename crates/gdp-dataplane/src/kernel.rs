@@ -1,5 +1,5 @@
-//! The kernel plane: loads the XDP object and writes its maps. Knows BPF, nothing of sockets or
-//! links' meaning. Called by [`super::xdp`], by the kernel tests and by `bench forward`.
+//! The kernel plane: loads the XDP object and writes its maps. It handles BPF, but neither sockets
+//! nor the meaning of links. [`super::xdp`], the kernel tests and `bench forward` call it.
 
 pub use crate::attach_mode::Mode;
 use crate::kernel_failures::FLOOR;
@@ -29,25 +29,26 @@ use super::object::Object;
 use super::pins::{Pins, PinsError};
 use super::tally::KernelTally;
 
-/// The first kernel in which a program where copies leave can look up a route.
+/// First kernel in which an egress program can look up a route.
 const ROUTES_AT_EGRESS: KernelVersion = KernelVersion(6, 12);
-/// What a daemon found in the kernel that an earlier one left there.
+/// State of an earlier daemon that this daemon found in the kernel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Adopted {
     pub config: SwitchConfig,
     pub links: Vec<KeyedEntry>,
     pub routes: Vec<(Name, FibEntry)>,
     pub next_hops: [u32; EGRESS_SET_SIZE as usize],
-    /// Interfaces by port.
+    /// Ports, each with its interface.
     pub ports: Vec<(u32, u32)>,
-    /// The links of each group that the kernel holds.
+    /// The links of each group in the kernel.
     pub groups: Vec<(u32, Vec<u32>)>,
-    /// On which links frames may have a name as their source, besides what those are.
+    /// Permits for names as the source of frames, by link.
     pub sources: Vec<Permit>,
 }
 
-/// The loaded programs and their maps. Dropping it detaches them, unless they are pinned: then the
-/// kernel forwards on until [`Self::unpin`], or a successor.
+/// The loaded programs and their maps. Dropping this value detaches the programs unless they are
+/// pinned. Pinned programs continue to forward until [`Self::unpin`], or until a successor replaces
+/// them.
 pub struct KernelPlane {
     pub programs: Programs,
     capacity: u32,
@@ -57,9 +58,9 @@ pub struct KernelPlane {
     next_hop: Array<MapData, u32>,
     config: Array<MapData, SwitchConfig>,
     ports: DevMapHash<MapData>,
-    /// The program of what leaves by a port that copies leave by.
+    /// The egress program of ports by which copies leave.
     egress: ProgramFd,
-    /// The interfaces of such ports; see [`Self::set_group`].
+    /// The interfaces of these ports; see [`Self::set_group`].
     copied_to: HashSet<u32>,
     copy_counts: PerCpuHashMap<MapData, u32, CopyCount>,
     groups: KernelGroups,
@@ -69,19 +70,19 @@ pub struct KernelPlane {
     tally: KernelTally,
     link_memory: LinkMemory,
     losses: Losses,
-    /// Why lost redirects are not counted, if they are not.
+    /// Reason why losses after a redirect are not counted, if any.
     uncounted: Option<LossesError>,
 }
 
 impl KernelPlane {
-    /// Loads the object and has the kernel verify the switch; attaches nothing. `capacity`: names
-    /// the FIB can hold.
+    /// Loads the object, which the kernel verifies, and attaches nothing. `capacity`: maximum
+    /// number of names in the FIB.
     pub fn load(object: impl Into<Object>, capacity: u32) -> Result<Self, LoadError> {
         Self::load_pinned(object, capacity, None)
     }
 
-    /// As [`Self::load`], with the maps that an earlier daemon has pinned, as they are, if their
-    /// layout is the one that the object wants; those that are missing are made and pinned.
+    /// Loads the object as [`Self::load`] does, with the pinned maps of an earlier daemon,
+    /// unchanged. Their layout must match the object. Missing maps are created and pinned.
     pub fn load_pinned(object: impl Into<Object>, capacity: u32, pins: Option<Pins>) -> Result<Self, LoadError> {
         let object = &object.into();
         let version = KernelVersion::running();
@@ -163,10 +164,10 @@ impl KernelPlane {
         })
     }
 
-    /// What an earlier daemon left in the pinned maps; `None` if none did.
+    /// Returns the state of an earlier daemon in the pinned maps; `None` if there is none.
     pub fn adopted(&self) -> Result<Option<Adopted>, UpdateError> {
         let config = self.config.get(&0, 0).map_err(update("CONFIG"))?;
-        // Written before anything else, and the ethertype is never 0.
+        // A daemon writes CONFIG first, and the ethertype is never 0.
         if self.programs.pins.is_none() || config.ethertype == 0 {
             return Ok(None);
         }
@@ -187,18 +188,18 @@ impl KernelPlane {
         }))
     }
 
-    /// The ports whose interfaces are there, with those.
+    /// Returns the ports whose interfaces exist, with these interfaces.
     fn ports_there(&self) -> Result<Vec<(u32, u32)>, MapError> {
         let mut there = Vec::new();
         for port in self.ports.keys() {
             let port = port?;
-            // The kernel takes out an interface that is deleted.
+            // The kernel has removed a deleted interface.
             there.extend(self.ports.get(port, 0).ok().map(|value| (port, value.if_index)));
         }
         Ok(there)
     }
 
-    /// As [`Programs::take_over`].
+    /// Takes over the program of an earlier daemon, as [`Programs::take_over`] does.
     pub fn take_over(&mut self, ifindex: u32) -> Result<Option<Mode>, AttachError> {
         let mode = self.programs.take_over(ifindex)?;
         if mode.is_some() {
@@ -207,19 +208,19 @@ impl KernelPlane {
         Ok(mode)
     }
 
-    /// From now on everything ends with this process.
+    /// Removes all pins, so that all state ends with this process.
     pub fn unpin(&mut self) -> Result<(), PinsError> {
         self.groups.unpin();
         self.fib.unpin();
         self.programs.pins.take().map_or(Ok(()), |pins| pins.remove())
     }
 
-    /// Whether the kernel forwards on without this process.
+    /// Returns whether the kernel continues to forward without this process.
     pub fn is_pinned(&self) -> bool {
         self.programs.pins.is_some()
     }
 
-    /// Makes `port` lead to an interface of this network namespace.
+    /// Maps `port` to an interface of this network namespace.
     pub fn set_port(&mut self, port: u32, ifindex: u32) -> Result<(), UpdateError> {
         self.count_copies_at(ifindex)?;
         self.write_port(port, ifindex)?;
@@ -235,13 +236,13 @@ impl KernelPlane {
         })
     }
 
-    /// Does not count what is lost after redirects.
+    /// Disables the counting of losses after redirects.
     pub fn forgo_losses(&mut self) {
         self.uncounted = Some(LossesError::Unwanted);
     }
 
-    /// Counts what is lost between the interfaces that ports lead to. Forwarding does not depend on
-    /// it.
+    /// Counts losses between the interfaces of the ports. Forwarding does not depend on these
+    /// counts.
     fn watch_losses(&mut self) {
         if self.uncounted.is_some() {
             return;
@@ -252,30 +253,30 @@ impl KernelPlane {
         self.uncounted = interfaces.and_then(|interfaces| self.losses.watch(&interfaces)).err();
     }
 
-    /// Frames that were lost after a redirect, by interface.
+    /// Returns the frames lost after a redirect, by interface.
     pub fn losses(&self) -> Result<Table<u32, u64>, UpdateError> {
         self.losses.counts().map_err(update(losses::MAP))
     }
 
-    /// Why [`Self::losses`] are not counted, if they are not.
+    /// Returns why [`Self::losses`] are not counted, if they are not.
     pub fn uncounted(&self) -> Option<&LossesError> {
         self.uncounted.as_ref()
     }
 
-    /// Frames for `port` are then dropped and counted. An empty port is no error.
+    /// Removes a port. Frames to it are then dropped and counted. A port that is not set is no
+    /// error.
     pub fn clear_port(&mut self, port: u32) -> Result<(), UpdateError> {
         removed(self.ports.remove(port)).map_err(update("PORTS"))?;
         removed(self.copy_counts.remove(&port)).map_err(update("COUNTED"))
     }
 
-    /// Makes `members` the links of a group; the kernel copies frames to them that have no other
-    /// egress bits than those `served`, unless the links are too many. After an error it does not.
+    /// Sets the links of a group. The kernel copies a frame to them if the frame has no egress bits
+    /// besides `served` and the group is small enough. After an error the kernel does not copy.
     ///
-    /// Copies become what they are by the program where they leave, and the kernel runs the program
-    /// that came with the first frame of a batch over all of it. So every port to an interface that
-    /// copies leave by has the program as well, before there is a copy, and from then on. Others do
-    /// without, since it costs every frame a part of what the switch does (`bench forward --only
-    /// hops`).
+    /// The egress program rewrites each copy where it leaves. For a batch of frames the kernel runs
+    /// the program that belongs to the first frame. So every port to an interface with copies gets
+    /// the egress program before the first copy, and retains it. Other ports omit the program,
+    /// because it repeats part of the switch's work for every frame (`bench forward --only hops`).
     pub fn set_group(&mut self, group: u32, members: &[Member], served: u64) -> Result<(), UpdateError> {
         let interfaces = members.iter().map(|member| member.interface);
         let new: HashSet<u32> = interfaces.filter(|interface| !self.copied_to.contains(interface)).collect();
@@ -283,7 +284,7 @@ impl KernelPlane {
         self.groups.set(group, members, served, wait)
     }
 
-    /// Gives the ports to these interfaces the program of copies; whether there are any.
+    /// Sets the egress program on the ports to these interfaces. Returns whether there are any.
     fn have_copies_leave_by(&mut self, new: &HashSet<u32>) -> Result<bool, UpdateError> {
         let mut ports = self.ports_there().map_err(update("PORTS"))?;
         ports.retain(|(_, ifindex)| new.contains(ifindex));
@@ -295,17 +296,17 @@ impl KernelPlane {
         written.map(|()| !ports.is_empty())
     }
 
-    /// Says that no route leads to the group any more.
+    /// Releases a group that no route uses any more.
     pub fn release_group(&mut self, group: u32) {
         self.groups.release(group);
     }
 
-    /// From now on takes frames over UDP at these addresses, and no others.
+    /// Accepts frames over UDP at exactly these addresses from now on.
     pub fn set_addresses(&mut self, addresses: &HashSet<LocalAddress>) -> Result<(), UpdateError> {
         set_of(&mut self.addresses, addresses).map_err(update("ADDRESSES"))
     }
 
-    /// From now on takes tagged frames on these VLANs, and no others.
+    /// Accepts tagged frames on exactly these VLANs from now on.
     pub fn set_vlans(&mut self, vlans: &HashSet<Vlan>) -> Result<(), UpdateError> {
         set_of(&mut self.vlans, vlans).map_err(update("VLANS"))
     }
@@ -314,7 +315,7 @@ impl KernelPlane {
         self.config.set(0, config, 0).map_err(update("CONFIG"))
     }
 
-    /// Forgets what was counted of the link that had the index of `id` before.
+    /// Clears the counters of the link that previously had the index of `id`.
     pub fn begin_link(&mut self, id: u32) -> Result<(), UpdateError> {
         self.tally.begin(id).map_err(update("LINK_COUNTERS"))
     }
@@ -331,12 +332,13 @@ impl KernelPlane {
         self.fib.insert(name, entry)
     }
 
-    /// Whether the name was there.
+    /// Removes a route. Returns whether the name was present.
     pub fn remove_route(&mut self, name: &Name) -> bool {
         self.fib.remove(name)
     }
 
-    /// Lets frames of a link have a name in their header, where its entry says to look for that.
+    /// Permits a name in the header of frames on a link. Programs check permits only if the FIB
+    /// entry requires it.
     pub fn permit(&mut self, permit: &Permit) -> Result<(), UpdateError> {
         match self.permits.insert(permit, 0, 0) {
             Err(error) if is_full(&error) => Err(UpdateError::PermitsFull { capacity: self.capacity }),
@@ -344,12 +346,12 @@ impl KernelPlane {
         }
     }
 
-    /// Takes back what [`Self::permit`] did; if it did not, that is no error.
+    /// Revokes [`Self::permit`]. A missing permit is no error.
     pub fn forbid(&mut self, permit: &Permit) -> Result<(), UpdateError> {
         removed(self.permits.remove(permit)).map_err(update("PERMITS"))
     }
 
-    /// Takes back every permission but these.
+    /// Revokes all permits except these.
     pub fn forbid_all_but(&mut self, stay: &HashSet<Permit>) -> Result<(), UpdateError> {
         let permits = self.permits_there()?;
         permits.iter().filter(|permit| !stay.contains(permit)).try_for_each(|permit| self.forbid(permit))
@@ -363,17 +365,17 @@ impl KernelPlane {
         (0..).zip(next_hops).try_for_each(|(bit, link)| self.next_hop.set(bit, link, 0)).map_err(update("NEXT_HOP"))
     }
 
-    /// Where a name leads.
+    /// Returns the route of a name.
     pub fn route(&self, name: &Name) -> Option<FibEntry> {
         self.fib.get(name)
     }
 
-    /// What the kernel forwards by, in no order.
+    /// Returns the routes that the kernel forwards by, in no particular order.
     pub fn routes(&self) -> impl Iterator<Item = (Name, FibEntry)> {
         self.fib.iter()
     }
 
-    /// The counters, summed over the CPUs, in the order of [`Counter::ALL`].
+    /// Returns the counters, summed over the CPUs, in the order of [`Counter::ALL`].
     pub fn counters(&self) -> Result<[u64; Counter::COUNT], UpdateError> {
         let mut sums = [0; Counter::COUNT];
         for (index, sum) in (0..).zip(&mut sums) {
@@ -382,17 +384,18 @@ impl KernelPlane {
         Ok(sums)
     }
 
-    /// What became of the frames of each link, and the busiest names.
+    /// Returns the outcomes of each link's frames, and the busiest names.
     pub fn tally(&self) -> &KernelTally {
         &self.tally
     }
 
-    /// The counts and windows of the links, shared with whoever else sends and receives on them.
+    /// Returns the sequence numbers and replay windows of the links. All planes that send and
+    /// receive on a link share them.
     pub fn link_memory(&self) -> &LinkMemory {
         &self.link_memory
     }
 
-    /// What an earlier daemon has there stays.
+    /// Starts the copy counters of an interface. Existing counters of an earlier daemon remain.
     fn count_copies_at(&mut self, ifindex: u32) -> Result<(), UpdateError> {
         const NOEXIST: u64 = 1;
         let cpus = aya::util::nr_cpus().map_err(|(_, source)| update("COUNTED")(MapError::IoError(source)))?;
@@ -420,7 +423,7 @@ impl Maps<'_> {
     }
 }
 
-/// What the pinned maps of a switch hold and count.
+/// Contents and counters of a switch's pinned maps.
 pub struct PinnedStats {
     pub links: usize,
     pub names: usize,
@@ -429,7 +432,7 @@ pub struct PinnedStats {
     pub losses: Table<u32, u64>,
 }
 
-/// Reads the maps in a folder of pins of this version. A daemon may be at work on them.
+/// Reads the maps in a folder of pins of this version. A daemon may be changing them.
 pub fn pinned_stats(folder: &Path) -> Result<PinnedStats, MapError> {
     let open = |name: &str| MapData::from_pin(folder.join(name));
     let counters: PerCpuArray<_, u64> = PerCpuArray::try_from(aya::maps::Map::PerCpuArray(open("COUNTERS")?))?;
@@ -443,7 +446,7 @@ pub fn pinned_stats(folder: &Path) -> Result<PinnedStats, MapError> {
     })
 }
 
-/// The names of the object's maps, after a comparison with those of them that are pinned.
+/// Returns the names of the object's maps, after checking pinned maps against the object.
 fn maps_to_pin(object: &Object, bytes: &[u8], capacity: u32, pins: &Pins) -> Result<Vec<String>, LoadError> {
     let parsed = aya_obj::Object::parse(bytes).map_err(|source| LoadError::Parse { object: object.clone(), source })?;
     let mut names = Vec::new();
@@ -463,7 +466,7 @@ fn is_full(error: &MapError) -> bool {
     matches!(error, MapError::SyscallError(error) if error.io_error.raw_os_error() == Some(libc::E2BIG))
 }
 
-/// Makes the keys of a map these.
+/// Makes `keys` exactly the keys of a map.
 fn set_of<K: aya::Pod + Eq + Hash>(map: &mut HashMap<MapData, K, u32>, keys: &HashSet<K>) -> Result<(), MapError> {
     let held: HashSet<K> = map.keys().collect::<Result<_, _>>()?;
     held.difference(keys).try_for_each(|key| removed(map.remove(key)))?;

@@ -1,5 +1,5 @@
-//! What the kernel's refusals mean, in words, with the remedy. Its numbers alone send people to the
-//! source.
+//! Descriptions of the kernel's errors, with the remedy. Error numbers alone would require reading
+//! the source.
 
 use aya::EbpfError;
 use aya::maps::MapError;
@@ -7,7 +7,7 @@ use aya::programs::ProgramError;
 
 use crate::kernel_failures::AttachError;
 
-/// Why the object could not be loaded.
+/// Describes why the object could not be loaded.
 pub fn load(error: &EbpfError) -> String {
     match errno_of(error) {
         Some(libc::EPERM | libc::EACCES) => privileges(),
@@ -16,12 +16,12 @@ pub fn load(error: &EbpfError) -> String {
     }
 }
 
-/// Why the kernel did not take the program.
+/// Describes why the kernel did not load the program.
 pub fn program(error: &ProgramError) -> String {
     match error {
         ProgramError::LoadError { io_error, verifier_log } => match io_error.raw_os_error() {
             Some(libc::EPERM) => privileges(),
-            // The verifier allows arithmetic on packet pointers only to who has CAP_PERFMON.
+            // The verifier allows arithmetic on packet pointers only with CAP_PERFMON.
             Some(libc::EACCES) if verifier_log.to_string().contains("prohibited") => privileges(),
             _ => format!(
                 "the kernel's verifier refused the program ({io_error}): {}",
@@ -32,7 +32,7 @@ pub fn program(error: &ProgramError) -> String {
     }
 }
 
-/// Why the program could not be attached to an interface.
+/// Describes why the program could not be attached to an interface.
 pub fn attach(error: &AttachError) -> String {
     match errno_of(error) {
         Some(libc::EBUSY | libc::EEXIST) => "another XDP program is attached (`ip link show` names it)".into(),
@@ -51,8 +51,8 @@ pub fn attach(error: &AttachError) -> String {
     }
 }
 
-/// Whether attaching failed because somebody else's program is there: then generic mode is no way
-/// out.
+/// Returns whether attaching failed because another program is attached. Generic mode does not help
+/// then.
 pub fn is_occupied(error: &AttachError) -> bool {
     matches!(errno_of(error), Some(libc::EBUSY | libc::EEXIST))
 }
@@ -61,7 +61,7 @@ fn privileges() -> String {
     "not permitted: run as root, or with the capabilities CAP_BPF, CAP_PERFMON, CAP_NET_ADMIN and CAP_NET_RAW".into()
 }
 
-/// The operating system's error number somewhere down the chain of causes.
+/// Returns the first operating system error number in the chain of causes.
 fn errno_of(error: &(dyn std::error::Error + 'static)) -> Option<i32> {
     let mut next = Some(error);
     while let Some(error) = next {

@@ -1,4 +1,4 @@
-//! Why the kernel's plane cannot be loaded, attached or updated.
+//! Errors of loading, attaching and updating the kernel plane.
 
 use crate::kernel_errors;
 use crate::kernel_version::KernelVersion;
@@ -12,7 +12,7 @@ use aya::programs::links::LinkError;
 use gdp_wire::table::MAX_PORTS;
 use std::path::PathBuf;
 
-/// Why the XDP programs cannot be used at all.
+/// Reasons why the XDP programs cannot be used at all.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
     #[error(
@@ -48,7 +48,7 @@ pub enum LoadError {
     Pins(#[from] PinsError),
 }
 
-/// The program was not put on an interface, or not taken off.
+/// The program could not be attached to an interface, or detached from it.
 #[derive(Debug, thiserror::Error)]
 pub enum AttachError {
     #[error(transparent)]
@@ -61,7 +61,7 @@ pub enum AttachError {
     Unpin { path: PathBuf, source: std::io::Error },
 }
 
-/// A write to a BPF map was refused.
+/// The kernel refused a write to a BPF map.
 #[derive(Debug, thiserror::Error)]
 pub enum UpdateError {
     #[error("the FIB is full ({capacity} names): set `fib_capacity` higher")]
@@ -82,10 +82,10 @@ pub enum UpdateError {
     Map { map: &'static str, source: MapError },
 }
 
-/// The oldest kernel the programs are meant for.
+/// The oldest kernel that the programs support.
 pub const FLOOR: KernelVersion = KernelVersion(5, 15);
 
-/// What an earlier daemon left cannot be read.
+/// The state of an earlier daemon cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     #[error(transparent)]

@@ -1,11 +1,11 @@
-//! The groups of links that the kernel copies frames to: writes the maps of
-//! `gdp-ebpf/src/groups.rs` by its rules. Knows nothing of names, nor whether a link belongs in a
-//! group. Called by [`super::kernel`].
+//! The groups of links to which the kernel copies frames. This module writes the maps of
+//! `gdp-ebpf/src/groups.rs` by the rules stated there. It does not handle names, nor decide the
+//! members of a group. [`super::kernel`] calls it.
 //!
-//! The device map of a group is made when the group is first needed and then kept, because to put
-//! one into the outer map takes an RCU grace period (8 ms); several are made at a time, for the
-//! price of one. Where maps are pinned, each of them is, too: to open it from the outer map would
-//! take CAP_SYS_ADMIN.
+//! The device map of a group is created on first use and then retained. Inserting it into the outer
+//! map takes an RCU grace period (8 ms). Several maps are inserted together in one grace period. If
+//! maps are pinned, each device map is pinned too, because opening it from the outer map needs
+//! CAP_SYS_ADMIN.
 
 pub use crate::kernel_failures::OpenError;
 use std::collections::{BTreeMap, HashSet};
@@ -23,7 +23,7 @@ use super::pins::PinsError;
 use crate::kernel_failures::UpdateError;
 use crate::map_update::{removed, update};
 
-/// Device maps made at a time.
+/// Number of device maps created at a time.
 const TOGETHER: u32 = 16;
 
 /// The name of a device map's pin, without its number.
@@ -31,16 +31,16 @@ const PIN: &str = "GROUP-";
 
 pub struct KernelGroups {
     maps: GroupMaps,
-    /// Of what leaves; each key has it.
+    /// The egress program, which every key carries.
     egress: ProgramFd,
-    /// The folder that the device maps are pinned in.
+    /// Folder in which the device maps are pinned.
     pins: Option<PathBuf>,
     groups: BTreeMap<u32, Group>,
 }
 
 /// The maps of the object.
 pub struct GroupMaps {
-    /// An array of maps.
+    /// The outer array of device maps.
     pub groups: Map,
     pub served: Array<MapData, u64>,
     pub slots: HashMap<MapData, GroupSlot, u32>,
@@ -48,12 +48,13 @@ pub struct GroupMaps {
 
 struct Group {
     keys: DevMapHash<MapData>,
-    /// `None`: not known, or nobody's any more. Then it may be written only after a grace period.
+    /// `None`: unknown, or the group is unused. The maps may then be written only after a grace
+    /// period.
     slots: Option<GroupSlots>,
 }
 
 impl KernelGroups {
-    /// With what an earlier daemon has pinned in the folder.
+    /// Opens the groups, including those that an earlier daemon has pinned in the folder.
     pub fn open(maps: GroupMaps, egress: ProgramFd, pins: Option<PathBuf>) -> Result<Self, OpenError> {
         let mut this = Self { maps, egress, pins, groups: BTreeMap::new() };
         let mut occupied: BTreeMap<u32, Vec<(u32, u32, u32)>> = BTreeMap::new();
@@ -69,26 +70,26 @@ impl KernelGroups {
             let slots = GroupSlots::found(&found, occupied.get(&number).map_or(&[], Vec::as_slice));
             this.groups.insert(number, Group { keys, slots });
         }
-        // Which of them the earlier daemon had come to put there is not known.
+        // The earlier daemon may have ended before it inserted all of these maps.
         this.put(&this.groups.keys().copied().collect::<Vec<_>>())?;
         Ok(this)
     }
 
-    /// The groups that are in use, as far as known, with the links in them.
+    /// Returns the groups in use whose slots are known, with their links.
     pub fn found(&self) -> Vec<(u32, Vec<u32>)> {
         let known = self.groups.iter().filter_map(|(number, group)| Some((*number, group.slots.as_ref()?)));
         known.map(|(number, slots)| (number, slots.members().map(|member| member.link).collect())).collect()
     }
 
-    /// The interfaces that frames for groups leave by.
+    /// Returns the egress interfaces of all groups.
     pub fn interfaces(&self) -> HashSet<u32> {
         let keys = self.groups.values().filter_map(|group| keys_of(&group.keys).ok());
         keys.flatten().map(|(_, interface)| interface).collect()
     }
 
-    /// Makes `members` the links of a group, which are all that the egress bits `served` lead to:
-    /// for others the kernel does not copy, nor if the numbers are beyond what it holds, nor after
-    /// an error. `wait`: until every frame is gone that is under way.
+    /// Sets the links of a group. `members` must be all links to which the egress bits `served`
+    /// lead. The kernel does not copy for other bits, for numbers beyond its limits, or after an
+    /// error. `wait`: first wait for all frames in flight.
     pub fn set(&mut self, number: u32, members: &[Member], served: u64, wait: bool) -> Result<(), UpdateError> {
         let fits = members.len() <= MAX_COPIES as usize;
         let (members, served) = if fits { (members, served) } else { (&[][..], 0) };
@@ -105,15 +106,15 @@ impl KernelGroups {
         written
     }
 
-    /// Nothing leads to the group any more, but for frames that are under way. Its number may be
-    /// used again.
+    /// Marks a group as unused: only frames in flight may still refer to it. Its number may be
+    /// reused.
     pub fn release(&mut self, number: u32) {
         if let Some(group) = self.groups.get_mut(&number) {
             group.slots = None;
         }
     }
 
-    /// From now on everything ends with this process.
+    /// Stops pinning maps, so that all state ends with this process.
     pub fn unpin(&mut self) {
         self.pins = None;
     }
@@ -153,7 +154,7 @@ impl KernelGroups {
             Step::AddKey { key, interface } => keys
                 .insert(key, interface, Some(&self.egress), 0)
                 .map_err(|source| UpdateError::Port { port: interface, ifindex: interface, source }),
-            // The kernel takes out an interface that is deleted.
+            // The kernel removes the key itself when the interface is deleted.
             Step::RemoveKey { key } => removed(keys.remove(key)).map_err(update("GROUPS")),
         }
     }
@@ -175,7 +176,7 @@ impl KernelGroups {
         self.maps.served.set(number, bits, 0).map_err(update("SERVED"))
     }
 
-    /// Sees to it that there is a device map for the group.
+    /// Creates the device map of the group, unless it exists.
     fn make(&mut self, number: u32) -> Result<(), UpdateError> {
         if self.groups.contains_key(&number) {
             return Ok(());
@@ -199,8 +200,8 @@ impl KernelGroups {
         DevMapHash::try_from(Map::DevMapHash(map))
     }
 
-    /// Puts the device maps of these groups into the outer map, and waits until every frame is gone
-    /// that was under way to a group before.
+    /// Inserts the device maps of these groups into the outer map. Returns after all earlier frames
+    /// in flight to a group have left.
     fn put(&mut self, numbers: &[u32]) -> Result<(), UpdateError> {
         let groups = &self.groups;
         let found = || numbers.iter().filter_map(|number| Some((*number, &groups.get(number)?.keys)));
@@ -210,21 +211,21 @@ impl KernelGroups {
         if found().next().is_none() || put_together(outer, found()).is_ok() {
             return Ok(());
         }
-        // Kernels before 5.19 take only one at a time.
+        // Kernels before 5.19 have no batch update for this map.
         let outer = ArrayOfMaps::<_, DevMapHash<MapData>>::try_from(&mut self.maps.groups);
         let mut outer = outer.map_err(update("GROUPS"))?;
         found().try_for_each(|(number, keys)| outer.set(number, keys, 0)).map_err(update("GROUPS"))
     }
 
-    /// Gives an earlier daemon's keys the program of this one, without a moment in which an
-    /// interface has a key too few.
+    /// Replaces the program in an earlier daemon's keys with this daemon's program. An interface
+    /// has at least its number of keys at all times.
     fn renew(&self, keys: &mut DevMapHash<MapData>) -> Result<(), OpenError> {
         let found = keys_of(keys)?;
         let mut spare = (0..MAX_COPIES).find(|key| found.iter().all(|(found, _)| found != key));
         for (key, interface) in found {
             let Some(free) = spare.replace(key) else { break };
             if keys.insert(free, interface, Some(&self.egress), 0).is_err() {
-                // The interface is gone, or just going.
+                // The interface has been or is being deleted.
                 spare = Some(free);
                 continue;
             }
@@ -246,23 +247,23 @@ fn open_pinned(path: &Path) -> Result<DevMapHash<MapData>, OpenError> {
     Ok(DevMapHash::try_from(Map::DevMapHash(MapData::from_pin(path)?))?)
 }
 
-/// The keys of a device map with their interfaces, in the order of the keys.
+/// Returns the keys of a device map with their interfaces, sorted by key.
 fn keys_of(map: &DevMapHash<MapData>) -> Result<Vec<(u32, u32)>, MapError> {
     let mut found = Vec::new();
     for key in map.keys() {
         let key = key?;
-        // The kernel takes out an interface that is deleted.
+        // The kernel has removed a deleted interface.
         found.extend(map.get(key, 0).ok().map(|value| (key, value.if_index)));
     }
     found.sort_unstable();
     Ok(found)
 }
 
-/// Several elements of the outer map in one call, which waits for one grace period only. aya has no
-/// such call.
+/// Updates several elements of the outer map in one call, which waits for only one grace period.
+/// aya has no such call.
 fn put_together<'a>(outer: &MapData, elements: impl Iterator<Item = (u32, &'a DevMapHash<MapData>)>) -> io::Result<()> {
     const BPF_MAP_UPDATE_BATCH: libc::c_long = 26;
-    /// The part of `union bpf_attr` (linux/bpf.h) that the call takes.
+    /// The part of `union bpf_attr` (linux/bpf.h) that this call uses.
     #[repr(C)]
     struct Batch {
         in_batch: u64,
@@ -286,8 +287,8 @@ fn put_together<'a>(outer: &MapData, elements: impl Iterator<Item = (u32, &'a De
         elem_flags: 0,
         flags: 0,
     };
-    // SAFETY: the structure, and the keys and values it points to, live as long as the call and are
-    // as long as it says; the descriptors are open.
+    // SAFETY: the structure, and the keys and values it points to, outlive the call and have the
+    // stated lengths. The descriptors are open.
     let result = unsafe { libc::syscall(libc::SYS_bpf, BPF_MAP_UPDATE_BATCH, &raw const batch, size_of::<Batch>()) };
     if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
 }

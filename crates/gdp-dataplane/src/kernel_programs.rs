@@ -1,4 +1,4 @@
-//! The XDP programs of the object: loads them, attaches the switch to interfaces, and runs it over
+//! The XDP programs of the object: loads them, attaches the switch to interfaces, and runs it on
 //! single packets. Part of [`super::kernel`].
 
 use std::collections::HashMap;
@@ -16,25 +16,26 @@ use super::verified;
 use crate::attach_mode::Mode;
 use crate::kernel_failures::{AttachError, LoadError};
 
-/// The first kernel whose XDP takes packets in several buffers.
+/// First kernel whose XDP supports packets in several buffers.
 const FRAGS: KernelVersion = KernelVersion(5, 18);
 
-/// The program that says where a link over UDP leads.
+/// The program that resolves the egress of a link over UDP.
 const ROUTE: &str = "gdp_route";
 
-/// How the packets of an interface may lie in memory. There is a switch for each, and they do the
-/// same.
+/// Memory layout of the packets of an interface. The object has a switch program for each layout;
+/// their function is the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Buffers {
-    /// In one buffer, as a driver promises that takes this switch: it refuses an MTU for which that
-    /// does not hold. How long a packet is, is then known without a call into the kernel.
+    /// Packets in one buffer. A driver that accepts this program guarantees it, and refuses an MTU
+    /// that would break it. The program then knows the packet length without a call into the
+    /// kernel.
     One,
-    /// Perhaps in several.
+    /// Packets possibly in several buffers.
     Several,
 }
 
 impl Buffers {
-    /// What is better comes first.
+    /// Returns the supported layouts, best first.
     fn known_to(version: KernelVersion) -> &'static [Self] {
         if version >= FRAGS { &[Self::One, Self::Several] } else { &[Self::One] }
     }
@@ -56,27 +57,27 @@ pub enum XdpAction {
     Other(u32),
 }
 
-/// The switch on an interface.
+/// A switch program attached to an interface.
 struct Attached {
     link: XdpLinkId,
     mode: Mode,
     buffers: Buffers,
 }
 
-/// The loaded programs. Dropping it detaches them, unless they are pinned.
+/// The loaded programs. Dropping this value detaches them, unless they are pinned.
 pub struct Programs {
     pub(crate) ebpf: Ebpf,
     pub(crate) pins: Option<Pins>,
-    /// By interface.
+    /// By interface index.
     attached: HashMap<u32, Attached>,
-    /// The switches that are loaded.
+    /// The loaded switch programs.
     switches: &'static [Buffers],
-    /// The name of the program of what leaves.
+    /// Name of the egress program.
     egress: &'static str,
 }
 
 impl Programs {
-    /// Has the kernel verify them.
+    /// Loads the programs, which the kernel verifies.
     pub(crate) fn load(object: &Object, version: KernelVersion, mut ebpf: Ebpf) -> Result<Self, LoadError> {
         let switches = Buffers::known_to(version);
         let egress = if version >= FRAGS { "gdp_egress" } else { "gdp_egress_linear" };
@@ -89,7 +90,7 @@ impl Programs {
         Ok(Self { ebpf, pins: None, attached: HashMap::new(), switches, egress })
     }
 
-    /// The program of what leaves.
+    /// Returns the egress program.
     pub(crate) fn egress(&mut self, object: &Object) -> Result<ProgramFd, LoadError> {
         let fd = self.program(self.egress).fd().and_then(|fd| Ok(fd.try_clone()?));
         fd.map_err(|source| LoadError::Program { object: object.clone(), source: Box::new(source) })
@@ -112,8 +113,8 @@ impl Programs {
         Ok(())
     }
 
-    /// Has the program that an earlier daemon left on an interface replaced by this one's, between
-    /// two packets. `None` if there is none there.
+    /// Replaces the program that an earlier daemon left on an interface atomically, without losing
+    /// packets. Returns `None` if there is no such program.
     pub fn take_over(&mut self, ifindex: u32) -> Result<Option<Mode>, AttachError> {
         let left = self.pins.iter().flat_map(Pins::links).find(|(at, _)| *at == ifindex);
         let Some((pin, mode)) = self.pins.as_ref().zip(left).map(|(pins, (_, mode))| (pins.link(ifindex, mode), mode))
@@ -129,7 +130,7 @@ impl Programs {
                 self.attached.insert(ifindex, Attached { link, mode, buffers });
                 Ok(Some(mode))
             }
-            // The interface was deleted, and this one has inherited its number.
+            // The interface was deleted, and another interface now has its index.
             Err(AttachError::Program(ProgramError::SyscallError(error)))
                 if error.io_error.raw_os_error() == Some(libc::ENOLINK) =>
             {
@@ -140,7 +141,7 @@ impl Programs {
         }
     }
 
-    /// Takes the program off an interface. Nothing happens if there is none.
+    /// Detaches the program from an interface. Does nothing if no program is attached.
     pub fn detach(&mut self, ifindex: u32) -> Result<(), AttachError> {
         let Some(Attached { link, mode, buffers }) = self.attached.remove(&ifindex) else { return Ok(()) };
         let pin = self.pins.as_ref().map(|pins| pins.link(ifindex, mode));
@@ -148,25 +149,26 @@ impl Programs {
         pin.map_or(Ok(()), |pin| unpin(&pin))
     }
 
-    /// Takes off what an earlier daemon left on interfaces that this one has not taken over.
+    /// Detaches an earlier daemon's programs from interfaces that this daemon has not taken over.
     pub fn drop_left_over(&mut self) -> Result<(), AttachError> {
         let Some(pins) = &self.pins else { return Ok(()) };
         let left = pins.links().into_iter().filter(|(ifindex, _)| !self.attached.contains_key(ifindex));
         left.into_iter().try_for_each(|(ifindex, mode)| unpin(&pins.link(ifindex, mode)))
     }
 
-    /// Whether the kernel has compiled the switch; `None` if it does not say.
+    /// Returns whether the kernel has JIT-compiled the switch; `None` if the kernel does not report
+    /// it.
     pub fn is_jitted(&self) -> Option<bool> {
         let program: &Xdp = self.ebpf.program(self.switches[0].program())?.try_into().ok()?;
         Some(program.info().ok()?.size_jitted() != 0)
     }
 
-    /// The interface by which frames for a link over UDP leave now, if the kernel can send frames
-    /// of all lengths that the link takes: a port, behind which the next station is resolved.
-    /// `None` as well where copies could not find it. Asked by the program's own lookup, for the
-    /// calling thread's network namespace.
+    /// Returns the current egress interface of a link over UDP. The interface must be a port, its
+    /// next hop resolved, and the kernel able to send frames of every length that the link allows.
+    /// Returns `None` otherwise, and where copies could not look up the route. The program itself
+    /// performs the lookup, in the calling thread's network namespace.
     pub fn route_of(&self, link: u32) -> Result<Option<u32>, ProgramError> {
-        /// The shortest packet there is.
+        /// Minimum length of a test packet.
         const ETHERNET: usize = 14;
         let Some(program) = self.ebpf.program(ROUTE) else { return Ok(None) };
         let program: &Xdp = program.try_into()?;
@@ -178,17 +180,17 @@ impl Programs {
         Ok((interface != 0).then_some(interface))
     }
 
-    /// Whether frames arrive somewhere by generic XDP. What that copies shares memory, so one
-    /// copy's header would be that of all.
+    /// Returns whether any interface runs generic XDP. Generic XDP shares memory between copies, so
+    /// a header change in one copy would affect all.
     pub fn has_generic(&self) -> bool {
         let pinned = self.pins.iter().flat_map(Pins::links).map(|(_, mode)| mode);
         self.attached.values().map(|attached| attached.mode).chain(pinned).any(|mode| mode == Mode::Generic)
     }
 
-    /// Runs the switch over one Ethernet frame without an interface; the action, and the frame as
-    /// it left it.
+    /// Runs the switch on one Ethernet frame without an interface. Returns the action and the
+    /// resulting frame.
     pub fn test_run(&mut self, buffers: Buffers, frame: &[u8]) -> Result<(XdpAction, Vec<u8>), ProgramError> {
-        // What carries it may grow.
+        // The outer headers may grow.
         let mut out = vec![0; frame.len() + 64];
         let mut options = TestRunOptions::new();
         options.data_in = Some(frame);
@@ -204,8 +206,8 @@ impl Programs {
         Ok((action, out))
     }
 
-    /// Nanoseconds a packet costs, over `repeat` runs on the same frame. The frame changes as it is
-    /// forwarded, so only the first run sees it as given.
+    /// Returns the nanoseconds for each packet, measured over `repeat` runs on the same frame.
+    /// Forwarding changes the frame, so only the first run processes the given frame.
     pub fn time(&mut self, buffers: Buffers, frame: &[u8], repeat: u32) -> Result<u32, ProgramError> {
         let mut options = TestRunOptions::new();
         options.data_in = Some(frame);
@@ -213,12 +215,12 @@ impl Programs {
         Ok(self.switch(buffers).test_run(options)?.duration.subsec_nanos())
     }
 
-    /// What to try on an interface, in this order.
+    /// Returns the switch programs to try on an interface, in this order.
     fn switches_for(&self, mode: Mode) -> &'static [Buffers] {
         match mode {
             Mode::Native => self.switches,
-            // Here every driver takes either, but for the first the kernel would copy each large
-            // packet into one buffer.
+            // In generic mode every driver accepts either program. With the one-buffer program, the
+            // kernel would copy each large packet into one buffer.
             Mode::Generic => &self.switches[self.switches.len() - 1..],
         }
     }
@@ -236,7 +238,7 @@ fn unpin(pin: &Path) -> Result<(), AttachError> {
     std::fs::remove_file(pin).map_err(|source| AttachError::Unpin { path: pin.into(), source })
 }
 
-/// The first switch with which something succeeds, and what came of it; or why it did not with the
+/// Returns the first switch for which `attempt` succeeds, with the result; or the error of the
 /// last.
 fn first_that<T, E>(switches: &[Buffers], mut attempt: impl FnMut(Buffers) -> Result<T, E>) -> Result<(Buffers, T), E> {
     let (last, others) = switches.split_last().expect("one is loaded at least");

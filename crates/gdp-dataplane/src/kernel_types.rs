@@ -1,14 +1,14 @@
-//! Where the fields of the running kernel's structures are, as its BTF says
-//! (Documentation/bpf/btf.rst). Only what [`super::losses`] needs: structures, their members, and
-//! the types that lie between.
+//! Offsets of fields in the running kernel's structures, read from its BTF
+//! (Documentation/bpf/btf.rst). This module covers only the needs of [`super::losses`]: structures,
+//! their members, and the types between them.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// The kernel's own description.
+/// The running kernel's BTF.
 pub const VMLINUX: &str = "/sys/kernel/btf/vmlinux";
 
-/// A real one has about 6 MB.
+/// Size limit. The BTF of a real kernel has about 6 MB.
 const LARGEST: u64 = 256 << 20;
 
 const MAGIC: u16 = 0xeb9f;
@@ -16,7 +16,7 @@ const KIND_ARRAY: u32 = 3;
 const KIND_STRUCT: u32 = 4;
 const KIND_UNION: u32 = 5;
 const KIND_TYPEDEF: u32 = 8;
-/// Anonymous structures in each other, and types that only stand for others.
+/// Maximum depth of nested anonymous structures, and of chains of typedefs and qualifiers.
 const DEEPEST: u32 = 16;
 
 #[derive(Debug, thiserror::Error)]
@@ -29,11 +29,11 @@ pub enum TypesError {
     NoField(String),
 }
 
-/// The types by number, the structures by name.
+/// The types by number, and the structures by name.
 pub struct KernelTypes {
     path: PathBuf,
     data: Vec<u8>,
-    /// Where each type begins in `data`; number 0 is `void`.
+    /// Offset of each type in `data`; number 0 is `void`.
     types: Vec<usize>,
     strings: usize,
     structures: HashMap<Vec<u8>, u32>,
@@ -72,8 +72,8 @@ impl KernelTypes {
         Some(btf)
     }
 
-    /// Bytes from the beginning of `structure` to the last field of `path`, each in the structure
-    /// that the one before is.
+    /// Returns the offset in bytes of the last field of `path` from the start of `structure`. Each
+    /// field of `path` lies in the structure of the preceding field.
     pub fn offset(&self, structure: &str, path: &[&str]) -> Result<u32, TypesError> {
         let missing = || TypesError::NoField(format!("struct {structure}.{}", path.join(".")));
         let mut number = *self.structures.get(structure.as_bytes()).ok_or_else(missing)?;
@@ -86,13 +86,14 @@ impl KernelTypes {
         if bits % 8 == 0 { Ok(bits / 8) } else { Err(TypesError::Malformed(self.path.clone())) }
     }
 
-    /// Type of the member, and bits before it.
+    /// Returns the type of a member and its offset in bits.
     fn member(&self, structure: usize, name: &[u8], depth: u32) -> Option<(u32, u32)> {
         let (kind, count) = self.kind(structure)?;
         if !matches!(kind, KIND_STRUCT | KIND_UNION) || depth == 0 {
             return None;
         }
-        // Where bit fields are among the members, their sizes are in the highest byte.
+        // If the structure has bit fields, the highest byte of an offset is the size of the bit
+        // field.
         let mask = if self.word(structure + 4)? >> 31 == 1 { 0x00ff_ffff } else { u32::MAX };
         for at in (0..count).map(|i| structure + 12 + 12 * i) {
             let (number, offset) = (self.word(at + 4)?, self.word(at + 8)? & mask);
@@ -110,12 +111,12 @@ impl KernelTypes {
         None
     }
 
-    /// Where the type begins that this one stands for.
+    /// Returns the offset of the underlying type, following typedefs and qualifiers.
     fn resolve(&self, mut number: u32) -> Option<usize> {
         for _ in 0..DEEPEST {
             let at = *self.types.get(number as usize).filter(|at| **at != 0)?;
             match self.kind(at)?.0 {
-                // `typedef`, `volatile`, `const`, `restrict`; a type tag.
+                // `typedef`, `volatile`, `const`, `restrict`, and type tags.
                 KIND_TYPEDEF..=11 | 18 => number = self.word(at + 8)?,
                 _ => return Some(at),
             }
@@ -123,7 +124,7 @@ impl KernelTypes {
         None
     }
 
-    /// Kind, and how many members.
+    /// Returns the kind of a type and its number of members.
     fn kind(&self, at: usize) -> Option<(u32, usize)> {
         let info = self.word(at + 4)?;
         Some((info >> 24 & 0x1f, (info & 0xffff) as usize))
@@ -139,7 +140,7 @@ impl KernelTypes {
     }
 }
 
-/// Bytes behind the first 12 of a type.
+/// Returns the size in bytes of the data after the first 12 bytes of a type.
 fn size_behind(kind: u32, members: usize) -> Option<usize> {
     Some(match kind {
         // Integer, variable, declaration tag.
@@ -148,7 +149,7 @@ fn size_behind(kind: u32, members: usize) -> Option<usize> {
         KIND_STRUCT | KIND_UNION | 15 | 19 => 12 * members,
         // Enumeration, function prototype.
         6 | 13 => 8 * members,
-        // Pointer, forward, those that `resolve` follows, function, float.
+        // Pointer, forward, the kinds that `resolve` follows, function, float.
         2 | 7..=12 | 16 | 18 => 0,
         _ => return None,
     })

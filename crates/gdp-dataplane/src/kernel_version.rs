@@ -1,4 +1,4 @@
-//! Which kernel this is.
+//! Version of the running kernel.
 
 use std::ffi::CStr;
 use std::fmt;
@@ -8,7 +8,7 @@ use std::fmt;
 pub struct KernelVersion(pub u32, pub u32);
 
 impl KernelVersion {
-    /// 0.0 if the kernel does not say.
+    /// Returns the running version, or 0.0 if the kernel does not report it.
     pub fn running() -> Self {
         // SAFETY: an all-zero `utsname` is valid, and uname fills it.
         let mut name: libc::utsname = unsafe { std::mem::zeroed() };

@@ -1,37 +1,37 @@
-//! The data planes of a daemon behind one owner. The userspace plane always runs and holds the full
-//! tables; where XDP attaches, the kernel holds the same entries and forwards before the daemon
-//! sees a frame. Instead of XDP, DPDK may be before it.
+//! The data planes of a daemon, with a single owner. The userspace plane always runs and has the
+//! full tables. Where XDP attaches, the kernel has the same entries and forwards frames before the
+//! daemon sees them. DPDK can replace XDP as the fast path.
 //!
-//! Knows links and routes as `gdp-wire` has them, nothing of names' owners, certificates or the
-//! RIB. Called by the daemon (`serve`); [`kernel`] and [`fib`] also by the kernel tests and `bench
-//! forward`.
+//! This crate handles links and routes as `gdp-wire` defines them. It does not handle name owners,
+//! certificates or the RIB. The daemon (`serve`) calls it. The kernel tests and `bench forward`
+//! also call [`kernel`] and [`fib`].
 //!
-//! - [`data_plane`]: what the planes have in common; implemented by [`userspace_plane`], [`xdp`]
-//!   and [`dpdk`]
-//! - [`Planes`]: their owner. [`dispatcher`] applies links, routes and groups to each, [`ports`]
-//!   are the interfaces, [`adoption`] takes over what an earlier daemon left
-//! - [`kernel`]: the BPF maps, and [`kernel_programs`]; [`object`], [`kernel_version`] and
-//!   [`kernel_errors`] serve it
-//! - [`dpdk`]: devices that this process drives by itself, and the loops between them
-//! - [`losses`]: what is lost after a redirect; [`kernel_types`] serves it
-//! - [`capabilities`]: which this needs of Linux's
-//! - [`disturbance`]: on which interfaces XDP is in somebody's way
-//! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] serve it
-//! - [`tables`]: the full tables, which threads read while they change
-//! - [`userspace`]: what happens to one frame, pure; [`forwarder`]: the threads and sockets around
+//! - [`data_plane`]: the traits that [`userspace_plane`], [`xdp`] and [`dpdk`] implement
+//! - [`Planes`]: owner of the planes. [`dispatcher`] applies links, routes and groups to each
+//!   plane, [`ports`] lists the interfaces, and [`adoption`] takes over the state of an earlier
+//!   daemon
+//! - [`kernel`]: the BPF maps, with [`kernel_programs`] for the programs. [`object`],
+//!   [`kernel_version`] and [`kernel_errors`] support it
+//! - [`dpdk`]: devices that this process drives itself, and the loops between them
+//! - [`losses`]: counts frames lost after a redirect; [`kernel_types`] supports it
+//! - [`capabilities`]: the Linux capabilities that this crate needs
+//! - [`disturbance`]: detects interfaces on which XDP would disturb other users
+//! - [`device`]: interfaces as the kernel describes them; [`xdp_features`] and [`netlink`] support
 //!   it
-//! - [`fib`]: the names in the kernel; [`resizable_table`]: room for more of them, there and in the
-//!   full tables
-//! - [`groups`]: which links take copies of a frame; [`kernel_groups`] and [`group_slots`]: what
-//!   the kernel holds of them
-//! - [`link_memory`]: what the two planes share; this and the FIB are [`mapping`]s
-//! - [`queues`]: where frames wait to be sent
-//! - [`notices`]: what neighbours say to this node itself
-//! - [`host_pair`]: the interfaces between the switch and endpoints on its own host
-//! - [`udp`]: which addresses and interfaces carry links over UDP
-//! - [`tally`]: what is counted by link and by name
-//! - [`pins`]: what stays in the kernel when the daemon dies
-// They panic where stdout or stderr cannot be written.
+//! - [`tables`]: the full tables, which threads read while the owner changes them
+//! - [`userspace`]: the forwarding of a single frame, a pure function. [`forwarder`] has the
+//!   threads and sockets around it
+//! - [`fib`]: the names in the kernel. [`resizable_table`] grows this table and the full tables
+//! - [`groups`]: the links that receive copies of a frame. [`kernel_groups`] and [`group_slots`]
+//!   are the kernel's side of them
+//! - [`link_memory`]: state that the two planes share. This state and the FIB are [`mapping`]s
+//! - [`queues`]: interfaces with frames waiting to be sent
+//! - [`notices`]: frames from neighbours addressed to this node
+//! - [`host_pair`]: the interfaces between the switch and the endpoints on its own host
+//! - [`udp`]: the addresses and interfaces that carry links over UDP
+//! - [`tally`]: counters for each link and each name
+//! - [`pins`]: state that remains in the kernel when the daemon ends
+// Both macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod adoption;

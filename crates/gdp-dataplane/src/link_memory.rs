@@ -1,7 +1,8 @@
-//! What changes with the frames of a link, shared by the planes: the count of frames sent, the
-//! replay window, when an error was sent, and when the daemon was given a probe. A link has one of
-//! each, whichever plane sends and receives. Where XDP runs, this is the memory of its BPF maps;
-//! otherwise it is ordinary memory. Only ever accessed atomically.
+//! Per-link state that changes with every frame and that the planes share. For each link it
+//! contains the count of frames sent and the replay window. It also contains the times of the last
+//! error and of the last probe punted to the daemon. Each link has exactly one of each, regardless
+//! of the plane that sends and receives. Where XDP runs, the state is the memory of BPF maps,
+//! otherwise ordinary memory. All access is atomic.
 
 use std::io;
 use std::sync::Arc;
@@ -15,7 +16,7 @@ use super::mapping::Mapping;
 
 const LINKS: usize = MAX_LINKS as usize;
 
-/// By link index. Clones share it.
+/// Per-link state, indexed by link index. Clones share it.
 #[derive(Clone)]
 pub struct LinkMemory {
     counts: Arc<AtomicWords>,
@@ -24,7 +25,7 @@ pub struct LinkMemory {
     punts: Arc<AtomicWords>,
 }
 
-/// The BPF maps whose memory it can be.
+/// The BPF maps that provide the memory.
 pub struct LinkMaps<'a> {
     pub counts: &'a Array<MapData, u64>,
     pub windows: &'a Array<MapData, [u64; WORDS]>,
@@ -39,7 +40,7 @@ impl LinkMemory {
         Self { counts: own(LINKS), windows: own(LINKS * WORDS), complaints: own(LINKS), punts: own(LINKS) }
     }
 
-    /// The memory of the BPF maps. The mappings outlive the maps' descriptors.
+    /// Maps the memory of the BPF maps. The mappings outlive the maps' descriptors.
     pub fn map(maps: LinkMaps<'_>) -> io::Result<Self> {
         let LinkMaps { counts, windows, complaints, punts } = maps;
         for length in [counts.len(), windows.len(), complaints.len(), punts.len()] {
@@ -56,63 +57,66 @@ impl LinkMemory {
         })
     }
 
-    /// Forgets the link that had the index before. For a link that no plane takes frames from yet.
+    /// Clears the state of the link that previously had this index. No plane may receive frames on
+    /// the new link yet.
     pub fn begin(&self, id: u32) {
         self.set_count(id, 0);
         self.forgive(id);
         self.window(id).iter().for_each(|word| word.store(0, Ordering::Relaxed));
     }
 
-    /// The count for the next frame on link `id`: 1 for the first of a link.
+    /// Returns the sequence number for the next frame on link `id`: 1 for the first frame of a
+    /// link.
     #[inline]
     pub fn next_count(&self, id: u32) -> u64 {
         self.next_counts(id, 1)
     }
 
-    /// The count for the first of so many frames on link `id` that leave one after the other.
+    /// Reserves sequence numbers for `frames` consecutive frames on link `id`, and returns the
+    /// first.
     #[inline]
     pub fn next_counts(&self, id: u32, frames: u64) -> u64 {
         self.count(id).fetch_add(frames, Ordering::Relaxed).wrapping_add(1)
     }
 
-    /// How many frames have left by the link.
+    /// Returns the number of frames sent on the link.
     pub fn sent(&self, id: u32) -> u64 {
         self.count(id).load(Ordering::Relaxed)
     }
 
-    /// Says how many frames have left by the link.
+    /// Sets the number of frames sent on the link.
     pub fn set_count(&self, id: u32, count: u64) {
         self.count(id).store(count, Ordering::Relaxed);
     }
 
-    /// What has arrived on link `id`.
+    /// Returns the replay window of link `id`.
     #[inline]
     pub fn window(&self, id: u32) -> &Window {
         let (windows, _) = self.windows.words().as_chunks();
         &windows[link_index(id) as usize]
     }
 
-    /// Whether an error may leave by the link now.
+    /// Returns whether the rate limit allows an error on the link now.
     pub fn may_send_error(&self, id: u32) -> bool {
         is_past(self.complaint(id), COMPLAINT_INTERVAL_NS)
     }
 
-    /// Says that one leaves now.
+    /// Records that an error is sent now.
     pub fn send_error(&self, id: u32) {
         self.complaint(id).store(coarse_monotonic_ns(), Ordering::Relaxed);
     }
 
-    /// Whether the daemon may be given a probe of the link now.
+    /// Returns whether the rate limit allows punting a probe of the link to the daemon now.
     pub fn may_punt(&self, id: u32) -> bool {
         is_past(self.last_punt(id), PUNT_INTERVAL_NS)
     }
 
-    /// Says that it is given one now.
+    /// Records that a probe is punted now.
     pub fn punt(&self, id: u32) {
         self.last_punt(id).store(coarse_monotonic_ns(), Ordering::Relaxed);
     }
 
-    /// Lets the next error leave by the link, and the next probe from it to the daemon, at once.
+    /// Resets both rate limits, so that the next error and the next probe are allowed immediately.
     pub fn forgive(&self, id: u32) {
         self.complaint(id).store(0, Ordering::Relaxed);
         self.last_punt(id).store(0, Ordering::Relaxed);
@@ -138,15 +142,15 @@ impl Default for LinkMemory {
     }
 }
 
-/// Whether so much time has passed since what is in the word.
+/// Returns whether `interval` has passed since `last`.
 fn is_past(last: &AtomicU64, interval: u64) -> bool {
     coarse_monotonic_ns().wrapping_sub(last.load(Ordering::Relaxed)) >= interval
 }
 
-/// The clock that the XDP programs read.
+/// Reads the clock that the XDP programs use.
 fn coarse_monotonic_ns() -> u64 {
     let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: a structure that outlives the call.
+    // SAFETY: the structure outlives the call.
     unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC_COARSE, &raw mut time) };
     time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
 }

@@ -1,11 +1,10 @@
-//! Counts the frames that a redirect loses after the switch has decided: loads the programs of the
-//! eBPF object that listen to the kernel's tracepoints, says which interfaces they watch, reads
-//! what they count. What the counts mean is at [`gdp_wire::Counter::RedirectLost`]. Part of
-//! [`super::kernel`].
+//! Counts frames lost after a redirect, when the switch has already made its decision. It loads the
+//! eBPF programs for the kernel's tracepoints, sets the interfaces they watch, and reads their
+//! counters. [`gdp_wire::Counter::RedirectLost`] defines the counts. Part of [`super::kernel`].
 //!
-//! What they cannot see: frames that an interface took and lost later (the ring of a veth whose
-//! other end goes down), and packets that generic XDP sends, which are like any other packet of the
-//! host (`ip -s link`, `dropped`).
+//! The programs cannot see frames that an interface accepts and later loses, for example in the
+//! ring of a veth whose peer goes down. They also cannot see packets sent by generic XDP, which are
+//! ordinary packets of the host (`ip -s link`, `dropped`).
 
 use std::collections::HashMap;
 use std::os::unix::fs::MetadataExt;
@@ -22,16 +21,16 @@ use super::kernel_types::{KernelTypes, TypesError, VMLINUX};
 use super::pins::Pins;
 use super::{kernel_errors, verified};
 
-/// The map in the object, and in a folder of pins.
+/// Name of the map in the object, and in a folder of pins.
 pub const MAP: &str = "REDIRECT_LOSSES";
 
-/// The global of the object that says where to look.
+/// The global of the object that contains the field offsets and the namespace.
 pub const WHERE: &str = "NET_DEVICES";
 
-/// Programs of the object and the tracepoints they are for.
+/// Programs of the object, with their tracepoints.
 const PROGRAMS: [(&str, &str); 2] = [("gdp_devmap_xmit", "xdp_devmap_xmit"), ("gdp_redirect_err", "xdp_redirect_err")];
 
-/// Why losses are not counted, or not all.
+/// Reasons why losses are not counted, or only in part.
 #[derive(Debug, thiserror::Error)]
 pub enum LossesError {
     #[error("frames lost after a redirect are not counted, as was asked for")]
@@ -54,10 +53,10 @@ pub enum LossesError {
     Map(#[from] MapError),
 }
 
-/// What is lost on the way to the interfaces of a switch.
+/// Counters of frames lost on their way to the interfaces of a switch.
 pub struct Losses {
     counts: PerCpuHashMap<MapData, u32, u64>,
-    /// Whoever lets go of them detaches the programs, unless they are pinned.
+    /// Dropping them detaches the programs, unless they are pinned.
     programs: Vec<Attached>,
 }
 
@@ -67,13 +66,13 @@ enum Attached {
 }
 
 impl Losses {
-    /// Of the object's map; nothing is counted yet.
+    /// Creates the counters from the object's map. Nothing is counted yet.
     pub fn new(counts: PerCpuHashMap<MapData, u32, u64>) -> Self {
         Self { counts, programs: Vec::new() }
     }
 
-    /// Has the programs listen; those that an earlier daemon has left are replaced. For one that
-    /// was loaded with [`net_devices`].
+    /// Attaches the programs, replacing those of an earlier daemon. `ebpf` must have been loaded
+    /// with [`net_devices`].
     pub fn start(&mut self, ebpf: &mut Ebpf, pins: Option<&Pins>) -> Result<(), LossesError> {
         if !self.programs.is_empty() {
             return Ok(());
@@ -83,8 +82,8 @@ impl Losses {
         Ok(())
     }
 
-    /// Counts for these interfaces, and no others, from now on; what was counted for one that
-    /// stays, stays.
+    /// Counts for exactly these interfaces from now on. Counts of interfaces that remain are
+    /// preserved.
     pub fn watch(&mut self, interfaces: &[u32]) -> Result<(), LossesError> {
         let known: Vec<u32> = self.counts.keys().collect::<Result<_, _>>()?;
         known.iter().filter(|known| !interfaces.contains(known)).try_for_each(|gone| self.counts.remove(gone))?;
@@ -95,14 +94,14 @@ impl Losses {
         Ok(())
     }
 
-    /// Frames lost so far, by interface.
+    /// Returns the frames lost so far, by interface.
     pub fn counts(&self) -> Result<HashMap<u32, u64>, MapError> {
         sums(&self.counts)
     }
 }
 
-/// Frames lost so far by interface, from a folder of pins. None if a daemon has left it that did
-/// not count them.
+/// Returns the frames lost so far, by interface, from a folder of pins. The result is empty if the
+/// daemon of these pins did not count losses.
 pub fn pinned_counts(folder: &Path) -> Result<HashMap<u32, u64>, MapError> {
     let path = folder.join(MAP);
     if !path.exists() {
@@ -111,13 +110,13 @@ pub fn pinned_counts(folder: &Path) -> Result<HashMap<u32, u64>, MapError> {
     sums(&PerCpuHashMap::try_from(aya::maps::Map::PerCpuHashMap(MapData::from_pin(path)?))?)
 }
 
-/// Where the programs find interface and namespace in this kernel, for the namespace of the calling
-/// thread.
+/// Returns the offsets at which programs find interface and namespace in this kernel, and the
+/// calling thread's namespace.
 pub fn net_devices() -> Result<NetDevices, LossesError> {
     let types = KernelTypes::load(Path::new(VMLINUX))?;
     let namespace = std::fs::metadata("/proc/thread-self/ns/net").map_err(LossesError::Namespace)?;
     Ok(NetDevices {
-        // The kernel has 32 bits of it.
+        // The kernel uses 32 bits for it.
         namespace: namespace.ino() as u32,
         ifindex: types.offset("net_device", &["ifindex"])?,
         net: types.offset("net_device", &["nd_net", "net"])?,
@@ -142,7 +141,7 @@ fn attach(
     if let Some(path) = &pin
         && path.exists()
     {
-        // A loss between these two steps is not counted; twice would be worse.
+        // A loss between these two steps is not counted. Counting it twice would be worse.
         std::fs::remove_file(path).map_err(|source| LossesError::Unpin { path: path.clone(), source })?;
     }
     let link = program.attach(tracepoint).map_err(refused)?;

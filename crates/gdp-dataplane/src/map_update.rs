@@ -3,7 +3,7 @@
 use crate::kernel_failures::UpdateError;
 use aya::maps::MapError;
 
-/// That there was nothing to remove is no error.
+/// Ignores the error of removing a key that does not exist.
 pub fn removed(result: Result<(), MapError>) -> Result<(), MapError> {
     match result {
         Err(MapError::KeyNotFound | MapError::ElementNotFound) => Ok(()),

@@ -1,6 +1,6 @@
-//! One request to the kernel over netlink and its reply, for callers that cannot wait
-//! asynchronously. Callers that want lists use `rtnetlink`, which rests on the same crates. Serves
-//! [`super::xdp_features`], [`super::device`] and [`super::dpdk`].
+//! One netlink request to the kernel and its reply, for callers that cannot be async. Callers that
+//! need lists use `rtnetlink`, which builds on the same crates. [`super::xdp_features`],
+//! [`super::device`] and [`super::dpdk`] use this module.
 
 use std::convert::Infallible;
 use std::io;
@@ -12,10 +12,10 @@ use netlink_packet_core::{
 };
 use netlink_sys::Socket;
 
-/// Longest reply read: one interface with all that the kernel says of it.
+/// Maximum length of a reply: one interface with all its attributes.
 const LONGEST: usize = 64 * 1024;
 
-/// A socket of the network namespace the calling thread was in when it was opened.
+/// A socket in the network namespace of the thread that opened it.
 pub struct Netlink(Socket);
 
 /// A message of any family: the family's own header, then attributes.
@@ -25,18 +25,19 @@ struct Message {
 }
 
 impl Netlink {
-    /// `family`: `NETLINK_ROUTE`, `NETLINK_GENERIC`.
+    /// Opens a socket. `family`: `NETLINK_ROUTE`, `NETLINK_GENERIC`.
     pub fn open(family: libc::c_int) -> io::Result<Self> {
         Socket::new(family as isize).map(Self)
     }
 
-    /// Sends a message of this kind: the family's own header, then attributes. Returns the reply
+    /// Sends a message of this kind, with the family's own header and attributes. Returns the reply
     /// without the netlink header.
     pub fn ask(&self, kind: u16, family_header: &[u8], attributes: &[(u16, &[u8])]) -> io::Result<Vec<u8>> {
         self.exchange(kind, 0, family_header, attributes)
     }
 
-    /// As [`Self::ask`], of a message that changes something: it is done, or an error.
+    /// Sends a message that changes something, as [`Self::ask`] does. Returns when the kernel
+    /// acknowledges it, or the kernel's error.
     #[cfg(feature = "dpdk")]
     pub fn change(&self, kind: u16, family_header: &[u8], attributes: &[(u16, &[u8])]) -> io::Result<()> {
         self.exchange(kind, netlink_packet_core::NLM_F_ACK, family_header, attributes).map(drop)
@@ -64,13 +65,13 @@ impl Netlink {
             self.0.recv(&mut reply, 0)?;
             let reply = NetlinkMessage::<Message>::deserialize(&reply)
                 .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
-            // A reply that nobody waited for is to another request.
+            // Skip replies to earlier requests whose caller stopped waiting.
             if reply.header.sequence_number != sequence {
                 continue;
             }
             return match reply.payload {
                 NetlinkPayload::InnerMessage(message) => Ok(message.body),
-                // It is done, and there is nothing to say.
+                // An acknowledgement without data.
                 NetlinkPayload::Error(error) if error.code.is_none() => Ok(Vec::new()),
                 NetlinkPayload::Error(error) => Err(error.to_io()),
                 _ => Err(io::ErrorKind::InvalidData.into()),
@@ -112,7 +113,7 @@ impl NetlinkDeserializable for Message {
     }
 }
 
-/// The value of the first attribute of this kind.
+/// Returns the value of the first attribute of this kind.
 pub fn attribute(attributes: &[u8], kind: u16) -> Option<&[u8]> {
     let mut all = NlasIterator::new(attributes).map_while(Result::ok);
     let found = all.find(|attribute| attribute.kind() == kind)?;
@@ -120,7 +121,7 @@ pub fn attribute(attributes: &[u8], kind: u16) -> Option<&[u8]> {
     found.into_inner().get(NLA_HEADER_SIZE..length)
 }
 
-/// The number that an attribute of four bytes holds.
+/// Returns the value of a four-byte attribute.
 pub fn number(attributes: &[u8], kind: u16) -> Option<u32> {
     Some(u32::from_ne_bytes(*attribute(attributes, kind)?.first_chunk()?))
 }

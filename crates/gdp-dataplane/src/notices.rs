@@ -1,7 +1,7 @@
-//! What neighbours said to this node itself: errors about frames it forwarded to them, answers to
-//! its echoes, and probes that ended here. Written by the userspace plane's threads, read by the
-//! daemon; an array of atomics and a short queue, so that no neighbour's flood costs memory or
-//! hides what another said.
+//! Frames from neighbours addressed to this node: errors about frames it forwarded, echo replies,
+//! and probes that ended here. The threads of the userspace plane write them and the daemon reads
+//! them. An array of atomics and a short queue bound the memory. A flood from one neighbour cannot
+//! hide the notices of another.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,13 +11,13 @@ use gdp_wire::{Counter, ErrorCode, FrameType, Header, Name};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 
-/// Probes that wait for the daemon.
+/// Maximum number of probes queued for the daemon.
 const MAX_PROBES: usize = 64;
 
 pub struct Notices {
-    /// By link index.
+    /// Indexed by link index.
     links: Box<[LinkNotices]>,
-    /// An answer to an echo has come.
+    /// Signals that an echo reply has arrived.
     answered: Notify,
     probes: Mutex<VecDeque<Punted>>,
     probed: Notify,
@@ -26,21 +26,21 @@ pub struct Notices {
 /// A probe that ended at this switch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Punted {
-    /// Id of the link it came by.
+    /// Id of the ingress link.
     pub link: u32,
-    /// What it asks the way to.
+    /// Name whose route the probe traces.
     pub destination: Name,
-    /// The switch that asks.
+    /// The switch that sent the probe.
     pub source: Name,
     pub egress_bits: u64,
     pub cookie: u64,
 }
 
-/// What came on one link.
+/// Notices received on one link.
 #[derive(Default)]
 struct LinkNotices {
     errors: [AtomicU64; ErrorCode::COUNT],
-    /// Cookie of the latest answer to an echo.
+    /// Cookie of the latest echo reply.
     answer: AtomicU64,
 }
 
@@ -56,14 +56,14 @@ impl Default for Notices {
 }
 
 impl Notices {
-    /// Forgets what came on the link that had the index before.
+    /// Clears the notices of the link that previously had this index.
     pub fn begin(&self, id: u32) {
         let link = self.of(id);
         link.errors.iter().chain([&link.answer]).for_each(|word| word.store(0, Ordering::Relaxed));
     }
 
-    /// Takes a frame that is for this node, from the neighbour on link `id`. Returns how it is
-    /// counted.
+    /// Processes a frame addressed to this node, from the neighbour on link `id`. Returns the
+    /// counter for the frame.
     pub fn take(&self, id: u32, header: &Header, payload: &[u8]) -> Counter {
         let link = self.of(id);
         if header.version_type == FrameType::Probe.first_byte() {
@@ -100,7 +100,7 @@ impl Notices {
         Counter::Notice
     }
 
-    /// The next probe that ended here, as soon as there is one. For one task.
+    /// Waits for the next probe that ended here and returns it. Only one task may wait.
     pub async fn probe(&self) -> Punted {
         loop {
             let next = self.probes().pop_front();
@@ -111,7 +111,7 @@ impl Notices {
         }
     }
 
-    /// Waits until the latest answer to an echo on a link has this cookie.
+    /// Waits until the latest echo reply on a link has this cookie.
     pub async fn answered_with(&self, id: u32, cookie: u64) {
         loop {
             let more = self.answered.notified();
@@ -126,12 +126,12 @@ impl Notices {
         self.probes.lock()
     }
 
-    /// Errors that came on a link, in the order of [`ErrorCode::ALL`].
+    /// Returns the errors received on a link, in the order of [`ErrorCode::ALL`].
     pub fn errors(&self, id: u32) -> [u64; ErrorCode::COUNT] {
         std::array::from_fn(|i| self.of(id).errors[i].load(Ordering::Relaxed))
     }
 
-    /// The cookie of the latest answer to an echo on a link; 0 before the first.
+    /// Returns the cookie of the latest echo reply on a link; 0 before the first.
     pub fn answer(&self, id: u32) -> u64 {
         self.of(id).answer.load(Ordering::Relaxed)
     }

@@ -1,21 +1,22 @@
-//! The XDP programs: the object inside this executable, or a file that somebody names.
+//! The XDP programs: the object inside this executable, or a named file.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
-/// Names a file to load instead of the embedded object; for development and tests.
+/// Environment variable that names a file to load instead of the embedded object; for development
+/// and tests.
 pub const ENVIRONMENT: &str = "GDP_EBPF_OBJECT";
 
-// `EMBEDDED: Option<&[u8]>`, made by the build script.
+// The build script generates `EMBEDDED: Option<&[u8]>`.
 include!(concat!(env!("OUT_DIR"), "/embedded.rs"));
 
-/// This executable has no XDP programs, and no file was named.
+/// This executable contains no XDP programs, and no file was named.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("built without XDP: `cargo xtask build` makes an executable with the XDP programs inside")]
 pub struct BuiltWithoutXdp;
 
-/// Where the XDP programs are.
+/// Source of the XDP programs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Object {
     /// Inside this executable.
@@ -24,8 +25,8 @@ pub enum Object {
 }
 
 impl Object {
-    /// The file that the configuration names, else the one that the environment names, else the
-    /// embedded object.
+    /// Returns the file that the configuration names, else the file that the environment names,
+    /// else the embedded object.
     pub fn find(wanted: Option<&Path>) -> Result<Self, BuiltWithoutXdp> {
         let named = wanted.map(PathBuf::from).or_else(|| std::env::var_os(ENVIRONMENT).map(PathBuf::from));
         match named {
@@ -34,10 +35,10 @@ impl Object {
         }
     }
 
-    /// The ELF file.
+    /// Returns the ELF file.
     ///
     /// # Errors
-    /// If a named file cannot be read. The error says how to do without one.
+    /// If a named file cannot be read. The error says how to run without a file.
     pub fn bytes(&self) -> io::Result<Cow<'static, [u8]>> {
         match self {
             Self::Embedded(bytes) => Ok(Cow::Borrowed(bytes)),
@@ -49,7 +50,7 @@ impl Object {
     }
 }
 
-/// Whether the XDP programs are inside this executable.
+/// Returns whether this executable contains the XDP programs.
 pub const fn is_embedded() -> bool {
     EMBEDDED.is_some()
 }

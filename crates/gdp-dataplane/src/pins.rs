@@ -1,4 +1,4 @@
-//! What outlives a daemon: the BPF maps and XDP links of a switch, as files of a BPF file system:
+//! State of a switch that outlives its daemon: BPF maps and XDP links, pinned in a BPF file system:
 //!
 //! ```text
 //!  BPFFS/gdp/v1/75e1….-4026531840/LINKS, FIB, …      the maps, by name
@@ -9,10 +9,10 @@
 //!             └ version of the maps (gdp_wire::table::ABI)
 //! ```
 //!
-//! Who has locked the folder owns the switch: a daemon for its life, `gdp-ctl xdp detach` for a
-//! moment. The kernel lets go of the lock with the process, however that ends. Only files and their
-//! layout are known here; [`super::kernel`] writes the maps. Called by it, by [`crate::Planes`] and
-//! by the command line.
+//! The process that has locked the folder owns the switch. A daemon locks it for its lifetime,
+//! `gdp-ctl xdp detach` only while it runs. The kernel releases the lock when the process ends for
+//! any reason. This module handles only files and their layout; [`super::kernel`] writes the maps.
+//! [`super::kernel`], [`crate::Planes`] and the command line call it.
 
 use std::ffi::CString;
 use std::fs::{self, File, TryLockError};
@@ -27,15 +27,15 @@ use gdp_wire::table::ABI;
 
 use crate::attach_mode::Mode;
 
-/// Where the BPF file system is, unless configured otherwise.
+/// Default mount point of the BPF file system.
 pub const BPFFS: &str = "/sys/fs/bpf";
 
 const THIS_NAMESPACE: &str = "/proc/thread-self/ns/net";
 
-/// Ours in it.
+/// Folder of this project in the BPF file system.
 const FOLDER: &str = "gdp";
 
-/// Why a switch's pins cannot be used.
+/// Reasons why the pins of a switch cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum PinsError {
     #[error("no BPF file system at {}: {reason}", path.display())]
@@ -68,8 +68,8 @@ pub enum PinsError {
 }
 
 impl PinsError {
-    /// Whether a daemon can do without, but for not surviving a restart. Otherwise something else
-    /// forwards already.
+    /// Returns whether a daemon can run without pins, losing only the ability to survive a restart.
+    /// For every other error, another program already forwards.
     pub fn is_bearable(&self) -> bool {
         matches!(self, Self::NoBpffs { .. } | Self::Io { .. })
     }
@@ -83,18 +83,18 @@ pub struct Pins {
 }
 
 impl Drop for Pins {
-    /// A child that this process is just starting has the descriptor too, until it runs its
-    /// program: closing it here would leave the lock to that one.
+    /// Unlocks explicitly. A child process that is being started shares the descriptor until it
+    /// calls exec. If this process only closed its own copy, the child would retain the lock.
     fn drop(&mut self) {
         let _ = self.lock.unlock();
     }
 }
 
-/// A folder of pins, whoever's.
+/// A folder of pins of any switch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Found {
     pub folder: PathBuf,
-    /// The version of the maps in it.
+    /// Version of the maps in the folder.
     pub abi: u32,
     /// First digits of the switch's name.
     pub switch: String,
@@ -103,8 +103,8 @@ pub struct Found {
 }
 
 impl Pins {
-    /// The pins of `switch` in the calling thread's network namespace, whether or not there are any
-    /// yet. Mounts the file system if it is missing.
+    /// Opens the pins of `switch` in the calling thread's network namespace, creating the folder if
+    /// necessary. Mounts the file system if it is missing.
     pub fn open(bpffs: &Path, switch: &Name) -> Result<Self, PinsError> {
         mount(bpffs)?;
         let namespace = this_namespace().map_err(|source| PinsError::Io { path: THIS_NAMESPACE.into(), source })?;
@@ -120,7 +120,7 @@ impl Pins {
         Self::lock(folder)
     }
 
-    /// What was found, to look after it in its daemon's place.
+    /// Opens a folder that [`find`] returned, to manage it without its daemon.
     pub fn of(found: &Found) -> Result<Self, PinsError> {
         Self::lock(found.folder.clone())
     }
@@ -134,7 +134,7 @@ impl Pins {
         }
     }
 
-    /// Where they are.
+    /// Returns the folder of the pins.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
@@ -147,19 +147,19 @@ impl Pins {
         self.folder.join(format!("xdp-{ifindex}-{}", mode.as_str()))
     }
 
-    /// The interfaces that a program was put on, and how.
+    /// Returns the interfaces with a pinned program, and the attach mode of each.
     pub fn links(&self) -> Vec<(u32, Mode)> {
         links(&self.folder)
     }
 
-    /// Whether an earlier daemon has left maps.
+    /// Returns whether an earlier daemon has left pins.
     pub fn any(&self) -> bool {
         !entries(&self.folder).is_empty()
     }
 
-    /// Compares a map that is there with what `wanted` says; one that is not there agrees.
+    /// Compares a pinned map with `wanted`. A map that is not pinned passes.
     pub fn check(&self, name: &str, wanted: &aya_obj::Map, max_entries: u32) -> Result<(), PinsError> {
-        // Device maps get it from the kernel.
+        // The kernel sets this flag on device maps.
         const READ_ONLY_FOR_PROGRAMS: u32 = 1 << 7;
         let path = self.map(name);
         if !path.exists() {
@@ -181,10 +181,11 @@ impl Pins {
         }
     }
 
-    /// Removes everything: programs that nobody else holds are detached, maps freed.
+    /// Removes all pins. The kernel then detaches programs and frees maps that have no other
+    /// reference.
     pub fn remove(&self) -> Result<(), PinsError> {
         let mut entries = entries(&self.folder);
-        // Programs first: none shall run on half of its maps' pins.
+        // Remove programs first: no program may run after some of its maps' pins are removed.
         entries.sort_by_key(|path| link_of(path).is_none());
         entries.iter().try_for_each(|path| fs::remove_file(path).map_err(io_at(path)))?;
         fs::remove_dir(&self.folder).map_err(io_at(&self.folder))
@@ -192,7 +193,7 @@ impl Pins {
 }
 
 impl Found {
-    /// Whether it is in the calling thread's network namespace.
+    /// Returns whether the pins belong to the calling thread's network namespace.
     pub fn is_of_this_namespace(&self) -> bool {
         this_namespace().is_ok_and(|namespace| namespace == self.namespace)
     }
@@ -202,7 +203,8 @@ impl Found {
     }
 }
 
-/// All pins there are, of any version, in a fixed order. None if there is no such file system.
+/// Returns all pins of any version in a fixed order. The list is empty if there is no BPF file
+/// system.
 pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
     let mut found = Vec::new();
     for version in entries(&bpffs.join(FOLDER)) {
@@ -211,7 +213,7 @@ pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
             let name = file_name(&folder);
             let Some((switch, namespace)) = name.split_once('-') else { continue };
             let Ok(namespace) = namespace.parse() else { continue };
-            // What a daemon could not remove because it was in use by nobody is of no interest.
+            // An empty folder contains no pins. A daemon could not remove it.
             if !entries(&folder).is_empty() {
                 found.push(Found { switch: switch.to_owned(), folder: folder.clone(), abi, namespace });
             }
@@ -220,17 +222,17 @@ pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
     Ok(found)
 }
 
-/// The inode number of the calling thread's network namespace.
+/// Returns the inode number of the calling thread's network namespace.
 fn this_namespace() -> io::Result<u64> {
     fs::metadata(THIS_NAMESPACE).map(|namespace| namespace.ino())
 }
 
-/// Whether there is a BPF file system.
+/// Returns whether a BPF file system is mounted at this path.
 pub fn is_mounted(at: &Path) -> bool {
     CString::new(at.as_os_str().as_bytes()).is_ok_and(|path| is_bpffs(&path))
 }
 
-/// Sees to it that there is a BPF file system. To mount one needs CAP_SYS_ADMIN.
+/// Mounts a BPF file system unless there is one. Mounting needs CAP_SYS_ADMIN.
 pub fn mount(at: &Path) -> Result<(), PinsError> {
     let missing = |reason: String| PinsError::NoBpffs { path: at.into(), reason };
     let path = CString::new(at.as_os_str().as_bytes()).map_err(|_| missing("no path has a NUL in it".into()))?;
@@ -241,15 +243,14 @@ pub fn mount(at: &Path) -> Result<(), PinsError> {
         return Err(missing("there is something else; name another folder as `bpffs`".into()));
     }
     fs::DirBuilder::new().recursive(true).mode(0o700).create(at).map_err(|error| missing(error.to_string()))?;
-    // Of several daemons that start at once, one mounts it: a second one would hide what the first
-    // has pinned.
+    // The lock lets only one of several starting daemons mount the file system. A second mount
+    // would hide the pins of the first.
     let folder = File::open(at).map_err(|error| missing(error.to_string()))?;
     folder.lock().map_err(|error| missing(format!("it cannot be locked: {error}")))?;
     if is_bpffs(&path) {
         return Ok(());
     }
-    // SAFETY: four C strings that live as long as the call; the file system takes its options as
-    // one.
+    // SAFETY: all four C strings outlive the call. The file system reads its options as a C string.
     let result = unsafe {
         libc::mount(c"bpf".as_ptr(), path.as_ptr(), c"bpf".as_ptr(), libc::MS_NOSUID, c"mode=0700".as_ptr().cast())
     };
@@ -281,7 +282,7 @@ fn link_of(path: &Path) -> Option<(u32, Mode)> {
     Some((ifindex.parse().ok()?, mode))
 }
 
-/// What is in a folder, sorted; nothing, if there is no such folder.
+/// Returns the sorted contents of a folder, or an empty list if the folder does not exist.
 fn entries(folder: &Path) -> Vec<PathBuf> {
     let mut paths: Vec<_> = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
     paths.sort();

@@ -1,4 +1,4 @@
-//! The planes of a daemon behind one owner, with the interfaces that frames arrive on.
+//! Owner of all planes of a daemon, and of the interfaces on which frames arrive.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
@@ -28,15 +28,14 @@ use crate::tally;
 use crate::userspace_plane::UserspacePlane;
 use crate::xdp::{XdpPlane, clear_left_over};
 
-/// Largest frame read from UDP.
+/// Size in bytes of the largest frame read from UDP.
 const LARGEST_UDP_FRAME: usize = 2048;
 
-/// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads; but what was
-/// taken over from an earlier daemon stays in the kernel as long as that has not been brought to an
-/// end.
+/// All planes of a daemon. Dropping it detaches the XDP programs and ends the threads. State taken
+/// over from an earlier daemon remains in the kernel until the adoption has ended.
 ///
-/// Whatever changes it is to be called in the network namespace of its interfaces: the kernel knows
-/// them by number.
+/// Call all methods that change it in the network namespace of its interfaces, because the kernel
+/// identifies interfaces by index.
 pub struct Planes {
     wanted: Wanted,
     state: Dispatcher,
@@ -45,15 +44,15 @@ pub struct Planes {
 }
 
 impl Planes {
-    /// Loads what can be loaded. Fails only if XDP or DPDK was explicitly wanted, or if what an
-    /// earlier daemon left cannot be taken over.
+    /// Loads all available planes. Fails if XDP or DPDK was requested explicitly and cannot be
+    /// loaded, or if the state of an earlier daemon cannot be taken over.
     pub fn open(config: PlaneConfig) -> Result<Self, PlaneError> {
         let xdp = match config.wanted {
             Wanted::Userspace => Err("`--no-xdp` or `data_plane: userspace` turns it off".to_owned()),
             Wanted::Dpdk => Err(dpdk::NOT_A_PORT.to_owned()),
             Wanted::Xdp => Ok(XdpPlane::load(&config)?),
             Wanted::Auto => match XdpPlane::load(&config) {
-                // Something forwards, and it is not for this daemon to end it.
+                // Another program already forwards, and this daemon must not stop it.
                 Err(LoadError::Pins(error)) => return Err(error.into()),
                 loaded => loaded.map_err(|error| error.to_string()),
             },
@@ -80,14 +79,14 @@ impl Planes {
         Ok(Self { wanted: config.wanted, state, ports: Ports::default(), left })
     }
 
-    /// What an earlier daemon left and this one has taken over: it is in the tables, and stays
-    /// until it is replaced, removed, or [`Self::end_adoption`].
+    /// Returns the state taken over from an earlier daemon. It is in the tables until it is
+    /// replaced or removed, or until [`Self::end_adoption`].
     pub fn left(&self) -> Option<&Left> {
         self.left.as_ref()
     }
 
-    /// From now on nothing is here because an earlier daemon left it, but for links and routes:
-    /// those are the caller's.
+    /// Ends the adoption: removes the remaining state of an earlier daemon, except links and
+    /// routes. The caller owns those.
     pub fn end_adoption(&mut self) -> Result<(), PlaneError> {
         if self.left.take().is_none() {
             return Ok(());
@@ -98,9 +97,8 @@ impl Planes {
         Ok(())
     }
 
-    /// Takes over what arrives on an interface (of the calling thread's network namespace) by the
-    /// best plane there is. What is a VLAN is served on the interface below it: native XDP runs
-    /// only there.
+    /// Serves an interface of the calling thread's network namespace by the best available plane. A
+    /// VLAN is served on its lower interface, because native XDP runs only there.
     pub fn attach(&mut self, interface: &Interface, socket: Arc<DataSocket>) -> Result<InterfacePlane, PlaneError> {
         self.detach(interface.index);
         let port = Port::from(interface);
@@ -124,8 +122,8 @@ impl Planes {
         Ok(self.describe(&interface.name, device))
     }
 
-    /// Lets go of an interface; what arrives there is no longer forwarded. An unknown one is no
-    /// error.
+    /// Stops serving an interface; frames that arrive there are no longer forwarded. An unknown
+    /// interface is no error.
     pub fn detach(&mut self, ifindex: u32) {
         if let Some(port) = self.ports.remove(ifindex) {
             self.leave_device(port.device);
@@ -134,7 +132,7 @@ impl Planes {
         }
     }
 
-    /// Lets go of everything; nothing stays in the kernel.
+    /// Stops serving all interfaces, and leaves no state in the kernel.
     pub fn detach_all(&mut self) {
         self.state.userspace.stop_threads();
         for (ifindex, port) in self.ports.take() {
@@ -148,13 +146,13 @@ impl Planes {
         }
     }
 
-    /// Whether the kernel forwards on when this process dies.
+    /// Returns whether the kernel continues to forward when this process ends.
     pub fn outlives(&self) -> bool {
         self.state.fast_path.as_ref().is_ok_and(|fast_path| fast_path.outlives())
     }
 
-    /// Takes over what arrives over UDP at `bound`, as far as possible before it comes to
-    /// userspace. `pair`: by which endpoints on this host are to send.
+    /// Serves UDP at `bound`, by the fast path where possible. `pair`: the host pair for endpoints
+    /// on this host.
     pub fn attach_udp(
         &mut self,
         socket: Arc<DataSocket>,
@@ -181,27 +179,28 @@ impl Planes {
         self.state.fast_path.as_ref().map_or_else(|_| Vec::new(), |fast_path| fast_path.udp_devices())
     }
 
-    /// Whether there are XDP programs, or why not.
+    /// Returns whether XDP programs are available, or the reason why not.
     pub fn xdp(&self) -> Result<(), String> {
         self.state.fast_path.as_ref().map_err(String::clone)?.xdp()
     }
 
-    /// Whether endpoints on this host can get past the daemon, if there is a kernel plane and
-    /// `bound` is where they dial in.
+    /// Returns whether endpoints on this host can bypass the daemon. This needs a kernel plane, and
+    /// `bound` must be the address for endpoints.
     pub fn takes_pair(&self, bound: SocketAddr) -> Result<(), String> {
         self.xdp()?;
-        // What the kernel plane leaves to the daemon comes to the host's address on the pair.
+        // Datagrams that the kernel plane leaves to the daemon arrive at the host's address on the
+        // pair.
         let any = bound.ip().is_unspecified();
         any.then_some(()).ok_or_else(|| format!("the UDP address is {bound}, and not 0.0.0.0 or [::]"))
     }
 
-    /// The pair by which endpoints on this host reach the kernel plane, and it them; if that works
-    /// now.
+    /// Returns the host pair between the kernel plane and endpoints on this host, if it currently
+    /// works.
     pub fn host_pair(&self) -> Option<HostPair> {
         self.state.fast_path.as_ref().ok()?.host_pair()
     }
 
-    /// Which plane each interface got and why, by interface name.
+    /// Returns the plane of each interface and the reason, sorted by interface name.
     pub fn report(&self) -> Vec<InterfacePlane> {
         let mut report: Vec<_> = self.ports.iter().map(|port| self.describe(&port.interface, port.device)).collect();
         let udp = self.udp_devices().into_iter();
@@ -211,7 +210,8 @@ impl Planes {
         report
     }
 
-    /// Why links over UDP, of IPv4 and of IPv6, are left to the userspace plane, if they are.
+    /// Returns, for IPv4 and IPv6, the reason why links over UDP use the userspace plane, if they
+    /// do.
     pub fn udp_in_userspace(&self) -> [Option<String>; 2] {
         match &self.state.fast_path {
             Ok(fast_path) => fast_path.udp_in_userspace(),
@@ -219,17 +219,17 @@ impl Planes {
         }
     }
 
-    /// Adds or replaces a link; frames of it are sent to `to`. `entry.port` is filled in here.
+    /// Adds or replaces a link. Its frames are sent to `to`. This method sets `entry.port`.
     pub fn set_link(&mut self, entry: LinkEntry, to: LinkAddr) -> Result<(), PlaneError> {
         Ok(self.state.set_link(entry, to, self.ports.device_of(to))?)
     }
 
-    /// Frames sent on a link by any plane.
+    /// Returns the number of frames sent on a link by all planes.
     pub fn frames_sent(&self, id: u32) -> u64 {
         self.state.userspace.link_memory.sent(id)
     }
 
-    /// Asks the data plane of the neighbour on a link whether it lives.
+    /// Sends an echo request to the data plane of the neighbour on a link.
     pub fn ask(&self, link: u32, cookie: u64) {
         self.state.userspace.send_own(link, Header::echo(cookie), &[]);
     }
@@ -239,49 +239,49 @@ impl Planes {
         self.state.userspace.send_own(link, probe, &cookie.to_be_bytes());
     }
 
-    /// What neighbours said to this node itself.
+    /// Returns the notices from neighbours to this node.
     pub fn notices(&self) -> &Arc<Notices> {
         &self.state.userspace.shared.notices
     }
 
-    /// An unknown link is no error.
+    /// Removes a link. An unknown link is no error.
     pub fn remove_link(&mut self, id: u32) -> Result<(), PlaneError> {
         Ok(self.state.remove_link(id)?)
     }
 
-    /// All links, as the planes hold them.
+    /// Returns all links of the planes.
     pub fn links(&self) -> Vec<KeyedEntry> {
         self.state.userspace.tables.links().map(|(entry, _)| entry.clone()).collect()
     }
 
-    /// Adds or replaces where a name leads. If the FIB is full, nothing is changed; all planes hold
-    /// the same number.
+    /// Adds or replaces the route of a name. If the FIB is full, nothing changes. All planes have
+    /// the same capacity.
     pub fn set_route(&mut self, name: Name, route: &PlaneRoute) -> Result<(), PlaneError> {
         Ok(self.state.set_route(name, route, None)?)
     }
 
-    /// An unknown name is no error.
+    /// Removes a route. An unknown name is no error.
     pub fn remove_route(&mut self, name: &Name) -> Result<(), PlaneError> {
         Ok(self.state.remove_route(name)?)
     }
 
-    /// Where a name leads, as the planes were told.
+    /// Returns the route of a name, as set in the planes.
     pub fn route(&self, name: &Name) -> Option<FibEntry> {
         self.state.userspace.tables.route(name)
     }
 
-    /// Of the names that lead somewhere, those that begin so; `limit` of them at most.
+    /// Returns at most `limit` routed names with this prefix.
     pub fn names_like(&self, prefix: &NamePrefix, limit: usize) -> Vec<Name> {
         let names = self.state.userspace.tables.routes().map(|(name, _)| name).filter(|name| prefix.matches(name));
         names.take(limit).collect()
     }
 
-    /// For each egress bit the link toward that switch; 0 if there is none.
+    /// Returns the link toward the switch with this egress bit; 0 for none.
     pub fn next_hop(&self, bit: u8) -> u32 {
         self.state.userspace.tables.next_hop(bit.into())
     }
 
-    /// The links that may send to a name.
+    /// Returns the links that may send to a name.
     pub fn writers(&self, name: &Name) -> Vec<u32> {
         let tables = &self.state.userspace.tables;
         let first = tables.route(name).map(|entry| entry.writer_link).filter(|link| ![0, ANY_WRITER].contains(link));
@@ -289,53 +289,52 @@ impl Planes {
         first.into_iter().chain(others.map(|permit| permit.link)).collect()
     }
 
-    /// The links of the local readers of a name.
+    /// Returns the links of the local readers of a name.
     pub fn readers(&self, entry: &FibEntry) -> Vec<u32> {
         self.state.groups.readers(entry.group).to_vec()
     }
 
-    /// The plane before the userspace plane: `kernel`, also where none attached, or `dpdk`.
+    /// Returns the name of the fast path: `dpdk`, or `kernel`, also if no program is attached.
     pub fn first_plane(&self) -> &'static str {
         self.state.fast_path.as_ref().map_or("kernel", |fast_path| fast_path.name())
     }
 
-    /// Whether frames that leave by a link do so without the userspace plane, if they come in by
-    /// the plane before it.
+    /// Returns whether the fast path can send on a link frames that it received, without the
+    /// userspace plane.
     pub fn first_plane_sends_on(&self, id: u32) -> bool {
         self.state.fast_path.is_ok()
             && self.state.userspace.tables.link(id).is_some_and(|link| link.port != PORT_USERSPACE)
     }
 
-    /// For each egress bit the link toward that switch, or 0.
+    /// Sets the link toward each egress switch by its egress bit; 0 for none.
     pub fn set_next_hops(&mut self, next_hops: &[u32; EGRESS_SET_SIZE as usize]) -> Result<(), PlaneError> {
         Ok(self.state.on_each(|plane| plane.set_next_hops(next_hops))?)
     }
 
-    /// This switch's own egress bit; 0 before it has one.
+    /// Sets this switch's own egress bit; 0 until it has one.
     pub fn set_own_bit(&mut self, own_bit: u64) -> Result<(), PlaneError> {
         Ok(self.state.set_own_bit(own_bit)?)
     }
 
-    /// What the devices of the DPDK plane have counted, by the name of the interface on the host's
-    /// side.
+    /// Returns the device counters of the DPDK plane, by the name of the host's interface.
     pub fn dpdk_devices(&self) -> HashMap<String, DeviceCounters> {
         self.state.fast_path.as_ref().map_or_else(|_| HashMap::new(), |fast_path| fast_path.device_counters())
     }
 
-    /// Processor time that each loop of the DPDK plane has taken; none without it.
+    /// Returns the processor time that each loop of the DPDK plane has used; empty without DPDK.
     pub fn dpdk_processor_time(&self) -> Vec<Duration> {
         self.state.fast_path.as_ref().map_or_else(|_| Vec::new(), |fast_path| fast_path.processor_time())
     }
 
-    /// Each counter with what [`Self::first_plane`] and what the userspace plane counted.
+    /// Returns each counter with the counts of [`Self::first_plane`] and of the userspace plane.
     pub fn counters(&self) -> Result<Vec<(Counter, u64, u64)>, PlaneError> {
         let first = self.state.fast_path.as_ref().map_or(Ok([0; Counter::COUNT]), |fast_path| fast_path.counters())?;
         let userspace = self.state.userspace.counters()?;
         Ok(Counter::ALL.iter().zip(first.into_iter().zip(userspace)).map(|(c, (f, u))| (*c, f, u)).collect())
     }
 
-    /// What became of the frames that came in on a link, whichever plane took them. In the order of
-    /// [`Counter::ALL`].
+    /// Returns the outcomes of the frames that arrived on a link, summed over the planes, in the
+    /// order of [`Counter::ALL`].
     pub fn arrivals(&self, link: u32) -> Result<tally::LinkCounters, PlaneError> {
         let mut sums = [0; Counter::COUNT];
         for plane in self.state.each() {
@@ -344,7 +343,8 @@ impl Planes {
         Ok(sums)
     }
 
-    /// The names most frames left for, the busiest first, with about how many those were.
+    /// Returns the busiest names in descending order, each with the approximate number of frames
+    /// sent for it.
     pub fn busiest(&self, limit: usize) -> Result<Vec<(Name, u64)>, PlaneError> {
         let mut sums: HashMap<Name, u64> = HashMap::new();
         for plane in self.state.each() {
@@ -356,18 +356,18 @@ impl Planes {
         Ok(names)
     }
 
-    /// Frames that were lost after a redirect, by the name of the interface they were to leave by;
-    /// or why that is not known.
+    /// Returns the frames lost after a redirect, by the name of their egress interface; or the
+    /// reason why they are unknown.
     pub fn losses(&self) -> Result<HashMap<String, u64>, String> {
         self.state.fast_path.as_ref().map_or_else(|_| Ok(HashMap::new()), |fast_path| fast_path.losses())
     }
 
-    /// What frames are forwarded by: read back from the kernel where XDP runs.
+    /// Returns the active routes, read back from the kernel where XDP runs.
     pub fn routes(&self) -> Result<Vec<(Name, FibEntry)>, PlaneError> {
         Ok(self.routes_behind(None, usize::MAX)?.0)
     }
 
-    /// Of [`Self::routes`] at most `limit` behind `after`, in the order of their digits; and
+    /// Returns at most `limit` of [`Self::routes`] after the name `after`, in byte order, and
     /// whether there are more.
     pub fn routes_behind(
         &self,
@@ -389,10 +389,10 @@ impl Planes {
         }
     }
 
-    /// Looks again at which addresses UDP arrives, which interfaces take redirected frames, and by
-    /// which interfaces links over UDP leave; and moves links, and groups of them, to the plane
-    /// that can send. Cheap; for the daemon to call now and then, and after changes to interfaces,
-    /// in the network namespace of these.
+    /// Updates UDP addresses, interfaces that accept redirected frames, and egress interfaces of
+    /// links over UDP. Moves links and groups to the plane that can send for them. This is cheap.
+    /// The daemon should call it periodically, and after changes to interfaces, in the network
+    /// namespace of those interfaces.
     pub fn refresh(&mut self) -> Result<(), PlaneError> {
         let Ok(fast_path) = &mut self.state.fast_path else { return Ok(()) };
         let links = self.state.userspace.tables.links().map(|(entry, _)| entry);
@@ -415,7 +415,7 @@ impl Planes {
         }
     }
 
-    /// Has the fast path leave a device that no port uses any more.
+    /// Removes a device from the fast path if no port uses it any more.
     fn leave_device(&mut self, device: u32) {
         if let (Ok(fast_path), false) = (&mut self.state.fast_path, self.ports.uses(device)) {
             fast_path.detach(device);

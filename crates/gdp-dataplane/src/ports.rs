@@ -1,14 +1,14 @@
-//! The interfaces that GDP runs on directly, and the devices that take their frames.
+//! The interfaces on which GDP runs directly, and the devices that receive their frames.
 
 use std::collections::HashMap;
 
 use gdp_link::port::{Interface, LinkAddr};
 use gdp_wire::Vlan;
 
-/// An interface that GDP runs on directly.
+/// An interface on which GDP runs directly.
 pub struct Port {
     pub interface: String,
-    /// The interface that takes its frames: itself, or the one that it is a VLAN of.
+    /// The device that receives its frames: the interface itself, or the lower interface of a VLAN.
     pub device: u32,
     pub device_name: String,
     vlan: Option<u16>,
@@ -25,7 +25,7 @@ impl From<&Interface> for Port {
     }
 }
 
-/// Ports by interface.
+/// Ports by interface index.
 #[derive(Default)]
 pub struct Ports(HashMap<u32, Port>);
 
@@ -42,13 +42,13 @@ impl Ports {
         self.0.values()
     }
 
-    /// All, by interface; none is left.
+    /// Removes and returns all ports, by interface index.
     pub fn take(&mut self) -> HashMap<u32, Port> {
         std::mem::take(&mut self.0)
     }
 
-    /// Where frames leave that are sent to an address, if that is one of an Ethernet: the interface
-    /// itself, if GDP does not run on it.
+    /// Returns the egress device for an Ethernet address. This is the interface itself if GDP does
+    /// not run on it. Returns `None` for UDP.
     pub fn device_of(&self, to: LinkAddr) -> Option<u32> {
         match to {
             LinkAddr::Ethernet { ifindex, .. } => Some(self.0.get(&ifindex).map_or(ifindex, |port| port.device)),
@@ -60,7 +60,7 @@ impl Ports {
         self.iter().any(|port| port.device == device)
     }
 
-    /// The VLANs among them, each with the device below it.
+    /// Returns the VLANs among the ports, each with its lower device.
     pub fn vlans(&self) -> Vec<Vlan> {
         self.iter().filter_map(|port| Some(Vlan { ifindex: port.device, id: port.vlan?.into() })).collect()
     }

@@ -1,10 +1,11 @@
-//! Which Ethernet interfaces have a queue: frames of the userspace plane that the kernel holds
-//! because the interface sends slower than they come. The forwarder's threads ask their sockets and
-//! write it here; the tables tell the forwarding decision, which marks frames that take marks.
+//! Ethernet interfaces with a long queue: the kernel queues frames of the userspace plane because
+//! the interface sends more slowly than they arrive. The forwarder's threads query their sockets
+//! and record the result here. The tables pass it to the forwarding decision, which marks frames
+//! that can carry congestion marks.
 //!
-//! Over UDP that is for queueing disciplines and routers to do: they know the queue of each path,
-//! of which the one socket has many, and mark what carries the frame. They mark no frame that is
-//! directly on Ethernet.
+//! Over UDP, queueing disciplines and routers mark the outer packet instead. They know the queue of
+//! each path, and the single UDP socket has many paths. They do not mark GDP frames directly on
+//! Ethernet.
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,21 +13,21 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use gdp_link::port::LinkAddr;
 use parking_lot::RwLock;
 
-/// Bytes of the kernel's memory that are a queue: about 57 full frames, which take 7 ms at 100
-/// Mb/s. A batch that was just handed over may be more, so queues are to be asked for before that.
+/// Size in bytes of kernel memory at which a queue is long: about 57 full frames, or 7 ms at 100
+/// Mb/s. A single batch may exceed it, so threads check queues before they send a batch.
 const LONG: usize = 128 << 10;
 
-/// Interfaces whose queue was long when it was last asked for.
+/// Interfaces whose queue was long at the last check.
 #[derive(Default)]
 pub struct Queues {
-    /// Whether there is one: so that as a rule that is all a frame asks.
+    /// Whether any queue is long. Most frames read only this flag.
     any: AtomicBool,
     long: RwLock<HashSet<u32>>,
 }
 
 impl Queues {
-    /// Takes note of the queues of these interfaces, and of those that were long when they were
-    /// last asked for: perhaps nothing was sent there since. `bytes`:
+    /// Records the queues of these interfaces. Also checks interfaces whose queue was long at the
+    /// last check, because nothing may have been sent there since. `bytes`:
     /// [`gdp_link::port::DataSocket::send_queue`].
     pub fn look(&self, interfaces: impl Iterator<Item = u32>, bytes: impl Fn(u32) -> usize) {
         interfaces.for_each(|ifindex| self.note(ifindex, bytes(ifindex)));
@@ -36,7 +37,7 @@ impl Queues {
         }
     }
 
-    /// The same of one interface.
+    /// Records the queue of one interface.
     pub fn note(&self, ifindex: u32, bytes: usize) {
         if self.is_long(ifindex) == (bytes > LONG) {
             return;
@@ -54,7 +55,7 @@ impl Queues {
         self.any.load(Ordering::Relaxed) && self.long.read().contains(&ifindex)
     }
 
-    /// Whether frames wait long before they leave for this neighbour.
+    /// Returns whether frames to this neighbour wait in a long queue.
     pub fn is_long_to(&self, to: LinkAddr) -> bool {
         matches!(to, LinkAddr::Ethernet { ifindex, .. } if self.is_long(ifindex))
     }

@@ -1,6 +1,6 @@
-//! Flat tables (`gdp_wire::flat`) that begin small and double when they are full, up to the
-//! configured number of names. Readers read the old one until the new one has every name.
-//! [`super::fib`] has one for the kernel, [`super::tables`] one for this process.
+//! Flat tables (`gdp_wire::flat`) that start small and double when they are full, up to the
+//! configured number of names. Readers use the old table until the new table contains every name.
+//! [`super::fib`] has a table for the kernel, [`super::tables`] a table for this process.
 
 use std::io;
 use std::sync::atomic::AtomicU64;
@@ -10,13 +10,13 @@ use gdp_wire::{FibEntry, Name};
 
 use crate::kernel_failures::UpdateError;
 
-/// Names that the first table is for: 128 KiB.
+/// Capacity of the first table in names; it uses 128 KiB.
 pub const FIRST: u32 = 1024;
 
-/// Names that are copied at a time.
+/// Number of names copied at a time.
 const BATCH: usize = 1024;
 
-/// The only writer of such a table.
+/// The only writer of a resizable table.
 pub trait ResizableTable {
     type Memory: AsRef<[AtomicU64]>;
 
@@ -24,19 +24,19 @@ pub trait ResizableTable {
 
     fn table_mut(&mut self) -> &mut Table<Self::Memory>;
 
-    /// Names it may hold; what is there beyond stays.
+    /// Returns the maximum number of names. Existing names beyond it remain.
     fn limit(&self) -> u32;
 
-    /// Has readers read a table for so many names, with all that are in this one. If that fails,
-    /// nothing is changed.
+    /// Publishes a table with room for `names` names and all current entries. On an error, nothing
+    /// changes.
     fn grow(&mut self, names: u32) -> Result<(), UpdateError>;
 
-    /// Whether the name can be inserted without there being more than may be.
+    /// Returns whether the name can be inserted within the limit.
     fn has_room_for(&self, name: &Name) -> bool {
         self.table().len() < self.limit() || self.table().get(name).is_some()
     }
 
-    /// Adds a name, or changes where it leads. If there is no room, nothing is changed.
+    /// Adds a name, or changes its entry. If the table is full, nothing changes.
     fn insert(&mut self, name: &Name, entry: FibEntry) -> Result<(), UpdateError> {
         if self.table().len() >= self.limit().min(self.table().capacity()) && self.table().get(name).is_none() {
             if self.table().len() >= self.limit() {
@@ -47,8 +47,9 @@ pub trait ResizableTable {
         if self.table_mut().insert(name, entry).is_ok() {
             return Ok(());
         }
-        // Too many names where this one belongs. That is next to impossible, and elsewhere in
-        // another table; but who can bring it about must not make the table grow without end.
+        // The buckets for this name are full. This is very unlikely by chance, and a larger table
+        // distributes names differently. The check bounds growth, in case an attacker can cause
+        // collisions.
         if self.table().capacity() / 2 >= self.limit() {
             return Err(self.full());
         }
@@ -56,7 +57,7 @@ pub trait ResizableTable {
         self.table_mut().insert(name, entry).map_err(|_| self.full())
     }
 
-    /// Puts all names into a table that nobody reads yet.
+    /// Copies all names into a table that has no readers yet.
     fn copy_to(&self, table: &mut Table<Self::Memory>) -> Result<(), UpdateError> {
         let mut names = self.table().iter();
         let mut batch = Vec::with_capacity(BATCH);
@@ -75,7 +76,7 @@ pub trait ResizableTable {
     }
 }
 
-/// An empty table for so many names, in memory that is zero.
+/// Returns an empty table with room for `names` names, in zeroed memory.
 pub fn begin<M: AsRef<[AtomicU64]>>(
     names: u32,
     memory: impl FnOnce() -> io::Result<M>,

@@ -1,6 +1,6 @@
-//! What became of the frames of each link, and which names are the busiest, in both planes.
-//! [`Tally`] is the userspace plane's own; [`KernelTally`] reads the maps of
-//! `gdp-ebpf/src/tally.rs`, which say how names are sampled.
+//! Counters of each link's frames and the busiest names, in both planes. [`Tally`] belongs to the
+//! userspace plane. [`KernelTally`] reads the maps of `gdp-ebpf/src/tally.rs`, which describe the
+//! sampling of names.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,16 +12,16 @@ use gdp_wire::table::{MAX_LINKS, link_index};
 use gdp_wire::{Counter, Name};
 use parking_lot::Mutex;
 
-/// Frames by what became of them, in the order of [`Counter::ALL`].
+/// Frames by outcome, in the order of [`Counter::ALL`].
 pub type LinkCounters = [u64; Counter::COUNT];
 
-/// Written by the threads of the userspace plane.
+/// Counters written by the threads of the userspace plane.
 pub struct Tally {
     links: Box<[[AtomicU64; Counter::COUNT]]>,
     busiest: Mutex<Busiest>,
 }
 
-/// Samples of each name, and the names by these.
+/// Samples of each name, and the names ordered by their samples.
 #[derive(Default)]
 struct Busiest {
     samples: HashMap<Name, u64>,
@@ -38,7 +38,7 @@ impl Default for Tally {
 }
 
 impl Tally {
-    /// Counts frames that came in on a link. Nothing is counted for ids that no link has.
+    /// Counts frames that arrived on a link. Frames without a valid link are not counted.
     #[inline]
     pub fn count_arrivals(&self, link: u32, counter: Counter, frames: u64) {
         if !counter.is_before_link() {
@@ -46,14 +46,14 @@ impl Tally {
         }
     }
 
-    /// Counts the name of a frame that leaves, of those that are sampled. When there are too many
-    /// names, the least busy one makes room, and leaves its count: a name that is busy cannot be
-    /// pushed out by many that are not.
+    /// Counts the name of a sampled outgoing frame. When there are too many names, a new name
+    /// replaces the least busy name and inherits its count. Many idle names therefore cannot
+    /// displace a busy name.
     pub fn sample(&self, name: &Name) {
         self.busiest.lock().add(name);
     }
 
-    /// Forgets the link that had the index before.
+    /// Clears the counters of the link that previously had this index.
     pub fn begin(&self, link: u32) {
         self.links[link_index(link) as usize].iter().for_each(|count| count.store(0, Ordering::Relaxed));
     }
@@ -63,7 +63,7 @@ impl Tally {
         std::array::from_fn(|i| row[i].load(Ordering::Relaxed))
     }
 
-    /// About how many frames left for each name.
+    /// Returns the approximate number of frames that left for each name.
     pub fn busiest(&self) -> HashMap<Name, u64> {
         let busiest = self.busiest.lock();
         busiest.samples.iter().map(|(name, samples)| (*name, samples * SAMPLING)).collect()
@@ -89,33 +89,33 @@ impl Busiest {
     }
 }
 
-/// The kernel's.
+/// Counters of the kernel plane.
 pub struct KernelTally {
     pub links: PerCpuArray<MapData, LinkCounters>,
     pub busiest: PerCpuHashMap<MapData, Name, u64>,
 }
 
 impl KernelTally {
-    /// As [`Tally::begin`].
+    /// Clears a link's counters, as [`Tally::begin`] does.
     pub fn begin(&mut self, link: u32) -> Result<(), MapError> {
         let cpus = nr_cpus().map_err(|(_, io_error)| MapError::IoError(io_error))?;
         let zeros = PerCpuValues::try_from(vec![[0; Counter::COUNT]; cpus])?;
         self.links.set(link_index(link), zeros, 0)
     }
 
-    /// As [`Tally::of`].
+    /// Returns a link's counters, as [`Tally::of`] does.
     pub fn of(&self, link: u32) -> Result<LinkCounters, MapError> {
         let rows = self.links.get(&link_index(link), 0)?;
         Ok(std::array::from_fn(|i| rows.iter().map(|row| row[i]).sum()))
     }
 
-    /// As [`Tally::busiest`].
+    /// Returns the busiest names, as [`Tally::busiest`] does.
     pub fn busiest(&self) -> Result<HashMap<Name, u64>, MapError> {
         let mut busiest = HashMap::new();
         for entry in self.busiest.iter() {
             match entry {
                 Ok((name, samples)) => _ = busiest.insert(name, samples.iter().sum::<u64>() * SAMPLING),
-                // It was pushed out meanwhile.
+                // The kernel has evicted this name during the iteration.
                 Err(MapError::KeyNotFound | MapError::ElementNotFound) => {}
                 Err(error) => return Err(error),
             }

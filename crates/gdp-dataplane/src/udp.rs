@@ -1,6 +1,6 @@
-//! What the kernel plane needs to know of UDP: the addresses that the daemon's socket takes
-//! datagrams at, the interfaces that have them, and whether routes can be looked up. Asks and sets
-//! the system; [`crate::Planes`] writes the maps.
+//! System state that the kernel plane needs for UDP. It covers the addresses at which the daemon's
+//! socket receives datagrams, the interfaces with these addresses, and route lookup. This module
+//! queries and configures the system; [`crate::Planes`] writes the maps.
 
 use std::ffi::CStr;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -9,7 +9,7 @@ use std::{fs, io};
 use gdp_wire::LocalAddress;
 use gdp_wire::table::MAX_LOCAL_ADDRESSES;
 
-/// An address of an interface of this network namespace that is up.
+/// An address of an interface that is up in this network namespace.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct InterfaceAddress {
     pub interface: String,
@@ -17,12 +17,12 @@ pub struct InterfaceAddress {
     pub ip: IpAddr,
 }
 
-/// Of these addresses those at which a socket bound to `bound` takes datagrams: none but its own,
-/// unless that is the unspecified one (which for IPv6 stands for IPv4 as well, and here for all
-/// that are more than link-local).
+/// Returns the addresses at which a socket bound to `bound` receives datagrams. A socket bound to a
+/// specific address receives only there. A socket bound to the unspecified address receives at all
+/// addresses except link-local addresses; for IPv6 this includes IPv4.
 pub fn taken_at(bound: SocketAddr, addresses: Vec<InterfaceAddress>) -> Vec<(LocalAddress, InterfaceAddress)> {
     let own = bound.ip().to_canonical();
-    // Every interface has a link-local address, and `bpf_fib_lookup` knows none.
+    // Every interface has a link-local address, and `bpf_fib_lookup` does not resolve them.
     let link_local = |ip: IpAddr| matches!(ip, IpAddr::V6(ip) if ip.is_unicast_link_local());
     let takes = |ip: IpAddr| match own.is_unspecified() {
         true => (own.is_ipv6() || ip.is_ipv4()) && !link_local(ip),
@@ -32,15 +32,16 @@ pub fn taken_at(bound: SocketAddr, addresses: Vec<InterfaceAddress>) -> Vec<(Loc
     taken.map(|address| (LocalAddress::new(address.ip, bound.port()), address)).collect()
 }
 
-/// All addresses there are.
+/// Returns the addresses of all interfaces that are up.
 pub fn addresses() -> io::Result<Vec<InterfaceAddress>> {
     let mut first = std::ptr::null_mut();
-    // SAFETY: a pointer to write to.
+    // SAFETY: the pointer is valid for writing.
     if unsafe { libc::getifaddrs(&mut first) } != 0 {
         return Err(io::Error::last_os_error());
     }
     let (mut found, mut next) = (Vec::new(), first);
-    // SAFETY: a list that the call made, to be freed below; each entry's name ends with 0.
+    // SAFETY: the call above allocated the list, which is freed below. Each interface name ends
+    // with 0.
     while let Some(entry) = unsafe { next.as_ref() } {
         next = entry.ifa_next;
         let up = entry.ifa_flags & libc::IFF_UP as u32 != 0;
@@ -51,13 +52,13 @@ pub fn addresses() -> io::Result<Vec<InterfaceAddress>> {
             found.push(InterfaceAddress { interface: name.to_string_lossy().into_owned(), loopback, ip });
         }
     }
-    // SAFETY: the list from above, which nothing refers to any more.
+    // SAFETY: this is the list from above, and no reference to it remains.
     unsafe { libc::freeifaddrs(first) };
     Ok(found)
 }
 
 fn ip_of(address: *const libc::sockaddr) -> Option<IpAddr> {
-    // SAFETY: null, or an address of the size that its family has.
+    // SAFETY: the pointer is null, or refers to an address with the size of its family.
     unsafe {
         match i32::from(address.as_ref()?.sa_family) {
             libc::AF_INET => {
@@ -73,7 +74,7 @@ fn ip_of(address: *const libc::sockaddr) -> Option<IpAddr> {
     }
 }
 
-/// Whether the kernel plane can ask for routes, or why not.
+/// Whether the kernel plane can look up routes, or the reason why it cannot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Routing {
     pub v4: Result<(), String>,
@@ -81,9 +82,9 @@ pub struct Routing {
 }
 
 impl Routing {
-    /// `bpf_fib_lookup` answers only where forwarding is enabled on the interface that it is asked
-    /// for. It is asked for `lo`, from which nothing is ever forwarded, so that this makes no
-    /// router of the host.
+    /// Enables forwarding on `lo` for route lookups. `bpf_fib_lookup` answers only if forwarding is
+    /// enabled on the interface in the query. The programs query for `lo`, which never forwards
+    /// packets, so this does not make the host a router.
     pub fn enable() -> Self {
         Self {
             v4: forward("ipv4"),
@@ -104,8 +105,8 @@ fn forward(family: &str) -> Result<(), String> {
     fs::write(&path, "1").map_err(|error| format!("{path} cannot be set to 1: {error}"))
 }
 
-/// Enabling IPv6 forwarding anywhere makes the kernel forget default routes that it learnt from
-/// routers.
+/// Returns whether enabling forwarding would remove default routes. If IPv6 forwarding is enabled
+/// on any interface, the kernel removes default routes learnt from router advertisements.
 fn gets_routes_by_advertisement() -> bool {
     const DEFAULT: u32 = 0x0001_0000;
     let enabled = fs::read_to_string("/proc/sys/net/ipv6/conf/lo/forwarding").is_ok_and(|text| text.trim() == "1");

@@ -1,5 +1,6 @@
-//! What the userspace plane does with one frame. Pure: no sockets, no threads; [`super::forwarder`]
-//! has those. Complete: it is the slow path of XDP and the whole path where XDP does not run.
+//! Processing of one frame in the userspace plane, as pure functions without sockets or threads;
+//! [`super::forwarder`] has those. The implementation is complete: it is the slow path of XDP, and
+//! the whole path where XDP does not run.
 
 use gdp_link::port::LinkAddr;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
@@ -9,25 +10,26 @@ use zerocopy::{FromBytes, IntoBytes};
 
 use super::tables::View;
 
-/// What becomes of a frame.
+/// Outcome for a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Its first `length` bytes go there, rewritten in place; it is counted so unless that fails.
+    /// Sends the first `length` bytes, rewritten in place. `counter` counts the frame unless
+    /// sending fails.
     Send {
         link: u32,
         to: LinkAddr,
         length: usize,
         counter: Counter,
     },
-    /// Copies of it go where [`copies`] says; it is counted as replicated.
+    /// Sends copies as [`copies`] determines. The frame counts as replicated.
     Copies {
         ingress: u32,
         group: u32,
     },
-    /// It is for the control plane.
+    /// Passes the frame to the control plane.
     Control,
-    /// It tells this node something: an error, the answer to an echo, or a probe that ends here,
-    /// from the neighbour on this link.
+    /// Notifies this node of an error, an echo reply, or a probe that ends here, from the neighbour
+    /// on this link.
     Notice {
         link: u32,
         header: Header,
@@ -35,7 +37,7 @@ pub enum Outcome {
     Drop(Counter),
 }
 
-/// A copy of a frame: the header that takes the place of the frame's own, and where that goes.
+/// A copy of a frame: the header that replaces the frame's own, and the address to send it to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CopyOut {
     pub link: u32,
@@ -44,8 +46,8 @@ pub struct CopyOut {
     pub counter: Counter,
 }
 
-/// Decides about a GDP frame (without what carried it) and rewrites it for its next link.
-/// `congested`: what carried it was marked.
+/// Decides on a GDP frame without its outer headers, and rewrites it for its next link.
+/// `congested`: the outer packet carried a congestion mark.
 pub fn handle(frame: &mut [u8], congested: bool, tables: &View<'_>) -> Outcome {
     match frame.first().copied().map(forward::classify) {
         Some(Kind::Headed) => {}
@@ -53,7 +55,7 @@ pub fn handle(frame: &mut [u8], congested: bool, tables: &View<'_>) -> Outcome {
         Some(Kind::Unknown) => return Outcome::Drop(Counter::Unknown),
         None => return Outcome::Drop(Counter::Truncated),
     }
-    // A copy, because a frame may lie anywhere.
+    // Copy the header, because a frame may be unaligned.
     let Ok((mut header, _)) = Header::read_from_prefix(frame) else { return Outcome::Drop(Counter::Truncated) };
     let ingress = header.link_id();
     let traffic = if congested { Header::CONGESTED } else { 0 };
@@ -65,7 +67,7 @@ pub fn handle(frame: &mut [u8], congested: bool, tables: &View<'_>) -> Outcome {
             return Outcome::Copies { ingress, group };
         }
         Verdict::Notice(link) => return Outcome::Notice { link: link.id, header },
-        // Only the kernel has someone to leave a frame to.
+        // Only the kernel plane has a slow path.
         Verdict::Slow => return Outcome::Drop(Counter::RedirectFailed),
         Verdict::Drop(counter) => return Outcome::Drop(counter),
     };
@@ -74,8 +76,8 @@ pub fn handle(frame: &mut [u8], congested: bool, tables: &View<'_>) -> Outcome {
     Outcome::Send { link, to, length, counter }
 }
 
-/// Makes the copies of a frame that [`handle`] wants copied. Calls `send` with each, and `count`
-/// with why there is none where there should be.
+/// Makes the copies of a frame for which [`handle`] returned [`Outcome::Copies`]. Calls `send` for
+/// each copy, and `count` with the reason for each missing copy.
 pub fn copies(
     frame: &[u8],
     (ingress, group): (u32, u32),

@@ -1,5 +1,5 @@
-//! The userspace plane: the full tables, and a thread for each socket. What happens to one frame is
-//! in [`crate::userspace`], the threads in [`crate::forwarder`].
+//! The userspace plane: the full tables, and a thread for each socket. [`crate::userspace`]
+//! processes single frames, and [`crate::forwarder`] has the threads.
 
 use std::collections::HashMap;
 use std::io;
@@ -25,31 +25,32 @@ pub struct UserspacePlane {
 }
 
 impl UserspacePlane {
-    /// `capacity`: names there may be.
+    /// Creates the plane. `capacity`: maximum number of names.
     pub fn new(link_memory: LinkMemory, capacity: u32) -> Result<Self, UpdateError> {
         let tables = UserTables::new(link_memory.clone(), capacity)?;
         let shared = Arc::new(Shared::new(tables.queues().clone()));
         Ok(Self { tables, shared, link_memory, forwarders: HashMap::new() })
     }
 
-    /// `largest`: bytes of the largest frame the socket can deliver.
+    /// Starts a thread for the socket. `largest`: size in bytes of the largest frame that the
+    /// socket can deliver.
     pub fn attach(&mut self, medium: Medium, socket: Arc<DataSocket>, largest: usize) -> io::Result<()> {
         let forwarder = Forwarder::start(medium, socket, largest, &self.shared, self.tables.reader())?;
         self.forwarders.insert(medium, forwarder);
         Ok(())
     }
 
-    /// Waits until the thread has ended.
+    /// Stops the thread of a medium and waits until it has ended.
     pub fn detach(&mut self, medium: Medium) {
         self.forwarders.remove(&medium);
     }
 
-    /// So that the threads end side by side.
+    /// Tells all threads to end, so that they end in parallel.
     pub fn stop_threads(&self) {
         self.forwarders.values().for_each(Forwarder::stop);
     }
 
-    /// Sends a frame of this node itself on a link.
+    /// Sends a frame of this node on a link.
     pub fn send_own(&self, link: u32, header: Header, payload: &[u8]) {
         if let Some((header, to)) = self.tables.address_frame(link, header) {
             self.shared.send_own(to, header, payload);

@@ -1,15 +1,14 @@
-//! Gives programs to the kernel's verifier. Called where programs are loaded: by [`super::kernel`]
-//! and [`super::losses`].
+//! Loads programs through the kernel's verifier. [`super::kernel`] and [`super::losses`] call it.
 
 use std::io::ErrorKind;
 
 use aya::programs::ProgramError;
 
-/// As many as libbpf makes.
+/// Number of attempts, as in libbpf.
 const ATTEMPTS: usize = 5;
 
-/// Has a program verified. The verifier gives up with EAGAIN when a signal comes meanwhile; then it
-/// is asked again.
+/// Loads a program. The verifier fails with EAGAIN when a signal interrupts it; the load is then
+/// repeated.
 pub fn load(mut attempt: impl FnMut() -> Result<(), ProgramError>) -> Result<(), ProgramError> {
     let is_done = |result: &Result<(), ProgramError>| match result {
         Err(ProgramError::LoadError { io_error, .. }) => io_error.kind() != ErrorKind::WouldBlock,

@@ -1,6 +1,6 @@
-//! Asks the kernel what XDP features an interface has (generic netlink family `netdev`, Linux 6.3
-//! and later). Frames redirected to an interface that does not take them are lost, so it is asked
-//! before any is sent there.
+//! Queries the XDP features of an interface (generic netlink family `netdev`, Linux 6.3 and later).
+//! Frames redirected to an interface that does not accept them are lost. The daemon therefore
+//! queries the features before it redirects frames there.
 
 use std::io;
 
@@ -14,39 +14,42 @@ const NETDEV_CMD_DEV_GET: u8 = 1;
 const NETDEV_A_DEV_IFINDEX: u16 = 1;
 const NETDEV_A_DEV_XDP_FEATURES: u16 = 3;
 
-/// Of a generic netlink message.
+/// Length of a generic netlink header.
 const HEADER: usize = 4;
 
-/// What an interface can do (`enum netdev_xdp_act`).
+/// XDP features of an interface (`enum netdev_xdp_act`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Features(pub u64);
 
 impl Features {
-    /// Runs programs natively.
+    /// Returns whether the interface runs programs natively.
     pub fn native(self) -> bool {
         self.0 & 1 != 0
     }
 
-    /// Takes frames that other interfaces redirect to it. A veth does only while its peer has GRO
-    /// on or runs an XDP program.
+    /// Returns whether the interface accepts redirected frames. A veth accepts them only while its
+    /// peer has GRO on or runs an XDP program.
     pub fn takes_redirects(self) -> bool {
         self.0 & 1 << 2 != 0
     }
 
-    /// Runs programs on packets in several buffers.
+    /// Returns whether the interface runs programs on packets in several buffers.
     pub fn several_buffers(self) -> bool {
         self.0 & 1 << 5 != 0
     }
 }
 
-/// The kernel's answers, for the network namespace the calling thread was in when it was opened.
+/// A query socket in the network namespace of the thread that opened it.
 pub struct XdpFeatures {
     netlink: Netlink,
     family: u16,
 }
 
 impl XdpFeatures {
-    /// An error on kernels that have no such family.
+    /// Opens the socket.
+    ///
+    /// # Errors
+    /// If the kernel has no such family.
     pub fn open() -> io::Result<Self> {
         let netlink = Netlink::open(libc::NETLINK_GENERIC)?;
         let name = (CTRL_ATTR_FAMILY_NAME, &b"netdev\0"[..]);

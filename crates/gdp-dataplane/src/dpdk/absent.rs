@@ -1,4 +1,4 @@
-//! What stands for the DPDK plane in a build without it.
+//! Replaces the DPDK plane in a build without the feature `dpdk`.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ pub fn start(_: &PlaneConfig, _: &UserspacePlane) -> Result<Box<dyn FastPath>, D
     Err(DpdkPlaneError::NotBuilt)
 }
 
-/// Says that only another build can.
+/// Logs that only a build with DPDK can restore the settings.
 pub fn restore_settings(file: &Path) {
     if file.exists() {
         let path = file.display();

@@ -1,8 +1,9 @@
-//! The DPDK plane: devices that this process drives by itself, with the loops of `gdp-dpdk` between
-//! them. It decides by the tables of the userspace plane, which stays behind it, as behind XDP:
-//! what the loops leave to it reaches it by the host's sides of the ports.
+//! The DPDK plane: devices that this process drives itself, connected by the loops of `gdp-dpdk`.
+//! It forwards by the tables of the userspace plane. As with XDP, the userspace plane runs behind
+//! it. Frames that the loops do not handle reach the userspace plane through the host interfaces of
+//! the ports.
 //!
-//! Without the feature `dpdk` there is none, and [`start`] says so.
+//! Without the feature `dpdk`, [`start`] returns an error.
 
 #[cfg(not(feature = "dpdk"))]
 mod absent;
@@ -22,36 +23,36 @@ pub use present::{LoopReader, LoopView};
 #[cfg(feature = "dpdk")]
 pub(crate) use present::{restore_settings, start};
 
-/// Why the userspace plane takes what arrives on an interface that is no port of the DPDK plane.
+/// Reason why the userspace plane serves an interface that is not a port of the DPDK plane.
 pub(crate) const NOT_A_PORT: &str = "`data_plane: dpdk` was asked for, and this is none of its ports";
 
-/// MTU of a port that is given none.
+/// Default MTU of a port.
 pub const DEFAULT_MTU: u16 = 1500;
 
-/// Room for packets comes in KiB, as some network cards count it. From 2 to 9 of them: a jumbo
-/// frame.
+/// Unit of packet buffers: 1 KiB, as some network cards require. Buffers have 2 to 9 KiB; 9 KiB fit
+/// a jumbo frame.
 const ROOM_UNIT: usize = 1024;
 const SMALLEST_ROOM: usize = 2 * ROOM_UNIT;
 pub const LARGEST_ROOM: usize = 9 * ROOM_UNIT;
 
-/// Bytes beside a packet that count where network cards compare with the room for it: its Ethernet
-/// header, two VLANs, and the checksum.
+/// Bytes besides a packet that network cards count towards its buffer: Ethernet header, two VLAN
+/// tags and the checksum.
 pub const AUXILIARY: usize = 14 + 4 + 4 + 4;
 
-/// What the kernel keeps free in front of a packet for `net_af_xdp`.
+/// Headroom that the kernel reserves in front of a packet for `net_af_xdp`.
 pub const BEFORE_XDP: usize = 256;
 
-/// How the DPDK plane is set up.
+/// Configuration of the DPDK plane.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DpdkConfig {
     pub ports: Vec<DpdkPort>,
-    /// Whether its memory is huge pages.
+    /// Whether DPDK uses huge pages.
     pub huge_pages: bool,
-    /// Of ordinary memory that it may take, in MiB, if it is not huge pages.
+    /// Maximum ordinary memory in MiB, if huge pages are not used.
     pub memory_mib: u32,
-    /// The core of each loop; none: one loop, on any core.
+    /// The core of each loop. Empty: a single loop on any core.
     pub cores: Vec<usize>,
-    /// How long a loop sleeps at most while nothing arrives; 0: it asks its devices without end.
+    /// Maximum sleep of an idle loop. 0: the loop polls its devices continuously.
     pub idle: Duration,
 }
 
@@ -67,21 +68,21 @@ impl Default for DpdkConfig {
     }
 }
 
-/// A device, and the interface that the host has of it.
+/// A device, and the host's interface for it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DpdkPort {
-    /// Made when the daemon starts; addresses belong here.
+    /// Interface that the daemon creates at startup; addresses are assigned here.
     pub interface: String,
-    /// As DPDK writes devices: a PCI address, or a driver with its arguments, as
+    /// Device in DPDK notation: a PCI address, or a driver with its arguments, such as
     /// `net_af_packet0,iface=eth0`.
     pub device: String,
-    /// Bytes of the largest packet behind its Ethernet header; none: [`DEFAULT_MTU`], and an
-    /// interface that is the device keeps what it has.
+    /// Size in bytes of the largest packet without its Ethernet header. `None`: [`DEFAULT_MTU`],
+    /// and the MTU of a kernel interface used as the device is unchanged.
     pub mtu: Option<u16>,
 }
 
 impl DpdkConfig {
-    /// Room for a packet that all ports can share.
+    /// Returns a buffer size that fits the packets of all ports.
     pub fn room(&self) -> usize {
         let most = self.ports.iter().map(DpdkPort::room).max().unwrap_or(0);
         most.next_multiple_of(ROOM_UNIT).max(SMALLEST_ROOM)
@@ -93,32 +94,34 @@ impl DpdkPort {
         self.mtu.unwrap_or(DEFAULT_MTU)
     }
 
-    /// Room that a packet of this port needs. `net_af_packet` wants as much as its frames have.
+    /// Returns the buffer size that packets of this port need. `net_af_packet` requires at least
+    /// its frame size.
     fn room(&self) -> usize {
         let before = if self.is_af_xdp() { BEFORE_XDP } else { 0 };
         let frame = if self.is_af_packet() { self.argument("framesz").unwrap_or(0) } else { 0 };
         (usize::from(self.mtu()) + AUXILIARY + before).max(frame)
     }
 
-    /// A number among the device's arguments.
+    /// Returns a numeric argument of the device.
     pub fn argument(&self, name: &str) -> Option<usize> {
         let value = |argument: &'_ str| argument.strip_prefix(name)?.strip_prefix('=')?.parse().ok();
         self.device.split(',').find_map(value)
     }
 
-    /// The device without its arguments.
+    /// Returns the device without its arguments.
     pub fn name(&self) -> &str {
         self.device.split(',').next().unwrap_or_default()
     }
 
-    /// The device, with its arguments, if it is a network card.
+    /// Returns the device with its arguments if it is a PCI network card.
     pub fn pci(&self) -> Option<&str> {
-        // 0000:02:00.0
+        // Format: 0000:02:00.0
         let is_at = |at: usize, c: u8| self.name().as_bytes().get(at) == Some(&c);
         (self.name().len() == 12 && is_at(4, b':') && is_at(7, b':') && is_at(10, b'.')).then_some(&self.device)
     }
 
-    /// Whether it is `net_af_packet`, by which the kernel handles packets before DPDK gets them.
+    /// Returns whether this is `net_af_packet`. With it, the kernel processes packets before DPDK
+    /// receives them.
     pub fn is_af_packet(&self) -> bool {
         self.name().starts_with("net_af_packet")
     }
@@ -127,13 +130,13 @@ impl DpdkPort {
         self.name().starts_with("net_af_xdp")
     }
 
-    /// The interface of the kernel that the device is, if it is one.
+    /// Returns the kernel interface that the device uses, if any.
     pub fn carrier(&self) -> Option<&str> {
         self.device.split(',').find_map(|argument| argument.strip_prefix("iface="))
     }
 }
 
-/// The DPDK plane cannot be used.
+/// Reasons why the DPDK plane cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum DpdkPlaneError {
     #[error("this gdp-ctl was built without the feature `dpdk`: build with `cargo build -p gdp-ctl --features dpdk`")]
@@ -151,14 +154,14 @@ pub enum DpdkPlaneError {
     Switch(#[from] gdp_dpdk::SwitchError),
 }
 
-/// What is said of a port's device, where the plane runs.
+/// Counters of a port's device, where the plane runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DeviceCounters {
     pub received: u64,
     pub sent: u64,
-    /// Arrived, and were lost in the device.
+    /// Packets that arrived and were lost in the device.
     pub missed: u64,
-    /// Handed to it, and did not leave.
+    /// Packets passed to the device that did not leave.
     pub failed: u64,
 }
 

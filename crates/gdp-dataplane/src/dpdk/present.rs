@@ -1,4 +1,4 @@
-//! The plane itself, in a build that has it.
+//! The DPDK plane in a build with the feature `dpdk`.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
@@ -29,15 +29,15 @@ use crate::userspace_plane::UserspacePlane;
 
 const _: () = assert!(LARGEST_ROOM == gdp_dpdk::mbuf::LARGEST);
 
-/// Ports and loops. Dropping it lets go of the devices.
+/// Ports and loops. Dropping it releases the devices.
 struct DpdkPlane {
     switch: Switch,
-    /// By the number of a port, which is the index of the host's interface.
+    /// By port number, which is the index of the host's interface.
     ports: HashMap<u32, PortDevice>,
     routes: Option<Routes>,
-    /// Where the UDP socket takes frames.
+    /// Address at which the UDP socket receives frames.
     bound: Option<SocketAddr>,
-    /// Goes after the devices are given back.
+    /// Dropped after the devices have been released.
     _settings: Settings,
 }
 
@@ -46,11 +46,11 @@ struct PortDevice {
     interface: String,
     device: String,
     mac: [u16; 3],
-    /// The index of the kernel's interface that the device is, if it is one.
+    /// Index of the kernel interface that the device uses, if any.
     carrier: Option<u32>,
 }
 
-/// Takes all devices over, in the network namespace of the calling thread.
+/// Takes over all devices, in the network namespace of the calling thread.
 pub fn start(config: &PlaneConfig, userspace: &UserspacePlane) -> Result<Box<dyn FastPath>, DpdkPlaneError> {
     let PlaneConfig { ethertype, dpdk: config, dpdk_settings, .. } = config;
     if config.ports.is_empty() {
@@ -62,7 +62,7 @@ pub fn start(config: &PlaneConfig, userspace: &UserspacePlane) -> Result<Box<dyn
     let idle = if config.idle.is_zero() { Idle::Busy } else { Idle::Sleep(config.idle) };
     let (cores, count) = (config.cores.clone(), config.ports.len());
     let loops = SwitchConfig { cores, idle, ports: count, largest: config.room() };
-    // Before the switch, so that they are put back after it.
+    // Declared before the switch, so that they are restored after it is dropped.
     let mut settings = Settings::open(dpdk_settings.clone());
     let mut ports = HashMap::new();
     let reader = || LoopReader::new(userspace.tables.reader(), userspace.shared.clone());
@@ -94,8 +94,8 @@ pub fn start(config: &PlaneConfig, userspace: &UserspacePlane) -> Result<Box<dyn
     Ok(Box::new(DpdkPlane { switch, ports, routes: routes.ok(), bound: None, _settings: settings }))
 }
 
-/// Puts back the settings of interfaces that a daemon with this plane has left in a file, as it was
-/// killed. In the network namespace of the calling thread.
+/// Restores interface settings that a killed daemon with this plane left in a file. Applies to the
+/// network namespace of the calling thread.
 pub fn restore_settings(file: &Path) {
     if file.exists()
         && let Err(error) = settings::put_back_left(file.to_owned())
@@ -112,7 +112,7 @@ impl DpdkPlane {
             return None;
         }
         let (from, to) = (ip_of(carrier.kind, carrier.local_ip), ip_of(carrier.kind, carrier.peer_ip));
-        // There is one on every interface.
+        // Every interface has a link-local network, so the address alone gives no egress interface.
         if matches!(to, IpAddr::V6(to) if to.is_unicast_link_local()) {
             return None;
         }
@@ -122,7 +122,7 @@ impl DpdkPlane {
     }
 }
 
-/// It decides by the userspace plane's tables, and counts arrivals there.
+/// Forwards by the tables of the userspace plane, and counts arrivals there.
 impl DataPlane for DpdkPlane {
     fn counters(&self) -> Result<[u64; Counter::COUNT], UpdateError> {
         Ok(self.switch.counters())
@@ -169,14 +169,14 @@ impl FastPath for DpdkPlane {
     fn egress_port(&self, link: &LinkEntry, device: Option<u32>) -> Option<u32> {
         match device {
             Some(device) => self.ports.contains_key(&device).then_some(device),
-            // By the pair of an endpoint on this host.
+            // An endpoint on this host is reached through the host pair.
             None if link.carrier.local_mac != [0; 3] => None,
             None => self.switch.local().next_hops.get(link.id).map(|_| PORT_ROUTED),
         }
     }
 
-    /// Looks again at what is for this switch, where links over UDP leave, and which devices have a
-    /// carrier.
+    /// Updates the addresses of this switch, the next hops of links over UDP, and the carrier state
+    /// of the devices.
     fn begin_refresh(
         &mut self,
         vlans: &[Vlan],
@@ -224,16 +224,17 @@ impl FastPath for DpdkPlane {
 }
 
 impl PortDevice {
-    /// Whether the device's cable is there, as far as the kernel knows: `net_af_packet` and
-    /// `net_af_xdp` do not ask it.
+    /// Returns whether the kernel reports a carrier for the device. `net_af_packet` and
+    /// `net_af_xdp` do not query it.
     fn is_running(&self) -> bool {
         let Some(carrier) = self.carrier else { return true };
-        // It may have been deleted. Otherwise nothing is known.
+        // ENODEV: the interface has been deleted. On any other error the state is unknown and
+        // counts as running.
         Device::is_running(carrier).unwrap_or_else(|error| error.raw_os_error() != Some(libc::ENODEV))
     }
 }
 
-/// A loop's way to the tables, and to where it counts.
+/// Access of a loop to the tables and counters.
 pub struct LoopReader {
     tables: TablesReader,
     shared: Arc<Shared>,

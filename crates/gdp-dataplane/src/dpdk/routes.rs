@@ -1,23 +1,23 @@
-//! Where datagrams leave that are for an address: by the kernel's routes and the stations it has
-//! resolved, as its own would.
+//! Looks up the egress of datagrams in the kernel's routes and neighbour table, as the kernel does
+//! for its own datagrams.
 
 use std::io;
 use std::net::IpAddr;
 
 use super::super::netlink::{Netlink, attribute, number};
 
-/// Kinds of messages and their attributes; `linux/rtnetlink.h`, `linux/neighbour.h`.
+/// Message kinds and attributes from `linux/rtnetlink.h` and `linux/neighbour.h`.
 const NDA_DST: u16 = 1;
 const NDA_LLADDR: u16 = 2;
 const ROUTE_HEADER: usize = 12;
 const NEIGHBOUR_HEADER: usize = 12;
-/// Of a station that does not answer, or has not yet.
+/// States of a neighbour that is incomplete or has failed to answer.
 const NUD_UNUSABLE: u16 = 0x01 | 0x20;
 
 /// The kernel's routes, in the network namespace of the thread that opened them.
 pub struct Routes(Netlink);
 
-/// Where a datagram leaves: the interface, and the station that it goes to there.
+/// Egress of a datagram: the interface, and the MAC address of the next hop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Leaves {
     pub interface: u32,
@@ -29,7 +29,7 @@ impl Routes {
         Netlink::open(libc::NETLINK_ROUTE).map(Self)
     }
 
-    /// `None` if there is no route, or the station has not been resolved.
+    /// Returns the egress; `None` if there is no route, or the neighbour is unresolved.
     pub fn lookup(&self, from: IpAddr, to: IpAddr) -> Option<Leaves> {
         let family = if to.is_ipv4() { libc::AF_INET } else { libc::AF_INET6 } as u8;
         let (from, to) = (octets(from), octets(to));

@@ -1,10 +1,10 @@
-//! Settings of the kernel's that are others while DPDK has an interface as a device, and put back
-//! afterwards. With some drivers the kernel gets all that arrives as well, and would answer twice,
-//! on the host's side of the port and here; and it would join packets that DPDK is to have as they
-//! came.
+//! Kernel settings of interfaces that DPDK uses as devices: changed during use and restored
+//! afterwards. With some drivers the kernel also receives all traffic. It would then answer a
+//! second time, besides the host's interface of the port. It would also merge packets that DPDK
+//! needs as they arrived.
 //!
-//! What was there before is kept in a file as well: a daemon that is killed puts nothing back, so
-//! the next one does.
+//! A file stores the previous values. If a daemon is killed and cannot restore them, the next
+//! daemon does.
 
 use std::fs::{self, DirBuilder, File};
 use std::io::{self, Read, Write};
@@ -15,36 +15,36 @@ use gdp_link::port::interface_index;
 
 use crate::{device, netlink::Netlink, netlink::number};
 
-/// What is set for every device: a packet whose sender is not reached by the interface is not for
-/// this host, no address is answered for, and IPv6 is off.
+/// Settings for every device. The kernel drops packets whose source is not routed by the interface,
+/// answers no ARP requests, and disables IPv6.
 const QUIET: [(&str, u32); 3] = [("ipv4/rp_filter", 1), ("ipv4/arp_ignore", 8), ("ipv6/disable_ipv6", 1)];
 
-/// What is set where packets are to come one by one: no two are as short as that together. To turn
-/// joining (GRO) off as a whole would have a veth refuse what XDP redirects to it. Older kernels
-/// have only the first one (before Linux 6.3), or neither (before 5.19); where there are both,
-/// setting the first sets both.
+/// Settings that stop the kernel from merging packets: no two packets together fit this size.
+/// Disabling GRO entirely would make a veth refuse frames redirected by XDP. Kernels before Linux
+/// 6.3 have only the first setting, and kernels before 5.19 have neither. Where both exist, setting
+/// the first also sets the second.
 const GRO: &str = "gro_max_size";
 const GRO_IPV4: &str = "gro_ipv4_max_size";
 const NONE_JOINED: u32 = 1;
 
-/// What netlink calls them; `linux/if_link.h`.
+/// Netlink attributes of these settings, from `linux/if_link.h`.
 const LINK: [(&str, u16); 3] = [(MTU, 4), (GRO, 58), (GRO_IPV4, 64)];
 const MTU: &str = "mtu";
 
-/// Settings that were changed. When dropped, all is as it was.
+/// Changed settings. Dropping it restores the previous values.
 pub struct Settings {
     changed: Vec<ChangedSetting>,
     file: Option<SettingsFile>,
 }
 
-/// The file. It is locked for as long as this lives, so that no other daemon takes it for what a
-/// dead one has left.
+/// The file of changed settings. It stays locked for the lifetime of this value. Another daemon
+/// therefore does not mistake it for the file of a killed daemon.
 struct SettingsFile {
     path: PathBuf,
     file: File,
 }
 
-/// A setting of an interface, as it was and as it was set.
+/// A changed setting of an interface, with its previous and new value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct ChangedSetting {
     interface: String,
@@ -54,8 +54,8 @@ struct ChangedSetting {
 }
 
 impl Settings {
-    /// In the network namespace of the calling thread, in which it is to be dropped as well.
-    /// `path`: of the file, in which there may be what a daemon that was killed has not put back.
+    /// Opens the settings in the calling thread's network namespace, where they must also be
+    /// dropped. `path`: the file, which may contain settings that a killed daemon did not restore.
     pub fn open(path: Option<PathBuf>) -> Self {
         let open = |path| {
             let (file, left) = SettingsFile::open(path)?;
@@ -69,14 +69,14 @@ impl Settings {
         Self { changed: Vec::new(), file: file.ok().flatten() }
     }
 
-    /// Keeps the kernel from taking up what arrives at an interface.
+    /// Stops the kernel from processing packets that arrive at an interface.
     pub fn quieten(&mut self, interface: &str) {
         for (name, value) in QUIET {
             self.set_if_there(interface, name, value, "the kernel may answer beside DPDK");
         }
     }
 
-    /// Keeps the kernel from joining packets that arrive at an interface.
+    /// Stops the kernel from merging packets that arrive at an interface.
     pub fn keep_whole(&mut self, interface: &str) {
         let otherwise = "the kernel joins packets, and TCP to this host is slow unless GRO is off";
         if let Err(error) = read(interface, GRO) {
@@ -92,8 +92,8 @@ impl Settings {
         self.set(interface, MTU, before, mtu.into())
     }
 
-    /// `otherwise`: what happens if it cannot be set. What is not there needs no setting: IPv6 may
-    /// be missing as a whole.
+    /// Changes a setting if it exists; IPv6 may be absent entirely. `otherwise`: the consequence to
+    /// log if the change fails.
     fn set_if_there(&mut self, interface: &str, name: &str, value: u32, otherwise: &'static str) {
         let Ok(before) = read(interface, name) else { return };
         if let Err(error) = self.set(interface, name, before, value) {
@@ -103,7 +103,7 @@ impl Settings {
 
     fn set(&mut self, interface: &str, name: &str, before: u32, set: u32) -> io::Result<()> {
         let changed = ChangedSetting { interface: interface.to_owned(), name: name.to_owned(), before, set };
-        // First, so that it is there however this ends.
+        // Write the file first, so that the previous value survives any failure.
         self.file.as_mut().map_or(Ok(()), |file| file.file.write_all(changed.line().as_bytes()))?;
         self.changed.push(changed);
         write(interface, name, set)
@@ -117,8 +117,8 @@ impl Drop for Settings {
     }
 }
 
-/// Puts back what a daemon that was killed has left in a file. The file stays if not all
-/// could be: in another namespace, or with more rights, the next daemon may do better.
+/// Restores the settings that a killed daemon left in a file. The file remains if any setting could
+/// not be restored. The next daemon may succeed in another namespace or with more privileges.
 pub fn put_back_left(path: PathBuf) -> io::Result<()> {
     let (file, left) = SettingsFile::open(path)?;
     if put_back(&left) {
@@ -128,7 +128,7 @@ pub fn put_back_left(path: PathBuf) -> io::Result<()> {
 }
 
 impl SettingsFile {
-    /// Makes the file if there is none, and reads what is in it.
+    /// Opens or creates the file, and reads its settings.
     fn open(path: PathBuf) -> io::Result<(Self, Vec<ChangedSetting>)> {
         if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
             DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
@@ -162,8 +162,8 @@ impl ChangedSetting {
     }
 }
 
-/// What nobody else has set since; the last one first: one may set another as well. Whether that is
-/// all.
+/// Restores settings that no other program has changed since, in reverse order, because a setting
+/// may change another. Returns whether all could be read and restored.
 fn put_back(all: &[ChangedSetting]) -> bool {
     let now: Vec<_> = all.iter().map(|changed| read(&changed.interface, &changed.name)).collect();
     let mut is_all = now.iter().all(Result::is_ok);
@@ -204,9 +204,9 @@ fn by_netlink(name: &str) -> Option<u16> {
     LINK.iter().find(|(known, _)| *known == name).map(|(_, attribute)| *attribute)
 }
 
-/// Of this network namespace.
+/// Returns the file of a setting in this network namespace.
 fn file(interface: &str, name: &str) -> io::Result<PathBuf> {
-    // What a file says may be anything.
+    // The contents of the settings file are not trusted.
     let is_known = QUIET.iter().any(|(known, _)| *known == name);
     let is_one = !interface.contains('/') && !["", ".", ".."].contains(&interface);
     let (family, name) = name.split_once('/').filter(|_| is_known && is_one).ok_or(io::ErrorKind::InvalidInput)?;

@@ -1,18 +1,21 @@
-//! The full tables of a switch, in this process. One owner changes them; every thread that forwards
-//! has a [`TablesReader`] and looks things up while they change, without locks: the userspace plane
-//! ([`super::userspace`]) and any other data plane of this process. No sockets, no threads.
+//! The full tables of a switch, in this process. A single owner changes them. Each forwarding
+//! thread has a [`TablesReader`] and looks up entries during changes, without locks. Readers are
+//! the userspace plane ([`super::userspace`]) and any other data plane of this process. This module
+//! uses no sockets and no threads.
 //!
-//! - Links, next hops and the own bit are a [`Snapshot`]: a change makes another one, which readers
-//!   see when they next enter. A link that was removed, and its keys, last until the last reader
-//!   has entered again or is gone; so who has nothing to do enters now and then.
-//! - [`names`]: where names lead, in a flat table that changes under its readers; when it grows,
-//!   the next snapshot has the larger one.
-//! - Groups and permits change under their readers too, in the order that the kernel's maps keep:
-//!   they come before the entry of a name that says to look for them, and go after it. A reader
-//!   that is between the two may miss what has just gone; it finds nothing else in its place.
+//! - Links, next hops and the own bit form a [`Snapshot`]. A change publishes a new snapshot, which
+//!   a reader sees when it next enters. A removed link and its keys stay in memory until every
+//!   reader has entered again or been dropped. Idle readers must therefore enter from time to time.
+//! - [`names`]: the routes of names, in a flat table that changes under its readers. When the table
+//!   grows, the next snapshot has the larger table.
+//! - Groups and permits also change under their readers, in the same order as in the kernel's maps.
+//!   They are added before the entry of the name that refers to them, and removed after it. A
+//!   reader between the two steps may miss a removed group or permit, but never finds a different
+//!   one.
 //!
-//! What is changed in one order is seen in it but for this: until a reader enters again, names that
-//! have come to lead to a link that is newer than its snapshot lead nowhere.
+//! Readers see changes in the order in which they were made, with one exception. A name can lead to
+//! a link that is newer than a reader's snapshot. That reader finds no route for the name until it
+//! enters again.
 
 mod names;
 pub(crate) mod permits;
@@ -40,18 +43,18 @@ use crate::kernel_failures::UpdateError;
 use crate::tables::permits::without;
 use names::{NameMemory, Names};
 
-/// A link, and where its frames go.
+/// A link, and the address to which its frames are sent.
 pub type AddressedLink = (KeyedEntry, LinkAddr);
 
-/// Where a name leads, and its permits.
+/// The FIB entry of a name, and its permits.
 pub type RouteEntry = (FibEntry, Box<[Permit]>);
 
-/// The tables, for who changes them.
+/// The tables, for their only writer.
 pub struct UserTables {
     names: Names,
-    /// Of the names that have any.
+    /// Only names that have permits are present.
     permits: HashMap<Name, Box<[Permit]>>,
-    /// The key of each group in [`Common::groups`], by its number.
+    /// The key of each group in [`Common::groups`], by group number.
     groups: HashMap<u32, u32>,
     last_key: u32,
     now: Arc<Snapshot>,
@@ -59,22 +62,22 @@ pub struct UserTables {
     common: Arc<Common>,
 }
 
-/// The tables, for one thread that forwards.
+/// The tables, for one forwarding thread.
 #[derive(Clone)]
 pub struct TablesReader {
     current: Cache<Arc<ArcSwap<Snapshot>>, Arc<Snapshot>>,
     common: Arc<Common>,
 }
 
-/// The tables as a thread sees them that has entered. For a batch of frames: what is removed
-/// meanwhile stays in memory.
+/// The tables as a thread sees them after it has entered, for one batch of frames. Entries removed
+/// during the batch stay in memory.
 pub struct View<'r> {
     now: &'r Snapshot,
     common: &'r Common,
     guard: LocalGuard<'r>,
 }
 
-/// What does not change: a change makes another one.
+/// Immutable state: each change makes a new snapshot.
 #[derive(Clone)]
 struct Snapshot {
     links: Box<[Option<Arc<AddressedLink>>]>,
@@ -85,11 +88,11 @@ struct Snapshot {
     names: NameMemory,
 }
 
-/// What changes under its readers. The two maps have one collector, so that a guard is one for
+/// State that changes under its readers. The two maps share a collector, so that one guard serves
 /// both.
 struct Common {
-    /// By keys that do not return: what a name's entry leads to is never another's. In [`Names`],
-    /// they are [`FibEntry::group`].
+    /// Keyed by numbers that are not reused while in use, so that an entry never leads to a
+    /// different group. In [`Names`], [`FibEntry::group`] is this key.
     groups: papaya::HashMap<u32, Group>,
     permits: papaya::HashSet<Permit>,
     link_memory: LinkMemory,
@@ -97,14 +100,14 @@ struct Common {
 }
 
 struct Group {
-    /// By which the control plane knows it.
+    /// The number that the control plane uses for the group.
     number: u32,
-    /// Link ids of its local readers.
+    /// Link ids of the local readers.
     readers: Box<[u32]>,
 }
 
 impl UserTables {
-    /// `limit`: names there may be.
+    /// Creates empty tables. `limit`: maximum number of names.
     pub fn new(link_memory: LinkMemory, limit: u32) -> Result<Self, UpdateError> {
         let names = Names::new(limit)?;
         let now = Arc::new(Snapshot {
@@ -132,18 +135,18 @@ impl UserTables {
         })
     }
 
-    /// For another thread.
+    /// Returns a reader for another thread.
     pub fn reader(&self) -> TablesReader {
         TablesReader { current: Cache::new(self.published.clone()), common: self.common.clone() }
     }
 
-    /// Returns the entry that was at this link's index.
+    /// Adds or replaces a link. Returns the previous entry at this link's index.
     pub fn set_link(&mut self, entry: LinkEntry, to: LinkAddr) -> Option<KeyedEntry> {
         let link = Arc::new((entry.into(), to));
         self.change_link(entry.id, Some(link))
     }
 
-    /// Returns the link, if it was there.
+    /// Removes a link and returns it, or `None` if it is not present.
     pub fn remove_link(&mut self, id: u32) -> Option<KeyedEntry> {
         self.now.at_index_of(id).filter(|(entry, _)| entry.id == id)?;
         self.change_link(id, None)
@@ -153,7 +156,7 @@ impl UserTables {
         self.now.link(id)
     }
 
-    /// The link at this link's index.
+    /// Returns the link at this link's index, which may have a different id.
     pub fn at_index_of(&self, id: u32) -> Option<&LinkEntry> {
         self.now.at_index_of(id).map(|(entry, _)| &**entry)
     }
@@ -162,15 +165,15 @@ impl UserTables {
         self.now.links()
     }
 
-    /// Whether a route can be set without there being more than may be.
+    /// Returns whether a route for this name fits within the limit.
     pub fn has_room_for(&self, name: &Name) -> bool {
         self.names.has_room_for(name)
     }
 
-    /// Returns the route the name had. `permits`: those of links that may send to it, besides
-    /// `entry.writer_link`, and of links by which frames from it may come. The entry's group is one
-    /// that was set. If there is no room, nothing is changed; for a route that was there before the
-    /// last change of its name, there is.
+    /// Sets the route of a name and returns the previous route. `permits` lists links that may send
+    /// to the name, besides `entry.writer_link`. It also lists links on which frames from the name
+    /// may arrive. The entry's group must have been set. If the table is full, nothing changes.
+    /// Restoring the route from before the last change of a name always succeeds.
     pub fn set_route(
         &mut self,
         name: Name,
@@ -182,7 +185,7 @@ impl UserTables {
         let group = self.groups.get(&entry.group).copied().unwrap_or(NEIGHBOURS);
         self.permit(come.iter());
         let set = self.names.insert(&name, FibEntry { group, ..entry });
-        // It may have grown even if there was no room.
+        // The table may have grown even if the insertion failed.
         if !self.names.memory().is(&self.now.names) {
             let names = self.names.memory().clone();
             self.change(|next| next.names = names);
@@ -199,7 +202,7 @@ impl UserTables {
         Ok(before.map(|before| (before, held)))
     }
 
-    /// Returns the route the name had.
+    /// Removes the route of a name and returns it.
     pub fn remove_route(&mut self, name: &Name) -> Option<RouteEntry> {
         let before = self.route(name)?;
         self.names.remove(name);
@@ -212,23 +215,23 @@ impl UserTables {
         self.names.table().get(name).map(|entry| self.numbered(entry))
     }
 
-    /// In no order.
+    /// Returns all routes, in no particular order.
     pub fn routes(&self) -> impl Iterator<Item = (Name, FibEntry)> {
         self.names.table().iter().map(|(name, entry)| (name, self.numbered(entry)))
     }
 
-    /// Where a name leads, with its permits.
+    /// Returns the FIB entry of a name, with its permits.
     pub fn route_entry(&self, name: &Name) -> Option<RouteEntry> {
         Some((self.route(name)?, self.permits(name).into()))
     }
 
-    /// The permits of the name.
+    /// Returns the permits of the name.
     pub fn permits(&self, name: &Name) -> &[Permit] {
         self.permits.get(name).map_or(&[], |permits| permits)
     }
 
-    /// The local readers of a group; none: it is free. Before the first route that leads to it, and
-    /// after the last.
+    /// Sets the local readers of a group; an empty list frees the group. Call this before the first
+    /// route uses the group, and after the last route is removed.
     pub fn set_group(&mut self, number: u32, readers: &[u32]) {
         let groups = self.common.groups.pin();
         if readers.is_empty() {
@@ -238,7 +241,7 @@ impl UserTables {
             return;
         }
         let key = *self.groups.entry(number).or_insert_with(|| {
-            // Some group may have lasted while all other keys were used.
+            // A long-lived group may still use a key after the counter wraps.
             loop {
                 self.last_key = self.last_key.wrapping_add(1);
                 if self.last_key != NEIGHBOURS && !groups.contains_key(&self.last_key) {
@@ -249,7 +252,7 @@ impl UserTables {
         groups.insert(key, Group { number, readers: readers.into() });
     }
 
-    /// The links of a group.
+    /// Returns the links of a group.
     pub fn members(&self, number: u32) -> Vec<u32> {
         let groups = self.common.groups.pin();
         let group = self.groups.get(&number).and_then(|key| groups.get(key));
@@ -268,7 +271,7 @@ impl UserTables {
         self.change(|next| next.own_bit = own_bit);
     }
 
-    /// The header of a frame of this node itself as it leaves by a link, and where to.
+    /// Returns the header of a frame from this node as it leaves by a link, and the link's address.
     pub fn address_frame(&self, id: u32, mut header: Header) -> Option<(Header, LinkAddr)> {
         let link = self.link(id)?;
         hop::stamp(&mut header, link, self.common.link_memory.next_count(id));
@@ -309,7 +312,7 @@ impl UserTables {
         });
     }
 
-    /// The entry as the control plane knows it.
+    /// Returns the entry with the group number of the control plane.
     fn numbered(&self, entry: FibEntry) -> FibEntry {
         let group = self.common.groups.pin().get(&entry.group).map_or(NEIGHBOURS, |group| group.number);
         FibEntry { group, ..entry }
@@ -317,7 +320,7 @@ impl UserTables {
 }
 
 impl TablesReader {
-    /// Once for each batch of frames, and now and then while there are none.
+    /// Enters the tables. Readers call this once for each batch, and from time to time while idle.
     #[inline]
     pub fn enter(&mut self) -> View<'_> {
         View { now: self.current.load(), common: &self.common, guard: self.common.groups.guard() }
@@ -325,24 +328,25 @@ impl TablesReader {
 }
 
 impl View<'_> {
-    /// Where frames go that leave by a link.
+    /// Returns the address to which frames of a link are sent.
     pub fn address(&self, id: u32) -> Option<LinkAddr> {
         self.now.address(id)
     }
 
-    /// The links of a group.
+    /// Returns the links of a group.
     #[inline]
     pub fn members(&self, group: u32) -> impl Iterator<Item = u32> {
         self.now.members(self.common.groups.get(&group, &self.guard))
     }
 
-    /// The count for the first of so many frames that leave by the link one after the other.
+    /// Reserves sequence numbers for `frames` consecutive frames on the link, and returns the
+    /// first.
     #[inline]
     pub fn next_counts(&self, id: u32, frames: u64) -> u64 {
         self.common.link_memory.next_counts(id, frames)
     }
 
-    /// Brings what a lookup of the name begins with into the caches, without waiting for it.
+    /// Prefetches the first cache lines of a lookup of the name.
     #[inline]
     pub fn prefetch(&self, name: &Name) {
         flat::prefetch(self.now.names.as_ref(), name);

@@ -1,4 +1,4 @@
-//! Where names lead, in memory of this process that its threads share.
+//! The routes of names, in memory shared by the threads of this process.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -10,24 +10,24 @@ use crate::kernel_failures::UpdateError;
 use crate::mapping::Mapping;
 use crate::{resizable_table, resizable_table::FIRST, resizable_table::ResizableTable};
 
-/// The names, for the only one who writes them.
+/// The names, for their only writer.
 pub struct Names {
     table: Table<NameMemory>,
     limit: u32,
 }
 
-/// A flat table, for its readers. It begins with a page, so no line of it is in two cache lines.
-/// Clones share it.
+/// A flat table, for its readers. It starts on a page boundary, so no bucket spans two cache lines.
+/// Clones share the memory.
 #[derive(Clone)]
 pub struct NameMemory(Arc<Mapping>);
 
 impl Names {
-    /// `limit`: names there may be.
+    /// Creates an empty table. `limit`: maximum number of names.
     pub fn new(limit: u32) -> Result<Self, UpdateError> {
         Ok(Self { table: make(limit.min(FIRST))?, limit })
     }
 
-    /// What is to be read, until names are inserted: then it may be another.
+    /// Returns the current memory for readers. An insertion may replace it.
     pub fn memory(&self) -> &NameMemory {
         self.table.memory()
     }
@@ -61,7 +61,7 @@ impl ResizableTable for Names {
 }
 
 impl NameMemory {
-    /// Whether the two are one.
+    /// Returns whether both refer to the same memory.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
@@ -74,7 +74,7 @@ impl AsRef<[AtomicU64]> for NameMemory {
     }
 }
 
-/// An empty table for so many names.
+/// Returns an empty table with room for `names` names.
 fn make(names: u32) -> Result<Table<NameMemory>, UpdateError> {
     resizable_table::begin(names, || Ok(NameMemory(Arc::new(Mapping::own(buckets_for(names) as usize * BUCKET)?))))
 }

@@ -1,4 +1,5 @@
-//! Puts the program on an interface in the best mode there is, and says why it is not a better one.
+//! Attaches the program to an interface in the best available mode, and gives the reason for any
+//! worse mode.
 
 use crate::attach_mode::Mode;
 use crate::device::Device;
@@ -10,8 +11,8 @@ use crate::{disturbance, kernel_errors};
 pub const OCCUPIED: &str = "another XDP program is attached";
 
 pub struct Attacher {
-    /// Kernels before 6.3 cannot be asked; there it is assumed that native XDP comes with
-    /// redirection.
+    /// `None` on kernels before 6.3, which have no such query. Native XDP is then assumed to
+    /// support redirection.
     features: Option<XdpFeatures>,
 }
 
@@ -26,12 +27,12 @@ impl Attacher {
         self.features.as_ref()?.of(ifindex).ok()
     }
 
-    /// Whether an interface takes redirected frames, if the kernel says.
+    /// Returns whether an interface accepts redirected frames, if the kernel reports it.
     pub fn takes_redirects(&self, ifindex: u32) -> Option<bool> {
         self.features(ifindex).map(|features| features.takes_redirects())
     }
 
-    /// The mode that the program has there now, and why it is that.
+    /// Attaches the program. Returns the resulting mode and the reason for it.
     pub fn attach(&self, kernel: &mut KernelPlane, ifindex: u32, name: &str, named: bool) -> (Option<Mode>, String) {
         match kernel.take_over(ifindex) {
             Ok(Some(mode)) => return (Some(mode), "taken over from the daemon before this one".into()),
@@ -64,7 +65,7 @@ impl Attacher {
     }
 }
 
-/// Whose program is in the way, and what removes it.
+/// Describes the program that occupies the interface, and the command that removes it.
 fn occupied(ifindex: u32) -> String {
     match Device::find(ifindex).ok().and_then(|device| device.program) {
         Some(program) => format!("{OCCUPIED}: {program}; {}", program.remedy()),

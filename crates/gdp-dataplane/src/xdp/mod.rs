@@ -1,5 +1,5 @@
-//! The XDP plane: the devices that have a program, where it may send, and the links and groups that
-//! it may serve. Writes the maps by [`crate::kernel`].
+//! The XDP plane: the devices with a program, the devices it may send to, and the links and groups
+//! that it may serve. It writes the maps through [`crate::kernel`].
 
 mod attaching;
 mod udp_port;
@@ -38,31 +38,31 @@ pub struct XdpPlane {
     kernel: KernelPlane,
     attacher: Attacher,
     config: SwitchConfig,
-    /// Interfaces that have a program, or should: those that ports use, and those that carry UDP.
+    /// Interfaces that have or should have a program: those of ports, and those that carry UDP.
     devices: HashMap<u32, XdpDevice>,
     udp: Option<UdpPort>,
-    /// Once links over UDP are used.
+    /// Set once links over UDP are used.
     routing: Option<Routing>,
-    /// By which interface links over UDP leave that the kernel can copy frames to.
+    /// Egress interface of each link over UDP that the kernel can copy frames to.
     routes_of_links: HashMap<u32, u32>,
-    /// Ports that no link is to lead to from the end of the refresh on.
+    /// Ports that no link may use after the current refresh.
     closing: Vec<u32>,
-    /// Ports that an earlier daemon left and this one has not taken over yet; none: it left
-    /// nothing, or that has ended.
+    /// Ports of an earlier daemon that this daemon has not taken over yet. `None`: there were no
+    /// ports, or adoption has ended.
     adopted_ports: Option<HashSet<u32>>,
 }
 
-/// An interface that packets arrive on and leave by.
+/// An interface on which packets arrive and leave.
 struct XdpDevice {
     name: String,
     attached: Option<Mode>,
-    /// Why it got this plane.
+    /// Reason for the chosen plane.
     reason: String,
     /// See [`InterfacePlane::left_alone`].
     left_alone: bool,
     /// Whether a port uses it.
     by_port: bool,
-    /// Whether the kernel sends there; its key in the device map is the index of the interface.
+    /// Whether the kernel sends to it. The key in the device map is the interface index.
     sends: bool,
 }
 
@@ -104,16 +104,16 @@ impl XdpPlane {
         self.kernel.link_memory()
     }
 
-    /// Whether the kernel sends to an interface.
+    /// Returns whether the kernel sends to an interface.
     fn sends_to(&self, ifindex: u32) -> bool {
         match self.devices.get(&ifindex) {
             Some(device) => device.sends,
-            // Not taken over yet, perhaps.
+            // A port of an earlier daemon that has not been taken over yet also counts.
             None => self.adopted_ports.as_ref().is_some_and(|ports| ports.contains(&ifindex)),
         }
     }
 
-    /// Whether the kernel can send datagrams to where a carrier says.
+    /// Returns whether the kernel can route datagrams for this carrier.
     fn routes(&self, carrier: &Carrier) -> bool {
         let Some(routing) = &self.routing else { return false };
         let routes = match carrier.kind {
@@ -124,7 +124,7 @@ impl XdpPlane {
         routes && carrier.local_ip != [0; 4]
     }
 
-    /// Where the kernel's copies for a link leave, if it can send them.
+    /// Returns the egress interface of the kernel's copies for a link, if the kernel can send them.
     fn egress_interface(&self, link: &LinkEntry) -> Option<u32> {
         let interface = match link.port {
             PORT_ROUTED => *self.routes_of_links.get(&link.id)?,
@@ -134,13 +134,13 @@ impl XdpPlane {
     }
 
     fn can_send_to(&self, ifindex: u32) -> bool {
-        // What generic XDP redirects are ordinary packets, which every interface takes.
+        // Generic XDP redirects ordinary packets, which every interface accepts.
         let only_generic = self.devices.values().all(|device| device.attached != Some(Mode::Native));
         only_generic || self.attacher.takes_redirects(ifindex).unwrap_or(true)
     }
 
-    /// Puts the program on an interface, unless it is there. `named`: whatever that disturbs, and
-    /// if need be in the generic mode.
+    /// Attaches the program to an interface, unless it is already attached. `named`: attach
+    /// regardless of disturbance, if necessary in generic mode.
     fn use_device(&mut self, ifindex: u32, name: &str, named: bool) {
         let by_port = named || self.devices.get(&ifindex).is_some_and(|device| device.by_port);
         if let Some(device) = self.devices.get_mut(&ifindex).filter(|device| device.attached.is_some()) {
@@ -148,13 +148,13 @@ impl XdpPlane {
             return;
         }
         let (attached, reason) = self.attacher.attach(&mut self.kernel, ifindex, name, named);
-        // With somebody else's program there, naming it changes nothing.
+        // If another program occupies the interface, naming the interface changes nothing.
         let left_alone = attached.is_none() && !named && !reason.starts_with(OCCUPIED);
         let device = XdpDevice { name: name.to_owned(), attached, reason, left_alone, by_port, sends: false };
         self.devices.insert(ifindex, device);
     }
 
-    /// Takes the program off an interface that nothing uses any more.
+    /// Detaches the program from an interface that has no remaining users.
     fn leave_device(&mut self, ifindex: u32) {
         let by_udp = self.udp.as_ref().is_some_and(|udp| udp.devices.contains(&ifindex));
         if by_udp || self.devices.get(&ifindex).is_none_or(|device| device.by_port) {
@@ -162,7 +162,7 @@ impl XdpPlane {
         }
         let Some(device) = self.devices.remove(&ifindex) else { return };
         if let Err(error) = self.kernel.programs.detach(ifindex) {
-            // As when the interface was deleted.
+            // This happens, for example, when the interface has been deleted.
             tracing::debug!(interface = device.name, %error, "the XDP program was already gone");
         }
         if device.sends {
@@ -173,11 +173,12 @@ impl XdpPlane {
         }
     }
 
-    /// Has the kernel take what arrives at the addresses that the UDP socket has now, on the
-    /// interfaces that have them.
+    /// Updates the addresses and interfaces on which the kernel accepts UDP, to match the UDP
+    /// socket.
     fn follow_udp(&mut self) -> Result<(), UpdateError> {
         let Some(udp) = &mut self.udp else {
-            // What an earlier daemon took is still to be taken, for a while.
+            // During adoption, the kernel continues to accept UDP at the addresses of the earlier
+            // daemon.
             return match self.adopted_ports {
                 None => self.kernel.set_addresses(&HashSet::new()),
                 Some(_) => Ok(()),
@@ -204,8 +205,8 @@ impl XdpPlane {
         Ok(())
     }
 
-    /// Has the kernel send to an interface. What it cannot send there goes through the userspace
-    /// plane, also while the interface is going away.
+    /// Makes an interface a port of the kernel. The userspace plane sends frames that the kernel
+    /// cannot send there, also while the interface is being removed.
     fn make_port(&mut self, ifindex: u32) -> Result<(), UpdateError> {
         let sends = match self.kernel.set_port(ifindex, ifindex) {
             Err(UpdateError::PortsFull | UpdateError::Port { .. }) => false,
@@ -230,7 +231,7 @@ impl DataPlane for XdpPlane {
         self.kernel.remove_link(id)
     }
 
-    /// Permits come before the entry that says to look for them, and go after.
+    /// Adds permits before the entry that refers to them, and removes them after it.
     fn set_route(
         &mut self,
         name: &Name,
@@ -254,7 +255,7 @@ impl DataPlane for XdpPlane {
         permits.iter().try_for_each(|permit| self.kernel.forbid(permit))
     }
 
-    /// What the kernel cannot copy to is left to the userspace plane.
+    /// The userspace plane sends copies that the kernel cannot send.
     fn set_group(&mut self, group: u32, _: &[u32], copies: Option<&[&LinkEntry]>) {
         let mut members = Vec::new();
         let mut served = if self.kernel.programs.has_generic() || copies.is_none() { 0 } else { u64::MAX };
@@ -316,9 +317,9 @@ impl FastPath for XdpPlane {
         self.leave_device(device);
     }
 
-    /// In the kernel, this works on the Ethernet interfaces that have such an address and can run
-    /// native XDP without a [`crate::disturbance`]: generic XDP would burden all that the host
-    /// receives there.
+    /// Accepts UDP in the kernel on Ethernet interfaces with a bound address. The interface must
+    /// run native XDP without a [`crate::disturbance`]. Generic XDP would slow down all traffic
+    /// that the host receives there.
     fn attach_udp(&mut self, bound: SocketAddr, pair: Option<Ends>) -> Result<(), UpdateError> {
         self.config.host_pair = pair.as_ref().map_or(0, |pair| pair.switch.index);
         self.udp = Some(UdpPort::new(bound, pair));
@@ -364,7 +365,7 @@ impl FastPath for XdpPlane {
     fn egress_port(&self, link: &LinkEntry, device: Option<u32>) -> Option<u32> {
         let (port, sends) = match device {
             Some(device) => (device, self.sends_to(device)),
-            // By the pair of an endpoint on this host.
+            // An endpoint on this host is reached through the host pair.
             None if link.carrier.local_mac != [0; 3] => (self.config.host_pair, self.sends_to(self.config.host_pair)),
             None => (PORT_ROUTED, self.routes(&link.carrier)),
         };
@@ -389,10 +390,10 @@ impl FastPath for XdpPlane {
         before != found
     }
 
-    /// Looks again which interfaces take redirected frames: a veth does depending on its peer.
+    /// Checks again which interfaces accept redirected frames. For a veth this depends on its peer.
     fn begin_refresh(&mut self, vlans: &[Vlan], _: &mut dyn Iterator<Item = &KeyedEntry>) -> Result<(), UpdateError> {
         self.follow_udp()?;
-        // What an earlier daemon took is still to be taken.
+        // During adoption, the kernel continues to accept the VLANs of the earlier daemon.
         if self.adopted_ports.is_none() {
             self.kernel.set_vlans(&vlans.iter().copied().collect())?;
         }
@@ -414,7 +415,7 @@ impl FastPath for XdpPlane {
         self.closing.drain(..).try_for_each(|ifindex| self.kernel.clear_port(ifindex))
     }
 
-    /// Read back from the kernel, where it forwards.
+    /// Reads the routes back from the kernel if it forwards.
     fn read_back(&self, routes: Vec<(Name, FibEntry)>) -> Vec<(Name, FibEntry)> {
         if self.devices.values().all(|device| device.attached.is_none()) {
             return routes;
@@ -466,7 +467,8 @@ impl FastPath for XdpPlane {
     }
 }
 
-/// A daemon that does without XDP must not have an earlier one's program forward beside it.
+/// Removes the programs of an earlier daemon if this daemon does not use XDP. Otherwise they would
+/// forward in parallel.
 pub fn clear_left_over(config: &PlaneConfig) -> Result<(), PlaneError> {
     let Some(place) = &config.pins else { return Ok(()) };
     if pins::find(&place.bpffs)?.is_empty() {

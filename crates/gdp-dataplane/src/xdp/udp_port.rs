@@ -1,5 +1,5 @@
-//! Where the kernel takes frames over UDP: the addresses of the daemon's socket, and the interfaces
-//! that have them.
+//! Addresses and interfaces on which the kernel accepts frames over UDP. They are the addresses of
+//! the daemon's socket and the interfaces that have them.
 
 use std::collections::{HashMap, HashSet};
 use std::net::SocketAddr;
@@ -12,11 +12,11 @@ use crate::udp;
 
 pub struct UdpPort {
     bound: SocketAddr,
-    /// For endpoints on this host.
+    /// The host pair for endpoints on this host.
     pub pair: Option<Ends>,
-    /// Interfaces that have one of the socket's addresses, and the switch's end of the pair.
+    /// Interfaces that have one of the socket's addresses, and the switch's end of the host pair.
     pub devices: HashSet<u32>,
-    /// Interfaces that come from now on are logged.
+    /// Whether to log interfaces that are added from now on.
     pub logs: bool,
 }
 
@@ -25,7 +25,8 @@ impl UdpPort {
         Self { bound, pair, devices: HashSet::new(), logs: false }
     }
 
-    /// The addresses and the interfaces, by index, as they are now; none if they cannot be read.
+    /// Returns the current addresses, and the interfaces by index; `None` if the addresses cannot
+    /// be read.
     pub fn taken(&self) -> Option<(HashSet<LocalAddress>, HashMap<u32, String>)> {
         let taken = match udp::addresses() {
             Ok(mut addresses) => {
@@ -40,7 +41,7 @@ impl UdpPort {
         let pair = self.pair.as_ref();
         let by_pair = pair.map(|pair| LocalAddress::new(pair.addresses.switch_ip.into(), self.bound.port()));
         let addresses = taken.iter().map(|(address, _)| *address).chain(by_pair).collect();
-        // Those that are no Ethernet interfaces cannot be found.
+        // `Interface::find` fails for interfaces that are not Ethernet.
         let interfaces = taken.iter().filter(|(_, at)| !at.loopback).map(|(_, at)| at.interface.as_str());
         let interfaces = interfaces.chain(pair.map(|pair| pair.switch.name.as_str()));
         let found = interfaces.collect::<HashSet<_>>().into_iter().filter_map(|name| Interface::find(name).ok());

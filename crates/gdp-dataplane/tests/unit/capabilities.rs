@@ -17,7 +17,7 @@ fn sys_admin_stands_for_what_it_was_before() {
     assert!(!includes(bit(SYS_ADMIN), NET_ADMIN) && !includes(bit(BPF), PERFMON));
 }
 
-/// In a thread of its own, which ends with what it has lost.
+/// Runs in a separate thread, which ends with its dropped capabilities.
 #[test]
 fn what_is_not_kept_is_lost_for_good() {
     let lost = std::thread::spawn(|| {

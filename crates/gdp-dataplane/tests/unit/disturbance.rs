@@ -11,7 +11,7 @@ fn only_drivers_known_to_disturb_nothing_are_taken_unasked() {
         (Some("ixgbe"), native, true),
         (Some("virtio_net"), None, true),
         (None, native, true),
-        // The kernel refuses, and nothing has changed.
+        // The kernel refuses native XDP and changes nothing.
         (Some("bridge"), none, false),
     ] {
         let reason = disturbs(driver, features);

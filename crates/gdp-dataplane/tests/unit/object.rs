@@ -12,6 +12,6 @@ fn a_file_that_was_named_is_the_only_candidate() {
 
 #[test]
 fn the_embedded_object_is_an_elf_file() {
-    // Built without the eBPF toolchain, there is none.
+    // A build without the eBPF toolchain has no embedded object.
     assert!(EMBEDDED.is_none_or(|bytes| bytes.starts_with(b"\x7fELF")));
 }

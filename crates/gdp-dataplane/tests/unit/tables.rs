@@ -5,11 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::*;
 use crate::groups::Groups;
 
-/// Names and links that hold all the time, though they change: each name leads to one of two links
+/// Number of names that always have a route, though it changes. Each name leads to one of two links
 /// of its own.
 const HELD: u32 = 32;
 
-/// Names that come and go, for which the table grows three times.
+/// Number of names that are added and removed; the table grows three times for them.
 const COMERS: u32 = 6000;
 
 fn name(number: u32) -> Name {
@@ -33,17 +33,17 @@ fn tables(limit: u32) -> UserTables {
     UserTables::new(LinkMemory::new(), limit).unwrap()
 }
 
-/// Link ids of a name that holds.
+/// Returns the link ids of a name that always has a route.
 fn links_of(number: u32) -> [u32; 2] {
     [100 + 2 * number, 101 + 2 * number]
 }
 
-/// The link that one name is permitted to and that stays so.
+/// Link for which one name always has a permit.
 const ALWAYS: u32 = 7;
 const NEVER: u32 = 8;
-/// A link that comes and goes.
+/// Link that is added and removed repeatedly.
 const AT_TIMES: u32 = 5;
-/// A group that holds, though its readers change.
+/// Group that always exists, though its readers change.
 const HELD_GROUP: u32 = 1 << 30;
 const HELD_READERS: [[u32; 3]; 2] = [[1, 2, 3], [4, 5, 6]];
 
@@ -62,8 +62,8 @@ impl Writer {
         writer
     }
 
-    /// Everything that holds, into its next form. The groups are numbered as the planes do: with
-    /// the lowest that is free.
+    /// Changes all lasting entries to their next version. As in the planes, a group gets the lowest
+    /// free number.
     fn change_held(&mut self, generation: u64) {
         for number in 0..HELD {
             let links = links_of(number);
@@ -116,7 +116,7 @@ fn read(tables: &View<'_>, pass: u32) {
         assert_eq!((link.id, link.rx_keys), (entry.local_link, link.tx_keys));
         assert_eq!(tables.address(link.id), Some(to(link.rx_keys[0][0])), "they are of one time");
         let members: Vec<u32> = tables.members(entry.group).collect();
-        // None, if the group went meanwhile; but nobody else's.
+        // Empty if the group was removed meanwhile, but never the readers of another group.
         assert!(members.is_empty() || members.len() == 3, "{members:?}");
         assert!(members.iter().zip(&members[members.len().min(1)..]).all(|(a, b)| a + 1 == *b), "{members:?}");
         assert!(members.iter().all(|id| id >> 8 == number), "{members:?} of name {number}");
