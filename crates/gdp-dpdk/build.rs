@@ -1,13 +1,13 @@
-//! Finds the installed DPDK, compiles the shim around its inline functions, and has bindgen read
-//! the declarations of the others.
+//! Finds the installed DPDK, compiles the shim around its inline functions, and generates bindings
+//! for the others with bindgen.
 
 use std::env;
 use std::path::PathBuf;
 
-/// What is linked; drivers are loaded when DPDK begins.
+/// Linked libraries; DPDK loads its drivers at startup.
 const LIBRARIES: [&str; 5] = ["rte_eal", "rte_ethdev", "rte_mbuf", "rte_mempool", "rte_ring"];
 
-/// The releases whose stable ABI is 23: see docs/dpdk.md.
+/// The releases with stable ABI 23: see docs/dpdk.md.
 const MAJORS: [&str; 3] = ["22.11", "23.03", "23.07"];
 
 const FUNCTIONS: &str = "rte_(eal_init|strerror|thread_register|thread_unregister|dev_probe|dev_remove|\
@@ -24,8 +24,8 @@ fn main() {
     if !MAJORS.iter().any(|major| dpdk.version.starts_with(major)) {
         fail(&format!("DPDK {} is installed; this crate is written for {}", dpdk.version, MAJORS.join(" or ")));
     }
-    // Of what pkg-config says, the compiler needs the folders, the configuration header and the
-    // instruction set.
+    // Of the pkg-config output, the compiler needs the include paths, the configuration header and
+    // the instruction set.
     let mut flags: Vec<String> = dpdk.include_paths.iter().map(|path| format!("-I{}", path.display())).collect();
     flags.extend(["-include".to_owned(), "rte_config.h".to_owned()]);
     if env::var("CARGO_CFG_TARGET_ARCH").as_deref() == Ok("x86_64") {

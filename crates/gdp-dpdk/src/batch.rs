@@ -1,6 +1,6 @@
-//! Tables for the frames of one batch: their hop tags were computed for all of them together, what
-//! leaves is stamped later, together as well, and what this plane cannot do itself is left to the
-//! one behind it.
+//! Tables for the frames of one batch. The expected hop tags of all frames were computed together.
+//! Outgoing frames are stamped together later. Frames that this plane cannot process go to the
+//! plane behind it.
 
 use std::cell::Cell;
 
@@ -14,31 +14,31 @@ use crate::local::Local;
 use crate::siphash::Tags;
 use crate::view::View;
 
-/// The tables that a batch is decided by.
+/// The tables for the decisions on a batch.
 pub struct BatchTables<'b, V> {
     view: &'b V,
     local: &'b Local,
     ports: &'b [u32],
-    /// The hop tags that frames must have, in their order.
+    /// The expected hop tags, in the order of the frames.
     arriving: &'b Tags,
-    /// Which of the frames is being decided about.
+    /// Index of the frame that is being decided.
     frame: Cell<usize>,
 }
 
 impl<'b, V: View> BatchTables<'b, V> {
-    /// `ports`: those that this plane drives.
+    /// Creates the tables. `ports`: the ports that this plane drives.
     pub fn new(view: &'b V, local: &'b Local, ports: &'b [u32], arriving: &'b Tags) -> Self {
         Self { view, local, ports, arriving, frame: Cell::new(0) }
     }
 
-    /// Says which of the frames is decided about next.
+    /// Sets the index of the next frame to decide.
     #[inline]
     pub fn turn_to(&self, frame: usize) {
         self.frame.set(frame);
     }
 
-    /// The port that the link's frames leave by, and the stations they go between; `None` if they
-    /// do not leave by this plane.
+    /// Returns the egress port of a link and its MAC addresses; `None` if the link does not leave
+    /// by this plane.
     #[inline(always)]
     pub fn next_hop_of<'t>(&'t self, link: &'t LinkEntry) -> Option<(u32, Stations<'t>)> {
         let (port, stations) = match link.port {
@@ -52,11 +52,11 @@ impl<'b, V: View> BatchTables<'b, V> {
     }
 }
 
-/// Computes what the hop tags of frames must be. Those of no link get one that does not matter.
+/// Computes the expected hop tags of frames. Frames without a link get an arbitrary tag.
 #[inline]
 pub fn expect(tags: &mut Tags, headers: &[Header], tables: &impl Tables) {
     tags.clear();
-    // Most frames come by the link of the one before.
+    // Most frames arrive on the link of the preceding frame.
     let (mut last, mut known) = (0, None);
     for (place, header) in (0..).zip(headers) {
         if header.link_id() != last {
@@ -73,7 +73,7 @@ pub fn expect(tags: &mut Tags, headers: &[Header], tables: &impl Tables) {
 impl<V: View> Tables for BatchTables<'_, V> {
     const LAST: bool = false;
 
-    /// Looked up again when frames leave, for all of a link together.
+    /// Looked up again when frames leave, once for all frames of a link.
     type NextHop = ();
 
     #[inline(always)]
@@ -112,12 +112,12 @@ impl<V: View> Tables for BatchTables<'_, V> {
 
     #[inline(always)]
     fn has_tag(&self, header: &Header, key: [u64; 2], count: u64) -> bool {
-        // The window may have moved on since, and the link may have another key.
+        // The window may have moved since, or the link may have another key.
         let made = self.arriving.made_from(self.frame.get(), key, count);
         header.tag() == made.unwrap_or_else(|| header.tag_for(key, count))
     }
 
-    /// Done for all that leave by a link together.
+    /// Does nothing: all frames that leave by a link are stamped together.
     #[inline(always)]
     fn stamp(&self, _: &mut Header, _: &LinkEntry) {}
 
@@ -134,7 +134,7 @@ impl<V: View> Tables for BatchTables<'_, V> {
         links.filter(wanted).all(|link| self.resolve(link, &mut ()))
     }
 
-    /// A device's queue does not tell.
+    /// Returns `false`: a device does not report the length of its queue.
     #[inline]
     fn has_queue(&self, _: &LinkEntry) -> bool {
         false

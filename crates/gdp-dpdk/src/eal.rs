@@ -1,5 +1,5 @@
-//! DPDK's environment: its memory, its drivers, and the threads that it knows. A process has one,
-//! for as long as it lives.
+//! DPDK's environment: its memory, its drivers, and the threads registered with it. A process has
+//! one environment for its lifetime.
 
 use std::ffi::{CString, c_char};
 use std::marker::PhantomData;
@@ -8,22 +8,22 @@ use std::sync::mpsc;
 use crate::{DpdkError, sys};
 use parking_lot::Mutex;
 
-/// How DPDK is to begin.
+/// Configuration of DPDK.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EalConfig {
-    /// Where its memory comes from.
+    /// Source of DPDK's memory.
     pub memory: Memory,
-    /// Addresses of the network cards that it drives by itself, as `lspci -D` has them; the others
-    /// it leaves alone.
+    /// PCI addresses of the network cards that DPDK drives itself, as in `lspci -D`. DPDK ignores
+    /// all other cards.
     pub pci: Vec<String>,
 }
 
-/// Where DPDK's memory comes from.
+/// Source of DPDK's memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Memory {
-    /// Huge pages, as many as are needed. What network cards want that DPDK drives by itself.
+    /// Huge pages, as many as necessary. Network cards that DPDK drives itself need them.
     HugePages,
-    /// Ordinary pages, of so many MiB.
+    /// Ordinary pages of this total size in MiB.
     Ordinary { mib: u32 },
 }
 
@@ -33,14 +33,15 @@ impl Default for EalConfig {
     }
 }
 
-/// That DPDK has begun. Nothing of it can be used without.
+/// Proof that DPDK is initialized. Every use of DPDK requires it.
 #[derive(Clone, Copy, Debug)]
 pub struct Eal(());
 
-/// How it began, if it did. It can begin once in the life of a process, even if it failed.
+/// Configuration or error of the initialization. A process can initialize DPDK only once, even if
+/// it fails.
 static BEGUN: Mutex<Option<Result<EalConfig, String>>> = Mutex::new(None);
 
-/// Beginning has failed, or was asked for otherwise.
+/// The initialization failed, or an earlier initialization had a different configuration.
 #[derive(Debug, thiserror::Error)]
 pub enum EalError {
     #[error(transparent)]
@@ -56,7 +57,7 @@ pub enum EalError {
 }
 
 impl Eal {
-    /// Begins, or finds that it has begun in the same way.
+    /// Initializes DPDK, or returns the existing environment if its configuration is the same.
     pub fn begin(config: &EalConfig) -> Result<Self, EalError> {
         let mut begun = BEGUN.lock();
         match &*begun {
@@ -67,8 +68,8 @@ impl Eal {
         }
         let arguments = arguments(config)?;
         let (sender, receiver) = mpsc::channel();
-        // The thread that begins is bound to one core from then on, and DPDK keeps it among its
-        // own: so it is none of ours.
+        // DPDK binds the initializing thread to one core and registers it. Use a separate thread
+        // for this.
         let thread = move || {
             let _ = sender.send(init(arguments));
             loop {
@@ -81,9 +82,9 @@ impl Eal {
         Ok(result.map(|()| Self(()))?)
     }
 
-    /// Makes DPDK know the calling thread, which then has caches of its own for what it allocates.
+    /// Registers the calling thread with DPDK, which gives it its own allocation caches.
     pub fn register(self) -> Result<Registered, DpdkError> {
-        // SAFETY: of the calling thread, which `Registered` does not leave.
+        // SAFETY: the call registers the calling thread, and `Registered` stays on this thread.
         match unsafe { sys::rte_thread_register() } {
             0 => Ok(Registered(PhantomData)),
             _ => Err(DpdkError::last("DPDK takes no more threads")),
@@ -91,12 +92,12 @@ impl Eal {
     }
 }
 
-/// That DPDK knows this thread. Stays on it.
+/// Registration of this thread with DPDK. It cannot move to another thread.
 pub struct Registered(PhantomData<*mut ()>);
 
 impl Drop for Registered {
     fn drop(&mut self) {
-        // SAFETY: this thread was registered, and has not left.
+        // SAFETY: this thread was registered, and the value has not left it.
         unsafe { sys::rte_thread_unregister() };
     }
 }
@@ -109,12 +110,12 @@ fn arguments(config: &EalConfig) -> Result<Vec<CString>, EalError> {
         format!("0@{core}"),
         "--no-telemetry".to_owned(),
         format!("--file-prefix=gdp-{}", std::process::id()),
-        // Warnings and worse; the rest is noise in a daemon's log.
+        // Log only warnings and errors.
         "--log-level=5".to_owned(),
     ];
     match config.memory {
         Memory::HugePages => arguments.push("--in-memory".to_owned()),
-        // Without files that nobody else reads.
+        // Create no files for other processes.
         Memory::Ordinary { mib } => {
             arguments.extend(["--no-huge", "--no-shconf", "-m", &mib.to_string()].map(str::to_owned));
         }
@@ -126,9 +127,9 @@ fn arguments(config: &EalConfig) -> Result<Vec<CString>, EalError> {
     arguments.into_iter().map(|argument| CString::new(argument).map_err(|_| EalError::Null)).collect()
 }
 
-/// The first core that this process may run on; 0 if that cannot be told.
+/// Returns the first core that this process may run on, or 0 if it is unknown.
 fn first_core() -> usize {
-    // SAFETY: a plain set of bits, all of which may be zero, and its size.
+    // SAFETY: the set has only plain bits, which may all be zero, and the size matches.
     unsafe {
         let mut set: libc::cpu_set_t = std::mem::zeroed();
         libc::sched_getaffinity(0, size_of::<libc::cpu_set_t>(), &raw mut set);
@@ -138,9 +139,10 @@ fn first_core() -> usize {
 
 fn init(arguments: Vec<CString>) -> Result<(), DpdkError> {
     let mut pointers: Vec<*mut c_char> = arguments.iter().map(|argument| argument.as_ptr().cast_mut()).collect();
-    // SAFETY: so many strings, which it does not write to; it may reorder the pointers.
+    // SAFETY: the array has this number of strings. DPDK does not write to them, but may reorder
+    // the pointers.
     let result = unsafe { sys::rte_eal_init(pointers.len() as i32, pointers.as_mut_ptr()) };
-    // It keeps pointers to some of them.
+    // DPDK retains pointers to some of them.
     std::mem::forget(arguments);
     if result < 0 {
         return Err(DpdkError::last("DPDK does not begin")

@@ -1,15 +1,14 @@
-//! What becomes of the packets that arrive together: in phases over all of them, so that what one
-//! waits for is fetched while others are worked on. No device is touched here, so tests see the
-//! very code that loops run.
+//! Processing of packets that arrive together. Each phase handles all packets, so that memory for
+//! one packet is fetched while others are processed. The module accesses no devices, so tests run
+//! the same code as the loops.
 //!
-//! 1. Each packet's frame is found and its header copied out; its route is prefetched.
-//! 2. What the hop tags must be is computed for all of them at once.
-//! 3. Each frame is decided about. What leaves is noted with the header it leaves with, or the
-//!    headers if there are copies; if there are many, these leave before the next frame is decided
-//!    about.
-//! 4. What leaves is stamped for its link: those that leave by one are counted at once, and the
-//!    tags are made together.
-//! 5. Each frame is dressed for its link and handed over.
+//! 1. Find each packet's frame, copy its header out, and prefetch its route.
+//! 2. Compute the expected hop tags of all frames at once.
+//! 3. Decide on each frame. Record outgoing frames with their new header, or one header for each
+//!    copy. If there are many, send them before the next decision.
+//! 4. Stamp outgoing frames. The frames of one link get their sequence numbers together, and all
+//!    tags are computed together.
+//! 5. Encapsulate each frame for its link and send it.
 
 use gdp_wire::counter::is_sampled;
 use gdp_wire::forward::{self, Copy, Kind, Verdict};
@@ -26,60 +25,60 @@ use crate::mbuf::{Burst, Mbuf, Pool};
 use crate::siphash::Tags;
 use crate::view::View;
 
-/// Where packets go.
+/// Egress of packets.
 pub trait Sink {
-    /// By a port of this plane.
+    /// Sends a packet by a port of this plane.
     fn send(&mut self, port: u32, mbuf: Mbuf);
 
-    /// To this host, as it arrived.
+    /// Passes a packet to this host, unchanged.
     fn pass(&mut self, mbuf: Mbuf);
 
-    /// Whether the port takes packets that are chains of mbufs.
+    /// Returns whether the port accepts chained mbufs.
     fn gathers(&self, port: u32) -> bool;
 }
 
-/// How often each of the counters was counted.
+/// Increments of each counter.
 pub type Counts = [u64; Counter::COUNT];
 
-/// Payloads of copies from this size on are not copied but referred to, where the port takes that.
-/// Two mbufs more cost about as much.
+/// Minimum size of payloads that copies share instead of copying, if the port supports it. Two more
+/// mbufs cost about as much as copying this size.
 const REFERRED: usize = 512;
 
-/// Frames and copies that are enough to leave together: a burst, if there are no copies.
+/// Number of frames and copies after which a batch leaves: one burst, if there are no copies.
 const ENOUGH: usize = Burst::SIZE;
 
 const ETHERNET_HEADER: usize = 14;
 
-/// Working memory of a loop; nothing is kept in it between batches.
+/// Working memory of a loop. It contains no state between batches.
 pub struct Forwarding {
-    /// Where copies are made.
+    /// Pool for copies.
     pool: Pool,
     batch: Batch,
-    /// Those that frames must have, and those of frames that leave.
+    /// Expected tags of arriving frames, and tags of outgoing frames.
     arriving: Tags,
     departing: Tags,
 }
 
-/// What is there of the packets that arrived together.
+/// State of the packets that arrived together.
 struct Batch {
     frames: Vec<Frame>,
-    /// Those of the frames, and behind them those of copies. They stay where they are until they
-    /// leave: what has just been written byte by byte is slow to read as a whole.
+    /// Headers of the frames, followed by those of copies. They are not moved until they leave:
+    /// reading a whole header is slow just after its bytes were written separately.
     headers: Vec<Header>,
     leaving: Vec<Way>,
 }
 
-/// A packet with a frame that has a header.
+/// A packet whose frame has a header.
 struct Frame {
-    /// Until it is handed over.
+    /// `None` after the packet has been passed on.
     mbuf: Option<Mbuf>,
     carried: FrameLocation,
 }
 
-/// Which frame leaves, and by which link.
+/// An outgoing frame and its link.
 struct Way {
     frame: u32,
-    /// The place of its header: the frame's, unless it is a copy.
+    /// Index of its header, which differs from the frame's index for a copy.
     header: u32,
     link: u32,
     counter: Counter,
@@ -105,7 +104,7 @@ impl Forwarding {
         Self { pool, batch, arriving: Tags::new(), departing: Tags::new() }
     }
 
-    /// Forwards what arrived at `port`. `ports`: all that this plane drives.
+    /// Forwards packets that arrived at `port`. `ports`: all ports that this plane drives.
     pub fn run<V: View>(
         &mut self,
         (port, ports): (u32, &[u32]),
@@ -142,16 +141,16 @@ impl Forwarding {
 }
 
 impl Batch {
-    /// Phase 1.
+    /// Runs phase 1.
     #[inline(always)]
     fn find<V: View>(&mut self, at: &At<'_>, burst: &mut Burst, view: &V, sink: &mut impl Sink, counts: &mut Counts) {
-        // Packets may be in another CPU's caches.
+        // The packets may be in another CPU's caches.
         burst.iter().for_each(Mbuf::fetch);
         for mbuf in burst.drain() {
             match locate(&mbuf, at) {
                 Located::Frame(carried) => {
                     let frame = mbuf.bytes().get(carried.at..).unwrap_or_default();
-                    // A copy, because a frame may lie anywhere.
+                    // Copy the header, because a frame may be unaligned.
                     match Header::read_from_prefix(frame) {
                         Ok((header, _)) => {
                             view.prefetch(&header.destination);
@@ -170,8 +169,8 @@ impl Batch {
         }
     }
 
-    /// Phase 3, from a frame on, until so much leaves that it should before there is more. Says
-    /// where it stopped.
+    /// Runs phase 3 from a frame on, until enough frames must leave. Returns the index at which it
+    /// stopped.
     #[inline(always)]
     fn decide<V: View>(
         &mut self,
@@ -186,7 +185,7 @@ impl Batch {
             let (header, frame) = (&mut self.headers[i], &mut self.frames[i]);
             let (ingress, tag) = (header.link_id(), header.tag());
             tables.turn_to(i);
-            // What is sent is counted when it leaves.
+            // Sent frames are counted when they leave.
             let counter = match forward::decide(header, frame.carried.available, frame.carried.traffic, tables) {
                 Verdict::Send(link, (), counter) => {
                     if is_sampled(tag) {
@@ -206,7 +205,7 @@ impl Batch {
                     self.copy(i, (ingress, group), view, tables, counts);
                     counted(counts, Counter::Replicated)
                 }
-                // Another plane's: that is behind this host's interface.
+                // These frames are for another plane, behind the host's interface.
                 Verdict::Notice(_) | Verdict::Slow => {
                     frame.mbuf.take().into_iter().for_each(|mbuf| sink.pass(mbuf));
                     counted(counts, Counter::Slow)
@@ -220,7 +219,7 @@ impl Batch {
         i
     }
 
-    /// Notes the copies of a frame that leave.
+    /// Records the outgoing copies of a frame.
     fn copy<V: View>(
         &mut self,
         frame: usize,
@@ -246,7 +245,7 @@ impl Batch {
     }
 }
 
-/// Phase 4, of at most as many as there are tags of at once.
+/// Runs phase 4 for at most [`Tags::SIZE`] frames.
 #[inline(always)]
 fn stamp<V: View>(ways: &[Way], headers: &mut [Header], tags: &mut Tags, view: &V) {
     tags.clear();
@@ -261,14 +260,14 @@ fn stamp<V: View>(ways: &[Way], headers: &mut [Header], tags: &mut Tags, view: &
     tags.make(headers);
 }
 
-/// By what frames leave.
+/// Egress of frames.
 struct By<'a> {
     link: &'a LinkEntry,
     port: u32,
     stations: Stations<'a>,
-    /// Of GDP frames, in host order.
+    /// Ethertype of GDP frames, in host order.
     ethertype: u16,
-    /// Bytes in front of a frame.
+    /// Length in bytes of the headers in front of a frame.
     front: usize,
 }
 
@@ -279,7 +278,7 @@ impl<'a> By<'a> {
         Some(Self { link, port, stations, ethertype, front: carrier::len(&link.carrier) })
     }
 
-    /// Phase 5, of one frame; `None` if it cannot leave.
+    /// Runs phase 5 for one frame; `None` if it cannot leave.
     #[inline(always)]
     fn leave(
         &self,
@@ -300,7 +299,7 @@ impl<'a> By<'a> {
         Some(())
     }
 
-    /// A packet whose frame lay `at`, as it leaves.
+    /// Returns the outgoing packet for a frame that is at offset `at`.
     #[inline]
     fn changed(&self, mut mbuf: Mbuf, at: usize, header: (&Header, u64)) -> Option<Mbuf> {
         if !mbuf.reshape(self.front as isize - at as isize, self.front + header.0.frame_len()) {
@@ -310,7 +309,7 @@ impl<'a> By<'a> {
         Some(mbuf)
     }
 
-    /// A packet of its own with the frame that lies `at` in another.
+    /// Returns a new packet with a copy of the frame at offset `at` of another.
     fn copied(&self, pool: &Pool, of: &Mbuf, at: usize, gathers: bool, header: (&Header, u64)) -> Option<Mbuf> {
         let (front, length) = (self.front, header.0.frame_len());
         let payload = of.bytes().get(at + Header::LEN..at + length)?;
@@ -329,8 +328,8 @@ impl<'a> By<'a> {
         Some(mbuf)
     }
 
-    /// Writes what is in front of the payload: headers, and the frame's own with its tag. That is
-    /// not in it yet: a header that was just written to is slow to copy.
+    /// Writes the outer headers, and the frame's header with its tag. The tag is added here,
+    /// because copying a header just after writing to it is slow.
     #[inline]
     fn encapsulate(&self, packet: &mut [u8], (header, tag): (&Header, u64)) {
         let Some((before, frame)) = packet.split_at_mut_checked(self.front) else { return };
@@ -344,7 +343,7 @@ impl<'a> By<'a> {
     }
 }
 
-/// What became of frames that arrived by one link one after the other, to be told of together.
+/// Consecutive frames of one link with the same outcome, which are reported together.
 #[derive(Default)]
 struct Arrivals {
     link: u32,
@@ -368,11 +367,11 @@ impl Arrivals {
     }
 }
 
-/// What a packet is, before anything is decided about it.
+/// Classification of a packet before the decision.
 enum Located {
-    /// It has a header, if it is long enough.
+    /// A frame with a header, if it is long enough.
     Frame(FrameLocation),
-    /// This host's.
+    /// A packet for this host.
     Host(Counter),
     Drop(Counter),
 }
@@ -385,7 +384,7 @@ fn locate(mbuf: &Mbuf, at: &At<'_>) -> Located {
     }
     let Some(carried) = carrier::find(packet, at) else { return Located::Host(Counter::Foreign) };
     let frame = packet.get(carried.at..).unwrap_or_default();
-    // Behind an empty datagram there may be padding.
+    // Padding may follow an empty datagram.
     let Some(first) = frame.first().filter(|_| carried.available > 0) else {
         return Located::Drop(Counter::Truncated);
     };

@@ -1,6 +1,6 @@
-//! Between ports and the host's sides of them: one thread gives the kernel what arrived and is not
-//! for this plane, and for each port one takes from the kernel what is to leave. So no loop ever
-//! waits for the kernel.
+//! Moves packets between ports and the host's interfaces. One thread passes arrived packets that
+//! are not for this plane to the kernel. For each port, another thread reads the packets that the
+//! kernel sends. Loops therefore never wait for the kernel.
 
 use std::collections::HashMap;
 use std::io;
@@ -13,15 +13,15 @@ use crate::lane::TxLane;
 use crate::mbuf::{Mbuf, Pool};
 use crate::tap::Tap;
 
-/// Packets that wait for the kernel, at most.
+/// Maximum number of packets that wait for the kernel.
 pub const WAITING: usize = 1024;
 
-/// The way to the kernel.
+/// Queue of packets to the kernel.
 #[derive(Clone)]
 pub struct ToHost(SyncSender<Told>);
 
-/// The thread of [`ToHost`]. Dropping it waits until the last clone of that is gone, and all that
-/// waited with it.
+/// The thread of [`ToHost`]. Dropping it waits until the last clone of [`ToHost`] is dropped and
+/// its queue is empty.
 pub struct Giver(Option<JoinHandle<()>>);
 
 impl Drop for Giver {
@@ -32,11 +32,11 @@ impl Drop for Giver {
     }
 }
 
-/// What the thread is given.
+/// Command to the thread.
 enum Told {
     Packet(u32, Mbuf),
     Come(u32, Arc<Tap>),
-    /// With whom to tell that it is.
+    /// Removes a port. The sender acknowledges it.
     Gone(u32, SyncSender<()>),
 }
 
@@ -47,8 +47,8 @@ impl ToHost {
         Ok((Self(sender), Giver(Some(thread))))
     }
 
-    /// Gives the kernel a packet that arrived at a port; `false` if too many wait already, and this
-    /// one is gone.
+    /// Queues a packet that arrived at a port for the kernel. Returns `false` if the queue is full;
+    /// the packet is then lost.
     pub fn give(&self, port: u32, mbuf: Mbuf) -> bool {
         self.0.try_send(Told::Packet(port, mbuf)).is_ok()
     }
@@ -64,10 +64,10 @@ fn give_all(told: Receiver<Told>) {
                 let _ = answer.send(());
             }
             Told::Packet(port, mbuf) => {
-                // Our devices give packets in one piece.
+                // The devices used here deliver packets in one segment.
                 let Some(tap) = taps.get(&port).filter(|_| mbuf.is_linear()) else { continue };
-                // As with any interface: the kernel counts what it does not take, of one that is
-                // down for instance.
+                // The kernel counts packets that it refuses, as on any interface, for example while
+                // the interface is down.
                 if let Err(error) = tap.write(mbuf.bytes()) {
                     tracing::debug!(interface = tap.name(), %error, "the kernel did not take a packet");
                 }
@@ -76,7 +76,7 @@ fn give_all(told: Receiver<Told>) {
     }
 }
 
-/// The host's side of a port. Dropping it ends the thread, and with it the interface.
+/// The host's interface of a port. Dropping it ends the thread and thereby deletes the interface.
 pub struct Host {
     stop: OwnedFd,
     to_host: ToHost,
@@ -85,7 +85,7 @@ pub struct Host {
 }
 
 impl Host {
-    /// What the kernel sends leaves by `lane`.
+    /// Starts the thread. Packets that the kernel sends leave by `lane`.
     pub fn start(tap: Arc<Tap>, (to_host, port): (ToHost, u32), pool: Pool, lane: TxLane) -> io::Result<Self> {
         let (stop, stopped) = event()?;
         let of = tap.clone();
@@ -103,7 +103,7 @@ impl Drop for Host {
             let _ = answered.recv();
         }
         let one = 1u64;
-        // SAFETY: eight bytes, to a descriptor that is open.
+        // SAFETY: the call writes eight bytes to an open descriptor.
         unsafe { libc::write(self.stop.as_raw_fd(), (&raw const one).cast(), 8) };
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -127,7 +127,7 @@ fn take_all(tap: &Tap, stopped: BorrowedFd<'_>, pool: &Pool, mut lane: TxLane) {
     }
 }
 
-/// A packet that the kernel sends. Without memory for it, it is lost.
+/// Reads a packet that the kernel sends. If no buffer is available, the packet is lost.
 fn take(tap: &Tap, pool: &Pool) -> io::Result<Option<Mbuf>> {
     let Some(mut mbuf) = pool.alloc() else {
         return tap.read(&mut [0; 1]).map(|_| None);
@@ -139,23 +139,23 @@ fn take(tap: &Tap, pool: &Pool) -> io::Result<Option<Mbuf>> {
     Ok(Some(mbuf))
 }
 
-/// Until the kernel has something; `false` once it is time to end.
+/// Waits until the kernel sends a packet. Returns `false` when the thread should end.
 fn wait(tap: BorrowedFd<'_>, stopped: BorrowedFd<'_>) -> bool {
     let poll = |fd: BorrowedFd<'_>| libc::pollfd { fd: fd.as_raw_fd(), events: libc::POLLIN, revents: 0 };
     let mut fds = [poll(tap), poll(stopped)];
-    // SAFETY: two such structures.
+    // SAFETY: the array has this number of structures.
     unsafe { libc::poll(fds.as_mut_ptr(), fds.len() as libc::nfds_t, -1) };
     fds[1].revents == 0
 }
 
-/// Two descriptors of one event.
+/// Returns two descriptors of one event.
 fn event() -> io::Result<(OwnedFd, OwnedFd)> {
-    // SAFETY: makes a descriptor or nothing.
+    // SAFETY: the call makes a descriptor or fails.
     let fd = unsafe { libc::eventfd(0, libc::EFD_CLOEXEC) };
     if fd < 0 {
         return Err(io::Error::last_os_error());
     }
-    // SAFETY: it is nobody else's.
+    // SAFETY: no other code owns this descriptor.
     let event = unsafe { OwnedFd::from_raw_fd(fd) };
     let other = event.try_clone()?;
     Ok((event, other))

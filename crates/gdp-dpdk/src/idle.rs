@@ -1,33 +1,33 @@
-//! What a loop does while nothing arrives. A loop that asks its devices without end takes a whole
-//! core, which on a robot is somebody else's; one that sleeps between questions takes next to
-//! nothing, and lets the first packet after a pause wait for as long as it sleeps.
+//! Idle behaviour of a loop. A loop that polls continuously uses a whole core, which a robot needs
+//! for other work. A loop that sleeps between polls uses almost no processor time. The first packet
+//! after a pause then waits until the end of the sleep.
 
 use std::time::Duration;
 
-/// Questions in vain before a loop sleeps: some tens of microseconds, in which the next packet of a
-/// stream comes.
+/// Number of empty polls before a loop sleeps. They take some tens of microseconds, enough for the
+/// next packet of a stream to arrive.
 const TIMEOUT: u32 = 512;
 
-/// The first sleep; each is twice as long as the one before.
+/// The first sleep. Each sleep is twice as long as the preceding one.
 const SHORTEST: Duration = Duration::from_micros(10);
 
-/// What a loop does while nothing arrives.
+/// Idle behaviour of a loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Idle {
-    /// It asks on.
+    /// Polls continuously.
     Busy,
-    /// It sleeps, ever longer, up to so long.
+    /// Sleeps with increasing duration, up to this maximum.
     Sleep(Duration),
 }
 
 impl Default for Idle {
-    /// A quarter of a millisecond.
+    /// Sleeps at most a quarter of a millisecond.
     fn default() -> Self {
         Self::Sleep(Duration::from_micros(250))
     }
 }
 
-/// Decides how long a loop sleeps.
+/// Determines how long a loop sleeps.
 #[derive(Clone, Copy, Debug)]
 pub struct Rest {
     idle: Idle,
@@ -40,7 +40,7 @@ impl Rest {
         Self { idle, vain: 0, next: SHORTEST }
     }
 
-    /// How long to sleep now, after a question that was answered, or in vain.
+    /// Returns how long to sleep after a poll. `answered`: whether the poll returned packets.
     pub fn after(&mut self, answered: bool) -> Option<Duration> {
         let Idle::Sleep(longest) = self.idle else { return None };
         if answered {
@@ -57,9 +57,9 @@ impl Rest {
     }
 }
 
-/// Has the kernel end this thread's sleeps when they are over, and not up to 50 µs later.
+/// Sets the timer slack of this thread to 1 ns, so that sleeps do not end up to 50 µs late.
 pub fn sleep_exactly() {
-    // SAFETY: sets a number of this thread.
+    // SAFETY: the call sets a number of this thread.
     unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1) };
 }
 

@@ -1,4 +1,4 @@
-//! Where a loop's packets leave by a port.
+//! Egress of a loop's packets by one port.
 
 use crate::mbuf::{Burst, Mbuf};
 use crate::port::Send;
@@ -6,17 +6,17 @@ use parking_lot::Mutex;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Where a loop's packets leave by a port.
+/// Egress of a loop's packets by one port.
 pub struct TxLane {
     pub send: Arc<Mutex<Send>>,
     pub gathers: bool,
     pub leaving: Burst,
-    /// What the device did not take.
+    /// Packets that the device did not accept.
     pub lost: Arc<AtomicU64>,
 }
 
 impl TxLane {
-    /// `lost`: where it counts what the device did not take.
+    /// Creates a lane. `lost`: counter of packets that the device did not accept.
     pub fn new(send: Arc<Mutex<Send>>, gathers: bool, lost: Arc<AtomicU64>) -> Self {
         Self { send, gathers, leaving: Burst::new(), lost }
     }
@@ -25,7 +25,7 @@ impl TxLane {
         if self.leaving.is_full() {
             self.flush();
         }
-        // There is room now.
+        // The burst has room after the flush.
         let _ = self.leaving.push(mbuf);
     }
 

@@ -1,20 +1,21 @@
-//! The DPDK data plane: devices that this process drives by itself, and the loop that forwards
-//! frames between them.
+//! The DPDK data plane: devices that this process drives itself, and the loops that forward frames
+//! between them.
 //!
-//! Knows nothing of the daemon: it is given tables to decide by (`gdp_wire::forward::decide`), and
-//! hands what is not for it to the host. The modules from the bottom up:
+//! This crate does not depend on the daemon. The caller provides the tables for decisions
+//! (`gdp_wire::forward::decide`). Packets that are not for this plane go to the host. The modules
+//! from the bottom up:
 //!
-//! - [`sys`]: DPDK as bindgen reads it; the only module whose names are not ours
-//! - [`eal`]: how DPDK begins; [`mbuf`]: packets and their pools; [`port`]: devices and their
-//!   queues
-//! - [`carrier`]: what frames are carried in; [`siphash`]: hop tags, many at once; [`local`]: which
-//!   packets are for this switch
-//! - [`view`]: what a loop is given to decide by; [`batch`]: the same for the frames of one batch
-//! - [`forwarding`]: what becomes of the packets that arrive together; [`worker`]: the loop around
-//!   it, and [`idle`], when it sleeps
-//! - [`tap`] and [`host`]: how the kernel gets what is its own, and sends
+//! - [`sys`]: DPDK bindings from bindgen, the only module with foreign names
+//! - [`eal`]: initialization of DPDK; [`mbuf`]: packets and their pools; [`port`]: devices and
+//!   their queues
+//! - [`carrier`]: encapsulation of frames; [`siphash`]: hop tags for many frames at once;
+//!   [`local`]: criteria for packets to this switch
+//! - [`view`]: the tables that a loop uses; [`batch`]: the tables for the frames of one batch
+//! - [`forwarding`]: processing of packets that arrive together; [`worker`]: the loop around it;
+//!   [`idle`]: its sleeps
+//! - [`tap`] and [`host`]: packets to and from the kernel
 //! - [`switch`]: the loops and ports of a switch
-// They panic where stdout or stderr cannot be written.
+// Both macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod batch;

@@ -1,26 +1,26 @@
-//! What of a packet says that it is for this switch, and where frames leave over UDP: written by
-//! whoever knows the host's addresses and routes, read by every loop.
+//! The criteria for packets to this switch, and the next hops of links over UDP. The component that
+//! knows the host's addresses and routes writes them. Every loop reads them.
 
 use gdp_wire::LocalAddress;
 use gdp_wire::table::{MAX_LINKS, link_index};
 
 use crate::carrier::{Ours, Stations};
 
-/// What this host is, as far as packets tell. Replaced as a whole when something changes.
+/// Properties of this host that packets depend on. Any change replaces the whole value.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Local {
-    /// Of GDP frames, in host order.
+    /// Ethertype of GDP frames, in host order.
     pub ethertype: u16,
-    /// Where frames over UDP arrive.
+    /// Addresses at which frames over UDP arrive.
     pub addresses: Vec<LocalAddress>,
-    /// VLANs that GDP runs on: port and id.
+    /// VLANs on which GDP runs: port and VLAN id.
     pub vlans: Vec<(u32, u16)>,
-    /// Where the datagrams of links over UDP leave, by link id.
+    /// Next hops of links over UDP, by link id.
     pub next_hops: NextHops,
 }
 
-/// By link id. At the link's index, as in the tables: a link takes the place of the one that had
-/// its index before.
+/// Next hops by link id. They are stored at the link's index, as in the tables: a new link replaces
+/// the previous link with its index.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct NextHops(Vec<Option<(u32, NextHop)>>);
 
@@ -34,7 +34,7 @@ impl NextHops {
     }
 
     pub fn set(&mut self, id: u32, hop: Option<NextHop>) {
-        // Without links over UDP there is nothing to keep.
+        // Without links over UDP, allocate nothing.
         if self.0.is_empty() && hop.is_some() {
             self.0 = vec![None; MAX_LINKS as usize];
         }
@@ -52,7 +52,7 @@ impl FromIterator<(u32, NextHop)> for NextHops {
     }
 }
 
-/// The port that a packet leaves by, and the stations it goes between.
+/// Egress port of a packet, with its MAC addresses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NextHop {
     pub port: u32,
@@ -67,7 +67,7 @@ impl NextHop {
     }
 }
 
-/// [`Local`] as packets see it that arrived at one port.
+/// [`Local`] for packets that arrived at one port.
 pub struct At<'a> {
     pub local: &'a Local,
     pub port: u32,
@@ -79,7 +79,7 @@ impl Ours for At<'_> {
     }
 
     fn is_ours(&self, address: &LocalAddress) -> bool {
-        // A host has a few.
+        // A linear search suffices, because a host has few addresses.
         self.local.addresses.contains(address)
     }
 

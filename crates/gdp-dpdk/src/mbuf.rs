@@ -1,5 +1,5 @@
-//! Packets in DPDK's memory, and the pools that they come from. An [`Mbuf`] owns its packet:
-//! dropping it gives that back, so nothing is lost on any path.
+//! Packets in DPDK's memory, and their pools. An [`Mbuf`] owns its packet and frees it on drop, so
+//! that no error path leaks memory.
 
 use std::ffi::CString;
 use std::mem::ManuallyDrop;
@@ -12,18 +12,18 @@ use gdp_wire::fetch::fetch;
 
 use crate::{DpdkError, Eal, sys};
 
-/// The largest packet that fits an mbuf, in bytes: a jumbo frame.
+/// Size in bytes of the largest packet in an mbuf: a jumbo frame.
 pub const LARGEST: usize = 9216;
 
-/// Bytes in front of a packet that arrives: what frames are dressed in on their way out takes less.
+/// Headroom in bytes in front of a received packet. Outgoing headers need less.
 const HEADROOM: u16 = sys::RTE_PKTMBUF_HEADROOM as u16;
 
-/// Mbufs that each thread keeps at hand, unless the pool is small; and half as many more for a
-/// moment.
+/// Number of mbufs in each thread's cache, unless the pool is small. A cache may briefly have half
+/// as many more.
 const CACHE: u32 = 256;
 pub(crate) const CACHED: usize = CACHE as usize * 3 / 2;
 
-/// The first fields of DPDK's `rte_mbuf`; the shim asserts that they are here.
+/// The first fields of DPDK's `rte_mbuf`. The shim asserts their offsets.
 #[repr(C)]
 pub(crate) struct Raw {
     buffer: *mut u8,
@@ -43,8 +43,7 @@ pub(crate) struct Raw {
 
 const _: () = assert!(size_of::<Raw>() == 64 && std::mem::offset_of!(Raw, buffer_length) == 54);
 
-/// Where mbufs come from. Clones are the same pool, which lives as long as anything that came from
-/// it.
+/// A pool of mbufs. Clones share the pool, which exists until its last mbuf is freed.
 #[derive(Clone)]
 pub struct Pool(Arc<PoolInner>);
 
@@ -55,13 +54,13 @@ struct PoolInner {
     _eal: Eal,
 }
 
-// SAFETY: DPDK's pools are for all threads.
+// SAFETY: DPDK's pools are thread-safe.
 unsafe impl Send for PoolInner {}
 // SAFETY: as above.
 unsafe impl Sync for PoolInner {}
 
 impl Pool {
-    /// `size`: mbufs, each with room for a packet of `largest` bytes.
+    /// Creates a pool of `size` mbufs, each with room for a packet of `largest` bytes.
     pub fn new(eal: Eal, size: u32, largest: usize) -> Result<Self, DpdkError> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let what = || format!("a pool of {size} packets of {largest} bytes");
@@ -70,7 +69,7 @@ impl Pool {
         let name = CString::new(name).map_err(|_| DpdkError::new(what(), libc::EINVAL))?;
         let room = HEADROOM + largest as u16;
         let cache = CACHE.min(size / 4);
-        // SAFETY: a name that lives during the call.
+        // SAFETY: the name outlives the call.
         let pool = unsafe { sys::gdp_pool_create(name.as_ptr(), size, cache, room) };
         let pool = NonNull::new(pool).ok_or_else(|| {
             DpdkError::last(what()).with_remedy("; give DPDK more memory (`dpdk.memory_mib`, or huge pages)")
@@ -78,34 +77,34 @@ impl Pool {
         Ok(Self(Arc::new(PoolInner { pool, size, largest, _eal: eal })))
     }
 
-    /// A packet of no bytes.
+    /// Allocates an empty packet.
     pub fn alloc(&self) -> Option<Mbuf> {
         let mut raw: *mut Raw = std::ptr::null_mut();
-        // SAFETY: room for one.
+        // SAFETY: the array has room for one pointer.
         let result = unsafe { sys::gdp_alloc(self.raw(), (&raw mut raw).cast(), 1) };
         NonNull::new(raw).filter(|_| result == 0).map(Mbuf)
     }
 
-    /// A packet that is what `of` is, without a copy of its bytes. `of` must be of one segment;
-    /// neither may be written to from now on.
+    /// Returns a packet that shares the bytes of `of` without copying. `of` must have one segment.
+    /// Neither packet may be written afterwards.
     pub(crate) fn refer(&self, of: &Mbuf) -> Option<Mbuf> {
-        // SAFETY: a live mbuf and a live pool.
+        // SAFETY: the mbuf and the pool are live.
         let raw = unsafe { sys::gdp_refer(self.raw(), of.0.as_ptr().cast()) };
         NonNull::new(raw.cast()).map(Mbuf)
     }
 
-    /// Mbufs that somebody has. Those that threads keep at hand are not among them.
+    /// Returns the number of allocated mbufs. Mbufs in thread caches are not included.
     pub fn in_use(&self) -> u32 {
-        // SAFETY: a live pool.
+        // SAFETY: the pool is live.
         unsafe { sys::rte_mempool_in_use_count(self.raw()) }
     }
 
-    /// Mbufs in all.
+    /// Returns the total number of mbufs.
     pub fn size(&self) -> u32 {
         self.0.size
     }
 
-    /// Bytes of the largest packet.
+    /// Returns the size in bytes of the largest packet.
     pub fn largest(&self) -> usize {
         self.0.largest
     }
@@ -117,34 +116,34 @@ impl Pool {
 
 impl Drop for PoolInner {
     fn drop(&mut self) {
-        // SAFETY: a live pool.
+        // SAFETY: the pool is live.
         let out = unsafe { sys::rte_mempool_in_use_count(self.pool.as_ptr()) };
         if out > 0 {
-            // Somebody still has them, and their memory.
+            // These mbufs are still in use, so their memory must remain.
             return tracing::warn!(packets = out, "the memory of packets that are still in use is not given back");
         }
-        // SAFETY: this was the last that had the pool, and none of its mbufs is out.
+        // SAFETY: this was the last reference to the pool, and all its mbufs are free.
         unsafe { sys::rte_mempool_free(self.pool.as_ptr()) };
     }
 }
 
-/// A packet, in one segment unless it was [`Self::chain`]ed.
+/// A packet, in one segment unless [`Self::chain`] added more.
 #[repr(transparent)]
 pub struct Mbuf(pub(crate) NonNull<Raw>);
 
-// SAFETY: one owner, wherever it is.
+// SAFETY: an mbuf has a single owner, on any thread.
 unsafe impl Send for Mbuf {}
 
 impl Mbuf {
-    /// The bytes of its first segment.
+    /// Returns the bytes of the first segment.
     #[inline]
     pub fn bytes(&self) -> &[u8] {
         let raw = self.raw();
-        // SAFETY: so many bytes of the buffer are the packet's, from there on.
+        // SAFETY: this range of the buffer belongs to the packet.
         unsafe { std::slice::from_raw_parts(raw.buffer.add(raw.data_offset.into()), raw.data_length.into()) }
     }
 
-    /// Brings what headers lie in into the caches, without waiting for it.
+    /// Prefetches the cache lines of the headers.
     #[inline]
     pub fn fetch(&self) {
         let raw = self.raw();
@@ -153,24 +152,24 @@ impl Mbuf {
         fetch(begin.wrapping_add(64));
     }
 
-    /// As [`Self::bytes`]; `None` if they are others' as well.
+    /// Returns the bytes as [`Self::bytes`] does; `None` if they are shared.
     #[inline]
     pub fn bytes_mut(&mut self) -> Option<&mut [u8]> {
         let raw = self.raw();
         if raw.references.load(Ordering::Relaxed) != 1 || raw.offload_flags & sys::GDP_ELSEWHERE != 0 {
             return None;
         }
-        // SAFETY: as above, and nobody else has them.
+        // SAFETY: as above, and the bytes are not shared.
         Some(unsafe { std::slice::from_raw_parts_mut(raw.buffer.add(raw.data_offset.into()), raw.data_length.into()) })
     }
 
-    /// A copy of all bytes, of all segments.
+    /// Copies the bytes of all segments.
     pub fn to_vec(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(self.len());
         let mut next = Some(self.0);
         while let Some(raw) = next {
-            // SAFETY: a live segment of this packet, and so many bytes of its buffer are the
-            // packet's.
+            // SAFETY: the segment of this packet is live, and this range of its buffer belongs to
+            // the packet.
             unsafe {
                 let raw = raw.as_ref();
                 let start = raw.buffer.add(raw.data_offset.into());
@@ -181,12 +180,12 @@ impl Mbuf {
         bytes
     }
 
-    /// Whether it is in one piece.
+    /// Returns whether the packet has only one segment.
     pub fn is_linear(&self) -> bool {
         self.raw().segments == 1
     }
 
-    /// Bytes of all segments.
+    /// Returns the length in bytes of all segments.
     pub fn len(&self) -> usize {
         self.raw().packet_length as usize
     }
@@ -195,9 +194,9 @@ impl Mbuf {
         self.len() == 0
     }
 
-    /// Has the first segment begin `front` bytes earlier, or later if that is negative, and be
-    /// `length` bytes long. For mbufs in one piece; `false`, and nothing is changed, if there is no
-    /// room.
+    /// Moves the start of the packet `front` bytes towards the headroom, or away from it if
+    /// negative, and sets its length. The packet must have one segment. Returns `false` without
+    /// changes if there is not enough room.
     #[inline]
     pub fn reshape(&mut self, front: isize, length: usize) -> bool {
         let raw = self.raw_mut();
@@ -208,15 +207,15 @@ impl Mbuf {
         raw.data_offset = offset as u16;
         raw.data_length = length as u16;
         raw.packet_length = length as u32;
-        // What a driver found out about the packet before is not true of it now.
+        // The driver's offload results no longer apply to the changed packet.
         raw.offload_flags &= sys::GDP_ELSEWHERE;
         true
     }
 
-    /// Puts another behind it. If that would be too many segments, the other is given back and it
-    /// says `false`.
+    /// Appends the segments of `tail`. If the chain would be too long, frees `tail` and returns
+    /// `false`.
     pub(crate) fn chain(&mut self, tail: Mbuf) -> bool {
-        // SAFETY: two live mbufs, of which this one owns the other from now on.
+        // SAFETY: both mbufs are live, and this mbuf owns the other from now on.
         let result = unsafe { sys::gdp_chain(self.0.as_ptr().cast(), tail.0.as_ptr().cast()) };
         if result == 0 {
             std::mem::forget(tail);
@@ -226,7 +225,7 @@ impl Mbuf {
 
     #[inline]
     fn raw(&self) -> &Raw {
-        // SAFETY: a live mbuf, whose fields only its owner changes.
+        // SAFETY: the mbuf is live, and only its owner changes its fields.
         unsafe { self.0.as_ref() }
     }
 
@@ -241,7 +240,7 @@ impl Drop for Mbuf {
     #[inline]
     fn drop(&mut self) {
         let mut raw = self.0.as_ptr();
-        // SAFETY: one mbuf, with all that is chained to it, whose owner gives it back.
+        // SAFETY: the owner frees one mbuf and all mbufs chained to it.
         unsafe { sys::gdp_free((&raw mut raw).cast(), 1) };
     }
 }
@@ -252,11 +251,11 @@ pub struct Burst {
     length: usize,
 }
 
-// SAFETY: as `Mbuf`s.
+// SAFETY: as for `Mbuf`.
 unsafe impl Send for Burst {}
 
 impl Burst {
-    /// The most there are.
+    /// Maximum number of packets.
     pub const SIZE: usize = 64;
 
     pub fn new() -> Self {
@@ -268,7 +267,7 @@ impl Burst {
         self.length == Self::SIZE
     }
 
-    /// Gives the mbuf back if there is no room for it.
+    /// Appends an mbuf. Returns the mbuf as the error if the burst is full.
     #[inline]
     pub fn push(&mut self, mbuf: Mbuf) -> Result<(), Mbuf> {
         if self.is_full() {
@@ -279,19 +278,19 @@ impl Burst {
         Ok(())
     }
 
-    /// All of them, which then belong to the caller.
+    /// Removes and returns all packets.
     #[inline]
     pub fn drain(&mut self) -> impl ExactSizeIterator<Item = Mbuf> {
         let length = std::mem::take(&mut self.length);
         Drain { mbufs: &self.mbufs[..length] }
     }
 
-    /// Gives all back.
+    /// Frees all packets.
     pub fn clear(&mut self) {
         self.release(0);
     }
 
-    /// Takes what `receive` puts into the room there is, of which it tells the number.
+    /// Appends the packets that `receive` writes to the free slots. `receive` returns their number.
     pub(crate) fn fill(&mut self, receive: impl FnOnce(*mut *mut Raw, u16) -> u16) -> usize {
         let room = Self::SIZE - self.length;
         let received = usize::from(receive(self.mbufs[self.length..].as_mut_ptr(), room as u16)).min(room);
@@ -299,8 +298,8 @@ impl Burst {
         received
     }
 
-    /// Hands all to `send`, which tells how many of the first it has taken; the others are given
-    /// back, and it tells how many these are.
+    /// Passes all packets to `send`, which returns the number of leading packets it accepted. Frees
+    /// the others and returns their number.
     pub(crate) fn empty(&mut self, send: impl FnOnce(*mut *mut Raw, u16) -> u16) -> usize {
         let sent = usize::from(send(self.mbufs.as_mut_ptr(), self.length as u16)).min(self.length);
         let lost = self.length - sent;
@@ -311,7 +310,7 @@ impl Burst {
     fn release(&mut self, from: usize) {
         let rest = &mut self.mbufs[from..self.length];
         if !rest.is_empty() {
-            // SAFETY: live mbufs that nobody else has.
+            // SAFETY: the mbufs are live, and no other code owns them.
             unsafe { sys::gdp_free(rest.as_mut_ptr().cast(), rest.len() as u32) };
         }
         self.length = 0;
@@ -328,14 +327,15 @@ impl Deref for Burst {
     type Target = [Mbuf];
 
     fn deref(&self) -> &[Mbuf] {
-        // SAFETY: so many live mbufs; `Mbuf` is transparent over a pointer that is not null.
+        // SAFETY: the array has this number of live mbufs; `Mbuf` is transparent over a non-null
+        // pointer.
         unsafe { std::slice::from_raw_parts(self.mbufs.as_ptr().cast(), self.length) }
     }
 }
 
 impl DerefMut for Burst {
     fn deref_mut(&mut self) -> &mut [Mbuf] {
-        // SAFETY: as above, and nobody else has them.
+        // SAFETY: as above, and the borrow is exclusive.
         unsafe { std::slice::from_raw_parts_mut(self.mbufs.as_mut_ptr().cast(), self.length) }
     }
 }

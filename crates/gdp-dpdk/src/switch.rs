@@ -1,8 +1,8 @@
-//! The loops, one for each core, and the ports that they share. Each receives by its own queues,
-//! forwards, and sends: a packet stays with the loop that received it.
+//! The loops, one for each core, and the ports that they share. Each loop receives from its own
+//! queues, forwards, and sends. A packet stays with the loop that received it.
 //!
-//! A loop is told of ports between two batches, and answers; so a port that was removed is used by
-//! none any more.
+//! Loops receive commands about ports between two batches, and acknowledge them. After all have
+//! acknowledged a removal, no loop uses the port.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -27,15 +27,15 @@ use crate::view::Reader;
 use crate::worker::{Command, LoopPort, Worker};
 use crate::{DpdkError, Eal};
 
-/// How the loops are set up.
+/// Configuration of the loops.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SwitchConfig {
-    /// The core of each loop; none: one loop, on whichever core it finds itself.
+    /// The core of each loop. Empty: a single loop on any core.
     pub cores: Vec<usize>,
     pub idle: Idle,
-    /// Ports there will be: as much memory there is for packets.
+    /// Number of ports, which determines the packet memory.
     pub ports: usize,
-    /// Bytes of the largest packet.
+    /// Size in bytes of the largest packet.
     pub largest: usize,
 }
 
@@ -45,7 +45,7 @@ impl Default for SwitchConfig {
     }
 }
 
-/// A switch cannot be set up.
+/// Errors of setting up a switch.
 #[derive(Debug, thiserror::Error)]
 pub enum SwitchError {
     #[error(transparent)]
@@ -58,9 +58,9 @@ pub enum SwitchError {
     Ended,
 }
 
-/// The loops of a switch, and its ports. Dropping it ends them, and lets go of the ports.
+/// The loops of a switch, and its ports. Dropping it ends the loops and releases the ports.
 pub struct Switch {
-    // Order is the order of the end.
+    // The order of the fields is the order in which they are dropped.
     ports: HashMap<u32, Served>,
     loops: Vec<Loop>,
     local: Arc<ArcSwap<Local>>,
@@ -70,7 +70,7 @@ pub struct Switch {
     eal: Eal,
 }
 
-/// A port as it is held here.
+/// A port that the switch serves.
 struct Served {
     _host: Host,
     tap: Arc<Tap>,
@@ -80,17 +80,17 @@ struct Served {
     lost: Arc<AtomicU64>,
 }
 
-/// A loop's thread.
+/// The thread of a loop.
 struct Loop {
     commands: Option<mpsc::Sender<Command>>,
     counters: Arc<[AtomicU64; Counter::COUNT]>,
     thread: Option<JoinHandle<()>>,
-    /// Of its thread, by which its processor time can be asked for.
+    /// Clock id of the thread's processor time.
     clock: Arc<AtomicI32>,
 }
 
 impl Switch {
-    /// Starts the loops, without ports. `reader`: makes each its way to the tables.
+    /// Starts the loops, without ports. `reader`: returns a reader of the tables for each loop.
     pub fn start<R: Reader>(
         eal: Eal,
         config: &SwitchConfig,
@@ -128,10 +128,10 @@ impl Switch {
         Ok(Self { ports: HashMap::new(), loops, local, host, _giver: giver, pool, eal })
     }
 
-    /// Takes a device (see [`PortConfig::device`]) over, with `interface` as the host's side of it,
-    /// made in the network namespace of the calling thread; both with this MTU. `number`: tells the
-    /// number of the port, by which links and tables know it, once the interface is there. That,
-    /// and the address of the device.
+    /// Takes over a device (see [`PortConfig::device`]) and creates `interface` as the host's
+    /// interface for it, in the network namespace of the calling thread. Both get this MTU.
+    /// `number`: returns the port number, by which links and tables refer to it, once the interface
+    /// exists. Returns the port number and the MAC address of the device.
     pub fn add_port(
         &mut self,
         device: &str,
@@ -139,7 +139,7 @@ impl Switch {
         number: impl FnOnce(&str) -> std::io::Result<u32>,
     ) -> Result<(u32, [u8; 6]), SwitchError> {
         let wanted = self.loops.len() as u16;
-        // One to send by for each loop, and one for the host.
+        // A send queue for each loop, and one for the host.
         let config = PortConfig { device: device.to_owned(), receive_queues: wanted, send_queues: wanted + 1, mtu };
         let (port, receives, sends) = Port::open(self.eal, &config, &self.pool)?;
         let fail = |source| SwitchError::Tap { interface: interface.to_owned(), device: config.device.clone(), source };
@@ -154,7 +154,7 @@ impl Switch {
             .map_err(SwitchError::Thread)?;
         let mut shares: Vec<Vec<Receive>> = self.loops.iter().map(|_| Vec::new()).collect();
         let count = shares.len();
-        // Ports with a queue each do not all go to the first loop.
+        // Ports with a single queue are spread over the loops.
         let first = self.ports.len();
         receives.into_iter().enumerate().for_each(|(i, receive)| shares[(first + i) % count].push(receive));
         let mut answers = Vec::new();
@@ -169,7 +169,7 @@ impl Switch {
         Ok((number, mac))
     }
 
-    /// Lets go of a port; an unknown one is no error.
+    /// Releases a port. An unknown port is no error.
     pub fn remove_port(&mut self, number: u32) {
         let Some(served) = self.ports.remove(&number) else { return };
         let mut answers = Vec::new();
@@ -183,7 +183,7 @@ impl Switch {
         drop(served);
     }
 
-    /// Says what of the packets is for this switch, and where links over UDP leave.
+    /// Sets the criteria for packets to this switch, and the next hops of links over UDP.
     pub fn set_local(&self, local: Local) {
         self.local.store(Arc::new(local));
     }
@@ -192,7 +192,7 @@ impl Switch {
         self.local.load_full()
     }
 
-    /// In the order of [`Counter::ALL`].
+    /// Returns the counters in the order of [`Counter::ALL`].
     pub fn counters(&self) -> Counts {
         let mut all = [0; Counter::COUNT];
         for one in &self.loops {
@@ -202,18 +202,19 @@ impl Switch {
         all
     }
 
-    /// Packets that were handed to a port's device, or its host's side, and did not leave.
+    /// Returns, for each port, the packets passed to its device or host interface that did not
+    /// leave.
     pub fn losses(&self) -> impl Iterator<Item = (u32, u64)> {
         self.ports.iter().map(|(number, served)| (*number, served.lost.load(Ordering::Relaxed)))
     }
 
-    /// What the devices have counted.
+    /// Returns the counters of the devices.
     pub fn port_counters(&self) -> impl Iterator<Item = (u32, PortCounters)> {
         self.ports.iter().map(|(number, served)| (*number, served.port.counters()))
     }
 
-    /// Has the hosts' interfaces have a carrier where their devices have one. `beside`: whether a
-    /// port has one as far as others know; not all drivers can tell.
+    /// Copies the carrier state of the devices to the host's interfaces. `beside`: returns the
+    /// carrier state of a port from another source, because some drivers cannot report it.
     pub fn follow_carriers(&mut self, beside: impl Fn(u32) -> bool) {
         for (number, served) in &mut self.ports {
             let has = served.port.has_carrier() && beside(*number);
@@ -229,7 +230,7 @@ impl Switch {
         }
     }
 
-    /// Processor time that each loop has taken.
+    /// Returns the processor time that each loop has used.
     pub fn processor_time(&self) -> Vec<Duration> {
         self.loops.iter().map(|one| read_clock(one.clock.load(Ordering::Relaxed))).collect()
     }
@@ -258,31 +259,32 @@ impl Drop for Loop {
     }
 }
 
-/// Waits until all loops have done what they were told.
+/// Waits until all loops have executed their command.
 fn wait(answers: Vec<Receiver<()>>) -> Result<(), SwitchError> {
     answers.into_iter().try_for_each(|answered| answered.recv().map_err(|_| SwitchError::Ended))
 }
 
-/// Packets that may be in the queues of all ports, on their way through the loops, and waiting for
-/// the host: with fewer, queues of sent ones could leave none to receive by.
+/// Returns the number of packet buffers that all port queues, the loops and the host queue may
+/// occupy. With fewer, transmit queues could leave no buffers for receiving.
 fn packets(ports: usize, loops: usize) -> u32 {
     let queues = ports * (loops + loops + 1) * HELD;
     let under_way = loops * (CACHED + Burst::SIZE * (ports + 2));
-    // A pool is fastest with one less than a power of two.
+    // A pool performs best with a power of two minus one.
     ((queues + under_way + WAITING).next_power_of_two() - 1) as u32
 }
 
-/// The calling thread's clock of processor time, for others to read.
+/// Returns the clock of the calling thread's processor time, which other threads can read.
 fn thread_clock() -> i32 {
     let mut clock = 0;
-    // SAFETY: of the calling thread, into a place for a number.
+    // SAFETY: the call refers to the calling thread, and writes a number to valid memory.
     unsafe { libc::pthread_getcpuclockid(libc::pthread_self(), &raw mut clock) };
     clock
 }
 
 fn read_clock(clock: i32) -> Duration {
     let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: a place for the answer; of a thread that is gone there is none, and it stays zero.
+    // SAFETY: the memory for the result is valid. For a thread that has ended, the call fails and
+    // the time stays zero.
     unsafe { libc::clock_gettime(clock, &raw mut time) };
     Duration::new(time.tv_sec as u64, time.tv_nsec as u32)
 }

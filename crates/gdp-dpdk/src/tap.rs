@@ -1,6 +1,6 @@
-//! The host's side of a port: a TAP interface. What the kernel sends there leaves by the port, and
-//! what arrives at the port and is not for this plane comes to the kernel from there, so that
-//! addresses, ARP, routes and sockets are as with any interface.
+//! The host's interface of a port: a TAP interface. Packets that the kernel sends there leave by
+//! the port. Packets that arrive at the port and are not for this plane reach the kernel through
+//! this interface. Addresses, ARP, routes and sockets therefore work as on any interface.
 
 use std::ffi::{c_char, c_int, c_short};
 use std::fs::{File, OpenOptions};
@@ -8,14 +8,16 @@ use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use std::os::unix::fs::OpenOptionsExt;
 
-/// Made in the network namespace of the calling thread; gone when it is dropped.
+/// A TAP interface in the network namespace of the thread that created it. Dropping it deletes the
+/// interface.
 pub struct Tap {
     file: File,
     name: String,
 }
 
 impl Tap {
-    /// `mtu`: bytes of the largest packet behind its Ethernet header.
+    /// Creates the interface. `mtu`: size in bytes of the largest packet without its Ethernet
+    /// header.
     pub fn create(name: &str, mac: [u8; 6], mtu: u16) -> io::Result<Self> {
         let file = OpenOptions::new().read(true).write(true).custom_flags(libc::O_NONBLOCK).open("/dev/net/tun")?;
         let mut request = request(name)?;
@@ -31,7 +33,7 @@ impl Tap {
     }
 
     fn set_up(&self, mac: [u8; 6], mtu: u16) -> io::Result<()> {
-        // SAFETY: makes a socket or nothing; the descriptor is nobody else's.
+        // SAFETY: the call makes a socket or fails, and no other code owns the descriptor.
         let socket = unsafe {
             let fd = libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0);
             if fd < 0 {
@@ -40,7 +42,7 @@ impl Tap {
             <OwnedFd as std::os::fd::FromRawFd>::from_raw_fd(fd)
         };
         let mut request = request(&self.name)?;
-        // SAFETY: plain bytes, all of which may be zero.
+        // SAFETY: the structure has only plain bytes, which may all be zero.
         let mut address: libc::sockaddr = unsafe { std::mem::zeroed() };
         address.sa_family = libc::ARPHRD_ETHER;
         address.sa_data.iter_mut().zip(mac).for_each(|(to, byte)| *to = byte as c_char);
@@ -49,27 +51,27 @@ impl Tap {
         request.ifr_ifru.ifru_mtu = mtu.into();
         control(socket.as_fd(), libc::SIOCSIFMTU, &mut request)?;
         control(socket.as_fd(), libc::SIOCGIFFLAGS, &mut request)?;
-        // SAFETY: what the kernel has just written. The others stay: without multicast DDS would
-        // not use it.
+        // SAFETY: the kernel has just written this field. The other flags remain: DDS would not use
+        // an interface without multicast.
         request.ifr_ifru.ifru_flags = unsafe { request.ifr_ifru.ifru_flags } | libc::IFF_UP as c_short;
         control(socket.as_fd(), libc::SIOCSIFFLAGS, &mut request)
     }
 
-    /// Says whether the cable is there, as the kernel is to see it; at first it is.
+    /// Sets the carrier state that the kernel sees. The interface starts with a carrier.
     pub fn set_carrier(&self, has: bool) -> io::Result<()> {
         let has = c_int::from(has);
-        // SAFETY: the operation reads one such number.
+        // SAFETY: the operation reads one number of this type.
         let result = unsafe { libc::ioctl(self.file.as_raw_fd(), libc::TUNSETCARRIER, &raw const has) };
         if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
     }
 
-    /// Gives a packet to the kernel; an error if it does not take it.
+    /// Passes a packet to the kernel; an error if the kernel does not accept it.
     pub fn write(&self, packet: &[u8]) -> io::Result<()> {
         (&self.file).write(packet).map(drop)
     }
 
-    /// A packet that the kernel sends; `None` if there is none now. What does not fit into `room`
-    /// is cut off.
+    /// Reads a packet that the kernel sends; `None` if there is none now. Bytes beyond the length
+    /// of `room` are cut off.
     pub fn read(&self, room: &mut [u8]) -> io::Result<Option<usize>> {
         match (&self.file).read(room) {
             Ok(length) => Ok(Some(length)),
@@ -86,9 +88,9 @@ impl AsFd for Tap {
 }
 
 fn request(name: &str) -> io::Result<libc::ifreq> {
-    // SAFETY: plain bytes, all of which may be zero.
+    // SAFETY: the structure has only plain bytes, which may all be zero.
     let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
-    // With the null byte at its end.
+    // The name needs a terminating zero byte.
     if name.is_empty() || name.len() >= request.ifr_name.len() {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, format!("{name:?} is no name of an interface")));
     }
@@ -97,7 +99,7 @@ fn request(name: &str) -> io::Result<libc::ifreq> {
 }
 
 fn control(fd: BorrowedFd<'_>, operation: libc::Ioctl, request: &mut libc::ifreq) -> io::Result<()> {
-    // SAFETY: these operations read and write one such structure.
+    // SAFETY: these operations read and write one structure of this type.
     let result = unsafe { libc::ioctl(fd.as_raw_fd(), operation, std::ptr::from_mut(request)) };
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
 }

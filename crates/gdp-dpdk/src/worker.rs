@@ -1,4 +1,4 @@
-//! A loop: it asks its queues for packets, forwards what there is, and sends.
+//! A loop: polls its queues for packets, forwards them, and sends.
 
 use crate::lane::TxLane;
 use std::sync::Arc;
@@ -17,10 +17,10 @@ use crate::mbuf::{Burst, Mbuf, Pool};
 use crate::port::Receive;
 use crate::view::Reader;
 
-/// Rounds in vain after which a loop looks at the tables all the same.
+/// Number of empty rounds after which a loop enters the tables anyway.
 const LOOK: u32 = 512;
 
-/// What a loop is told.
+/// Command to a loop.
 pub enum Command {
     Add(Box<LoopPort>, SyncSender<()>),
     Remove(u32, SyncSender<()>),
@@ -33,14 +33,14 @@ pub struct LoopPort {
     pub lane: TxLane,
 }
 
-/// A loop.
+/// State of a loop.
 pub struct Worker<R> {
     told: Receiver<Command>,
     reader: R,
     local: Arc<ArcSwap<Local>>,
     forwarding: Forwarding,
     out: Out,
-    /// Queues, each with the place of its port among the lanes.
+    /// Receive queues, each with the index of its port among the lanes.
     receives: Vec<(usize, Receive)>,
     numbers: Vec<u32>,
     counters: Arc<[AtomicU64; Counter::COUNT]>,
@@ -68,8 +68,8 @@ impl<R: Reader> Worker<R> {
         }
     }
 
-    /// Until nobody can tell it anything any more, on this thread, and on this core if one is
-    /// given.
+    /// Runs the loop on this thread until all command senders are dropped. Binds the thread to
+    /// `core`, if given.
     pub fn run(mut self, eal: Eal, core: Option<usize>) {
         core.into_iter().for_each(bind_to);
         sleep_exactly();
@@ -97,7 +97,7 @@ impl<R: Reader> Worker<R> {
                 let tables = (&self.reader.enter(), &**local.load());
                 self.forwarding.run(at, &mut burst, tables, &mut self.out, &mut counts);
                 for (counter, count) in self.counters.iter().zip(counts).filter(|(_, count)| *count > 0) {
-                    // Nobody else writes it.
+                    // This thread is the only writer.
                     counter.store(counter.load(Ordering::Relaxed) + count, Ordering::Relaxed);
                 }
             }
@@ -106,7 +106,7 @@ impl<R: Reader> Worker<R> {
             }
             vain = if any { 0 } else { vain.wrapping_add(1) };
             if vain % LOOK == LOOK - 1 {
-                // What is gone from the tables may go from memory.
+                // Allow removed table entries to be freed.
                 drop(self.reader.enter());
                 local.load();
             }
@@ -141,11 +141,11 @@ impl<R: Reader> Worker<R> {
     }
 }
 
-/// Where a loop's packets go.
+/// Egress of a loop's packets.
 struct Out {
     lanes: Vec<(u32, TxLane)>,
     host: ToHost,
-    /// The place of the port that packets come from now.
+    /// Index of the port whose packets are being processed.
     from: usize,
 }
 
@@ -161,7 +161,7 @@ impl Out {
 
 impl Sink for Out {
     fn send(&mut self, port: u32, mbuf: Mbuf) {
-        // It is there: nothing is decided to leave by another.
+        // The lane exists, because decisions select only existing ports.
         if let Some(lane) = self.lane(port) {
             lane.send(mbuf);
         }
@@ -182,7 +182,7 @@ impl Sink for Out {
 
 /// Binds the calling thread to a core.
 fn bind_to(core: usize) {
-    // SAFETY: a plain set of bits, all of which may be zero, and its size.
+    // SAFETY: the set has only plain bits, which may all be zero, and the size matches.
     let result = unsafe {
         let mut set: libc::cpu_set_t = std::mem::zeroed();
         libc::CPU_SET(core, &mut set);

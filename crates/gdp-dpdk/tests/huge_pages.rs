@@ -1,5 +1,5 @@
-//! DPDK in huge pages; needs root, to reserve some for as long as it runs. A process of its own,
-//! because DPDK begins once in each.
+//! DPDK with huge pages. The test needs root to reserve huge pages while it runs. It is a separate
+//! process, because each process can initialize DPDK only once.
 
 use std::fs;
 use std::time::Duration;
@@ -8,10 +8,10 @@ use gdp_dpdk::{Burst, Eal, EalConfig, Memory, Pool, Port, PortConfig};
 
 const RESERVED: &str = "/proc/sys/vm/nr_hugepages";
 
-/// Those that DPDK is to have.
+/// Number of huge pages for DPDK.
 const WANTED: u64 = 48;
 
-/// Huge pages that were reserved beside what was there before.
+/// Huge pages reserved in addition to the existing number.
 struct Pages {
     before: u64,
 }
@@ -20,7 +20,7 @@ impl Pages {
     fn reserve() -> Self {
         let before = count("HugePages_Total:");
         let pages = Self { before };
-        // Memory that was in use may be in small pieces.
+        // Used memory may be fragmented, so try several times.
         for _ in 0..10 {
             fs::write(RESERVED, (before + WANTED).to_string()).expect("root reserves huge pages");
             if count("HugePages_Free:") >= WANTED {
@@ -36,12 +36,12 @@ impl Pages {
 
 impl Drop for Pages {
     fn drop(&mut self) {
-        // What DPDK has is given back when this process ends.
+        // DPDK's pages are freed when this process ends.
         fs::write(RESERVED, self.before.to_string()).expect("root gives huge pages back");
     }
 }
 
-/// What the kernel says of its memory.
+/// Returns a value from the kernel's memory statistics.
 fn count(of: &str) -> u64 {
     let all = fs::read_to_string("/proc/meminfo").unwrap();
     let line = all.lines().find_map(|line| line.strip_prefix(of));
@@ -54,7 +54,7 @@ fn packets_lie_in_huge_pages_and_none_is_lost() {
     let free = count("HugePages_Free:");
     let eal = Eal::begin(&EalConfig { memory: Memory::HugePages, pci: Vec::new() }).expect("DPDK begins");
     let pool = Pool::new(eal, 16383, 2048).unwrap();
-    // Its packets alone take more.
+    // The packets alone need more.
     assert!(free - count("HugePages_Free:") >= 16, "{} of {free} are free", count("HugePages_Free:"));
 
     let device = PortConfig { device: "net_null0,size=200".into(), receive_queues: 1, send_queues: 1, mtu: 1500 };

@@ -1,10 +1,11 @@
-//! Packets through devices that need no network: none is lost on any path, as the pools' counts
-//! say.
+//! Sends packets through devices that need no network. The pools' counts prove that no path leaks
+//! packets.
 
 use gdp_dpdk::{Burst, Eal, EalConfig, Pool, Port, PortConfig};
 use parking_lot::{Mutex, MutexGuard};
 
-/// DPDK's process is one; what is counted here must be nobody else's.
+/// Lets one test run at a time: the process has a single DPDK, and the counts must come from one
+/// test.
 static TURN: Mutex<()> = Mutex::new(());
 
 fn begin() -> (Eal, MutexGuard<'static, ()>) {
@@ -60,13 +61,13 @@ fn nothing_is_lost_in_a_ring_or_with_a_port_that_goes() {
             let mut got = Burst::new();
             assert_eq!(receive.receive(&mut got) + lost, Burst::SIZE);
             assert!(got.iter().all(|mbuf| mbuf.len() == 60 + round));
-            // Half is dropped by the burst, half by whoever drained it.
+            // The burst drops half of the packets, and the caller of `drain` drops the other half.
             if round % 2 == 0 {
                 assert_eq!(got.drain().take(5).count(), 5);
             }
         }
         assert_eq!(port.counters().sent, 6400);
-        // Some are left in the device.
+        // Some packets remain in the device.
         let mut burst = Burst::new();
         burst.push(pool.alloc().unwrap()).ok().unwrap();
         assert_eq!(send.send(&mut burst), 0);
@@ -77,7 +78,7 @@ fn nothing_is_lost_in_a_ring_or_with_a_port_that_goes() {
     }
 }
 
-/// A second port would be the first one, and close it.
+/// A second port would be the same device, and would close it.
 #[test]
 fn a_device_is_opened_once() {
     let (eal, _turn) = begin();
@@ -91,7 +92,7 @@ fn a_device_is_opened_once() {
     assert!(receives[0].receive(&mut burst) > 0 && burst[0].len() == 128);
 }
 
-/// Their memory is theirs, though nobody has the pool any more.
+/// Packets retain their memory after the last reference to the pool is dropped.
 #[test]
 fn packets_outlive_their_pool() {
     let (eal, _turn) = begin();

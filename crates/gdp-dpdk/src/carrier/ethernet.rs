@@ -1,4 +1,4 @@
-//! Frames as payload of Ethernet, with an IEEE 802.1Q tag or without.
+//! Frames as payload of Ethernet, with or without an IEEE 802.1Q tag.
 
 use gdp_wire::packet::{self, ETHERNET_LEN, TAGGED_LEN, VLAN};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
@@ -14,20 +14,21 @@ struct Tagged {
     tag: packet::Tag<[u8; 2]>,
 }
 
-/// In host order; `None` if there is no whole header.
+/// Returns the ethertype in host order; `None` if the header is incomplete.
 #[inline(always)]
 pub fn ethertype(packet: &[u8]) -> Option<u16> {
     Ethernet::ref_from_prefix(packet).ok().map(|(header, _)| header.ethertype())
 }
 
-/// In a packet that has a whole header.
+/// Returns the frame in a packet with a complete header.
 #[inline(always)]
 pub fn find(packet: &[u8]) -> FrameLocation {
     let available = packet.len().saturating_sub(ETHERNET_LEN);
     FrameLocation { at: ETHERNET_LEN, available, over_udp: false, traffic: 0 }
 }
 
-/// A tagged frame is ours on a VLAN that GDP runs on; others, IP among them, are the host's.
+/// Returns the frame in a tagged packet on a VLAN on which GDP runs. Other tagged packets,
+/// including IP, go to the host.
 #[inline]
 pub fn find_tagged(packet: &[u8], ours: &impl Ours) -> Option<FrameLocation> {
     let (Tagged { tag, .. }, rest) = Tagged::ref_from_prefix(packet).ok()?;
@@ -42,7 +43,7 @@ pub fn encapsulate(front: &mut [u8], stations: Stations<'_>, ethertype: u16) {
     }
 }
 
-/// The priority is the traffic class: the high three bits of `traffic`.
+/// Writes a tagged header. Its priority is the traffic class: the high three bits of `traffic`.
 #[inline]
 pub fn encapsulate_tagged(front: &mut [u8], vlan: u16, stations: Stations<'_>, traffic: u8, ethertype: u16) {
     if let Ok(front) = Tagged::mut_from_bytes(front) {

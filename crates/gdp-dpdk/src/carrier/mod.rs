@@ -1,9 +1,9 @@
-//! What carries a GDP frame in a packet: how it is taken off ([`find`]) and put on
-//! ([`encapsulate`]). One file for each carrier.
+//! Encapsulation of GDP frames in packets: [`find`] removes it and [`encapsulate`] adds it. Each
+//! carrier has its own file.
 //!
-//! The semantics are those of the XDP programs (`gdp-ebpf/src/carrier`): exactly what they take for
-//! frames is taken here, and all else is the host's. Packets are byte slices; nothing here
-//! allocates, and no input makes it panic.
+//! The semantics are those of the XDP programs (`gdp-ebpf/src/carrier`): both accept exactly the
+//! same packets as frames, and all others go to the host. Packets are byte slices. This module does
+//! not allocate, and no input makes it panic.
 
 mod checksum;
 mod ethernet;
@@ -15,10 +15,11 @@ pub use crate::carrier::packet::{FrameLocation, Ours, Payload, Stations};
 use gdp_wire::Carrier;
 use gdp_wire::packet::{ETHERNET_LEN, IPV4, IPV6, TAGGED_LEN, UDP4_LEN, UDP6_LEN, VLAN};
 
-/// Bytes of the longest headers that [`encapsulate`] writes.
+/// Length in bytes of the longest headers that [`encapsulate`] writes.
 pub const MAX_LEN: usize = UDP6_LEN;
 
-/// The frame in a whole packet, from its Ethernet header on; `None` if it is none of ours.
+/// Returns the frame in a whole packet with its Ethernet header; `None` if the packet has no frame
+/// to this switch.
 #[inline(always)]
 pub fn find(packet: &[u8], ours: &impl Ours) -> Option<FrameLocation> {
     let found = ethernet::ethertype(packet)?;
@@ -33,7 +34,7 @@ pub fn find(packet: &[u8], ours: &impl Ours) -> Option<FrameLocation> {
     }
 }
 
-/// Bytes in front of a frame that this carries: 14, 18, 42 or 62.
+/// Returns the length in bytes of this carrier's headers: 14, 18, 42 or 62.
 #[inline(always)]
 pub fn len(carrier: &Carrier) -> usize {
     match carrier.kind {
@@ -44,7 +45,7 @@ pub fn len(carrier: &Carrier) -> usize {
     }
 }
 
-/// Whether the headers of this carrier have a checksum that is over the frame as well.
+/// Returns whether the headers of this carrier have a checksum that also covers the frame.
 #[inline]
 pub fn has_checksum(carrier: &Carrier) -> bool {
     match carrier.kind {
@@ -54,12 +55,11 @@ pub fn has_checksum(carrier: &Carrier) -> bool {
     }
 }
 
-/// Writes the headers in front of `frame`, which goes to the peer of `carrier`. `traffic`: as
-/// [`gdp_wire::Header::ip_traffic`] says; `ethertype`: of GDP frames, in host order. A `front` that
-/// has not [`len`] bytes stays as it is.
+/// Writes the headers in front of `frame`, which goes to the peer of `carrier`. `traffic`: the
+/// value of [`gdp_wire::Header::ip_traffic`]. `ethertype`: ethertype of GDP frames, in host order.
+/// A `front` whose length is not [`len`] bytes stays unchanged.
 ///
-/// The frame must be one that the link takes: over UDP no longer than 65 507 bytes, which is what
-/// the length fields of IPv4 can tell.
+/// The frame must fit the link: over UDP at most 65 507 bytes, the limit of the IPv4 length fields.
 #[inline]
 pub fn encapsulate(
     front: &mut [u8],

@@ -1,8 +1,8 @@
-//! Frames as payload of UDP over IPv6, without a checksum to peers that take such datagrams (RFC
+//! Frames as payload of UDP over IPv6. Datagrams have no checksum if the peer accepts that (RFC
 //! 6936).
 //!
-//! What arrives is looked at as in [`super::udp4`]; extension headers, fragments among them, are
-//! the host's.
+//! Received packets are checked as in [`super::udp4`]. Packets with extension headers, including
+//! fragments, go to the host.
 
 use gdp_wire::Carrier;
 use gdp_wire::packet::{self, ETHERNET_LEN, IPV6, UDP6_LEN};

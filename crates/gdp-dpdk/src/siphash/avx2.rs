@@ -43,25 +43,26 @@ fn rotate_half(a: Vector) -> Vector {
     _mm256_shuffle_epi32::<0b10_11_00_01>(a)
 }
 
-/// Of at least so many words.
+/// Loads from at least [`LANES`] words.
 #[target_feature(enable = "avx2")]
 #[inline]
 fn load(words: &[u64]) -> Vector {
     let words = &words[..LANES];
-    // SAFETY: 32 bytes to read, of any alignment.
+    // SAFETY: 32 bytes are readable, with any alignment.
     unsafe { _mm256_loadu_si256(words.as_ptr().cast()) }
 }
 
-/// To at least so many words.
+/// Stores to at least [`LANES`] words.
 #[target_feature(enable = "avx2")]
 #[inline]
 fn store(a: Vector, words: &mut [u64]) {
     let words = &mut words[..LANES];
-    // SAFETY: 32 bytes to write, of any alignment.
+    // SAFETY: 32 bytes are writable, with any alignment.
     unsafe { _mm256_storeu_si256(words.as_mut_ptr().cast(), a) };
 }
 
-/// The first words of all headers, the second ones, and so on, without their tags.
+/// Returns a vector of the first words of all headers, a vector of the second words, and so on,
+/// without their tags.
 #[target_feature(enable = "avx2")]
 #[inline]
 fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; 11] {
@@ -71,8 +72,8 @@ fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; 11] {
     [w0, w1, w3, w4, w5, w6, w7, w8, w9, w10, w11]
 }
 
-/// The words from `FROM` (0 … 8) on of all headers, transposed: row `i` is what were the words at
-/// place `i` of the rows.
+/// Transposes four words from `FROM` (0 … 8) on of all headers: vector `i` contains word `FROM + i`
+/// of each header.
 #[target_feature(enable = "avx2")]
 #[inline]
 fn columns<const FROM: usize>(headers: [&[u64; 12]; LANES]) -> [Vector; 4] {
@@ -81,7 +82,7 @@ fn columns<const FROM: usize>(headers: [&[u64; 12]; LANES]) -> [Vector; 4] {
         *row = load(&header[FROM..]);
     }
     let [a, b, c, d] = rows;
-    // Of two rows each: the words at places 0 and 2, and at 1 and 3.
+    // For each pair of rows: the words at positions 0 and 2, and at 1 and 3.
     let [ab02, ab13] = [_mm256_unpacklo_epi64(a, b), _mm256_unpackhi_epi64(a, b)];
     let [cd02, cd13] = [_mm256_unpacklo_epi64(c, d), _mm256_unpackhi_epi64(c, d)];
     [

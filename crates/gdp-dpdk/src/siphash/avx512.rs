@@ -42,25 +42,26 @@ fn rotate_half(a: Vector) -> Vector {
     rotate::<32>(a)
 }
 
-/// Of at least so many words.
+/// Loads from at least [`LANES`] words.
 #[target_feature(enable = "avx512f")]
 #[inline]
 fn load(words: &[u64]) -> Vector {
     let words = &words[..LANES];
-    // SAFETY: 64 bytes to read, of any alignment.
+    // SAFETY: 64 bytes are readable, with any alignment.
     unsafe { _mm512_loadu_si512(words.as_ptr().cast()) }
 }
 
-/// To at least so many words.
+/// Stores to at least [`LANES`] words.
 #[target_feature(enable = "avx512f")]
 #[inline]
 fn store(a: Vector, words: &mut [u64]) {
     let words = &mut words[..LANES];
-    // SAFETY: 64 bytes to write, of any alignment.
+    // SAFETY: 64 bytes are writable, with any alignment.
     unsafe { _mm512_storeu_si512(words.as_mut_ptr().cast(), a) };
 }
 
-/// The first words of all headers, the second ones, and so on, without their tags.
+/// Returns a vector of the first words of all headers, a vector of the second words, and so on,
+/// without their tags.
 #[target_feature(enable = "avx512f")]
 #[inline]
 fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; 11] {
@@ -69,7 +70,7 @@ fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; 11] {
     [w0, w1, w3, w4, w5, w6, w7, w8, w9, w10, w11]
 }
 
-/// The words from `FROM` (0 … 4) on of all headers, transposed.
+/// Transposes eight words from `FROM` (0 … 4) on of all headers.
 #[target_feature(enable = "avx512f")]
 #[inline]
 fn columns<const FROM: usize>(headers: [&[u64; 12]; LANES]) -> [Vector; 8] {
@@ -80,11 +81,11 @@ fn columns<const FROM: usize>(headers: [&[u64; 12]; LANES]) -> [Vector; 8] {
     transpose(rows)
 }
 
-/// Makes row `i` of what were the words at place `i` of the rows.
+/// Transposes the rows: row `i` of the result contains word `i` of each row.
 #[target_feature(enable = "avx512f")]
 #[inline]
 fn transpose([a, b, c, d, e, f, g, h]: [Vector; 8]) -> [Vector; 8] {
-    // Of two rows each: the words at even places (0, 2, 4, 6), and at odd ones.
+    // For each pair of rows: the words at even positions (0, 2, 4, 6), and at odd positions.
     let even = [
         _mm512_unpacklo_epi64(a, b),
         _mm512_unpacklo_epi64(c, d),
@@ -101,11 +102,11 @@ fn transpose([a, b, c, d, e, f, g, h]: [Vector; 8]) -> [Vector; 8] {
     [r0, r1, r2, r3, r4, r5, r6, r7]
 }
 
-/// The same with pairs of words.
+/// Transposes pairs of words.
 #[target_feature(enable = "avx512f")]
 #[inline]
 fn transpose_pairs([a, b, c, d]: [Vector; 4]) -> [Vector; 4] {
-    // Of two rows each: the pairs at places 0 and 2, and at 1 and 3.
+    // For each pair of rows: the pairs at positions 0 and 2, and at 1 and 3.
     let [ab02, ab13] = [_mm512_shuffle_i64x2::<0b10_00_10_00>(a, b), _mm512_shuffle_i64x2::<0b11_01_11_01>(a, b)];
     let [cd02, cd13] = [_mm512_shuffle_i64x2::<0b10_00_10_00>(c, d), _mm512_shuffle_i64x2::<0b11_01_11_01>(c, d)];
     [

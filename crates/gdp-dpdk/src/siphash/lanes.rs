@@ -1,18 +1,18 @@
 //! SipHash-2-4 in the lanes of vectors, for vectors of any width.
 
-/// The constants that a key is mixed with (Aumasson and Bernstein, "SipHash", section 2.1).
+/// The constants that are mixed with a key (Aumasson and Bernstein, "SipHash", section 2.1).
 pub const INITIAL: [u64; 4] =
     [0x736f_6d65_7073_6575, 0x646f_7261_6e64_6f6d, 0x6c79_6765_6e65_7261, 0x7465_6462_7974_6573];
 
-/// The last word that is mixed in: how many bytes there are, modulo 256, in its highest byte.
+/// The final word of the input: the number of bytes modulo 256 in its highest byte.
 pub const LENGTH: u64 = (11 * 8) << 56;
 
-/// Defines `make` for vectors of one kind. In scope: `Vector`; `LANES`, how many words it has; and,
-/// for CPUs with the feature, `splat`, `add`, `xor`, `rotate` (to the left, by a constant),
-/// `rotate_half` (by 32), `load`, `load_words` and `store`.
+/// Defines `make` for one kind of vector. The scope must contain `Vector` and its number of words,
+/// `LANES`. For CPUs with the feature it must also contain `splat`, `add`, `xor`, `rotate` (left,
+/// by a constant), `rotate_half` (by 32), `load`, `load_words` and `store`.
 macro_rules! in_lanes {
     ($feature:literal) => {
-        /// The state of one hash in each lane.
+        /// State of one hash in each lane.
         #[derive(Clone, Copy)]
         struct State([Vector; 4]);
 
@@ -58,9 +58,9 @@ macro_rules! in_lanes {
             }
         }
 
-        /// As many hashes as `GROUPS` have lanes, of what was added from `first` on, in interleaved
-        /// groups: where one has to wait for what it last computed, another goes on. Lanes behind
-        /// the last that was added hash something.
+        /// Computes `GROUPS * LANES` hashes of the entries from `first` on, in interleaved groups.
+        /// While one group waits for its last result, another continues. Lanes after the last entry
+        /// compute unused hashes.
         #[target_feature(enable = $feature)]
         #[inline]
         fn hash<const GROUPS: usize>(first: usize, of: &mut Tags, headers: &[Header]) {
@@ -99,14 +99,14 @@ macro_rules! in_lanes {
             }
         }
 
-        /// As [`super::tags::Tags`].
+        /// Computes the tags, as `Tags::make` does.
         #[target_feature(enable = $feature)]
         pub fn make(of: &mut Tags, headers: &[Header]) {
             const BOTH: usize = 2 * LANES;
             const { assert!(Tags::SIZE % BOTH == 0) };
             for first in (0..of.length).step_by(BOTH) {
                 match of.length - first {
-                    // Sooner done without vectors.
+                    // A single tag is faster without vectors.
                     1 => of.make_one(first, headers),
                     2..=LANES => hash::<1>(first, of, headers),
                     _ => hash::<2>(first, of, headers),

@@ -1,6 +1,6 @@
-//! Hop tags of many frames at once: SipHash-2-4 in the lanes of vectors. What a tag is,
-//! [`Header::tag_for`] says; here is the same function for frames that came in one burst, whose
-//! tags do not depend on each other.
+//! Hop tags of many frames at once: SipHash-2-4 in the lanes of vectors. [`Header::tag_for`]
+//! defines the tag. This module computes the same function for the frames of one burst, whose tags
+//! are independent of each other.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -14,7 +14,7 @@ use gdp_wire::Header;
 pub use tags::Tags;
 
 impl Tags {
-    /// Makes the tags of all that were added, with these headers.
+    /// Computes the tags of all added entries from these headers.
     #[inline]
     pub fn make(&mut self, headers: &[Header]) {
         #[cfg(target_arch = "x86_64")]

@@ -1,23 +1,23 @@
-//! The frames whose tags are wanted, and their tags.
+//! A batch of tags to compute, and the results.
 
 use crate::Burst;
 use gdp_wire::Header;
 
-/// Frames whose tags are wanted, at most [`Self::SIZE`], and their tags. In columns, which lanes
-/// load as they lie; the words of the headers are not copied.
+/// Inputs of at most [`Self::SIZE`] tags, and the tags. They are stored in columns, which lanes
+/// load directly. The words of the headers are not copied.
 pub struct Tags {
     pub length: usize,
     pub keys: [[u64; Self::SIZE]; 2],
     pub counts: [u64; Self::SIZE],
-    /// What the high 32 bits of the count change in the word with the link.
+    /// The bits that the high 32 bits of the count change in the word with the link.
     pub highs: [u64; Self::SIZE],
-    /// Of the headers.
+    /// Indices of the headers.
     pub places: [u32; Self::SIZE],
     pub tags: [u64; Self::SIZE],
 }
 
 impl Tags {
-    /// The most there are.
+    /// Maximum number of tags.
     pub const SIZE: usize = Burst::SIZE;
 
     pub const fn new() -> Self {
@@ -30,8 +30,8 @@ impl Tags {
         self.length = 0;
     }
 
-    /// Wants the tag of the header at `place`, for a frame that is the `count`th of a link with
-    /// this key. There must be room.
+    /// Adds the header at index `place`, for frame number `count` of a link with this key. The
+    /// batch must not be full.
     #[inline]
     pub fn add(&mut self, place: u32, key: [u64; 2], count: u64) {
         let i = self.length;
@@ -41,20 +41,20 @@ impl Tags {
         self.length += 1;
     }
 
-    /// Those that were made, in the order that they were wanted in.
+    /// Returns the computed tags, in the order in which they were added.
     #[inline]
     pub fn tags(&self) -> &[u64] {
         &self.tags[..self.length]
     }
 
-    /// The tag that was made of what was added `i`th, if it was from this key and count.
+    /// Returns the tag of entry `i`, if it was computed from this key and count.
     #[inline]
     pub fn made_from(&self, i: usize, key: [u64; 2], count: u64) -> Option<u64> {
         let same = self.keys[0][i] == key[0] && self.keys[1][i] == key[1] && self.counts[i] == count;
         same.then_some(self.tags[i])
     }
 
-    /// As [`Self::make`], on any CPU.
+    /// Computes the tags as [`Self::make`] does, on any CPU.
     pub fn make_each(&mut self, headers: &[Header]) {
         (0..self.length).for_each(|i| self.make_one(i, headers));
     }

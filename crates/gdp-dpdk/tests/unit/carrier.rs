@@ -1,4 +1,4 @@
-//! Carriers against a reader and a writer of the RFCs that go byte by byte: the tests' own.
+//! Compares carriers with the tests' own bytewise reader and writer of the RFCs.
 
 #[path = "../../../../tests/src/frames/carrier.rs"]
 mod rfc;
@@ -27,7 +27,7 @@ fn own_addresses() -> [SocketAddr; 3] {
     ["192.0.2.1:31415", "10.255.0.128:7", "[2001:db8::ff00:1]:31415"].map(address)
 }
 
-/// What the switch of these tests has.
+/// Addresses and VLANs of the switch in these tests.
 struct Own;
 
 impl Ours for Own {
@@ -44,7 +44,7 @@ impl Ours for Own {
     }
 }
 
-/// What the reader of the RFCs finds.
+/// Returns the frame that the reader of the RFCs finds.
 fn expected(packet: &[u8]) -> Option<FrameLocation> {
     let place = rfc::find(packet, ETHERTYPE, &own_addresses(), &VLANS)?;
     let rfc::Place { at, length, over_udp, class } = place;
@@ -75,7 +75,7 @@ fn over_udp(from: &str, to: &str, class: u8) -> rfc::Carrier {
     rfc::Carrier::Udp { from: address(from), to: address(to), class }
 }
 
-/// Packets with a frame of so many bytes, by each carrier, that are ours.
+/// Returns packets to this switch with the frame, one for each carrier.
 fn packets(frame: &[u8]) -> Vec<Vec<u8>> {
     let carriers = [
         rfc::Carrier::Ethernet,
@@ -116,10 +116,10 @@ fn padding_is_behind_a_datagram_and_in_what_is_on_ethernet() {
     }
 }
 
-/// Of a packet: the byte at a place.
+/// A change of a packet: offset and new byte.
 type Change = (usize, u8);
 
-/// A packet with some bytes changed.
+/// Returns a packet with some bytes changed.
 fn changed(packet: &[u8], changes: &[Change]) -> Vec<u8> {
     let mut packet = packet.to_vec();
     changes.iter().for_each(|(at, byte)| packet[*at] = *byte);
@@ -129,7 +129,7 @@ fn changed(packet: &[u8], changes: &[Change]) -> Vec<u8> {
 #[test]
 fn what_is_malformed_is_the_hosts() {
     let [_, tagged, _, v4, _, v6] = packets(&[0x10; 100]).try_into().unwrap();
-    // Of IPv4 128 bytes are told, of UDP 108.
+    // The IPv4 header states 128 bytes, the UDP header 108.
     let cases: [(&str, &[u8], &[Change]); 27] = [
         ("another VLAN", &tagged, &[(15, 6)]),
         ("another VLAN, in the high bits", &tagged, &[(14, 0x01)]),
@@ -221,7 +221,7 @@ fn udp_carrier(from: &str, to: &str, flags: u8) -> Carrier {
     Carrier { kind, flags, peer_ip, local_ip, peer_port, local_port, ..Carrier::default() }
 }
 
-/// Carriers whose neighbour is this switch, and whether what they carry has a UDP checksum.
+/// Returns carriers from a neighbour to this switch, and whether their payload has a UDP checksum.
 fn carriers() -> Vec<(Carrier, bool)> {
     let v4 = |flags| udp_carrier("198.51.100.7:9", "192.0.2.1:31415", flags);
     let v6 = |flags| udp_carrier("[fe80::1234:5678:9abc]:50000", "[2001:db8::ff00:1]:31415", flags);
@@ -243,7 +243,7 @@ fn whole(frame: &[u8]) -> Payload<'_> {
     Payload { length: frame.len(), bytes: frame }
 }
 
-/// Where the rest of a frame is elsewhere.
+/// The remaining bytes of a frame may be elsewhere.
 #[test]
 fn without_a_checksum_the_length_of_a_frame_is_enough() {
     let frame = [7; 300];
@@ -254,14 +254,14 @@ fn without_a_checksum_the_length_of_a_frame_is_enough() {
     }
 }
 
-/// The headers, which replace what was there before.
+/// Returns the headers, which overwrite the previous contents.
 fn dressed(carrier: &Carrier, frame: &[u8], traffic: u8) -> Vec<u8> {
     let mut front = vec![0xa5; len(carrier)];
     encapsulate(&mut front, whole(frame), carrier, stations(), traffic, ETHERTYPE);
     front
 }
 
-/// What the writer of the RFCs puts in front, who knows no UDP checksums.
+/// Returns the headers from the writer of the RFCs, which does not write UDP checksums.
 fn headers(carrier: &Carrier, frame: &[u8], traffic: u8) -> Vec<u8> {
     let end = |words, port: u16| SocketAddr::new(ip_of(carrier.kind, words), u16::from_be(port));
     let by = match carrier.kind {
@@ -278,7 +278,7 @@ fn headers(carrier: &Carrier, frame: &[u8], traffic: u8) -> Vec<u8> {
     packet
 }
 
-/// The pseudo header of RFC 768 or RFC 8200 and the datagram of a packet.
+/// Returns the pseudo header of RFC 768 or RFC 8200 and the datagram of a packet.
 fn summed_up(carrier: &Carrier, packet: &[u8]) -> Vec<u8> {
     let (addresses, udp) = if carrier.kind == Carrier::UDP4 { (26..34, 34) } else { (22..54, 54) };
     let length = (packet.len() - udp) as u32;
@@ -324,7 +324,7 @@ fn a_checksum_that_comes_to_zero_is_written_as_all_ones() {
     for (carrier, _) in carriers().into_iter().filter(|(_, has_checksum)| *has_checksum) {
         let mut frame = [0x10; 98];
         frame[96..].fill(0);
-        // What is missing to a sum of 0xffff: so the checksum of the frame with it.
+        // Add the difference to a sum of 0xffff, which is the checksum of the original frame.
         let front = headers(&carrier, &frame, 0);
         let missing = rfc::internet_checksum(&summed_up(&carrier, &[&front[..], &frame].concat()));
         frame[96..].copy_from_slice(&missing.to_be_bytes());
@@ -399,7 +399,8 @@ fn folds_any_sum() {
     let mut random = Random(6);
     let edges = [0, 1, 0xffff, 0x1_0000, 0xffff_ffff, 0x1_0000_0000, u64::MAX - 1, u64::MAX, 0xffff_ffff_0000_ffff];
     for sum in edges.into_iter().chain((0..10_000).map(|_| random.next())) {
-        // The remainder modulo 2^16 - 1, whose representative of all multiples but 0 is itself.
+        // The remainder modulo 2^16 - 1, except that nonzero multiples are represented by the
+        // modulus itself.
         let expected = if sum == 0 { 0 } else { (sum - 1) % 0xffff + 1 };
         assert_eq!(u64::from(checksum::fold(sum)), expected, "{sum:#x}");
     }

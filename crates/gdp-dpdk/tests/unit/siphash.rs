@@ -1,4 +1,4 @@
-//! Each path that the CPU has, against the function for one.
+//! Compares each vector path that the CPU supports with the function for a single tag.
 
 use zerocopy::IntoBytes;
 
