@@ -1,9 +1,9 @@
-//! Links between neighbours: sockets over UDP and raw Ethernet, QUIC between authenticated
-//! entities, keys of data frames.
+//! Links between neighbours: UDP and raw Ethernet sockets, QUIC between authenticated entities, and
+//! the keys of data frames.
 //!
 //! A [`port`] owns the sockets of one interface or address; a [`link`] is one authenticated
 //! adjacency on it.
-// They panic where stdout or stderr cannot be written.
+// `print!` and `eprint!` panic when stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod link;

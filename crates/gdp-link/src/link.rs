@@ -1,10 +1,12 @@
-//! An authenticated adjacency of two entities: a QUIC connection for requests both ways, and from
-//! it the ids, the keys and the MTU of the data frames on the link. Made by [`crate::port`]; data
-//! frames themselves never pass through here.
+//! An authenticated adjacency of two entities.
 //!
-//! After the TLS handshake the side that dialled opens a stream and says [`Hello`](hello), the
-//! other answers with its own. A peer's name is derived from the key it proved in TLS and the
-//! digest in its hello, so it cannot claim another's.
+//! A link is a QUIC connection that carries requests in both directions. The ids, keys and MTU of
+//! the link's data frames follow from that connection. [`crate::port`] makes links; data frames do
+//! not pass through this module.
+//!
+//! After the TLS handshake, the dialling side opens a stream and sends its [`Hello`](hello). The
+//! other side answers with its own. A peer's name is derived from the key it proved in TLS and the
+//! digest in its hello. The peer therefore cannot claim another entity's name.
 
 mod error;
 mod hello;
@@ -55,7 +57,7 @@ pub use hello::MIN_MTU;
 pub(crate) use hello::{HelloConfig, greet_as_client, greet_as_server};
 pub(crate) use tls::{QuicMtu, SERVER_NAME, configs};
 
-/// One link. Clones are the same link; it closes when the last is dropped.
+/// One link. All clones refer to the same link, which closes when the last clone is dropped.
 #[derive(Clone)]
 pub struct Link(Arc<Inner>);
 
@@ -66,20 +68,20 @@ struct Inner {
     ratchet: StdMutex<Ratchet>,
     announcements: Mutex<mpsc::Receiver<Announcement>>,
     mtu: u32,
-    /// Whether the peer takes datagrams over IPv6 without a UDP checksum.
+    /// Whether the peer accepts datagrams over IPv6 without a UDP checksum.
     zero_checksum: bool,
     location: LinkLocation,
     connection: quinn::Connection,
     requests: Mutex<mpsc::Receiver<(Request, Responder)>>,
     streams: JoinHandle<()>,
     credentials: StdMutex<Option<Arc<Credentials>>>,
-    /// Why this side closed it.
+    /// The reason for which this side closed the link.
     closed_for: OnceLock<String>,
 }
 
 impl Link {
-    /// Derives what data frames need from a connection on which both sides have said hello, and
-    /// begins to take requests.
+    /// Derives the keys of data frames from a connection after both hellos, and starts to accept
+    /// requests.
     pub(crate) fn new(
         connection: quinn::Connection,
         location: LinkLocation,
@@ -121,23 +123,23 @@ impl Link {
         &self.0.peer
     }
 
-    /// What the peer shows of its domain; judged by nobody yet.
+    /// Returns the credentials that the peer sent for its domain. The link does not verify them.
     pub fn credentials(&self) -> Option<Arc<Credentials>> {
         self.0.credentials.lock().clone()
     }
 
-    /// The peer shows renewed papers.
+    /// Replaces the peer's credentials with renewed ones.
     pub fn set_credentials(&self, credentials: Arc<Credentials>) {
         *self.0.credentials.lock() = Some(credentials);
     }
 
-    /// The id in frames that arrive.
+    /// Returns the link id that arriving frames carry.
     pub fn local_id(&self) -> u32 {
         self.0.local_id.get()
     }
 
-    /// Largest data frame, header and payload, in bytes. Over UDP it follows what QUIC finds out
-    /// about the path.
+    /// Returns the size of the largest data frame, header and payload, in bytes. Over UDP the value
+    /// follows QUIC's path MTU discovery.
     pub fn mtu(&self) -> u32 {
         match self.0.location {
             LinkLocation::Ethernet { .. } => self.0.mtu,
@@ -145,8 +147,8 @@ impl Link {
         }
     }
 
-    /// Where data frames go. A UDP address moves when the peer did and QUIC has validated its new
-    /// path.
+    /// Returns the address that data frames are sent to. A UDP address changes after the peer has
+    /// moved and QUIC has validated the new path.
     pub fn addr(&self) -> LinkAddr {
         match self.0.location {
             LinkLocation::Ethernet { ifindex, peer_mac, .. } => LinkAddr::Ethernet { ifindex, mac: peer_mac },
@@ -157,15 +159,17 @@ impl Link {
         }
     }
 
-    /// Whether frames go by the [`HostPair`] of the switch.
+    /// Returns whether frames pass through the switch's [`HostPair`].
     pub fn is_by_pair(&self) -> bool {
         matches!(self.0.location, LinkLocation::Udp { pair: Some(_), .. })
     }
 
-    /// What carries data frames to the peer. Over UDP it follows the addresses of both sides.
+    /// Returns the carrier of data frames to the peer. Over UDP it follows the addresses of both
+    /// sides.
     pub fn carrier(&self) -> Carrier {
         let inner = &*self.0;
-        // An endpoint takes frames from a socket; a switch before the kernel would join them.
+        // An endpoint reads frames from a socket. With a UDP checksum, its kernel joins datagrams
+        // (GRO).
         let joins = if inner.peer.role == Role::Endpoint { Carrier::CHECKSUM } else { 0 };
         match inner.location {
             LinkLocation::Ethernet { vlan, local_mac, peer_mac, .. } => {
@@ -182,7 +186,7 @@ impl Link {
             },
             LinkLocation::Udp { bound, pair: None } => {
                 let peer = inner.connection.remote_address();
-                // Only the side that was dialled knows it from its peer's packets.
+                // Only the dialled side learns its address from the peer's packets.
                 let local = inner.connection.local_ip().map(|ip| ip.to_canonical());
                 let local = local.unwrap_or_else(|| udp_source(bound.ip(), peer));
                 let (kind, peer_ip) = ip_words(peer.ip().to_canonical());
@@ -193,7 +197,7 @@ impl Link {
                     peer_port: peer.port().to_be(),
                     local_port: bound.port().to_be(),
                     peer_ip,
-                    // Not known: the unspecified address.
+                    // An unknown address is the unspecified address.
                     local_ip: if local_kind == kind { local_ip } else { [0; 4] },
                     ..Carrier::default()
                 }
@@ -201,8 +205,8 @@ impl Link {
         }
     }
 
-    /// The link as a data plane holds it, with `port` as its key in a device map, and with the keys
-    /// of this moment ([`Self::keep_keys`] replaces them). A switch fills in what it reaches.
+    /// Returns the link's entry for a data plane, with `port` as the key in a device map. The entry
+    /// has the current keys; [`Self::keep_keys`] replaces them. A switch fills in `reach`.
     pub fn entry(&self, port: u32) -> LinkEntry {
         let inner = &*self.0;
         let mut entry = LinkEntry {
@@ -220,30 +224,31 @@ impl Link {
         entry
     }
 
-    /// How often the keys of frames that arrive, and of those that leave, have been replaced.
+    /// Returns how often the receive keys and the send keys have been replaced.
     pub fn key_generations(&self) -> (u64, u64) {
         self.ratchet().generations()
     }
 
-    /// Asks the peer and waits for its answer, [`REQUEST_TIMEOUT`] at most. A refusal is an answer.
+    /// Sends a request to the peer and waits at most [`REQUEST_TIMEOUT`] for the response. A
+    /// refusal counts as a response.
     pub async fn request(&self, request: &Request) -> Result<Response, LinkError> {
-        // A link that is closed says more than its streams.
+        // The reason of a closed link is more specific than the error of a stream.
         let said = |error| self.close_reason().map_or(error, LinkError::Closed);
         streams::request(&self.0.connection, request).await.map_err(said)
     }
 
-    /// The next request of the peer; `None` when the link is closed.
+    /// Returns the peer's next request, or `None` after the link has closed.
     pub async fn accept_request(&self) -> Option<(Request, Responder)> {
         self.0.requests.lock().await.recv().await
     }
 
-    /// Waits until the link is closed, by either side or by silence, and says why.
+    /// Waits until either side closes the link or the link times out, and returns the reason.
     pub async fn closed(&self) -> String {
         let error = self.0.connection.closed().await;
         self.describe(&error)
     }
 
-    /// Why the link is closed, if it is.
+    /// Returns why the link is closed, if it is closed.
     pub fn close_reason(&self) -> Option<String> {
         self.0.connection.close_reason().map(|error| self.describe(&error))
     }
@@ -255,20 +260,21 @@ impl Link {
         }
     }
 
-    /// Whether the link was lost without a word from the peer. Then what forwards its frames may go
-    /// on; see [`gdp_core::peer::GRACEFUL_RESTART_TIME`].
+    /// Returns whether the link timed out or was reset without a close from the peer. The data
+    /// planes may then continue to forward the link's frames; see
+    /// [`gdp_core::peer::GRACEFUL_RESTART_TIME`].
     pub fn fell_silent(&self) -> bool {
         use quinn::ConnectionError::{Reset, TimedOut};
         matches!(self.0.connection.close_reason(), Some(TimedOut | Reset))
     }
 
-    /// Closes the link; the peer is told why.
+    /// Closes the link and sends the reason to the peer.
     pub fn close(&self, reason: &str) {
         let _ = self.0.closed_for.set(reason.into());
         self.0.connection.close(quinn::VarInt::from_u32(0), reason.as_bytes());
     }
 
-    /// Round-trip time of the control connection.
+    /// Returns the round-trip time of the control connection.
     pub fn rtt(&self) -> Duration {
         self.0.connection.rtt()
     }
@@ -287,8 +293,8 @@ impl fmt::Debug for Link {
     }
 }
 
-/// What the keys of a direction come from. RFC 5705: the same on both sides, unknown to anybody
-/// else.
+/// Exports the secret of one direction from TLS (RFC 5705). Both sides derive the same secret,
+/// which no third party knows.
 fn export_secret(connection: &quinn::Connection, context: &[u8]) -> Result<Zeroizing<[u8; 32]>, LinkError> {
     let mut secret = Zeroizing::new([0; 32]);
     connection

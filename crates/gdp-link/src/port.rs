@@ -1,9 +1,10 @@
-//! A place links are made on: an Ethernet interface or a UDP address. A port owns the sockets, the
-//! QUIC endpoint on one of them and the [`DataSocket`] beside it. Switches open one per interface,
-//! endpoints open one.
+//! The sockets of an Ethernet interface or a UDP address, on which links are made.
 //!
-//! What is answered here needs no trust: QUIC handshakes and discovery. Who may stay is decided by
-//! the caller, which gets a [`Link`] once the peer's name is proven.
+//! A port owns the sockets, the QUIC endpoint on one of them, and the [`DataSocket`] for data
+//! frames. A switch opens one port per interface, an endpoint opens one.
+//!
+//! A port answers QUIC handshakes and discovery, which require no trust. The caller gets a [`Link`]
+//! after the peer has proved its name, and decides whether to accept it.
 
 mod addr;
 mod batch;
@@ -51,54 +52,53 @@ use handshakes::{Handshakes, MAX_HANDSHAKES, Verdict};
 pub(crate) use host::CurrentPair;
 pub use host::HostPair;
 
-/// Largest QUIC packet on Ethernet. More gains control traffic nothing, and jumbo frames may not
-/// pass everywhere.
+/// Largest QUIC packet on Ethernet. Control traffic does not gain from larger packets, and some
+/// devices do not pass jumbo frames.
 const MAX_ETHERNET_QUIC: u32 = 1472;
 
-/// What QUIC needs.
+/// Smallest Ethernet MTU that QUIC supports, with the control header.
 const MIN_ETHERNET_MTU: u32 = SMALLEST_PATH as u32 + ControlHeader::LEN as u32;
 
-/// Switches on one segment that are told of.
+/// Maximum number of switches in a discovery result.
 const MAX_ANSWERS: usize = 64;
 
-/// Between two solicitations.
+/// Interval between two solicitations.
 const SOLICIT_INTERVAL: Duration = Duration::from_millis(200);
 
-/// After the first answer, how long others may follow.
+/// Time to wait for further answers after the first one.
 const ANSWERS_SETTLE: Duration = Duration::from_millis(50);
 
-/// How a port is opened.
+/// The configuration of a port.
 #[derive(Clone)]
 pub struct PortConfig {
-    /// Whose links are made here.
+    /// The entity that the port's links belong to.
     pub identity: Identity,
     pub role: Role,
     /// Shared by all ports of an entity.
     pub link_ids: LinkIds,
-    /// Of an endpoint: which of the links it has at once are made here.
+    /// The lane of an endpoint's links on this port.
     pub lane: u8,
-    /// Of a UDP port: the interface that everything goes and comes through.
+    /// The interface that a UDP port is bound to.
     pub through: Option<String>,
-    /// Whether peers may dial in (and, on Ethernet, find this port by discovery).
+    /// Whether peers may dial in. On Ethernet, peers can then also discover this port.
     pub listen: bool,
     /// Ethertype of GDP frames.
     pub ethertype: u16,
-    /// When the keys of data frames are replaced.
+    /// The rekey schedule of data frames.
     pub rekey: RekeySchedule,
-    /// What is shown of a domain, to peers of links that are made from now on. Shared by all ports
-    /// of an entity.
+    /// The domain credentials that new links send to their peers. Shared by all ports of an entity.
     pub credentials: CurrentCredentials,
-    /// Of peers that dial in. Shared by all ports of an entity.
+    /// Counters of inbound handshakes. Shared by all ports of an entity.
     pub handshakes: HandshakeCounters,
 }
 
 impl PortConfig {
-    /// For a switch: peers dial in and discover it.
+    /// Returns the configuration for a switch: peers dial in and discover it.
     pub fn switch(identity: Identity, link_ids: LinkIds) -> Self {
         Self { listen: true, ..Self::new(identity, Role::Switch, link_ids) }
     }
 
-    /// For an endpoint: it only dials out.
+    /// Returns the configuration for an endpoint: it only dials out.
     pub fn endpoint(identity: Identity) -> Self {
         Self::new(identity, Role::Endpoint, LinkIds::new())
     }
@@ -124,7 +124,7 @@ impl PortConfig {
 /// An open port. Dropping it closes its links.
 pub struct Port {
     endpoint: Endpoint,
-    /// Of the endpoint.
+    /// The socket of `endpoint`.
     socket: Arc<dyn AsyncUdpSocket>,
     client: ClientConfig,
     hello: HelloConfig,
@@ -141,7 +141,7 @@ enum Medium {
 }
 
 impl Port {
-    /// Opens a port on an Ethernet interface of the calling thread's network namespace. Needs
+    /// Opens a port on an Ethernet interface of the calling thread's network namespace. Requires
     /// CAP_NET_RAW. Call within a tokio runtime.
     pub fn ethernet(interface: &str, config: &PortConfig) -> Result<Self, LinkError> {
         let fail = |what: &str| {
@@ -193,7 +193,7 @@ impl Port {
         // A station does not change its MAC address within a link.
         server.migration(medium.is_udp());
         let mut endpoint_config = EndpointConfig::default();
-        // The bit that tells QUIC from data frames on a shared port.
+        // The QUIC bit distinguishes QUIC packets from data frames on a shared port.
         endpoint_config.grease_quic_bit(false);
         let server = config.listen.then_some(server);
         let endpoint =
@@ -227,13 +227,14 @@ impl Port {
         })
     }
 
-    /// Makes a link to the peer at `to`; refuses any other than `expected`, if that is given.
+    /// Makes a link to the peer at `to`. Refuses a peer with another name than `expected`, if
+    /// given.
     pub async fn dial(&self, to: LinkAddr, expected: Option<Name>) -> Result<Link, LinkError> {
         self.dial_as(to, expected, &self.hello).await
     }
 
-    /// As [`Self::dial`], but if the peer is a switch on this host, frames go through its daemon
-    /// all the same.
+    /// Makes a link as [`Self::dial`] does, but without a [`HostPair`]. Frames pass through the
+    /// switch's daemon even if that switch is on this host.
     pub async fn dial_apart(&self, to: LinkAddr, expected: Option<Name>) -> Result<Link, LinkError> {
         self.dial_as(to, expected, &HelloConfig { host: None, ..self.hello.clone() }).await
     }
@@ -262,16 +263,16 @@ impl Port {
             .unwrap_or(Err(LinkError::Timeout { what: "the handshake", after: HANDSHAKE_TIMEOUT }))
     }
 
-    /// The next link a peer made, or why one could not be made; `None` once the port is closed.
-    /// Handshakes run beside each other, a bounded number for a bounded time, whether or not this
-    /// is being called.
+    /// Returns the next link that a peer made, or the error of a failed handshake; `None` after the
+    /// port has closed. Handshakes run concurrently, even if no task calls this function. Their
+    /// number and duration are bounded.
     pub async fn accept(&self) -> Option<Result<Link, LinkError>> {
         self.accepted.lock().await.recv().await
     }
 
-    /// Asks which switches are on the segment, or only where `wanted` is, until `within` is over or
-    /// answers stop coming. Whether an answer is true shows when it is dialled; several may claim
-    /// one name. Nothing to ask on UDP.
+    /// Discovers the switches on the segment, or only the switch named `wanted`. Stops after
+    /// `within`, or when answers stop arriving. Answers are not authenticated: dialling verifies
+    /// them, and several may claim one name. Returns nothing on UDP.
     pub async fn discover(&self, wanted: Option<Name>, within: Duration) -> Vec<(LinkAddr, Name)> {
         let Medium::Ethernet(interface, control) = &self.medium else { return Vec::new() };
         let end = Instant::now() + within;
@@ -301,20 +302,19 @@ impl Port {
         }
     }
 
-    /// The addresses of this machine have changed: all links show their peers at once where they
-    /// come from now, without which those would go on sending to where it was until something else
-    /// is said.
+    /// Notifies all peers of this side's current address, after the addresses of this machine have
+    /// changed. Otherwise a peer would send to the old address until this side's next packet.
     pub fn show_address(&self) -> Result<(), LinkError> {
         let rebound = self.endpoint.rebind_abstract(self.socket.clone());
         rebound.map_err(|source| LinkError::Io { what: "QUIC endpoint".into(), source })
     }
 
-    /// Where data frames of this port's links arrive and leave.
+    /// Returns the socket for data frames of this port's links.
     pub fn data(&self) -> Arc<DataSocket> {
         self.data.clone()
     }
 
-    /// The interface of an Ethernet port.
+    /// Returns the interface of an Ethernet port.
     pub fn interface(&self) -> Option<&Interface> {
         match &self.medium {
             Medium::Ethernet(interface, _) => Some(interface),
@@ -322,7 +322,7 @@ impl Port {
         }
     }
 
-    /// The address a UDP port is bound to.
+    /// Returns the address that a UDP port is bound to.
     pub fn udp_addr(&self) -> Option<SocketAddr> {
         match &self.medium {
             Medium::Ethernet(..) => None,
@@ -330,18 +330,18 @@ impl Port {
         }
     }
 
-    /// From now on endpoints on this host that dial in send their frames by this pair; or through
-    /// the daemon.
+    /// Sets the interface pair for frames of endpoints on this host that dial in from now on. With
+    /// `None`, their frames pass through the daemon.
     pub fn set_host_pair(&self, pair: Option<HostPair>) {
         self.hello.pair.set(pair);
     }
 
-    /// Largest data frame that fits this port's links, in bytes.
+    /// Returns the size of the largest data frame that fits this port's links, in bytes.
     pub fn mtu(&self) -> u32 {
         self.hello.mtu
     }
 
-    /// Closes all links, telling the peers why, and waits a moment for that to be sent.
+    /// Closes all links with this reason, and waits at most 1 s for the close messages.
     pub async fn close(&self, reason: &str) {
         self.endpoint.close(quinn::VarInt::from_u32(0), reason.as_bytes());
         let _ = timeout(Duration::from_secs(1), self.endpoint.wait_idle()).await;
@@ -407,7 +407,8 @@ async fn accept_all(
                 tracing::debug!(%from, %error, "a handshake failed");
             }
             let _ = sender.send(link).await;
-            // Not before somebody took it: links that nobody takes are bounded as well.
+            // Dropped only after the link was accepted: links that wait for [`Port::accept`] count
+            // as well.
             drop(counted);
         });
         started.runs_as(task.abort_handle());

@@ -1,4 +1,4 @@
-//! Why a link could not be made, or failed a request.
+//! Errors of links: a link could not be made, or a request on it failed.
 
 use crate::link::timing::IDLE_TIMEOUT;
 
@@ -7,7 +7,7 @@ use gdp_wire::Name;
 use std::io;
 use std::time::Duration;
 
-/// Why a link could not be made, or failed a request.
+/// The reason why a link could not be made or a request on it failed.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
     #[error("{what}: {source}")]
@@ -34,10 +34,10 @@ impl From<quinn::ConnectionError> for LinkError {
     }
 }
 
-/// Characters of a peer's reason to close a link that are shown.
+/// Maximum number of characters of a peer's close reason in messages.
 pub const MAX_REASON: usize = 600;
 
-/// What a person should read. The peer's own words are bounded and made printable.
+/// Describes why a connection closed, for a person. The peer's own text is bounded and escaped.
 pub fn close_reason(error: &quinn::ConnectionError) -> String {
     match error {
         quinn::ConnectionError::ApplicationClosed(close) => {

@@ -1,5 +1,7 @@
-//! The first exchange on a link: what TLS did not say. The side that dialled speaks first; each
-//! hello is bounded in size, the whole exchange in time (by the caller).
+//! The first exchange on a link, with the facts that TLS does not carry.
+//!
+//! The dialling side sends its hello first. The size of each hello is bounded. The caller bounds
+//! the time of the whole exchange.
 
 use super::peer_end::PeerEnd;
 use std::net::Ipv4Addr;
@@ -21,13 +23,14 @@ use gdp_proto::control;
 
 const VERSION: u8 = 5;
 
-/// Longest encoded hello, in bytes; a real one has about 100, and some 1000 with a membership.
+/// Maximum length of an encoded hello, in bytes. A typical hello has about 100 bytes, or about 1000
+/// with a membership.
 const MAX_HELLO: usize = MAX_PAPERS + 1024;
 
-/// Largest MTU that makes sense: the payload length has 16 bits.
+/// Largest valid MTU: the payload length has 16 bits.
 const MAX_MTU: u32 = Header::LEN as u32 + u16::MAX as u32;
 
-/// A link that cannot carry this is of no use.
+/// Smallest MTU of a usable link, in bytes.
 pub const MIN_MTU: u32 = 512;
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -37,50 +40,52 @@ struct Hello {
     /// The inner digest of the sender's name.
     #[serde(with = "gdp_core::cbor::array")]
     digest: [u8; 32],
-    /// The id frames to the sender must carry.
+    /// The id that frames to the sender must carry.
     link_id: u32,
-    /// Of an endpoint: which of its links this is. A link of another number replaces none.
+    /// The lane of an endpoint's link. A link with another lane replaces no existing link.
     lane: u8,
-    /// Largest data frame the sender takes on this link.
+    /// Largest data frame that the sender accepts on this link, in bytes.
     mtu: u32,
-    /// Whether the sender takes datagrams over IPv6 without a UDP checksum (RFC 6936).
+    /// Whether the sender accepts datagrams over IPv6 without a UDP checksum (RFC 6936).
     zero_checksum: bool,
-    /// Of an endpoint: the host it is on, if its socket takes datagrams at any IPv4 address of
-    /// that.
+    /// An endpoint's host id. Present only if its socket accepts datagrams at any IPv4 address of
+    /// that host.
     host: Option<u64>,
-    /// Of a switch, to an endpoint on its host: the link-local IPv4 address where frames are to be
-    /// sent to, as they will come from there, and not from where QUIC is. The ports are those of
-    /// QUIC.
+    /// The link-local IPv4 address to which an endpoint on the switch's host sends frames. Only a
+    /// switch sets it. The switch's frames come from that address too, instead of QUIC's address.
+    /// The ports are those of QUIC.
     frames_at: Option<[u8; 4]>,
-    /// What the sender shows of its domain, if it is a member of one. For who takes the link to
-    /// judge.
+    /// The sender's credentials, if the sender is a member of a domain. The user of the link
+    /// verifies them.
     #[serde(rename = "papers")]
     credentials: Option<Credentials>,
 }
 
-/// What this side says of itself.
+/// The contents of this side's hello, and the settings of the resulting link.
 #[derive(Clone)]
 pub struct HelloConfig {
     pub identity: Identity,
     pub role: Role,
-    /// See [`Hello`].
+    /// See `Hello::lane`.
     pub lane: u8,
     pub link_ids: LinkIds,
     pub mtu: u32,
-    /// See [`Hello`].
+    /// See `Hello::zero_checksum`.
     pub zero_checksum: bool,
-    /// See [`Hello`].
+    /// See `Hello::host`.
     pub host: Option<u64>,
-    /// A switch's, for endpoints on its host.
+    /// A switch's interface pair for endpoints on its host.
     pub pair: CurrentPair,
     pub credentials: CurrentCredentials,
-    /// Not said, but needed for the link that is made.
+    /// The rekey schedule of the link. The hello does not carry it.
     pub rekey: RekeySchedule,
 }
 
-/// Says hello on a connection this side dialled; `expected` is who should be there, if that is
-/// known. A peer that does not want the link may close it before its hello is read: then the error
-/// says why.
+/// Exchanges hellos on a connection that this side dialled. `expected` is the name that the peer
+/// must have, if given.
+///
+/// A peer that refuses the link may close it before this side has read the hello. The error then
+/// contains the peer's reason.
 pub async fn greet_as_client(
     connection: Connection,
     location: LinkLocation,
@@ -102,7 +107,7 @@ async fn say_and_hear(
 ) -> Result<Link, LinkError> {
     let (mut send, mut recv) = connection.open_bi().await?;
     let id = config.link_ids.allocate().ok_or(LinkError::NoFreeId)?;
-    // Nobody else is told.
+    // Only a peer on this host receives the host id.
     let is_here = || location.leads_to_this_host(connection.remote_address());
     let host = config.host.filter(|_| config.role == Role::Endpoint && is_here());
     say(&mut send, config, &id, host, None).await?;
@@ -115,15 +120,15 @@ async fn say_and_hear(
     }
     let location = match peer_end.frames_at {
         None => location,
-        // Nobody else's host can be meant.
+        // Only a switch on this host may answer with such an address.
         Some(ip) if host.is_some() && ip.is_link_local() => location.by(PairEnd::toward(ip)),
         Some(ip) => return Err(LinkError::Protocol(format!("{ip} is no place to send frames to"))),
     };
     Link::new(connection, location, (id, config.mtu), peer, peer_end, true, config.rekey)
 }
 
-/// Answers the hello of a connection the peer dialled. Nothing is allocated before the peer has
-/// proven and said who it is.
+/// Answers the hello of a connection that the peer dialled. This side allocates nothing before the
+/// peer has proved its name.
 pub async fn greet_as_server(
     connection: Connection,
     location: LinkLocation,
@@ -138,8 +143,9 @@ pub async fn greet_as_server(
     Link::new(connection, location, (id, config.mtu), peer, peer_end, false, config.rekey)
 }
 
-/// Whether the peer is an endpoint on this host. It says so; that its packets come from the address
-/// they go to shows it, because the kernel takes such packets from nobody else.
+/// Returns whether the peer is an endpoint on this host. The peer's hello claims it. The check
+/// requires that packets come from the address they go to: the kernel accepts such packets only
+/// from its own host.
 fn is_on_this_host(config: &HelloConfig, connection: &Connection, peer: &Peer, peer_end: &PeerEnd) -> bool {
     let from = connection.remote_address().ip().to_canonical();
     peer.role == Role::Endpoint
@@ -170,7 +176,7 @@ async fn say(
     streams::write_message(send, &control::encode(&hello)?).await
 }
 
-/// The peer and its end of the link.
+/// Reads the peer's hello, and returns the peer and its end of the link.
 async fn hear(recv: &mut RecvStream, connection: &Connection) -> Result<(Peer, PeerEnd), LinkError> {
     let bytes = streams::read_message(recv, MAX_HELLO).await?;
     let hello: Hello = control::decode(&bytes)?;

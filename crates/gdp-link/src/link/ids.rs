@@ -1,6 +1,8 @@
-//! The ids an entity gives its links: a table index in the low bits, random bits above it, never 0.
-//! The random part makes frames of a link that is gone miss its successor in the table, before the
-//! tag is even looked at.
+//! The ids that an entity assigns to its links: a table index in the low bits and random bits above
+//! it.
+//!
+//! An id is never 0. A frame of an earlier link has other random bits than the link that now uses
+//! the same index. The data plane drops such a frame before it verifies the tag.
 
 use std::sync::Arc;
 
@@ -9,14 +11,15 @@ use parking_lot::{Mutex, MutexGuard};
 
 use gdp_core::crypto;
 
-/// All link ids of an entity. Clones share the table.
+/// All link ids of an entity. Clones share one table.
 #[derive(Clone, Default)]
 pub struct LinkIds(Arc<Mutex<LinkIdTable>>);
 
 #[derive(Default)]
 struct LinkIdTable {
     used: Vec<bool>,
-    /// Where the search for a free index goes on, so that an index rests before it is used again.
+    /// Index at which the next search for a free index starts. A freed index thus rests before it
+    /// is used again.
     next: usize,
 }
 
@@ -25,8 +28,8 @@ impl LinkIds {
         Self::default()
     }
 
-    /// A free id, or `None` if there are [`MAX_LINKS`] links. Free again when what is returned is
-    /// dropped: keep it until no data plane holds the link any more.
+    /// Returns a free id, or `None` if there are already [`MAX_LINKS`] links. Dropping the returned
+    /// value frees the id. Retain it until no data plane contains the link any more.
     pub fn allocate(&self) -> Option<LinkId> {
         let random = u32::from_ne_bytes(crypto::random::<4>().ok()?);
         let mut table = self.lock();
@@ -38,8 +41,8 @@ impl LinkIds {
         Some(LinkId { id: high | index as u32, ids: self.clone() })
     }
 
-    /// Takes an id that is in use already, such as one a data plane holds from before a restart;
-    /// `None` if its index is taken.
+    /// Reserves an id that is already in use, such as one in a data plane from before a restart.
+    /// Returns `None` if another link uses its index.
     pub fn reserve(&self, id: u32) -> Option<LinkId> {
         let mut table = self.lock();
         table.used.resize(MAX_LINKS as usize, false);

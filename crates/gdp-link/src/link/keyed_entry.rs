@@ -1,5 +1,7 @@
-//! A link's entry for as long as user space holds it: the entry itself is plain memory, as the
-//! kernel's maps want it, and does not clear its keys. Nodes and data planes keep it in this.
+//! A link's entry in user space.
+//!
+//! [`LinkEntry`] itself is plain memory, as the kernel's maps require, and does not clear its keys.
+//! Nodes and data planes wrap it in [`KeyedEntry`].
 
 use std::fmt;
 use std::ops::{Deref, DerefMut};
@@ -7,8 +9,8 @@ use std::ops::{Deref, DerefMut};
 use gdp_wire::LinkEntry;
 use zeroize::Zeroize;
 
-/// A [`LinkEntry`] whose keys are cleared when it is dropped, as are those of a clone with the
-/// clone. Its `Debug` form leaves them out.
+/// A [`LinkEntry`] that clears its keys when it is dropped. Each clone clears its own keys. The
+/// `Debug` form omits the keys.
 #[derive(Clone, Default, PartialEq, Eq)]
 pub struct KeyedEntry(LinkEntry);
 

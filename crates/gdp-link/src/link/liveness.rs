@@ -1,34 +1,35 @@
-//! Tells a neighbour whose control plane died from one that is gone. QUIC ends in the daemon,
-//! echoes are answered by what forwards: after a link was lost by silence, the neighbour's data
-//! plane is asked until it does not answer any more.
+//! Distinguishes a neighbour without a control plane from one that is unreachable.
 //!
-//! Sans-IO: the caller has a clock, makes cookies, sends echoes and remembers the cookie of the
-//! latest answer. Answers are believed as frames are, by their tag; here it is only asked what they
-//! answer. Used by nodes (`node::supervisor`) and by switches (`gdp-daemon`).
+//! QUIC ends in the daemon; the data plane answers echoes. After a link has timed out, the caller
+//! probes the neighbour's data plane until it stops answering.
+//!
+//! Sans-IO: the caller provides the clock and cookies, sends echoes and records the cookie of the
+//! latest answer. The tag authenticates answers as it does all frames. This module only matches
+//! answers to echoes. Nodes (`node::supervisor`) and switches (`gdp-daemon`) use it.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use crate::port::LinkAddr;
 
-/// How a link is probed.
+/// The probing schedule of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pace {
-    /// Between two echoes.
+    /// Time between two echoes.
     pub interval: Duration,
-    /// So many echoes in a row without an answer end it.
+    /// Number of consecutive unanswered echoes after which the neighbour counts as silent.
     pub misses: usize,
 }
 
 impl Pace {
-    /// 1 s. A cable answers in microseconds. The interface may be a Wi-Fi adapter, which is away
-    /// for some hundred milliseconds when it roams or saves power.
+    /// Detects silence after 1 s. A cable answers in microseconds. A Wi-Fi adapter, however, is
+    /// unreachable for some hundred milliseconds when it roams or saves power.
     pub const ETHERNET: Self = Self { interval: Duration::from_millis(200), misses: 5 };
 
-    /// 3 s: a handover between mobile cells takes one or two.
+    /// Detects silence after 3 s. A handover between mobile cells takes 1 s to 2 s.
     pub const UDP: Self = Self { interval: Duration::from_millis(500), misses: 6 };
 
-    /// The pace for a link to that address.
+    /// Returns the pace for a link to that address.
     pub fn of(to: LinkAddr) -> Self {
         match to {
             LinkAddr::Ethernet { .. } => Self::ETHERNET,
@@ -37,29 +38,29 @@ impl Pace {
     }
 }
 
-/// What to do next.
+/// The caller's next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Send an echo with the cookie that was offered, and come back after [`Pace::interval`].
+    /// Send an echo with the cookie that was passed in, and call again after [`Pace::interval`].
     Ask,
-    /// The neighbour is gone. Final.
+    /// The neighbour does not answer. Final.
     Silent,
 }
 
-/// The echoes on a link that are not answered.
+/// The unanswered echoes of a link.
 ///
-/// An answer proves that the neighbour lived when the echo was sent, so it settles that echo and
-/// those before it and no later one; an answer to none of those that are remembered settles
+/// An answer proves that the neighbour was alive when the echo was sent. It therefore settles that
+/// echo and all earlier ones, but no later ones. An answer to an echo that is not recorded settles
 /// nothing.
 #[derive(Clone, Debug, Default)]
 pub struct Unanswered {
-    /// Their cookies, the oldest first.
+    /// The cookies of the unanswered echoes, oldest first.
     open: VecDeque<u64>,
 }
 
 impl Unanswered {
-    /// Takes in the cookie of the latest answer, or anything if there was none; how many echoes are
-    /// without one.
+    /// Processes the cookie of the latest answer (any value if there was none). Returns the number
+    /// of unanswered echoes.
     pub fn settle(&mut self, answer: u64) -> usize {
         if let Some(settled) = self.open.iter().position(|open| *open == answer) {
             self.open.drain(..=settled);
@@ -67,7 +68,8 @@ impl Unanswered {
         self.open.len()
     }
 
-    /// An echo is sent. Of more than `most` the oldest is not remembered.
+    /// Records an echo that the caller sends. Forgets the oldest echo if `most` are already
+    /// recorded.
     pub fn add(&mut self, cookie: u64, most: usize) {
         if self.open.len() >= most {
             self.open.pop_front();
@@ -76,8 +78,8 @@ impl Unanswered {
     }
 }
 
-/// The probing of one link. Echoes are counted, not seconds: a caller that did not run for a while
-/// has asked nothing, and concludes nothing.
+/// The probe state of one link. It counts echoes, not seconds: a caller that did not run for a
+/// while has sent no echoes and detects no silence.
 #[derive(Clone, Debug)]
 pub struct Liveness {
     pace: Pace,
@@ -93,8 +95,9 @@ impl Liveness {
         self.pace
     }
 
-    /// One step, to be taken each [`Pace::interval`]. `answer`: the cookie of the latest answer, or
-    /// anything if there was none. `cookie`: random, for the echo that may be sent now.
+    /// Advances the state by one step; call once per [`Pace::interval`]. `answer` is the cookie of
+    /// the latest answer, or any value if there was none. `cookie` is random, for the echo that may
+    /// be sent now.
     pub fn step(&mut self, answer: u64, cookie: u64) -> Step {
         if self.open.settle(answer) >= self.pace.misses {
             return Step::Silent;

@@ -1,11 +1,11 @@
-//! What a link needs to know of the port it is on.
+//! The properties of a port that a link needs.
 
 use std::net::{IpAddr, UdpSocket};
 
 use crate::port::HostPair;
 use std::net::{Ipv4Addr, SocketAddr};
 
-/// What a link needs to know of the port it is on.
+/// The properties of a link's port.
 #[derive(Clone, Copy, Debug)]
 pub enum LinkLocation {
     Ethernet {
@@ -14,8 +14,8 @@ pub enum LinkLocation {
         local_mac: [u8; 6],
         peer_mac: [u8; 6],
     },
-    /// `bound`: what the port's socket is bound to, perhaps the unspecified address.
-    /// `pair`: how frames go, if not by where QUIC is.
+    /// `bound` is the address of the port's socket, possibly the unspecified address. `pair` gives
+    /// the addresses of frames if they differ from those of QUIC.
     Udp {
         bound: SocketAddr,
         pair: Option<PairEnd>,
@@ -23,7 +23,8 @@ pub enum LinkLocation {
 }
 
 impl LinkLocation {
-    /// Whether a peer's address is one of this host: then the kernel sends from it as well.
+    /// Returns whether a peer's address belongs to this host. The kernel then uses the same address
+    /// as the source.
     pub fn leads_to_this_host(self, peer: SocketAddr) -> bool {
         matches!(self, Self::Udp { bound, .. } if udp_source(bound.ip(), peer) == peer.ip().to_canonical())
     }
@@ -39,7 +40,7 @@ impl LinkLocation {
 /// One side's view of a [`HostPair`].
 #[derive(Clone, Copy, Debug)]
 pub struct PairEnd {
-    /// Not known to the endpoint, nor are MAC addresses: its kernel knows them.
+    /// The endpoint does not know this address or the MAC addresses; its kernel does.
     pub local_ip: Ipv4Addr,
     pub local_mac: [u8; 6],
     pub peer_ip: Ipv4Addr,
@@ -57,13 +58,13 @@ impl PairEnd {
     }
 }
 
-/// The address that a socket bound to `bound` sends from to `peer`; the unspecified one if there is
-/// no route.
+/// Returns the source address of a socket bound to `bound` for packets to `peer`. Returns the
+/// unspecified address if there is no route.
 pub fn udp_source(bound: IpAddr, peer: SocketAddr) -> IpAddr {
     if !bound.is_unspecified() {
         return bound.to_canonical();
     }
-    // Connecting a UDP socket sends nothing: the kernel looks its routes up.
+    // Connecting a UDP socket sends nothing; the kernel only looks up the route.
     let ask = || {
         let socket = UdpSocket::bind((bound, 0))?;
         socket.connect(peer)?;

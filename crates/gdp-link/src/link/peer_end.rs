@@ -1,9 +1,9 @@
-//! What a peer says of its end of a link.
+//! The parameters of a peer's end of a link.
 
 use gdp_core::domain::Credentials;
 use std::net::Ipv4Addr;
 
-/// What the peer said of its end of the link.
+/// The parameters that the peer announced for its end of the link.
 #[derive(Clone, Debug)]
 pub struct PeerEnd {
     pub id: u32,

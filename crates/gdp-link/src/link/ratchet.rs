@@ -1,22 +1,25 @@
-//! The keys of a link's data frames, and how each follows from the one before while frames go on.
-//! Pure: time, counts and answers come in, keys and what to tell the peer come out;
-//! [`super::rekey`] is the shell around it.
+//! The keys of a link's data frames, and the ratchet that replaces them without interrupting
+//! traffic.
 //!
-//! Each direction has a chain of its own: `secret 0` is from the TLS exporter, and generation *n*
-//! has
+//! Pure: time, counts and answers are inputs; keys and messages to the peer are outputs.
+//! [`super::rekey`] does the I/O.
+//!
+//! Each direction has its own chain. `secret 0` comes from the TLS exporter. Generation *n* has
 //!
 //! ```text
 //! key n        = HKDF-SHA256(secret n, "gdp/link-key/1")         16 bytes of 32
 //! secret n + 1 = HKDF-SHA256(secret n, "gdp/link-secret/1")
 //! ```
 //!
-//! A frame says the lowest bit of its key's generation, and both ends hold two keys: that of the
-//! generation in use and its successor (or, for a moment, its predecessor). So the sender moves on
-//! by itself and nothing has to be agreed upon first. It then tells the receiver, which waits until
-//! no frame under the old key can be on its way, puts the key after next in the place of the old
-//! one, and only then answers; before it has, the sender does not move again. Whatever is lost on
-//! the way (an announcement, an answer, a daemon whose kernel forwards on), the key that frames
-//! leave under is held by the receiver.
+//! A frame carries the lowest bit of its key's generation. Both ends store two keys: that of the
+//! generation in use and its successor or, for a short time, its predecessor. The sender therefore
+//! moves to the next generation without prior agreement.
+//!
+//! The sender then announces the change to the receiver. The receiver waits until no frame under
+//! the old key can still be in flight. It replaces the old key with the key after next, and only
+//! then answers. Before that answer, the sender does not move again. An announcement, an answer or
+//! the daemon may be lost while the kernel continues to forward. The receiver has the key of
+//! arriving frames even then.
 
 use std::time::{Duration, Instant};
 
@@ -28,26 +31,26 @@ use gdp_core::crypto::{Backend, CryptoError};
 const KEY_CONTEXT: &[u8] = b"gdp/link-key/1";
 const SECRET_CONTEXT: &[u8] = b"gdp/link-secret/1";
 
-/// Between an announcement that was refused or not answered and the next.
+/// Delay before the sender repeats an announcement that was refused or not answered.
 const ANNOUNCE_AGAIN: Duration = Duration::from_secs(1);
 
-/// How often the count of frames is looked at.
+/// Interval at which the count of frames is checked.
 const LOOK_AT_COUNT: Duration = Duration::from_secs(10);
 
-/// When a link's keys are replaced.
+/// The schedule for replacing a link's keys.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RekeySchedule {
-    /// After this time a sender moves on. An hour: keys are in kernel maps that tools can print,
-    /// whereas the secrets they come from are in the daemon alone; who has seen a key can use it
-    /// until the second change after.
+    /// Time after which a sender replaces its key. The default is one hour. Keys are in kernel maps
+    /// that tools can print, whereas the secrets they derive from are only in the daemon. An
+    /// attacker who has read a key can use it until the second change after that.
     pub interval: Duration,
-    /// Or after this many frames. 2³²: so the count that frames carry, of 32 bits, comes once under
-    /// a key. SipHash would bear far more, as what a tag shows of its state does not collide before
-    /// 2⁶⁴.
+    /// Number of frames after which a sender replaces its key. The default is 2³²: each value of
+    /// the 32-bit count in frames then occurs once under a key. SipHash tolerates far more: what a
+    /// tag reveals of its state does not collide before 2⁶⁴.
     pub frames: u64,
-    /// How long a receiver still takes frames under the old key once it was told of the new one:
-    /// longer than any network holds a frame back that it delivers at all, and than a sender is
-    /// interrupted between tagging a frame and sending it.
+    /// Time for which a receiver still accepts the old key after the announcement of the new one.
+    /// It exceeds the longest delay of a frame in a network that still delivers it. It also exceeds
+    /// the time for which a sender is interrupted between tagging and sending a frame.
     pub overlap: Duration,
 }
 
@@ -57,8 +60,8 @@ impl Default for RekeySchedule {
     }
 }
 
-/// What data planes need of a link's keys at a moment. Cleared when dropped; the `Debug` form
-/// leaves them out.
+/// A snapshot of a link's keys for data planes. Its keys are cleared when it is dropped; the
+/// `Debug` form omits them.
 #[derive(Clone, Zeroize, ZeroizeOnDrop)]
 #[cfg_attr(test, derive(PartialEq, Eq))]
 pub struct LinkKeys {
@@ -70,8 +73,8 @@ pub struct LinkKeys {
 type TagKey = [u64; 2];
 
 impl LinkKeys {
-    /// Writes them into a link's entry. Of the words that frames are tagged with meanwhile none
-    /// changes but the phase.
+    /// Writes the keys into a link's entry. Of the words that concurrent tagging reads, only the
+    /// phase changes.
     pub fn put(&self, entry: &mut LinkEntry) {
         entry.rx_keys = self.rx_keys;
         entry.tx_keys = self.tx_keys;
@@ -85,28 +88,28 @@ impl std::fmt::Debug for LinkKeys {
     }
 }
 
-/// To be done after [`Ratchet::keys`] are in the tables of all data planes.
+/// An action for the caller after [`Ratchet::keys`] are in the tables of all data planes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RekeyStep {
-    /// Tell the peer that frames now leave under the key of this generation; [`Ratchet::answered`]
-    /// takes its answer.
+    /// Announce to the peer that frames now use the key of this generation. Pass the peer's answer
+    /// to [`Ratchet::answered`].
     Announce(u64),
-    /// Answer the peer's announcement: the successor of the generation it told of is held.
+    /// Answer the peer's announcement: the successor of the announced generation is installed.
     Confirm,
 }
 
-/// What an announcement of the peer is answered with.
+/// The outcome of a peer's announcement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AnnouncementOutcome {
-    /// Nothing yet: [`RekeyStep::Confirm`] comes.
+    /// Not yet decided: [`RekeyStep::Confirm`] follows.
     Later,
-    /// The same as before.
+    /// Already processed: answer as before.
     Known,
-    /// A refusal: it cannot have moved there.
+    /// Refuse: the peer cannot have moved to this generation.
     Impossible,
 }
 
-/// Both directions of a link, on one side.
+/// Both directions of a link, as seen by one side.
 pub struct Ratchet {
     schedule: RekeySchedule,
     rx: Rx,
@@ -115,9 +118,9 @@ pub struct Ratchet {
 
 struct Rx {
     secret: TrafficSecret,
-    /// The generation that the peer is known to have moved to, or the first.
+    /// The last generation that the peer has announced, or the first.
     generation: u64,
-    /// When the key before the one announced goes.
+    /// The time at which the key before the announced one is replaced.
     retires: Option<Instant>,
 }
 
@@ -125,23 +128,23 @@ struct Tx {
     secret: TrafficSecret,
     /// The generation in use.
     generation: u64,
-    /// Since when, and at which count.
+    /// The time and the count at which this generation started.
     since: (Instant, u64),
     announced: Announced,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Announced {
-    /// The peer has answered, or need not.
+    /// The peer has answered, or no answer is outstanding.
     Confirmed,
-    /// The peer was told, and has not answered.
+    /// The announcement is sent, and the peer has not answered.
     Asked,
-    /// It is to be told (again) then.
+    /// The announcement is due, possibly again, at this time.
     Due(Instant),
 }
 
 impl Ratchet {
-    /// A link's first keys, from the secrets of both directions.
+    /// Derives a link's first keys from the secrets of both directions.
     pub fn new(
         rx_secret: Zeroizing<[u8; 32]>,
         tx_secret: Zeroizing<[u8; 32]>,
@@ -166,13 +169,13 @@ impl Ratchet {
         }
     }
 
-    /// The generations of frames that arrive and of those that leave.
+    /// Returns the generations of the receive key and the send key.
     pub fn generations(&self) -> (u64, u64) {
         (self.rx.generation, self.tx.generation)
     }
 
-    /// What time, and the count of frames `sent`, bring about. To be asked until there is nothing,
-    /// and again at [`Self::wake_at`].
+    /// Returns the next step that follows from the time and the count `sent` of frames. Call until
+    /// it returns `None`, and again at [`Self::wake_at`].
     pub fn poll(&mut self, now: Instant, sent: u64) -> Result<Option<RekeyStep>, CryptoError> {
         if self.rx.retires.take_if(|retires| *retires <= now).is_some() {
             self.rx.secret.replace(self.rx.generation + 1)?;
@@ -197,7 +200,7 @@ impl Ratchet {
         Ok(Some(RekeyStep::Announce(tx.generation)))
     }
 
-    /// When [`Self::poll`] may have something, at the latest.
+    /// Returns the time at which to call [`Self::poll`] at the latest.
     pub fn wake_at(&self, now: Instant) -> Instant {
         let tx = match self.tx.announced {
             Announced::Confirmed => (self.tx.since.0 + self.schedule.interval).min(now + LOOK_AT_COUNT),
@@ -207,8 +210,8 @@ impl Ratchet {
         self.rx.retires.map_or(tx, |retires| retires.min(tx))
     }
 
-    /// The peer has answered the announcement (`confirmed`), or refused it, or has not answered.
-    /// True if keys changed.
+    /// Processes the outcome of an announcement: confirmed, or else refused or unanswered. Returns
+    /// whether keys changed.
     pub fn answered(&mut self, confirmed: bool, now: Instant) -> Result<bool, CryptoError> {
         if self.tx.announced != Announced::Asked {
             return Ok(false);
@@ -222,7 +225,7 @@ impl Ratchet {
         Ok(confirmed)
     }
 
-    /// The peer says that its frames now leave under the key of this generation.
+    /// Processes the peer's announcement that its frames now use the key of this generation.
     pub fn announced(&mut self, generation: u64, now: Instant) -> AnnouncementOutcome {
         let rx = &mut self.rx;
         if Some(generation) == rx.generation.checked_add(1) && rx.retires.is_none() {
@@ -237,8 +240,7 @@ impl Ratchet {
     }
 }
 
-/// Two keys in a row, by phase, and what those after them come from. Secrets that were used are
-/// gone.
+/// Two consecutive keys, indexed by phase, and the secret of later ones. Used secrets are cleared.
 struct TrafficSecret {
     keys: Zeroizing<[TagKey; 2]>,
     next: Zeroizing<[u8; 32]>,
@@ -252,7 +254,8 @@ impl TrafficSecret {
         Ok(secret)
     }
 
-    /// Takes the next key of the chain, of this generation, in the place of the one two before.
+    /// Derives the next key of the chain, which has this generation. It replaces the key of two
+    /// generations before.
     fn replace(&mut self, generation: u64) -> Result<(), CryptoError> {
         let key = derive(&self.next, KEY_CONTEXT)?;
         self.next = derive(&self.next, SECRET_CONTEXT)?;

@@ -1,6 +1,8 @@
-//! Keeps a link's keys fresh: the task that lets [`super::ratchet`] run on the clock and on the
-//! control connection. Who holds the link's entry in tables writes the keys there; when, and in
-//! which order with what the peer is told, is decided here.
+//! Replaces a link's keys on schedule.
+//!
+//! The task here drives [`super::ratchet`] with the clock and the control connection. The owner of
+//! the link's table entries writes the keys. This module decides when it writes them, and in which
+//! order with the messages to the peer.
 
 use super::streams::Announcement;
 use std::future::poll_fn;
@@ -18,13 +20,13 @@ use gdp_core::crypto::CryptoError;
 use gdp_proto::control::{Refusal, RefusalCode, Request, Response};
 
 impl Link {
-    /// Replaces the keys of the link's data frames by the schedule of its port, and follows those
-    /// of the peer. Runs until the link is closed, or `put` or cryptography fails: then the keys
-    /// stay what they are, which the peer bears.
+    /// Replaces the keys of the link's data frames by the schedule of its port, and follows the
+    /// changes of the peer. Runs until the link closes, or until `put` or cryptography fails. After
+    /// a failure the keys stay unchanged, which the peer tolerates.
     ///
-    /// `sent`: how many data frames have left by the link. `put` writes keys to all data planes
-    /// that hold the link, and returns once every frame that arrives, or is tagged, from then on
-    /// meets them; `false` if it could not.
+    /// `sent` returns the number of data frames sent on the link. `put` writes keys to all data
+    /// planes that contain the link. It returns once every frame that arrives or is tagged later
+    /// uses them, or returns `false` if it failed.
     pub async fn keep_keys(&self, sent: impl Fn() -> u64, put: impl FnMut(&LinkKeys) -> bool) {
         let mut announcements = self.0.announcements.lock().await;
         tokio::select! {
@@ -48,7 +50,8 @@ impl Link {
         let mut waiting: Option<Responder> = None;
         loop {
             loop {
-                // Not while the ratchet is locked: who is asked may lock it, to look at the link.
+                // Called before the ratchet is locked, because `sent` may lock it to inspect the
+                // link.
                 let sent = sent();
                 let (step, keys) = {
                     let mut ratchet = self.ratchet();
@@ -95,7 +98,7 @@ impl Link {
         }
     }
 
-    /// Whether the peer has answered that it is ready for the next change.
+    /// Announces a generation, and returns whether the peer has confirmed it.
     async fn announce(&self, generation: u64) -> bool {
         let response = streams::request(&self.0.connection, &Request::Ratcheted { generation }).await;
         if !matches!(response, Ok(Response::Done)) {
@@ -109,7 +112,7 @@ impl Link {
     }
 }
 
-/// The peer may be gone, or have asked again.
+/// Sends a response. Ignores errors: the peer may have disconnected or repeated its request.
 async fn answer(responder: Option<Responder>, response: Response) {
     if let Some(responder) = responder {
         let _ = responder.respond(response).await;

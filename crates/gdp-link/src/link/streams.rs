@@ -1,5 +1,7 @@
-//! Requests and responses on the streams of a connection: bounded in size, number and time, and
-//! independent of each other, so that a peer that leaves one half-written only holds up itself.
+//! Requests and responses on the streams of a connection.
+//!
+//! They are bounded in size, number and time. Streams are independent: a peer that leaves a request
+//! half-written delays only itself.
 
 use std::time::Duration;
 
@@ -12,14 +14,15 @@ use crate::link::timing::REQUEST_TIMEOUT;
 use gdp_proto::control;
 use gdp_proto::control::{MAX_MESSAGE, Refusal, RefusalCode, Request, Response};
 
-/// A request may arrive this slowly.
+/// Maximum time for reading a request.
 const READ_TIMEOUT: Duration = REQUEST_TIMEOUT;
 
-/// Sends the answer to a request. Dropped without an answer, it refuses.
+/// Sends the response to a request. Dropping it without a response resets the stream.
 pub struct Responder(Option<SendStream>);
 
 impl Responder {
-    /// Sends the response; tells whether it could be sent (the peer may be gone).
+    /// Sends the response. Fails if the stream has failed, for example because the peer has
+    /// disconnected.
     pub async fn respond(mut self, response: Response) -> Result<(), LinkError> {
         let Some(mut stream) = self.0.take() else { return Ok(()) };
         let bytes = control::encode(&response).or_else(|error| {
@@ -53,16 +56,15 @@ pub async fn request(connection: &Connection, request: &Request) -> Result<Respo
         .unwrap_or(Err(LinkError::Timeout { what: "the answer to a request", after: REQUEST_TIMEOUT }))
 }
 
-/// Where what the peer asks goes.
+/// The receivers of the peer's requests.
 #[derive(Clone)]
 pub struct Takers {
     pub requests: mpsc::Sender<(Request, Responder)>,
-    /// Changes of keys: the link's own business.
+    /// Changes of keys, which the link processes itself.
     pub announcements: mpsc::Sender<Announcement>,
 }
 
-/// Reads the peer's requests until the connection is closed. The number of streams is bounded by
-/// QUIC.
+/// Reads the peer's requests until the connection closes. QUIC bounds the number of streams.
 pub async fn serve(connection: Connection, takers: Takers) {
     while let Ok((send, recv)) = connection.accept_bi().await {
         tokio::spawn(read_request(send, recv, takers.clone()));
@@ -74,12 +76,12 @@ async fn read_request(send: SendStream, mut recv: RecvStream, takers: Takers) {
     match timeout(READ_TIMEOUT, read_message(&mut recv, MAX_MESSAGE)).await {
         Ok(Ok(bytes)) => match control::decode(&bytes) {
             Ok(Request::Ratcheted { generation }) => {
-                // Without room, or anybody who keeps the keys, it is left unanswered, and the peer
-                // asks again.
+                // If the queue is full or no task keeps the keys, the announcement is not answered.
+                // The peer then repeats it.
                 let _ = takers.announcements.try_send((generation, responder));
             }
             Ok(request) => {
-                // The receiver is gone only when the link is.
+                // The receiver is dropped only with the link.
                 let _ = takers.requests.send((request, responder)).await;
             }
             Err(error) => refuse(responder, error.to_string()).await,
@@ -99,7 +101,7 @@ pub async fn write_message(stream: &mut SendStream, bytes: &[u8]) -> Result<(), 
     stream.finish().map_err(|error| LinkError::Closed(error.to_string()))
 }
 
-/// Reads one message of at most `most` bytes. Memory is taken only for what arrives.
+/// Reads one message of at most `most` bytes. Allocates memory only for bytes that have arrived.
 pub async fn read_message(stream: &mut RecvStream, most: usize) -> Result<Vec<u8>, LinkError> {
     let mut prefix = [0; 4];
     read_exact(stream, &mut prefix).await?;
@@ -125,9 +127,9 @@ async fn read_exact(stream: &mut RecvStream, buffer: &mut [u8]) -> Result<(), Li
     })
 }
 
-/// Announcements that may wait to be looked at. A peer has one under way; an older one may still be
-/// on its way.
+/// Maximum number of queued announcements. A peer has one outstanding; an older one may still be in
+/// flight.
 pub const MAX_ANNOUNCEMENTS: usize = 4;
 
-/// That the peer's frames are under the key of this generation.
+/// The generation of the key that the peer's frames now use, and the responder for the answer.
 pub type Announcement = (u64, Responder);

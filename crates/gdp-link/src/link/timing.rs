@@ -2,17 +2,17 @@
 
 use std::time::Duration;
 
-/// A silent link sends a packet this often.
+/// Interval of keep-alive packets on an idle link.
 pub const KEEP_ALIVE: Duration = Duration::from_secs(1);
 
-/// A link is lost when nothing arrives for this long.
+/// A link counts as lost after this time without a packet.
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(4);
 
-/// From the first packet to both hellos.
+/// Maximum time from the first packet to both hellos.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// From a request to its response.
+/// Maximum time from a request to its response.
 pub const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Requests a peer can have open at once.
+/// Number of requests that a peer can have open at once.
 pub const MAX_STREAMS: u32 = 32;

@@ -1,7 +1,8 @@
-//! TLS 1.3 between entities: both sides show a raw P-256 public key (RFC 7250), the one their name
-//! is derived from, and prove that they hold the private half. There is no certificate to parse, no
-//! authority and no resumption; whom a name may talk to is decided above, by certificates of the
-//! control plane.
+//! TLS 1.3 between entities, with raw P-256 public keys (RFC 7250).
+//!
+//! Each side presents the public key that its name is derived from, and proves possession of the
+//! private key. There are no certificates to parse, no authority and no resumption. Certificates of
+//! the control plane decide at a higher layer which names may communicate.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,10 +27,10 @@ use crate::link::timing::{IDLE_TIMEOUT, KEEP_ALIVE, MAX_STREAMS};
 use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_proto::control::MAX_MESSAGE;
 
-/// The application protocol of links, version 1.
+/// The ALPN protocol name of links, version 1.
 const ALPN: &[u8] = b"gdp/1";
 
-/// What a client calls the server; it is not sent.
+/// The server name that a client passes to rustls. It is not sent.
 pub const SERVER_NAME: &str = "gdp";
 
 /// DER of a SubjectPublicKeyInfo for an uncompressed P-256 point, up to the 0x04 that begins the
@@ -43,11 +44,11 @@ const SPKI_PREFIX: [u8; 27] = [
 #[derive(Clone, Copy, Debug)]
 pub struct QuicMtu {
     pub initial: u16,
-    /// Up to where larger ones are tried.
+    /// Upper bound of path MTU discovery, in bytes.
     pub discover_up_to: Option<u16>,
 }
 
-/// Both directions' configurations for an entity with this key.
+/// Returns the client and server configurations for an entity with this key.
 pub fn configs(key: &SigningKey, mtu: QuicMtu) -> Result<(ClientConfig, ServerConfig), LinkError> {
     let provider = Arc::new(aws_lc_rs::default_provider());
     let verifier = Arc::new(RawKeyVerifier(provider.signature_verification_algorithms));
@@ -80,7 +81,7 @@ pub fn configs(key: &SigningKey, mtu: QuicMtu) -> Result<(ClientConfig, ServerCo
     Ok((client, server))
 }
 
-/// The key a peer proved to hold, from what quinn calls its identity.
+/// Returns the key that a peer proved to possess, from the identity that quinn reports.
 pub fn peer_key(connection: &quinn::Connection) -> Result<VerifyKey, LinkError> {
     let shown = connection.peer_identity().and_then(|any| any.downcast::<Vec<CertificateDer<'static>>>().ok());
     let Some([spki]) = shown.as_deref().map(Vec::as_slice) else {
@@ -92,14 +93,15 @@ pub fn peer_key(connection: &quinn::Connection) -> Result<VerifyKey, LinkError> 
 fn certified_key(key: &SigningKey) -> Result<CertifiedKey, LinkError> {
     let pkcs8 = key.pkcs8_der();
     let der = PrivateKeyDer::Pkcs8(PrivatePkcs8KeyDer::from(pkcs8.as_slice()));
-    // Borrowed: the provider's own way takes a copy, which nobody would clear.
+    // Borrowed: `load_private_key` of the provider takes a copy of the key and does not clear it.
     let signer = any_ecdsa_type(&der).map_err(tls_error)?;
     let spki = signer.public_key().ok_or_else(|| LinkError::Handshake("the key has no public half".into()))?;
     let shown = CertificateDer::from(spki.as_ref().to_vec());
     Ok(CertifiedKey::new(vec![shown], signer))
 }
 
-/// Streams and windows bound what a peer can make this side hold: about half a megabyte.
+/// Returns the transport parameters. Streams and windows limit a peer's data in this side's memory
+/// to about half a megabyte.
 fn transport(mtu: QuicMtu) -> TransportConfig {
     let message = MAX_MESSAGE as u32 + 1024;
     let mut transport = TransportConfig::default();
@@ -131,7 +133,7 @@ fn parse_spki(der: &[u8]) -> Result<VerifyKey, Error> {
     VerifyKey::from_bytes(&compressed).map_err(|_| bad())
 }
 
-/// Accepts any P-256 key, as long as the peer signed the handshake with it.
+/// Accepts any P-256 key with which the peer has signed the handshake.
 #[derive(Debug)]
 struct RawKeyVerifier(WebPkiSupportedAlgorithms);
 

@@ -1,12 +1,12 @@
-//! Where the other end of a link is.
+//! The address of the other end of a link.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 
 use gdp_core::mac::DisplayMac;
 
-/// The address frames of a link are sent to. Only ever a hint on what arrives: a link is found by
-/// its id and tag.
+/// The address that a link's frames are sent to. For arriving frames it is only a hint: the id and
+/// the tag identify their link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum LinkAddr {
     /// A station on the segment of a local interface.
@@ -31,7 +31,7 @@ impl fmt::Display for LinkAddr {
     }
 }
 
-/// quinn knows socket addresses only: a MAC address is shown to it as fd47::MAC, port 1.
+/// Encodes a MAC address as fd47::MAC, port 1, because quinn only supports socket addresses.
 pub(super) fn mac_to_socket(mac: [u8; 6]) -> SocketAddr {
     let mut octets = [0; 16];
     octets[..2].copy_from_slice(&[0xfd, 0x47]);
@@ -39,7 +39,7 @@ pub(super) fn mac_to_socket(mac: [u8; 6]) -> SocketAddr {
     SocketAddr::new(Ipv6Addr::from(octets).into(), 1)
 }
 
-/// The MAC address in a socket address that [`mac_to_socket`] made.
+/// Returns the MAC address in a socket address that [`mac_to_socket`] made.
 pub(super) fn socket_to_mac(addr: &SocketAddr) -> [u8; 6] {
     let IpAddr::V6(ip) = addr.ip() else { return [0; 6] };
     let mut mac = [0; 6];

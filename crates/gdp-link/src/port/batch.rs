@@ -1,18 +1,19 @@
-//! Frames in numbers: where received ones lie, and what is to be sent. No system calls.
+//! Batches of frames: the buffers of received frames and the description of frames to send. No
+//! system calls.
 
 use super::LinkAddr;
 
-/// Most frames one call receives on Ethernet, or sends. Also what a veth ring of 256 takes without
-/// loss.
+/// Maximum number of frames per send call, and per receive call on Ethernet. A veth ring of 256
+/// takes a batch without loss.
 pub const BATCH: usize = 64;
 
-/// Room for the frames one receive call takes, and what that call found.
+/// The buffer of one receive call and the frames that the call received.
 pub struct RecvBatch {
-    /// Slots of equal size, each for what the kernel hands over in one piece: a frame, or over UDP
-    /// a run of them.
+    /// Slots of equal size. Each takes one buffer from the kernel: a frame, or over UDP a run of
+    /// frames.
     storage: Vec<u8>,
     largest: usize,
-    /// In the order in which they lie, without overlap.
+    /// The received frames, in the order of their addresses and without overlap.
     slots: Vec<BufferSlot>,
 }
 
@@ -24,22 +25,23 @@ struct BufferSlot {
     congested: bool,
 }
 
-/// A frame as it arrived. It may lie at any address: copy the header out.
+/// A received frame. Its address may be unaligned: copy the header out.
 pub struct InFrame<'a> {
     pub bytes: &'a mut [u8],
     pub from: LinkAddr,
-    /// A router between the two ends of the link marked it (CE, RFC 3168). Never on Ethernet.
+    /// Whether a router between the two ends of the link marked the frame (CE, RFC 3168). Never set
+    /// on Ethernet.
     pub congested: bool,
 }
 
 impl RecvBatch {
-    /// For frames of up to `largest` bytes; on Ethernet a larger one arrives cut, and shows as
-    /// truncated.
+    /// Creates a batch for frames of up to `largest` bytes. On Ethernet a larger frame arrives cut,
+    /// and parsing reports it as truncated.
     pub fn new(largest: usize) -> Self {
         Self { storage: Vec::new(), largest: largest.next_multiple_of(64), slots: Vec::with_capacity(BATCH) }
     }
 
-    /// The frames of the last receive call.
+    /// Returns the frames of the last receive call.
     pub fn frames(&mut self) -> impl Iterator<Item = InFrame<'_>> {
         let (mut rest, mut taken) = (&mut self.storage[..], 0);
         self.slots.iter().map(move |slot| {
@@ -49,13 +51,14 @@ impl RecvBatch {
         })
     }
 
-    /// Frame `index` of the last receive call, once more: to send what was rewritten in place.
+    /// Returns frame `index` of the last receive call again, for example to send it after a rewrite
+    /// in place.
     pub fn frame(&self, index: usize) -> &[u8] {
         let BufferSlot { at, length, .. } = self.slots[index];
         &self.storage[at..at + length]
     }
 
-    /// The largest frame there is room for.
+    /// Returns the size of the largest frame that fits, in bytes.
     pub fn largest(&self) -> usize {
         self.largest
     }
@@ -68,7 +71,8 @@ impl RecvBatch {
         self.slots.is_empty()
     }
 
-    /// Takes a copy of a frame that came another way; `false` when [`BATCH`] frames are there.
+    /// Adds a copy of a frame that did not arrive through this batch. Returns `false` if there are
+    /// already [`BATCH`] frames.
     pub fn push(&mut self, frame: &[u8], from: LinkAddr, congested: bool) -> bool {
         if self.slots.len() >= BATCH {
             return false;
@@ -87,44 +91,45 @@ impl RecvBatch {
         self.slots.clear();
     }
 
-    /// Makes `count` slots of `size` bytes, and forgets the frames there were.
+    /// Creates `count` slots of `size` bytes, and removes all frames.
     pub(super) fn slots(&mut self, count: usize, size: usize) -> impl Iterator<Item = &mut [u8]> {
         self.clear();
         if self.storage.len() < count * size {
-            // Not resized: that would copy what nobody needs. Zeros are not written before a page
-            // is used.
+            // Not resized, because a resize would copy stale bytes. The kernel provides zeroed
+            // pages only on first use.
             self.storage = vec![0; count * size];
         }
         self.storage.chunks_exact_mut(size).take(count)
     }
 
-    /// The bytes of slot `index` of those with `size` bytes.
+    /// Returns the bytes of slot `index`, with slots of `size` bytes.
     pub(super) fn slot(&self, index: usize, size: usize) -> &[u8] {
         &self.storage[index * size..][..size]
     }
 
-    /// Says that a frame begins at `at`, behind those added before.
+    /// Adds the frame that begins at `at`, behind all earlier frames.
     pub(super) fn add(&mut self, at: usize, length: usize, from: LinkAddr, congested: bool) {
         debug_assert!(self.slots.last().is_none_or(|last| last.at + last.length <= at));
         self.slots.push(BufferSlot { at, length, from, congested });
     }
 }
 
-/// A frame to send, in two pieces that need not lie together.
+/// A frame to send, in two pieces that need not be contiguous.
 #[derive(Clone, Copy)]
 pub struct OutFrame<'a> {
     pub to: LinkAddr,
-    /// At least the two bytes that say what the frame is and its traffic class.
+    /// At least the two bytes with the frame's type and traffic class.
     pub head: &'a [u8],
     /// May be empty.
     pub body: &'a [u8],
 }
 
-/// What became of frames that were to be sent.
+/// The result of a send call.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sent {
-    /// Handed to the kernel.
+    /// Frames that the kernel accepted.
     pub sent: usize,
-    /// Given up: no room in time, an interface that is down, an address of another kind of port.
+    /// Frames given up: no buffer space in time, an interface that is down, or an address of
+    /// another kind of port.
     pub lost: usize,
 }

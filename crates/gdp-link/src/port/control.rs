@@ -1,15 +1,15 @@
-//! Control messages (`cmsg(3)`): what goes with a datagram beside its bytes.
+//! Control messages (`cmsg(3)`): the ancillary data of a datagram.
 
 use std::mem::size_of;
 
 const HEADER: usize = size_of::<libc::cmsghdr>();
 
-/// The longest value: an integer, and padding to a word.
+/// Maximum size of a value: an integer and padding to a word.
 const VALUE: usize = 8;
 
 const ROOM: usize = 3 * (HEADER + VALUE);
 
-/// Room for three control messages with an integer each, aligned as the kernel wants it.
+/// A buffer for three control messages with an integer each, aligned as the kernel requires.
 #[derive(Clone, Copy)]
 #[repr(C, align(8))]
 pub struct Control {
@@ -22,7 +22,7 @@ impl Control {
         Self { bytes: [0; ROOM], length: 0 }
     }
 
-    /// Adds a message of at most 8 bytes; there may be three.
+    /// Adds a message with a value of at most 8 bytes. The buffer takes three messages.
     pub fn push(&mut self, level: libc::c_int, kind: libc::c_int, value: &[u8]) {
         let message = &mut self.bytes[self.length..][..HEADER + VALUE];
         message[..size_of::<usize>()].copy_from_slice(&(HEADER + value.len()).to_ne_bytes());
@@ -32,22 +32,22 @@ impl Control {
         self.length += message.len();
     }
 
-    /// Has `header` send the messages that were added.
+    /// Sets the added messages as the control messages that `header` sends.
     pub fn attach(&self, header: &mut libc::msghdr) {
         header.msg_control = self.bytes.as_ptr().cast_mut().cast();
         header.msg_controllen = self.length as _;
     }
 
-    /// Has `header` receive messages here.
+    /// Sets this buffer for the control messages that `header` receives.
     pub fn make_room(&mut self, header: &mut libc::msghdr) {
         header.msg_control = self.bytes.as_mut_ptr().cast();
         header.msg_controllen = ROOM as _;
     }
 
     /// Calls `found` with level, kind and value of each message that was received with `header`. A
-    /// value is an integer, or one byte.
+    /// value is an integer or one byte.
     pub fn each(&self, header: &libc::msghdr, mut found: impl FnMut(libc::c_int, libc::c_int, libc::c_int)) {
-        // Another integer where libc is musl.
+        // The type differs with musl.
         #[allow(clippy::unnecessary_cast)]
         let mut rest = &self.bytes[..(header.msg_controllen as usize).min(ROOM)];
         while let Some((start, _)) = rest.split_at_checked(HEADER) {

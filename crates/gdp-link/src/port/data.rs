@@ -1,6 +1,7 @@
-//! Data frames in and out of a port, in batches, without an allocation per frame. Called from the
-//! userspace plane of a switch and from an endpoint's receiving thread; what a frame means is not
-//! known here.
+//! Sends and receives a port's data frames in batches, without an allocation per frame.
+//!
+//! The userspace data plane of a switch and the receiving thread of an endpoint use it. This module
+//! does not interpret frames.
 
 use std::io;
 use std::mem::size_of;
@@ -15,8 +16,7 @@ use super::sys::{self, RawAddr, WakeFd};
 use super::udp::SharedUdp;
 use super::{LinkAddr, ethernet};
 
-/// Where data frames of a port arrive and leave. Shared by threads; receiving is meant for one of
-/// them.
+/// The socket for a port's data frames. Threads share it; only one of them should receive.
 pub struct DataSocket {
     kind: Medium,
     wake: Arc<WakeFd>,
@@ -38,8 +38,8 @@ impl DataSocket {
         Ok(Self { kind, wake, offload, lost: AtomicU64::new(0) })
     }
 
-    /// Receives what is there, up to a bounded number of frames, replacing what the batch held; 0
-    /// if there is nothing.
+    /// Receives the available frames, up to a bounded number, and replaces the contents of the
+    /// batch. Returns 0 if there are none.
     pub fn try_recv_batch(&self, batch: &mut RecvBatch) -> io::Result<usize> {
         batch.clear();
         match &self.kind {
@@ -49,15 +49,15 @@ impl DataSocket {
         Ok(batch.len())
     }
 
-    /// Blocks until there is something to receive (`true`), [`Self::wake`] is called, or `timeout`
-    /// is over.
+    /// Blocks until frames are available (`true`), until [`Self::wake`] is called, or until
+    /// `timeout` expires.
     pub fn wait_readable(&self, timeout: Duration) -> io::Result<bool> {
         Ok(self.has_misdelivered()
             || sys::wait(self.as_fd(), libc::POLLIN, Some(&self.wake), timeout)?
             || self.has_misdelivered())
     }
 
-    /// As [`Self::wait_readable`] for several sockets at once.
+    /// Waits as [`Self::wait_readable`] does, for several sockets at once.
     pub fn wait_any<'a>(sockets: impl Iterator<Item = &'a Self> + Clone, timeout: Duration) -> io::Result<()> {
         if sockets.clone().any(Self::has_misdelivered) {
             return Ok(());
@@ -66,16 +66,16 @@ impl DataSocket {
         sys::wait_any(&all, timeout)
     }
 
-    /// Ends the present or the next [`Self::wait_readable`], so that its thread looks at something
-    /// else.
+    /// Ends the current or the next [`Self::wait_readable`], to let its thread do other work.
     pub fn wake(&self) {
         self.wake.set();
     }
 
-    /// Sends frames in their order, [`super::BATCH`] to a system call; over UDP, frames in a row
-    /// that have one destination, traffic class and length as one piece. Blocks for a few
-    /// milliseconds at most when the kernel has no room, then gives up the rest of that call's
-    /// frames.
+    /// Sends frames in order, with up to [`super::BATCH`] frames per system call.
+    ///
+    /// Over UDP, consecutive frames with the same destination, traffic class and length leave as
+    /// one datagram (GSO). If the kernel has no buffer space, it blocks for a few milliseconds at
+    /// most. It then gives up the remaining frames of that call.
     pub fn send_batch<'a>(&self, frames: impl IntoIterator<Item = OutFrame<'a>>) -> Sent {
         let mut total = Sent::default();
         let mut frames = frames.into_iter();
@@ -102,12 +102,12 @@ impl DataSocket {
         total
     }
 
-    /// Bytes of the kernel's memory that hold frames which the interface has not sent yet.
+    /// Returns the bytes of kernel memory for frames that the interface has not sent yet.
     pub fn send_queue(&self) -> usize {
         sys::send_queue(self.as_fd())
     }
 
-    /// Frames that arrived and were dropped because nobody took them in time.
+    /// Returns the number of frames dropped because this process did not receive them in time.
     pub fn receive_drops(&self) -> u64 {
         let strays = match &self.kind {
             Medium::Ethernet { .. } => 0,
@@ -116,7 +116,7 @@ impl DataSocket {
         sys::receive_drops(self.as_fd()) + strays
     }
 
-    /// Frames that could not be sent.
+    /// Returns the number of frames that could not be sent.
     pub fn send_drops(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }

@@ -1,6 +1,8 @@
-//! "Which switch is on this segment?" Solicitations and answers are hints in clear: what an answer
-//! claims, TLS proves when the link is made. Answers are rate-limited, so that a switch is no
-//! amplifier and no target of spoofed questions.
+//! Discovery of switches on a segment.
+//!
+//! Solicitations and answers are plaintext hints: TLS proves the claim of an answer when a link is
+//! made. Rate limits on answers prevent the use of a switch as an amplifier, and limit its load
+//! from spoofed solicitations.
 
 use std::time::{Duration, Instant};
 
@@ -8,14 +10,14 @@ use gdp_wire::Name;
 use parking_lot::Mutex;
 use tokio::sync::broadcast;
 
-/// Answers a switch gives per interface and interval.
+/// Maximum number of answers of a switch per interface and interval.
 const ANSWERS: u32 = 32;
 const INTERVAL: Duration = Duration::from_secs(1);
 
-/// Answers that wait for a slow asker; more are lost.
+/// Queue length of answers for a slow requester. Further answers are lost.
 const BACKLOG: usize = 64;
 
-/// One interface's side of discovery, asking and answering. No I/O.
+/// The discovery state of one interface, for both roles. No I/O.
 pub struct Discovery {
     answer_as: Option<Name>,
     budget: Mutex<(Instant, u32)>,
@@ -27,7 +29,7 @@ impl Discovery {
         Self { answer_as, budget: Mutex::new((Instant::now(), ANSWERS)), answers: broadcast::channel(BACKLOG).0 }
     }
 
-    /// What to answer a solicitation with, if it is to be answered.
+    /// Returns the name to answer a solicitation with, or `None` if the port does not answer.
     pub fn answer(&self) -> Option<Name> {
         let name = self.answer_as?;
         let mut budget = self.budget.lock();
@@ -38,7 +40,7 @@ impl Discovery {
         Some(name)
     }
 
-    /// An answer arrived; it goes to whoever asks at the moment.
+    /// Delivers an answer to the current requesters.
     pub fn answered(&self, from: [u8; 6], name: Name) {
         let _ = self.answers.send((from, name));
     }

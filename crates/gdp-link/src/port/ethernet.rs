@@ -1,8 +1,9 @@
-//! GDP directly on Ethernet. Two packet sockets to an interface, told apart by a classic BPF filter
-//! on the first byte of the frame: one for control frames, which carries QUIC and discovery, one
-//! for all the others. Neither sees frames for other stations, nor those with a VLAN tag. What is
-//! sent passes the interface's queueing discipline: without it, frames would be lost whenever the
-//! ring of a NIC is full.
+//! GDP directly on Ethernet, with two packet sockets per interface.
+//!
+//! A classic BPF filter on the first byte of a frame separates them. One socket receives control
+//! frames, which carry QUIC and discovery; the other receives all other frames. Neither receives
+//! frames for other stations or frames with a VLAN tag. Sent frames pass the interface's queueing
+//! discipline. Without it, frames would be lost whenever the NIC's ring is full.
 
 use std::ffi::{CStr, CString};
 use std::fmt;
@@ -32,37 +33,38 @@ use super::sys::{self, RawAddr, check, step};
 const DATA_BUFFER: usize = 16 << 20;
 const CONTROL_BUFFER: usize = 1 << 20;
 
-/// Longest control frame that is read; longer ones do not parse.
+/// Maximum length of a control frame. Longer ones do not parse.
 const MAX_CONTROL: usize = 2048;
 
-/// What the kernel says of an interface.
+/// An interface, as the kernel describes it.
 #[derive(Clone, Debug)]
 pub struct Interface {
     pub name: String,
     pub index: u32,
     pub mac: [u8; 6],
-    /// Bytes behind the Ethernet header.
+    /// Bytes after the Ethernet header.
     pub mtu: u32,
-    /// If it is one: the VLAN that it is, on another interface.
+    /// The VLAN, if the interface is a VLAN on another interface.
     pub vlan: Option<Vlan>,
 }
 
 /// A VLAN on an interface.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Vlan {
-    /// The interface that takes the tagged frames.
+    /// Name of the interface that carries the tagged frames.
     pub lower: String,
-    /// Its index.
+    /// Index of `lower`.
     pub lower_index: u32,
-    /// Of IEEE 802.1Q.
+    /// The IEEE 802.1Q VLAN id.
     pub id: u16,
 }
 
-/// Index of the interface of that name, Ethernet or not, in the network namespace of the calling
-/// thread. One that is made anew has another.
+/// Returns the index of the interface with this name in the network namespace of the calling
+/// thread. The interface need not be Ethernet. An interface that is deleted and created again has
+/// another index.
 pub fn index_of(interface: &str) -> io::Result<u32> {
     let c_name = CString::new(interface).map_err(|_| io::ErrorKind::InvalidInput)?;
-    // SAFETY: a string that ends with 0.
+    // SAFETY: the pointer refers to a string that ends with 0.
     let index = unsafe { libc::if_nametoindex(c_name.as_ptr()) };
     if index == 0 || interface.len() >= libc::IFNAMSIZ {
         return Err(io::Error::from_raw_os_error(libc::ENODEV));
@@ -71,10 +73,10 @@ pub fn index_of(interface: &str) -> io::Result<u32> {
 }
 
 impl Interface {
-    /// Looks an interface up by name in the network namespace of the calling thread.
+    /// Looks up an interface by name in the network namespace of the calling thread.
     pub fn find(name: &str) -> io::Result<Self> {
         let index = index_of(name)?;
-        // SAFETY: no pointers; the descriptor is owned from here on.
+        // SAFETY: no pointers; `OwnedFd` owns the new descriptor.
         let socket = unsafe {
             OwnedFd::from_raw_fd(check(libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0))?)
         };
@@ -89,7 +91,7 @@ impl Interface {
         };
         let hardware = ask(libc::SIOCGIFHWADDR)?;
         let mtu = ask(libc::SIOCGIFMTU)?;
-        // SAFETY: the variants that the two requests wrote.
+        // SAFETY: the two requests wrote these variants.
         let (hardware, mtu) = unsafe { (hardware.ifr_ifru.ifru_hwaddr, mtu.ifr_ifru.ifru_mtu) };
         if hardware.sa_family != libc::ARPHRD_ETHER {
             return Err(io::Error::new(io::ErrorKind::Unsupported, "not an Ethernet interface"));
@@ -103,7 +105,7 @@ impl Interface {
     }
 }
 
-/// What the kernel's VLAN driver is asked with, and answers.
+/// The request and answer of the kernel's VLAN driver.
 #[repr(C)]
 struct VlanRequest {
     command: libc::c_int,
@@ -117,7 +119,7 @@ impl Vlan {
     fn of(socket: &OwnedFd, name: &str) -> Option<Self> {
         const REAL_DEVICE_NAME: libc::c_int = 8;
         const ID: libc::c_int = 9;
-        // linux/sockios.h; not in libc.
+        // From linux/sockios.h; missing in libc.
         const SIOCGIFVLAN: libc::c_ulong = 0x8982;
         let ask = |command| {
             let mut request = VlanRequest { command, interface: [0; 24], answer: [0; 24], qos: 0 };
@@ -129,20 +131,20 @@ impl Vlan {
         let lower = ask(REAL_DEVICE_NAME)?;
         let id = ask(ID)?;
         let lower = CStr::from_bytes_until_nul(&lower).ok()?;
-        // SAFETY: a string that ends with 0.
+        // SAFETY: the pointer refers to a string that ends with 0.
         let lower_index = unsafe { libc::if_nametoindex(lower.as_ptr()) };
-        // It may be in another network namespace.
+        // The lower interface may be in another network namespace.
         let lower = lower.to_str().ok().filter(|_| lower_index != 0)?.to_owned();
         Some(Self { lower, lower_index, id: u16::from_ne_bytes([id[0], id[1]]) })
     }
 }
 
-/// The socket for data frames of an interface.
+/// Opens the socket for data frames of an interface.
 pub fn open_data(interface: &Interface, ethertype: u16) -> io::Result<OwnedFd> {
     open(interface, ethertype, Take::AllButControl)
 }
 
-/// Receives the data frames that are there, [`BATCH`] at most.
+/// Receives the available data frames, at most [`BATCH`].
 pub fn receive(fd: BorrowedFd, ifindex: u32, batch: &mut RecvBatch) -> io::Result<()> {
     let mut addrs = [RawAddr::zeroed(); BATCH];
     // SAFETY: both are plain structures of integers and pointers, for which zero is a valid value.
@@ -156,8 +158,8 @@ pub fn receive(fd: BorrowedFd, ifindex: u32, batch: &mut RecvBatch) -> io::Resul
         header.msg_iov = &raw mut iovecs[i];
         header.msg_iovlen = 1;
     }
-    // SAFETY: every header points to a buffer and an address that outlive the call, with their true
-    // lengths.
+    // SAFETY: every header points to a buffer and an address with their true lengths. Both outlive
+    // the call.
     let count = unsafe { sys::receive(fd, &mut messages) }?;
     for (i, message) in messages[..count].iter().enumerate() {
         let from = LinkAddr::Ethernet { ifindex, mac: addrs[i].mac() };
@@ -166,7 +168,7 @@ pub fn receive(fd: BorrowedFd, ifindex: u32, batch: &mut RecvBatch) -> io::Resul
     Ok(())
 }
 
-/// QUIC over control frames, as quinn wants a socket to be; and discovery beside it.
+/// A socket for quinn that carries QUIC in control frames, and also handles discovery.
 pub struct ControlSocket {
     fd: AsyncFd<OwnedFd>,
     interface: Interface,
@@ -175,7 +177,7 @@ pub struct ControlSocket {
 }
 
 impl ControlSocket {
-    /// `answer_as`: the name solicitations are answered with.
+    /// Opens the socket. `answer_as` is the name with which it answers solicitations.
     pub fn open(interface: &Interface, ethertype: u16, answer_as: Option<Name>) -> io::Result<Self> {
         let fd = open(interface, ethertype, Take::Control)?;
         Ok(Self {
@@ -188,8 +190,8 @@ impl ControlSocket {
         })
     }
 
-    /// Sends one control frame. Lost when the kernel has no room: QUIC and discovery both try
-    /// again.
+    /// Sends one control frame. The frame is lost when the kernel has no buffer space: QUIC and
+    /// discovery both retransmit.
     pub fn send(&self, to: [u8; 6], kind: u8, payload: &[u8]) -> io::Result<()> {
         let Ok(length) = u16::try_from(payload.len()) else { return Ok(()) };
         let header = ControlHeader::new(kind, length);
@@ -210,12 +212,12 @@ impl ControlSocket {
         Ok(())
     }
 
-    /// Receives one frame; the kind and length of its payload, which is moved to the front of
-    /// `buffer`.
+    /// Receives one frame. Moves its payload to the front of `buffer`, and returns the sender, the
+    /// kind and the payload length.
     fn receive(&self, buffer: &mut [u8; MAX_CONTROL]) -> io::Result<Option<([u8; 6], u8, usize)>> {
         let mut addr = RawAddr::zeroed();
         let mut addr_len = size_of::<RawAddr>() as u32;
-        // SAFETY: buffer and address are as long as said and outlive the call.
+        // SAFETY: buffer and address have the given lengths and outlive the call.
         let length = unsafe {
             libc::recvfrom(
                 self.fd.as_raw_fd(),
@@ -245,7 +247,7 @@ impl AsyncUdpSocket for ControlSocket {
         let to = socket_to_mac(&transmit.destination);
         match self.fd.try_io(Interest::WRITABLE, |_| self.send(to, ControlHeader::QUIC, transmit.contents)) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => Err(error),
-            // Any other error is a lost packet to QUIC; an error returned here would end the whole
+            // QUIC treats any other error as a lost packet. Returning it would end the whole
             // endpoint.
             _ => Ok(()),
         }
@@ -261,7 +263,8 @@ impl AsyncUdpSocket for ControlSocket {
         loop {
             let mut ready = ready!(self.fd.poll_read_ready(cx))?;
             let (mut count, mut drained) = (0, false);
-            // What is no QUIC packet is bounded too, so that a flood of it cannot hold this task.
+            // The bound includes frames without a QUIC packet, because a flood of them must not
+            // block this task.
             for _ in 0..bufs.len() {
                 match ready.try_io(|_| self.receive(&mut scratch)) {
                     Ok(Ok(Some((from, ControlHeader::QUIC, length)))) if length <= bufs[count].len() => {
@@ -277,8 +280,8 @@ impl AsyncUdpSocket for ControlSocket {
                     }
                     Ok(Ok(Some((from, kind, length)))) => self.discover(from, kind, &scratch[..length]),
                     Ok(Ok(None)) => {}
-                    // The interface went down or away. The links on it time out; it may come up
-                    // again.
+                    // The interface went down or was removed. The links on it time out; the
+                    // interface may come up again.
                     Ok(Err(_)) => {}
                     Err(_would_block) => {
                         drained = true;
@@ -344,10 +347,10 @@ enum Take {
     AllButControl,
 }
 
-/// A packet socket that never held a frame its filter would refuse: it is bound only after the
-/// filter is in place.
+/// Opens a packet socket that receives no frame that its filter rejects. The socket is bound after
+/// the filter is attached.
 fn open(interface: &Interface, ethertype: u16, take: Take) -> io::Result<OwnedFd> {
-    // SAFETY: no pointers; the descriptor is owned from here on. Protocol 0 receives nothing.
+    // SAFETY: no pointers; `OwnedFd` owns the new descriptor. Protocol 0 receives nothing.
     let fd = unsafe {
         let flags = libc::SOCK_DGRAM | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC;
         OwnedFd::from_raw_fd(check(libc::socket(libc::AF_PACKET, flags, 0))?)
@@ -356,7 +359,7 @@ fn open(interface: &Interface, ethertype: u16, take: Take) -> io::Result<OwnedFd
     sys::set_buffers(fd.as_fd(), buffer, buffer / 4);
     attach_filter(&fd, take)?;
     let addr = RawAddr::station(interface.index, [0; 6], ethertype);
-    // SAFETY: an address of the length given.
+    // SAFETY: the pointer refers to an address of the given length.
     check(unsafe { libc::bind(fd.as_raw_fd(), (&raw const addr).cast(), size_of::<libc::sockaddr_ll>() as u32) })?;
     Ok(fd)
 }

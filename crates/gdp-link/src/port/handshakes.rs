@@ -1,6 +1,7 @@
-//! Handshakes of peers that dialled: a bounded number at once, of all and of one address, and what
-//! is counted of those that are turned away. Pure but for the tasks that it ends; the port calls
-//! it.
+//! Limits and counts the inbound handshakes of a port.
+//!
+//! The number of concurrent handshakes is bounded, in total and per address. No I/O: the port calls
+//! this module, whose only side effect is to abort tasks.
 
 use std::collections::VecDeque;
 use std::net::IpAddr;
@@ -12,18 +13,21 @@ use parking_lot::{Mutex, MutexGuard};
 use tokio::task::AbortHandle;
 use tokio::time::Instant;
 
-/// Handshakes at once. Beyond half of them, or half of the share of its address, a peer has to
-/// prove that first, where it can: who sends as somebody else takes nothing of that one's share.
+/// Maximum number of concurrent handshakes. Beyond half of them, or half of its address's share, a
+/// peer must first prove its address, if possible. A sender with a spoofed address therefore uses
+/// nothing of the real address's share.
 pub const MAX_HANDSHAKES: usize = 64;
 
-/// Of these, from one address: a peer that never finishes its handshakes leaves room for others.
+/// Maximum number of concurrent handshakes from one address. A peer that never finishes its
+/// handshakes thus leaves capacity for others.
 const MAX_HANDSHAKES_OF_ONE: usize = 16;
 
-/// Younger ones do not give way: who means it needs a few round trips. It also bounds how fast they
-/// are begun, and with that what QUIC keeps of those that were ended.
+/// Minimum age of a handshake before a newer one displaces it: an honest peer needs a few round
+/// trips. The age also bounds the rate of new handshakes, and with it QUIC's state for aborted
+/// ones.
 const MIN_AGE: Duration = Duration::from_millis(100);
 
-/// What became of handshakes that got no link. Clones count together.
+/// Counters of handshakes that did not result in a link. Clones share the counters.
 #[derive(Clone, Debug, Default)]
 pub struct HandshakeCounters(Arc<Counters>);
 
@@ -35,17 +39,18 @@ struct Counters {
     failed: AtomicU64,
 }
 
-/// Handshakes of peers that dialled, since the start.
+/// Counts of inbound handshakes since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HandshakeCounts {
-    /// Their peers were asked to prove their addresses first, and nothing was kept of them. Who
-    /// does so is taken then.
+    /// Peers that had to prove their addresses first. The port stores nothing about them, and
+    /// admits those that respond.
     pub challenged: u64,
-    /// Ignored: too many were under way from one address, or too many had just begun.
+    /// Ignored handshakes: too many were in progress from one address, or too many had just
+    /// started.
     pub refused: u64,
-    /// Ended unfinished, because they were the oldest and too many came.
+    /// Aborted handshakes: each was the oldest when too many were in progress.
     pub displaced: u64,
-    /// Not finished in time, or in error.
+    /// Handshakes that failed or timed out.
     pub failed: u64,
 }
 
@@ -62,18 +67,18 @@ impl HandshakeCounters {
     }
 }
 
-/// What to do with a handshake that begins.
+/// The action for a new handshake.
 #[derive(Debug)]
 pub enum Verdict {
-    /// Not even to answer it.
+    /// Ignore it without an answer.
     Ignore,
-    /// To have the peer prove its address, and to keep nothing.
+    /// Let the peer prove its address, without storing state.
     Challenge,
-    /// It is counted as long as what is here lives.
+    /// Start it. The handshake counts until the value is dropped.
     Start(Started),
 }
 
-/// Those that are under way at a port.
+/// The handshakes in progress at a port.
 #[derive(Clone, Debug)]
 pub struct Handshakes {
     running: Arc<Mutex<Running>>,
@@ -100,9 +105,11 @@ impl Handshakes {
         Self { running: Arc::default(), counters }
     }
 
-    /// `may_challenge`: whether the peer can be made to prove its address, and has not. Where all
-    /// places are taken, the oldest gives way: who means it is done after a few round trips, who
-    /// fills the places is not.
+    /// Decides on a new handshake. `may_challenge` means that the peer can be made to prove its
+    /// address and has not done so.
+    ///
+    /// At the limit, the new handshake displaces the oldest one. Honest peers finish after a few
+    /// round trips; peers that exhaust the limit do not.
     pub fn admit(&self, now: Instant, from: IpAddr, may_challenge: bool) -> Verdict {
         let (mut running, counters) = (self.lock(), &self.counters.0);
         let of_one = running.entries.iter().filter(|entry| entry.from == from).count();
@@ -129,7 +136,7 @@ impl Handshakes {
         let number = running.begun;
         running.entries.push_back(PendingHandshake { number, from, began: now, task: None });
         drop(running);
-        // The end of a task may come back here.
+        // Aborting a task may re-enter this object.
         displaced.inspect(AbortHandle::abort);
         Verdict::Start(Started { of: self.clone(), number })
     }
@@ -139,7 +146,7 @@ impl Handshakes {
     }
 }
 
-/// A handshake that is counted as long as this lives.
+/// A handshake that counts until this value is dropped.
 #[derive(Debug)]
 pub struct Started {
     of: Handshakes,
@@ -147,7 +154,8 @@ pub struct Started {
 }
 
 impl Started {
-    /// The calling task is what is ended if this gives way; at once, if it has done so.
+    /// Sets the task to abort when this handshake is displaced. Aborts it at once if that has
+    /// already happened.
     pub fn runs_as(&self, task: AbortHandle) {
         let mut running = self.of.lock();
         if let Some(entry) = running.entries.iter_mut().find(|entry| entry.number == self.number) {

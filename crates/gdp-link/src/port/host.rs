@@ -1,7 +1,10 @@
-//! Endpoints beside their switch: on the same host and in the same network namespace. The daemon of
-//! a switch gives such endpoints a pair of interfaces, one end of which has the switch's XDP
-//! program; their data frames go there, and not through the daemon. What an endpoint needs for that
-//! is said in the hellos of its link (`crate::link::hello`); QUIC stays where it was dialled.
+//! Direct delivery between a switch and endpoints on the same host and in the same network
+//! namespace.
+//!
+//! The daemon of a switch creates a pair of interfaces for such endpoints. One end has the switch's
+//! XDP program attached. Their data frames pass through the pair instead of the daemon. The hellos
+//! of a link (`crate::link::hello`) carry the parameters that an endpoint needs. QUIC continues to
+//! use the dialled address.
 
 use std::fs;
 use std::net::Ipv4Addr;
@@ -12,20 +15,20 @@ use super::sys;
 use gdp_core::crypto::Backend;
 use parking_lot::Mutex;
 
-/// The addresses of a switch and of its host on the pair of interfaces between them.
+/// The addresses of a switch and its host on the interface pair between them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HostPair {
-    /// Where endpoints send frames to. Link-local, and no address of the host: routed to the host's
-    /// end of the pair.
+    /// The address that endpoints send frames to. It is link-local and no address of the host: the
+    /// kernel routes it to the host's end of the pair.
     pub switch_ip: Ipv4Addr,
-    /// Of the end that has the program.
+    /// The MAC address of the end with the XDP program.
     pub switch_mac: [u8; 6],
-    /// Where frames for endpoints are sent to, at the port of each.
+    /// The address that frames for endpoints are sent to, at each endpoint's port.
     pub host_ip: Ipv4Addr,
     pub host_mac: [u8; 6],
 }
 
-/// The pair that a port has now, if any. Clones are the same.
+/// A port's current interface pair, if any. Clones share it.
 #[derive(Clone, Default)]
 pub(crate) struct CurrentPair(Arc<Mutex<Option<HostPair>>>);
 
@@ -39,9 +42,9 @@ impl CurrentPair {
     }
 }
 
-/// A number for the network namespace of a socket, unique to this boot of this host. `None` if the
-/// kernel (before 5.14) does not say. Only its equality means anything: containers, and
-/// virtual machines behind the host's own address, have another.
+/// Returns a number for the network namespace of a socket, unique to this boot of this host.
+/// Returns `None` if the kernel (before 5.14) does not report it. Compare it for equality only:
+/// containers, and virtual machines behind the host's own address, have another number.
 pub fn id(socket: BorrowedFd) -> Option<u64> {
     const SO_NETNS_COOKIE: libc::c_int = 71;
     let cookie: u64 = sys::get_option(socket, libc::SOL_SOCKET, SO_NETNS_COOKIE).ok()?;
@@ -50,7 +53,7 @@ pub fn id(socket: BorrowedFd) -> Option<u64> {
     digest.first_chunk().map(|first| u64::from_be_bytes(*first))
 }
 
-/// Whether a socket bound to the unspecified IPv6 address takes datagrams over IPv4 as well.
+/// Returns whether a socket bound to the unspecified IPv6 address also accepts datagrams over IPv4.
 pub fn takes_ipv4(socket: BorrowedFd) -> bool {
     matches!(sys::get_option::<libc::c_int>(socket, libc::IPPROTO_IPV6, libc::IPV6_V6ONLY), Ok(0))
 }

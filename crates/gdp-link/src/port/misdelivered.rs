@@ -1,5 +1,7 @@
-//! Datagrams that came to the socket of the other kind, because the kernel had joined them with one
-//! that belongs there: a few of many. Bounded; more are dropped.
+//! Queues for datagrams that arrived at the wrong one of a port's two UDP sockets.
+//!
+//! The kernel sometimes joins a datagram with one for the other socket. Such datagrams are rare.
+//! The queues are bounded; excess datagrams are dropped.
 
 use std::collections::VecDeque;
 use std::io::{self, IoSliceMut};
@@ -16,7 +18,7 @@ use super::batch::RecvBatch;
 use super::sys::WakeFd;
 use crate::port::udp_mtu::UDP_MTU;
 
-/// How many wait of a kind, and how long each may be: no link takes more.
+/// Queue length and maximum datagram length of each kind. No link carries longer datagrams.
 const QUEUE: usize = 1024;
 const LONGEST: usize = UDP_MTU as usize;
 
@@ -27,10 +29,10 @@ struct Stray {
     bytes: Vec<u8>,
 }
 
-/// Data frames that quinn's task found.
+/// Data frames that quinn's task received.
 pub struct Frames {
     queue: Mutex<VecDeque<Stray>>,
-    /// How long the queue is, to be asked without the lock.
+    /// The length of the queue, readable without the lock.
     length: AtomicUsize,
     wake: Arc<WakeFd>,
     dropped: AtomicU64,
@@ -42,7 +44,7 @@ impl Frames {
         Ok(Self { queue, length, wake: Arc::new(WakeFd::new()?), dropped })
     }
 
-    /// Set when a frame was put.
+    /// Returns the event that is set when a frame is queued.
     pub fn wake(&self) -> Arc<WakeFd> {
         self.wake.clone()
     }
@@ -67,7 +69,7 @@ impl Frames {
         self.wake.set();
     }
 
-    /// Moves what waits into `batch`, as far as there is room.
+    /// Moves queued frames into `batch` while it has space.
     pub fn take(&self, batch: &mut RecvBatch) {
         let mut queue = self.queue.lock();
         while let Some(Stray { from, congested, bytes }) = queue.front()
@@ -79,15 +81,14 @@ impl Frames {
     }
 }
 
-/// QUIC packets that the thread for data frames found. What is dropped is lost on the way to QUIC,
-/// which mends that.
+/// QUIC packets that the data thread received. QUIC retransmits those that are dropped here.
 #[derive(Default)]
 pub struct Packets(Mutex<Waiting>);
 
 #[derive(Default)]
 struct Waiting {
     packets: VecDeque<(SocketAddr, Option<EcnCodepoint>, Vec<u8>)>,
-    /// Of the task that would take them.
+    /// The waker of the task that takes packets.
     waker: Option<Waker>,
 }
 
@@ -100,8 +101,8 @@ impl Packets {
         }
     }
 
-    /// Moves what waits into `bufs`, as far as there is room; how many there were. If there are
-    /// none, the task is woken once there are.
+    /// Moves queued packets into `bufs` while there is space, and returns their number. If there
+    /// are none, the task is woken when a packet is queued.
     pub fn take(&self, cx: &Context, bufs: &mut [IoSliceMut<'_>], meta: &mut [RecvMeta]) -> usize {
         let mut waiting = self.0.lock();
         let mut count = 0;

@@ -1,7 +1,10 @@
-//! One `sendmmsg` call's worth of frames. Over UDP, frames in a row that the kernel can cut apart
-//! itself go to it as one datagram (UDP GSO): one way through its stack for all of them.
+//! Sends the frames of one `sendmmsg` call.
 //!
-//! Own code, because `quinn-udp` sends one contiguous datagram a call: see docs/decisions.md.
+//! Over UDP, a run of consecutive frames that the kernel can segment goes to it as one datagram
+//! (UDP GSO). The run then traverses the kernel's stack once.
+//!
+//! This code does not use `quinn-udp`, which sends one contiguous datagram per call: see
+//! docs/decisions.md.
 
 use std::marker::PhantomData;
 use std::mem::zeroed;
@@ -16,40 +19,40 @@ use super::batch::{BATCH, OutFrame};
 use super::control::Control;
 use super::sys::{self, RawAddr};
 
-/// How long sending waits for room in the socket's buffer before it gives frames up.
+/// Maximum time to wait for space in the socket's buffer before frames are given up.
 const SEND_PATIENCE: Duration = Duration::from_millis(5);
 
-/// Bytes of a run of frames: with the headers of UDP and IPv6, what 16 bits can express.
+/// Maximum length of a run, in bytes. With the headers of UDP and IPv6 it must fit 16 bits.
 const LONGEST_RUN: usize = 65_535 - 8 - 40;
 
-/// Frames of a run: what kernels take since 4.18; later ones take more.
+/// Maximum number of frames in a run. Kernels support 64 since 4.18, later ones more.
 const MOST_SEGMENTS: usize = 64;
 
-/// Calls that do without runs after the kernel refused one: paths change, and the next may take
-/// them.
+/// Number of calls without runs after the kernel refused a run. Paths change, and a later run may
+/// succeed.
 const PAUSE: u32 = 1000;
 
-/// Whether runs of frames go to the kernel in one piece. It refuses them where it cannot cut them:
-/// IPsec, sockets or devices without checksums.
+/// Whether to send runs of frames with segmentation offload. The kernel refuses a run that it
+/// cannot segment: with IPsec, or on sockets or devices without checksums.
 #[derive(Default)]
 pub struct Offload {
-    /// Calls until it is tried again.
+    /// Remaining calls before the next attempt. `u32::MAX` disables offload.
     paused: AtomicU32,
 }
 
 impl Offload {
-    /// For a medium that has no such thing.
+    /// Returns the state for a medium without segmentation offload.
     pub fn never() -> Self {
         Self { paused: AtomicU32::new(u32::MAX) }
     }
 
-    /// Whether the next call may try.
+    /// Returns whether the next call may send runs.
     fn is_on(&self) -> bool {
         match self.paused.load(Ordering::Relaxed) {
             0 => true,
             u32::MAX => false,
             paused => {
-                // Two threads at once may count one call: no harm.
+                // Two concurrent threads may count one call. This is harmless.
                 self.paused.store(paused - 1, Ordering::Relaxed);
                 false
             }
@@ -104,13 +107,13 @@ impl<'a> Chunk<'a> {
         self.count += 1;
     }
 
-    /// Returns how many the kernel took.
+    /// Sends the chunk, and returns the number of frames that the kernel accepted.
     pub fn send(&self, fd: BorrowedFd, offload: &Offload) -> usize {
         // SAFETY: plain structures of integers and pointers, for which zero is a valid value.
         let mut messages: [libc::mmsghdr; BATCH] = unsafe { zeroed() };
         let mut controls = [Control::new(); BATCH];
         let (mut next, mut sent, mut waited, mut told) = (0, 0, false, false);
-        // Frames before this one go one by one.
+        // Frames before this index are sent individually.
         let mut single = if offload.is_on() { 0 } else { self.count };
         while next < self.count {
             let mut ends = [0; BATCH];
@@ -122,8 +125,8 @@ impl<'a> Chunk<'a> {
                 ends[count] = end;
                 (start, count) = (end, count + 1);
             }
-            // SAFETY: the headers point to addresses, control messages and pieces of frames that
-            // live as long as `self`, `controls` and `'a`; the kernel only reads through them.
+            // SAFETY: the headers point to addresses, control messages and pieces of frames. These
+            // live as long as `self`, `controls` and `'a`, and the kernel only reads them.
             let result = sys::check(unsafe {
                 libc::sendmmsg(fd.as_raw_fd(), messages.as_mut_ptr(), count as u32, libc::MSG_DONTWAIT as _)
             });
@@ -140,11 +143,12 @@ impl<'a> Chunk<'a> {
                         waited = true;
                         let _ = sys::wait(fd, libc::POLLOUT, None, SEND_PATIENCE);
                     }
-                    // May be about the past: a socket tells once that its interface was down.
+                    // May report an earlier event: a socket reports once that its interface was
+                    // down.
                     Some(libc::ENETDOWN) if !told => told = true,
                     Some(libc::EAGAIN | libc::ENOBUFS | libc::ENETDOWN | libc::ENXIO) => break,
-                    // Something about runs, on this path or at all; or the path takes only smaller
-                    // frames, and the last of the run may be one.
+                    // The kernel refuses runs, on this path or in general. Or the path only takes
+                    // smaller frames, and the last frame of the run may be small enough.
                     Some(refusal @ (libc::EIO | libc::EINVAL | libc::EOPNOTSUPP | libc::EMSGSIZE))
                         if ends[0] - next > 1 =>
                     {
@@ -153,8 +157,8 @@ impl<'a> Chunk<'a> {
                         }
                         single = ends[0];
                     }
-                    // Something about this one frame, or about where the run goes: its size, its
-                    // destination.
+                    // The error concerns this frame or the destination of the run: its size or its
+                    // address.
                     _ => next = ends[0],
                 },
             }
@@ -162,9 +166,9 @@ impl<'a> Chunk<'a> {
         sent
     }
 
-    /// Where the run ends that begins with this frame: all of it is for one destination, in one
-    /// traffic class, and of one length but for the last, which may be shorter. Frames before
-    /// `single` are no runs.
+    /// Returns the end of the run that begins at frame `start`. All its frames have the same
+    /// destination, traffic class and length; only the last frame may be shorter. Frames before
+    /// `single` form no runs.
     fn end_of_run(&self, start: usize, single: usize) -> usize {
         let first = &self.frames[start];
         let (mut end, mut bytes) = (start + 1, first.length);
@@ -205,7 +209,8 @@ impl<'a> Chunk<'a> {
     }
 }
 
-/// The byte of IP that goes with a frame. On Ethernet the frame's own header has what it says.
+/// Returns the IP traffic class byte of a frame. Returns 0 on Ethernet, where only the frame's own
+/// header carries the class.
 fn traffic(frame: OutFrame) -> u8 {
     match (frame.to, frame.head) {
         (LinkAddr::Udp(_), [_, flags, ..]) => Header::ip_traffic(*flags),

@@ -1,4 +1,4 @@
-//! The few system calls of ports that the standard library lacks, each wrapped once.
+//! Wrappers of the system calls that ports need and the standard library lacks.
 
 use std::io;
 use std::mem::{size_of, size_of_val, zeroed};
@@ -6,20 +6,20 @@ use std::net::{SocketAddr, SocketAddrV4, SocketAddrV6, UdpSocket};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd};
 use std::time::Duration;
 
-/// Has a socket send and receive through one interface only.
+/// Binds a socket to one interface for sending and receiving.
 pub fn bind_to_interface(fd: BorrowedFd, interface: &str) -> io::Result<()> {
-    // The kernel takes names of up to so many bytes, with the zero that ends them.
+    // The kernel accepts names of at most this length, including the terminating zero.
     let mut name = [0u8; libc::IFNAMSIZ];
     let long = || io::Error::new(io::ErrorKind::InvalidInput, "the name of the interface is too long");
     name[..libc::IFNAMSIZ - 1].get_mut(..interface.len()).ok_or_else(long)?.copy_from_slice(interface.as_bytes());
     set_option(fd, libc::SOL_SOCKET, libc::SO_BINDTODEVICE, &name)
 }
 
-/// A UDP socket, non-blocking, at an address that another has and shares, bound to the same
+/// Opens a non-blocking UDP socket at an address that another socket shares, bound to the same
 /// interface.
 pub fn bind_shared_udp(addr: SocketAddr, interface: Option<&str>) -> io::Result<UdpSocket> {
     let family = if addr.is_ipv6() { libc::AF_INET6 } else { libc::AF_INET };
-    // SAFETY: no pointers; the descriptor is owned from here on.
+    // SAFETY: no pointers; `OwnedFd` owns the new descriptor.
     let socket = unsafe {
         let flags = libc::SOCK_DGRAM | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC;
         OwnedFd::from_raw_fd(check(libc::socket(family, flags, 0))?)
@@ -29,12 +29,12 @@ pub fn bind_shared_udp(addr: SocketAddr, interface: Option<&str>) -> io::Result<
         bind_to_interface(socket.as_fd(), interface)?;
     }
     let (raw, length) = RawAddr::socket(addr, addr.is_ipv6());
-    // SAFETY: an address of the length given.
+    // SAFETY: the pointer refers to an address of the given length.
     check(unsafe { libc::bind(socket.as_raw_fd(), (&raw const raw).cast(), length) })?;
     Ok(socket.into())
 }
 
-/// Turns the usual −1 into the error it stands for.
+/// Converts the usual −1 into the error in `errno`.
 pub fn check(result: libc::c_int) -> io::Result<libc::c_int> {
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(result) }
 }
@@ -47,44 +47,44 @@ pub fn set_option<T>(fd: BorrowedFd, level: libc::c_int, option: libc::c_int, va
     .map(drop)
 }
 
-/// `T`: an integer of the size that the option has.
+/// Returns a socket option. `T` is an integer of the option's size.
 pub fn get_option<T: Copy + Default>(fd: BorrowedFd, level: libc::c_int, option: libc::c_int) -> io::Result<T> {
     let mut value = T::default();
     let mut length = size_of::<T>() as u32;
-    // SAFETY: the kernel writes at most `length` bytes into `value`; the callers' types are
-    // integers, which any bytes are.
+    // SAFETY: the kernel writes at most `length` bytes into `value`. The callers use integers, for
+    // which all bytes are valid.
     check(unsafe { libc::getsockopt(fd.as_raw_fd(), level, option, (&raw mut value).cast(), &raw mut length) })?;
     Ok(value)
 }
 
-/// Asks for socket buffers of `bytes`: beyond the system's limit with CAP_NET_ADMIN, else up to the
-/// limit.
+/// Requests socket buffers of the given sizes, in bytes. With CAP_NET_ADMIN they may exceed the
+/// system's limit.
 pub fn set_buffers(fd: BorrowedFd, receive: usize, send: usize) {
     for (bytes, force, polite) in
         [(receive, libc::SO_RCVBUFFORCE, libc::SO_RCVBUF), (send, libc::SO_SNDBUFFORCE, libc::SO_SNDBUF)]
     {
         let bytes = bytes as libc::c_int;
         if set_option(fd, libc::SOL_SOCKET, force, &bytes).is_err() {
-            // A smaller buffer than wished for is no error: it shows in the drop counters.
+            // A smaller buffer is no error: its effect is visible in the drop counters.
             let _ = set_option(fd, libc::SOL_SOCKET, polite, &bytes);
         }
     }
 }
 
-/// Frames the kernel dropped because the receive buffer of the socket was full, since it was
-/// opened.
+/// Returns the number of frames that the kernel dropped since the socket was opened, because the
+/// receive buffer was full.
 pub fn receive_drops(fd: BorrowedFd) -> u64 {
     const SK_MEMINFO_DROPS: usize = 8;
     memory(fd)[SK_MEMINFO_DROPS].into()
 }
 
-/// Bytes of memory that hold what the socket has sent and no interface has taken yet.
+/// Returns the bytes of memory for frames that the socket has sent and no interface has taken yet.
 pub fn send_queue(fd: BorrowedFd) -> usize {
     const SK_MEMINFO_WMEM_ALLOC: usize = 2;
     memory(fd)[SK_MEMINFO_WMEM_ALLOC] as usize
 }
 
-/// What the kernel says of a socket's memory (linux/sock_diag.h).
+/// Returns the kernel's memory statistics of a socket (linux/sock_diag.h).
 fn memory(fd: BorrowedFd) -> [u32; 9] {
     const SO_MEMINFO: libc::c_int = 55;
     let mut info = [0u32; 9];
@@ -96,40 +96,42 @@ fn memory(fd: BorrowedFd) -> [u32; 9] {
     if result == 0 { info } else { [0; 9] }
 }
 
-/// Receives what is there, one datagram or frame for each of the messages; how many there were.
+/// Receives the available datagrams or frames, one per message, and returns their number.
 ///
 /// # Safety
 ///
-/// What the messages point to must be as long as they say, and nobody else's until this returns.
+/// The memory that the messages point to must have the stated lengths. No other code may use it
+/// until this function returns.
 pub unsafe fn receive(fd: BorrowedFd, messages: &mut [libc::mmsghdr]) -> io::Result<usize> {
     let (count, flags, no_timeout) = (messages.len() as u32, libc::MSG_DONTWAIT, std::ptr::null_mut());
     loop {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         let result = unsafe { libc::recvmmsg(fd.as_raw_fd(), messages.as_mut_ptr(), count, flags as _, no_timeout) };
         let Err(error) = check(result) else { return Ok(result as usize) };
         match error.raw_os_error() {
             Some(libc::EINTR) => {}
-            // ENETDOWN is told once after the interface went down; it may come up again.
+            // The kernel reports ENETDOWN once after the interface went down. The interface may
+            // come up again.
             Some(libc::EAGAIN | libc::ENETDOWN) => return Ok(0),
             _ => return Err(error),
         }
     }
 }
 
-/// Attaches a classic BPF program: a filter (`SO_ATTACH_FILTER`), or what chooses among sockets of
-/// one port (`SO_ATTACH_REUSEPORT_CBPF`).
+/// Attaches a classic BPF program. It is a filter (`SO_ATTACH_FILTER`) or selects among the sockets
+/// of one port (`SO_ATTACH_REUSEPORT_CBPF`).
 pub fn attach_program(fd: BorrowedFd, option: libc::c_int, program: &mut [libc::sock_filter]) -> io::Result<()> {
     let program = libc::sock_fprog { len: program.len() as u16, filter: program.as_mut_ptr() };
     set_option(fd, libc::SOL_SOCKET, option, &program)
 }
 
-/// An instruction of classic BPF.
+/// Returns a classic BPF instruction.
 pub const fn step(code: u32, jump_true: u8, jump_false: u8, k: u32) -> libc::sock_filter {
     libc::sock_filter { code: code as u16, jt: jump_true, jf: jump_false, k }
 }
 
-/// Waits until the descriptor is ready for `events` (POLLIN, POLLOUT), `wake` is set, or the time
-/// is over; tells whether the descriptor is ready. Clears `wake`.
+/// Waits until the descriptor is ready for `events` (POLLIN, POLLOUT), `wake` is set, or the
+/// timeout expires. Returns whether the descriptor is ready. Clears `wake`.
 pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&WakeFd>, timeout: Duration) -> io::Result<bool> {
     let poll = |fd: BorrowedFd, events| libc::pollfd { fd: fd.as_raw_fd(), events, revents: 0 };
     let mut polls = [poll(fd, events), poll(wake.map_or(fd, WakeFd::fd), libc::POLLIN)];
@@ -138,7 +140,8 @@ pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&WakeFd>, timeout: Duratio
         tv_sec: timeout.as_secs().min(i32::MAX as u64) as libc::time_t,
         tv_nsec: timeout.subsec_nanos().into(),
     };
-    // SAFETY: `count` of two pollfds and one timespec, all alive during the call; no signal mask.
+    // SAFETY: the pointers refer to at least `count` pollfds and one timespec, which outlive the
+    // call; no signal mask.
     match check(unsafe { libc::ppoll(polls.as_mut_ptr(), count, &time, std::ptr::null()) }) {
         Ok(_) => {
             if let Some(wake) = wake.filter(|_| polls[1].revents != 0) {
@@ -151,8 +154,8 @@ pub fn wait(fd: BorrowedFd, events: i16, wake: Option<&WakeFd>, timeout: Duratio
     }
 }
 
-/// Waits until one of the descriptors can be read, one of the events is set, or the time is over.
-/// Clears the events.
+/// Waits until one of the descriptors is readable, one of the events is set, or the timeout
+/// expires. Clears the events.
 pub fn wait_any(all: &[(BorrowedFd, &WakeFd)], timeout: Duration) -> io::Result<()> {
     let poll = |fd: BorrowedFd| libc::pollfd { fd: fd.as_raw_fd(), events: libc::POLLIN, revents: 0 };
     let mut polls: Vec<_> = all.iter().flat_map(|(fd, wake)| [poll(*fd), poll(wake.fd())]).collect();
@@ -160,7 +163,8 @@ pub fn wait_any(all: &[(BorrowedFd, &WakeFd)], timeout: Duration) -> io::Result<
         tv_sec: timeout.as_secs().min(i32::MAX as u64) as libc::time_t,
         tv_nsec: timeout.subsec_nanos().into(),
     };
-    // SAFETY: so many pollfds and one timespec, all alive during the call; no signal mask.
+    // SAFETY: the pointers refer to that many pollfds and one timespec, which outlive the call; no
+    // signal mask.
     match check(unsafe { libc::ppoll(polls.as_mut_ptr(), polls.len() as libc::nfds_t, &time, std::ptr::null()) }) {
         Ok(_) => {
             let woken = all.iter().zip(polls.chunks(2)).filter(|(_, polls)| polls[1].revents != 0);
@@ -172,26 +176,27 @@ pub fn wait_any(all: &[(BorrowedFd, &WakeFd)], timeout: Duration) -> io::Result<
     }
 }
 
-/// An eventfd: lets a queue in memory be waited for like a socket.
+/// An eventfd, which makes a queue in memory pollable like a socket.
 #[derive(Debug)]
 pub struct WakeFd(OwnedFd);
 
 impl WakeFd {
     pub fn new() -> io::Result<Self> {
-        // SAFETY: no pointers; the descriptor is owned from here on.
+        // SAFETY: no pointers; `OwnedFd` owns the new descriptor.
         Ok(Self(unsafe { OwnedFd::from_raw_fd(check(libc::eventfd(0, libc::EFD_NONBLOCK | libc::EFD_CLOEXEC))?) }))
     }
 
     pub fn set(&self) {
         let one = 1u64;
-        // SAFETY: eight bytes are read from `one`. It can only fail when the event is set already
-        // 2^64 − 2 times.
+        // SAFETY: the kernel reads eight bytes from `one`. The call can only fail when the event's
+        // count is already 2^64 − 2.
         unsafe { libc::write(self.0.as_raw_fd(), (&raw const one).cast(), size_of::<u64>()) };
     }
 
     pub fn clear(&self) {
         let mut count = 0u64;
-        // SAFETY: eight bytes are written to `count`. It only fails when the event is not set.
+        // SAFETY: the kernel writes eight bytes to `count`. The call fails only when the event is
+        // not set.
         unsafe { libc::read(self.0.as_raw_fd(), (&raw mut count).cast(), size_of::<u64>()) };
     }
 
@@ -200,7 +205,7 @@ impl WakeFd {
     }
 }
 
-/// A socket address in the kernel's form, for the calls of the `mmsg` family.
+/// A socket address in the kernel's format, for the `mmsg` system calls.
 #[derive(Clone, Copy)]
 #[repr(C)]
 pub union RawAddr {
@@ -215,7 +220,7 @@ impl RawAddr {
         unsafe { zeroed() }
     }
 
-    /// The address of a station on the segment of an interface.
+    /// Returns the address of a station on the segment of an interface.
     pub fn station(ifindex: u32, mac: [u8; 6], ethertype: u16) -> Self {
         let mut raw = Self::zeroed();
         let mut link = libc::sockaddr_ll {
@@ -232,15 +237,15 @@ impl RawAddr {
         raw
     }
 
-    /// The MAC address of a sender, from an address a packet socket wrote.
+    /// Returns the sender's MAC address from an address that a packet socket wrote.
     pub fn mac(&self) -> [u8; 6] {
-        // SAFETY: plain integers, whatever was written.
+        // SAFETY: all variants are plain integers, valid for any bytes.
         let address = unsafe { self.link.sll_addr };
         [address[0], address[1], address[2], address[3], address[4], address[5]]
     }
 
-    /// An IP address, in the form for a socket of the given family (an IPv6 socket takes IPv4
-    /// mapped); and its length.
+    /// Returns an IP address in the format for a socket of the given family, and its length. An
+    /// IPv6 socket takes IPv4-mapped addresses.
     pub fn socket(addr: SocketAddr, v6_socket: bool) -> (Self, u32) {
         let mut raw = Self::zeroed();
         match addr {
@@ -269,10 +274,10 @@ impl RawAddr {
             }
         }
     }
-    /// The sender, from an address an IP socket wrote.
+    /// Returns the sender's address from an address that an IP socket wrote.
     pub fn socket_addr(&self) -> Option<SocketAddr> {
-        // SAFETY: all three variants begin with the family, and are plain integers, whatever was
-        // written.
+        // SAFETY: all three variants begin with the family, and are plain integers, valid for any
+        // bytes.
         unsafe {
             match libc::c_int::from(self.link.sll_family) {
                 libc::AF_INET => {

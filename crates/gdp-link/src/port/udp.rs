@@ -1,7 +1,9 @@
-//! UDP for QUIC and data frames: two sockets at one address, so that each kind has the reader it
-//! needs. The kernel gives each datagram to one of them by its first byte; quinn polls the one, the
-//! thread that takes data frames reads the other. Where the kernel has joined datagrams of both
-//! kinds into one run (UDP GRO), who reads it hands the strays over.
+//! UDP for QUIC and data frames, with two sockets at one address.
+//!
+//! Each kind of datagram thus has its own reader. The kernel selects the socket by the first byte
+//! of a datagram. Quinn polls one socket, the data thread reads the other. The kernel may join
+//! datagrams of both kinds into one run (UDP GRO). The reader of such a run hands the misdelivered
+//! datagrams over to the other reader.
 
 use std::fmt;
 use std::io::{self, IoSliceMut};
@@ -29,10 +31,10 @@ use super::{LinkAddr, host};
 const DATA_BUFFER: usize = 16 << 20;
 const QUIC_BUFFER: usize = 4 << 20;
 
-/// Data runs that are received at once, of up to [`LONGEST_RUN`] bytes each.
+/// Number of data runs per receive call, of up to [`LONGEST_RUN`] bytes each.
 const RUNS: usize = 16;
 
-/// What the kernel joins at most.
+/// Maximum length of a run that the kernel joins, in bytes.
 const LONGEST_RUN: usize = 1 << 16;
 
 pub struct SharedUdp {
@@ -47,11 +49,12 @@ pub struct SharedUdp {
 }
 
 impl SharedUdp {
-    /// Binds within a tokio runtime; to an interface, if one is given.
+    /// Binds both sockets, and binds them to an interface if one is given. Call within a tokio
+    /// runtime.
     pub fn bind(addr: SocketAddr, interface: Option<&str>) -> io::Result<Self> {
         let (quic, data) = bind_both(addr, interface)?;
-        // Turns GRO on, as is done for data: when the kernel joins datagrams it looks at one of the
-        // two, whichever that is.
+        // `UdpSocketState` enables GRO, as `prepare_data` does for data. When the kernel joins
+        // datagrams, it checks the setting of either socket.
         let state = UdpSocketState::new((&quic).into())?;
         sys::set_buffers(quic.as_fd(), QUIC_BUFFER, QUIC_BUFFER);
         sys::set_buffers(data.as_fd(), DATA_BUFFER, QUIC_BUFFER);
@@ -59,8 +62,8 @@ impl SharedUdp {
         let v6 = bound.is_ipv6();
         prepare_data(data.as_fd(), v6)?;
         let takes_all = interface.is_none() && bound.ip().is_unspecified() && (!v6 || host::takes_ipv4(quic.as_fd()));
-        // Data frames are checked without it: the hop tag covers the header, decryption the
-        // payload. QUIC checks its packets.
+        // Data frames need no UDP checksum: the hop tag covers the header, decryption the payload.
+        // QUIC verifies its packets.
         let no_check = |fd| sys::set_option(fd, libc::SOL_UDP, libc::UDP_NO_CHECK6_RX, &1i32).is_ok();
         Ok(Self {
             v6,
@@ -78,22 +81,23 @@ impl SharedUdp {
         self.v6
     }
 
-    /// Whether datagrams over IPv6 are taken without a UDP checksum.
+    /// Returns whether the sockets accept datagrams over IPv6 without a UDP checksum.
     pub fn takes_zero_checksums(&self) -> bool {
         self.zero_checksums
     }
 
-    /// The [host](host::id), if datagrams are taken at all its IPv4 addresses.
+    /// Returns the [host id](host::id), if the sockets accept datagrams at all IPv4 addresses of
+    /// the host.
     pub fn host(&self) -> Option<u64> {
         self.host
     }
 
-    /// The socket for data frames.
+    /// Returns the socket for data frames.
     pub fn data_fd(&self) -> BorrowedFd<'_> {
         self.data.as_fd()
     }
 
-    /// Set when data frames wait that came to the other socket.
+    /// Returns the event that is set when data frames from the QUIC socket are queued.
     pub fn data_wake(&self) -> Arc<WakeFd> {
         self.stray_frames.wake()
     }
@@ -106,7 +110,7 @@ impl SharedUdp {
         self.stray_frames.dropped()
     }
 
-    /// Receives the data frames that are there, [`RUNS`] runs at most.
+    /// Receives the available data frames, at most [`RUNS`] runs.
     pub fn receive_data(&self, batch: &mut RecvBatch) -> io::Result<()> {
         if self.has_stray_data() {
             self.stray_frames.take(batch);
@@ -126,8 +130,8 @@ impl SharedUdp {
             header.msg_iovlen = 1;
             controls[i].make_room(header);
         }
-        // SAFETY: every header points to a buffer, an address and room for control messages that
-        // outlive the call, with their true lengths.
+        // SAFETY: every header points to a buffer, an address and a control message buffer, with
+        // their true lengths. All of them outlive the call.
         let count = unsafe { sys::receive(self.data_fd(), &mut messages) }?;
         for (i, message) in messages[..count].iter().enumerate() {
             let Some(from) = addrs[i].socket_addr() else { continue };
@@ -156,12 +160,11 @@ impl SharedUdp {
     }
 }
 
-/// The ECN bits of the byte that IP has for them, and the mark of a router with a long queue (RFC
-/// 3168).
+/// The ECN bits of the IP traffic class, and the mark that a congested router sets (RFC 3168).
 const ECN: libc::c_int = 3;
 const CE: libc::c_int = 3;
 
-/// Datagrams that the kernel joined: all of one length, but for the last, which may be shorter.
+/// Datagrams that the kernel joined. All have the same length, except that the last may be shorter.
 struct FrameRun {
     from: SocketAddr,
     length: usize,
@@ -170,15 +173,15 @@ struct FrameRun {
 }
 
 impl FrameRun {
-    /// Where each begins, and how long it is.
+    /// Returns the offset and length of each datagram.
     fn segments(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
         let (length, segment) = (self.length, self.segment.max(1));
         (0..length).step_by(segment).map(move |at| (at, segment.min(length - at)))
     }
 }
 
-/// Two sockets at one address. Nobody else gets it: the first is bound without sharing, and so
-/// would another's first be.
+/// Binds two sockets to one address. No other process can share it: the first socket is bound
+/// without sharing. The first socket of another process would therefore fail to bind.
 fn bind_both(addr: SocketAddr, interface: Option<&str>) -> io::Result<(StdUdpSocket, StdUdpSocket)> {
     const LOAD_BYTE: u32 = libc::BPF_LD | libc::BPF_B | libc::BPF_ABS;
     const JUMP_AT_LEAST: u32 = libc::BPF_JMP | libc::BPF_JGE | libc::BPF_K;
@@ -190,7 +193,8 @@ fn bind_both(addr: SocketAddr, interface: Option<&str>) -> io::Result<(StdUdpSoc
         sys::bind_to_interface(quic.as_fd(), interface)?;
     }
     let data = sys::bind_shared_udp(quic.local_addr()?, interface)?;
-    // By order of their binding. A datagram without a first byte goes to the first.
+    // The program selects a socket by the order of binding. A datagram without a first byte goes to
+    // the first socket.
     let mut program = [
         step(LOAD_BYTE, 0, 0, 0),
         step(JUMP_AT_LEAST, 0, 1, FIRST_QUIC_BYTE.into()),
@@ -201,11 +205,11 @@ fn bind_both(addr: SocketAddr, interface: Option<&str>) -> io::Result<(StdUdpSoc
     Ok((quic, data))
 }
 
-/// Nothing that is sent is fragmented, whatever the kernel believes to know of the path; what is
-/// received may be joined, and comes with its ECN bits.
+/// Configures the data socket. Sent datagrams are never fragmented, independent of the kernel's
+/// path MTU. Received datagrams may be joined, and carry their ECN bits.
 fn prepare_data(data: BorrowedFd, v6: bool) -> io::Result<()> {
     let set = |level, option, value: libc::c_int| sys::set_option(data, level, option, &value);
-    // Over IPv4 on a socket for IPv6 as well.
+    // An IPv6 socket also needs these options for IPv4.
     set(libc::IPPROTO_IP, libc::IP_MTU_DISCOVER, libc::IP_PMTUDISC_PROBE)?;
     set(libc::IPPROTO_IP, libc::IP_RECVTOS, 1)?;
     if v6 {
@@ -241,7 +245,7 @@ impl AsyncUdpSocket for SharedUdp {
             let received = match received {
                 Ok(received) => received,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => continue,
-                // An ICMP error that some peer provoked must not end the endpoint.
+                // An ICMP error that a peer provoked must not end the endpoint.
                 Err(_) => 0,
             };
             bufs.iter_mut().zip(&mut *meta).take(received).for_each(|(buf, meta)| self.keep_packets(buf, meta));
@@ -271,7 +275,7 @@ impl AsyncUdpSocket for SharedUdp {
 }
 
 impl SharedUdp {
-    /// Takes data frames out of a run that begins with a QUIC packet.
+    /// Removes data frames from a run that begins with a QUIC packet.
     fn keep_packets(&self, buf: &mut [u8], meta: &mut RecvMeta) {
         let run = FrameRun { from: meta.addr, length: meta.len.min(buf.len()), segment: meta.stride, traffic: 0 };
         let (congested, mut kept) = (meta.ecn == Some(EcnCodepoint::Ce), 0);

@@ -1,5 +1,5 @@
 //! The largest data frame on a UDP link.
 
-/// Largest data frame on a UDP link, in bytes: what fits into IPv4 on Ethernet. A link takes as
-/// much of it as its path does, which QUIC finds out.
+/// Largest data frame on a UDP link, in bytes: the payload of IPv4 on Ethernet. The MTU of a link
+/// may be smaller, by QUIC's path MTU discovery.
 pub const UDP_MTU: u32 = 1500 - 20 - 8;

@@ -1,5 +1,6 @@
-//! Links over UDP on loopback, with honest peers and others. No root. Ethernet:
-//! `tests/tests/networks/link.rs`.
+//! Tests of links over UDP on loopback, with honest and hostile peers.
+//!
+//! No root. `tests/tests/networks/link.rs` tests Ethernet.
 
 use gdp_wire::hop;
 use std::collections::HashSet;
@@ -82,13 +83,13 @@ async fn peers_without_a_p256_key_are_refused() {
         let endpoint = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
         let config = foreign_client(key, what != "no key");
         let connecting = endpoint.connect_with(config, address, "gdp").unwrap();
-        // The client may believe it is connected until the server has looked at its key.
+        // The client may consider itself connected until the server has verified its key.
         if let Ok(connection) = connecting.await {
             connection.closed().await;
         }
         assert!(accept(&listener).await.is_err(), "{what}");
     }
-    // An X.509 certificate of a good key is no raw public key.
+    // An X.509 certificate with a valid key is not a raw public key.
     let endpoint = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
     let config = foreign_client(Some(&rcgen::PKCS_ECDSA_P256_SHA256), false);
     assert!(endpoint.connect_with(config, address, "gdp").unwrap().await.is_err());
@@ -115,7 +116,7 @@ async fn garbage_neither_stops_a_port_nor_reaches_it_as_data() {
     assert_eq!(listener.data().try_recv_batch(&mut RecvBatch::new(1500)).unwrap(), 0);
 }
 
-/// 127.0.0.2 opens connections and says nothing; 127.0.0.1 gets its link at once.
+/// 127.0.0.2 opens connections and sends nothing; 127.0.0.1 gets its link at once.
 #[tokio::test]
 async fn silent_peers_hold_up_nobody_else() {
     let listener = listen(&identity("switch"));
@@ -184,7 +185,7 @@ async fn bad_requests_are_refused_and_harm_no_others() {
         let Response::Refused(refusal) = control::decode(&answer).unwrap() else { panic!("accepted") };
         assert_eq!(refusal.code, RefusalCode::Malformed, "{refusal}");
     }
-    // Half a request, an empty stream, an abandoned one.
+    // Half a request, an empty stream and an abandoned one.
     let mut open = Vec::new();
     for bytes in [&[0, 0, 0, 9, 1, 2][..], &[0], &[]] {
         let (mut send, recv) = client.0.connection.open_bi().await.unwrap();
@@ -267,7 +268,7 @@ async fn keys_are_replaced_on_both_sides_while_frames_cross() {
             let made = Instant::now();
             let header = ends[from].frame();
             let taken = ends[to].take(&header);
-            // If nothing held this thread up in between.
+            // Only if the scheduler has not delayed this thread.
             if made.elapsed() < OFTEN.overlap / 2 {
                 assert_eq!(taken, Ok(FrameType::Data), "{:?}", ends[from].link.key_generations());
                 in_time += 1;
@@ -281,7 +282,7 @@ async fn keys_are_replaced_on_both_sides_while_frames_cross() {
     }
 }
 
-/// As one whose daemon died, and whose kernel forwards on by the keys it has.
+/// As with a peer whose daemon died and whose kernel continues to forward with the installed keys.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_peer_that_does_not_answer_keeps_its_keys_and_takes_what_comes() {
     let (listener, dialler) = (listen_by(OFTEN), open_by(OFTEN));
@@ -294,7 +295,7 @@ async fn a_peer_that_does_not_answer_keeps_its_keys_and_takes_what_comes() {
         tokio::task::yield_now().await;
     }
     assert_eq!(client.key_generations(), (0, 1), "it has moved once, and asks");
-    // Whoever takes the link into service answers, and it goes on.
+    // A peer that keeps its keys answers, and the client continues.
     let _end = End::new(&server);
     let deadline = Instant::now() + Duration::from_secs(60);
     while client.key_generations().1 < 3 {
@@ -306,7 +307,7 @@ async fn a_peer_that_does_not_answer_keeps_its_keys_and_takes_what_comes() {
 const OFTEN: RekeySchedule =
     RekeySchedule { interval: Duration::from_millis(20), frames: u64::MAX, overlap: Duration::from_millis(100) };
 
-/// One end of a link, with the table of a data plane of a page.
+/// One end of a link, with the link table and replay window of a data plane.
 struct End {
     link: Link,
     entry: Arc<StdMutex<LinkEntry>>,
@@ -372,7 +373,7 @@ fn addr_of(port: &Port) -> LinkAddr {
     LinkAddr::Udp(port.udp_addr().unwrap())
 }
 
-/// Both ends of a new link.
+/// Makes a link and returns both ends.
 async fn link(dialler: &Port, listener: &Port) -> (Link, Link) {
     let (client, server) = tokio::join!(dialler.dial(addr_of(listener), None), accept(listener));
     (client.unwrap(), server.unwrap())
@@ -397,8 +398,8 @@ fn random(state: &mut u64) -> u8 {
     (*state >> 56) as u8
 }
 
-/// A client that is not of this project: with no key, or a raw key or a certificate of the given
-/// kind.
+/// Returns the configuration of a foreign client: without a key, or with a raw key or certificate
+/// of the given kind.
 fn foreign_client(key: Option<&'static rcgen::SignatureAlgorithm>, raw: bool) -> quinn::ClientConfig {
     use rustls::client::{AlwaysResolvesClientRawPublicKeys, danger::*};
     use rustls::pki_types::*;

@@ -9,7 +9,8 @@ fn its_keys_are_cleared_and_not_printed() {
     let mut entry = ManuallyDrop::new(KeyedEntry::from(plain));
     let text = format!("{:?} {:#x?}", *entry, *entry);
     assert!(["4242", "5353", "16962", "21331"].iter().all(|secret| !text.contains(secret)), "{text}");
-    // SAFETY: dropped once, here; the type owns no memory, so that what is left may be looked at.
+    // SAFETY: dropped once, here. The type owns no memory, so the test may read its fields
+    // afterwards.
     unsafe { ManuallyDrop::drop(&mut entry) };
     assert_eq!((entry.rx_keys, entry.tx_keys, entry.id), ([[0; 2]; 2], [[0; 2]; 2], 7));
 }

@@ -9,7 +9,7 @@ const NONE: u64 = 0;
 fn a_neighbour_that_answers_lives_as_long_as_it_does() {
     let mut liveness = Liveness::new(Pace::ETHERNET);
     assert!((1..1000).all(|cookie| liveness.step(cookie - 1, cookie) == Step::Ask));
-    // Nothing comes any more; 999 is answered.
+    // No further answers arrive; 999 is answered.
     let asked = (0..MISSES as u64).take_while(|n| liveness.step(999, 2000 + n) == Step::Ask).count();
     assert_eq!(asked, MISSES);
     assert_eq!(liveness.step(999, 3000), Step::Silent);
@@ -41,7 +41,7 @@ fn losses_between_answers_are_no_silence() {
 fn an_answer_settles_the_echoes_up_to_its_own() {
     let mut liveness = Liveness::new(Pace::ETHERNET);
     (1..=4).for_each(|cookie| assert_eq!(liveness.step(NONE, cookie), Step::Ask));
-    // The answer to 2 comes late: 3 and 4 are still open.
+    // The late answer to 2 leaves 3 and 4 open.
     assert_eq!(liveness.step(2, 5), Step::Ask);
     assert_eq!(liveness.open.open, [3, 4, 5]);
     assert_eq!(liveness.step(1, 6), Step::Ask, "an older one says nothing new");
@@ -52,7 +52,7 @@ fn an_answer_settles_the_echoes_up_to_its_own() {
 fn an_answer_to_nothing_that_is_open_is_no_sign_of_life() {
     let mut liveness = Liveness::new(Pace::ETHERNET);
     assert_eq!(liveness.step(NONE, 1), Step::Ask);
-    // The answer to the first, again and again.
+    // Only the answer to the first echo, repeatedly.
     let asked = (2..100).take_while(|cookie| liveness.step(1, *cookie) == Step::Ask).count();
     assert_eq!(asked, MISSES);
     let mut liveness = Liveness::new(Pace::ETHERNET);

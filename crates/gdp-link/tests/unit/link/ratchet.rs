@@ -1,4 +1,4 @@
-//! Two ends of a link with frames and announcements between them that are late, lost or come twice.
+//! Tests of two ends of a link whose frames and announcements are delayed, lost or duplicated.
 
 use gdp_wire::hop;
 use std::collections::VecDeque;
@@ -22,7 +22,7 @@ fn both_ends_move_on_and_lose_nothing_though_frames_overtake_each_other() {
                 under_way.push_back((pair.time, 1 - side, pair.send(side)));
             }
         }
-        // A frame is on its way for less than the overlap, and not in the order it was sent.
+        // A frame is in flight for less than the overlap, and frames may be reordered.
         while let Some((sent, ..)) = under_way.front() {
             let at = random(under_way.len().min(8) as u64) as usize;
             if pair.time - *sent < SCHEDULE.overlap && random(3) > 0 {
@@ -47,7 +47,7 @@ fn a_sender_does_not_move_twice_without_an_answer_and_its_frames_are_taken_meanw
             pair.advance(Duration::from_secs(1), |side, answers| (side, answers) != (by, is_answer));
         }
         assert_eq!(pair.sides[0].ratchet.generations().1, start + 1, "lost: {lost}");
-        // Then nothing is lost any more, and it goes on.
+        // Without further loss, the ratchet continues.
         (0..400).for_each(|_| pair.advance(Duration::from_secs(1), |_, _| true));
         assert!(pair.sides[0].ratchet.generations().1 >= start + 3);
         let header = pair.send(0);
@@ -84,7 +84,7 @@ fn many_frames_end_a_key_before_its_time() {
     pair.send(0);
     pair.advance(Duration::from_secs(1), |_, _| true);
     assert_eq!(pair.generations(), [(0, 1), (1, 0)]);
-    // The count goes on, and the next key has as many.
+    // The count continues, and the next key may tag as many frames.
     for _ in 0..20 {
         pair.advance(Duration::from_secs(1), |_, _| true);
     }
@@ -113,7 +113,7 @@ fn an_announcement_is_known_awaited_or_impossible() {
     assert_eq!(ratchet.announced(0, start + SCHEDULE.overlap), AnnouncementOutcome::Known, "one that came late");
 }
 
-/// Tables are written twice for a change: no write touches the key that frames are tagged with.
+/// Each change writes the tables twice. Neither write touches the key that currently tags frames.
 #[test]
 fn the_phase_never_points_to_a_key_that_is_being_replaced() {
     let (mut ratchet, start) = (ratchet(0), Instant::now());
@@ -140,7 +140,8 @@ fn nothing_prints_a_key() {
     }
 }
 
-/// `docs/vectors/link_keys.json`; `GDP_WRITE_VECTORS=1 cargo test -p gdp vectors` writes it anew.
+/// `docs/vectors/link_keys.json`; `GDP_WRITE_VECTORS=1 cargo test -p gdp-link vectors` rewrites the
+/// file.
 #[test]
 fn vectors_of_link_keys() {
     let chains: Vec<Value> = [[0; 32], std::array::from_fn(|i| i as u8)].into_iter().map(chain).collect();
@@ -153,7 +154,7 @@ fn vectors_of_link_keys() {
     );
 }
 
-/// The first generations by way of [`Held`], with the secrets by both back ends.
+/// Derives the first generations with [`TrafficSecret`], and the secrets with both back ends.
 fn chain(secret: [u8; 32]) -> Value {
     let mut secrets = TrafficSecret::new(Zeroizing::new(secret)).unwrap();
     let mut secret = Zeroizing::new(secret);
@@ -176,7 +177,7 @@ fn chain(secret: [u8; 32]) -> Value {
     json!({"generations": generations.collect::<Vec<_>>()})
 }
 
-/// Side 0 and side 1; what is announced and answered takes no time.
+/// Sides 0 and 1. Announcements and answers take no time.
 struct Pair {
     sides: [Side; 2],
     time: Duration,
@@ -185,11 +186,11 @@ struct Pair {
 
 struct Side {
     ratchet: Ratchet,
-    /// What its data plane holds.
+    /// The entry in this side's data plane.
     entry: LinkEntry,
     window: Box<replay::Window>,
     sent: u64,
-    /// An announcement of the peer's waits for its answer.
+    /// Whether an announcement from the peer awaits its answer.
     waiting: bool,
 }
 
@@ -220,7 +221,8 @@ impl Pair {
         forward::accept(header, Header::LEN, &self.sides[side].entry, &*self.sides[side].window)
     }
 
-    /// Lets time pass. `arrives(from, is_answer)`: whether what this side says arrives.
+    /// Advances the time. `arrives(from, is_answer)` decides whether a message from this side
+    /// arrives.
     fn advance(&mut self, time: Duration, arrives: impl Fn(usize, bool) -> bool) {
         self.time += time;
         let now = self.start + self.time;
@@ -258,19 +260,19 @@ impl Pair {
 }
 
 impl Rx {
-    /// The older of the two generations held.
+    /// Returns the older of the two stored generations.
     fn held_from(&self) -> u64 {
         if self.retires.is_some() { self.generation - 1 } else { self.generation }
     }
 }
 
-/// With the keys of side 0 or 1.
+/// Creates the ratchet of side 0 or 1.
 fn ratchet(side: u8) -> Ratchet {
     let secret = |which| Zeroizing::new([which; 32]);
     Ratchet::new(secret(1 - side), secret(side), SCHEDULE, Instant::now()).unwrap()
 }
 
-/// Bounded random numbers, the same in every run.
+/// Returns a generator of bounded random numbers, the same in every run.
 fn random(mut state: u64) -> impl FnMut(u64) -> u64 {
     move |bound| {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);

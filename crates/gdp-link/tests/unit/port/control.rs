@@ -16,7 +16,7 @@ fn what_was_put_in_comes_out() {
         messages
     };
     assert_eq!(messages(&header), [(1, 2, 7), (3, 4, 9)]);
-    // The kernel cuts what has no room.
+    // The kernel truncates messages that do not fit.
     header.msg_controllen -= 8;
     assert_eq!(messages(&header), [(1, 2, 7)]);
     header.msg_controllen = 3;

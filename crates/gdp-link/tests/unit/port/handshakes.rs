@@ -40,7 +40,7 @@ async fn beyond_half_addresses_are_to_be_proven_and_beyond_all_the_oldest_gives_
     started.push(start(&handshakes, now, 1000));
     assert!(oldest.await.is_err_and(|error| error.is_cancelled()));
     assert_eq!(handshakes.lock().entries.len(), MAX_HANDSHAKES);
-    // One that has given way before it was known which task it is.
+    // A handshake that is displaced before its task is known.
     started.push(start(&handshakes, now, 1001));
     let late = tokio::spawn(std::future::pending::<()>());
     started[1].runs_as(late.abort_handle());

@@ -1,5 +1,6 @@
-//! Data frames and QUIC packets over real UDP sockets on loopback, with honest senders and others.
-//! No root. Paths that take less than their interface: `tests/tests/networks/udp.rs`.
+//! Data frames and QUIC packets over real UDP sockets on loopback, with honest and hostile senders.
+//!
+//! No root. `tests/tests/networks/udp.rs` has paths with a smaller MTU than their interface.
 
 use std::future::poll_fn;
 use std::io::IoSliceMut;
@@ -21,7 +22,7 @@ use super::{InFrame, LinkAddr};
 
 const SOON: Duration = Duration::from_secs(60);
 
-/// First byte of a data frame, and of a QUIC packet.
+/// The first byte of a data frame.
 const DATA: u8 = 0x10;
 const QUIC: u8 = 0xc0;
 
@@ -65,7 +66,7 @@ async fn runs_end_at_another_destination_or_class_and_where_no_datagram_is_longe
 async fn what_arrives_as_one_piece_is_split_into_the_frames_that_were_sent() {
     for bind in ["127.0.0.1:0", "[::1]:0"] {
         let (sender, receiver) = (End::bind(bind), End::bind(bind));
-        // More than one call sends or receives, and no length that keeps what follows aligned.
+        // Several calls send and receive, and no length aligns the next frame.
         let lengths: Vec<usize> = (0..1000).map(|i| if i % 50 < 45 { 1397 } else { 96 + i }).collect();
         for some in lengths.chunks(200) {
             let frames = frames(some);
@@ -85,7 +86,7 @@ async fn whatever_lengths_a_sender_makes_up_others_are_not_harmed() {
     hostile.send(&junk, Some(65_000 / 2), 0, receiver.addr());
     hostile.send(&junk, None, 0, receiver.addr());
     hostile.send(&[], None, 0, receiver.addr());
-    // Of the other kind, but nothing that a peer would send: not kept.
+    // A QUIC byte, but longer than any peer's datagram: dropped.
     hostile.send(&[&[QUIC; 2000][..], &junk[..2000]].concat(), Some(2000), 0, receiver.addr());
     let frames = frames(&[1400; 3]);
     honest.send(&frames, receiver.addr());
@@ -103,14 +104,14 @@ async fn whatever_lengths_a_sender_makes_up_others_are_not_harmed() {
 #[tokio::test]
 async fn where_the_kernel_refuses_runs_frames_go_one_by_one() {
     let (sender, plain) = (End::bind("127.0.0.1:0"), Plain::bind("127.0.0.1:0"));
-    // Without a checksum the kernel makes no segments.
+    // Without checksums the kernel does not segment.
     sys::set_option(sender.udp.data_fd(), libc::SOL_SOCKET, libc::SO_NO_CHECK, &1i32).unwrap();
     let frames = frames(&[300; 10]);
     for _ in 0..2 {
         assert_eq!(sender.send(&frames, plain.addr()), Sent { sent: 10, lost: 0 });
         frames.iter().for_each(|frame| assert_eq!(plain.receive(), (frame.clone(), 300)));
     }
-    // Once the path takes runs again, they are tried again before long.
+    // After the path accepts runs again, the sender soon tries them again.
     sys::set_option(sender.udp.data_fd(), libc::SOL_SOCKET, libc::SO_NO_CHECK, &0i32).unwrap();
     let mut calls = 0;
     while {
@@ -158,7 +159,7 @@ async fn a_packet_that_the_data_thread_finds_wakes_the_task_that_waits_for_it() 
         let receiver = receiver.clone();
         async move { receiver.receive_packets(1).await }
     });
-    // So that it waits before the packet comes.
+    // The task waits before the packet arrives.
     tokio::task::yield_now().await;
     peer.send(&[&[DATA; 100][..], &[QUIC; 50]].concat(), Some(100), 0, receiver.addr());
     assert_eq!(receiver.receive(1), [[DATA; 100]]);
@@ -192,7 +193,8 @@ async fn frames_of_another_class_or_with_a_mark_are_no_part_of_a_run() {
     for at in ["127.0.0.1:0", "[::1]:0"] {
         let (end, peer) = (End::bind(at), Plain::bind(at));
         let mut frames = frames(&[200; 8]);
-        // Two of each: another class, then a mark; the key's phase is no matter of IP's.
+        // Two frames each: first another class, then a mark. The key phase does not affect IP's
+        // traffic class.
         for (frame, flags) in frames.iter_mut().zip([0b10, 0x82, 0b110, 0b110, 0b111, 0b111, 0, 0]) {
             frame[1] = flags;
         }
@@ -233,7 +235,7 @@ async fn an_address_is_held_by_one_port() {
     SharedUdp::bind(address, None).unwrap();
 }
 
-/// Frames of these lengths, no two alike.
+/// Returns frames of these lengths, all different.
 fn frames(lengths: &[usize]) -> Vec<Vec<u8>> {
     let frame = |(number, length): (usize, &usize)| {
         let mut frame = vec![number as u8; *length];
@@ -244,7 +246,7 @@ fn frames(lengths: &[usize]) -> Vec<Vec<u8>> {
     lengths.iter().enumerate().map(frame).collect()
 }
 
-/// What is tested: the sockets of a port.
+/// The sockets of a port, under test.
 struct End {
     udp: Arc<SharedUdp>,
     data: DataSocket,
@@ -260,7 +262,7 @@ impl End {
         self.udp.local_addr().unwrap()
     }
 
-    /// In two pieces each, as publishers do.
+    /// Sends each frame in two pieces, as publishers do.
     fn send(&self, frames: &[Vec<u8>], to: SocketAddr) -> Sent {
         let out = |frame: &'_ Vec<u8>| {
             let (head, body) = frame.split_at(frame.len().min(20));
@@ -300,7 +302,7 @@ impl End {
     }
 }
 
-/// A socket that sends and receives as the test says.
+/// A socket that sends and receives as the test specifies.
 struct Plain(UdpSocket);
 
 impl Plain {
@@ -323,7 +325,7 @@ impl Plain {
         self.0.local_addr().unwrap()
     }
 
-    /// A datagram, cut into segments by the kernel.
+    /// Sends a datagram that the kernel cuts into segments.
     fn send(&self, bytes: &[u8], segment: Option<u16>, traffic: u8, to: SocketAddr) {
         let mut control = Control::new();
         if let Some(segment) = segment {
@@ -343,18 +345,19 @@ impl Plain {
         header.msg_iov = &raw mut iovec;
         header.msg_iovlen = 1;
         control.attach(&mut header);
-        // SAFETY: all that the header points to outlives the call, and is only read.
+        // SAFETY: all memory that the header points to outlives the call, and the kernel only reads
+        // it.
         let sent = unsafe { libc::sendmsg(self.0.as_raw_fd(), &header, 0) };
         assert_eq!(sent, bytes.len() as isize, "{}", std::io::Error::last_os_error());
     }
 
-    /// What the kernel hands over as one piece, and the length of its segments.
+    /// Returns a datagram as the kernel delivers it, and the length of its segments.
     fn receive(&self) -> (Vec<u8>, usize) {
         let (bytes, segment, _) = self.receive_all();
         (bytes, segment)
     }
 
-    /// Length, and what the IP header says of traffic class and ECN.
+    /// Returns the length, and the traffic class and ECN bits of the IP header.
     fn receive_traffic(&self) -> (usize, libc::c_int) {
         let (bytes, _, traffic) = self.receive_all();
         (bytes.len(), traffic)
@@ -368,7 +371,7 @@ impl Plain {
         header.msg_iov = &raw mut iovec;
         header.msg_iovlen = 1;
         control.make_room(&mut header);
-        // SAFETY: all that the header points to outlives the call.
+        // SAFETY: all memory that the header points to outlives the call.
         let length = unsafe { libc::recvmsg(self.0.as_raw_fd(), &mut header, 0) };
         assert!(length >= 0, "{}", std::io::Error::last_os_error());
         bytes.truncate(length as usize);
