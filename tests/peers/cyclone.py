@@ -33,7 +33,7 @@ def arguments():
 
 args = arguments()
 if args.peer:
-    # Cyclone reads its configuration from the environment, when its library is loaded.
+    # Cyclone reads its configuration from the environment when its library is loaded.
     os.environ["CYCLONEDDS_URI"] = (
         "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast></General><Discovery>"
         f'<ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="{args.peer}"/></Peers>'
@@ -114,7 +114,7 @@ def qos():
         Policy.Reliability.BestEffort if args.best_effort else reliable,
         Policy.Durability.TransientLocal if args.transient_local else Policy.Durability.Volatile,
         Policy.History.KeepLast(args.depth),
-        # ROS 2 speaks XCDR1 only.
+        # ROS 2 uses XCDR1 only.
         Policy.DataRepresentation(use_cdrv0_representation=True),
     )
 
@@ -128,7 +128,8 @@ def talk(participant):
     while not args.no_wait and not writer.get_matched_subscriptions():
         time.sleep(0.01)
     say(event="matched")
-    # Sequence, clock and CRC take 42 bytes: 10 + 20 + 10 digits, filled with zeros, and spaces between.
+    # Sequence number, clock and CRC take 42 bytes: 10 + 20 + 10 digits, padded with zeros, and
+    # spaces between.
     room = max(0, args.size - 43)
     filler = (args.text + " ") * (room // (len(args.text) + 1) + 1)
     filler = filler[:room]

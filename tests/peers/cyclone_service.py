@@ -17,7 +17,8 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-# rmw_cyclonedds puts a header before the body of requests and replies: the client's number, and a sequence number.
+# rmw_cyclonedds puts a header before the body of requests and replies: the client's number and a
+# sequence number.
 CLIENT = 0x1122334455667788
 
 
@@ -95,7 +96,8 @@ def reply(reader, kind, seq):
         try:
             [sample] = reader.take(N=1) or [None]
         except Exception as error:
-            # To a client of another vendor, without a header: rmw_cyclonedds drops what it cannot read, too.
+            # A reply to another vendor's client has no header. rmw_cyclonedds also drops what it
+            # cannot read.
             print(f"not for us: {error!r}", file=sys.stderr)
             continue
         if sample is None or isinstance(sample, kind) and (sample.guid, sample.seq) == (CLIENT, seq):
@@ -111,7 +113,7 @@ def call(service):
     say(event="ready")
     while not is_there(reader, writer):
         time.sleep(0.01)
-    # Both ends must have found each other, and only one end of that shows here.
+    # Both ends must have discovered each other, but only one end's discovery is visible here.
     for attempt in range(100):
         writer.write(AddRequest(CLIENT, attempt, args.a, args.b))
         for _ in range(100):
@@ -148,7 +150,7 @@ p.add_argument("--domain", type=int, default=0)
 p.add_argument("--a", type=int, default=0)
 p.add_argument("--b", type=int, default=0)
 args = p.parse_args()
-# So that it says goodbye.
+# Lets the participant announce its departure.
 signal.signal(signal.SIGTERM, lambda *_: sys.exit())
 participant = DomainParticipant(args.domain)
 globals()[args.verb](*args.service)

@@ -80,7 +80,8 @@ int64_t monotonic_ns() {
     return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-// Eight bytes at a time (Intel's "slicing by 8"): a checksum must not take the processor from the DDS that is measured.
+// Processes eight bytes at a time (Intel's "slicing by 8"): the checksum must not take the
+// processor from the DDS under measurement.
 uint32_t crc32(const char* data, size_t length) {
     static const auto table = [] {
         std::array<std::array<uint32_t, 256>, 8> t{};
@@ -108,7 +109,8 @@ uint32_t crc32(const char* data, size_t length) {
 
 DomainParticipant* participant(const Arguments& a) {
     DomainParticipantQos qos = PARTICIPANT_QOS_DEFAULT;
-    // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared memory, past the network.
+    // UDP alone: two Fast DDS programs on one machine would otherwise communicate through shared
+    // memory, past the network.
     auto transport = std::make_shared<UDPv4TransportDescriptor>();
     qos.transport().use_builtin_transports = false;
     qos.transport().user_transports.push_back(transport);
@@ -117,7 +119,7 @@ DomainParticipant* participant(const Arguments& a) {
         Locator_t peer;
         IPLocator::setIPv4(peer, a.peer);
         builtin.initialPeersList.push_back(peer);
-        // A unicast metatraffic locator of our own switches multicast off.
+        // An explicit unicast metatraffic locator turns multicast off.
         Locator_t any;
         builtin.metatrafficUnicastLocatorList.push_back(any);
     }
@@ -130,7 +132,8 @@ template <class Q> void common_qos(Q& q, const Arguments& a) {
     q.reliability().kind = a.best_effort ? BEST_EFFORT_RELIABILITY_QOS : RELIABLE_RELIABILITY_QOS;
     q.durability().kind = a.transient_local ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
     q.history().kind = KEEP_LAST_HISTORY_QOS;
-    // What it takes on its own thread may come in bursts: a reader of what is not latched keeps more than its writer does.
+    // The reader's thread may take samples in bursts. A volatile reader therefore has a deeper
+    // history than its writer.
     bool of_reader = std::is_same<Q, DataReaderQos>::value;
     q.history().depth = of_reader && !a.transient_local ? std::max(a.depth, 400) : a.depth;
     q.endpoint().history_memory_policy = PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
@@ -195,7 +198,8 @@ void report(const std::string& data, int64_t now, size_t topic) {
                 sequence, static_cast<long long>(now - clock), data.size(), intact ? "true" : "false", topic, text.c_str());
 }
 
-// Takes on a thread of its own, as a ROS executor does: what is slow here does not keep Fast DDS from receiving.
+// Takes samples on a separate thread, as a ROS executor does. Slow work here does not delay Fast
+// DDS's reception.
 void take(DataReader* reader, size_t topic) {
     String message;
     SampleInfo info;

@@ -1,4 +1,5 @@
-// A ROS 2 server or client of example_interfaces/srv/AddTwoInts as rmw_fastrtps would make it. See README.md.
+// A ROS 2 server or client of example_interfaces/srv/AddTwoInts as rmw_fastrtps would make it. See
+// README.md.
 #include "AddTwoIntsPubSubTypes.h"
 
 #include <fastdds/dds/domain/DomainParticipant.hpp>
@@ -52,7 +53,7 @@ void serve(DataReader* requests, DataWriter* replies) {
         requests->wait_for_unread_message({1, 0});
         while (requests->take_next_sample(&request, &info) == ReturnCode_t::RETCODE_OK) {
             if (!info.valid_data) continue;
-            // The client's reader of replies, if it named that; otherwise its writer.
+            // The client's reader of replies, if the client named it; otherwise its writer.
             SampleIdentity asked = info.sample_identity;
             const GUID_t& named = info.related_sample_identity.writer_guid();
             if (named != GUID_t::unknown()) asked.writer_guid(named);
@@ -73,7 +74,7 @@ bool call(DataReader* replies, DataWriter* requests, long long a, long long b) {
         requests->get_publication_matched_status(matched);
         replies->get_subscription_matched_status(heard);
     } while (matched.current_count == 0 || heard.current_count == 0);
-    // Both ends must have found each other, and only one end of that shows here.
+    // Both ends must have discovered each other, but only one end's discovery is visible here.
     for (int attempt = 0; attempt < 100; ++attempt) {
         Request request;
         request.a(a);

@@ -53,5 +53,5 @@ try:
     globals()[args.verb](node, *args.service)
     rclpy.spin(node)
 except ExternalShutdownException:
-    # Says goodbye.
+    # Announces the node's departure.
     node.destroy_node()

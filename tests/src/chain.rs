@@ -1,4 +1,4 @@
-//! The one topology of tests, demo and benchmarks:
+//! The one topology that tests, the demo and benchmarks share:
 //!
 //! ```text
 //!  robot r0 ── l0 s1 r0 ── l0 s2 r0 ── l0 s3 r0 ── l0 cloud
@@ -6,7 +6,8 @@
 //!                       wire   (optional, on any link: a kernel bridge, where an eavesdropper or attacker sits)
 //! ```
 //!
-//! Only cables: no addresses, no programs. Every node's left interface is `l0`, the right one `r0`.
+//! The chain consists of cables alone: no addresses, no programs. Every node names its left
+//! interface `l0` and its right one `r0`.
 
 use anyhow::{Context, Result};
 use gdp_faults::Faults;
@@ -15,15 +16,15 @@ use crate::netns::{End, Namespace, veth};
 use crate::packet::PacketSocket;
 use crate::wire::Wire;
 
-/// How long the chain is, and what its cables are like.
+/// The length of the chain and the properties of its cables.
 #[derive(Clone, Copy, Debug)]
 pub struct ChainOptions {
     /// Switches between robot and cloud.
     pub switches: usize,
     /// MTU of every interface, in bytes.
     pub mtu: u32,
-    /// The link (0 is robot – s1) to put the wire into. Native XDP passes frames by where no
-    /// capture sees them; on a bridge in between they can be seen, and added.
+    /// The link (0 is robot – s1) that carries the wire. Native XDP forwards frames past every
+    /// capture point. A bridge in the link makes the frames visible and lets a test inject others.
     pub wire: Option<usize>,
 }
 
@@ -33,7 +34,7 @@ impl Default for ChainOptions {
     }
 }
 
-/// A chain of namespaces. Dropping it removes them.
+/// A chain of namespaces. Dropping it deletes them.
 pub struct Chain {
     nodes: Vec<Namespace>,
     wire: Option<Namespace>,
@@ -60,7 +61,7 @@ impl Chain {
         Ok(Self { nodes, wire })
     }
 
-    /// Robot, switches, cloud, in this order.
+    /// Returns the nodes in the order robot, switches, cloud.
     pub fn nodes(&self) -> &[Namespace] {
         &self.nodes
     }
@@ -77,17 +78,19 @@ impl Chain {
         &self.nodes[1..self.nodes.len() - 1]
     }
 
-    /// What arrives on the wire from the robot's side; frames sent on it go back there.
+    /// Opens the robot's side of the wire. The socket receives frames from the robot; frames sent
+    /// on it return to the robot's side.
     pub fn wire_from_robot(&self) -> Result<PacketSocket> {
         PacketSocket::open(self.wire()?, WIRE_LEFT)
     }
 
-    /// What arrives on the wire from the cloud's side; frames sent on it go on toward the cloud.
+    /// Opens the cloud's side of the wire. The socket receives frames from the cloud; frames sent
+    /// on it continue toward the cloud.
     pub fn wire_to_cloud(&self) -> Result<PacketSocket> {
         PacketSocket::open(self.wire()?, WIRE_RIGHT)
     }
 
-    /// Lets nothing through the wire any more, or everything again.
+    /// Blocks every frame on the wire, or lets all frames pass again.
     pub fn cut_wire(&self, cut: bool) -> Result<()> {
         let isolated = if cut { "on" } else { "off" };
         [WIRE_LEFT, WIRE_RIGHT].into_iter().try_for_each(|port| {
@@ -95,8 +98,8 @@ impl Chain {
         })
     }
 
-    /// Makes the wire a bad cable, as long as what is returned lives; then it is cut. `faults`:
-    /// toward the cloud, toward the robot.
+    /// Applies link faults to the wire until the returned guard is dropped. Dropping the guard cuts
+    /// the wire. `faults`: toward the cloud, toward the robot.
     pub fn disturb_wire(&self, faults: [Faults; 2], seed: u64) -> Result<Wire> {
         let at = self.wire()?;
         for port in [WIRE_LEFT, WIRE_RIGHT] {
@@ -105,13 +108,13 @@ impl Chain {
         Wire::start(at, [WIRE_LEFT, WIRE_RIGHT], faults, seed)
     }
 
-    /// The namespace that the wire is in, and an interface in it that reaches both ends of the
+    /// Returns the namespace of the wire, and an interface in it that reaches both ends of the
     /// wire.
     pub fn on_the_wire(&self) -> Result<(&Namespace, &'static str)> {
         Ok((self.wire()?, WIRE))
     }
 
-    /// Gives every interface an address (`10.9.LINK.1` left, `.2` right) and makes the switches
+    /// Assigns every interface an address (`10.9.LINK.1` left, `.2` right) and makes the switches
     /// plain IP routers.
     pub fn become_ip_routers(&self) -> Result<()> {
         let last = self.nodes.len() - 1;
@@ -138,7 +141,7 @@ impl Chain {
         Ok(())
     }
 
-    /// The addresses of robot and cloud after [`Chain::become_ip_routers`].
+    /// Returns the addresses of robot and cloud after [`Chain::become_ip_routers`].
     pub fn ip_ends(&self) -> (String, String) {
         ("10.9.0.1".to_owned(), format!("10.9.{}.2", self.nodes.len() - 2))
     }

@@ -1,16 +1,16 @@
-//! Switches that DPDK forwards in: their part of a configuration.
+//! The DPDK part of a switch's configuration.
 
 use serde_json::{Value, json};
 
-/// Drivers for interfaces of the kernel.
+/// DPDK drivers for kernel interfaces.
 pub const DRIVERS: [&str; 2] = ["net_af_packet", "net_af_xdp"];
 
-/// With them, `net_af_packet` takes packets of an MTU of up to 4016.
+/// Options with which `net_af_packet` accepts packets of an MTU of up to 4016 bytes.
 const LARGE_FRAMES: &str = ",framesz=4096,blocksz=4096";
 
-/// What a configuration needs for a data plane, or driver of DPDK's, on these interfaces with this
-/// MTU: the interfaces to run on, `data_plane` and `dpdk`. DPDK's are the host's sides of its
-/// ports, which begin with a `g`.
+/// Returns the configuration of a data plane, or of a DPDK driver, on these interfaces with this
+/// MTU. The parts are the interfaces to run on, `data_plane` and `dpdk`. With DPDK, the interfaces
+/// are the host's sides of the ports; their names begin with a `g`.
 pub fn planned(data_plane: &'static str, interfaces: &[&str], mtu: u32) -> (Vec<String>, &'static str, Value) {
     if !DRIVERS.contains(&data_plane) {
         return (interfaces.iter().map(|interface| (*interface).to_owned()).collect(), data_plane, json!({}));

@@ -1,5 +1,4 @@
-//! Members of etcd, real ones, each in a namespace of its own and with an address that the others
-//! reach.
+//! Real etcd members, each in its own namespace, with addresses that reach one another.
 
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
@@ -26,8 +25,8 @@ struct Member {
 }
 
 impl Etcd {
-    /// A member at each of these addresses, which its namespace has. `folder`: where they keep
-    /// their data and write their output.
+    /// Starts a member at each address; its namespace must have the address. `folder`: the members'
+    /// data and output.
     pub fn start(at: &[(&Namespace, Ipv4Addr)], folder: &Path) -> Result<Self> {
         let members = at.iter().map(|(_, address)| Member { address: *address, process: None }).collect();
         let mut etcd = Self { members, folder: folder.to_owned() };
@@ -39,12 +38,12 @@ impl Etcd {
         Ok(etcd)
     }
 
-    /// What a daemon is told of the cluster: the section `etcd` of its configuration.
+    /// Returns the section `etcd` of a daemon's configuration.
     pub fn config(&self) -> serde_json::Value {
         serde_json::json!({"endpoints": self.members.iter().map(Member::clients).collect::<Vec<_>>()})
     }
 
-    /// Which member leads the others, as they say who are asked from this namespace.
+    /// Returns the index of the leader. The query runs in this namespace.
     pub fn leader(&self, from: &Namespace) -> Result<usize> {
         let leads = |member: &Member| -> Result<bool> {
             let mut etcdctl = from.command(Program::Etcdctl)?;
@@ -58,7 +57,7 @@ impl Etcd {
         leading.next().context("no member of etcd leads")
     }
 
-    /// Ends a member at once, as if its machine had.
+    /// Kills a member, as a machine failure would.
     pub fn kill(&mut self, i: usize) -> Result<()> {
         if let Some(mut process) = self.members[i].process.take() {
             process.kill()?;
@@ -66,12 +65,12 @@ impl Etcd {
         Ok(())
     }
 
-    /// Starts a member again that was killed, with the data that it had.
+    /// Restarts a killed member with its existing data.
     pub fn start_again(&mut self, i: usize, at: &Namespace) -> Result<()> {
         self.spawn(i, at)
     }
 
-    /// The end of every member's output, for a failure message.
+    /// Returns the end of every member's output, for a failure message.
     pub fn report(&self) -> String {
         self.members.iter().filter_map(|member| Some(member.process.as_ref()?.report())).collect::<Vec<_>>().join("\n")
     }

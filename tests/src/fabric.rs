@@ -1,7 +1,7 @@
-//! A whole fabric on a [`Chain`]: keys, names and certificates made with `gdp-ctl` as a user would,
-//! a daemon on every switch (the last one is the RIB), and a `gdp-proxy` at each end. The topic's
-//! owner, the robot and the cloud have a folder each, as they would have a machine: what one does
-//! not get copied, it does not have.
+//! A whole fabric on a [`Chain`]. `gdp-ctl` makes keys, names and certificates, as a user would.
+//! Every switch runs a daemon (the last one is the RIB), and each end runs a `gdp-proxy`. The
+//! topic's owner, the robot and the cloud each have a folder, as each would have a machine. A party
+//! has no file that was not copied into its folder.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,16 +20,16 @@ use crate::wait::{TIMEOUT, wait_for};
 #[derive(Clone, Debug)]
 pub struct FabricOptions {
     pub chain: ChainOptions,
-    /// Of the switches: `auto`, `xdp`, `userspace`, or a driver of DPDK's
-    /// ([`crate::dpdk::DRIVERS`]). They take turns, if there are fewer than switches.
+    /// Data planes of the switches: `auto`, `xdp`, `userspace`, or a DPDK driver
+    /// ([`crate::dpdk::DRIVERS`]). If there are fewer entries than switches, the switches cycle
+    /// through the list.
     pub data_planes: &'static [&'static str],
     pub best_effort: bool,
     pub transient_local: bool,
     pub depth: u32,
-    /// That cross from robot to cloud: [`TOPIC`], and others like it with a number behind.
+    /// Number of topics from robot to cloud: [`TOPIC`], and others with a number appended.
     pub topics: u32,
-    /// Whether what is in the kernel outlives the daemons; in a BPF file system of the fabric's
-    /// own.
+    /// Whether kernel state outlives the daemons, pinned in the fabric's own BPF file system.
     pub pinned: bool,
 }
 
@@ -54,12 +54,12 @@ pub const TYPE: &str = "std_msgs/msg/String";
 /// The owner's folder.
 const OWNER: &str = "owner";
 
-/// Where a fabric's BPF file system is in its folder.
+/// The mount point of a fabric's BPF file system, in the fabric's folder.
 const BPFFS: &str = "bpf";
 
-/// A running fabric. Dropping it ends the programs, then removes the namespaces and files.
+/// A running fabric. Dropping it ends the programs, then deletes the namespaces and files.
 pub struct Fabric {
-    // Order is the order of the end: proxies, daemons, network, files.
+    // Fields drop in this order: proxies, daemons, network, files.
     pub robot: Option<Process>,
     pub cloud: Option<Process>,
     pub switches: Vec<Switch>,
@@ -72,16 +72,16 @@ pub struct Fabric {
     pub name: String,
 }
 
-/// One daemon.
+/// The daemon of one switch.
 pub struct Switch {
-    /// 64 hex digits.
+    /// The switch's name, 64 hex digits.
     pub name: String,
     pub process: Process,
     socket: PathBuf,
 }
 
 impl Fabric {
-    /// Network, keys and daemons, each answering and all adjacent; no proxies yet.
+    /// Starts network, keys and daemons. All daemons answer and are adjacent; no proxies run yet.
     pub fn start(tools: Tools, options: FabricOptions) -> Result<Self> {
         let chain = Chain::build(options.chain)?;
         for end in [chain.robot(), chain.cloud()] {
@@ -109,7 +109,7 @@ impl Fabric {
         Ok(fabric)
     }
 
-    /// Starts the daemon of switch `i` again, which has ended.
+    /// Restarts the daemon of switch `i`, which has ended.
     pub fn start_again(&mut self, i: usize) -> Result<()> {
         let names: Vec<String> = self.switches.iter().map(|switch| switch.name.clone()).collect();
         let folder = self.files.path();
@@ -117,19 +117,19 @@ impl Fabric {
         Ok(())
     }
 
-    /// The BPF file system of a fabric that is pinned. The first daemon mounts it.
+    /// Returns the BPF file system of a pinned fabric. The first daemon mounts it.
     pub fn bpffs(&self) -> PathBuf {
         self.files.path().join(BPFFS)
     }
 
-    /// `gdp-ctl xdp …` on this fabric's BPF file system, as JSON; an error if it exits with another
-    /// status than 0.
+    /// Runs `gdp-ctl xdp …` on this fabric's BPF file system and returns its JSON. An exit status
+    /// other than 0 is an error.
     pub fn xdp(&self, verb: &str) -> Result<Value> {
         let mut command = own(self.tools.gdp_ctl()?);
         parse(&execute(command.args(["xdp", verb, "-j", "--bpffs"]).arg(self.bpffs()))?)
     }
 
-    /// Both proxies, and every switch on the path holding what the name needs.
+    /// Starts both proxies, and waits until every switch on the path has the name's routes.
     pub fn start_proxies(&mut self) -> Result<()> {
         self.start_cloud()?;
         self.start_robot()?;
@@ -146,20 +146,21 @@ impl Fabric {
         Ok(())
     }
 
-    /// One more reader of the topic: gets a key and the owner's grant, and runs a proxy.
+    /// Adds a reader of the topic: creates its key, adds the owner's grant, and runs a proxy.
     pub fn admit_reader(&self, label: &str, at: &Namespace, interface: &str) -> Result<Process> {
         Authority { tools: &self.tools, folder: self.files.path() }.admit(label, "--read")?;
         self.start_proxy(label, "in", at, interface)
     }
 
-    /// A `gdp-ctl` command of the topic's owner, in its folder, through the daemon of switch `i`.
+    /// Runs a `gdp-ctl` command of the topic's owner, in its folder, through the daemon of switch
+    /// `i`.
     pub fn owner(&self, i: usize, arguments: &[&str]) -> Result<Value> {
         let mut command = own(self.tools.gdp_ctl()?);
         command.arg("--socket").arg(&self.switches[i].socket).args(arguments).arg("-j");
         parse(&execute(command.current_dir(self.folder_of(OWNER)))?)
     }
 
-    /// Waits until writer's and reader's switch hold the name.
+    /// Waits until the writer's and the reader's switch have the name in their FIBs.
     pub fn wait_for_route(&mut self) -> Result<()> {
         for i in [0, self.switches.len() - 1] {
             self.wait_for_fib(i, true)?;
@@ -167,7 +168,7 @@ impl Fabric {
         Ok(())
     }
 
-    /// Waits until switch `i` holds the topic's name, or does not.
+    /// Waits until the FIB of switch `i` contains the topic's name, or no longer contains it.
     pub fn wait_for_fib(&mut self, i: usize, present: bool) -> Result<()> {
         let what = format!("s{} to {} {}", i + 1, if present { "hold" } else { "forget" }, self.name);
         wait_for(&what, TIMEOUT, || {
@@ -177,50 +178,50 @@ impl Fabric {
         .with_context(|| self.report())
     }
 
-    /// Whether switch `i` holds the topic's name.
+    /// Returns whether the FIB of switch `i` contains the topic's name.
     pub fn holds_name(&self, i: usize) -> Result<bool> {
         Ok(self.ctl(i, &["fib", "dump"])?.to_string().contains(&self.name))
     }
 
-    /// `gdp-ctl status -j` of switch `i`.
+    /// Returns the output of `gdp-ctl status -j` for switch `i`.
     pub fn status(&self, i: usize) -> Result<Value> {
         self.ctl(i, &["status"])
     }
 
-    /// A counter of switch `i`, all planes together.
+    /// Returns a counter of switch `i`, summed over all planes.
     pub fn counter(&self, i: usize, counter: &str) -> Result<u64> {
         Ok(self.status(i)?["counters"][counter].as_u64().unwrap_or(0))
     }
 
-    /// Data frames that switch `i` sent on without its daemon.
+    /// Returns the number of data frames that switch `i` forwarded without its daemon.
     pub fn forwarded_in_kernel(&self, i: usize) -> Result<u64> {
         let status = self.status(i)?;
         let kernel = |counter| status["counters_by_plane"][counter]["kernel"].as_u64().unwrap_or(0);
         Ok(kernel("forwarded") + kernel("delivered"))
     }
 
-    /// A `gdp-ctl` command against the daemon of switch `i`, as JSON.
+    /// Runs a `gdp-ctl` command against the daemon of switch `i` and returns its JSON.
     pub fn ctl(&self, i: usize, arguments: &[&str]) -> Result<Value> {
         self.switches[i].ctl(&self.tools, arguments)
     }
 
-    /// The latest counters a proxy has written.
+    /// Returns the latest counters that a proxy has written.
     pub fn proxy_stats(&self, label: &str) -> Value {
         let text = fs::read_to_string(self.folder_of(label).join("stats.json")).unwrap_or_default();
         serde_json::from_str(&text).unwrap_or_default()
     }
 
-    /// Where the switches' files and all logs are.
+    /// Returns the folder of the switches' files and all logs.
     pub fn folder(&self) -> &Path {
         self.files.path()
     }
 
-    /// All that `owner`, `robot` or `cloud` has.
+    /// Returns the folder of `owner`, `robot` or `cloud`.
     pub fn folder_of(&self, party: &str) -> PathBuf {
         self.files.path().join(party)
     }
 
-    /// The end of every program's output, for a failure message.
+    /// Returns the end of every program's output, for a failure message.
     pub fn report(&self) -> String {
         let switches = self.switches.iter().map(|switch| &switch.process);
         let all = switches.chain(&self.robot).chain(&self.cloud);
@@ -268,8 +269,8 @@ impl Fabric {
 }
 
 impl Switch {
-    /// Starts a daemon with this configuration, except for where its identity and its socket are:
-    /// `LABEL.pem` and `LABEL.sock` in the folder.
+    /// Starts a daemon with this configuration. The function sets identity and socket: `LABEL.pem`
+    /// and `LABEL.sock` in the folder.
     pub fn start(
         tools: &Tools,
         at: &Namespace,
@@ -288,12 +289,12 @@ impl Switch {
         Ok(Self { name: name.to_owned(), process, socket })
     }
 
-    /// The daemon's admin socket.
+    /// Returns the path of the daemon's admin socket.
     pub fn socket(&self) -> &Path {
         &self.socket
     }
 
-    /// A `gdp-ctl` command against the daemon, as JSON.
+    /// Runs a `gdp-ctl` command against the daemon and returns its JSON.
     pub fn ctl(&self, tools: &Tools, arguments: &[&str]) -> Result<Value> {
         let mut command = own(tools.gdp_ctl()?);
         command.arg("--socket").arg(&self.socket).args(arguments).arg("-j");
@@ -331,52 +332,53 @@ fn start_switch(
     Switch::start(tools, &chain.switches()[i], folder, (&label, name), config)
 }
 
-/// A file system that is unmounted, and with it all that is pinned there.
+/// A mounted file system. Dropping it unmounts the file system, and thereby removes all pins.
 pub struct Mounted(pub PathBuf);
 
 impl Drop for Mounted {
     fn drop(&mut self) {
-        // Not mounted, if no daemon came so far.
+        // The file system is not mounted if no daemon has started yet.
         let _ = execute(Program::Umount.command().arg("--lazy").arg(&self.0));
     }
 }
 
-/// Keys, names and certificates, made with the command line.
+/// Creates keys, names and certificates with the command line.
 pub struct Authority<'a> {
     pub tools: &'a Tools,
     pub folder: &'a Path,
 }
 
 impl Authority<'_> {
-    /// The names of switches `s1`, `s2`, …
+    /// Creates the keys of switches `s1`, `s2`, … and returns their names.
     pub fn switches(&self, count: usize) -> Result<Vec<String>> {
         (1..=count).map(|i| self.switch(&format!("s{i}"))).collect()
     }
 
-    /// A switch makes its key, `LABEL.pem`; its name.
+    /// Creates a switch's key, `LABEL.pem`, and returns the switch's name.
     pub fn switch(&self, label: &str) -> Result<String> {
         self.key("", &format!("{label}.pem"), "switch")
     }
 
-    /// A proxy makes its key, `key.pem` in a folder of its own; its name.
+    /// Creates a proxy's key, `key.pem` in the proxy's folder, and returns the proxy's name.
     pub fn proxy(&self, label: &str) -> Result<String> {
         self.key(label, "key.pem", "proxy")
     }
 
-    /// The topic's name, made by its owner.
+    /// Creates the owner's key and the topic, and returns the topic's name.
     pub fn topic(&self) -> Result<String> {
         self.key(OWNER, "owner.pem", "owner")?;
         self.name("topic", TOPIC, TYPE, "chatter.card")
     }
 
-    /// One more name of the same owner, of a `topic`, a `service` or an `action`: its card.
+    /// Creates another name of the same owner for a `topic`, a `service` or an `action`. The
+    /// owner's folder gets its card, and the function returns the name.
     pub fn name(&self, what: &str, topic: &str, kind: &str, card: &str) -> Result<String> {
         let topic = ["--owner", "owner.pem", "--kind", what, "--topic", topic, "--type", kind, "-o", card];
         field(&self.ctl(OWNER, &[&["name", "create"], &topic[..]].concat())?, "name")
     }
 
-    /// One more topic of the owner, for robot and cloud, who have their keys: `chatterI.card` and
-    /// `chatterI.cert`.
+    /// Creates another topic of the owner for robot and cloud, whose keys exist. Each gets
+    /// `chatterI.card` and `chatterI.cert`.
     fn further_topic(&self, i: u32) -> Result<()> {
         let name = format!("chatter{i}");
         self.name("topic", &format!("{TOPIC}{i}"), TYPE, &format!("{name}.card"))?;
@@ -387,19 +389,19 @@ impl Authority<'_> {
         Ok(())
     }
 
-    /// A proxy makes its key and tells the owner its name; the owner hands it the card and a
+    /// Creates a proxy's key and grants the proxy the right. The proxy gets the card and a
     /// certificate.
     pub fn admit(&self, label: &str, right: &str) -> Result<()> {
         let entity = self.proxy(label)?;
         self.grant(label, &entity, &[right])
     }
 
-    /// The owner hands an entity the card and a certificate.
+    /// Grants an entity these rights: copies the card and a certificate into its folder.
     pub fn grant(&self, label: &str, entity: &str, rights: &[&str]) -> Result<()> {
         self.hand(label, entity, rights, "chatter")
     }
 
-    /// The same for another name: the entity gets `NAME.card` and `NAME.cert`.
+    /// Grants an entity rights on another name: it gets `NAME.card` and `NAME.cert`.
     pub fn hand(&self, label: &str, entity: &str, rights: &[&str], name: &str) -> Result<()> {
         let (card, file) = (format!("{name}.card"), format!("{label}-{name}.cert"));
         let (add, whom) = (["grant", "add", &card, "--key", "owner.pem"], ["--entity", entity, "-o", &file]);
@@ -417,14 +419,14 @@ impl Authority<'_> {
         field(&self.ctl(whose, &["key", "generate", file, "--kind", kind])?, "name")
     }
 
-    /// A `gdp-ctl` command in the folder of a party, as JSON.
+    /// Runs a `gdp-ctl` command in the folder of a party and returns its JSON.
     pub(crate) fn ctl(&self, whose: &str, arguments: &[&str]) -> Result<Value> {
         let mut command = own(self.tools.gdp_ctl()?);
         parse(&execute(command.args(arguments).arg("-j").current_dir(self.folder.join(whose)))?)
     }
 }
 
-/// JSON is YAML.
+/// Writes the configuration as JSON, which is YAML.
 pub(crate) fn write_yaml(path: &Path, config: &Value) -> Result<()> {
     fs::write(path, format!("{config:#}\n")).with_context(|| format!("cannot write {}", path.display()))
 }

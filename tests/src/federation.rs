@@ -1,5 +1,5 @@
-//! The paper's Figure 4: two trust domains below a third, a robot that roams from one to the other,
-//! and a cloud; robot and cloud are behind NAT, whatever network they are in.
+//! The paper's Figure 4: two trust domains below a third, a robot that roams between the two, and a
+//! cloud. Robot and cloud are always behind NAT.
 //!
 //! ```text
 //!                           ╔═ tier 1 ═══════╗
@@ -16,9 +16,9 @@
 //!               └┄┄┄┄┄┄┄ wlan0 robot ┄┄┄┄┄┄┄┄┄┄┘
 //! ```
 //!
-//! Switches are connected by Ethernet and have XDP; what is behind NAT dials out, over UDP. The
-//! robot is a member of the enterprise's domain, which lets it visit the university's; the cloud is
-//! a member of the latter. The third domain lets both cross it.
+//! Switches have Ethernet cables and XDP; hosts behind NAT dial out over UDP. The robot is a member
+//! of the enterprise's domain and may visit the university's. The cloud is a member of the latter.
+//! The third domain lets both cross it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -34,17 +34,17 @@ use crate::programs::Program;
 use crate::tools::Tools;
 use crate::wait::{TIMEOUT, wait_for};
 
-/// The switches that the robot may meet, as it lists them: the enterprise's, and the university's
+/// The switches that the robot may attach to, in its order: the enterprise's, then the university's
 /// two.
 pub const ROBOT_LINKS: [&str; 3] = ["udp://10.1.0.2:31415", "udp://10.2.1.2:31415", "udp://10.2.2.2:31415"];
 
-/// The one that the cloud is at.
+/// The switch that the cloud attaches to.
 pub const CLOUD_LINK: &str = "udp://10.3.0.2:31415";
 
-/// Names that each switch has room for.
+/// FIB capacity of each switch, in names.
 const FIB_CAPACITY: u32 = 1 << 12;
 
-/// A network in which the robot may be.
+/// A network that the robot can be in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Site {
     Enterprise,
@@ -52,7 +52,7 @@ pub enum Site {
 }
 
 impl Site {
-    /// The robot's address there, and that of the router with the NAT.
+    /// Returns the addresses of the robot and of the NAT router in this network.
     fn addresses(self) -> (&'static str, &'static str) {
         match self {
             Self::Enterprise => ("192.168.1.7", "192.168.1.1"),
@@ -75,17 +75,17 @@ pub struct Domains {
     pub top: String,
 }
 
-/// A running federation. Dropping it ends the programs, then removes the namespaces and files.
+/// A running federation. Dropping it ends the programs, then deletes the namespaces and files.
 pub struct Federation {
-    // Order is the order of the end: proxies, daemons, network, files.
+    // Fields drop in this order: proxies, daemons, network, files.
     pub robot_proxy: Option<Process>,
     pub cloud_proxy: Option<Process>,
-    /// Of the topic that the proxies exchange, once there is one.
+    /// The topic that the proxies exchange, once there is one.
     pub name: Option<String>,
     switches: Vec<(&'static str, Switch)>,
     pub robot: Namespace,
     pub cloud: Namespace,
-    /// Of the enterprise, the university and the cloud.
+    /// The NAT routers of the enterprise, the university and the cloud.
     nats: [Namespace; 3],
     at: Site,
     nodes: Vec<(&'static str, Namespace)>,
@@ -94,9 +94,8 @@ pub struct Federation {
     files: tempfile::TempDir,
 }
 
-/// A switch: its domain's number, its role, its cables by interface with who is at the other end,
-/// and its address, if it takes links over UDP. The first cable of a border leads to the domain
-/// above.
+/// A switch: its domain's number, its role, and its cables (interface, switch at the other end).
+/// With links over UDP it has an address. A border's first cable leads to the domain above.
 struct Plan {
     label: &'static str,
     domain: usize,
@@ -124,12 +123,12 @@ const PLANS: [Plan; 6] = [
     Plan { label: "u2", domain: UNIVERSITY, role: "switch", cables: &[("u0", "b2")], address: Some("10.2.2.2") },
 ];
 
-/// Where a switch with an address has it.
+/// The interface of a switch that has the address for UDP links.
 const ACCESS: &str = "e0";
 
 impl Federation {
-    /// Networks, keys, papers and daemons; each RIB below is on terms with the one above. The robot
-    /// is at the enterprise.
+    /// Starts networks, keys, certificates and daemons. Each lower RIB has a session with the RIB
+    /// above. The robot starts at the enterprise.
     pub fn start(tools: Tools) -> Result<Self> {
         let nodes = PLANS.iter().map(|plan| Ok((plan.label, Namespace::create(plan.label)?)));
         let nodes = nodes.collect::<Result<Vec<_>>>()?;
@@ -172,7 +171,7 @@ impl Federation {
         Ok(this)
     }
 
-    /// Lays all cables and sets up NAT.
+    /// Connects all cables and sets up NAT.
     fn connect(&self) -> Result<()> {
         let mut number = 0;
         let mut lay = |a: (&Namespace, &str), b: (&Namespace, &str)| {
@@ -183,7 +182,7 @@ impl Federation {
         for plan in &PLANS {
             for (interface, other) in plan.cables {
                 let above = PLANS.iter().find(|above| above.label == *other).context("a switch of that label")?;
-                // Each cable is listed at both of its ends.
+                // Each cable is listed at both ends.
                 if let Some((far, _)) = above.cables.iter().find(|(_, near)| *near == plan.label)
                     && plan.label < *other
                 {
@@ -213,7 +212,7 @@ impl Federation {
         self.associate(Site::Enterprise)
     }
 
-    /// Gives the robot its address and its default route, and the access point its own.
+    /// Assigns the robot its address and default route, and the router its own address.
     fn associate(&self, with: Site) -> Result<()> {
         let (own, router) = with.addresses();
         let nat = self.nat_of(with);
@@ -225,8 +224,8 @@ impl Federation {
         Ok(())
     }
 
-    /// The robot leaves the network it is in for the other one, as Wi-Fi does: its interface loses
-    /// the carrier and gets it back elsewhere, with another address and another router.
+    /// Moves the robot to the other network, as Wi-Fi does. Its interface loses the carrier and
+    /// regains it there, with another address and another router.
     pub fn roam(&mut self, to: Site) -> Result<()> {
         let (from, into) = (self.nat_of(self.at), self.nat_of(to));
         from.ip(&["link", "set", INSIDE, "netns", into.name()])?;
@@ -235,7 +234,7 @@ impl Federation {
         Ok(())
     }
 
-    /// Where the robot is.
+    /// Returns the network that the robot is in.
     pub fn site(&self) -> Site {
         self.at
     }
@@ -244,7 +243,7 @@ impl Federation {
         &self.nats[usize::from(site == Site::University)]
     }
 
-    /// Keys and papers for all, then a daemon on each switch.
+    /// Creates keys and certificates, then starts a daemon on each switch.
     fn serve(&mut self) -> Result<()> {
         let folder = self.files.path().to_owned();
         let authority = Authority { tools: &self.tools, folder: &folder };
@@ -256,7 +255,7 @@ impl Federation {
             (university, top, "peering", "university-top.peer"),
             (top, enterprise, "peering,transit", "top-enterprise.peer"),
             (top, university, "peering,transit", "top-university.peer"),
-            // The university takes the enterprise's robots in, and that lets them go there.
+            // The university admits the enterprise's robots, and the enterprise lets them visit.
             (university, enterprise, "visit", "university-enterprise.peer"),
             (enterprise, university, "visit", "enterprise-university.peer"),
         ] {
@@ -281,9 +280,9 @@ impl Federation {
         Ok(())
     }
 
-    /// Makes an entity with a key of its own a member: the robot (`robot`) of the enterprise,
-    /// others of the university. Its folder has `key.pem`, `domain.card`, `membership`, and for the
-    /// robot `visit.peer`. Returns its name.
+    /// Creates an entity's key and makes it a member: `robot` of the enterprise, others of the
+    /// university. Its folder has `key.pem`, `domain.card`, `membership`, and for the robot
+    /// `visit.peer`. Returns its name.
     pub fn admit(&self, label: &str) -> Result<String> {
         let folder = self.folder_of(label);
         let authority = Authority { tools: &self.tools, folder: self.files.path() };
@@ -300,8 +299,8 @@ impl Federation {
         Ok(name)
     }
 
-    /// A topic that the robot publishes and the cloud reads, in either domain, and a proxy at each
-    /// of them. The switches on the way hold its name.
+    /// Starts a proxy for the robot and one for the cloud. The topic's scope is both domains. Waits
+    /// until the switches on the path have its name.
     pub fn start_proxies(&mut self) -> Result<()> {
         for end in [&self.robot, &self.cloud] {
             end.enable_loopback_multicast()?;
@@ -350,22 +349,22 @@ impl Federation {
         Process::spawn(&format!("{label}-proxy"), command, self.files.path())
     }
 
-    /// Everything the robot sends, before the NAT of the network that it is in.
+    /// Captures all frames of the robot, on the inside of its NAT.
     pub fn on_the_air(&self) -> Result<PacketSocket> {
         PacketSocket::open(self.nat_of(self.at), INSIDE)
     }
 
-    /// The robot's own address, as it is in the network that it is in.
+    /// Returns the robot's own address in its present network.
     pub fn robot_address(&self) -> &'static str {
         self.at.addresses().0
     }
 
-    /// Where the logs are.
+    /// Returns the folder of the logs.
     pub fn folder(&self) -> &Path {
         self.files.path()
     }
 
-    /// A `gdp-ctl` command against the daemon of a switch, as JSON.
+    /// Runs a `gdp-ctl` command against the daemon of a switch and returns its JSON.
     pub fn ctl(&self, label: &str, arguments: &[&str]) -> Result<Value> {
         self.switch(label)?.ctl(&self.tools, arguments)
     }
@@ -375,19 +374,19 @@ impl Federation {
         Ok(&found.with_context(|| format!("no switch {label}"))?.1)
     }
 
-    /// The label of the switch with this name.
+    /// Returns the label of the switch with this name.
     pub fn label_of(&self, name: &str) -> Option<&'static str> {
         self.switches.iter().find(|(_, switch)| switch.name == name).map(|(label, _)| *label)
     }
 
-    /// A switch crashes, and its data plane with it.
+    /// Kills a switch's daemon, and its data plane with it.
     pub fn kill(&mut self, label: &str) -> Result<()> {
         let found = self.switches.iter_mut().find(|(of, _)| *of == label);
         found.with_context(|| format!("no switch {label}"))?.1.process.kill()?;
         Ok(())
     }
 
-    /// Another daemon for a switch that has none any more.
+    /// Starts another daemon for a switch whose daemon has ended.
     pub fn start_again(&mut self, label: &str) -> Result<()> {
         let plan = PLANS.iter().find(|plan| plan.label == label).with_context(|| format!("no switch {label}"))?;
         let names: Vec<_> = self.switches.iter().map(|(label, switch)| (*label, switch.name.clone())).collect();
@@ -399,17 +398,18 @@ impl Federation {
         Ok(())
     }
 
-    /// Waits until a condition holds; errors, as of a daemon that does not answer yet, count as no.
+    /// Waits until a condition holds. An error, for example of a daemon that does not answer yet,
+    /// counts as no.
     pub fn wait(&self, what: &str, condition: impl Fn(&Self) -> Result<bool>) -> Result<()> {
         wait_for(what, TIMEOUT, || Ok(condition(self).unwrap_or(false).then_some(()))).with_context(|| self.report())
     }
 
-    /// All that `robot` or `cloud` has.
+    /// Returns the folder of `robot` or `cloud`.
     pub fn folder_of(&self, party: &str) -> PathBuf {
         self.files.path().join(party)
     }
 
-    /// The end of every daemon's output, for a failure message.
+    /// Returns the end of every daemon's output, for a failure message.
     pub fn report(&self) -> String {
         let switches = self.switches.iter().map(|(_, switch)| &switch.process);
         switches.chain(&self.robot_proxy).chain(&self.cloud_proxy).map(Process::report).collect::<Vec<_>>().join("\n")
@@ -421,11 +421,11 @@ impl Federation {
     }
 }
 
-/// The robot's interface, and the one of a network's router on its private side.
+/// The robot's interface, and a router's interface on its private side.
 const WLAN: &str = "wlan0";
 const INSIDE: &str = "w0";
 
-/// A router that lets out what is inside under its own address, and lets in nothing but answers.
+/// Sets up NAT: connections from inside leave under the router's address, and only replies return.
 fn masquerade(at: &Namespace) -> Result<()> {
     {
         let _inside = at.enter()?;
@@ -481,13 +481,13 @@ fn config(plan: &Plan, names: &[(&str, String)], folder: &Path) -> Value {
 }
 
 impl Authority<'_> {
-    /// A new trust domain, in a folder; its name.
+    /// Creates a trust domain in a folder and returns its name.
     fn domain(&self, folder: &str) -> Result<String> {
         let made = self.ctl("", &["domain", "init", "-o", folder])?;
         Ok(made["name"].as_str().with_context(|| format!("no name in {made}"))?.to_owned())
     }
 
-    /// What the domain in a folder lets another one do.
+    /// Writes the peering certificate that gives another domain these rights in a domain.
     fn peer(&self, folder: &str, other: &str, rights: &str, file: &str) -> Result<()> {
         let key = format!("{folder}/domain.pem");
         self.ctl("", &["domain", "peer", "--key", &key, other, "--rights", rights, "-o", file]).map(drop)

@@ -1,24 +1,21 @@
-//! What the tests that need root are built from, and what `xtask demo` and `xtask bench` build from
-//! as well.
+//! Harness of the tests that need root, also used by `xtask demo` and `xtask bench`.
 //!
-//! - [`netns`]: network namespaces, veth pairs, entering one and leaving it again
-//! - [`chain`]: robot – switches – cloud; [`packet`]: what an eavesdropper or attacker does on its
-//!   cables;
-//!   [`wire`]: a cable that is bad
-//! - [`ring`]: five daemons in a ring; [`replicas`]: three that are replicas of the RIB, on
-//!   [`etcd`]
+//! - [`netns`]: network namespaces, veth pairs, entering a namespace and leaving it again
+//! - [`chain`]: robot – switches – cloud; [`packet`]: eavesdropping and injection on its
+//!   cables; [`wire`]: a cable with faults
+//! - [`ring`]: five daemons in a ring; [`replicas`]: three replicas of the RIB, on [`etcd`]
 //! - [`federation`]: three trust domains, and a robot that roams between two of them
-//! - [`dpdk`]: switches that DPDK forwards in
+//! - [`dpdk`]: switches with a DPDK data plane
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its
 //!   ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
-//! - [`measure`]: benchmarks: in turn, figures, tables, plots
+//! - [`measure`]: benchmarks: rounds, figures, tables, plots
 //! - [`programs`]: every external program that is started
-//! - [`process`]: programs that end when their guard is dropped, with their output kept
-//! - [`wait`]: waiting for a condition with a deadline, never for a time
-//! - [`tools`]: where the programs under test are
+//! - [`process`]: programs that end when their guard is dropped, and their captured output
+//! - [`wait`]: waiting for a condition with a deadline, never for a fixed time
+//! - [`tools`]: paths of the programs under test
 //!
-//! Everything made here is removed when its guard is dropped, also by a panic or Ctrl-C.
+//! Dropping the guard of a resource removes the resource, also after a panic or Ctrl-C.
 
 pub mod chain;
 pub mod dpdk;

@@ -1,7 +1,7 @@
-//! Network namespaces and veth pairs that go when their guard goes.
+//! Network namespaces and veth pairs. Dropping the guard deletes them.
 //!
-//! Names are `gdp-PID-LABEL`, so that tests run side by side and [`sweep`] can tell what a killed
-//! run left behind.
+//! Names are `gdp-PID-LABEL`. Tests can therefore run in parallel, and [`sweep`] recognises what a
+//! killed run left behind.
 
 use std::fs::File;
 use std::marker::PhantomData;
@@ -17,15 +17,14 @@ use crate::programs::{Executable, Program};
 
 const PREFIX: &str = "gdp-";
 
-/// A network namespace with `lo` up and IPv6 off. Dropping it deletes it, and with it the veths
-/// inside.
+/// A network namespace with `lo` up and IPv6 off. Dropping it deletes the namespace and its veths.
 #[derive(Debug)]
 pub struct Namespace {
     name: String,
 }
 
 impl Namespace {
-    /// `label` is for people; the name is made unique.
+    /// Creates a namespace. `label` is for people; the name is made unique.
     pub fn create(label: &str) -> Result<Self> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let number = COUNT.fetch_add(1, Ordering::Relaxed);
@@ -34,8 +33,8 @@ impl Namespace {
         let namespace = Self { name };
         {
             let _inside = namespace.enter()?;
-            // Otherwise the kernel's own neighbour and router discovery mixes with the frames that
-            // are counted.
+            // Otherwise the kernel's own neighbour and router discovery mixes with the counted
+            // frames.
             for scope in ["all", "default"] {
                 std::fs::write(format!("/proc/sys/net/ipv6/conf/{scope}/disable_ipv6"), "1")
                     .with_context(|| format!("cannot turn IPv6 off in {}", namespace.name))?;
@@ -45,7 +44,7 @@ impl Namespace {
         Ok(namespace)
     }
 
-    /// Turns IPv6 on, for `lo` and interfaces to come, without duplicate address detection.
+    /// Turns IPv6 on, for `lo` and future interfaces, without duplicate address detection.
     pub fn enable_ipv6(&self) -> Result<()> {
         let _inside = self.enter()?;
         for (setting, value) in [("accept_dad", "0"), ("router_solicitations", "0"), ("disable_ipv6", "0")] {
@@ -61,19 +60,19 @@ impl Namespace {
         &self.name
     }
 
-    /// `ip -n THIS …`
+    /// Runs `ip -n THIS …`.
     pub fn ip(&self, arguments: &[&str]) -> Result<String> {
         ip(&[&["-n", self.name.as_str()], arguments].concat())
     }
 
-    /// Lets DDS programs in this namespace find each other over `lo`.
+    /// Lets DDS programs in this namespace discover each other over `lo`.
     pub fn enable_loopback_multicast(&self) -> Result<()> {
         self.ip(&["link", "set", "lo", "multicast", "on"])?;
         self.ip(&["route", "add", "224.0.0.0/4", "dev", "lo"])?;
         Ok(())
     }
 
-    /// A command whose program will run in this namespace.
+    /// Returns a command that runs its program in this namespace.
     pub fn command(&self, program: impl Executable) -> Result<Command> {
         let namespace = self.open()?;
         let mut command = program.command();
@@ -87,7 +86,7 @@ impl Namespace {
         self.door()?.enter()
     }
 
-    /// The way in for another thread.
+    /// Returns a handle with which another thread can enter this namespace.
     pub fn door(&self) -> Result<Door> {
         Ok(Door { namespace: self.open()?, name: self.name.clone() })
     }
@@ -106,14 +105,14 @@ impl Drop for Namespace {
     }
 }
 
-/// A way into a namespace that can be handed to a thread.
+/// A handle to a namespace that can be sent to another thread.
 pub struct Door {
     namespace: File,
     name: String,
 }
 
 impl Door {
-    /// To the namespace that the calling thread is in.
+    /// Returns a handle to the calling thread's namespace.
     pub fn here() -> Result<Self> {
         let namespace = File::open("/proc/thread-self/ns/net").context("cannot open the present namespace")?;
         Ok(Self { namespace, name: "the present namespace".into() })
@@ -127,7 +126,7 @@ impl Door {
     }
 }
 
-/// The calling thread is inside a namespace. `!Send`: namespaces belong to threads.
+/// A guard while the calling thread is inside a namespace. `!Send`: namespaces belong to threads.
 #[must_use = "dropping it leaves the namespace"]
 pub struct Entered {
     before: File,
@@ -136,20 +135,20 @@ pub struct Entered {
 
 impl Drop for Entered {
     fn drop(&mut self) {
-        // A thread that cannot get back would test in the wrong network: better to stop.
+        // A thread that cannot return would test in the wrong network, so the process panics.
         set(&self.before).expect("return to the namespace this thread came from");
     }
 }
 
-/// One end of a veth pair to be.
+/// One end of a veth pair before its creation.
 pub struct End<'a> {
     pub namespace: &'a Namespace,
     pub interface: &'a str,
     pub mac: [u8; 6],
 }
 
-/// Connects two namespaces. Transmit offloads are off, so that XDP sees finished frames; GRO is on,
-/// because a veth drops redirected frames unless its peer has GRO or an XDP program.
+/// Connects two namespaces. Transmit offloads are off: XDP sees complete frames. GRO is on, because
+/// a veth drops redirected frames unless its peer has GRO or an XDP program.
 pub fn veth(a: &End, b: &End, mtu: u32) -> Result<()> {
     let (mtu, mac_a, mac_b) = (mtu.to_string(), mac(a.mac), mac(b.mac));
     ip(&[
@@ -177,7 +176,8 @@ pub fn veth(a: &End, b: &End, mtu: u32) -> Result<()> {
     for end in [a, b] {
         end.namespace.ip(&["link", "set", end.interface, "up"])?;
     }
-    // Only a change on a running interface tells its other end that it takes redirected frames.
+    // The kernel notices that the other end accepts redirected frames only when GRO changes on a
+    // running interface.
     for end in [a, b] {
         let mut ethtool = end.namespace.command(Program::Ethtool)?;
         execute(ethtool.args(["-K", end.interface, "tx", "off", "gro", "on"]))?;
@@ -185,7 +185,7 @@ pub fn veth(a: &End, b: &End, mtu: u32) -> Result<()> {
     Ok(())
 }
 
-/// Deletes namespaces of runs whose process is gone.
+/// Deletes namespaces of runs whose process has ended.
 pub fn sweep() -> Result<()> {
     for entry in std::fs::read_dir("/run/netns").into_iter().flatten().flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
@@ -198,7 +198,7 @@ pub fn sweep() -> Result<()> {
     Ok(())
 }
 
-/// Runs a command to its end; the error holds what it wrote to stderr.
+/// Runs a command to its end. The error contains the command's stderr.
 pub fn execute(command: &mut Command) -> Result<String> {
     let output = command.output().with_context(|| format!("cannot start {:?}", command.get_program()))?;
     if !output.status.success() {

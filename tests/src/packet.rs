@@ -1,5 +1,5 @@
-//! Raw Ethernet frames on an interface: to look at what passes, and to send what no honest node
-//! would.
+//! Raw Ethernet frames on an interface: captures traffic, and injects frames that no honest node
+//! would send.
 
 use std::io::{Error, ErrorKind};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
@@ -15,7 +15,8 @@ pub const GDP_ETHERTYPE: u16 = 0x88b5;
 /// Bytes of an Ethernet header.
 pub const ETHERNET: usize = 14;
 
-/// A promiscuous packet socket on one interface; sees what arrives there, not what leaves.
+/// A promiscuous packet socket on one interface. It receives frames that arrive there, not frames
+/// that leave.
 pub struct PacketSocket {
     socket: OwnedFd,
 }
@@ -59,7 +60,7 @@ impl PacketSocket {
         Ok(Self { socket })
     }
 
-    /// The next frame that `wanted` accepts, Ethernet header included; an error after `limit`.
+    /// Returns the next frame that `wanted` accepts, with its Ethernet header. Fails after `limit`.
     pub fn receive(&self, limit: Duration, wanted: impl Fn(&[u8]) -> bool) -> Result<Vec<u8>> {
         let deadline = Instant::now() + limit;
         let mut buffer = vec![0u8; 1 << 16];
@@ -73,7 +74,7 @@ impl PacketSocket {
             if poll.revents == 0 {
                 continue;
             }
-            // SAFETY: the buffer is as long as said.
+            // SAFETY: the buffer has the given length.
             let n = unsafe { libc::recv(self.socket.as_raw_fd(), buffer.as_mut_ptr().cast(), buffer.len(), 0) };
             let length = usize::try_from(n).map_err(|_| Error::last_os_error()).context("packet socket")?;
             if wanted(&buffer[..length]) {
@@ -82,10 +83,10 @@ impl PacketSocket {
         }
     }
 
-    /// The length of a frame that has come, or nothing if none has.
+    /// Returns the length of a frame that has arrived, or `None`.
     pub fn try_receive(&self, buffer: &mut [u8]) -> Result<Option<usize>> {
         let (fd, flags) = (self.socket.as_raw_fd(), libc::MSG_DONTWAIT);
-        // SAFETY: the buffer is as long as said.
+        // SAFETY: the buffer has the given length.
         let n = unsafe { libc::recv(fd, buffer.as_mut_ptr().cast(), buffer.len(), flags) };
         match usize::try_from(n).map_err(|_| Error::last_os_error()) {
             Ok(length) => Ok(Some(length)),
@@ -94,7 +95,7 @@ impl PacketSocket {
         }
     }
 
-    /// Frames that found no room to wait, since the last call.
+    /// Returns the number of frames lost to a full receive buffer since the last call.
     pub fn dropped(&self) -> Result<u32> {
         let mut statistics = libc::tpacket_stats { tp_packets: 0, tp_drops: 0 };
         let mut length = size_of_val(&statistics) as u32;
@@ -106,7 +107,7 @@ impl PacketSocket {
         Ok(statistics.tp_drops)
     }
 
-    /// How many bytes of frames may wait to be received, however little the system allows others.
+    /// Sets the receive buffer, in bytes, beyond the system's limit for unprivileged users.
     pub fn set_receive_buffer(&self, bytes: i32) -> Result<()> {
         let (pointer, length) = ((&raw const bytes).cast(), size_of::<i32>() as u32);
         // SAFETY: pointer and length are of one live integer.
@@ -117,9 +118,9 @@ impl PacketSocket {
         .context("cannot set a receive buffer")
     }
 
-    /// Sends a frame, Ethernet header included, as it is.
+    /// Sends a frame unchanged, Ethernet header included.
     pub fn send(&self, frame: &[u8]) -> Result<()> {
-        // SAFETY: the buffer is as long as said.
+        // SAFETY: the buffer has the given length.
         let n = unsafe { libc::send(self.socket.as_raw_fd(), frame.as_ptr().cast(), frame.len(), 0) };
         if n < 0 { Err(Error::last_os_error()).context("cannot send a frame") } else { Ok(()) }
     }
@@ -131,15 +132,16 @@ impl AsRawFd for PacketSocket {
     }
 }
 
-/// First byte of a data frame.
+/// The first byte of a data frame.
 const DATA: u8 = 0x10;
 
-/// Whether this Ethernet frame is a GDP data frame.
+/// Returns whether this Ethernet frame is a GDP data frame.
 pub fn is_gdp_data(frame: &[u8]) -> bool {
     frame.len() > ETHERNET && frame[12..14] == GDP_ETHERTYPE.to_be_bytes() && frame[ETHERNET] == DATA
 }
 
-/// Where the GDP frame begins in this Ethernet frame, if it holds a data frame in UDP over IPv4.
+/// Returns the offset of the GDP frame in this Ethernet frame, if that contains a data frame in UDP
+/// over IPv4.
 pub fn gdp_data_in_udp(frame: &[u8]) -> Option<usize> {
     const IPV4: [u8; 2] = [8, 0];
     const UDP_HEADER: usize = 8;

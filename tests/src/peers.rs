@@ -13,39 +13,39 @@ use crate::process::Process;
 use crate::tools::Tools;
 use crate::wait::check_interrupt;
 
-/// Whose DDS a program is made with.
+/// The DDS implementation of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Vendor {
     Cyclone,
     FastDds,
 }
 
-/// What a talker sends, and how both ends set their QoS.
+/// The messages of a talker, and the QoS of both ends.
 #[derive(Clone, Debug)]
 pub struct Traffic {
-    /// 0: until killed.
+    /// Number of messages; 0: until killed.
     pub count: u64,
     /// Messages per second.
     pub rate: f64,
     /// Bytes of the string in a message.
     pub size: usize,
-    /// What the string says, again and again.
+    /// The text that the string repeats.
     pub text: String,
     pub best_effort: bool,
     pub transient_local: bool,
     pub depth: u32,
-    /// Find this address by unicast instead of anybody by multicast.
+    /// Discovers this address by unicast, and nothing by multicast.
     pub peer: Option<String>,
-    /// Over `lo` alone, as on a robot whose other interfaces come and go; of Cyclone DDS.
+    /// Uses `lo` alone, as on a robot whose other interfaces are unstable. Cyclone DDS only.
     pub on_loopback: bool,
-    /// On so many topics in turn, each with the number behind its name but for the first; of Fast
-    /// DDS.
+    /// Number of topics, used in turn. All names but the first have their number appended. Fast DDS
+    /// only.
     pub topics: u32,
-    /// Be a ROS node of this name, which some bridges insist on; of Cyclone DDS.
+    /// Announces a ROS node of this name, which some bridges require. Cyclone DDS only.
     pub node: Option<String>,
 }
 
-/// What keeps Cyclone DDS on `lo`.
+/// Configuration that restricts Cyclone DDS to `lo`.
 pub const ON_LOOPBACK: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name=\"lo\" \
                                multicast=\"true\"/></Interfaces>\
                            </General></Domain></CycloneDDS>";
@@ -68,18 +68,18 @@ impl Default for Traffic {
     }
 }
 
-/// A message as the listener saw it.
+/// A message as the listener received it.
 #[derive(Clone, Copy, Debug)]
 pub struct Received {
     pub sequence: i64,
-    /// From the talker's `write` to the listener's callback.
+    /// Time from the talker's `write` to the listener's callback.
     pub latency: Duration,
     pub bytes: u64,
-    /// The content is what the talker sent.
+    /// Whether the content equals what the talker sent.
     pub intact: bool,
 }
 
-/// A talker and a listener, and messages on their way between them.
+/// A talker and a listener, and the messages between them.
 pub struct Conversation {
     pub talker: Process,
     pub listener: Process,
@@ -89,8 +89,8 @@ pub struct Conversation {
 }
 
 impl Conversation {
-    /// Starts both and waits until warm-up messages arrive on every topic, so that afterwards every
-    /// message counts. `folder` takes the output of both.
+    /// Starts both and waits until warm-up messages arrive on every topic. Every later message
+    /// counts. `folder` receives the output of both.
     pub fn start(tools: &Tools, talks: Side, hears: Side, folder: &Path) -> Result<Self> {
         let listener = listener(tools, hears.at, hears.vendor, hears.traffic, folder)?;
         let gate = folder.join("gate");
@@ -108,17 +108,17 @@ impl Conversation {
         Ok(this)
     }
 
-    /// Lets the talker send what counts.
+    /// Lets the talker send the messages that count.
     pub fn open(&self) -> Result<()> {
         std::fs::write(&self.gate, "").with_context(|| format!("cannot write {}", self.gate.display()))
     }
 
-    /// Waits until the talker has sent all, and the last has come (or, after `limit` more, will not
-    /// come).
+    /// Waits until the talker has sent all messages and the last one has arrived. Gives up on the
+    /// last one after `limit` more.
     pub fn finish(&mut self, sending: Duration, limit: Duration) -> Result<Vec<Received>> {
         self.talker.wait_event("done", sending + limit)?;
         let (last, all) = (self.count as i64 - 1, self.count as usize);
-        // Topics overtake one another.
+        // Messages of different topics can overtake one another.
         let is_over = |messages: &[Received]| match self.topics {
             1 => messages.iter().any(|message| message.sequence == last),
             _ => messages.len() >= all,
@@ -142,7 +142,7 @@ pub struct Side<'a> {
     pub traffic: &'a Traffic,
 }
 
-/// A talker that sends at once to whoever listens already.
+/// Starts a talker that sends at once, without waiting for a listener.
 pub fn talker(tools: &Tools, at: &Namespace, vendor: Vendor, traffic: &Traffic, logs: &Path) -> Result<Process> {
     Process::spawn("talker", talk_command(tools, at, vendor, traffic)?, logs)
 }
@@ -151,12 +151,12 @@ pub fn listener(tools: &Tools, at: &Namespace, vendor: Vendor, traffic: &Traffic
     Process::spawn("listener", program(tools, at, vendor, "listen", traffic)?, logs)
 }
 
-/// All messages a listener has reported so far, without those of the warm-up.
+/// Returns all messages that a listener has reported so far, without warm-up messages.
 pub fn received(listener: &Process) -> Vec<Received> {
     listener.json_lines().iter().filter_map(parse).filter(|message| message.sequence >= 0).collect()
 }
 
-/// The value below which `percent` of `sorted` lie.
+/// Returns the value below which `percent` of `sorted` lie.
 pub fn percentile(sorted: &[Duration], percent: f64) -> Duration {
     let rank = (sorted.len() as f64 * percent / 100.0).ceil() as usize;
     sorted.get(rank.max(1).min(sorted.len()).wrapping_sub(1)).copied().unwrap_or_default()

@@ -1,4 +1,4 @@
-//! Programs that end when their guard is dropped. Their output is kept in a file and can be read
+//! Programs that end when their guard is dropped. A file collects their output and can be read
 //! while they run.
 
 use std::fs::File;
@@ -23,22 +23,22 @@ pub struct Process {
 impl Process {
     /// Starts `command` and writes its output to `folder/LABEL.out` and `folder/LABEL.err`.
     ///
-    /// The program dies with the *thread* that started it, so that even a killed test leaves
+    /// The program dies with the *thread* that started it. Therefore even a killed test leaves
     /// nothing behind.
     pub fn spawn(label: &str, command: Command, folder: &Path) -> Result<Self> {
         let stderr = create(&folder.join(format!("{label}.err")))?;
         Self::spawn_with_stderr(label, command, folder, stderr.into())
     }
 
-    /// The same, with stderr elsewhere; then [`Process::stderr`] is empty, unless that is
-    /// `folder/LABEL.err`.
+    /// Starts `command` with another destination for stderr. [`Process::stderr`] is then empty,
+    /// unless the destination is `folder/LABEL.err`.
     pub fn spawn_with_stderr(label: &str, mut command: Command, folder: &Path, to: Stdio) -> Result<Self> {
         let stdout = folder.join(format!("{label}.out"));
         let stderr = folder.join(format!("{label}.err"));
         command.stdin(Stdio::null()).stdout(create(&stdout)?).stderr(to);
-        // Ctrl-C in the terminal is for us alone: we end our programs in order.
+        // Ctrl-C in the terminal reaches the test alone, which ends its programs in order.
         command.process_group(0);
-        // SAFETY: prctl is async-signal-safe and touches no memory of ours.
+        // SAFETY: prctl is async-signal-safe and touches none of this process's memory.
         unsafe {
             command.pre_exec(|| match libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) {
                 0 => Ok(()),
@@ -53,7 +53,7 @@ impl Process {
         self.child.id()
     }
 
-    /// Processor time that its threads have taken so far, those that have ended left out.
+    /// Returns the processor time of the program's threads so far, without threads that have ended.
     pub fn cpu(&self) -> Result<Duration> {
         let threads = std::fs::read_dir(format!("/proc/{}/task", self.pid())).context("its threads")?;
         let taken = threads.flatten().filter_map(|thread| {
@@ -65,29 +65,29 @@ impl Process {
         Ok(Duration::from_nanos(taken.sum()))
     }
 
-    /// What it has written to stdout so far.
+    /// Returns what the program has written to stdout so far.
     pub fn stdout(&self) -> String {
         read(&self.stdout)
     }
 
-    /// What it has written to stderr so far.
+    /// Returns what the program has written to stderr so far.
     pub fn stderr(&self) -> String {
         read(&self.stderr)
     }
 
-    /// The complete lines of stdout so far that are JSON objects.
+    /// Returns the complete lines of stdout so far that are JSON objects.
     pub fn json_lines(&self) -> Vec<Value> {
         let text = self.stdout();
         let complete = text.rfind('\n').map_or("", |end| &text[..end]);
         complete.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
     }
 
-    /// How it ended, if it has.
+    /// Returns the program's exit status, if it has ended.
     pub fn status(&mut self) -> Result<Option<ExitStatus>> {
         Ok(self.child.try_wait()?)
     }
 
-    /// An error with the end of its output if it has ended.
+    /// Fails with the end of the program's output if it has ended.
     pub fn check_alive(&mut self) -> Result<()> {
         match self.child.try_wait()? {
             None => Ok(()),
@@ -95,8 +95,8 @@ impl Process {
         }
     }
 
-    /// Waits until `condition` holds for this program; if it ends meanwhile, or at the deadline,
-    /// shows its output.
+    /// Waits until `condition` holds for this program. If the program ends first, or at the
+    /// deadline, the error shows its output.
     pub fn wait_until<T>(
         &mut self,
         what: &str,
@@ -119,7 +119,7 @@ impl Process {
         self.wait_until(&format!("event {event}"), limit, |p| p.json_lines().into_iter().find(|v| v["event"] == event))
     }
 
-    /// Asks it to end (SIGTERM), waits, and insists (SIGKILL) after `limit`.
+    /// Sends SIGTERM, waits, and sends SIGKILL after `limit`.
     pub fn stop(&mut self, limit: Duration) -> Result<ExitStatus> {
         self.signal(libc::SIGTERM);
         let deadline = Instant::now() + limit;
@@ -132,14 +132,14 @@ impl Process {
         self.kill()
     }
 
-    /// Ends it without a chance to say goodbye, as a crash does.
+    /// Kills the program without a chance to clean up, as a crash does.
     pub fn kill(&mut self) -> Result<ExitStatus> {
-        // Kill of a child that has ended already is not an error to us.
+        // Killing a child that has already ended is not an error here.
         let _ = self.child.kill();
         Ok(self.child.wait()?)
     }
 
-    /// The end of its output, for a failure message.
+    /// Returns the end of the program's output, for a failure message.
     pub fn report(&self) -> String {
         let tail = |text: String| -> String {
             let lines: Vec<&str> = text.lines().collect();
@@ -156,7 +156,7 @@ impl Process {
 
     fn signal(&mut self, signal: libc::c_int) {
         if matches!(self.child.try_wait(), Ok(None)) {
-            // It may have ended meanwhile.
+            // The child may have ended meanwhile.
             let _ = send(&self.child, signal);
         }
     }
@@ -181,8 +181,7 @@ pub fn terminate(child: &Child) -> Result<()> {
 }
 
 fn send(child: &Child, signal: libc::c_int) -> std::io::Result<()> {
-    // SAFETY: the child is ours and not reaped yet, so the pid cannot have been given to another
-    // process.
+    // SAFETY: the child is not reaped yet, so the kernel cannot have reused its pid.
     match unsafe { libc::kill(child.id() as libc::pid_t, signal) } {
         0 => Ok(()),
         _ => Err(std::io::Error::last_os_error()),

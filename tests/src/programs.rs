@@ -1,7 +1,7 @@
 //! Every external program that tests, benchmarks and `xtask` start.
 //!
 //! All of them are started through [`Executable`]: clippy refuses `Command::new` elsewhere
-//! (`clippy.toml`), so this list is complete. `cargo xtask setup` installs what it names, and
+//! (`clippy.toml`), so this list is complete. `cargo xtask setup` installs the listed programs, and
 //! `cargo xtask fresh` looks each up on a clean Debian.
 
 use std::ffi::OsStr;
@@ -30,7 +30,7 @@ macro_rules! programs {
 }
 
 programs! {
-    /// Built by setup, and perhaps in the folder of `cargo install` only.
+    /// Built by setup; possibly only in the folder of `cargo install`.
     BpfLinker = "bpf-linker",
     Cargo = "cargo",
     /// Started by the linker's driver and by build scripts.
@@ -56,7 +56,7 @@ programs! {
     /// Started by build scripts as well.
     PkgConfig = "pkg-config",
     Protoc = "protoc",
-    /// Debian's, whose modules are those of ROS 1; another may come first on `PATH`.
+    /// Debian's Python, which has the modules of ROS 1; `PATH` may list another one first.
     Python3 = "/usr/bin/python3",
     Rosmaster = "/usr/bin/rosmaster",
     Rustc = "rustc",
@@ -70,8 +70,8 @@ programs! {
 }
 
 impl Program {
-    /// The file that `PATH` gives (and `/usr/sbin`, which an unprivileged user's `PATH` leaves
-    /// out).
+    /// Returns the file that `PATH` resolves to. Also searches `/usr/sbin`, which an unprivileged
+    /// user's `PATH` omits.
     pub fn find(self) -> Option<PathBuf> {
         let path = std::env::var_os("PATH").unwrap_or_default();
         std::env::split_paths(&path)
@@ -81,7 +81,7 @@ impl Program {
     }
 }
 
-/// What a command can be made of: a [`Program`], or the path of an executable that was built here.
+/// The source of a command: a [`Program`], or the path of an executable that was built here.
 pub trait Executable {
     fn command(&self) -> Command;
 }
@@ -112,7 +112,7 @@ impl<T: Executable + ?Sized> Executable for &T {
     }
 }
 
-/// An executable of this workspace: `env!("CARGO_BIN_EXE_…")`.
+/// Returns a command for an executable of this workspace: `env!("CARGO_BIN_EXE_…")`.
 pub fn own(path: impl AsRef<Path>) -> Command {
     path.as_ref().command()
 }

@@ -1,6 +1,6 @@
-//! Three switches in a triangle, each with a daemon that is a replica of the RIB and a member of
-//! etcd, which are reached over a network of their own. A robot at the first, a cloud at the
-//! second; their traffic goes by the third, whose daemon is started first and leads.
+//! Three switches in a triangle. Each runs a daemon that is a replica of the RIB, and a member of
+//! etcd. A separate network connects the members. The robot is at the first switch, the cloud at
+//! the second. Their traffic crosses the third, whose daemon starts first and leads.
 //!
 //! ```text
 //!  robot r0 ── e0 s1 r0 ═══ 10 ═══ l0 s2 e0 ── l0 cloud
@@ -25,25 +25,25 @@ use crate::wait::{TIMEOUT, wait_for};
 
 const SWITCHES: usize = 3;
 
-/// Where the robot and the cloud are, and whose daemon leads at first; counted from 0.
+/// Indices of the robot's and the cloud's switch, and of the first leader; from 0.
 pub const ROBOT_AT: usize = 0;
 pub const CLOUD_AT: usize = 1;
 pub const FIRST_LEADER: usize = 2;
 
-/// What is owned by another than the topic of robot and cloud, is in this folder.
+/// The folder of the second owner, whose topic differs from that of robot and cloud.
 const LATER: &str = "second";
 
-/// Running replicas. Dropping it ends the daemons and members, then removes the namespaces and
+/// Running replicas. Dropping it ends the daemons and members, then deletes the namespaces and
 /// files.
 pub struct Replicas {
-    // Order is the order of the end: programs, network, file systems, files.
+    // Fields drop in this order: programs, network, file systems, files.
     pub switches: Vec<Switch>,
     pub etcd: Etcd,
     pub nodes: Vec<Namespace>,
     pub robot: Namespace,
     pub cloud: Namespace,
-    /// A robot at the first switch and a cloud at the second that come later; their topic is
-    /// another owner's.
+    /// A second robot at the first switch and a second cloud at the second, started later. Their
+    /// topic belongs to another owner.
     pub late: [Namespace; 2],
     _bridge: Namespace,
     tools: Tools,
@@ -52,8 +52,8 @@ pub struct Replicas {
 }
 
 impl Replicas {
-    /// Network, keys, etcd and daemons; every switch knows a path to every other, and the third
-    /// leads.
+    /// Starts network, keys, etcd and daemons. Every switch knows a path to every other, and the
+    /// third leads.
     pub fn start(tools: Tools) -> Result<Self> {
         let nodes: Vec<_> = (1..=SWITCHES).map(|i| Namespace::create(&format!("s{i}"))).collect::<Result<_>>()?;
         let [robot, cloud, late_robot, late_cloud] = ["robot", "cloud", "later", "late"].map(Namespace::create);
@@ -121,7 +121,7 @@ impl Replicas {
         })
     }
 
-    /// The one replica that leads, of those that answer.
+    /// Returns the one leader among the replicas that answer.
     pub fn leader(&self) -> Result<usize> {
         let leads = |i: &usize| self.ctl(*i, &["status"]).is_ok_and(|status| status["rib"].is_object());
         let leading: Vec<_> = (0..SWITCHES).filter(leads).collect();
@@ -131,18 +131,18 @@ impl Replicas {
         }
     }
 
-    /// A `gdp-ctl` command against the daemon of switch `i`, as JSON.
+    /// Runs a `gdp-ctl` command against the daemon of switch `i` and returns its JSON.
     pub fn ctl(&self, i: usize, arguments: &[&str]) -> Result<Value> {
         self.switches[i].ctl(&self.tools, arguments)
     }
 
-    /// Ends the daemon of switch `i` and a member of etcd, both without a chance to say goodbye.
+    /// Kills the daemon of switch `i` and a member of etcd, both without a chance to clean up.
     pub fn kill(&mut self, i: usize, member: usize) -> Result<()> {
         self.switches[i].process.kill()?;
         self.etcd.kill(member)
     }
 
-    /// The daemon of switch `i` and a member of etcd again, which have ended.
+    /// Restarts the daemon of switch `i` and a member of etcd, which have both ended.
     pub fn start_again(&mut self, i: usize, member: usize) -> Result<()> {
         self.etcd.start_again(member, &self.nodes[member])?;
         let names: Vec<String> = self.switches.iter().map(|switch| switch.name.clone()).collect();
@@ -152,37 +152,38 @@ impl Replicas {
         Ok(())
     }
 
-    /// Waits until a condition holds; errors, as of a daemon that does not answer yet, count as no.
+    /// Waits until a condition holds. An error, for example of a daemon that does not answer yet,
+    /// counts as no.
     pub fn wait(&mut self, what: &str, condition: impl Fn(&Self) -> Result<bool>) -> Result<()> {
         let limit = TIMEOUT * 3;
         wait_for(what, limit, || Ok(condition(self).unwrap_or(false).then_some(()))).with_context(|| self.report())
     }
 
-    /// All that `robot` or `cloud` has.
+    /// Returns the folder of `robot` or `cloud`.
     pub fn folder_of(&self, party: &str) -> PathBuf {
         self.files.path().join(party)
     }
 
-    /// All that the robot or the cloud that comes later has.
+    /// Returns the folder of the later robot or cloud.
     pub fn folder_of_late(&self, party: &str) -> PathBuf {
         self.files.path().join(LATER).join(party)
     }
 
-    /// The end of every program's output, for a failure message.
+    /// Returns the end of every program's output, for a failure message.
     pub fn report(&self) -> String {
         let daemons = self.switches.iter().map(|switch| switch.process.report());
         daemons.chain([self.etcd.report()]).collect::<Vec<_>>().join("\n")
     }
 }
 
-/// Of a member of etcd.
+/// Returns the address of an etcd member.
 fn address(i: usize) -> Ipv4Addr {
     Ipv4Addr::new(10, 77, 0, i as u8 + 1)
 }
 
 fn config(i: usize, names: &[String], bpffs: &Mounted, etcd: &Etcd) -> Value {
     let (before, after) = ((i + SWITCHES - 1) % SWITCHES, (i + 1) % SWITCHES);
-    // The way by the third is the shorter one.
+    // The path through the third switch is the shorter one.
     let cost = |to: usize| if i == FIRST_LEADER || to == FIRST_LEADER { 1 } else { 10 };
     let left = json!({"interface": "l0", "switch": names[before], "cost": cost(before)});
     let right = json!({"interface": "r0", "switch": names[after], "cost": cost(after)});

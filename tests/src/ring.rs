@@ -1,5 +1,5 @@
-//! Five switches in a ring, as on the paper's testbed, each with a daemon; a robot at the first, a
-//! cloud at the third, the RIB at the fifth:
+//! Five switches in a ring, as on the paper's testbed, each with a daemon. The robot is at the
+//! first, the cloud at the third, the RIB at the fifth:
 //!
 //! ```text
 //!  robot r0 ── e0 s1 r0 ──── l0 s2 r0 ──── l0 s3 e0 ── l0 cloud
@@ -9,8 +9,8 @@
 //!                     RIB
 //! ```
 //!
-//! The way from robot to cloud is by s2; if that is cut, by s5 and s4. s3 asks the RIB by s4; if
-//! that is cut, or s4's daemon dead, by s2 and s1. No switch is told where the RIB is.
+//! The path from robot to cloud crosses s2; after a cut, s5 and s4. s3 reaches the RIB through s4;
+//! after a cut, or without s4's daemon, through s2 and s1. No configuration says where the RIB is.
 
 use std::path::PathBuf;
 
@@ -24,17 +24,17 @@ use crate::wait::{TIMEOUT, wait_for};
 
 const SWITCHES: usize = 5;
 
-/// Names that each switch has room for: benchmarks have a million, and a few.
+/// FIB capacity of each switch, in names: benchmarks use a million, and a few more.
 const FIB_CAPACITY: u32 = 1 << 21;
 
-/// Where the robot, the cloud and the RIB are; counted from 0.
+/// Indices of the switches of the robot, the cloud and the RIB; from 0.
 pub const ROBOT_AT: usize = 0;
 pub const CLOUD_AT: usize = 2;
 pub const RIB_AT: usize = 4;
 
-/// A running ring. Dropping it ends the daemons, then removes the namespaces and files.
+/// A running ring. Dropping it ends the daemons, then deletes the namespaces and files.
 pub struct Ring {
-    // Order is the order of the end: daemons, network, file systems, files.
+    // Fields drop in this order: daemons, network, file systems, files.
     pub switches: Vec<Switch>,
     nodes: Vec<Namespace>,
     pub robot: Namespace,
@@ -45,8 +45,8 @@ pub struct Ring {
 }
 
 impl Ring {
-    /// Network, keys and daemons; every switch knows the shortest path to every other. The owner of
-    /// a topic has admitted the robot as its publisher and the cloud as a reader.
+    /// Starts network, keys and daemons. Every switch knows the shortest path to every other. The
+    /// owner of a topic has admitted the robot as its publisher and the cloud as a reader.
     pub fn start(tools: Tools) -> Result<Self> {
         let nodes: Vec<_> = (1..=SWITCHES).map(|i| Namespace::create(&format!("s{i}"))).collect::<Result<Vec<_>>>()?;
         let (robot, cloud) = (Namespace::create("robot")?, Namespace::create("cloud")?);
@@ -73,7 +73,7 @@ impl Ring {
             ring.wait(&format!("s{} to know the shortest paths", i + 1), |ring| {
                 let topology = ring.ctl(i, &["topology"])?;
                 let ways = topology["switches"].as_array().into_iter().flatten();
-                // Round the other side it is three.
+                // The longer direction around the ring costs three.
                 let is_shortest = |switch: &&Value| switch["cost"].as_u64().is_some_and(|cost| cost <= 2);
                 let known = ways.filter(|switch| switch["next"].is_string()).filter(is_shortest);
                 Ok(known.count() == SWITCHES - 1)
@@ -82,12 +82,12 @@ impl Ring {
         Ok(ring)
     }
 
-    /// A `gdp-ctl` command against the daemon of switch `i`, as JSON.
+    /// Runs a `gdp-ctl` command against the daemon of switch `i` and returns its JSON.
     pub fn ctl(&self, i: usize, arguments: &[&str]) -> Result<Value> {
         self.switches[i].ctl(&self.tools, arguments)
     }
 
-    /// Another daemon for switch `i`, which has none any more.
+    /// Starts another daemon for switch `i`, whose daemon has ended.
     pub fn start_again(&mut self, i: usize) -> Result<()> {
         let names: Vec<String> = self.switches.iter().map(|switch| switch.name.clone()).collect();
         let (label, config) = (format!("s{}", i + 1), config(i, &names, &self.bpffs));
@@ -96,7 +96,7 @@ impl Ring {
         Ok(())
     }
 
-    /// Waits until switch `i` asks the RIB, by way of switch `next`.
+    /// Waits until switch `i` reaches the RIB through next hop `next`.
     pub fn wait_for_way(&mut self, i: usize, next: usize) -> Result<()> {
         self.wait(&format!("s{} to ask the RIB by s{}", i + 1, next + 1), |ring| {
             let control = ring.ctl(i, &["status"])?["control"].clone();
@@ -104,34 +104,35 @@ impl Ring {
         })
     }
 
-    /// Data frames that switch `i` has sent on without its daemon.
+    /// Returns the number of data frames that switch `i` forwarded without its daemon.
     pub fn forwarded(&self, i: usize) -> Result<u64> {
         let status = self.ctl(i, &["status"])?;
         Ok(status["counters_by_plane"]["forwarded"]["kernel"].as_u64().unwrap_or(0))
     }
 
-    /// What the RIB has told switch `i`, as a number that counts up with it.
+    /// Returns the FIB generation of switch `i`, which increases with every update from the RIB.
     pub fn generation(&self, i: usize) -> Result<u64> {
         self.ctl(i, &["status"])?["fib"]["generation"].as_u64().context("no generation in the status")
     }
 
-    /// Pulls the cable between switch `i` and the next, or puts it in again.
+    /// Pulls the cable between switch `i` and the next, or plugs it in again.
     pub fn set_cable(&self, i: usize, plugged: bool) -> Result<()> {
         let state = if plugged { "up" } else { "down" };
         self.nodes[i].ip(&["link", "set", "r0", state]).map(drop)
     }
 
-    /// Waits until a condition holds; errors, as of a daemon that does not answer yet, count as no.
+    /// Waits until a condition holds. An error, for example of a daemon that does not answer yet,
+    /// counts as no.
     pub fn wait(&mut self, what: &str, condition: impl Fn(&Self) -> Result<bool>) -> Result<()> {
         wait_for(what, TIMEOUT, || Ok(condition(self).unwrap_or(false).then_some(()))).with_context(|| self.report())
     }
 
-    /// All that `robot` or `cloud` has.
+    /// Returns the folder of `robot` or `cloud`.
     pub fn folder_of(&self, party: &str) -> PathBuf {
         self.files.path().join(party)
     }
 
-    /// The end of every daemon's output, for a failure message.
+    /// Returns the end of every daemon's output, for a failure message.
     pub fn report(&self) -> String {
         self.switches.iter().map(|switch| switch.process.report()).collect::<Vec<_>>().join("\n")
     }

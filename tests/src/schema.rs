@@ -1,11 +1,11 @@
-//! Whether a JSON value is what a schema describes, and has no key that the schema does not name.
-//! Covers what `schemars` generates.
+//! Checks that a JSON value matches a schema and has no key that the schema does not name. Covers
+//! the schemas that `schemars` generates.
 
 use std::collections::BTreeSet;
 
 use serde_json::{Map, Value};
 
-/// What is wrong with `value`, by path; nothing if it fits the schema at `pointer` of `root`.
+/// Returns the problems of `value`, by path; empty if it matches the schema at `pointer` of `root`.
 pub fn problems(root: &Value, pointer: &str, value: &Value) -> Vec<String> {
     let Some(schema) = root.pointer(pointer) else { return vec![format!("no schema at {pointer}")] };
     Schema { root }.of(schema, value, pointer)

@@ -1,4 +1,4 @@
-//! Where the programs under test are, so that a missing one is named before anything starts.
+//! Paths of the programs under test. A missing program is named before anything starts.
 
 use std::path::{Path, PathBuf};
 
@@ -13,12 +13,13 @@ pub struct Tools {
 }
 
 impl Tools {
-    /// `executables`: the folder of `gdp-ctl` and `gdp-proxy`; `target`: Cargo's target folder.
+    /// Creates the set of tools. `executables`: the folder of `gdp-ctl` and `gdp-proxy`; `target`:
+    /// Cargo's target folder.
     pub fn new(executables: PathBuf, target: PathBuf) -> Self {
         Self { executables, target, ebpf_object: "gdp-ebpf" }
     }
 
-    /// For a test: the executables of the profile it was itself built with
+    /// Returns the tools for a test: the executables of the test's own build profile
     /// (`target/PROFILE/deps/TEST`).
     pub fn beside_this_test() -> Result<Self> {
         let test = std::env::current_exe()?;
@@ -40,12 +41,12 @@ impl Tools {
         existing(self.target.join("bpf").join(self.ebpf_object), "cargo xtask test")
     }
 
-    /// The programs that benchmarks and tests put around the switch.
+    /// Returns the object with the programs that benchmarks and tests attach around the switch.
     pub fn ebpf_bench_object(&self) -> Result<PathBuf> {
         existing(self.target.join("bpf/bpfel-unknown-none/release/gdp-ebpf-bench"), "cargo xtask build")
     }
 
-    /// From now on the XDP programs are those of another build, of the same source.
+    /// Uses another build of the XDP programs, from the same source, from now on.
     pub fn rebuild(&mut self) -> Result<()> {
         let before = std::fs::read(self.ebpf_object()?)?;
         self.ebpf_object = "gdp-ebpf-rebuilt";
@@ -53,27 +54,27 @@ impl Tools {
         Ok(())
     }
 
-    /// The compiled Fast DDS peer.
+    /// Returns the path of the compiled Fast DDS peer.
     pub fn fastdds(&self) -> Result<PathBuf> {
         existing(self.target.join("peers/fastdds-peer"), "cargo xtask test")
     }
 
-    /// The Python that has Cyclone DDS.
+    /// Returns the path of the Python that has Cyclone DDS.
     pub fn python(&self) -> Result<PathBuf> {
         existing(self.target.join("venv/bin/python"), "cargo xtask setup")
     }
 
-    /// The Cyclone DDS peer, run by [`Tools::python`].
+    /// Returns the path of the Cyclone DDS peer, run by [`Tools::python`].
     pub fn cyclone(&self) -> PathBuf {
         self.peer("cyclone.py")
     }
 
-    /// A program in `tests/peers` that needs no compiler.
+    /// Returns the path of a program in `tests/peers` that needs no compiler.
     pub fn peer(&self, file: &str) -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("peers").join(file)
     }
 
-    /// The compiled Fast DDS peer that exchanges any type.
+    /// Returns the path of the compiled Fast DDS peer that exchanges any type.
     pub fn fastdds_any(&self) -> Result<PathBuf> {
         existing(self.target.join("peers/fastdds-any"), "cargo xtask test")
     }

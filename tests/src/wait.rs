@@ -1,17 +1,17 @@
-//! Waiting for a condition with a deadline, and noticing Ctrl-C on the way.
+//! Waiting for a condition with a deadline and with interruption by Ctrl-C.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 
-/// How long a test waits for what takes a few seconds at most where nothing else runs: what takes
-/// longer is broken, and not slow.
+/// The limit for steps that take a few seconds at most on an idle machine. Exceeding it means a
+/// fault, not slowness.
 pub const TIMEOUT: Duration = Duration::from_secs(60);
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// Polls `condition` until it gives a value; an error names `what` after `limit`, or at Ctrl-C.
+/// Polls `condition` until it returns a value. The error names `what` after `limit`, or at Ctrl-C.
 pub fn wait_for<T>(what: &str, limit: Duration, mut condition: impl FnMut() -> Result<Option<T>>) -> Result<T> {
     let deadline = Instant::now() + limit;
     loop {
@@ -26,8 +26,7 @@ pub fn wait_for<T>(what: &str, limit: Duration, mut condition: impl FnMut() -> R
     }
 }
 
-/// From now on Ctrl-C and SIGTERM make every wait fail instead of ending the process, so that
-/// guards clean up.
+/// Makes Ctrl-C and SIGTERM fail every wait instead of ending the process. Guards then clean up.
 pub fn catch_interrupts() {
     extern "C" fn note(_: libc::c_int) {
         INTERRUPTED.store(true, Ordering::Relaxed);
@@ -38,12 +37,12 @@ pub fn catch_interrupts() {
     }
 }
 
-/// Fails with [`Interrupted`] once Ctrl-C was pressed.
+/// Fails with [`Interrupted`] after Ctrl-C.
 pub fn check_interrupt() -> Result<()> {
     if INTERRUPTED.load(Ordering::Relaxed) { Err(Interrupted.into()) } else { Ok(()) }
 }
 
-/// The user wants to stop; nothing is wrong.
+/// The error of an interruption by the user; nothing is wrong.
 #[derive(Debug)]
 pub struct Interrupted;
 

@@ -1,15 +1,14 @@
-//! A bad cable: carries frames between two interfaces of a namespace through a [`gdp_faults::Link`]
-//! each way, by the real clock.
+//! A cable with faults. It carries frames between two interfaces of a namespace, through one
+//! [`gdp_faults::Link`] in each direction, in real time.
 //!
 //! ```text
 //!  left ── w0:wire:w1 ── right          this thread: w0 ─► Link ─► w1
 //!                                                    w0 ◄─ Link ◄─ w1
 //! ```
 //!
-//! What is lost, doubled, held back and damaged is what the first cable of a
-//! [`gdp_faults::Network`] with the same seed does in simulated time; only times are the machine's,
-//! never earlier than the model's. [`crate::chain::Chain::disturb_wire`] makes one of a chain's
-//! wire.
+//! Loss, duplication, delay and damage equal those of the first cable of a [`gdp_faults::Network`]
+//! with the same seed in simulated time. Only times are the machine's, never earlier than the
+//! model's. [`crate::chain::Chain::disturb_wire`] turns a chain's wire into such a cable.
 
 use std::io::PipeWriter;
 use std::os::fd::AsRawFd;
@@ -25,24 +24,25 @@ use crate::frames::carrier::internet_checksum;
 use crate::netns::Namespace;
 use crate::packet::{ETHERNET, PacketSocket};
 
-/// The thread that carries. Dropping it ends the thread, and with it the cable.
+/// The carrying thread. Dropping it ends the thread and thereby cuts the cable.
 pub struct Wire {
     links: Arc<Mutex<[Link<Vec<u8>>; 2]>>,
     ports: Arc<[PacketSocket; 2]>,
     began: Instant,
     thread: Option<JoinHandle<Result<()>>>,
-    /// Closing it is what ends the thread.
+    /// Closing this pipe ends the thread.
     running: Option<PipeWriter>,
 }
 
-/// Bytes of frames that may wait for the thread at each port.
+/// Receive buffer of each port, in bytes of frames.
 const BACKLOG: i32 = 64 << 20;
 
 impl Wire {
-    /// `faults`: from the first interface to the second, and back. Partitions count from now.
+    /// Starts the thread. `faults`: from the first interface to the second, and back. Partitions
+    /// count from now.
     pub fn start(at: &Namespace, interfaces: [&str; 2], faults: [Faults; 2], seed: u64) -> Result<Self> {
         for interface in interfaces {
-            // Frames are to be carried as they were sent, not merged into ones that no cable takes.
+            // GRO must not merge frames into ones that no cable accepts.
             at.ip(&["link", "set", interface, "gro_max_size", "1"])?;
         }
         let open = |interface| PacketSocket::open(at, interface);
@@ -59,13 +59,12 @@ impl Wire {
         Ok(Self { links, ports, began, thread: Some(thread), running: Some(running) })
     }
 
-    /// What the link of one direction has done to frames: 0 from the first interface, 1 from the
-    /// second.
+    /// Returns the counts of one direction's link: 0 from the first interface, 1 from the second.
     pub fn counts(&self, direction: usize) -> Counts {
         self.links.lock()[direction].counts()
     }
 
-    /// From now on other faults; their partitions count from now. What is under way still arrives.
+    /// Replaces the faults; their partitions count from now. Frames in flight still arrive.
     pub fn change(&self, faults: [Faults; 2]) {
         let now = since(self.began);
         for (link, mut faults) in self.links.lock().iter_mut().zip(faults) {
@@ -76,8 +75,8 @@ impl Wire {
         }
     }
 
-    /// Fails unless every frame went through the model: the thread runs and the kernel has dropped
-    /// nothing before it.
+    /// Fails unless every frame went through the model: the thread runs, and the kernel dropped no
+    /// frame before it.
     pub fn check(&self) -> Result<()> {
         ensure!(self.thread.as_ref().is_some_and(|thread| !thread.is_finished()), "the wire has ended");
         for port in self.ports.iter() {
@@ -126,8 +125,8 @@ impl Carrier {
         }
     }
 
-    /// As many as have come, up to a bound: what is due on the other side must not wait for a flood
-    /// to end.
+    /// Takes the frames that have arrived, up to a bound. A flood in one direction must not delay
+    /// frames due in the other.
     fn take(&self, from: usize, link: &mut Link<Vec<u8>>, buffer: &mut [u8]) -> Result<()> {
         const AT_ONCE: usize = 64;
         for _ in 0..AT_ONCE {
@@ -145,7 +144,7 @@ impl Carrier {
         self.send(port, &delivery.frame)
     }
 
-    /// The queue of a veth is short: what is at its other end is given time to take from it.
+    /// Sends a frame, and retries while the short queue of the veth is full.
     fn send(&self, port: &PacketSocket, frame: &[u8]) -> Result<()> {
         const TIMEOUT: Duration = Duration::from_secs(1);
         let deadline = Instant::now() + TIMEOUT;
@@ -157,7 +156,7 @@ impl Carrier {
         }
     }
 
-    /// Until a frame comes, or one is due; true when it is time to end.
+    /// Waits until a frame arrives or is due. Returns true when the thread must end.
     fn wait(&self, stopped: i32, next: Option<u64>) -> Result<bool> {
         let [left, right] = [0, 1].map(|port: usize| self.ports[port].as_raw_fd());
         let mut polls = [left, right, stopped].map(|fd| libc::pollfd { fd, events: libc::POLLIN, revents: 0 });
@@ -166,13 +165,13 @@ impl Carrier {
             libc::timespec { tv_sec: left.as_secs() as libc::time_t, tv_nsec: left.subsec_nanos().into() }
         });
         let limit = limit.as_ref().map_or(std::ptr::null(), |limit| limit as *const libc::timespec);
-        // SAFETY: three live pollfds; `limit` is null or of a live timespec.
+        // SAFETY: three live pollfds; `limit` is null or points to a live timespec.
         unsafe { libc::ppoll(polls.as_mut_ptr(), polls.len() as libc::nfds_t, limit, std::ptr::null()) };
         Ok(polls[2].revents != 0)
     }
 }
 
-/// A cable does not mind that one of its ends is down.
+/// Ignores that one end of the cable is down.
 fn unplugged<T>(result: Result<T>) -> Result<Option<T>> {
     match result {
         Err(error) if is(&error, libc::ENETDOWN) => Ok(None),
@@ -184,8 +183,8 @@ fn is(error: &anyhow::Error, number: i32) -> bool {
     error.downcast_ref::<std::io::Error>().is_some_and(|error| error.raw_os_error() == Some(number))
 }
 
-/// Congestion experienced (RFC 3168), on packets of IP whose sender takes such marks; others stay
-/// as they are.
+/// Sets Congestion Experienced (RFC 3168) on IP packets whose sender is ECN-capable. Other frames
+/// stay unchanged.
 fn mark(frame: &mut [u8]) {
     const CE: u8 = 0b11;
     let capable = |codepoint: u8| matches!(codepoint & CE, 0b01 | 0b10);
@@ -199,7 +198,7 @@ fn mark(frame: &mut [u8]) {
             let checksum = internet_checksum(header);
             header[10..12].copy_from_slice(&checksum.to_be_bytes());
         }
-        // Of the traffic class, the low half of which lies in the second byte.
+        // The low half of the traffic class lies in the second byte.
         ([0x86, 0xdd], packet) if packet.len() >= 40 && capable(packet[1] >> 4) => packet[1] |= CE << 4,
         _ => {}
     }

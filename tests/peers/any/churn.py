@@ -59,13 +59,13 @@ while True:
         del away[first]
         came += 1
     if opened and not settled:
-        # What was heard before does not count.
+        # Events from before this point do not count.
         settled = True
         heard.clear()
     if not opened and now - changed >= PERIOD and nodes:
         changed = now
         first = random.choice(list(nodes))
-        # Deleted in order, with goodbyes, as by a node that is shut down.
+        # Deleted in order, with goodbye messages, as by a node that shuts down.
         del nodes[first]
         away[first] = now + random.uniform(0, 2)
     for _, ends in nodes.values():

@@ -195,7 +195,7 @@ classes = {key: globals()[entry["type"].rsplit("/", 1)[1]] for key, entry in ind
 qos = Qos(
     Policy.Reliability.Reliable(duration(seconds=10)),
     Policy.History.KeepLast(10),
-    # ROS 2 speaks XCDR1 only.
+    # ROS 2 uses XCDR1 only.
     Policy.DataRepresentation(use_cdrv0_representation=True),
 )
 participant = DomainParticipant(0)

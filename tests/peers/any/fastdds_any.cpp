@@ -1,5 +1,5 @@
-// A ROS 2 node as rmw_fastrtps would make it that publishes or hears every type of the pairings: their names, and messages that are laid
-// out already. See ../README.md.
+// A ROS 2 node as rmw_fastrtps would make it. It publishes or subscribes to every type of the
+// pairings, with their names and already serialized messages. See ../README.md.
 //
 // fastdds-any talk FOLDER PREFIX KEY=PACKAGE/msg/NAME...
 // fastdds-any listen FOLDER PREFIX[,PREFIX...] KEY=PACKAGE/msg/NAME...
@@ -40,7 +40,7 @@ namespace {
     std::exit(2);
 }
 
-// A type of which only the name is known: a message is its bytes with the encapsulation in front.
+// A type known by its name only. A message consists of its bytes, with the encapsulation in front.
 class Laid : public TopicDataType {
 public:
     explicit Laid(const std::string& name) {
@@ -90,7 +90,8 @@ Bytes read(const std::string& path) {
 
 DomainParticipant* participant() {
     DomainParticipantQos qos = PARTICIPANT_QOS_DEFAULT;
-    // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared memory, past the network.
+    // UDP alone: two Fast DDS programs on one machine would otherwise communicate through shared
+    // memory, past the network.
     qos.transport().use_builtin_transports = false;
     qos.transport().user_transports.push_back(std::make_shared<UDPv4TransportDescriptor>());
     auto* p = DomainParticipantFactory::get_instance()->create_participant(0, qos);
@@ -107,7 +108,7 @@ template <class Q> Q reliable(Q q) {
     return q;
 }
 
-// After the encapsulation; a middleware may fill the last word up with zeros.
+// Compares everything after the encapsulation; a middleware may pad the last word with zeros.
 bool same(const Bytes& got, const Bytes& sample) {
     if (got.size() < sample.size() || got.size() - sample.size() > 3) return false;
     const bool zeros = std::all_of(got.begin() + sample.size(), got.end(), [](char c) { return c == 0; });

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-# Of a package that no distribution has.
+# A type of a package that no distribution has.
 REPORT = """\
 uint8 IDLE=0
 uint8 MOVING=1
@@ -120,7 +120,7 @@ for key, message in SAMPLES.items():
 index["report"]["definition"] = registered(Stores.ROS1_NOETIC, ROS1).generate_msgdef("arm_msgs/msg/Report", ros_version=1)[0]
 (folder / "index.json").write_text(json.dumps(index))
 
-# As an installation of ROS 2 has it.
+# The layout of a ROS 2 installation.
 share = folder / "share" / "arm_msgs" / "msg"
 share.mkdir(parents=True)
 for name, text in ROS2.items():

@@ -1,15 +1,15 @@
-//! What carries GDP frames, byte by byte after the RFCs: Ethernet, IEEE 802.1Q, RFC 791 and 768,
-//! RFC 8200.
+//! Encapsulation of GDP frames, byte by byte after the RFCs: Ethernet, IEEE 802.1Q, RFC 791 and
+//! 768, RFC 8200.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4, SocketAddrV6};
 
-/// How a frame is carried.
+/// The encapsulation of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Carrier {
     Ethernet,
-    /// The tag control information.
+    /// The VLAN's tag control information.
     Vlan(u16),
-    /// The datagram's addresses; IPv4's type of service or IPv6's traffic class.
+    /// The datagram's addresses, and IPv4's type of service or IPv6's traffic class.
     Udp {
         from: SocketAddr,
         to: SocketAddr,
@@ -17,12 +17,12 @@ pub enum Carrier {
     },
 }
 
-/// Where a frame lies in a packet.
+/// The position of a GDP frame in a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// Bytes in front of it.
+    /// Offset of the frame in bytes.
     pub at: usize,
-    /// Bytes of it, and perhaps of padding.
+    /// Length of the frame in bytes, possibly with padding.
     pub length: usize,
     pub over_udp: bool,
     /// IPv4's type of service or IPv6's traffic class; 0 on Ethernet.
@@ -30,7 +30,7 @@ pub struct Place {
 }
 
 impl Carrier {
-    /// The whole Ethernet frame around a GDP frame.
+    /// Returns the whole Ethernet frame around a GDP frame.
     pub fn carry(&self, to_mac: [u8; 6], from_mac: [u8; 6], ethertype: u16, gdp: &[u8]) -> Vec<u8> {
         let macs = [to_mac, from_mac].concat();
         let udp_length = (gdp.len() + 8) as u16;
@@ -53,7 +53,7 @@ impl Carrier {
     }
 }
 
-/// Finds the frame in a packet for the given addresses and VLANs, as a reader of the RFCs would.
+/// Finds the frame in a packet for the given addresses and VLANs, following the RFCs.
 pub fn find(packet: &[u8], ethertype: u16, own: &[SocketAddr], vlans: &[u16]) -> Option<Place> {
     let word = |at: usize| Some(u16::from_be_bytes([*packet.get(at)?, *packet.get(at + 1)?]));
     let directly = |at: usize| Some(Place { at, length: packet.len().checked_sub(at)?, over_udp: false, class: 0 });
@@ -82,7 +82,8 @@ pub fn find(packet: &[u8], ethertype: u16, own: &[SocketAddr], vlans: &[u16]) ->
     }
 }
 
-/// The checksum of RFC 1071 over a header whose own checksum is 0, or 0 over one that has its own.
+/// Returns the RFC 1071 checksum of a header whose checksum field is 0. Returns 0 for a header with
+/// a correct checksum.
 pub fn internet_checksum(bytes: &[u8]) -> u16 {
     let mut sum: u32 =
         bytes.chunks(2).map(|pair| u32::from(pair[0]) << 8 | pair.get(1).map_or(0, |b| u32::from(*b))).sum();

@@ -1,7 +1,7 @@
-//! `tests/fixtures/frames.json`: one switch, and what it does with each of many frames.
+//! `tests/fixtures/frames.json`: one switch, and its handling of each of many frames.
 //!
-//! Byte strings are hexadecimal; where a long frame ends in zeros they are counted instead of
-//! written. Everything else is as a reader of `docs/wire-format.md` expects.
+//! Byte strings are hexadecimal. Trailing zeros of a long frame are counted instead of written.
+//! Everything else follows `docs/wire-format.md`.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -32,33 +32,33 @@ pub struct Link {
     pub id: u32,
     pub peer_id: u32,
     pub role: Role,
-    /// Into another domain, and what comes by it may go on to a third.
+    /// The link leads into another domain, and its frames may continue to a third.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub transit: bool,
-    /// `null`: the kernel cannot send on the link.
+    /// The kernel's port number; `null`: the kernel cannot send on the link.
     pub port: Option<u32>,
-    /// SipHash keys, 16 bytes, by key phase.
+    /// SipHash keys of 16 bytes, indexed by key phase.
     pub rx_keys: [String; 2],
     pub tx_keys: [String; 2],
-    /// Key phase of frames that leave.
+    /// Key phase of frames that the switch sends.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub tx_phase: u32,
     /// Numbers of egress bits.
     pub reach: Vec<u32>,
     pub mtu: u32,
-    /// The neighbour's; of a link over UDP, the next hop's.
+    /// The neighbour's MAC address; for a link over UDP, the next hop's.
     pub peer_mac: String,
     pub local_mac: String,
     #[serde(default, skip_serializing_if = "is_zero")]
     pub vlan: u16,
-    /// `null`: directly on Ethernet.
+    /// The UDP addresses; `null`: directly on Ethernet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub udp: Option<Udp>,
     /// The neighbour's name.
     pub peer: String,
     /// Frames sent on the link before the case.
     pub tx_counter: u64,
-    /// Counts of frames that arrived on the link before the case.
+    /// Link counters of frames that arrived on the link before the case.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub taken: Vec<u64>,
 }
@@ -68,8 +68,8 @@ pub struct Link {
 pub struct Udp {
     pub local: SocketAddr,
     pub peer: SocketAddr,
-    /// Whether the kernel is to ask for the next hop; over IPv6, because the neighbour takes
-    /// datagrams without a checksum.
+    /// Whether the kernel must look up the next hop. Over IPv6 this means that the neighbour
+    /// accepts datagrams without a checksum.
     pub routed: bool,
 }
 
@@ -108,38 +108,38 @@ pub struct Case {
     pub name: String,
     pub frame: Bytes,
     pub kernel: Expected,
-    /// `null`: the same as the kernel.
+    /// The result in userspace; `null`: the same as in the kernel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub userspace: Option<Expected>,
 }
 
-/// What becomes of a frame. Exactly one counter goes up, by one; and those of its copies, each by
-/// one.
+/// The result for a frame. Exactly one counter increases by one. Each copy's counter also increases
+/// by one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Expected {
     pub verdict: Verdict,
     pub counter: String,
-    /// The frame as it leaves, of a frame that is sent. What passes is unchanged.
+    /// The frame as sent; absent unless it is sent. A passed frame is unchanged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<Bytes>,
-    /// In the order of their bytes.
+    /// Sorted by their bytes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub copies: Vec<CopyOut>,
 }
 
-/// What becomes of a frame, as data planes say it; [`Expected`] is the same as the file says it.
+/// The result for a frame in the data planes' types; [`Expected`] is the same in the file's types.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fate {
     pub verdict: Verdict,
     pub counter: gdp_wire::Counter,
-    /// The whole frame as it leaves, of a frame that is sent.
+    /// The whole frame as sent; `None` unless it is sent.
     pub frame: Option<Vec<u8>>,
-    /// In the order of their bytes; those that are dropped first.
+    /// Sorted by their bytes; dropped copies come first.
     pub copies: Vec<(Option<Vec<u8>>, gdp_wire::Counter)>,
 }
 
 impl Fate {
-    /// Of a frame that does not leave.
+    /// Returns the result for a frame that is not sent.
     pub fn new(verdict: Verdict, counter: gdp_wire::Counter) -> Self {
         Self { verdict, counter, frame: None, copies: Vec::new() }
     }
@@ -171,10 +171,10 @@ impl From<Fate> for Expected {
     }
 }
 
-/// What becomes of a copy of a frame.
+/// The result for a copy of a frame.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct CopyOut {
-    /// `None`: dropped.
+    /// The copy as sent; `None`: dropped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<Bytes>,
     pub counter: String,
@@ -183,11 +183,11 @@ pub struct CopyOut {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// As it was rewritten; or an answer to the neighbour it came from.
+    /// The frame leaves rewritten, or as an answer to the neighbour that sent it.
     Send,
-    /// Copies of it.
+    /// Copies of the frame leave.
     Copy,
-    /// To the host, which the daemon is part of.
+    /// The frame passes to the host, which includes the daemon.
     Pass,
     Drop,
 }
@@ -202,7 +202,7 @@ pub struct Bytes {
 impl Bytes {
     pub fn new(bytes: &[u8]) -> Self {
         let kept = bytes.iter().rposition(|b| *b != 0).map_or(0, |last| last + 1);
-        // Few zeros are clearer written out.
+        // A few zeros are clearer written out.
         let kept = if bytes.len() - kept < 32 { bytes.len() } else { kept };
         Self { hex: hex(&bytes[..kept]), zeros: bytes.len() - kept }
     }
@@ -214,14 +214,14 @@ impl Bytes {
     }
 }
 
-/// The committed file.
+/// Returns the committed fixtures.
 pub fn read() -> Fixtures {
-    // Beside this file, which crates at different depths include.
+    // Relative to this file, because crates at different depths include it.
     let text = include_str!("../../fixtures/frames.json");
     serde_json::from_str(text).unwrap_or_else(|error| panic!("tests/fixtures/frames.json: {error}"))
 }
 
-/// The tables of the fixtures' switch, as a data plane takes them.
+/// The tables of the fixtures' switch, in the form that a data plane accepts.
 impl Switch {
     pub fn config(&self) -> gdp_wire::SwitchConfig {
         gdp_wire::SwitchConfig { own_bit: 1 << self.own_bit, ethertype: self.ethertype.into(), host_pair: 0 }
@@ -231,7 +231,7 @@ impl Switch {
         self.links.iter().map(Link::entry)
     }
 
-    /// With the permits that the entry has no room for.
+    /// Returns the routes. Each has the permits that do not fit into its FIB entry.
     pub fn routes(&self) -> impl Iterator<Item = (gdp_wire::Name, gdp_wire::FibEntry, Vec<gdp_wire::Permit>)> {
         (0..).zip(&self.routes).map(|(index, route)| {
             let name = gdp_wire::Name::from_bytes(array(&route.name));
@@ -252,7 +252,7 @@ impl Switch {
         })
     }
 
-    /// The links of the local readers of each group.
+    /// Returns the links of the local readers of each group.
     pub fn groups(&self) -> impl Iterator<Item = (u32, &[u32])> {
         (1..)
             .zip(&self.routes)
@@ -260,8 +260,8 @@ impl Switch {
             .map(|(group, route)| (group, &route.readers[..]))
     }
 
-    /// The groups as the kernel holds them: the links that it copies to, and the egress bits that
-    /// lead to no others.
+    /// Returns the groups in the kernel's form: member links that receive copies, and a mask of
+    /// egress bits. The mask excludes bits that lead to links outside the members.
     pub fn kernel_groups(&self) -> impl Iterator<Item = (u32, Vec<&Link>, u64)> {
         self.groups_with_neighbours().map(|(group, links)| {
             let (members, others): (Vec<_>, Vec<_>) =
@@ -271,7 +271,7 @@ impl Switch {
         })
     }
 
-    /// All links of each group.
+    /// Returns all links of each group.
     pub fn groups_with_neighbours(&self) -> impl Iterator<Item = (u32, Vec<&Link>)> {
         let neighbours = [(gdp_wire::table::NEIGHBOURS, &[][..])];
         neighbours.into_iter().chain(self.groups()).map(|(group, readers)| {
@@ -280,17 +280,17 @@ impl Switch {
         })
     }
 
-    /// Where frames over UDP arrive.
+    /// Returns the local addresses for frames over UDP.
     pub fn own_addresses(&self) -> Vec<SocketAddr> {
         self.links.iter().filter_map(|link| Some(link.udp.as_ref()?.local)).collect()
     }
 
-    /// VLANs that frames arrive on.
+    /// Returns the VLANs of the links.
     pub fn vlans(&self) -> Vec<u16> {
         self.links.iter().map(|link| link.vlan).filter(|vlan| *vlan != 0).collect()
     }
 
-    /// Where the frame lies in a packet for this switch.
+    /// Returns the position of the GDP frame in a packet for this switch.
     pub fn find(&self, packet: &[u8]) -> Option<Place> {
         carrier::find(packet, self.ethertype, &self.own_addresses(), &self.vlans())
     }
@@ -346,13 +346,13 @@ impl Link {
         }
     }
 
-    /// The MAC addresses that packets of the link go between: the neighbour's, or the gateway's,
-    /// and ours.
+    /// Returns the MAC addresses of the link's packets: the neighbour's or the gateway's, and the
+    /// switch's own.
     pub fn stations(&self) -> [[u8; 6]; 2] {
         [mac(&self.peer_mac), mac(&self.local_mac)]
     }
 
-    /// What a frame that leaves by the link is carried in.
+    /// Returns the encapsulation of a frame that leaves on the link.
     pub fn leaves_in(&self, flags: u8) -> Carrier {
         let class = flags >> 2 & 7;
         match &self.udp {
@@ -362,7 +362,7 @@ impl Link {
         }
     }
 
-    /// What a frame of the neighbour arrives in.
+    /// Returns the encapsulation of a frame that arrives from the neighbour.
     pub fn arrives_in(&self) -> Carrier {
         match &self.udp {
             Some(udp) => Carrier::Udp { from: udp.peer, to: udp.local, class: 0 },
@@ -370,13 +370,13 @@ impl Link {
         }
     }
 
-    /// The whole Ethernet frame that carries a GDP frame to the neighbour.
+    /// Returns the whole Ethernet frame that carries a GDP frame to the neighbour.
     pub fn carry(&self, ethertype: u16, gdp: &[u8]) -> Vec<u8> {
         self.leaves_in(gdp[1]).carry(mac(&self.peer_mac), mac(&self.local_mac), ethertype, gdp)
     }
 }
 
-/// An IP address as words in network order.
+/// Returns an IP address as words in network order.
 fn words(ip: IpAddr) -> [u32; 4] {
     let mut octets = [0; 16];
     match ip {
@@ -401,7 +401,7 @@ pub fn array<const N: usize>(text: &str) -> [u8; N] {
     unhex(text).try_into().unwrap_or_else(|_| panic!("{text}: not {N} bytes"))
 }
 
-/// The two words of a SipHash key.
+/// Returns the two words of a SipHash key.
 pub fn key(text: &str) -> [u64; 2] {
     let bytes: [u8; 16] = array(text);
     [0, 8].map(|i| u64::from_le_bytes(bytes[i..i + 8].try_into().expect("eight bytes")))

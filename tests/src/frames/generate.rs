@@ -1,18 +1,18 @@
-//! Frames by the million for one switch: most of them what its neighbours would send, the others
-//! wrong in one or a few ways that somebody who knows the format might try. A seed says which; the
-//! same seed, the same frames.
+//! Generates millions of frames for one switch. Most are what its neighbours would send. The others
+//! have one or a few faults that an attacker who knows the format might try. The same seed yields
+//! the same frames.
 //!
-//! What comes out is a sequence: counts go up link by link, and earlier frames come again. Every
-//! plane that is to be compared gets all of it, in order.
+//! The output is a sequence: link counters increase, and earlier frames repeat. Every plane under
+//! comparison must get the whole sequence, in order.
 
 use super::carrier::Carrier;
 use super::fixtures::{self, Link, Role, Switch};
 use super::{Frame, hop_tag};
 
-/// Frames that may come again.
+/// Number of earlier frames that may repeat.
 const REMEMBERED: usize = 512;
 
-/// Where in its life a link is at the beginning: at its first frame, or shortly before 2³².
+/// Initial counters of a link: at its first frame, or shortly before 2³².
 const STARTS: [u64; 2] = [0, (1 << 32) - 20_000];
 
 const ETHERNET: usize = 14;
@@ -28,13 +28,13 @@ pub struct Generator {
     sent: Vec<Vec<u8>>,
 }
 
-/// A neighbour.
+/// A neighbour that sends frames.
 struct Sender {
     link: Link,
     keys: [[u64; 2]; 2],
-    /// Its own name; or those that it may send as, if it is in another domain.
+    /// The neighbour's own name. A neighbour in another domain has all names that it may send as.
     sources: Vec<[u8; 32]>,
-    /// Names that it may send to, or, of a switch, all of them.
+    /// Names that the neighbour may send to; a switch may send to all of them.
     destinations: Vec<[u8; 32]>,
     count: u64,
 }
@@ -55,7 +55,7 @@ impl Generator {
                 count: STARTS[i % STARTS.len()],
             }
         };
-        // Payloads of which the frame fits a link exactly, or not quite, or easily.
+        // Payload sizes with which the frame fits a link exactly, barely not, or easily.
         let limits = switch.links.iter().flat_map(|link| [0, 1, 2].map(|less| link.mtu as usize - HEADER + 1 - less));
         Self {
             random: Random(seed ^ 0x9e37_79b9_7f4a_7c15),
@@ -68,7 +68,7 @@ impl Generator {
         }
     }
 
-    /// The next Ethernet frame.
+    /// Returns the next Ethernet frame.
     pub fn frame(&mut self) -> Vec<u8> {
         if self.random.one_in(12) && !self.sent.is_empty() {
             let mut again = self.random.one_of(&self.sent);
@@ -91,8 +91,8 @@ impl Generator {
         frame
     }
 
-    /// A frame in what carries it. Where it comes in says nothing of its link, so any carrier will
-    /// do for any frame.
+    /// Returns a frame in its encapsulation. The encapsulation does not identify the link, so any
+    /// carrier suits any frame.
     fn carried(&mut self) -> Vec<u8> {
         let mut frame = self.gdp();
         frame.carrier = self.random.one_of(&self.carriers);
@@ -117,7 +117,7 @@ impl Generator {
         frame.bytes()
     }
 
-    /// What a neighbour sends, tagged by it; more or less sensible.
+    /// Returns a frame that a neighbour sends and tags, with or without faults.
     fn gdp(&mut self) -> Frame {
         let random = &mut self.random;
         let at = random.below(self.links.len());
@@ -162,7 +162,7 @@ impl Generator {
         if random.one_in(10) {
             frame.flags = 0x40;
         }
-        // Class and ECN.
+        // Traffic class and ECN.
         let any = random.word() as u8 & 0x1f;
         frame.flags |= random.one_of(&[0, 0, 0b10, 0b10, 0b11, any]);
         if random.one_in(5) {
@@ -177,7 +177,8 @@ impl Generator {
                 _ => frame.egress_set = random.word() as u8,
             }
         }
-        // Under the key that the flags say, or now and then the other one, or another link's.
+        // Uses the key of the phase in the flags; occasionally the other phase's, or another
+        // link's.
         let phase = usize::from(frame.flags >> 7);
         frame.key = match random.below(40) {
             0 => sender.keys[1 - phase],
@@ -190,7 +191,8 @@ impl Generator {
         frame
     }
 
-    /// Changes a packet somewhere. Sometimes its neighbour did, and has tagged it so.
+    /// Damages a packet somewhere. In half of the cases the frame gets a valid tag again, as if its
+    /// neighbour had sent the damage.
     fn damage(&mut self, frame: &mut Vec<u8>) {
         let random = &mut self.random;
         match random.below(6) {
@@ -200,7 +202,7 @@ impl Generator {
                 let at = random.below(frame.len());
                 frame[at] = random.word() as u8;
             }),
-            // In the headers, where it matters.
+            // Flips a bit in the headers.
             3 => {
                 let at = random.below(ETHERNET + 48);
                 if let Some(byte) = frame.get_mut(at) {
@@ -219,8 +221,8 @@ impl Generator {
         }
     }
 
-    /// Tags a frame as the neighbour would that its link id and flags speak of, under the count
-    /// that is up.
+    /// Tags a frame again with its link's next counter, as the neighbour that its link id and flags
+    /// name.
     fn tag_again(&mut self, frame: &mut [u8]) {
         let Some(place) = self.switch.find(frame) else { return };
         let Some(header) = frame[place.at..].first_chunk_mut::<HEADER>() else { return };
@@ -233,7 +235,7 @@ impl Generator {
     }
 }
 
-/// A linear congruential generator: the same numbers in every run.
+/// A linear congruential generator with the same numbers in every run.
 pub struct Random(pub u64);
 
 impl Random {

@@ -1,9 +1,9 @@
-//! Frames for tests, byte by byte after `docs/wire-format.md` and not through `gdp_wire::Header`,
-//! so that a mistake in the one does not hide in the other. [`fixtures`] is the file of forwarding
-//! cases that every data plane runs, [`generate`] makes others by the million.
+//! Frames for tests, byte by byte after `docs/wire-format.md`. They do not use `gdp_wire::Header`:
+//! a mistake in either becomes visible in the other. [`fixtures`] is the file of forwarding cases
+//! that every data plane runs. [`generate`] makes others by the million.
 //!
-//! Depends on `gdp-wire`, `serde` and `serde_json` alone: the unit tests of `gdp-wire` include it
-//! by path.
+//! This module depends on `gdp-wire`, `serde` and `serde_json` alone: the unit tests of `gdp-wire`
+//! include it by path.
 #![allow(dead_code, reason = "each test that includes this uses a part of it")]
 
 pub mod carrier;
@@ -13,35 +13,35 @@ pub mod generate;
 use carrier::Carrier;
 use gdp_wire::siphash::siphash24;
 
-/// An Ethernet frame that carries a GDP data frame, directly or in what else `carrier` says. Start
+/// An Ethernet frame with a GDP data frame, directly or in the encapsulation of `carrier`. Start
 /// from `Frame::default()` and name what differs.
 #[derive(Clone, Debug)]
 pub struct Frame {
     pub to_mac: [u8; 6],
     pub from_mac: [u8; 6],
-    /// Of GDP frames.
+    /// The ethertype of GDP frames.
     pub ethertype: u16,
     pub carrier: Carrier,
     pub version_type: u8,
     pub flags: u8,
     pub hop_limit: u8,
     pub egress_set: u8,
-    /// `None`: the length of `payload`.
+    /// The header's payload length; `None`: the length of `payload`.
     pub payload_len: Option<u16>,
     pub header_words: u8,
     pub reserved: u8,
     pub link_id: u32,
-    /// The sender's count of frames on the link; the header has its low half, the tag covers all of
+    /// The sender's frame counter on the link. The header has its low half; the tag covers all of
     /// it.
     pub link_counter: u64,
-    /// `None`: made with `key`.
+    /// The hop tag; `None`: computed with `key`.
     pub tag: Option<u64>,
     pub key: [u64; 2],
     pub egress_bits: u64,
     pub destination: [u8; 32],
     pub source: [u8; 32],
     pub payload: Vec<u8>,
-    /// Bytes behind the payload that the header does not speak of.
+    /// Bytes behind the payload that the header does not count.
     pub padding: usize,
 }
 
@@ -73,12 +73,12 @@ impl Default for Frame {
 }
 
 impl Frame {
-    /// The whole Ethernet frame.
+    /// Returns the whole Ethernet frame.
     pub fn bytes(&self) -> Vec<u8> {
         self.carrier.carry(self.to_mac, self.from_mac, self.ethertype, &self.carried())
     }
 
-    /// The GDP frame, and what lies behind it.
+    /// Returns the GDP frame and its padding.
     pub fn carried(&self) -> Vec<u8> {
         let mut bytes = self.header().to_vec();
         bytes.extend(&self.payload);
@@ -86,13 +86,13 @@ impl Frame {
         bytes
     }
 
-    /// The Ethernet header of a frame directly on Ethernet.
+    /// Returns the Ethernet header of a frame directly on Ethernet.
     pub fn ethernet(&self) -> [u8; 14] {
         let bytes = Carrier::Ethernet.carry(self.to_mac, self.from_mac, self.ethertype, &[]);
         bytes.try_into().expect("no more than the header")
     }
 
-    /// The 96 bytes of the GDP header.
+    /// Returns the 96 bytes of the GDP header.
     pub fn header(&self) -> [u8; 96] {
         let payload_len = self.payload_len.unwrap_or(self.payload.len() as u16);
         let mut h = [0; 96];
@@ -110,8 +110,8 @@ impl Frame {
     }
 }
 
-/// The hop tag: SipHash-2-4 over the header without bytes 16 to 23, where the tag itself goes, and
-/// with the high half of the link's count on top of the link id.
+/// Returns the hop tag: SipHash-2-4 over the header without bytes 16 to 23, the tag's own field.
+/// The high half of the link counter is combined with the link id.
 pub fn hop_tag(key: [u64; 2], count: u64, header: &[u8; 96]) -> u64 {
     let mut header = *header;
     for (byte, high) in header[8..12].iter_mut().zip(((count >> 32) as u32).to_be_bytes()) {

@@ -1,12 +1,12 @@
-//! Results: what was measured, and how it compares. The JSON of `bench … --json` is these types; a
-//! change of their meaning raises [`VERSION`]. How they look to people is in `table` and `plot`.
+//! Results: measurements and how they compare. These types are the JSON of `bench … --json`; a
+//! change of their meaning raises [`VERSION`]. `table` and `plot` render them for people.
 
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use serde::Serialize;
 
-/// Of the JSON.
+/// Version of the JSON.
 const VERSION: u32 = 2;
 
 #[derive(Serialize)]
@@ -17,7 +17,7 @@ pub struct Report {
     figures: Vec<Figure>,
 }
 
-/// What was measured in turn in one unit, and the ratios of that.
+/// Measurements of one unit that were taken in turn, and their ratios.
 #[derive(Serialize)]
 pub struct Figure {
     pub name: &'static str,
@@ -25,7 +25,7 @@ pub struct Figure {
     pub unit: Unit,
     pub measures: Vec<Measure>,
     pub ratios: Vec<Ratio>,
-    /// Series of which each is the one before and something more, and what that is: for the plot.
+    /// For the plot: series that each contain the previous one, and the name of what each adds.
     #[serde(skip)]
     pub stacked: Vec<(&'static str, &'static str)>,
 }
@@ -36,40 +36,40 @@ pub enum Unit {
     FramesPerSecond,
     NamesPerSecond,
     MessagesPerSecond,
-    /// Of whatever the title says, thousands and few.
+    /// Rates of the subject in the title: thousands, or few.
     PerSecond,
     EachSecond,
     BytesPerSecond,
     Bytes,
-    /// Few: of one of many.
+    /// Few bytes: of one item among many.
     BytesEach,
     Nanoseconds,
     Milliseconds,
-    /// Of CPU time.
+    /// Seconds of CPU time.
     SecondsPerGigabyte,
 }
 
-/// What one contender reached: median, lowest and highest of the rounds.
+/// The result of one contender: median, lowest and highest of the rounds.
 #[derive(Serialize)]
 pub struct Measure {
-    /// Who.
+    /// The contender.
     pub series: &'static str,
-    /// At what, the same for all who are compared.
+    /// The case, the same for all contenders in the comparison.
     pub case: String,
     #[serde(flatten)]
     pub spread: Spread,
-    /// Of the frames sent, where they are followed to their end.
+    /// Share of the frames sent, if they are followed to their end.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lost_percent: Option<f64>,
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub verdict: Option<Verdict>,
-    /// One value a round.
+    /// One value per round.
     #[serde(skip)]
     pub rounds: Vec<f64>,
 }
 
-/// How many times as much `series` reached as `over`: of the rounds' ratios, because what else the
-/// machine does changes both.
+/// The ratio of `series` to `over`. It uses the rounds' ratios, because other load on the machine
+/// affects both.
 #[derive(Serialize)]
 pub struct Ratio {
     pub series: &'static str,
@@ -81,7 +81,7 @@ pub struct Ratio {
     pub verdict: Option<Verdict>,
 }
 
-/// What was to be reached, and whether the median did.
+/// The aim, and whether the median reached it.
 #[derive(Clone, Copy, Serialize)]
 pub struct Verdict {
     pub aim: Aim,
@@ -116,7 +116,8 @@ impl Figure {
         Self { name, title: title.into(), unit, measures, ratios: Vec::new(), stacked: Vec::new() }
     }
 
-    /// Adds the ratio of two series in each case that both have. `aim`: of a case, if it has one.
+    /// Adds the ratio of two series in each case that both have. `aim`: the case's aim, if it has
+    /// one.
     pub fn compare(self, series: &'static str, over: &'static str, aim: impl Fn(&str) -> Option<Aim>) -> Self {
         self.compare_cases(series, |case| (over, case.to_owned()), aim)
     }
@@ -149,7 +150,7 @@ impl Figure {
         self
     }
 
-    /// What a series is to reach in a case, in the figure's unit.
+    /// Sets the aim of a series in a case, in the figure's unit.
     pub fn aim(mut self, series: &str, case: &str, aim: Aim) -> Self {
         for measure in self.measures.iter_mut().filter(|measure| measure.series == series && measure.case == case) {
             measure.verdict = Some(aim.verdict(measure.spread.median));
@@ -168,7 +169,7 @@ impl Figure {
 }
 
 impl Measure {
-    /// `rounds`: at least one value.
+    /// Summarises the rounds. `rounds`: at least one value.
     pub fn new(series: &'static str, case: impl Into<String>, rounds: Vec<f64>) -> Self {
         let spread = Spread::of(rounds.iter().copied());
         Self { series, case: case.into(), spread, lost_percent: None, verdict: None, rounds }
@@ -176,7 +177,7 @@ impl Measure {
 }
 
 impl Spread {
-    /// Of at least one value.
+    /// Returns the spread of at least one value.
     fn of(values: impl Iterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = values.collect();
         sorted.sort_by(f64::total_cmp);
@@ -195,7 +196,7 @@ impl Aim {
         Verdict { aim: self, met }
     }
 
-    /// For people.
+    /// Formats the aim for people.
     pub fn shown(self, number: impl Fn(f64) -> String) -> String {
         match self {
             Self::AtLeast(least) => format!("≥ {}", number(least)),
@@ -210,7 +211,8 @@ impl Aim {
 }
 
 impl Unit {
-    /// For people; of columns of numbers the name is [`Self::name`].
+    /// Formats a value with its unit for people; a column of numbers has [`Self::name`] as its
+    /// heading.
     pub fn show(self, value: f64) -> String {
         format!("{} {}", self.number(value), self.name())
     }

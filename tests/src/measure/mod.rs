@@ -1,7 +1,7 @@
-//! What benchmarks are made of: contenders measured in turn, figures, and how they are shown.
+//! Parts of benchmarks: contenders measured in turn, figures, and their output.
 //!
-//! - [`rounds`]: in turn; [`cpu`]: on which processor; [`figure`]: results
-//! - [`table`] and [`plot`] (on [`svg`]) show them; [`run`] runs rows and does so
+//! - [`rounds`]: measuring in turn; [`cpu`]: CPU assignment; [`figure`]: results
+//! - [`table`] and [`plot`] (on [`svg`]) render figures; [`run`] runs rows and does both
 
 pub mod cpu;
 pub mod figure;
@@ -16,12 +16,12 @@ use anyhow::{Context, Result, bail};
 
 use figure::{Figure, Report};
 
-/// The figures of one row, from what every row is given.
+/// A function from a benchmark's options to the figures of one row.
 pub type Row<B> = fn(&B) -> Result<Vec<Figure>>;
 
-/// What to measure and how to show it.
+/// The rows to measure and the form of the output.
 pub struct Wanted<'a> {
-    /// Names of rows; none: all.
+    /// Names of rows; empty: all.
     pub only: &'a [String],
     /// One JSON object on stdout instead of tables.
     pub json: bool,
@@ -29,7 +29,7 @@ pub struct Wanted<'a> {
     pub plots: Option<&'a Path>,
 }
 
-/// Measures the rows wanted, one after the other.
+/// Measures the selected rows one after the other.
 pub fn run<B>(bench: &B, rows: &[(&str, Row<B>)], wanted: &Wanted) -> Result<()> {
     if let Some(unknown) = wanted.only.iter().find(|only| rows.iter().all(|(name, _)| name != only)) {
         bail!("no row `{unknown}`; there are {}", rows.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", "));

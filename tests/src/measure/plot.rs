@@ -1,5 +1,4 @@
-//! Results as pictures: what was measured in `NAME.svg`, ratios and their aims in
-//! `NAME-ratios.svg`.
+//! Results as pictures: measurements in `NAME.svg`, ratios and their aims in `NAME-ratios.svg`.
 
 use std::path::Path;
 
@@ -11,13 +10,13 @@ use super::svg::{Chart, Group, Row};
 const BLUE: &str = "#4878a8";
 const ORANGE: &str = "#d9822b";
 const GREY: &str = "#a0a0a0";
-/// In a row, from left to right.
+/// Colours of a row's segments, from left to right.
 const SEGMENTS: [&str; 4] = [GREY, BLUE, ORANGE, "#6a9955"];
 
-/// Room for the text behind the longest bar.
+/// Scale factor that leaves room for the text behind the longest bar.
 const FULL: f64 = 1.15;
 
-/// Draws the plots of all figures anew.
+/// Draws the plots of all figures, replacing earlier ones.
 pub fn draw(figures: &[Figure], folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     for figure in figures {
@@ -30,7 +29,7 @@ pub fn draw(figures: &[Figure], folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A group a case, a bar a series.
+/// Returns a chart with a group per case and a bar per series.
 fn values(figure: &Figure) -> Chart {
     let longest =
         |measure: &Measure| measure.spread.high.max(measure.verdict.map_or(0.0, |verdict| verdict.aim.value()));
@@ -48,7 +47,7 @@ fn values(figure: &Figure) -> Chart {
     Chart { title: figure.title.clone(), legend: Vec::new(), groups: groups.collect() }
 }
 
-/// A bar a case: what each series adds to the one before.
+/// Returns a chart with a bar per case; its segments are what each series adds to the previous one.
 fn stacks(figure: &Figure) -> Chart {
     let full = FULL * figure.measures.iter().map(|measure| measure.spread.median).fold(0.0, f64::max);
     let rows = distinct(figure.measures.iter().map(|measure| &*measure.case)).into_iter().map(|case| {
@@ -67,7 +66,7 @@ fn stacks(figure: &Figure) -> Chart {
     Chart { title: figure.title.clone(), legend: legend.collect(), groups }
 }
 
-/// A group for each two that are compared, a bar a case.
+/// Returns a chart with a group for each compared pair, and a bar per case.
 fn ratios(figure: &Figure) -> Chart {
     let pair = |ratio: &Ratio| format!("{} over {}", ratio.series, ratio.over);
     let pairs: Vec<String> = figure.ratios.iter().map(pair).collect();
@@ -116,7 +115,7 @@ fn write(folder: &Path, name: &str, chart: &Chart) -> Result<()> {
     std::fs::write(&file, chart.svg()).with_context(|| format!("cannot write {}", file.display()))
 }
 
-/// In the order of their first appearance.
+/// Returns the distinct values in the order of their first appearance.
 fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     let mut seen = Vec::new();
     for value in values {

@@ -1,5 +1,5 @@
-//! Contenders are measured in turn, round after round, so that whatever else the machine does meets
-//! all of them; every other round goes backwards, so that none always follows the same one.
+//! Contenders are measured in turn, round after round: other load on the machine affects all of
+//! them. Every other round runs in reverse order, so no contender always follows the same one.
 
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -9,14 +9,14 @@ use super::figure::Measure;
 /// One measurement.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sample {
-    /// In the unit of the figure.
+    /// The value in the figure's unit.
     pub value: f64,
-    /// Frames, if they are followed to their end; else 0.
+    /// Frames sent, if they are followed to their end; otherwise 0.
     pub sent: u64,
     pub lost: u64,
 }
 
-/// Something to be measured again and again.
+/// A contender that is measured repeatedly.
 pub struct Contender<'a> {
     pub series: &'static str,
     pub case: String,
@@ -35,7 +35,7 @@ pub fn alternate(rounds: usize, mut contenders: Vec<Contender<'_>>) -> Result<Ve
     let mut samples: Vec<Vec<Sample>> = contenders.iter().map(|_| Vec::new()).collect();
     let progress = ProgressBar::new(((rounds.max(1) + 1) * contenders.len()) as u64);
     progress.set_style(ProgressStyle::with_template("{wide_bar} {pos}/{len}, {eta} left: {msg}")?);
-    // The first round warms caches and neighbour tables up.
+    // The first round warms up caches and neighbour tables.
     for round in 0..=rounds.max(1) {
         let mut order: Vec<usize> = (0..contenders.len()).collect();
         if round % 2 == 1 {

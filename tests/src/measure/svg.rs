@@ -1,12 +1,12 @@
 //! Horizontal bars as SVG: groups of rows, each row a label, a bar of one or more segments, and a
-//! text. The same input gives the same bytes. Knows nothing of what is measured.
+//! text. The same input yields the same bytes. This module does not know what was measured.
 
 use std::fmt::Write;
 
 /// A drawing, from top to bottom.
 pub struct Chart {
     pub title: String,
-    /// Colour and meaning; may be empty.
+    /// Colours and their meanings; may be empty.
     pub legend: Vec<(&'static str, String)>,
     pub groups: Vec<Group>,
 }
@@ -14,26 +14,26 @@ pub struct Chart {
 /// Rows under a heading, on one scale from 0.
 pub struct Group {
     pub heading: String,
-    /// The value at the right end of the scale; what is more ends there.
+    /// The value at the right end of the scale; larger values end there.
     pub full: f64,
     pub rows: Vec<Row>,
 }
 
 pub struct Row {
     pub label: String,
-    /// Lengths and colours, one behind the other.
+    /// Lengths and colours, in order.
     pub segments: Vec<(f64, &'static str)>,
     /// A thin line from one value to another.
     pub spread: Option<(f64, f64)>,
     /// A tick across the bar.
     pub mark: Option<f64>,
-    /// Behind the bar.
+    /// The text behind the bar.
     pub text: String,
 }
 
 const WIDTH: f64 = 760.0;
 const MARGIN: f64 = 16.0;
-/// Where bars begin and end.
+/// Horizontal positions where bars begin and end.
 const BARS: (f64, f64) = (210.0, 560.0);
 const LINE: f64 = 20.0;
 const BAR: f64 = 13.0;
@@ -66,7 +66,7 @@ impl Chart {
 }
 
 impl Row {
-    /// `y`: the line that text stands on.
+    /// Draws the row. `y`: the baseline of its text.
     fn draw(&self, out: &mut String, y: f64, full: f64) {
         let (top, middle) = (y - 11.0, y - 11.0 + BAR / 2.0);
         let length = |value: f64| (value.max(0.0) / full.max(f64::MIN_POSITIVE)).min(1.0) * (BARS.1 - BARS.0);

@@ -1,4 +1,4 @@
-//! Results as text: a table a figure, then its ratios.
+//! Results as text: a table per figure, then its ratios.
 
 use std::fmt;
 

@@ -1,5 +1,5 @@
-//! A zenoh router with the ROS 2 plugin in it, which is what `zenoh-bridge-ros2dds` is:
-//! `zenoh-bridge CONFIG`.
+//! A zenoh router with the ROS 2 plugin, equivalent to `zenoh-bridge-ros2dds`: `zenoh-bridge
+//! CONFIG`.
 
 use anyhow::{Context, Result, anyhow};
 use zenoh::config::Config;
