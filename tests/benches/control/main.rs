@@ -1,19 +1,20 @@
-//! What the control plane does: how fast a RIB takes statements and answers queries, what it keeps
-//! a name in, how soon a switch holds its FIB again, how soon traffic flows after a link was cut.
-//! Run by `cargo xtask bench control`; needs root for the rows in namespaces.
+//! Control-plane performance: statements and queries per second at a RIB, memory per name, FIB
+//! recovery after a restart, and traffic recovery after a link cut. Run by `cargo xtask bench
+//! control`; the rows in namespaces need root.
 //!
-//! One file a row of the figures, each a function from [`Bench`] to
+//! Each file is one row of the figures. A row is a function from [`Bench`] to
 //! [`Figure`](gdp_tests::measure::figure::Figure)s:
 //!
-//! - [`statements`]: advertisements per second at a RIB, beside the ECDSA verifications alone
-//! - [`queries`]: questions per second to a daemon, over its links, beside requests that ask
+//! - [`statements`]: advertisements per second at a RIB, compared with the ECDSA verifications
+//!   alone
+//! - [`queries`]: queries per second to a daemon over its links, compared with requests that ask
 //!   nothing
 //! - [`memory`]: bytes of a RIB per name
-//! - [`scale`]: what RIBs of a thousand domains tell each other, in simulated time
-//! - [`ring`]: a link of a ring of five is cut, with few names and with many; a daemon is killed,
-//!   and comes back
+//! - [`scale`]: messages between the RIBs of a thousand domains, in simulated time
+//! - [`ring`]: a link of a ring of five is cut, with few names and with many; a daemon is killed
+//!   and restarted
 //!
-//! [`owner`] makes names, and what entities state of them, by the thousand.
+//! [`owner`] makes names and entities' statements about them by the thousand.
 
 mod memory;
 mod owner;

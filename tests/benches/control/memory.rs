@@ -1,6 +1,5 @@
-//! What a RIB keeps a name in that somebody publishes: bytes of memory with all certificates, and
-//! without the bytes of what is signed. Every allocation of the process is counted, so nothing else
-//! runs meanwhile.
+//! Memory of a RIB per published name: bytes with all certificates, and without the signed bytes.
+//! The counter includes every allocation of the process; no other work runs during the measurement.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,7 +14,7 @@ use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
 use crate::Bench;
 use crate::owner::{Owner, shares};
 
-/// Bytes of a name without what is signed.
+/// Aim: bytes per name without the signed bytes.
 const ENOUGH: f64 = 600.0;
 
 const WITH: &str = "with certificates";
@@ -25,17 +24,17 @@ struct Counting;
 
 static HELD: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: everything is passed on to the system's allocator; counting touches only an atomic.
+// SAFETY: every call goes to the system's allocator; counting touches only an atomic.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         HELD.fetch_add(layout.size(), Ordering::Relaxed);
-        // SAFETY: the caller's guarantees are those that `System` asks for.
+        // SAFETY: the caller's guarantees are those that `System` requires.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         HELD.fetch_sub(layout.size(), Ordering::Relaxed);
-        // SAFETY: as above; what this allocator hands out comes from `System`.
+        // SAFETY: as above; this allocator returns only memory from `System`.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -43,7 +42,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Bytes that the process holds.
+/// Returns the bytes that the process has allocated.
 pub fn held() -> usize {
     HELD.load(Ordering::Relaxed)
 }
@@ -70,7 +69,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
             let EntityRequest::Advertise { ad_cert, advert, .. } = request else { bail!("no advertisement") };
             signed += ad_cert.size() + advert.as_bytes().len();
         }
-        // What the daemon has to send is no part of what is kept.
+        // Messages that the daemon would send are not part of the RIB.
         rib.effects(now);
     }
     let taken = held().checked_sub(before).context("it frees more than it takes")?;

@@ -1,4 +1,4 @@
-//! The owner of many names, and entities that state what they are to them.
+//! The owner of many names, and the entities that publish or read them.
 
 use std::ops::Range;
 use std::time::SystemTime;
@@ -10,13 +10,13 @@ use gdp_core::name::{NameProof, derive};
 use gdp_proto::control::EntityRequest;
 use gdp_wire::Name;
 
-/// Names that one entity has, at most: a RIB takes no more.
+/// The largest number of names of one entity; a RIB accepts no more.
 pub const NAMES_OF_ONE: usize = 16_384;
 
-/// Seconds that certificates and statements hold: longer than any run.
+/// Lifetime of certificates and statements in seconds, longer than any run.
 const LIFETIME: u32 = 24 * 3600;
 
-/// Owns any number of names, which are told apart by a number.
+/// Owns any number of names; each has a number.
 pub struct Owner {
     key: SigningKey,
     now: u64,
@@ -28,7 +28,7 @@ impl Owner {
         Ok(Self { key: SigningKey::generate()?, now })
     }
 
-    /// Unix seconds of when all certificates are issued.
+    /// Returns the issue time of all certificates in Unix seconds.
     pub fn now(&self) -> u64 {
         self.now
     }
@@ -48,7 +48,7 @@ impl Owner {
         derive(&owner_key, &digest)
     }
 
-    /// That `entity` publishes one of the names at `switch`, for these domains.
+    /// Returns the statement that `entity` publishes a name at `switch`, for these domains.
     pub fn advertise(
         &self,
         number: usize,
@@ -65,7 +65,7 @@ impl Owner {
         Ok(EntityRequest::Advertise { proof: self.proof(number), ad_cert, advert, everywhere: false })
     }
 
-    /// That `entity` reads one of the names at `switch`.
+    /// Returns the statement that `entity` reads a name at `switch`.
     pub fn subscribe(&self, number: usize, entity: &Identity, switch: Name, serial: u64) -> Result<EntityRequest> {
         let (name, not_after) = (self.name(number), self.now + u64::from(LIFETIME));
         let to = Grantee::Entity(entity.name());
@@ -75,20 +75,20 @@ impl Owner {
         Ok(EntityRequest::Subscribe { proof: self.proof(number), grant, advert, everywhere: false })
     }
 
-    /// That `entity` has no part in one of the names any more.
+    /// Returns the statement that `entity` no longer publishes or reads a name.
     pub fn withdraw(&self, number: usize, entity: &Identity, switch: Name, serial: u64) -> Result<EntityRequest> {
         let advert = advert(AdvertOp::Withdraw, self.name(number), entity, switch, serial)?;
         Ok(EntityRequest::Withdraw { advert })
     }
 
-    /// That `switch` may carry the traffic of `entity`.
+    /// Returns the statement that `switch` may carry the traffic of `entity`.
     pub fn attach(&self, entity: &Identity, switch: Name, resumes: bool) -> Result<EntityRequest> {
         let claims = RtCert { entity: entity.name(), switch, not_after: self.now + u64::from(LIFETIME) };
         Ok(EntityRequest::Attach { rt_cert: issue(entity.key(), &claims)?, resumes, lane: 0 })
     }
 }
 
-/// The names from 0 on, as they are split among as many entities as it takes.
+/// Splits the names from 0 on among as few entities as possible.
 pub fn shares(names: usize) -> impl Iterator<Item = Range<usize>> {
     (0..names).step_by(NAMES_OF_ONE).map(move |first| first..names.min(first + NAMES_OF_ONE))
 }

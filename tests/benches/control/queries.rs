@@ -1,5 +1,5 @@
-//! How many queries for one name a daemon answers per second over its links, on all CPUs, and its
-//! clients on the same; beside as many requests on the same links that ask for nothing.
+//! Queries for one name per second over a daemon's links. Daemon and clients share all CPUs. The
+//! comparison is with as many requests on the same links that ask for nothing.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -18,10 +18,10 @@ use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use crate::Bench;
 use crate::owner::Owner;
 
-/// Names that the RIB holds.
+/// Names in the RIB.
 const NAMES: usize = 4096;
 
-/// Links of clients, and requests that are under way on each.
+/// Links of clients, and requests in flight on each.
 const LINKS: usize = 16;
 const AT_ONCE: usize = 16;
 
@@ -80,7 +80,7 @@ async fn prepare(folder: &std::path::Path) -> Result<(Running, Vec<Client>, Vec<
         let prefix = owner.name(number).to_string().parse()?;
         anyhow::Ok(Request::Entity(EntityRequest::Query { prefix, after: None }))
     };
-    // Far apart in the order of their names.
+    // The names are far apart in sort order.
     let queries = (0..NAMES).map(query).collect::<Result<_>>()?;
     Ok((daemon, clients, queries))
 }

@@ -1,6 +1,6 @@
-//! A ring of five XDP switches with their daemons. The link that traffic goes by is cut: how long
-//! until it flows again, with one name and with many. The daemon of a switch is killed: how long
-//! after it is started until it holds all its names from the RIB.
+//! A ring of five XDP switches with their daemons. First row: the link that carries traffic is cut;
+//! measures the time until traffic recovers, with one name and with many. Second row: a switch's
+//! daemon is killed; measures the time from its start until the RIB has sent it all names.
 
 use std::ops::Range;
 use std::path::Path;
@@ -27,7 +27,7 @@ use crate::traffic::Traffic;
 /// Names of the switch whose daemon is killed.
 const RECONCILED: usize = 100_000;
 
-/// Commands that ask a daemon at once, which takes 32; and names that one of them states for the
+/// Concurrent commands to a daemon, which accepts 32; and names that one command states for the
 /// same entity.
 const TOOLS: usize = 30;
 const NAMES_OF_ONE: usize = 1024;
@@ -63,7 +63,8 @@ fn cases(names: usize) -> String {
     format!("{names} names")
 }
 
-/// Milliseconds without a message, one being sent each millisecond, at each cut.
+/// Returns the milliseconds without a message at each cut; the writer sends one message each
+/// millisecond.
 fn cut(ring: &mut Ring, rounds: usize) -> Result<Vec<f64>> {
     let traffic = Traffic::start((&ring.robot, ring.folder_of("robot")), (&ring.cloud, ring.folder_of("cloud")))?;
     let mut gaps = Vec::new();
@@ -84,9 +85,9 @@ fn cut(ring: &mut Ring, rounds: usize) -> Result<Vec<f64>> {
     Ok(gaps)
 }
 
-/// Has each of these names published at the robot's switch and read at the cloud's. Each statement
-/// waits until the switches hold what follows from it, so many are under way at once, as if of as
-/// many robots.
+/// Publishes each of these names at the robot's switch and reads it at the cloud's. A statement
+/// waits until the switches have its routes. Therefore many statements are in flight at once, as if
+/// from as many robots.
 fn state(ring: &Ring, owner: &Owner, names: Range<usize>) -> Result<()> {
     let of_all = |i: usize| -> Result<Name> { Ok(ring.switches[i].name.parse()?) };
     let (robots, clouds) = (of_all(ROBOT_AT)?, of_all(CLOUD_AT)?);
@@ -100,8 +101,9 @@ fn state(ring: &Ring, owner: &Owner, names: Range<usize>) -> Result<()> {
     })
 }
 
-/// What one tool states, it states for an entity of its own: statements of one have to come in the
-/// order of their serials, which are above those of all that the RIB has forgotten.
+/// States these names with concurrent tools. Each batch of names has its own entity: statements of
+/// an entity must arrive in the order of their serials. Serials start above those that the RIB has
+/// forgotten.
 fn side(
     names: &Range<usize>,
     socket: &Path,
@@ -136,8 +138,8 @@ fn joined(thread: ScopedJoinHandle<Result<()>>) -> Result<()> {
     thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
-/// Milliseconds from the start of the daemon of the cloud's switch until the RIB has given it all
-/// names, each time it was killed.
+/// Returns the milliseconds from each restart of the cloud's daemon until the RIB has sent it all
+/// names.
 fn reconcile(ring: &mut Ring, rounds: usize, names: usize) -> Result<Vec<f64>> {
     let mut times = Vec::new();
     let pushes = names.div_ceil(NAMES_PER_PUSH) as u64;

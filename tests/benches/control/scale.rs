@@ -1,10 +1,10 @@
-//! Three tiers of domains in simulated time, with the RIBs that daemons run: one at the top, some
-//! in the middle, many at the edge, each with ten switches. Every name is published at the edge; of
-//! ten one is read at another domain of the edge. Then entities come and go, and what the RIBs tell
-//! each other is counted: messages, their bytes, the memory of each RIB, and how long it takes
+//! Three tiers of domains in simulated time, with the RIBs that daemons run. One domain is at the
+//! top, some are in the middle, many at the edge; each has ten switches. Every name is published at
+//! the edge; one name in ten is read in another edge domain. Then entities withdraw and publish
+//! names. The benchmark counts the RIBs' messages and bytes, the memory of each RIB, and the time
 //! until a reader's RIB knows a writer.
 //!
-//! All signatures are real, and verified by each RIB. Links take as long as they are said to; RIBs
+//! All signatures are real, and each RIB verifies them. Links have their configured delay; RIBs
 //! take no simulated time.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -29,21 +29,21 @@ use crate::Bench;
 use crate::memory::held;
 use crate::owner::Owner;
 
-/// Domains of each tier; a thousand in all.
+/// Domains of each tier; a thousand in total.
 const MIDDLE: usize = 31;
 const EDGE: usize = 968;
 
-/// Switches of each domain: ten thousand in all.
+/// Switches per domain: ten thousand in total.
 const SWITCHES: usize = 10;
 
-/// Of so many names one is read in another domain.
+/// One name in this many is read in another domain.
 const CROSSING: usize = 10;
 
-/// What comes and goes each minute, as a share of all names.
+/// Names that are withdrawn and published again each minute, as a share of all names.
 const CHURN: f64 = 0.01;
 const MINUTES: u64 = 2;
 
-/// One way, between a domain and the one above it.
+/// One-way delay between a domain and its parent.
 const DELAY: Duration = Duration::from_millis(10);
 
 const TIERS: [&str; 3] = ["top", "middle", "edge"];
@@ -89,15 +89,15 @@ struct Domain {
     hosts: Vec<(Identity, Arc<Hosted>)>,
     robot: Identity,
     serial: u64,
-    /// When its tiers have something to do: as in [`World::ticks`].
+    /// The next time when the domain's tiers have work, as in [`World::ticks`].
     tick: Option<Duration>,
-    /// Bytes of its RIB and its tiers.
+    /// Bytes of the domain's RIB and tiers.
     memory: usize,
     messages: u64,
     bytes: u64,
 }
 
-/// Nothing is revoked.
+/// A revocation list without entries.
 struct Nothing;
 
 impl Revoked for Nothing {
@@ -122,17 +122,17 @@ struct World {
     domains: Vec<Domain>,
     index: BTreeMap<Name, usize>,
     travelling: BTreeMap<(Duration, u64), Travelling>,
-    /// One of each domain that has any: the more messages the more moments there would be, each of
-    /// which costs a look at all neighbours.
+    /// The next tick of each domain that has one. A tick per message would cost more: each tick
+    /// examines all neighbours.
     ticks: BTreeSet<(Duration, usize)>,
     number: u64,
     random: u64,
-    /// Names that a reader's RIB is to know, and since when.
+    /// Names that a reader's RIB must learn, and the time of their publication.
     awaited: BTreeMap<Name, Duration>,
     settled: Vec<Duration>,
 }
 
-/// Of each RIB of a tier.
+/// Mean traffic of each RIB, by tier.
 struct Traffic {
     messages: Vec<f64>,
     bytes: Vec<f64>,
@@ -172,7 +172,7 @@ impl World {
         1 + MIDDLE + number % EDGE
     }
 
-    /// Where a name that crosses is read: always in the same domain.
+    /// Returns the domain that reads a crossing name; it is always the same.
     fn reader_of(&self, number: usize) -> usize {
         let writer = number % EDGE;
         1 + MIDDLE + (writer + 1 + (number / EDGE) * 37 % (EDGE - 1)) % EDGE
@@ -212,13 +212,13 @@ impl World {
         domain.state(self.now, number % SWITCHES, &request)
     }
 
-    /// How many of the awaited have arrived.
+    /// Returns how many awaited names have arrived.
     fn settled(&mut self) -> Result<usize> {
         ensure!(self.awaited.is_empty(), "{} names did not get to their readers' RIBs", self.awaited.len());
         Ok(std::mem::take(&mut self.settled).len())
     }
 
-    /// Entities withdraw names and publish them anew, at random and evenly.
+    /// Withdraws names and publishes them again, at random and at even intervals.
     fn churn(&mut self) -> Result<Traffic> {
         for domain in &mut self.domains {
             (domain.messages, domain.bytes) = (0, 0);
@@ -253,14 +253,14 @@ impl World {
         Ok(Traffic { messages, bytes, settled: std::mem::take(&mut self.settled) })
     }
 
-    /// Bytes of one RIB of a tier.
+    /// Returns the mean bytes of a tier's RIB.
     fn memory(&self, tier: &str) -> f64 {
         let of: Vec<usize> =
             self.domains.iter().filter(|domain| TIERS[domain.tier] == tier).map(|domain| domain.memory).collect();
         of.iter().sum::<usize>() as f64 / of.len() as f64
     }
 
-    /// Lets time pass.
+    /// Advances simulated time.
     fn run(&mut self, time: Duration) -> Result<()> {
         let end = self.now.clock + time;
         loop {
@@ -290,7 +290,7 @@ impl World {
         self.now.clock = to;
     }
 
-    /// Sends what a domain has to say, and sees what its RIB may know.
+    /// Sends a domain's messages, and records the names that its RIB has learned.
     fn collect(&mut self, index: usize) -> Result<()> {
         let (before, now, domain) = (held(), self.now, &mut self.domains[index]);
         domain.follow(now)?;
@@ -404,18 +404,18 @@ impl Domain {
             messages: 0,
             bytes: 0,
         };
-        // The first call gives all there are.
+        // Discards the first result, which lists all keys.
         domain.rib.take_changed_keys();
         domain.account(before);
         Ok(domain)
     }
 
-    /// What the process holds more than `before` is this domain's.
+    /// Attributes the process's growth since `before` to this domain.
     fn account(&mut self, before: usize) {
         self.memory = (self.memory + held()).saturating_sub(before);
     }
 
-    /// An entity states something, as a tool does: without an attachment.
+    /// Passes an entity's statement to the RIB, as a tool does: without an attachment.
     fn state(&mut self, now: Now, host: usize, request: &EntityRequest) -> Result<()> {
         let before = held();
         let switch = self.hosts[host].0.name();
@@ -423,13 +423,13 @@ impl Domain {
             Response::Refused(refusal) => bail!("refused: {refusal}"),
             response => drop(response),
         }
-        // What the daemon has to send is no part of what is kept.
+        // Messages that the daemon would send are not part of the RIB.
         self.rib.effects(now);
         self.account(before);
         Ok(())
     }
 
-    /// Tells the tiers what has changed in the RIB, as the daemon does.
+    /// Passes the RIB's changes to the tiers, as the daemon does.
     fn follow(&mut self, now: Now) -> Result<()> {
         let changed: Vec<RecordKey> = self.rib.take_changed_keys().into_iter().collect();
         for place in changed {

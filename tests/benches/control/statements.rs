@@ -1,6 +1,6 @@
-//! How many advertisements a RIB takes per second on one CPU, counted in the signatures it must
-//! verify for them, beside the same signatures verified and nothing else. No network: the RIB is
-//! called as its daemon calls it.
+//! Advertisements that a RIB accepts per second on one CPU, counted in signatures that it must
+//! verify. The comparison is with the verification of the same signatures alone. There is no
+//! network: the benchmark calls the RIB as its daemon does.
 
 use std::time::{Duration, Instant};
 
@@ -15,14 +15,13 @@ use gdp_tests::measure::rounds::{Contender, Sample, alternate};
 use crate::Bench;
 use crate::owner::Owner;
 
-/// Statements of one measurement, all of other names.
+/// Statements per measurement, each about another name.
 const STATEMENTS: usize = 4096;
 
-/// Signatures under an advertisement: the owner's under the certificate, the entity's under what it
-/// states.
+/// Signatures per advertisement: the owner's on the certificate, the entity's on its statement.
 const SIGNATURES: f64 = 2.0;
 
-/// Of the rate of verifications alone.
+/// Aim: share of the rate of verifications alone.
 const ENOUGH: f64 = 0.7;
 
 const RIB: &str = "RIB";

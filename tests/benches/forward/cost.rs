@@ -1,11 +1,10 @@
-//! Nanoseconds that one frame spends in the switch, by `BPF_PROG_TEST_RUN`: no interface, no
+//! Nanoseconds that the switch spends on one frame, by `BPF_PROG_TEST_RUN`: no interface, no
 //! driver, hot caches.
 //!
-//! The kernel runs the program on one packet over and over, and the packet stays as the program
-//! left it. So the link that a frame leaves by here is the one that it came in on: under the same
-//! key, with its count one higher. Each run then meets a frame that is valid, fresh and correctly
-//! tagged, and the program is the shipped one. Only the hop limit runs out, after which the packet
-//! begins again.
+//! The kernel runs the program on one packet repeatedly, and the packet stays as the program left
+//! it. Here a frame therefore leaves on a link with the key of the link it arrived on, and with a
+//! counter one higher. Each run then sees a valid, fresh and correctly tagged frame, and the
+//! program is the shipped one. Only the hop limit runs out; the packet then starts again.
 
 use std::cell::RefCell;
 use std::path::Path;
@@ -24,10 +23,10 @@ use crate::Bench;
 use crate::series::{BARE, SWITCH, UNTAGGED};
 use crate::traffic::Programs;
 
-/// Runs of the program on one packet: no more than its hop limit allows.
+/// Runs of the program on one packet, within its hop limit.
 const RUNS: u32 = 250;
 
-/// Frames are never sent in a test run, but they need an interface to be sent by.
+/// Test runs never send frames, but the frames need an egress interface.
 const LOOPBACK: u32 = 1;
 
 const EDGE: &str = "edge: the name is looked up";
@@ -61,7 +60,8 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     Ok(vec![figure])
 }
 
-/// Nanoseconds a run: the mean of the middle half of many calls, of which interrupts lengthen some.
+/// Returns nanoseconds per run: the mean of the middle half of many calls, because interrupts
+/// lengthen some.
 fn sample(duration: Duration, mut time: impl FnMut() -> Result<f64>) -> Result<Sample> {
     let deadline = Instant::now() + duration;
     let mut calls = Vec::new();
@@ -73,11 +73,11 @@ fn sample(duration: Duration, mut time: impl FnMut() -> Result<f64>) -> Result<S
     Ok(Sample { value: middle.iter().sum::<f64>() / middle.len() as f64, ..Sample::default() })
 }
 
-/// A switch with two links that are one: what leaves by `OUT` comes in on `IN`.
+/// A switch with two links that form a loop: a frame that leaves on `OUT` arrives on `IN`.
 struct Ring {
     plane: KernelPlane,
     tagged: bool,
-    /// Of the next frame.
+    /// Counter of the next frame.
     count: u64,
     frames: u64,
 }
@@ -126,7 +126,7 @@ impl Ring {
         Ok(nanoseconds.into())
     }
 
-    /// Every frame took the way that was to be measured.
+    /// Fails unless every frame took the path under measurement.
     fn check(&self) -> Result<()> {
         let counted = self.plane.counters()?;
         let forwarded = counted[Counter::Forwarded as usize];
@@ -136,7 +136,7 @@ impl Ring {
     }
 }
 
-/// A program that does nothing but redirect.
+/// A program that only redirects.
 struct Bare {
     programs: Programs,
     _out: DevMap<aya::maps::MapData>,

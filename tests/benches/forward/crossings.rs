@@ -1,5 +1,5 @@
-//! Frames per second from links of one kind to links of another through one XDP switch, beside a
-//! router that forwards the same GDP frames as datagrams of IPv4.
+//! Frames per second through one XDP switch from links of one kind to links of another. The
+//! comparison is with a router that forwards the same GDP frames as IPv4 datagrams.
 //!
 //! ```text
 //!  robot ── Ethernet, or UDP ── s1 ── Ethernet, or UDP ── cloud

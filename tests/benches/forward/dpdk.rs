@@ -1,10 +1,10 @@
-//! Nanoseconds that a frame takes in a loop of DPDK: what `gdp-dpdk` does with a burst, between a
-//! device that makes packets from nothing and takes them back, so that no driver and no other core
-//! is measured. Beside it DPDK's `testpmd`, which swaps two addresses.
+//! Nanoseconds per frame in a DPDK loop: what `gdp-dpdk` does with a burst. The device makes
+//! packets from nothing and takes them back, so the measurement contains no driver and no other
+//! core. The comparison is with DPDK's `testpmd`, which swaps two addresses.
 //!
-//! `net_null` gives packets of whatever is in memory. So each gets a frame of its own before the
-//! loop sees it: made beforehand, with a count and a tag as its neighbour would send it. What that
-//! takes is measured by itself ([`FED`] beside [`EMPTY`]) and taken off.
+//! `net_null` delivers packets with undefined content. Each packet therefore gets a prepared frame
+//! before the loop sees it, with a neighbour's counter and tag. The cost of this step is measured
+//! separately ([`FED`] less [`EMPTY`]) and subtracted.
 
 use gdp_wire::hop;
 use std::cell::RefCell;
@@ -35,11 +35,11 @@ use crate::{Bench, lookups};
 
 const NAMES: u32 = 1 << 20;
 
-/// Frames made beforehand; then they come again. For the random names as many as there are names,
-/// so that their places in the table are in no cache.
+/// Frames prepared in advance, which then repeat. There are as many as random names: their table
+/// entries are in no cache.
 const FRAMES: [usize; 2] = [1 << 14, 1 << 20];
 
-/// Bytes of a packet: 64 of payload.
+/// Bytes of a packet, with 64 bytes of payload.
 const LENGTH: usize = ETHERNET + Header::LEN + 64;
 const ETHERNET: usize = 14;
 
@@ -93,14 +93,14 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     }
     let title = "One frame in a loop of DPDK between devices that do nothing, devices included";
     let figure = Figure::new("dpdk", title, Unit::Nanoseconds, measures)
-        // 0.6 times as many a second.
+        // Equals 0.6 times as many frames per second.
         .compare(OWN, TESTPMD, |case| (case == HOT).then_some(Aim::AtMost(1.0 / 0.6)))
         .aim(OWN, RANDOM, Aim::AtMost(150.0));
     Ok(vec![figure])
 }
 
-/// Headers of frames to a name each, as the neighbour on [`IN`] sends them; if they are few, all to
-/// the same.
+/// Returns headers of frames as the neighbour on [`IN`] sends them, each to another name. If there
+/// are few, all have the same name.
 fn made(frames: usize) -> Vec<Header> {
     let link = LinkEntry { id: IN, peer_id: IN, tx_keys: [KEY; 2], ..LinkEntry::default() };
     let mut random = 0x9e37_79b9_7f4a_7c15_u64;
@@ -171,9 +171,9 @@ impl Site {
         })
     }
 
-    /// Nanoseconds a frame.
+    /// Returns nanoseconds per frame.
     fn time(&mut self, series: &str, frames: &[Header], duration: Duration) -> Result<f64> {
-        // As loops are: with caches of its own for what it allocates.
+        // Registers the thread, as loops do: it gets its own allocation caches.
         let _registered = Eal::begin(&EalConfig::default())?.register()?;
         self.begin_again();
         let (mut burst, mut back, mut tags) = (Burst::new(), Back::default(), Tags::new());
@@ -206,12 +206,12 @@ impl Site {
         Ok(start.elapsed().as_nanos() as f64 / done as f64)
     }
 
-    /// Nothing has come in yet: the same counts may come again.
+    /// Resets the receive windows: the same counters may repeat.
     fn begin_again(&self) {
         self.link_memory.begin(IN);
     }
 
-    /// Every frame took the way that was to be measured.
+    /// Fails unless every frame took the path under measurement.
     fn check(&self) -> Result<()> {
         let forwarded = self.counts[Counter::Forwarded as usize];
         let others = self.counts.iter().sum::<u64>() - forwarded;
@@ -220,8 +220,7 @@ impl Site {
     }
 }
 
-/// What no switch can leave out: the tag that each frame must have, and the one that it leaves
-/// with.
+/// Computes the tags that every switch needs: one to verify each frame, one for its next link.
 fn make_tags(tags: &mut Tags, headers: &[Header]) {
     for _ in 0..2 {
         tags.clear();
@@ -231,7 +230,7 @@ fn make_tags(tags: &mut Tags, headers: &[Header]) {
     }
 }
 
-/// Makes packets of a device these frames.
+/// Writes these frames into packets of a device.
 fn write(burst: &mut Burst, headers: &[Header]) -> Result<()> {
     for (mbuf, header) in burst.iter_mut().zip(headers) {
         let packet = mbuf.bytes_mut().context("a packet of its own")?;
@@ -242,7 +241,7 @@ fn write(burst: &mut Burst, headers: &[Header]) -> Result<()> {
     Ok(())
 }
 
-/// What leaves.
+/// Collects the frames that leave.
 #[derive(Default)]
 struct Back {
     burst: Burst,
@@ -250,7 +249,7 @@ struct Back {
 
 impl Sink for Back {
     fn send(&mut self, _: u32, mbuf: Mbuf) {
-        // As many leave as came.
+        // The burst has room: as many frames leave as arrived.
         let _ = self.burst.push(mbuf);
     }
 

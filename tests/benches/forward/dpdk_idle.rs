@@ -1,5 +1,5 @@
-//! Processor time that a loop of DPDK takes while nothing arrives, by how long it may sleep: what a
-//! robot pays for a switch that waits.
+//! Processor time of an idle DPDK loop, by its longest sleep: the cost of an idle switch on a
+//! robot.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -17,11 +17,11 @@ use gdp_tests::netns::Namespace;
 
 use crate::Bench;
 
-/// A device at which nothing arrives.
+/// A device without arrivals.
 const DEVICE: &str = "net_null8,no-rx=1";
 const HOST: &str = "gdp0";
 
-/// Until a loop sleeps for as long as it may.
+/// Time until a loop sleeps for its full interval.
 const SETTLED: Duration = Duration::from_millis(20);
 
 const NOTHING: &str = "nothing arrives";
@@ -44,7 +44,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     Ok(vec![Figure::new("dpdk-idle", title, Unit::Milliseconds, measures)])
 }
 
-/// Milliseconds in each second.
+/// Returns milliseconds of processor time per second.
 fn taken(idle: Idle, duration: Duration) -> Result<Sample> {
     let tables = UserTables::new(LinkMemory::new(), 1)?;
     let shared = Arc::new(Shared::new(tables.queues().clone()));

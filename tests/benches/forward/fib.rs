@@ -1,5 +1,5 @@
-//! The FIB with a million names, beside the kernel's own hash with the same names: what a lookup
-//! costs, how fast routes change, and what lookups cost meanwhile.
+//! The FIB with a million names, compared with the kernel's own hash of the same names: the cost of
+//! a lookup, the rate of route changes, and the cost of lookups during changes.
 
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,11 +17,11 @@ use crate::lookups::{self, Lookups};
 /// Names in both tables.
 const NAMES: u32 = 1 << 20;
 
-/// Names that are asked for in turn: one line, what caches hold, all of the table.
+/// Names looked up in turn: one cache line, a set that caches can contain, the whole table.
 const ASKED: [(&str, u64); 3] = [("one name", 1), ("random of 1024 names", 1 << 10), (ALL, NAMES as u64)];
 const ALL: &str = "random of 1 M names";
 
-/// Lookups in one measurement.
+/// Lookups per measurement.
 const TIMES: u32 = 500_000;
 
 const NONE: &str = "no lookup";
@@ -79,7 +79,8 @@ fn lookup_figure(bench: &Bench, asks: &mut Lookups, fib: &mut Fib, versions: &[R
         .compare(FLAT, CHANGING, |_| Some(Aim::AtLeast(0.9))))
 }
 
-/// Rates of one thread on a table that has grown. All routes are there before and after.
+/// Measures the update rates of one thread on a table that has grown. All routes exist before and
+/// after.
 fn updates(bench: &Bench, fib: &mut Fib, [first, second]: &[Routes; 2]) -> Result<Vec<Measure>> {
     let mut rates: [Vec<f64>; 3] = Default::default();
     for _ in 0..bench.rounds.max(1) {
@@ -96,7 +97,7 @@ fn updates(bench: &Bench, fib: &mut Fib, [first, second]: &[Routes; 2]) -> Resul
     Ok(cases.map(|(case, rounds)| Measure::new(FLAT, case, rounds)).collect())
 }
 
-/// What `measure` finds beside a thread that changes routes as fast as it can.
+/// Returns the result of `measure` while a thread changes routes as fast as it can.
 fn while_changing(fib: &mut Fib, versions: &[Routes; 2], measure: impl FnOnce() -> Result<Sample>) -> Result<Sample> {
     let (changing, over) = (AtomicBool::new(false), AtomicBool::new(false));
     std::thread::scope(|scope| {
@@ -126,7 +127,7 @@ fn cost(asks: &mut Lookups, program: &str, asked: u64) -> Result<Sample> {
     Ok(Sample { value, ..Sample::default() })
 }
 
-/// Routes per second.
+/// Returns routes per second.
 fn rate(routes: &[(Name, FibEntry)], change: impl FnOnce(&[(Name, FibEntry)]) -> Result<()>) -> Result<f64> {
     let start = Instant::now();
     change(routes)?;

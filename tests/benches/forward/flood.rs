@@ -1,9 +1,9 @@
-//! Whether frames to a known name get through while an authorised endpoint asks for a million names
-//! that nobody has.
+//! Measures whether frames to a known name arrive while an authorised endpoint sends to a million
+//! names without routes.
 //!
-//! The worst such endpoint: its frames are counted, tagged and fresh, so each is verified and
-//! looked up before it is dropped. It shares the link, the interface and the core with the frames
-//! to the known name, which come at a fixed rate.
+//! This is the most expensive such endpoint: its frames have a counter and a tag and are fresh. The
+//! switch verifies and looks up each before dropping it. The frames to the known name arrive at a
+//! fixed rate, on the same link, interface and core.
 
 use std::cell::RefCell;
 
@@ -19,7 +19,7 @@ use crate::traffic::{Offered, Traffic};
 /// Frames per second to the known name.
 const KNOWN: u32 = 100_000;
 
-/// And to the others.
+/// Frames per second to the unknown names.
 const FLOODS: [(&str, u32); 3] = [(CALM, 0), ("flood of 0.5 Mpps", 500_000), ("flood of 1 Mpps", 1_000_000)];
 const CALM: &str = "no flood";
 
@@ -38,7 +38,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let mut measures = alternate(bench.rounds, contenders.collect())?;
     path.check(Some(Counter::NoRoute))?;
     for ((series, _), rounds) in FLOODS.iter().zip(unknown).skip(1) {
-        // The first round was to warm up.
+        // The first round warms up.
         measures.push(Measure::new(series, "to unknown names, sent", rounds.into_inner().split_off(1)));
     }
     let title = "0.1 Mpps to a known name, beside a flood to a million unknown ones";

@@ -1,13 +1,13 @@
-//! Frames per second through one, three and five switches, and what a hop costs.
+//! Frames per second through one, three and five switches, and the cost of a hop.
 //!
 //! ```text
 //!  robot ── s1 ( ── s2 ── s3 ( ── s4 ── s5 )) ── cloud
 //!  generator                                     sink       (both XDP, the same for all)
 //! ```
 //!
-//! The generator does the same for all: its frames are counted and tagged even where nobody looks.
-//! What it and the sink cost is measured by itself, on a chain without a switch, and falls out of
-//! the cost of a hop, which is the difference of five hops and one.
+//! The generator works equally for all: it counts and tags its frames even if no switch checks
+//! them. A chain without a switch measures the cost of generator and sink. The cost of a hop is the
+//! difference of five hops and one, so that cost cancels out.
 
 use anyhow::Result;
 use gdp_tests::measure::figure::{Aim, Figure, Measure, Unit};
@@ -31,7 +31,7 @@ const KINDS: [(&str, Kind); 6] = [
     (USERSPACE, Kind::Userspace),
 ];
 
-/// With 64 bytes of payload.
+/// Measures frames with 64 bytes of payload.
 pub fn small_frames(bench: &Bench) -> Result<Vec<Figure>> {
     let measures = measure(bench, &KINDS, &[1, 3, 5], 174)?;
     let hops =
@@ -48,14 +48,14 @@ pub fn small_frames(bench: &Bench) -> Result<Vec<Figure>> {
     Ok(vec![hops, hop])
 }
 
-/// With 1400 bytes of payload.
+/// Measures frames with 1400 bytes of payload.
 pub fn large_frames(bench: &Bench) -> Result<Vec<Figure>> {
     let measures = measure(bench, &KINDS, &[1, 3], 1510)?;
     let title = "Frames of 1510 B through switches in a row";
     Ok(vec![compare(Figure::new("large", title, Unit::FramesPerSecond, measures))])
 }
 
-/// Through one switch whose interfaces DPDK has, by the drivers for interfaces of the kernel.
+/// Measures one DPDK switch, with the drivers for kernel interfaces.
 pub fn dpdk(bench: &Bench) -> Result<Vec<Figure>> {
     let kinds = [
         (SWITCH, Kind::Xdp),

@@ -1,5 +1,5 @@
-//! The lookup programs of `gdp-ebpf/src/bench_lookups.rs` and the tables they ask. Also for
-//! `tests/kernel_fib.rs`, which includes this file by its path.
+//! The lookup programs of `gdp-ebpf/src/bench_lookups.rs` and their tables. `tests/kernel_fib.rs`
+//! also includes this file by its path.
 
 use std::path::Path;
 
@@ -13,27 +13,27 @@ use gdp_wire::{FibEntry, Name, flat};
 #[path = "../../../gdp-ebpf/src/bench_names.rs"]
 mod bench_names;
 
-/// The kernel's own hash, to compare with.
+/// The kernel's own hash, for comparison.
 pub type Hash = HashMap<MapData, Name, FibEntry>;
 
-/// What asks.
+/// The lookup programs.
 pub struct Lookups {
     programs: Ebpf,
     found: Array<MapData, [u64; 3]>,
 }
 
-/// What was found.
+/// Results of lookups.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Found {
-    /// A route of the name that was asked for.
+    /// Lookups that found a route of the requested name.
     pub right: u64,
-    /// Something else.
+    /// Lookups that found another entry.
     pub wrong: u64,
-    /// Nothing, where something must be found.
+    /// Lookups that found no entry although there is one.
     pub missed: u64,
 }
 
-/// `names`: what each of the tables, which are empty, can hold.
+/// Loads the programs and empty tables. `names`: the capacity of each table.
 pub fn load(object: &Path, names: u32) -> Result<(Lookups, Fib, Hash)> {
     let mut programs = EbpfLoader::new()
         .map_max_entries("HASH", names)
@@ -50,9 +50,9 @@ pub fn load(object: &Path, names: u32) -> Result<(Lookups, Fib, Hash)> {
 }
 
 impl Lookups {
-    /// Has a program ask for `times` random names of the first `names`, a power of two, of which
-    /// the first `kept` must be found. Nanoseconds for each, with the making of the name and what a
-    /// test run takes.
+    /// Looks up `times` random names of the first `names`, a power of two. Of these, the first
+    /// `kept` must be found. Returns nanoseconds per lookup, including the cost of making the name
+    /// and of a test run.
     pub fn run(&mut self, program: &str, names: u64, kept: u64, times: u32) -> Result<(f64, Found)> {
         let before = self.found()?;
         let mut packet = [0; 128];
@@ -90,7 +90,7 @@ pub fn route(number: u64, version: u64) -> FibEntry {
     flat::from_words(bench_names::route(number, version))
 }
 
-/// Whether it is a route of this name, of whichever version.
+/// Returns whether the entry is a route of this name, in any version.
 pub fn is_route(number: u64, entry: FibEntry) -> bool {
     bench_names::is_route(number, flat::to_words(entry))
 }

@@ -1,26 +1,25 @@
-//! What forwarding costs, beside what else could forward, in the same run. Run by `cargo xtask
+//! The cost of forwarding, compared with other forwarders in the same run. Run by `cargo xtask
 //! bench forward`; needs root.
 //!
-//! One file a row of the figures, each a function from [`Bench`] to [`Figure`]s:
+//! Each file is one row of the figures. A row is a function from [`Bench`] to [`Figure`]s:
 //!
 //! - [`cost`]: nanoseconds of one frame in the switch, by test runs
-//! - [`dpdk`]: the same in a loop of DPDK, beside [`testpmd`]; [`dpdk_idle`]: what the loop takes
-//!   while nothing arrives
+//! - [`dpdk`]: the same in a DPDK loop, compared with [`testpmd`]; [`dpdk_idle`]: the cost of an
+//!   idle loop
 //! - [`fib`]: lookups in a FIB of a million names (programs and tables: [`lookups`]), and changes
-//!   of it
+//!   to it
 //! - [`hops`]: frames per second through chains of switches
 //! - [`crossings`]: frames per second between links of several kinds
-//! - [`replication`]: what a copy costs
+//! - [`replication`]: the cost of a copy
 //! - [`updates`]: frames per second while routes change
-//! - [`flood`]: frames to known names while others ask for unknown ones
-//! - [`senders`]: what the first switch costs a program that sends by a socket (other ways to send:
+//! - [`flood`]: frames to known names while others send to unknown ones
+//! - [`senders`]: the cost of the first switch for a program that sends on a socket (other senders:
 //!   [`rings`])
 //!
-//! They are made from [`path`] and [`star`] (what forwards; on [`switch`]), [`traffic`] (generators
-//! and sink), and [`gdp_tests::measure`] (in turn, where, results). [`series`] names who is
-//! compared.
+//! The rows use [`path`] and [`star`] (forwarders; based on [`switch`]), [`traffic`] (generators
+//! and sink), and [`gdp_tests::measure`] (rounds, CPUs, results). [`series`] names the contenders.
 //!
-//! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`.
+//! No daemons run: the tables are what a RIB would install, written through the same `Planes`.
 
 mod cost;
 mod crossings;
@@ -110,9 +109,9 @@ const ROWS: [(&str, Row<Bench>); 12] = [
     ("senders", senders::run),
 ];
 
-/// A host has one switch, which looks at every batch of redirected frames for losses. Here hosts
-/// are namespaces of one machine; so one plane does it for all, and also beside what is compared
-/// with the switch.
+/// Attaches the loss counter for all namespaces. A host has one switch, which examines every batch
+/// of redirected frames for losses. Here hosts are namespaces of one machine: one plane counts for
+/// all, also for the forwarders under comparison.
 fn count_losses(bench: &Bench) -> Result<KernelPlane> {
     const LOOPBACK: u32 = 1;
     let mut plane = KernelPlane::load(&bench.ebpf_object, 1)?;

@@ -1,4 +1,4 @@
-//! A chain of switches of one kind, ready to carry frames from the robot's end to the cloud's.
+//! A chain of switches of one kind that carries frames from the robot to the cloud.
 
 use std::cell::RefCell;
 
@@ -18,32 +18,32 @@ use crate::switch::{LEFT, Medium, Position, Switch, TOPIC, key, know_neighbour, 
 use crate::testpmd::Testpmd;
 use crate::traffic::{Frames, Programs, Spread};
 
-/// What forwards.
+/// The kind of forwarder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Nothing: a cable from the generator to the sink.
+    /// No forwarder: a cable from the generator to the sink.
     Cable,
-    /// An XDP program that does nothing but redirect.
+    /// An XDP program that only redirects.
     Bare,
     /// The XDP switch with a hop tag that costs nothing.
     Untagged,
     Xdp,
-    /// The same where another name's copies leave by the same interfaces.
+    /// The XDP switch, where another name's copies leave on the same interfaces.
     Forking,
     /// The kernel's IPv4 routers.
     Ip,
     /// The userspace plane, on packet sockets.
     Userspace,
-    /// The DPDK plane, by this driver.
+    /// The DPDK plane with this driver.
     Dpdk(&'static str),
-    /// DPDK's own forwarder, by this driver.
+    /// DPDK's own forwarder with this driver.
     Testpmd(&'static str),
 }
 
 pub struct Path {
     kind: Kind,
     chain: Chain,
-    /// What carries frames from the robot.
+    /// Encapsulation of frames from the robot.
     carrier: Carrier,
     switches: Vec<Switch>,
     testpmd: RefCell<Option<Testpmd>>,
@@ -61,7 +61,7 @@ impl Path {
         Self::of(kind, hops, [Medium::Ethernet; 2], bench)
     }
 
-    /// One XDP switch between links of two kinds.
+    /// Builds one XDP switch between links of two kinds.
     pub fn crossing(media: [Medium; 2], bench: &Bench) -> Result<Self> {
         Self::of(Kind::Xdp, 1, media, bench)
     }
@@ -98,8 +98,8 @@ impl Path {
         }
         if kind == Kind::Ip {
             chain.become_ip_routers()?;
-            // The sink drops what the cloud would answer ARP with only if it is long: this resolves
-            // the last hop.
+            // Resolves the last hop statically. The sink passes only short frames to the cloud's
+            // stack, ARP among them.
             know_neighbour(&chain.switches()[hops - 1], "r0", link_ip(Medium::Udp4, hops, 2), mac(hops, 2))?;
         }
         let udp = |medium, to| Carrier::Udp { from: link_socket(medium, 0, 1), to, class: 0 };
@@ -112,7 +112,7 @@ impl Path {
         Ok(Self { kind, chain, carrier, switches, testpmd, _redirects: redirects })
     }
 
-    /// Has what forwards run that never rests by itself.
+    /// Runs a closure while testpmd forwards, if this path uses testpmd.
     pub fn while_it_runs<T>(&self, measure: impl FnOnce() -> T) -> T {
         match &mut *self.testpmd.borrow_mut() {
             Some(testpmd) => testpmd.during(|_| measure()),
@@ -124,20 +124,21 @@ impl Path {
         &self.chain
     }
 
-    /// Where frames arrive that the robot sends: the first switch, or the cloud if there is none.
+    /// Returns the first receiver of the robot's frames: the first switch, or the cloud if there is
+    /// none.
     pub fn first_hop(&self) -> &Namespace {
         &self.chain.nodes()[1]
     }
 
-    /// Lets frames into the first switch by another interface. They come on the link that they
-    /// name, as on any interface.
+    /// Attaches another interface to the first switch. The frames' link ids select their link, as
+    /// on any interface.
     pub fn attach_to_first_switch(&mut self, interface: &str) -> Result<()> {
         let switch = self.switches.first_mut().context("a path with switches")?;
         switch.attach(&self.chain.nodes()[1].enter()?, interface).map(drop)
     }
 
-    /// What to send from the robot, in packets of this length: GDP frames, each with its count and
-    /// tag, also where nobody looks.
+    /// Returns the frames that the robot sends, with packets of this length. GDP frames have
+    /// counters and tags even if no switch checks them.
     pub fn frames(&self, length: usize) -> Frames {
         let header_at = self.around();
         let frame = Frame {
@@ -158,13 +159,13 @@ impl Path {
         }
     }
 
-    /// Bytes in front of a GDP frame from the robot.
+    /// Returns the bytes in front of a GDP frame from the robot.
     pub fn around(&self) -> usize {
         self.carrier.carry([0; 6], [0; 6], 0, &[]).len()
     }
 
-    /// The frames took the way that was to be measured, and no other. `may`: drops that belong to
-    /// the measurement.
+    /// Fails unless the frames took the path under measurement and no other. `may`: a drop reason
+    /// that belongs to the measurement.
     pub fn check(&self, may: Option<Counter>) -> Result<()> {
         for (i, switch) in self.switches.iter().enumerate() {
             let expected = if i + 1 == self.switches.len() { Counter::Delivered } else { Counter::Forwarded };
@@ -186,8 +187,8 @@ impl Redirect {
     }
 }
 
-/// A veth takes redirected frames if its peer has GRO on; the kernel notices a change only while
-/// that peer is up.
+/// Toggles GRO. A veth accepts redirected frames if its peer has GRO on; the kernel notices a
+/// change only while that peer is up.
 pub fn refresh_gro(node: &Namespace) -> Result<()> {
     let links = node.ip(&["-o", "link"])?;
     for interface in ["l0", "r0"].iter().filter(|name| links.contains(&format!(" {name}@"))) {

@@ -1,5 +1,5 @@
-//! What a copy costs, beside a frame to one reader through the same switch: to readers behind an
-//! interface each, and behind one.
+//! The cost of a copy, compared with a frame to one reader through the same switch. Readers are
+//! behind one interface each, or all behind one.
 //!
 //! ```text
 //!                            ┌ p1 ──── w1  reader
@@ -23,8 +23,8 @@ use crate::traffic::{Frames, Sink, Spread, Traffic};
 const COPIES: [usize; 3] = [2, 8, 64];
 const MOST: usize = COPIES[COPIES.len() - 1];
 
-/// Frames under way to one interface that has several readers. The switch makes all copies of the
-/// frames that it has before any of them is taken, and they must fit a veth's ring of 256.
+/// Frames in flight to one interface with several readers. The switch makes all copies of a batch
+/// before the veth delivers any. They must fit a veth's ring of 256.
 const ONE_RING: u64 = 128;
 
 const COPY: &str = "a copy";
@@ -33,7 +33,7 @@ const ALONE: &str = "generator alone";
 const COPY_ALONE: &str = "a copy, without generator";
 const SINGLE_ALONE: &str = "one reader, without generator";
 
-/// A name and who reads it.
+/// A name and its readers.
 struct Topic {
     series: &'static str,
     case: String,
@@ -91,17 +91,17 @@ fn topics() -> Vec<Topic> {
     [alone, single].into_iter().chain(apart).chain(together).collect()
 }
 
-/// Readers behind an interface each.
+/// Returns readers behind one interface each.
 fn apart(count: usize) -> Vec<Leaf> {
     (1..=count).map(|i| Leaf { index: 1 + i as u32, interface: i, reach: 0 }).collect()
 }
 
-/// Other readers, all behind the first interface that is not the writer's.
+/// Returns other readers, all behind the first interface that is not the writer's.
 fn together(count: usize) -> Vec<Leaf> {
     (1..=count).map(|i| Leaf { index: (1 + MOST + i) as u32, interface: 1, reach: 0 }).collect()
 }
 
-/// From the writer, to sinks at all readers.
+/// Connects the writer to sinks at all readers.
 fn traffic(star: &Star, bench: &Bench) -> Result<Traffic> {
     let mut sink = Sink::attach(&star.far, &far_port(1), bench)?;
     (2..=MOST).try_for_each(|i| sink.attach_to(&star.far, &far_port(i)))?;
@@ -132,13 +132,13 @@ fn name(topic: usize) -> Name {
     Name::from_bytes([0xd0 + topic as u8; 32])
 }
 
-/// Nanoseconds for each frame that arrives.
+/// Returns nanoseconds per frame that arrives.
 fn cost(traffic: &mut Traffic, bench: &Bench) -> Result<Sample> {
     let sample = traffic.rate(bench.duration())?;
     Ok(Sample { value: 1e9 / sample.value, ..sample })
 }
 
-/// All of a frame but what it takes to make it: the switch, and the arrival.
+/// Subtracts the generator's cost: the rest is the switch and the arrival.
 fn without_generator(measures: &[Measure], topics: &[Topic]) -> Vec<Measure> {
     let Some(alone) = measures.iter().find(|measure| measure.series == ALONE) else { return Vec::new() };
     let of = |topic: &Topic| {
@@ -153,7 +153,7 @@ fn without_generator(measures: &[Measure], topics: &[Topic]) -> Vec<Measure> {
     topics.iter().filter_map(of).collect()
 }
 
-/// The kernel made all copies, and dropped nothing.
+/// Fails unless the kernel made all copies and dropped none.
 fn check(switch: &Switch) -> Result<()> {
     let [replicated, delivered] = [Counter::Replicated, Counter::Delivered].map(|counter| switch.count(counter));
     let (replicated, delivered) = (replicated?, delivered?);

@@ -1,6 +1,6 @@
-//! Two ways to hand frames to an Ethernet interface by memory that is shared with the kernel, as
-//! alternatives to what endpoints do: the transmit ring of a packet socket, and an AF_XDP socket
-//! (by copies, the only way that veths have). Just enough of each to be measured.
+//! Two alternatives to the endpoints' way of sending on Ethernet, both by memory shared with the
+//! kernel. They are the transmit ring of a packet socket, and an AF_XDP socket (in copy mode, the
+//! only mode of veths). Each implements just enough for the measurement.
 
 use std::io;
 use std::mem::{size_of, zeroed};
@@ -12,17 +12,17 @@ use anyhow::{Context, Result, ensure};
 use gdp_link::port::BATCH;
 use gdp_wire::ETHERTYPE;
 
-/// Bytes a frame has at most, with what the kernel puts before it.
+/// The largest frame in bytes, with the kernel's header in front.
 const SLOT: usize = 2048;
 
-/// Frames under way in a ring.
+/// Frames in flight in a ring.
 const SLOTS: usize = 256;
 
-/// What both have: a socket, and memory in slots that are filled one after another.
+/// The common part: a socket, and memory in slots that are filled one after another.
 pub trait Ring {
-    /// Puts a frame, in pieces with its Ethernet header first, into the next slot.
+    /// Copies a frame into the next slot, in pieces, its Ethernet header first.
     fn put(&mut self, pieces: [&[u8]; 3]) -> Result<()>;
-    /// Has the kernel send what was put.
+    /// Makes the kernel send the filled slots.
     fn send(&mut self) -> Result<()>;
 }
 
@@ -34,7 +34,7 @@ pub struct PacketRing {
 }
 
 impl PacketRing {
-    /// On an interface of the calling thread's network namespace.
+    /// Opens the ring on an interface of the calling thread's network namespace.
     pub fn open(ifindex: u32) -> Result<Self> {
         let socket = open_socket(libc::AF_PACKET, libc::SOCK_RAW)?;
         set(&socket, libc::SOL_PACKET, libc::PACKET_VERSION, &(libc::tpacket_versions::TPACKET_V2 as libc::c_int))?;
@@ -86,7 +86,8 @@ pub struct XdpSocket {
 }
 
 impl XdpSocket {
-    /// On the first queue of an interface of the calling thread's network namespace.
+    /// Opens the socket on the first queue of an interface of the calling thread's network
+    /// namespace.
     pub fn open(ifindex: u32) -> Result<Self> {
         let socket = open_socket(libc::AF_XDP, libc::SOCK_RAW)?;
         let frames = Mapping::anonymous(SLOTS * SLOT)?;
@@ -130,7 +131,7 @@ impl XdpSocket {
 
 impl Ring for XdpSocket {
     fn put(&mut self, pieces: [&[u8]; 3]) -> Result<()> {
-        // Frames come back in the order they were sent in.
+        // Frames complete in the order they were sent.
         let slot = self.sent as usize % SLOTS;
         ensure!((self.sent.wrapping_sub(self.completed()) as usize) < SLOTS, "the ring is full");
         let length = self.frames.write(slot * SLOT, pieces);
@@ -143,7 +144,7 @@ impl Ring for XdpSocket {
 
     fn send(&mut self) -> Result<()> {
         self.transmit.word(self.offsets.tx.producer as usize).store(self.sent, Ordering::Release);
-        // One call takes half of a batch.
+        // One call sends half of a batch.
         let consumed = || self.transmit.word(self.offsets.tx.consumer as usize).load(Ordering::Acquire);
         for _ in 0..BATCH {
             if consumed() == self.sent {
@@ -155,7 +156,7 @@ impl Ring for XdpSocket {
     }
 }
 
-/// Memory that the kernel knows of, too.
+/// Memory shared with the kernel.
 struct Mapping {
     address: *mut u8,
     length: usize,
@@ -180,18 +181,19 @@ impl Mapping {
 
     fn word(&self, at: usize) -> &AtomicU32 {
         assert!(at.is_multiple_of(4) && at + 4 <= self.length);
-        // SAFETY: within the mapping, aligned (mappings begin at pages), and only used by atomic
-        // operations where the kernel writes.
+        // SAFETY: within the mapping and aligned, because mappings begin at pages. Words that the
+        // kernel writes are only used by atomic operations.
         unsafe { &*self.address.add(at).cast() }
     }
 
-    /// Writes the pieces one after another; how many bytes they have.
+    /// Writes the pieces one after another and returns their total length.
     fn write(&mut self, at: usize, pieces: [&[u8]; 3]) -> usize {
         let length = pieces.iter().map(|piece| piece.len()).sum::<usize>();
         assert!(at + length <= self.length);
         let mut to = at;
         for piece in pieces {
-            // SAFETY: within the mapping, as was just seen; a piece is not in it.
+            // SAFETY: the bounds check above keeps it within the mapping; no piece lies in the
+            // mapping.
             unsafe { std::ptr::copy_nonoverlapping(piece.as_ptr(), self.address.add(to), piece.len()) };
             to += piece.len();
         }
@@ -201,7 +203,7 @@ impl Mapping {
 
 impl Drop for Mapping {
     fn drop(&mut self) {
-        // SAFETY: mapped when this was made, and nobody else's.
+        // SAFETY: mapped by the constructor, and owned by this value alone.
         unsafe { libc::munmap(self.address.cast(), self.length) };
     }
 }
@@ -226,7 +228,7 @@ fn bind<T>(socket: &OwnedFd, addr: &T) -> Result<()> {
     check(result as isize).context("bind").map(drop)
 }
 
-/// Has the kernel look at the ring. Where it says that there was too much, it has begun.
+/// Makes the kernel process the ring. `EAGAIN`, `EBUSY` and `ENOBUFS` mean that it has begun.
 fn kick(socket: &OwnedFd) -> Result<()> {
     // SAFETY: nothing is read.
     let result = unsafe { libc::sendto(socket.as_raw_fd(), null_mut(), 0, libc::MSG_DONTWAIT, null_mut(), 0) };

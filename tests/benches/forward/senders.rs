@@ -1,17 +1,17 @@
-//! What a frame costs a program that sends by a socket, up to the first XDP hop and through it; and
-//! what other ways there are to hand frames to the kernel.
+//! The cost of a frame for a program that sends on a socket, up to the first XDP hop and through
+//! it. Also measures alternative ways to pass frames to the kernel.
 //!
-//! A socket's packet is not what XDP works on: a veth copies each into a page of its own before it
-//! runs the program, because sockets allocate packets where XDP may not have them
-//! (`skb_head_is_locked` in the kernel's `veth_convert_skb_to_xdp_buff`). Here each kind of socket
-//! sends to an interface without a program, whose stack drops the frame at once; to one with a
-//! program that drops it; and through a switch. What the second takes more than the first is the
-//! conversion, less what the stack would have taken. The way around the conversion is a TAP device
-//! whose other end is the switch's: what a program writes to it goes into such a page at once, and
-//! XDP sees it before there is a packet of the kind that sockets make.
+//! XDP cannot use a socket's packet directly. A veth copies each into a page before running the
+//! program, because sockets allocate packets where XDP may not write (`skb_head_is_locked` in the
+//! kernel's `veth_convert_skb_to_xdp_buff`). Each kind of socket sends to three destinations. The
+//! first is an interface without a program, whose stack drops the frame at once. The second is an
+//! interface with a program that drops it; the third is a switch. The second minus the first is the
+//! cost of the conversion, less the cost of the stack. A TAP device whose other end is the switch's
+//! avoids the conversion. Written frames go directly into such a page, and XDP sees them before
+//! there is a socket-style packet.
 //!
 //! Endpoints use `AF_PACKET` (`sendmmsg`) and `UDP` (runs of frames as one piece); the others are
-//! what that was chosen from.
+//! the rejected alternatives.
 
 use gdp_wire::hop;
 use std::fs::File;
@@ -36,11 +36,11 @@ use crate::rings::{PacketRing, Ring, XdpSocket};
 use crate::switch::{self, know_neighbour};
 use crate::traffic::Sink;
 
-/// Payloads: of small frames, and of frames that leave room for UDP in a packet of 1500 B.
+/// Payload bytes: of small frames, and of frames that leave room for UDP in a packet of 1500 B.
 const SMALL: usize = 64;
 const LARGE: usize = 1290;
 
-/// How long what was sent may take to arrive.
+/// Longest time until sent frames arrive.
 const TIMEOUT: Duration = Duration::from_millis(200);
 
 /// The name of the TAP device.
@@ -73,7 +73,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     Ok(vec![small, figure("senders-large", title(LARGE), &through, LARGE, bench)?])
 }
 
-/// Bytes of a packet on Ethernet beside the payload.
+/// Bytes of a packet on Ethernet without the payload.
 const FRAMES: usize = ETHERNET + Header::LEN;
 
 fn figure(
@@ -92,7 +92,7 @@ fn figure(
             _ => Path::build(Kind::Cable, 0, bench)?,
         };
         let sender = Sender::open(&path, medium, payload)?;
-        // Where the stack is to drop, there must be no program.
+        // If the stack must drop the frames, no program is attached.
         let sink = match (case, medium) {
             (STACK, _) => None,
             (SINK, Medium::Tap) => Some(Sink::attach(path.first_hop(), TAP, bench)?),
@@ -118,13 +118,13 @@ fn figure(
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Medium {
-    /// As endpoints send on Ethernet: `sendmmsg`.
+    /// Like endpoints on Ethernet: `sendmmsg`.
     Ethernet,
     PacketRing,
     Xdp,
-    /// As endpoints send over UDP: runs of frames.
+    /// Like endpoints over UDP: runs of frames.
     Udp,
-    /// `sendmmsg` with a frame in each message.
+    /// `sendmmsg` with one frame per message.
     SingleUdp,
     Tap,
 }
@@ -142,16 +142,16 @@ impl Medium {
     }
 }
 
-/// Where a sender's frames leave.
+/// The exit of a sender's frames.
 enum Exit {
     Socket(Box<Port>, LinkAddr),
     Single(UdpSocket),
-    /// With the Ethernet header that the frames get.
+    /// A ring, and the frames' Ethernet header.
     Ring(Box<dyn Ring>, [u8; ETHERNET]),
     Tap(File, [u8; ETHERNET]),
 }
 
-/// An endpoint at the robot, which counts, tags and sends as the endpoints of `gdp` do.
+/// An endpoint at the robot that counts, tags and sends like `gdp` endpoints.
 struct Sender {
     exit: Exit,
     link: LinkEntry,
@@ -169,8 +169,8 @@ impl Sender {
         let (header, _) = header.ok().context("a frame has a header")?;
         if matches!(medium, Medium::Udp | Medium::SingleUdp) {
             robot.ip(&["addr", "add", "10.9.0.1/24", "dev", "r0"])?;
-            // No interface has this address: a stack drops what is sent there at its first look.
-            // The switch does not look.
+            // No interface has this address: a stack drops frames to it immediately. The switch
+            // ignores it.
             know_neighbour(robot, "r0", switch::link_ip(switch::Medium::Udp4, 0, 2), [2, 0, 0, 0, 0xff, 0xff])?;
         }
         let _inside = if medium == Medium::Tap { path.first_hop().enter()? } else { robot.enter()? };
@@ -207,8 +207,8 @@ impl Sender {
         Ok(Self { exit, link: frames.link, count: 0, headers, payload, _runtime: runtime })
     }
 
-    /// Nanoseconds a frame. A veth's other end works on the sender's core, within the system call
-    /// that sends.
+    /// Returns nanoseconds per frame. A veth's other end runs on the sender's core, within the
+    /// sending system call.
     fn send_for(&mut self, duration: Duration, sink: Option<&Sink>) -> Result<Sample> {
         let arrived = || sink.map_or(Ok(0), Sink::arrived);
         let before = arrived()?;
@@ -229,7 +229,7 @@ impl Sender {
         Ok(Sample { value, ..Sample::default() })
     }
 
-    /// One frame for each of the headers.
+    /// Sends one frame per header.
     fn send_batch(&mut self) -> Result<()> {
         match &mut self.exit {
             Exit::Socket(port, to) => {
@@ -269,13 +269,13 @@ fn send_single(socket: &UdpSocket, headers: &[Header; BATCH], payload: &[u8]) ->
         message.msg_hdr.msg_iov = pieces.as_mut_ptr().cast();
         message.msg_hdr.msg_iovlen = pieces.len();
     }
-    // SAFETY: the messages point to pieces that outlive the call, and are only read.
+    // SAFETY: the messages point to pieces that outlive the call, and the kernel only reads them.
     let sent = unsafe { libc::sendmmsg(socket.as_raw_fd(), messages.as_mut_ptr(), BATCH as u32, 0) };
     ensure!(sent == BATCH as i32, "the kernel took {sent} of {BATCH} frames");
     Ok(())
 }
 
-/// A TAP device of the calling thread's network namespace. It goes when the file is closed.
+/// Creates a TAP device in the calling thread's network namespace. Closing the file deletes it.
 fn tap(name: &str) -> Result<File> {
     let device = File::options().read(true).write(true).open("/dev/net/tun").context("cannot open /dev/net/tun")?;
     // SAFETY: zero is a valid value of every variant.

@@ -1,4 +1,4 @@
-//! Who is compared in more than one figure.
+//! Contenders that appear in more than one figure.
 
 pub const BARE: &str = "bare redirect";
 pub const SWITCH: &str = "switch";

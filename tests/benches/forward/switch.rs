@@ -1,4 +1,4 @@
-//! A switch of a chain, without a daemon: its planes, on both of its interfaces.
+//! A switch of a chain without a daemon: its planes, attached to both interfaces.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
@@ -16,14 +16,14 @@ use gdp_tests::netns::{Entered, Namespace};
 use gdp_wire::table::ip_words;
 use gdp_wire::{Carrier, Counter, LinkEntry, LinkRole, Name, UDP_PORT};
 
-/// What all frames are for.
+/// The destination of all frames.
 pub const TOPIC: Name = Name::from_bytes([0xd0; 32]);
 
-/// The index, and so the id, of each switch's link to the left and to the right.
+/// Index and id of each switch's link to the left and to the right.
 pub const LEFT: u32 = 1;
 pub const RIGHT: u32 = 2;
 
-/// What carries frames on a link.
+/// The medium that carries frames on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Medium {
     Ethernet,
@@ -37,19 +37,19 @@ pub struct Switch {
     runtime: tokio::runtime::Runtime,
 }
 
-/// Which switch of a chain, and between which links.
+/// The position of a switch in a chain, and the media of its links.
 #[derive(Clone, Copy, Debug)]
 pub struct Position {
-    /// From the left, from 0.
+    /// Index from the left, from 0.
     pub index: usize,
     pub hops: usize,
-    /// To the left and to the right.
+    /// Media to the left and to the right.
     pub media: [Medium; 2],
 }
 
 impl Switch {
-    /// Forwards frames for [`TOPIC`] from the left to the right.
-    /// `driver`: of DPDK's, if it is to have the interfaces.
+    /// Starts a switch that forwards frames for [`TOPIC`] from left to right. `driver`: the DPDK
+    /// driver, if DPDK owns the interfaces.
     pub fn start(
         at: &Namespace,
         wanted: Wanted,
@@ -61,7 +61,7 @@ impl Switch {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let within = runtime.enter();
         let ebpf_object = Some(ebpf_object.into());
-        // The loop is where testpmd's is, and leaves the CPU to others while it is not measured.
+        // The loop runs on testpmd's core, and leaves the CPU to others between measurements.
         let (cores, idle) = (vec![cpu::OTHER], Duration::from_millis(10));
         let dpdk = DpdkConfig { ports: driver.map_or_else(Vec::new, ports), cores, idle, ..DpdkConfig::default() };
         let config = PlaneConfig { wanted, ebpf_object, dpdk, count_losses: false, ..Default::default() };
@@ -107,14 +107,13 @@ impl Switch {
         Ok(switch)
     }
 
-    /// Has another name lead to the left and to the right.
+    /// Routes another name to the left and to the right.
     pub fn copy_another_name(&mut self, _inside: &Entered) -> Result<()> {
         let route = PlaneRoute { egress_bits: u64::MAX, readers: vec![LEFT, RIGHT], ..PlaneRoute::default() };
         Ok(self.planes.set_route(Name::from_bytes([0xd1; 32]), &route)?)
     }
 
-    /// Takes over what arrives on an interface of the network namespace that the calling thread is
-    /// in; its index.
+    /// Attaches to an interface of the calling thread's network namespace and returns its index.
     pub fn attach(&mut self, _inside: &Entered, interface: &str) -> Result<u32> {
         let _within = self.runtime.enter();
         let port = Port::ethernet(interface, &PortConfig::switch(Identity::generate("switch")?, LinkIds::new()))?;
@@ -124,7 +123,7 @@ impl Switch {
         Ok(found.index)
     }
 
-    /// Takes over what arrives over UDP, at any address.
+    /// Attaches to UDP at any address.
     fn attach_udp(&mut self, _inside: &Entered) -> Result<()> {
         let _within = self.runtime.enter();
         let any = SocketAddr::new(Ipv6Addr::UNSPECIFIED.into(), UDP_PORT);
@@ -134,8 +133,8 @@ impl Switch {
         Ok(())
     }
 
-    /// Frames were counted under `expected`, by one plane alone, and dropped for no reason but what
-    /// `may` be.
+    /// Fails unless frames were counted under `expected` by one plane alone. The only permitted
+    /// drop reason is `may`.
     pub fn check(&self, expected: Counter, in_kernel: bool, may: Option<Counter>) -> Result<()> {
         for (counter, kernel, userspace) in self.planes.counters()? {
             let (ours, other) = if in_kernel { (kernel, userspace) } else { (userspace, kernel) };
@@ -150,7 +149,8 @@ impl Switch {
     }
 }
 
-/// The interfaces as ports for DPDK. All switches are in one process, where a device has one name.
+/// Returns the interfaces as DPDK ports. All switches share one process, where device names must be
+/// unique.
 fn ports(driver: &str) -> Vec<DpdkPort> {
     static NUMBER: AtomicU32 = AtomicU32::new(0);
     let port = |interface: &str| DpdkPort {
@@ -161,8 +161,8 @@ fn ports(driver: &str) -> Vec<DpdkPort> {
     ["l0", "r0"].map(port).into()
 }
 
-/// A link with one key for both directions; the neighbour calls it LEFT, because frames go to the
-/// right. `link`: its place in the chain. `ends`: the neighbour's and ours, 1 or 2.
+/// Returns a link with one key for both directions. The neighbour calls it LEFT, because frames go
+/// to the right. `link`: its index in the chain. `(peer, own)`: the ends, 1 or 2.
 pub fn link(endpoint: bool, link: usize, (peer, own): (u8, u8), medium: Medium) -> LinkEntry {
     let (kind, peer_ip) = ip_words(link_ip(medium, link, peer));
     let carrier = match medium {
@@ -192,17 +192,18 @@ pub fn key(link: usize) -> [u64; 2] {
     [link as u64, 0x6764_7062_656e_6368]
 }
 
-/// As a chain gives them: link 0 is robot – s1, end 1 its left one.
+/// Returns the MAC address of an end in a chain: link 0 is robot – s1, end 1 is its left end.
 pub fn mac(link: usize, end: u8) -> [u8; 6] {
     [2, 0, 0, 0, link as u8, end]
 }
 
-/// Where the end of a link sends datagrams from.
+/// Returns the source address of datagrams from an end of a link.
 pub fn link_socket(medium: Medium, link: usize, end: u8) -> SocketAddr {
     SocketAddr::new(link_ip(medium, link, end), UDP_PORT)
 }
 
-/// IPv4 as a chain of routers gives them, also where none is needed.
+/// Returns the address of an end of a link. IPv4 addresses equal those of a chain of routers, even
+/// without routers.
 pub fn link_ip(medium: Medium, link: usize, end: u8) -> IpAddr {
     match medium {
         Medium::Udp6 => Ipv6Addr::new(0xfd09, 0, 0, link as u16, 0, 0, 0, end.into()).into(),
@@ -218,7 +219,7 @@ fn give_address(at: &Namespace, interface: &str, ip: IpAddr) -> Result<()> {
     at.ip(&["addr", "add", &format!("{ip}/64"), "dev", interface, "nodad"]).map(drop)
 }
 
-/// The neighbour need not answer.
+/// Adds a static neighbour entry: the neighbour need not answer.
 pub fn know_neighbour(at: &Namespace, interface: &str, ip: IpAddr, mac: [u8; 6]) -> Result<()> {
     let mac = mac.map(|byte| format!("{byte:02x}")).join(":");
     at.ip(&["neigh", "replace", &ip.to_string(), "lladdr", &mac, "dev", interface, "nud", "permanent"]).map(drop)

@@ -1,5 +1,5 @@
-//! DPDK's own forwarder, to compare with: it swaps the MAC addresses of what arrives and sends it
-//! on, and looks at nothing else.
+//! DPDK's own forwarder, for comparison. It swaps the MAC addresses of each packet, sends it back
+//! out, and examines nothing else.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -10,22 +10,23 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use gdp_tests::programs::Program;
 
-/// How long it may take to begin, or to answer.
+/// Longest time for start-up and for an answer.
 const TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Runs while somebody measures it, and is stopped in between: it never rests by itself.
+/// A testpmd process that runs only during measurements. It polls without pause, so it is stopped
+/// (SIGSTOP) in between.
 pub struct Testpmd {
     child: Child,
     input: ChildStdin,
-    /// What it says, line by line; who reads it may have to wait without end.
+    /// The lines of its output; reading may block without limit.
     lines: Receiver<String>,
 }
 
 impl Testpmd {
-    /// `at`: makes a command where it is to run. Forwards between these devices, or what comes from
-    /// one to itself.
+    /// Starts testpmd between these devices, or from one device to itself. `at`: returns a command
+    /// for the destination namespace.
     pub fn start(at: impl FnOnce(Program) -> Result<Command>, devices: &[String]) -> Result<Self> {
-        // Line by line: otherwise answers would wait for more of them.
+        // Line-buffered: otherwise answers would wait for more output.
         let mut command = at(Program::Stdbuf)?;
         command.args(["-oL", Program::DpdkTestpmd.name()]);
         command.args(["-l", "0,1", "--no-huge", "-m", "256", "--no-pci", "--no-telemetry"]);
@@ -39,7 +40,7 @@ impl Testpmd {
         let mut child = piped.spawn().context("cannot start dpdk-testpmd")?;
         let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else { bail!("no pipes") };
         let (sender, lines) = mpsc::channel();
-        // Ends with the child, or with whoever listens.
+        // The thread ends with the child or with the receiver.
         let read = move || BufReader::new(output).lines().map_while(Result::ok).try_for_each(|line| sender.send(line));
         std::thread::spawn(read);
         let mut this = Self { child, input, lines };
@@ -49,7 +50,7 @@ impl Testpmd {
         Ok(this)
     }
 
-    /// Frames per second that it forwards, by its own count.
+    /// Returns frames per second by its own count.
     pub fn rate(&mut self, duration: Duration) -> Result<f64> {
         self.during(|this| {
             let (start, before) = (Instant::now(), this.frames()?);
@@ -58,7 +59,7 @@ impl Testpmd {
         })
     }
 
-    /// Has it forward while this runs.
+    /// Runs a closure while testpmd forwards.
     pub fn during<T>(&mut self, run: impl FnOnce(&mut Self) -> T) -> T {
         self.pause(false);
         let result = run(self);
@@ -66,7 +67,7 @@ impl Testpmd {
         result
     }
 
-    /// What its first port has received.
+    /// Returns the number of frames that its first port has received.
     fn frames(&mut self) -> Result<u64> {
         self.say("show port stats 0")?;
         let deadline = Instant::now() + TIMEOUT;
@@ -87,7 +88,7 @@ impl Testpmd {
     }
 
     fn pause(&self, pause: bool) {
-        // SAFETY: a signal to a child that has not been waited for.
+        // SAFETY: the signal goes to a child that has not been waited for.
         unsafe { libc::kill(self.child.id() as i32, if pause { libc::SIGSTOP } else { libc::SIGCONT }) };
     }
 }

@@ -1,7 +1,7 @@
 //! Generators and sink: the programs of `gdp-ebpf/src/bench.rs` at the two ends of a chain.
 //!
-//! XDP programs and the kernel's routers run on the generator's core, which is how veths work, and
-//! there it stays; the threads of the userspace plane take whatever is left.
+//! XDP programs and the kernel's routers run on the generator's pinned core, because veths work
+//! that way. Threads of the userspace plane use the other cores.
 
 use std::path::Path;
 use std::sync::mpsc;
@@ -23,23 +23,23 @@ use gdp_wire::LinkEntry;
 
 use crate::Bench;
 
-/// Frames the kernel sends at a time: a quarter of a veth's ring.
+/// Frames that the kernel sends at a time: a quarter of a veth's ring.
 const BATCH: u64 = 64;
 
-/// Frames under way at most. Less than a veth's ring of 256 would hold back the planes that work in
-/// batches; more than the receive buffer of a packet socket takes would lose frames.
+/// Most frames in flight. Fewer than a veth's ring of 256 would slow planes that work in batches.
+/// More than a packet socket's receive buffer would lose frames.
 const WINDOW: u64 = 1024;
 
-/// How long the kernel may take to begin with a test run.
+/// Longest time until the kernel begins a test run.
 const START: Duration = Duration::from_secs(5);
 
-/// Then caches fill.
+/// Further time to fill caches.
 const RUN_UP: Duration = Duration::from_millis(50);
 
-/// How long nothing may arrive before what is missing is taken as lost.
+/// Time without arrivals after which missing frames count as lost.
 const TIMEOUT: Duration = Duration::from_millis(200);
 
-/// A loaded object of the bench; its programs are attached while this lives.
+/// A loaded bench object; its programs stay attached until it is dropped.
 pub struct Programs(Ebpf);
 
 impl Programs {
@@ -57,41 +57,41 @@ impl Programs {
         Ok(self.0.program_mut(name).with_context(|| format!("no program {name}"))?.try_into()?)
     }
 
-    /// Once for each map.
+    /// Takes a map; at most once per map.
     pub fn map<T: TryFrom<Map, Error = MapError>>(&mut self, name: &str) -> Result<T> {
         let map = self.0.take_map(name).with_context(|| format!("no map {name}"))?;
         T::try_from(map).with_context(|| format!("map {name}"))
     }
 
-    /// Puts a program on an interface of the calling thread's network namespace.
+    /// Attaches a program to an interface of the calling thread's network namespace.
     pub fn attach(&mut self, name: &str, interface: &str) -> Result<()> {
         let attached = self.program(name)?.attach(interface, XdpMode::Driver);
         attached.map(drop).with_context(|| format!("cannot attach {name} to {interface}"))
     }
 }
 
-/// What a generator sends.
+/// The frames of a generator.
 #[derive(Clone)]
 pub struct Frames {
-    /// One frame, all others being like it but for count and tag.
+    /// A template frame; all others differ in counter and tag alone.
     pub frame: Vec<u8>,
-    /// Where in it the GDP header is.
+    /// Offset of the GDP header in the frame.
     pub header_at: usize,
-    /// How they are counted and tagged.
+    /// The link whose id, counter and keys the frames use.
     pub link: LinkEntry,
-    /// False for a switch to which every tag is 0. The tag is computed all the same.
+    /// False for a switch to which every tag is 0. The generator still computes the tag.
     pub tagged: bool,
     pub spread: Spread,
 }
 
-/// What becomes of a frame on its way.
+/// The number of arrivals per frame, and the limit of frames in flight.
 #[derive(Clone, Copy, Debug)]
 pub struct Spread {
-    /// Frames that arrive for each that is sent.
+    /// Frames that arrive for each frame sent.
     pub copies: u64,
-    /// Frames that may be under way, by what is to arrive.
+    /// Most frames in flight, counted in expected arrivals.
     pub window: u64,
-    /// It goes nowhere, and counts as arrived.
+    /// The frame goes nowhere, and counts as arrived.
     pub kept: bool,
 }
 
@@ -101,7 +101,7 @@ impl Spread {
 
 const TEMPLATE_WORDS: usize = 13;
 
-/// As in `gdp-ebpf/src/bench.rs`.
+/// Layout as in `gdp-ebpf/src/bench.rs`.
 #[derive(Clone, Copy)]
 #[repr(C)]
 struct Pattern {
@@ -139,13 +139,13 @@ impl Sink {
         Ok(Self { arrived: programs.map("ARRIVED")?, programs })
     }
 
-    /// At another interface as well.
+    /// Attaches to another interface as well.
     pub fn attach_to(&mut self, at: &Namespace, interface: &str) -> Result<()> {
         let _inside = at.enter()?;
         self.programs.attach("sink", interface)
     }
 
-    /// Frames until now.
+    /// Returns the frames counted so far.
     pub fn arrived(&self) -> Result<u64> {
         Ok(self.arrived.get(&0, 0)?)
     }
@@ -153,7 +153,7 @@ impl Sink {
 
 /// The generators on one interface, and sinks on others.
 pub struct Traffic {
-    /// The generators are in the sink's object: they look at what has arrived.
+    /// The generators are in the sink's object: they read its arrival counter.
     sink: Sink,
     frames: Frames,
     pattern: Array<MapData, Pattern>,
@@ -163,7 +163,7 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// From the robot's interface of a chain to the cloud's.
+    /// Connects the robot's interface of a chain to the cloud's.
     pub fn new(chain: &Chain, frames: Frames, bench: &Bench) -> Result<Self> {
         let sink = Sink::attach(chain.cloud(), "l0", bench)?;
         Self::from(chain.robot(), "r0", sink, frames)
@@ -191,19 +191,19 @@ impl Traffic {
         })
     }
 
-    /// From now on sends other frames, on the same link.
+    /// Sends other frames on the same link from now on.
     pub fn change(&mut self, frame: Vec<u8>, spread: Spread) {
         self.frames = Frames { frame, spread, ..self.frames.clone() };
     }
 
-    /// Frames per second that arrive, sent as fast as they do: a number of frames is kept under
-    /// way, so that a rate is one without loss.
+    /// Returns frames per second that arrive. The number in flight is limited, so the rate has no
+    /// loss.
     pub fn rate(&mut self, duration: Duration) -> Result<Sample> {
         self.run("generate", Offered { known: 0, unknown: 0 }, duration).map(|run| run.known)
     }
 
-    /// Frames to the known name per second that arrive while others ask for unknown names, both at
-    /// a fixed rate.
+    /// Returns frames per second that arrive at the known name while other frames go to unknown
+    /// names, both sent at a fixed rate.
     pub fn flood(&mut self, offered: Offered, duration: Duration) -> Result<Run> {
         self.run("flood", offered, duration)
     }
@@ -235,7 +235,7 @@ impl Traffic {
                 std::thread::sleep(duration);
                 Ok((first, now()?))
             })();
-            // Also after a failure: the generator does not end by itself.
+            // Also after a failure, because the generator does not end by itself.
             stop(thread, running)?;
             let (first, last) = measured?;
             let seconds = (last.at - first.at).as_secs_f64();
@@ -249,7 +249,7 @@ impl Traffic {
         Ok(Run { known: Sample { value: known, sent, lost }, unknown })
     }
 
-    /// Frames that do not arrive even when waited for.
+    /// Returns the number of frames that have not arrived after the timeout.
     fn lost(&self, before: u64, sent: u64) -> Result<u64> {
         let missing = || -> Result<u64> { Ok(sent - (self.sink.arrived()? - before)) };
         let all = wait_for("the last frames", TIMEOUT, || Ok((missing()? == 0).then_some(0)));
@@ -257,15 +257,15 @@ impl Traffic {
     }
 }
 
-/// What was counted until a moment.
+/// Counters at one time.
 struct Timestamps {
     arrived: u64,
-    /// But for a constant.
+    /// Frames to unknown names, plus a constant.
     unknown: u64,
     at: Instant,
 }
 
-/// What became of the frames of a flood.
+/// The result of a flood.
 #[derive(Clone, Copy, Debug)]
 pub struct Run {
     pub known: Sample,
@@ -292,14 +292,14 @@ impl Frames {
         }
     }
 
-    /// Frames the kernel sends at a time: no more than may be under way, because it asks for the
-    /// others in vain.
+    /// Returns the number of frames that the kernel sends at a time. It must not exceed the window:
+    /// the generator drops the excess frames.
     fn batch(&self) -> u32 {
         (self.spread.window / self.spread.copies).clamp(1, BATCH) as u32
     }
 }
 
-/// The kernel ends a test run early only for a signal.
+/// Sends until a signal arrives; the kernel ends a test run early for no other reason.
 fn send_until_signalled(generator: &mut Xdp, frames: &Frames) -> Result<()> {
     cpu::pin(cpu::SENDER)?;
     let mut options = TestRunOptions::new();
@@ -317,7 +317,7 @@ fn stop(thread: libc::pthread_t, running: ScopedJoinHandle<Result<()>>) -> Resul
     extern "C" fn nothing(_: libc::c_int) {}
     // SAFETY: the handler does nothing, which is async-signal-safe.
     unsafe { libc::signal(libc::SIGUSR1, nothing as *const () as libc::sighandler_t) };
-    // Once is not enough if the thread is just on its way into the kernel.
+    // One signal is not enough if the thread is just entering the kernel.
     wait_for("the generator to end", Duration::from_secs(5), || {
         // SAFETY: the thread is not joined yet, so its handle is valid.
         unsafe { libc::pthread_kill(thread, libc::SIGUSR1) };

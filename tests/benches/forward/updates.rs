@@ -1,10 +1,10 @@
-//! Whether live frames are forwarded as fast while routes change: through one XDP switch with a
-//! million other names, beside a thread that replaces their routes, and the frames' own, through
+//! Measures whether live frames are forwarded as fast while routes change. The path is one XDP
+//! switch with a million other names. A thread replaces their routes, and the frames' own, through
 //! the mapping as fast as it can.
 //!
-//! The generator, and with it the switch, has one CPU; that thread another. What a busy neighbour
-//! costs by itself (shared caches and memory, a shared core where the two CPUs are threads of one)
-//! is measured as well: the same changes to a FIB that nobody reads.
+//! The generator, and with it the switch, has one CPU; the thread has another. A busy neighbour has
+//! its own cost: shared caches and memory, or a shared core with two hardware threads. A second
+//! measurement therefore makes the same changes to a FIB without readers.
 
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -23,11 +23,11 @@ use crate::switch::{LEFT, Medium, RIGHT, TOPIC, link};
 use crate::traffic::Traffic;
 use crate::{Bench, lookups};
 
-/// What the FIB holds when it is full: the name of the frames, and others.
+/// Capacity of the FIB when full: the name of the frames, and others.
 const CAPACITY: u32 = 1 << 20;
 const OTHERS: u64 = CAPACITY as u64 - 1;
 
-/// The frames' own route changes once in so many.
+/// The frames' own route changes once per this many routes.
 const PART: usize = 4096;
 
 const IDLE: &str = "no changes";
@@ -71,14 +71,14 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
         .compare(CHANGING, IDLE, |_| Some(Aim::AtLeast(0.9)))
         .compare(ELSEWHERE, IDLE, |_| None)
         .compare(CHANGING, ELSEWHERE, |_| None);
-    // The first round was to warm up.
+    // The first round warms up.
     let changed = vec![Measure::new("routes changed", "meanwhile", changed.into_inner().split_off(1))];
     let changes = Figure::new("live-updates-rate", "Routes changed meanwhile", Unit::NamesPerSecond, changed);
     Ok(vec![figure, changes])
 }
 
-/// A switch between the two interfaces of a node. Its FIB is written without what a daemon keeps
-/// besides, so as fast as can be.
+/// Starts a switch between the two interfaces of a node. Its FIB is written without the daemon's
+/// own tables, and therefore as fast as possible.
 fn start(path: &Path, bench: &Bench) -> Result<KernelPlane> {
     let _inside = path.first_hop().enter()?;
     let mut plane = KernelPlane::load(&bench.ebpf_object, CAPACITY)?;
@@ -94,8 +94,7 @@ fn start(path: &Path, bench: &Bench) -> Result<KernelPlane> {
     Ok(plane)
 }
 
-/// What `measure` finds beside a thread that changes routes, and how many of them changed in a
-/// second.
+/// Returns the result of `measure` while a thread changes routes, and the changes per second.
 fn while_changing(
     plane: &mut KernelPlane,
     versions: &[Routes; 2],

@@ -1,6 +1,6 @@
-//! How frames get from one endpoint to another on the switch's own host: one-way latency and frames
-//! per second, three ways. Run by `cargo xtask bench local`; needs root, though of the endpoints
-//! only those on packet sockets do.
+//! One-way latency and frames per second between two endpoints on the switch's own host, over three
+//! paths. Run by `cargo xtask bench local`. The benchmark needs root; among the endpoints, only
+//! those on packet sockets need it.
 //!
 //! ```text
 //!  daemon   writer ── lo ── userspace plane ── lo ── reader                 (UDP)
@@ -8,9 +8,9 @@
 //!  pair     writer ── gdp…h ═ gdp…s ── XDP ── gdp…s ═ gdp…h ── reader       (UDP)
 //! ```
 //!
-//! No daemons: the tables are what a RIB would have installed, put there through the same `Planes`;
-//! the sockets are those of the SDK. All ways exist at once and are measured in turn; a ratio is
-//! the median of the rounds' ratios.
+//! No daemons run: the tables are what a RIB would install, written through the same `Planes`. The
+//! sockets are those of the SDK. All paths exist at once and are measured in turn; a ratio is the
+//! median of the rounds' ratios.
 
 mod way;
 
@@ -45,11 +45,11 @@ struct Options {
 #[derive(Serialize)]
 struct Row {
     kind: Kind,
-    /// One way, of single frames at 2 kHz, in microseconds: medians of the rounds' median and 99th
-    /// percentile.
+    /// One-way latency in microseconds of single frames at 2 kHz: medians of the rounds' median and
+    /// 99th percentile.
     p50_us: f64,
     p99_us: f64,
-    /// Frames of 1300 B of payload per second, so many under way that none is lost.
+    /// Frames per second with 1300 B of payload. The window is small enough that no frame is lost.
     pps: f64,
     #[serde(skip)]
     rounds: Vec<[f64; 3]>,
@@ -63,13 +63,13 @@ struct Report {
     ratios: Vec<Ratio>,
 }
 
-/// How the pair compares.
+/// Comparison of the pair with another path.
 #[derive(Serialize)]
 struct Ratio {
     with: Kind,
-    /// Latency of the pair by that of the other.
+    /// Latency of the pair divided by the other's.
     latency: f64,
-    /// Frames per second of the pair by those of the other.
+    /// Frames per second of the pair divided by the other's.
     pps: f64,
 }
 
@@ -90,7 +90,7 @@ fn main() -> Result<()> {
             let latencies = way.latencies(duration)?;
             let at = |percent: usize| latencies[(latencies.len() - 1) * percent / 100].as_nanos() as f64 / 1000.0;
             let found = [at(50), at(99), way.rate(duration)?];
-            // The first round warms caches up.
+            // The first round warms up caches.
             if round > 0 {
                 row.rounds.push(found);
             }
@@ -121,7 +121,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Of at least one value.
+/// Returns the median of at least one value.
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! One way from a writer to a reader through a switch on their host.
+//! One path from a writer to a reader through a switch on their host.
 
 use gdp_wire::hop;
 use std::net::SocketAddr;
@@ -18,7 +18,7 @@ use serde::Serialize;
 use tokio::runtime::Runtime;
 use zerocopy::IntoBytes;
 
-/// How frames go.
+/// The path of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
@@ -35,31 +35,31 @@ const KEY: [u64; 2] = [7, 0x6764_7062_656e_6368];
 const FROM: u32 = 1;
 const TO: u32 = 2;
 
-/// Between single frames.
+/// Interval between single frames.
 const PACE: Duration = Duration::from_micros(500);
 
-/// Frames under way: a veth's ring holds four times as many.
+/// Frames in flight; a veth's ring has room for four times as many.
 const WINDOW: u64 = BATCH as u64;
 
 const PAYLOAD: usize = 1300;
 
-/// How long nothing may arrive.
+/// Time without arrivals after which the test fails.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Longest datagram or frame read.
+/// The longest datagram or frame that is read.
 const LONGEST: usize = 2048;
 
 pub struct Way {
     kind: Kind,
     writer: Arc<DataSocket>,
     reader: Arc<DataSocket>,
-    /// Where the writer sends to.
+    /// Destination of the writer's frames.
     switch: LinkAddr,
     count: u64,
     batch: RecvBatch,
     planes: Planes,
     _ports: Vec<Port>,
-    /// Its threads are in the namespace, and feed the UDP sockets.
+    /// Its threads run in the namespace and serve the UDP sockets.
     _runtime: Runtime,
     _host: Namespace,
 }
@@ -123,7 +123,7 @@ impl Way {
         self.kind
     }
 
-    /// How long single frames took, sorted.
+    /// Returns the latencies of single frames, sorted.
     pub fn latencies(&mut self, duration: Duration) -> Result<Vec<Duration>> {
         let (start, mut found) = (Instant::now(), Vec::new());
         while start.elapsed() < duration {
@@ -140,7 +140,7 @@ impl Way {
         Ok(found)
     }
 
-    /// Frames per second.
+    /// Returns frames per second.
     pub fn rate(&mut self, duration: Duration) -> Result<f64> {
         let (start, mut arrived, mut under_way) = (Instant::now(), 0, 0);
         while start.elapsed() < duration {
@@ -155,7 +155,7 @@ impl Way {
         Ok(arrived as f64 / elapsed.as_secs_f64())
     }
 
-    /// The frames took the way that was to be measured, and no other.
+    /// Fails unless the frames took the path under measurement and no other.
     pub fn check(&self) -> Result<()> {
         for (counter, kernel, userspace) in self.planes.counters()? {
             let (ours, other) = if self.kind == Kind::Daemon { (userspace, kernel) } else { (kernel, userspace) };
@@ -174,7 +174,7 @@ impl Way {
         Ok(())
     }
 
-    /// Counters that are not 0: in the kernel, in userspace.
+    /// Returns the counters that are not 0: in the kernel, in userspace.
     fn counted(&self) -> Result<Vec<(&'static str, u64, u64)>> {
         let counted = self.planes.counters()?.into_iter().filter(|(_, kernel, userspace)| kernel + userspace > 0);
         Ok(counted.map(|(counter, kernel, userspace)| (counter.as_str(), kernel, userspace)).collect())
@@ -195,7 +195,7 @@ impl Way {
         self.writer.send_batch(frames);
     }
 
-    /// Takes at least `least` frames that arrive; how many there were.
+    /// Receives at least `least` frames and returns their number.
     fn receive(&mut self, least: u64) -> Result<u64> {
         let mut received = 0;
         while received < least {
@@ -206,13 +206,13 @@ impl Way {
     }
 }
 
-/// An endpoint, and its link as the switch sees it.
+/// An endpoint, and its link from the switch's side.
 struct Endpoint {
     socket: Arc<DataSocket>,
-    /// Where it sends to.
+    /// Destination of the endpoint's frames.
     switch: LinkAddr,
     carrier: Carrier,
-    /// Where the switch sends to.
+    /// Destination of the switch's frames to the endpoint.
     at: LinkAddr,
 }
 

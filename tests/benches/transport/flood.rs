@@ -1,6 +1,7 @@
-//! Whether messages at a fixed rate get through while an attacker floods the link that they come
-//! by: frames that a key made, which the attacker has not. Both ends share one CPU; the attacker
-//! has the other. With what the floods made the receiving end drop, and what memory they cost.
+//! Measures whether messages at a fixed rate arrive while an attacker floods their link. The
+//! flood's frames are replayed, or their tag fits no key: the attacker lacks the link's keys. Both
+//! ends share one CPU; the attacker has the other. The figures also show the receiving end's drops
+//! and its memory use.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -18,12 +19,12 @@ use crate::run::Seen;
 use crate::site::{Cable, Site};
 use crate::{Bench, ours, run};
 
-/// What the attacker sends.
+/// The attacker's frames.
 #[derive(Clone, Copy)]
 enum Forgery {
-    /// A frame that was on the link before, again.
+    /// A frame that was on the link before, repeated.
     Replayed,
-    /// One with another count and a tag that fits nothing.
+    /// A frame with another counter and a tag that fits no key.
     Untagged,
 }
 
@@ -36,7 +37,7 @@ const FLOODS: [(&str, Option<(Forgery, u32)>); 4] = [
 ];
 const CALM: &str = "no flood";
 
-/// A thousand messages a second.
+/// A thousand messages per second.
 const LOAD: Load = Load { bytes: 1_000, every: Some(Duration::from_millis(1)) };
 
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
@@ -54,7 +55,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     });
     let mut measures = alternate(bench.rounds, contenders.into())?;
     let rounds = rounds.into_inner();
-    // The first round was to warm up.
+    // The first round warms up.
     let of = |series: &'static str| rounds.iter().filter(move |(of, ..)| *of == series).skip(1);
     let (mut memory, mut drops) = (Vec::new(), Vec::new());
     for (series, flood) in &FLOODS {
@@ -83,7 +84,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     ])
 }
 
-/// What was seen beside a flood, and frames of that per second.
+/// Returns the result during a flood, and the flood's frames per second.
 fn beside(site: &Site, flood: Option<(Forgery, u32)>, bench: &Bench) -> Result<(Seen, f64)> {
     let (tap, attacker) = (site.chain().wire_from_robot()?, site.chain().wire_to_cloud()?);
     let ended = AtomicBool::new(false);
@@ -103,7 +104,7 @@ fn beside(site: &Site, flood: Option<(Forgery, u32)>, bench: &Bench) -> Result<(
     })
 }
 
-/// Floods until it is to end; frames per second.
+/// Floods until `ended` is set and returns frames per second.
 fn attack(tap: &PacketSocket, attacker: &PacketSocket, forgery: Forgery, rate: u32, ended: &AtomicBool) -> Result<f64> {
     const SOON: Duration = Duration::from_secs(10);
     cpu::pin(cpu::OTHER)?;
@@ -115,7 +116,7 @@ fn attack(tap: &PacketSocket, attacker: &PacketSocket, forgery: Forgery, rate: u
             continue;
         }
         if let Forgery::Untagged = forgery {
-            // The low half of its count.
+            // The low half of the frame's counter.
             frame[ETHERNET + 12..ETHERNET + 16].copy_from_slice(&(u32::MAX / 2 + sent).to_be_bytes());
         }
         attacker.send(&frame)?;

@@ -1,4 +1,4 @@
-//! A flow of messages of one size, and what became of them.
+//! A flow of messages of one size, and its results.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -7,45 +7,45 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail};
 use parking_lot::Mutex;
 
-/// What is sent.
+/// The messages of a lane.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
-    /// Of a message; room for its time at least.
+    /// Bytes of a message; at least the size of its timestamp.
     pub bytes: usize,
-    /// From one message to the next; `None`: as soon as the one before is taken.
+    /// Interval between messages; `None`: as soon as the previous one is accepted.
     pub every: Option<Duration>,
 }
 
-/// One flow. Both ends are in this process, so they share it.
+/// One flow. Both ends are in this process and share it.
 pub struct Lane {
     load: Load,
     began: Instant,
     sent: AtomicU64,
     received: Mutex<Received>,
-    /// Of messages at a fixed rate: nanoseconds from when each was due to when it was there.
+    /// For messages at a fixed rate: nanoseconds from the due time to the arrival.
     latencies: Mutex<Vec<u64>>,
     stopped: AtomicBool,
     failure: Mutex<Option<anyhow::Error>>,
 }
 
-/// Messages so far.
+/// Messages received so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Received {
     pub count: u64,
-    /// When the last one was there, in nanoseconds.
+    /// Arrival time of the last message in nanoseconds.
     pub last: u64,
 }
 
 /// The sending end of a contender.
 pub trait Sender: Send {
-    /// Returns as soon as the next message may come.
+    /// Returns as soon as the next message can be sent.
     fn send(&mut self, body: &[u8]) -> impl Future<Output = Result<()>> + Send;
 }
 
-/// Bytes of a message's time, at its beginning.
+/// Bytes of the timestamp at the beginning of a message.
 const STAMP: usize = size_of::<u64>();
 
-/// Small messages between two turns for other tasks.
+/// Number of small messages between two yields to other tasks.
 const TURN: u64 = 32;
 
 impl Lane {
@@ -62,20 +62,20 @@ impl Lane {
         })
     }
 
-    /// Bytes of every message.
+    /// Returns the bytes of every message.
     pub fn bytes(&self) -> usize {
         self.load.bytes
     }
 
-    /// Sends until the lane is stopped, and then keeps the sender: what it has taken may still be
-    /// under way.
+    /// Sends until the lane is stopped, and then keeps the sender alive: accepted messages may
+    /// still be in flight.
     pub async fn feed(self: Arc<Self>, mut sender: impl Sender) {
         let fed = self.try_feed(&mut sender).await;
         self.note(fed);
         std::future::pending().await
     }
 
-    /// A message is there. Others than the lane's are none of its.
+    /// Records an arrival. Ignores messages of another size, which are not the lane's.
     pub fn arrived(&self, body: &[u8]) {
         if body.len() != self.load.bytes {
             return;
@@ -88,7 +88,7 @@ impl Lane {
         *received = Received { count: received.count + 1, last: now };
     }
 
-    /// Keeps the first error of either end.
+    /// Stores the first error of either end.
     pub fn note(&self, result: Result<()>) {
         if let Err(error) = result {
             self.failure.lock().get_or_insert(error);
@@ -102,7 +102,7 @@ impl Lane {
         }
     }
 
-    /// Messages so far.
+    /// Returns the number of messages sent so far.
     pub fn sent(&self) -> u64 {
         self.sent.load(Ordering::Relaxed)
     }
@@ -111,7 +111,7 @@ impl Lane {
         *self.received.lock()
     }
 
-    /// Since the last call.
+    /// Returns the latencies since the last call.
     pub fn take_latencies(&self) -> Vec<u64> {
         std::mem::take(&mut self.latencies.lock())
     }
@@ -122,7 +122,7 @@ impl Lane {
 
     async fn try_feed(&self, sender: &mut impl Sender) -> Result<()> {
         let mut body = vec![0x5a; self.load.bytes];
-        // From a tick of the timer on, which has one a millisecond.
+        // Starts at a tick of the timer, whose resolution is one millisecond.
         tokio::time::sleep(Duration::from_millis(1)).await;
         let first = self.now();
         while !self.stopped.load(Ordering::Relaxed) {
@@ -131,7 +131,7 @@ impl Lane {
             if let Some(every) = self.load.every {
                 let due = first + every.as_nanos() as u64 * number;
                 self.wait_until(due).await;
-                // A sender that is held up does not make its messages younger.
+                // A delayed sender does not make its messages younger.
                 stamp = due.min(self.now());
             } else if number.is_multiple_of(TURN) || self.load.bytes > 1000 {
                 tokio::task::yield_now().await;
@@ -143,7 +143,8 @@ impl Lane {
         Ok(())
     }
 
-    /// The timer rounds up to its tick: half of one before, it is the right one.
+    /// Waits until the due time. The timer rounds up to its tick; half a tick earlier, the rounded
+    /// tick is correct.
     async fn wait_until(&self, due: u64) {
         const HALF_A_TICK: u64 = 500_000;
         let early = self.began + Duration::from_nanos(due.saturating_sub(HALF_A_TICK));
@@ -155,7 +156,7 @@ impl Lane {
     }
 }
 
-/// Reads messages of a lane from a stream, one behind the other, until it ends.
+/// Reads consecutive messages of a lane from a stream until it ends.
 pub async fn drain(lane: &Lane, mut stream: impl tokio::io::AsyncRead + Unpin) -> Result<()> {
     let mut body = vec![0; lane.bytes()];
     loop {
@@ -164,7 +165,7 @@ pub async fn drain(lane: &Lane, mut stream: impl tokio::io::AsyncRead + Unpin) -
     }
 }
 
-/// Which lane a stream is of: its first byte.
+/// Returns the lane of a stream, which its first byte selects.
 pub async fn of<'a>(lanes: &'a [Arc<Lane>], stream: &mut (impl tokio::io::AsyncRead + Unpin)) -> Result<&'a Arc<Lane>> {
     let index = tokio::io::AsyncReadExt::read_u8(stream).await?;
     match lanes.get(usize::from(index)) {

@@ -1,5 +1,5 @@
-//! How long messages take that come at a fixed rate over a bad link: from when each was due to when
-//! it was there, in one piece and verified.
+//! Latency of messages at a fixed rate over a bad link, from each due time to the arrival of the
+//! complete, verified message.
 
 use std::cell::RefCell;
 use std::time::Duration;
@@ -15,17 +15,17 @@ use crate::run::{self, Open};
 use crate::site::{Cable, Site};
 use crate::{Bench, ours, quic, tls};
 
-/// Loads on one link. The first lane is looked at.
+/// Loads on one link. Only the first lane is evaluated.
 struct Scenario {
     name: &'static str,
     title: &'static str,
     faults: Faults,
     cases: Vec<(&'static str, Vec<Load>)>,
-    /// Of what is ours.
+    /// Aims of this SDK.
     aims: fn(Figure) -> Figure,
 }
 
-/// Who carries messages; the others also by the controller that suits links that lose.
+/// The transports; TCP and QUIC also with the congestion controller that suits lossy links.
 const ON_BAD_LINKS: [(&str, Open); 6] = [
     (ours::BEST_EFFORT, ours::best_effort),
     (ours::RELIABLE, ours::reliable),
@@ -35,19 +35,19 @@ const ON_BAD_LINKS: [(&str, Open); 6] = [
     (tls::BBR, tls::bbr),
 ];
 
-/// Of the link that loses: bits per second, nanoseconds, and what goes over it.
+/// The lossy link: bits per second, nanoseconds, and its load.
 const LOSSY_RATE: u64 = 1_000_000_000;
 const LOSSY_RTT: u64 = 50 * MILLISECOND;
 const LOSSY_BYTES: usize = 1_000_000;
 
-/// Of the link that large and small messages share.
+/// The link that large and small messages share.
 const MIXED_RATE: u64 = 500_000_000;
 const LARGEST_FRAME: usize = 1514;
 
 const MEDIAN: &str = "median";
 const SLOW: &str = "99 %";
 
-/// Small messages by themselves, and beside large ones.
+/// Small messages alone, and while large ones share the link.
 const ALONE: &str = "alone";
 const BESIDE: &str = "beside 10 MB at 10 Hz";
 
@@ -87,7 +87,7 @@ fn scenarios() -> Vec<Scenario> {
     ]
 }
 
-/// Twice what it is on the idle link, and a frame that was being sent.
+/// Aim: twice the value on the idle link, plus the transmission time of one frame.
 fn beside(figure: Figure, series: &str) -> Figure {
     let Some(alone) = figure.measure(series, &label(ALONE, SLOW)) else { return figure };
     let most = 2.0 * alone.spread.median + 1000.0 * (LARGEST_FRAME * 8) as f64 / MIXED_RATE as f64;
@@ -128,7 +128,7 @@ fn measure(scenario: Scenario, bench: &Bench) -> Result<Figure> {
         for (series, _) in ON_BAD_LINKS {
             let case = label(case, MEDIAN);
             let mine = medians.iter().filter(|(of, at, _)| *of == series && *at == case).map(|(.., value)| *value);
-            // The first was to warm up.
+            // The first round warms up.
             let rounds = mine.skip(1).collect();
             figure.measures.push(Measure::new(series, case.clone(), rounds));
         }
@@ -140,7 +140,7 @@ fn label(case: &str, which: &str) -> String {
     if case.is_empty() { which.to_owned() } else { format!("{case}, {which}") }
 }
 
-/// In milliseconds. What never arrives takes for ever.
+/// Returns a percentile in milliseconds; without arrivals it is infinite.
 fn percentile(sorted: &[u64], percent: usize) -> f64 {
     let index = sorted.len().saturating_sub(1) * percent / 100;
     sorted.get(index).map_or(f64::INFINITY, |nanoseconds| milliseconds(*nanoseconds))

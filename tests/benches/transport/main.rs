@@ -1,23 +1,22 @@
-//! Messages from one program to another: this SDK beside QUIC and beside TLS over TCP, in the same
-//! namespaces in the same run. Run by `cargo xtask bench transport`; needs root.
+//! Messages from one program to another: this SDK, QUIC, and TLS over TCP, in the same namespaces
+//! in the same run. Run by `cargo xtask bench transport`; needs root.
 //!
 //! ```text
 //!  robot r0 ── l0 s1 r0 ── [wire] ── l0 cloud        s1: the XDP switch for frames of GDP, a router for IP
 //!  CPU 0                             CPU 1
 //! ```
 //!
-//! One file a row of the figures, each a function from [`Bench`] to
+//! Each file is one row of the figures. A row is a function from [`Bench`] to
 //! [`Figure`](gdp_tests::measure::figure::Figure)s:
 //!
-//! - [`throughput`]: bytes per second by size of message, and what a gigabyte costs
+//! - [`throughput`]: bytes per second by message size, and CPU time per gigabyte
 //! - [`latency`]: messages at fixed rates over bad links
 //! - [`signing`]: messages sealed and opened per second, without a network
 //! - [`flood`]: messages at a fixed rate while an attacker floods their link
 //!
-//! They are made from [`site`] (the network and the switch), [`lane`] (what is sent, and what
-//! became of it), [`run`] (both together, for a while) and [`usage`] (CPU time and memory);
-//! [`ours`], [`quic`] and [`tls`] are the contenders, and each knows nothing but [`lane`] and
-//! [`site`].
+//! The rows use [`site`] (network and switch), [`lane`] (messages and their results), [`run`] (both
+//! together, for a while) and [`usage`] (CPU time and memory). The contenders are [`ours`],
+//! [`quic`] and [`tls`]; each depends only on [`lane`] and [`site`].
 
 mod flood;
 #[path = "../../tests/networks/inside/mod.rs"]
@@ -79,7 +78,7 @@ impl Bench {
         Duration::from_millis(self.milliseconds)
     }
 
-    /// Of a measurement at a fixed rate: messages are few.
+    /// Returns the length of a measurement at a fixed rate, which has few messages.
     fn long_duration(&self) -> Duration {
         6 * self.duration()
     }
@@ -88,7 +87,7 @@ impl Bench {
 const ROWS: [(&str, Row<Bench>); 4] =
     [("throughput", throughput::run), ("latency", latency::run), ("signing", signing::run), ("flood", flood::run)];
 
-/// Who carries messages, by the names in the figures: what is ours first.
+/// The transports by their names in the figures; this SDK's come first.
 const TRANSPORTS: [(&str, Open); 5] = [
     (ours::BEST_EFFORT, ours::best_effort),
     (ours::RELIABLE, ours::reliable),

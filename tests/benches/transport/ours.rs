@@ -1,5 +1,5 @@
-//! This SDK: a node at each end, a name for each lane. All that the benchmark knows of the SDK's
-//! transport is here.
+//! This SDK: a node at each end, a name for each lane. No other file of the benchmark depends on
+//! the SDK's transport.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,16 +20,16 @@ pub const BEST_EFFORT: &str = "gdp, best effort";
 pub const RELIABLE: &str = "gdp, reliable";
 pub const ETHERNET: &str = "gdp, reliable, Ethernet";
 
-/// Between messages that ask whether the path is there.
+/// Interval between messages that probe the path.
 const PROBES: Duration = Duration::from_millis(5);
 
-/// Beyond [`SETTLING`]: the links are not made at the same time.
+/// Margin beyond [`SETTLING`]: the links do not come up at the same time.
 const MARGIN: Duration = Duration::from_millis(200);
 
-/// What carries frames to the switch and from it.
+/// The medium of frames to the switch and from it.
 #[derive(Clone, Copy)]
 enum Over {
-    /// As with the others.
+    /// UDP, like the other contenders.
     Udp,
     Ethernet,
 }
@@ -50,7 +50,7 @@ pub fn reliable_on_ethernet(ends: &Ends, lanes: &[Arc<Lane>]) -> Result<Carrier>
     open(ends, lanes, Over::Ethernet, PublishOptions::reliable(), SubscribeOptions::reliable())
 }
 
-/// The first lane is of a higher class than those beside it.
+/// Opens the lanes. The first lane has a higher class than the others.
 fn open(
     ends: &Ends,
     lanes: &[Arc<Lane>],
@@ -106,7 +106,7 @@ fn connect(end: &End, over: Over, identity: Identity) -> Result<Node> {
 
 async fn receive(lane: Arc<Lane>, mut subscription: Subscription, first: oneshot::Sender<()>) {
     if subscription.recv().await.is_some() {
-        // Who waits for it ends later than this.
+        // The task that waits for this signal outlives this one.
         let _ = first.send(());
     }
     while let Some(message) = subscription.recv().await {
@@ -114,7 +114,7 @@ async fn receive(lane: Arc<Lane>, mut subscription: Subscription, first: oneshot
     }
 }
 
-/// The lane's messages, as soon as one gets through.
+/// Sends probes until one arrives, then the lane's messages.
 async fn send(lane: Arc<Lane>, mut sender: Ours, mut there: oneshot::Receiver<()>) {
     loop {
         lane.note(sender.send(b"?").await);
@@ -132,8 +132,8 @@ struct Ours {
 
 impl Sender for Ours {
     async fn send(&mut self, body: &[u8]) -> Result<()> {
-        // What is reliable waits for room by itself; what is not would replace what has not gone
-        // yet.
+        // A reliable publisher waits for room by itself. A best-effort one would replace messages
+        // that have not left yet.
         if !self.reliable {
             self.publisher.ready().await?;
         }

@@ -1,4 +1,4 @@
-//! QUIC (quinn): one connection, a stream for each lane, messages one behind the other.
+//! QUIC (quinn): one connection, a stream per lane, consecutive messages on it.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -13,10 +13,10 @@ use crate::run::Carrier;
 use crate::site::Ends;
 use crate::tls;
 
-/// As it comes.
+/// quinn's default congestion controller.
 pub const CUBIC: &str = "quinn";
 
-/// With the congestion controller that does not take a loss for congestion; quinn calls its own
+/// The congestion controller that does not treat loss as congestion. quinn calls its implementation
 /// experimental.
 pub const BBR: &str = "quinn (BBR)";
 

@@ -1,4 +1,4 @@
-//! A contender's messages over a site for a while.
+//! Runs a contender's messages over a site for a while.
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
@@ -13,65 +13,66 @@ use crate::lane::{Lane, Load, Received};
 use crate::site::{Ends, Site};
 use crate::usage::{self, Meter};
 
-/// Starts what carries messages from the robot to the cloud, lane by lane.
+/// Starts the carrier of messages from the robot to the cloud, lane by lane.
 pub type Open = fn(&Ends, &[Arc<Lane>]) -> Result<Carrier>;
 
 pub struct Carrier {
-    /// What the cloud has dropped so far, by reason, if it counts that.
+    /// Returns the cloud's drops so far, by reason, if it counts them.
     pub drops: Box<dyn Fn() -> Drops>,
-    /// Ends it.
+    /// Closes the carrier.
     pub close: Pin<Box<dyn Future<Output = ()> + Send>>,
 }
 
 pub type Drops = BTreeMap<&'static str, u64>;
 
 impl Carrier {
-    /// One that counts no drops.
+    /// Returns a carrier that counts no drops.
     pub fn closed_by(close: impl Future<Output = ()> + Send + 'static) -> Self {
         Self { drops: Box::new(Drops::new), close: Box::pin(close) }
     }
 }
 
-/// What was seen in a while.
+/// Results of one measurement.
 pub struct Seen {
-    /// CPUs that both ends had busy in the mean.
+    /// Mean number of CPUs that both ends kept busy.
     pub cpus: f64,
-    /// What the cloud dropped per second, by reason.
+    /// The cloud's drops per second, by reason.
     pub drops: BTreeMap<&'static str, f64>,
-    /// Bytes of memory that this process has resident, with both ends in it: as the while began,
-    /// and as it ended.
+    /// Resident bytes of this process, which contains both ends, at the beginning and at the end of
+    /// the measurement.
     pub resident: [f64; 2],
-    /// One for each lane.
+    /// One result per lane.
     pub lanes: Vec<SeenLane>,
 }
 
 pub struct SeenLane {
-    /// Messages per second, from one arrival to another, so that it does not matter what was under
-    /// way as the while began or ended.
+    /// Messages per second, from one arrival to another. Messages in flight at the beginning or end
+    /// of the measurement do not change this rate.
     pub rate: f64,
-    /// Bytes of their bodies.
+    /// Bytes of message bodies.
     pub bytes_per_second: f64,
-    /// Nanoseconds, sorted.
+    /// Latencies in nanoseconds, sorted.
     pub latencies: Vec<u64>,
-    /// Messages from the beginning to the end, also those before the while. Lost is also what came
-    /// too late for the end.
+    /// Messages from start to end, including those before the measurement. Messages that arrive too
+    /// late for the end also count as lost.
     pub sent: u64,
     pub lost: u64,
 }
 
-/// How long the first messages may take: of a transport that loses frames some sizes never arrive.
+/// Longest time until the first messages arrive. With a transport that loses frames, some sizes
+/// never arrive.
 const FIRST: Duration = Duration::from_secs(2);
 
-/// From then on until it is in its stride.
+/// Warm-up time after the first messages.
 const WARM_UP: Duration = Duration::from_millis(200);
 
-/// When nothing has arrived for so long, nothing does any more.
+/// Time without arrivals after which no more are expected.
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// How long the last messages may take.
+/// Longest time until the last messages arrive.
 const LAST: Duration = Duration::from_secs(3);
 
-/// Messages of all loads at once, for `duration`. `cpus`: of the robot, of the cloud.
+/// Sends messages of all loads at once, for `duration`. `cpus`: of the robot, of the cloud.
 pub fn run(site: &Site, open: Open, loads: &[Load], cpus: [usize; 2], duration: Duration) -> Result<Seen> {
     let ends = site.ends(cpus)?;
     let meter = Meter::new(site.chain())?;
@@ -101,7 +102,7 @@ pub fn run(site: &Site, open: Open, loads: &[Load], cpus: [usize; 2], duration: 
 
     lanes.iter().for_each(|lane| lane.stop());
     settle(&lanes)?;
-    // A peer that does not answer is no concern of what was measured.
+    // A peer that does not answer does not affect the measurement.
     let closed = async { tokio::time::timeout(FIRST, close).await };
     let _ = ends.robot.inside.runtime.block_on(closed);
     let seen = lanes.iter().zip(before).zip(after).map(|((lane, before), after)| {
@@ -115,7 +116,7 @@ pub fn run(site: &Site, open: Open, loads: &[Load], cpus: [usize; 2], duration: 
     Ok(Seen { cpus, drops, resident, lanes: seen.collect() })
 }
 
-/// Waits until no more arrives.
+/// Waits until no more messages arrive.
 fn settle(lanes: &[Arc<Lane>]) -> Result<()> {
     let count = || lanes.iter().map(|lane| lane.received().count).sum::<u64>();
     let (mut last, mut since, begun) = (count(), Instant::now(), Instant::now());
@@ -129,7 +130,7 @@ fn settle(lanes: &[Arc<Lane>]) -> Result<()> {
 }
 
 impl SeenLane {
-    /// With its losses.
+    /// Returns a sample with the lane's losses.
     pub fn sample(&self, value: f64) -> Sample {
         Sample { value, sent: self.sent, lost: self.lost }
     }

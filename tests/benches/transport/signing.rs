@@ -1,5 +1,5 @@
-//! Signed messages of 64 B per second, straight through `gdp_e2e::seal` on one CPU: sealed and
-//! signed in batches, opened and verified.
+//! Signed messages of 64 B per second, directly through `gdp_e2e::seal` on one CPU. One case seals
+//! and signs in batches, the other opens and verifies.
 
 use std::time::{Duration, Instant};
 
@@ -15,20 +15,20 @@ use gdp_wire::Name;
 
 use crate::Bench;
 
-/// When all is signed and read.
+/// The time of all signing and reading.
 const UNIX_NS: u64 = 1;
 
 const BODY: [u8; 64] = [0x5a; 64];
 
-/// Of a frame on a link of 1500 B.
+/// Payload bytes of a frame on a link of 1500 B.
 const PAYLOAD: usize = 1400;
 
 const EPOCH: u32 = 1;
 
-/// Messages under one signature.
+/// Messages per signature.
 const BATCHES: [usize; 5] = [1, 8, 64, 256, 1024];
 
-/// Signed messages per second that the largest batches are to reach.
+/// Aim of the largest batches: signed messages per second.
 const ENOUGH: f64 = 300_000.0;
 
 const SEALED: &str = "sealed and signed";
@@ -63,7 +63,7 @@ fn case(batch: usize) -> String {
     }
 }
 
-/// Which half is timed.
+/// The half that is timed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum What {
     Seal,
@@ -92,7 +92,7 @@ impl Pair {
         Ok(Self { writer, reader, from, batch, segments: Segments::new() })
     }
 
-    /// Messages per second of the half that is timed; the other one is done beside it.
+    /// Returns messages per second of the timed half; the other half runs untimed.
     fn rate(&mut self, what: What, duration: Duration) -> Result<Sample> {
         let messages = vec![Draft::new(Encoding::Bytes, &BODY); self.batch];
         let (mut spent, mut count, mut out) = (Duration::ZERO, 0, Received::default());

@@ -1,4 +1,4 @@
-//! The network of all contenders, and the switch in it.
+//! The network of all contenders, and its switch.
 
 use std::net::{Ipv4Addr, SocketAddr};
 
@@ -15,43 +15,42 @@ use gdp_tests::wire::Wire;
 use crate::Bench;
 use crate::inside::{Inside, ROOT};
 
-/// What is between the switch and the cloud.
+/// The cable between the switch and the cloud.
 pub enum Cable {
-    /// Nothing: the fastest there is.
+    /// A plain cable, the fastest.
     Plain,
-    /// A bridge, where an attacker may sit.
+    /// A bridge with a port for an attacker.
     Tapped,
-    /// A bad link, the same both ways.
+    /// A bad link with the same faults in both directions.
     Bad(Faults),
 }
 
 /// Robot, switch and cloud.
 pub struct Site {
-    // Order is the order of the end.
+    // Fields drop in this order.
     switch: Option<(Running, Inside)>,
     wire: Option<Wire>,
     chain: Chain,
     _files: tempfile::TempDir,
 }
 
-/// One end with what runs there: a single thread that stays on its CPU, as do the threads that it
-/// starts.
+/// One end and its tasks: a single thread on one CPU. Threads that it starts stay on that CPU too.
 pub struct End {
     pub inside: Inside,
-    /// Its interface.
+    /// The end's interface.
     pub interface: &'static str,
     pub address: Ipv4Addr,
-    /// Where the switch takes frames over UDP.
+    /// The switch's address for frames over UDP.
     pub switch: SocketAddr,
 }
 
-/// Where messages come from, and where they go.
+/// The source and the destination of messages.
 pub struct Ends {
     pub robot: End,
     pub cloud: End,
 }
 
-/// Of the switch, for frames over UDP.
+/// The switch's UDP port for frames.
 const PORT: u16 = 31_415;
 
 const SEED: u64 = 12;
@@ -89,11 +88,11 @@ impl Site {
         Ok(Self { switch: Some((running, inside)), wire, chain, _files: files })
     }
 
-    /// New ends on these CPUs.
+    /// Returns new ends on these CPUs.
     pub fn ends(&self, [robot, cloud]: [usize; 2]) -> Result<Ends> {
         let (from, to) = self.chain.ip_ends();
-        // Its address on either subnet: the switch is the second host of the robot's, and the first
-        // of the cloud's.
+        // The switch's address on either subnet: it is the second host of the robot's, and the
+        // first of the cloud's.
         let [from, to]: [Ipv4Addr; 2] = [from.parse()?, to.parse()?];
         let switch = |end: Ipv4Addr, host| (Ipv4Addr::from_octets([10, 9, end.octets()[2], host]), PORT).into();
         let end = |namespace: &Namespace, cpu, interface, address, switch| {
@@ -109,8 +108,8 @@ impl Site {
         &self.chain
     }
 
-    /// Nothing was lost but by what was measured: a bad cable kept up with its frames, and the
-    /// switch with those of GDP.
+    /// Fails if the harness lost frames: a bad cable kept up with its frames, and the switch with
+    /// GDP frames.
     pub fn check(&self) -> Result<()> {
         if let Some(wire) = &self.wire {
             wire.check()?;

@@ -1,5 +1,5 @@
-//! Bytes per second of messages of one size, each sent as soon as the one before is taken, and the
-//! CPU time that a gigabyte costs both ends. Only complete messages count.
+//! Bytes per second of messages of one size, each sent as soon as the previous one is accepted.
+//! Also the CPU time of both ends per gigabyte. Only complete messages count.
 
 use std::cell::RefCell;
 
@@ -16,7 +16,7 @@ use crate::{Bench, TRANSPORTS, ours, quic, run, tls};
 const SIZES: [(&str, usize); 6] =
     [("64 B", 64), ("1 kB", 1_000), ("8 kB", 8_000), ("64 kB", 64_000), ("1 MB", 1_000_000), ("10 MB", 10_000_000)];
 
-/// From here on we are to be ahead of QUIC.
+/// From this size in bytes on, the aim is to be faster than QUIC.
 const LARGE: usize = 64_000;
 
 pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
@@ -40,7 +40,7 @@ pub fn run(bench: &Bench) -> Result<Vec<Figure>> {
     let costs = costs.into_inner();
     let costs = SIZES.iter().flat_map(|(case, _)| TRANSPORTS.map(|(series, _)| (series, *case))).filter_map(|of| {
         let rounds = costs.iter().filter(|(series, case, _)| (*series, *case) == of).map(|(.., cost)| *cost);
-        // The first was to warm up. Where nothing arrives, nothing has a price.
+        // The first round warms up. Without arrivals there is no cost per gigabyte.
         let rounds: Vec<f64> = rounds.skip(1).collect();
         rounds.iter().all(|cost| cost.is_finite()).then(|| Measure::new(of.0, of.1, rounds))
     });

@@ -1,4 +1,4 @@
-//! TLS 1.3 over TCP (rustls, tokio): a connection for each lane, messages one behind the other.
+//! TLS 1.3 over TCP (rustls, tokio): a connection per lane, consecutive messages on it.
 
 use std::net::SocketAddr;
 use std::os::fd::AsRawFd;
@@ -14,13 +14,13 @@ use crate::lane::{self, Lane, Sender};
 use crate::run::Carrier;
 use crate::site::Ends;
 
-/// With the congestion controller that is Linux's default.
+/// Linux's default congestion controller.
 pub const CUBIC: &str = "TCP + TLS";
 
-/// With the one that does not take a loss for congestion.
+/// The congestion controller that does not treat loss as congestion.
 pub const BBR: &str = "TCP (BBR) + TLS";
 
-/// Whom the cloud proves to be, here and over QUIC.
+/// The name in the cloud's certificate, here and over QUIC.
 pub const CLOUD: &str = "cloud";
 
 const PORT: u16 = 4443;
@@ -57,7 +57,7 @@ fn open(ends: &Ends, lanes: &[Arc<Lane>], congestion: &'static str) -> Result<Ca
         let stream = ends.robot.inside.run(connect)??;
         ends.robot.inside.runtime.spawn(lane.clone().feed(stream));
     }
-    // Whoever drops the sockets closes them.
+    // Dropping the sockets closes them.
     Ok(Carrier::closed_by(async {}))
 }
 
@@ -71,7 +71,7 @@ fn control(stream: &TcpStream, congestion: &str) -> Result<()> {
     Ok(())
 }
 
-/// For both sides, with a new key.
+/// Returns the configurations of both sides, with a new key.
 pub fn configs() -> Result<(rustls::ServerConfig, rustls::ClientConfig)> {
     let certified = rcgen::generate_simple_self_signed([CLOUD.to_owned()])?;
     let (certificate, key) = (certified.cert.der().clone(), certified.signing_key.serialize_der());

@@ -1,6 +1,7 @@
-//! Memory of this process, and CPU time: of this process's threads in a site's namespaces, and of
-//! the kernel's threads that finish what interrupts began. What an interrupt does itself is counted
-//! to the thread that it interrupts, which is one of those on an otherwise idle machine.
+//! Memory of this process, and CPU time. CPU time covers the process's threads in a site's
+//! namespaces, and the kernel's threads that finish the work of interrupts. The kernel charges an
+//! interrupt's own time to the thread it interrupts. On an otherwise idle machine, that is a
+//! measured thread.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -10,11 +11,11 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use gdp_tests::chain::Chain;
 
-/// Whose time is taken.
+/// The threads whose time is measured.
 pub struct Meter {
     /// Inodes of the namespaces.
     namespaces: Vec<u64>,
-    /// Folders in `/proc`.
+    /// Folders of kernel threads in `/proc`.
     kernel: Vec<PathBuf>,
 }
 
@@ -29,8 +30,8 @@ impl Meter {
         Ok(Self { namespaces, kernel: processes.filter(is_softirq).collect() })
     }
 
-    /// Since the threads began. Of a thread that ends nothing is left, so none should between two
-    /// calls.
+    /// Returns the CPU time since the threads began. A thread that has ended no longer counts, so
+    /// no thread should end between two calls.
     pub fn total(&self) -> Result<Duration> {
         let mut total = Duration::ZERO;
         for entry in fs::read_dir("/proc/self/task")? {
@@ -44,7 +45,7 @@ impl Meter {
     }
 }
 
-/// Bytes of memory that this process has resident.
+/// Returns the resident bytes of this process.
 pub fn resident() -> Result<f64> {
     let status = fs::read_to_string("/proc/self/status")?;
     let kilobytes = status.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));

@@ -111,7 +111,7 @@ impl Frame {
 }
 
 /// Returns the hop tag: SipHash-2-4 over the header without bytes 16 to 23, the tag's own field.
-/// The high half of the link counter is combined with the link id.
+/// The link id is first XORed with the high half of the link counter.
 pub fn hop_tag(key: [u64; 2], count: u64, header: &[u8; 96]) -> u64 {
     let mut header = *header;
     for (byte, high) in header[8..12].iter_mut().zip(((count >> 32) as u32).to_be_bytes()) {
