@@ -47,7 +47,7 @@ struct Pattern {
     /// Frames of [`generate`] that are under way at most, by what is to arrive.
     window: u64,
     /// Not 0: frames go nowhere, and count as arrived.
-    kept: u64,
+    discard: u64,
 }
 
 #[map]
@@ -173,7 +173,7 @@ fn send(context: &XdpContext, destination: Option<Name>) -> u32 {
     *count += 1;
     hop::stamp(header, link, *count);
     header.set_tag(header.tag() & pattern.tag_mask);
-    if pattern.kept != 0 {
+    if pattern.discard != 0 {
         return arrive();
     }
     OUT.redirect(0, XDP_DROP.into()).unwrap_or(XDP_ABORTED)

@@ -10,7 +10,7 @@ use gdp_wire::{FibEntry, Name, flat};
 
 use crate::{bench_names, fib};
 
-/// Of a packet, from its beginning. The programs write all but `mask` and `kept`.
+/// Of a packet, from its beginning. The programs write all but `mask` and `stored`.
 #[repr(C)]
 struct Question {
     ethernet: [u64; 2],
@@ -19,7 +19,7 @@ struct Question {
     /// One less than the number of names to choose from, which is a power of two.
     mask: u64,
     /// Names from 0 on that must be found.
-    kept: u64,
+    stored: u64,
     name: [u64; 4],
 }
 
@@ -66,7 +66,7 @@ fn ask(context: &XdpContext, look_up: impl Fn(&Name, u64) -> Option<FibEntry>) -
     let found = match look_up(name, number) {
         Some(entry) if bench_names::is_route(number, flat::to_words(entry)) => 0,
         Some(_) => 1,
-        None if number < question.kept => 2,
+        None if number < question.stored => 2,
         None => return XDP_DROP,
     };
     let Some(counts) = FOUND.get_ptr_mut(0) else { return XDP_ABORTED };

@@ -69,7 +69,7 @@ impl Label {
 
     /// Which of the copies this is, that now leaves by `interface`. To be asked once for each.
     #[inline(always)]
-    pub fn place(&self, interface: u32) -> Option<GroupSlot> {
+    pub fn slot(&self, interface: u32) -> Option<GroupSlot> {
         let [low, middle, high] = self.sequence.map(u64::from);
         let sequence = low | middle << 16 | high << 32;
         // SAFETY: this CPU's part of an element that stays while its interface takes frames; nobody

@@ -30,7 +30,7 @@ static SERVED: Array<u64> = Array::with_max_entries(MAX_GROUPS, 0);
 
 /// Values are link ids. Most groups are small, so elements are allocated as they are needed.
 #[map]
-static PLACES: HashMap<GroupSlot, u32> = HashMap::with_max_entries(MAX_GROUPS * MAX_COPIES, BPF_F_NO_PREALLOC);
+static SLOTS: HashMap<GroupSlot, u32> = HashMap::with_max_entries(MAX_GROUPS * MAX_COPIES, BPF_F_NO_PREALLOC);
 
 /// The egress bits that the kernel can copy frames for; this switch's own bit is that of the local
 /// readers.
@@ -59,9 +59,9 @@ pub fn redirect(group: u32) -> bool {
 
 /// The link that gets this copy.
 #[inline(always)]
-pub fn link_at(place: &GroupSlot) -> Option<u32> {
+pub fn link_at(slot: &GroupSlot) -> Option<u32> {
     // SAFETY: the value is read at once; an element that is freed meanwhile stays readable until
     // the program ends, as an id of a link that then is another's or nobody's: the copy is of the
     // same name, and for it as for any reader just gone.
-    PLACES.get_ptr(place).map(|link| unsafe { *link })
+    SLOTS.get_ptr(slot).map(|link| unsafe { *link })
 }

@@ -236,18 +236,18 @@ fn leave(context: &XdpContext) -> Departure {
     let Some(label) = Label::of(&packet) else { return Departure::Ready };
     // SAFETY: the context of a program that runs in a device map has the field.
     let interface = unsafe { (*context.ctx).egress_ifindex };
-    let Some(place) = label.place(interface) else { return Departure::Superfluous };
+    let Some(slot) = label.slot(interface) else { return Departure::Superfluous };
     let Some(header) = packet.header(ETHERNET_LEN) else { return Departure::Superfluous };
-    match copy(context, header, place) {
+    match copy(context, header, slot) {
         Some(counter) => Departure::Copied(counter),
-        None => superfluous(context, place),
+        None => superfluous(context, slot),
     }
 }
 
-/// Makes a copy the one for the link at its place; how it is then counted.
+/// Makes a copy the one for the link at its slot; how it is then counted.
 #[inline(always)]
-fn copy(context: &XdpContext, header: &mut Header, place: GroupSlot) -> Option<Counter> {
-    let link: &LinkEntry = groups::link_at(&place).and_then(links::get)?;
+fn copy(context: &XdpContext, header: &mut Header, slot: GroupSlot) -> Option<Counter> {
+    let link: &LinkEntry = groups::link_at(&slot).and_then(links::get)?;
     let ingress = links::get(header.link_id())?;
     let frame = header.frame_len();
     let tables = Maps { context, length: frame, in_one_buffer: true };
@@ -262,12 +262,12 @@ fn copy(context: &XdpContext, header: &mut Header, place: GroupSlot) -> Option<C
     let traffic = Header::ip_traffic(header.flags);
     let can_ask = link.port != PORT_ROUTED || next_hop::asks_at_egress();
     let mut hop = NextHop::default();
-    let leaves_here = can_ask && tables.resolve(link, &mut hop) && hop.port == place.interface;
+    let leaves_here = can_ask && tables.resolve(link, &mut hop) && hop.port == slot.interface;
     if leaves_here && carrier::exchange(context, ETHERNET_LEN, frame, 0, traffic, link, &hop) {
         return Some(counter);
     }
     if link.port == PORT_ROUTED {
-        groups::suspend(place.group);
+        groups::suspend(slot.group);
     }
     counters::count(Counter::RedirectFailed);
     None
@@ -285,12 +285,12 @@ fn route(context: &XdpContext) -> Option<u32> {
 }
 
 #[inline(always)]
-fn superfluous(context: &XdpContext, place: GroupSlot) -> Departure {
-    let next = GroupSlot { index: place.index + 1, ..place };
+fn superfluous(context: &XdpContext, slot: GroupSlot) -> Departure {
+    let next = GroupSlot { index: slot.index + 1, ..slot };
     if groups::link_at(&next).is_none() && copies::make_discardable(context) {
         Departure::Filler
     } else {
-        copies::count_superfluous(place.interface);
+        copies::count_superfluous(slot.interface);
         Departure::Superfluous
     }
 }

@@ -138,7 +138,7 @@ impl KernelPlane {
         let windows: Array<MapData, [u64; WORDS]> = maps.take("WINDOWS")?;
         let complaints: Array<MapData, u64> = maps.take("COMPLAINTS")?;
         let punts: Array<MapData, u64> = maps.take("PUNTS")?;
-        let groups = GroupMaps { groups, served: maps.take("SERVED")?, slots: maps.take("PLACES")? };
+        let groups = GroupMaps { groups, served: maps.take("SERVED")?, slots: maps.take("SLOTS")? };
         let groups = KernelGroups::open(groups, of_groups, pins.as_ref().map(|pins| pins.folder().to_owned()))?;
         let shared = LinkMaps { counts: &tx_counters, windows: &windows, complaints: &complaints, punts: &punts };
         Ok(Self {

@@ -146,10 +146,10 @@ impl KernelGroups {
         let slots = &mut self.maps.slots;
         match *step {
             Step::Occupy { interface, index, link } => {
-                slots.insert(GroupSlot { group, interface, index }, link, 0).map_err(update("PLACES"))
+                slots.insert(GroupSlot { group, interface, index }, link, 0).map_err(update("SLOTS"))
             }
             Step::Vacate { interface, index } => {
-                removed(slots.remove(&GroupSlot { group, interface, index })).map_err(update("PLACES"))
+                removed(slots.remove(&GroupSlot { group, interface, index })).map_err(update("SLOTS"))
             }
             Step::AddKey { key, interface } => keys
                 .insert(key, interface, Some(&self.egress), 0)
@@ -161,9 +161,9 @@ impl KernelGroups {
 
     /// Removes all keys and slots of a group.
     fn clear(&mut self, number: u32) -> Result<(), UpdateError> {
-        let slots: Vec<GroupSlot> = self.maps.slots.keys().collect::<Result<_, _>>().map_err(update("PLACES"))?;
+        let slots: Vec<GroupSlot> = self.maps.slots.keys().collect::<Result<_, _>>().map_err(update("SLOTS"))?;
         for slot in slots.iter().filter(|slot| slot.group == number) {
-            removed(self.maps.slots.remove(slot)).map_err(update("PLACES"))?;
+            removed(self.maps.slots.remove(slot)).map_err(update("SLOTS"))?;
         }
         let Some(group) = self.groups.get_mut(&number) else { return Ok(()) };
         for (key, _) in keys_of(&group.keys).map_err(update("GROUPS"))? {

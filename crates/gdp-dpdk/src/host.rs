@@ -18,7 +18,7 @@ pub const WAITING: usize = 1024;
 
 /// Queue of packets to the kernel.
 #[derive(Clone)]
-pub struct ToHost(SyncSender<Told>);
+pub struct ToHost(SyncSender<ToTap>);
 
 /// The thread of [`ToHost`]. Dropping it waits until the last clone of [`ToHost`] is dropped and
 /// its queue is empty.
@@ -33,37 +33,37 @@ impl Drop for Giver {
 }
 
 /// Command to the thread.
-enum Told {
+enum ToTap {
     Packet(u32, Mbuf),
-    Come(u32, Arc<Tap>),
+    Opened(u32, Arc<Tap>),
     /// Removes a port. The sender acknowledges it.
-    Gone(u32, SyncSender<()>),
+    Closed(u32, SyncSender<()>),
 }
 
 impl ToHost {
     pub fn start() -> io::Result<(Self, Giver)> {
-        let (sender, told) = mpsc::sync_channel(WAITING);
-        let thread = std::thread::Builder::new().name("gdp-to-host".into()).spawn(move || give_all(told))?;
+        let (sender, messages) = mpsc::sync_channel(WAITING);
+        let thread = std::thread::Builder::new().name("gdp-to-host".into()).spawn(move || give_all(messages))?;
         Ok((Self(sender), Giver(Some(thread))))
     }
 
     /// Queues a packet that arrived at a port for the kernel. Returns `false` if the queue is full;
     /// the packet is then lost.
     pub fn give(&self, port: u32, mbuf: Mbuf) -> bool {
-        self.0.try_send(Told::Packet(port, mbuf)).is_ok()
+        self.0.try_send(ToTap::Packet(port, mbuf)).is_ok()
     }
 }
 
-fn give_all(told: Receiver<Told>) {
+fn give_all(messages: Receiver<ToTap>) {
     let mut taps: HashMap<u32, Arc<Tap>> = HashMap::new();
-    for told in told {
-        match told {
-            Told::Come(port, tap) => _ = taps.insert(port, tap),
-            Told::Gone(port, answer) => {
+    for message in messages {
+        match message {
+            ToTap::Opened(port, tap) => _ = taps.insert(port, tap),
+            ToTap::Closed(port, answer) => {
                 taps.remove(&port);
                 let _ = answer.send(());
             }
-            Told::Packet(port, mbuf) => {
+            ToTap::Packet(port, mbuf) => {
                 // The devices used here deliver packets in one segment.
                 let Some(tap) = taps.get(&port).filter(|_| mbuf.is_linear()) else { continue };
                 // The kernel counts packets that it refuses, as on any interface, for example while
@@ -91,7 +91,7 @@ impl Host {
         let of = tap.clone();
         let take = move || take_all(&of, stopped.as_fd(), &pool, lane);
         let thread = std::thread::Builder::new().name("gdp-from-host".into()).spawn(take)?;
-        let _ = to_host.0.send(Told::Come(port, tap));
+        let _ = to_host.0.send(ToTap::Opened(port, tap));
         Ok(Self { stop, to_host, port, thread: Some(thread) })
     }
 }
@@ -99,7 +99,7 @@ impl Host {
 impl Drop for Host {
     fn drop(&mut self) {
         let (answer, answered) = mpsc::sync_channel(1);
-        if self.to_host.0.send(Told::Gone(self.port, answer)).is_ok() {
+        if self.to_host.0.send(ToTap::Closed(self.port, answer)).is_ok() {
             let _ = answered.recv();
         }
         let one = 1u64;

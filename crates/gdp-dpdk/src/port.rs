@@ -13,7 +13,7 @@ const DESCRIPTORS: u16 = 1024;
 
 /// Maximum number of packets in a queue. The rings of `net_af_xdp` have this size, regardless of
 /// the requested size.
-pub(crate) const HELD: usize = 2048;
+pub(crate) const MAX_QUEUED: usize = 2048;
 
 /// MTU of a device that cannot be set to another.
 const DEFAULT_MTU: u16 = 1500;
@@ -139,7 +139,7 @@ impl Port {
         // From here on, dropping `device` releases the device.
         let receives = config.receive_queues.clamp(1, info.max_rx_queues.max(1));
         let sends = config.send_queues.clamp(1, info.max_tx_queues.max(1));
-        let mtu = told(&info, config.mtu).map_err(|most| {
+        let mtu = configured_mtu(&info, config.mtu).map_err(|most| {
             let what = what(&format!("it takes no MTU of {}, but one from {} to {most}", config.mtu, info.min_mtu));
             DpdkError::new(what, libc::EINVAL).with_remedy("; choose another `mtu` for it")
         })?;
@@ -267,7 +267,7 @@ fn mac(port: u16) -> Result<[u8; 6], i32> {
 
 /// Returns the MTU to configure if the device supports this MTU; otherwise the largest MTU it
 /// supports.
-fn told(info: &sys::rte_eth_dev_info, mtu: u16) -> Result<u16, u16> {
+fn configured_mtu(info: &sys::rte_eth_dev_info, mtu: u16) -> Result<u16, u16> {
     // SAFETY: this is the name of a loaded driver.
     let driver = unsafe { CStr::from_ptr(info.driver_name) };
     // This driver reports 1518 bytes regardless of its frame size, and ignores its MTU.

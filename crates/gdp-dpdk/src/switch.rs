@@ -21,7 +21,7 @@ use crate::idle::Idle;
 use crate::lane::TxLane;
 use crate::local::Local;
 use crate::mbuf::{Burst, CACHED, Pool};
-use crate::port::{HELD, Port, PortConfig, PortCounters, Receive, Send};
+use crate::port::{MAX_QUEUED, Port, PortConfig, PortCounters, Receive, Send};
 use crate::tap::Tap;
 use crate::view::Reader;
 use crate::worker::{Command, LoopPort, Worker};
@@ -106,11 +106,11 @@ impl Switch {
         };
         let mut loops = Vec::new();
         for core in cores {
-            let (commands, told) = mpsc::channel();
+            let (commands, received) = mpsc::channel();
             let counters: Arc<[AtomicU64; Counter::COUNT]> = Arc::new([const { AtomicU64::new(0) }; Counter::COUNT]);
             let clock = Arc::new(AtomicI32::new(0));
             let worker = Worker::new(
-                told,
+                received,
                 (reader(), local.clone()),
                 (host.clone(), pool.clone()),
                 counters.clone(),
@@ -267,7 +267,7 @@ fn wait(answers: Vec<Receiver<()>>) -> Result<(), SwitchError> {
 /// Returns the number of packet buffers that all port queues, the loops and the host queue may
 /// occupy. With fewer, transmit queues could leave no buffers for receiving.
 fn packets(ports: usize, loops: usize) -> u32 {
-    let queues = ports * (loops + loops + 1) * HELD;
+    let queues = ports * (loops + loops + 1) * MAX_QUEUED;
     let under_way = loops * (CACHED + Burst::SIZE * (ports + 2));
     // A pool performs best with a power of two minus one.
     ((queues + under_way + WAITING).next_power_of_two() - 1) as u32

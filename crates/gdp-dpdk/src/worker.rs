@@ -35,7 +35,7 @@ pub struct LoopPort {
 
 /// State of a loop.
 pub struct Worker<R> {
-    told: Receiver<Command>,
+    commands: Receiver<Command>,
     reader: R,
     local: Arc<ArcSwap<Local>>,
     forwarding: Forwarding,
@@ -49,14 +49,14 @@ pub struct Worker<R> {
 
 impl<R: Reader> Worker<R> {
     pub fn new(
-        told: Receiver<Command>,
+        commands: Receiver<Command>,
         (reader, local): (R, Arc<ArcSwap<Local>>),
         (host, pool): (ToHost, Pool),
         counters: Arc<[AtomicU64; Counter::COUNT]>,
         idle: Idle,
     ) -> Self {
         Self {
-            told,
+            commands,
             reader,
             local,
             forwarding: Forwarding::new(pool),
@@ -80,7 +80,7 @@ impl<R: Reader> Worker<R> {
         let (mut burst, mut vain) = (Burst::new(), 0u32);
         let mut local = arc_swap::Cache::new(self.local.clone());
         loop {
-            match self.told.try_recv() {
+            match self.commands.try_recv() {
                 Ok(command) => self.obey(command),
                 Err(TryRecvError::Empty) => {}
                 Err(TryRecvError::Disconnected) => return,

@@ -51,13 +51,13 @@ pub fn load(object: &Path, names: u32) -> Result<(Lookups, Fib, Hash)> {
 
 impl Lookups {
     /// Looks up `times` random names of the first `names`, a power of two. Of these, the first
-    /// `kept` must be found. Returns nanoseconds per lookup, including the cost of making the name
+    /// `stored` must be found. Returns nanoseconds per lookup, including the cost of making the name
     /// and of a test run.
-    pub fn run(&mut self, program: &str, names: u64, kept: u64, times: u32) -> Result<(f64, Found)> {
+    pub fn run(&mut self, program: &str, names: u64, stored: u64, times: u32) -> Result<(f64, Found)> {
         let before = self.found()?;
         let mut packet = [0; 128];
         packet[24..32].copy_from_slice(&(names - 1).to_ne_bytes());
-        packet[32..40].copy_from_slice(&kept.to_ne_bytes());
+        packet[32..40].copy_from_slice(&stored.to_ne_bytes());
         let mut options = TestRunOptions::new();
         options.data_in = Some(&packet);
         options.repeat = times;

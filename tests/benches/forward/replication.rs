@@ -75,15 +75,15 @@ const ONE: &str = "1 reader";
 
 fn topics() -> Vec<Topic> {
     let single = Topic { series: SINGLE, case: ONE.to_owned(), readers: apart(1), spread: Spread::SINGLE };
-    let kept = Spread { kept: true, ..Spread::SINGLE };
-    let alone = Topic { series: ALONE, case: "nothing is sent".to_owned(), readers: apart(1), spread: kept };
+    let discarding = Spread { discard: true, ..Spread::SINGLE };
+    let alone = Topic { series: ALONE, case: "nothing is sent".to_owned(), readers: apart(1), spread: discarding };
     let topic = |readers: Vec<Leaf>, place: &str, window| {
         let copies = readers.len() as u64;
         Topic {
             series: COPY,
             case: format!("{copies} readers, {place}"),
             readers,
-            spread: Spread { copies, window, kept: false },
+            spread: Spread { copies, window, discard: false },
         }
     };
     let apart = COPIES.map(|n| topic(apart(n), "an interface each", Spread::SINGLE.window));

@@ -92,11 +92,11 @@ pub struct Spread {
     /// Most frames in flight, counted in expected arrivals.
     pub window: u64,
     /// The frame goes nowhere, and counts as arrived.
-    pub kept: bool,
+    pub discard: bool,
 }
 
 impl Spread {
-    pub const SINGLE: Self = Self { copies: 1, window: WINDOW, kept: false };
+    pub const SINGLE: Self = Self { copies: 1, window: WINDOW, discard: false };
 }
 
 const TEMPLATE_WORDS: usize = 13;
@@ -112,7 +112,7 @@ struct Pattern {
     header_at: u64,
     copies: u64,
     window: u64,
-    kept: u64,
+    discard: u64,
 }
 
 // SAFETY: an array of integers, and integers of the same size.
@@ -288,7 +288,7 @@ impl Frames {
             header_at: self.header_at as u64,
             copies: self.spread.copies,
             window: self.spread.window,
-            kept: self.spread.kept.into(),
+            discard: self.spread.discard.into(),
         }
     }
 

@@ -69,8 +69,8 @@ macro_rules! in_lanes {
             for group in 0..GROUPS {
                 let lanes = first + group * LANES..first + (group + 1) * LANES;
                 let mut frames = [&headers[0]; LANES];
-                for (frame, place) in frames.iter_mut().zip(&of.places[lanes.clone()]) {
-                    *frame = &headers[(*place as usize).min(headers.len() - 1)];
+                for (frame, position) in frames.iter_mut().zip(&of.positions[lanes.clone()]) {
+                    *frame = &headers[(*position as usize).min(headers.len() - 1)];
                 }
                 states[group] = State::new([load(&of.keys[0][lanes.clone()]), load(&of.keys[1][lanes.clone()])]);
                 loaded[group] = load_words(frames.map(|frame| zerocopy::transmute_ref!(frame)));

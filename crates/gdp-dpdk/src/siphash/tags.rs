@@ -12,7 +12,7 @@ pub struct Tags {
     /// The bits that the high 32 bits of the count change in the word with the link.
     pub highs: [u64; Self::SIZE],
     /// Indices of the headers.
-    pub places: [u32; Self::SIZE],
+    pub positions: [u32; Self::SIZE],
     pub tags: [u64; Self::SIZE],
 }
 
@@ -22,22 +22,22 @@ impl Tags {
 
     pub const fn new() -> Self {
         let nothing = [0; Self::SIZE];
-        let places = [0; Self::SIZE];
-        Self { length: 0, keys: [nothing; 2], counts: nothing, highs: nothing, places, tags: nothing }
+        let positions = [0; Self::SIZE];
+        Self { length: 0, keys: [nothing; 2], counts: nothing, highs: nothing, positions, tags: nothing }
     }
 
     pub fn clear(&mut self) {
         self.length = 0;
     }
 
-    /// Adds the header at index `place`, for frame number `count` of a link with this key. The
+    /// Adds the header at index `position`, for frame `count` of a link with this key. The
     /// batch must not be full.
     #[inline]
-    pub fn add(&mut self, place: u32, key: [u64; 2], count: u64) {
+    pub fn add(&mut self, position: u32, key: [u64; 2], count: u64) {
         let i = self.length;
         (self.keys[0][i], self.keys[1][i]) = (key[0], key[1]);
         (self.counts[i], self.highs[i]) = (count, ((count >> 32) as u32).swap_bytes().into());
-        self.places[i] = place;
+        self.positions[i] = position;
         self.length += 1;
     }
 
@@ -62,7 +62,7 @@ impl Tags {
     #[inline]
     pub fn make_one(&mut self, i: usize, headers: &[Header]) {
         let key = [self.keys[0][i], self.keys[1][i]];
-        self.tags[i] = headers[self.places[i] as usize].tag_for(key, self.counts[i]);
+        self.tags[i] = headers[self.positions[i] as usize].tag_for(key, self.counts[i]);
     }
 }
 

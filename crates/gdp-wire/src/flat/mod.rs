@@ -97,20 +97,20 @@ pub const fn names_in(buckets: u32) -> u32 {
 #[inline(always)]
 pub fn lookup(table: &impl Memory, name: &Name) -> Option<FibEntry> {
     let header = table.bucket(0)?;
-    let place = Place::of(name, [header.load(KEY), header.load(KEY + 1)], header.load(MASK) as u32);
-    let first = table.bucket(place.first)?;
+    let probes = ProbeSequence::of(name, [header.load(KEY), header.load(KEY + 1)], header.load(MASK) as u32);
+    let first = table.bucket(probes.first)?;
     let mut tries = 0;
     while tries < TRIES {
-        let begin = first.load(place.slot * LINE);
+        let begin = first.load(probes.slot * LINE);
         let mut words = first.after(begin);
         // Of everything that was loaded, so that what comes after can be made to do so.
         let mut seen = 0;
         let mut step = 0;
         while step < PATH {
             if step == LINES {
-                words = table.bucket(place.second)?.after(begin);
+                words = table.bucket(probes.second)?.after(begin);
             }
-            let line = (place.slot + step) % LINES * LINE;
+            let line = (probes.slot + step) % LINES * LINE;
             let state = if step == 0 { begin } else { words.load(line) };
             let content = words.after(state);
             seen |= state;
@@ -131,7 +131,7 @@ pub fn lookup(table: &impl Memory, name: &Name) -> Option<FibEntry> {
             }
             step += 1;
         }
-        if first.after(seen).load(place.slot * LINE) == begin {
+        if first.after(seen).load(probes.slot * LINE) == begin {
             return None;
         }
         tries += 1;
@@ -146,16 +146,16 @@ fn difference(words: impl Words, line: usize, name: &Name) -> u64 {
     (words.load(line + 1) ^ a) | (words.load(line + 2) ^ b) | (words.load(line + 3) ^ c) | (words.load(line + 4) ^ d)
 }
 
-/// Where to look for a name.
+/// Where the lookup of a name probes: two buckets, and the line at which it begins in both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Place {
+struct ProbeSequence {
     first: u32,
     second: u32,
-    /// The line to begin with, in both buckets.
+    /// First line in both buckets.
     slot: usize,
 }
 
-impl Place {
+impl ProbeSequence {
     /// `mask`: one less than the number of buckets, which is a power of two and not 1.
     #[inline(always)]
     fn of(name: &Name, key: [u64; 2], mask: u32) -> Self {

@@ -7,8 +7,8 @@ use core::fmt;
 use core::sync::atomic::{AtomicU64, Ordering, fence};
 
 use super::{
-    BUCKET, KEY, LINE, LINES, LIVE, MASK, Memory, PASSED, PATH, Place, USED, Words, from_words, lookup, names_in,
-    to_words,
+    BUCKET, KEY, LINE, LINES, LIVE, MASK, Memory, PASSED, PATH, ProbeSequence, USED, Words, from_words, lookup,
+    names_in, to_words,
 };
 use crate::fetch::fetch;
 use crate::{FibEntry, Name};
@@ -99,18 +99,18 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     /// Adds a name, or changes where it leads. Whoever looks it up meanwhile finds what was or what
     /// is.
     pub fn insert(&mut self, name: &Name, entry: FibEntry) -> Result<(), Full> {
-        let place = self.place(name);
-        let held = self.find(&place, name);
-        if held.is_some_and(|step| self.entry(place.at(step)) == entry) {
+        let probes = self.probes(name);
+        let held = self.find(&probes, name);
+        if held.is_some_and(|step| self.entry(probes.at(step)) == entry) {
             return Ok(());
         }
-        let free = match self.free(&place) {
+        let free = match self.free(&probes) {
             Some(free) => free,
-            None => self.make_room(&place)?,
+            None => self.make_room(&probes)?,
         };
-        self.put(&place, free, name, entry)?;
+        self.put(&probes, free, name, entry)?;
         match held {
-            Some(step) => self.take_back(&place, step, Some(free)),
+            Some(step) => self.take_back(&probes, step, Some(free)),
             None => self.names += 1,
         }
         Ok(())
@@ -128,32 +128,32 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
 
     /// Brings the lines that names are in, or will be, into the caches, all at once.
     fn fetch<'n>(&self, names: impl Iterator<Item = &'n Name> + Clone) {
-        let begins = |name| self.place(name).at(0);
+        let begins = |name| self.probes(name).at(0);
         let first = names.clone().fold(0, |all, name| all | self.state(begins(name)));
         let others = names.filter(|name| self.state(begins(*name)) & (LIVE | PASSED) != 0);
         let rest =
-            others.fold(0, |all, name| (0..LINES).fold(all, |all, step| all | self.state(self.place(name).at(step))));
+            others.fold(0, |all, name| (0..LINES).fold(all, |all, step| all | self.state(self.probes(name).at(step))));
         core::hint::black_box(first | rest);
     }
 
     /// Whether the name was there.
     pub fn remove(&mut self, name: &Name) -> bool {
-        let place = self.place(name);
-        let Some(step) = self.find(&place, name) else { return false };
-        self.take_back(&place, step, None);
+        let probes = self.probes(name);
+        let Some(step) = self.find(&probes, name) else { return false };
+        self.take_back(&probes, step, None);
         self.names -= 1;
         true
     }
 
     /// Fills a free line of a name's path and lets readers find it.
-    fn put(&mut self, place: &Place, free: usize, name: &Name, entry: FibEntry) -> Result<(), Full> {
+    fn put(&mut self, probes: &ProbeSequence, free: usize, name: &Name, entry: FibEntry) -> Result<(), Full> {
         if free >= LINES {
-            self.spill(place, 1)?;
+            self.spill(probes, 1)?;
         }
-        for at in (0..free).map(|step| place.at(step)) {
+        for at in (0..free).map(|step| probes.at(step)) {
             self.set_state(at, self.state(at) | PASSED);
         }
-        let at = place.at(free);
+        let at = probes.at(free);
         // Readers of what was here before must notice before any of it changes.
         let used = STEPS.put(self.state(at).wrapping_add(1 << USED), (free % LINES) as u64);
         self.words()[at].store(used, Ordering::Relaxed);
@@ -166,31 +166,31 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     }
 
     /// Frees the line that a name has at `step` of its path; now it is at step `to`, if anywhere.
-    fn take_back(&mut self, place: &Place, step: usize, to: Option<usize>) {
+    fn take_back(&mut self, probes: &ProbeSequence, step: usize, to: Option<usize>) {
         if to.is_some() {
-            let (at, begin) = (place.at(0), self.state(place.at(0)));
+            let (at, begin) = (probes.at(0), self.state(probes.at(0)));
             self.set_state(at, MOVED.put(begin, MOVED.get(begin) + 1));
         }
-        let at = place.at(step);
+        let at = probes.at(step);
         self.set_state(at, self.state(at) & !LIVE);
         if step >= LINES {
             // It was counted, so this is no overflow.
-            let _ = self.spill(place, -1);
-            self.settle(place.second);
+            let _ = self.spill(probes, -1);
+            self.settle(probes.second);
         }
         // If it went on, it passes what it passed before.
         if to.unwrap_or(0) < step {
-            self.settle(place.first);
+            self.settle(probes.first);
         }
     }
 
     /// Frees a line on a path that has none, by moving the name in it along its own path. The step
     /// that is free then.
-    fn make_room(&mut self, place: &Place) -> Result<usize, Full> {
+    fn make_room(&mut self, probes: &ProbeSequence) -> Result<usize, Full> {
         for step in 0..PATH {
-            let at = place.at(step);
+            let at = probes.at(step);
             let (name, entry) = (self.name(at), self.entry(at));
-            let its = self.place(&name);
+            let its = self.probes(&name);
             let Some(free) = self.free(&its) else { continue };
             let Some(from) = (0..PATH).find(|step| its.at(*step) == at) else { continue };
             if self.put(&its, free, &name, entry).is_ok() {
@@ -202,8 +202,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     }
 
     /// Counts the names that begin in the first bucket and lie in the second.
-    fn spill(&mut self, place: &Place, change: i64) -> Result<(), Full> {
-        let at = place.first as usize * BUCKET;
+    fn spill(&mut self, probes: &ProbeSequence, change: i64) -> Result<(), Full> {
+        let at = probes.first as usize * BUCKET;
         let state = self.state(at);
         let spilled =
             SPILLED.get(state).checked_add_signed(change).filter(|count| *count <= SPILLED.max).ok_or(Full)?;
@@ -245,10 +245,10 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
                 continue;
             }
             let name = self.name(at);
-            let place = self.place(&name);
-            let found = self.find(&place, &name);
+            let probes = self.probes(&name);
+            let found = self.find(&probes, &name);
             let counted = match found {
-                Some(step) if place.at(step) == at => step < LINES || self.spill(&place, 1).is_ok(),
+                Some(step) if probes.at(step) == at => step < LINES || self.spill(&probes, 1).is_ok(),
                 // Readers take the other, or none at all.
                 _ => false,
             };
@@ -262,9 +262,9 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     }
 
     /// The step of its path that a name is at.
-    fn find(&self, place: &Place, name: &Name) -> Option<usize> {
+    fn find(&self, probes: &ProbeSequence, name: &Name) -> Option<usize> {
         for step in 0..PATH {
-            let at = place.at(step);
+            let at = probes.at(step);
             let state = self.state(at);
             if state & LIVE != 0 && self.name(at).is(name) {
                 return Some(step);
@@ -276,16 +276,16 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         None
     }
 
-    fn free(&self, place: &Place) -> Option<usize> {
-        if !self.is_live(place.at(0)) {
+    fn free(&self, probes: &ProbeSequence) -> Option<usize> {
+        if !self.is_live(probes.at(0)) {
             return Some(0);
         }
         let mut step = 0;
-        for bucket in [place.first, place.second] {
+        for bucket in [probes.first, probes.second] {
             let start = bucket as usize * BUCKET;
             let live =
                 (0..LINES).fold(0u8, |live, line| live | ((self.state(start + line * LINE) & LIVE) as u8) << line);
-            let taken = live.rotate_right(place.slot as u32).trailing_ones() as usize;
+            let taken = live.rotate_right(probes.slot as u32).trailing_ones() as usize;
             if taken < LINES {
                 return Some(step + taken);
             }
@@ -294,8 +294,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         None
     }
 
-    fn place(&self, name: &Name) -> Place {
-        Place::of(name, self.key, self.mask)
+    fn probes(&self, name: &Name) -> ProbeSequence {
+        ProbeSequence::of(name, self.key, self.mask)
     }
 
     fn is_live(&self, at: usize) -> bool {
@@ -336,9 +336,9 @@ pub fn count(memory: &[AtomicU64]) -> usize {
 #[inline]
 pub fn prefetch(memory: &[AtomicU64], name: &Name) {
     let word = |index: usize| memory.get(index).map_or(0, |word| word.load(Ordering::Relaxed));
-    let place = Place::of(name, [word(KEY), word(KEY + 1)], word(MASK) as u32);
+    let probes = ProbeSequence::of(name, [word(KEY), word(KEY + 1)], word(MASK) as u32);
     for step in 0..2 {
-        if let Some(line) = memory.get(place.at(step)) {
+        if let Some(line) = memory.get(probes.at(step)) {
             fetch(line);
         }
     }
@@ -368,7 +368,7 @@ const _: () = {
     assert!((MOVED.max + 1) << MOVED.shift == 1 << USED);
 };
 
-impl Place {
+impl ProbeSequence {
     /// Index of the first word of the line at a step of the path.
     fn at(&self, step: usize) -> usize {
         let bucket = if step < LINES { self.first } else { self.second };
