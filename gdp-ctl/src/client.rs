@@ -1,4 +1,4 @@
-//! The command line's end of the admin socket.
+//! Client of the daemon's admin socket.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -11,10 +11,10 @@ use gdp_proto::admin::{MAX_REPLY, Reply, Request, VERSION, Versioned, check_vers
 use gdp_proto::control::RefusalCode;
 use serde_json::Value;
 
-/// A daemon that takes longer than this is not well.
+/// Timeout for a daemon's reply.
 const TIMEOUT: Duration = Duration::from_secs(15);
 
-/// Why a command got no answer that helps it.
+/// Reasons why a command got no usable reply.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     #[error(
@@ -60,7 +60,7 @@ impl Client {
         Ok(Self { stream: BufReader::new(stream) })
     }
 
-    /// Asks; the reply's type says which one is expected. A refusal is an error.
+    /// Sends a request and returns a reply of the expected type. A refusal is an error.
     pub fn ask<T: TryFrom<Reply>>(&mut self, request: &Request) -> Result<T, ClientError> {
         let reply = self.exchange(request)?;
         T::try_from(reply).map_err(|_| ClientError::Malformed("another kind of reply".into()))
@@ -73,7 +73,7 @@ impl Client {
         self.reply()?.ok_or_else(|| ClientError::Broken(std::io::ErrorKind::UnexpectedEof.into()))
     }
 
-    /// The next line from the daemon; none if it has closed the connection.
+    /// Reads the next line from the daemon; `None` if it has closed the connection.
     fn reply(&mut self) -> Result<Option<Reply>, ClientError> {
         let malformed = |error: serde_json::Error| ClientError::Malformed(error.to_string());
         let mut line = String::new();
@@ -92,22 +92,22 @@ impl Client {
         }
     }
 
-    /// Asks for what happens from now on.
+    /// Subscribes to events from now on.
     pub fn monitor(mut self) -> Result<Events, ClientError> {
         self.exchange(&Request::Monitor)?;
-        // It may be quiet for long.
+        // A daemon may send no events for a long time.
         self.stream.get_mut().set_read_timeout(None).map_err(ClientError::Broken)?;
         Ok(Events(self))
     }
 }
 
-/// What happens at the daemon's switch.
+/// Events at the daemon's switch.
 pub struct Events(Client);
 
 impl Iterator for Events {
     type Item = Result<TimedEvent, ClientError>;
 
-    /// Waits for the next event; none once the daemon has ended.
+    /// Waits for the next event; `None` once the daemon has ended.
     fn next(&mut self) -> Option<Self::Item> {
         self.0
             .reply()

@@ -1,4 +1,4 @@
-//! `gdp-ctl action`: what `ros2 action` is in a ROS graph, in the fabric.
+//! `gdp-ctl action`: the counterpart of `ros2 action` in the fabric.
 
 use clap::Subcommand;
 

@@ -1,4 +1,4 @@
-//! `gdp-ctl advertise` and `withdraw`: an entity's statements, signed here with its key and sent
+//! `gdp-ctl advertise` and `withdraw`: statements of an entity, signed here with its key and sent
 //! through the daemon.
 
 use std::path::PathBuf;
@@ -22,10 +22,10 @@ use gdp_proto::admin::Request;
 use gdp_proto::admin::status::HelloReply;
 use gdp_util::unix_time::unix_seconds;
 
-/// What the switch is allowed to carry for a statement that a tool makes.
+/// Validity in seconds of the RtCert that permits the switch to carry the entity's statement.
 const ROUTE_SECONDS: u64 = 300;
 
-/// The RIB's clock may be so much ahead, in seconds.
+/// Maximum number of seconds by which the RIB's clock may be ahead.
 const CLOCKS_DIFFER: u64 = 300;
 
 #[derive(Debug, Args)]
@@ -60,13 +60,13 @@ struct Entity {
     kind: EntityKind,
 }
 
-/// What `gdp-ctl advertise` and `withdraw` show.
+/// Output of `gdp-ctl advertise` and `withdraw`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct AdvertiseOutput {
     name: Name,
     entity: Name,
     switch: Name,
-    /// In seconds; only of an advertisement.
+    /// In seconds; only for an advertisement.
     #[serde(skip_serializing_if = "Option::is_none")]
     lifetime: Option<u32>,
 }
@@ -106,7 +106,7 @@ impl Entity {
     }
 }
 
-/// The certificate of the file; without one, the owner allows itself.
+/// Returns the certificate of the file. Without a file, the owner issues a certificate to itself.
 fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow::Result<Issued<AdCert>> {
     if let Some(file) = &options.cert {
         let CredentialFile::Ad(cert) = CredentialFile::load(file)? else {
@@ -152,7 +152,7 @@ fn certificate(options: &Options, card: &NameCard, entity: &Identity) -> anyhow:
     Ok(issue(key, &claims)?.into())
 }
 
-/// A conversation with the RIB on behalf of an entity, through the daemon's switch.
+/// A session with the RIB on behalf of an entity, through the daemon's switch.
 struct Session {
     client: Client,
     switch: Name,

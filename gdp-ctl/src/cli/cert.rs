@@ -1,5 +1,5 @@
-//! `gdp-ctl cert`: what is in a certificate file. They are made by `gdp-ctl grant` and `gdp-ctl
-//! domain`.
+//! `gdp-ctl cert`: contents of a certificate file. `gdp-ctl grant` and `gdp-ctl domain` create
+//! these files.
 
 use std::path::{Path, PathBuf};
 
@@ -28,7 +28,7 @@ pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     show(&file, card.as_deref(), context)
 }
 
-/// What `cert show` and `domain show` print of a certificate.
+/// Prints a certificate, for `cert show` and `domain show`.
 pub fn show(file: &Path, card: Option<&Path>, context: &Context) -> anyhow::Result<()> {
     let paper = CredentialFile::load(file)?;
     let mut output = paper.describe().with_context(|| file.display().to_string())?;

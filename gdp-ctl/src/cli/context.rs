@@ -1,4 +1,4 @@
-//! The options that every command shares.
+//! Options shared by all commands.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use gdp_daemon::folders;
 use super::output::Output;
 use crate::client::Client;
 
-/// Where the daemon is, and how results are printed.
+/// The daemon's socket, and the output format.
 pub struct Context {
     pub socket: Option<PathBuf>,
     pub output: Output,

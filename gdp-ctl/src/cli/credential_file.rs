@@ -1,4 +1,4 @@
-//! What a certificate file may hold, for the commands that show, use or revoke one.
+//! Contents of certificate files, for the commands that show, use or revoke certificates.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -14,10 +14,10 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-/// What a certificate states, by kind: see "Certificates" in docs/wire-format.md.
+/// Claims of a certificate, by kind: see "Certificates" in docs/wire-format.md.
 pub type ClaimMap = Map<String, Value>;
 
-/// What a certificate states and what it rests on.
+/// Claims of a certificate and of the certificates that it depends on.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct CertificateOutput {
     /// `AdCert`, `ReadGrant`, `Delegation` …
@@ -26,14 +26,14 @@ pub struct CertificateOutput {
     pub delegation: Option<ClaimMap>,
     /// The membership of a reader.
     pub member: Option<ClaimMap>,
-    /// What a membership rests on.
+    /// The invitation that a membership depends on.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub invite: Option<ClaimMap>,
-    /// The owner of the name, or the domain, stands behind it now.
+    /// Whether the owner of the name, or the domain, has issued it and it is valid now.
     pub verified: bool,
 }
 
-/// What a command that issues a certificate shows.
+/// Output of a command that issues a certificate.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct IssuedOutput {
     pub kind: &'static str,
@@ -42,13 +42,13 @@ pub struct IssuedOutput {
     pub serial: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
-    /// Of an invitation: the line to give to the new member.
+    /// The line to give to the new member; only for an invitation.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub token: Option<String>,
 }
 
 impl IssuedOutput {
-    /// Of a certificate in a file.
+    /// Creates the output for a certificate in a file.
     pub fn new<T: Claims>(claims: &T, serial: u64, file: &Path) -> Self {
         let (serial, file) = (serial.to_string(), Some(file.to_path_buf()));
         Self { kind: T::KIND, claims: claim_map(claims), serial, file, token: None }
@@ -58,7 +58,7 @@ impl IssuedOutput {
 pub fn claim_map<T: Claims>(claims: &T) -> ClaimMap {
     match serde_json::to_value(claims) {
         Ok(Value::Object(claims)) => claims,
-        // All claims are structs of what JSON knows.
+        // All claims are structs that JSON can represent.
         _ => ClaimMap::new(),
     }
 }
@@ -98,7 +98,8 @@ impl CredentialFile {
         })
     }
 
-    /// The kind of certificate, what it says and what it rests on; believed by nobody.
+    /// Returns the kind of certificate, its claims and those that it depends on, without verifying
+    /// them.
     pub fn describe(&self) -> Result<CertificateOutput, CertError> {
         match self {
             Self::Ad(issued) => described(&issued.cert, issued.delegation.as_ref(), None),
@@ -116,8 +117,8 @@ impl CredentialFile {
         }
     }
 
-    /// That the owner of the card's name, or the domain whose card it is, stands behind it; `false`
-    /// for what neither signs.
+    /// Verifies that the owner of the card's name, or the card's domain, has issued it. Returns
+    /// `false` for certificates that neither signs.
     pub fn verify(&self, card: &NameCard, revocation: Option<&Revocation>, now: u64) -> Result<bool, CertError> {
         let about_card = |name| match card.name() {
             expected if expected == name => Ok(()),
@@ -130,7 +131,7 @@ impl CredentialFile {
                 let reader = match (&grant.to, &reading.member) {
                     (Grantee::Entity(entity), _) => Some(*entity),
                     (Grantee::Role { .. }, Some(member)) => Some(member.cert.claims_unverified()?.entity),
-                    // The domain's part is still to come.
+                    // The domain's verification follows later.
                     (Grantee::Role { .. }, None) => None,
                 };
                 if let Some(reader) = reader {
@@ -150,7 +151,7 @@ impl CredentialFile {
         Ok(true)
     }
 
-    /// Which certificate of the card's name this is, whether it still holds or not.
+    /// Returns the serial of a certificate of the card's name, also if it is no longer valid.
     pub fn serial(&self, card: &NameCard) -> anyhow::Result<u64> {
         let (name, serial) = match self {
             Self::Ad(issued) => issued.cert.claims_unverified().map(|claims| (claims.name, claims.serial))?,
@@ -166,7 +167,7 @@ impl CredentialFile {
         Ok(serial)
     }
 
-    /// As [`Self::serial`], of what this domain issued.
+    /// Returns the serial, as [`Self::serial`] does, for certificates of this domain.
     pub fn domain_serial(&self, domain: Name) -> anyhow::Result<u64> {
         let (of, serial) = match self {
             Self::Member(member) => (member.domain.name()?, member.serial_unverified()?),

@@ -1,5 +1,5 @@
-//! `gdp-ctl doctor`: what a daemon would find here, judged by [`gdp_daemon::doctor`]. Works without
-//! a daemon, and changes nothing.
+//! `gdp-ctl doctor`: checks by [`gdp_daemon::doctor`] of the environment for a daemon. Needs no
+//! daemon, and changes nothing.
 
 use std::path::PathBuf;
 
@@ -26,7 +26,7 @@ pub struct Options {
     ebpf_object: Option<PathBuf>,
 }
 
-/// What `gdp-ctl doctor` shows.
+/// Output of `gdp-ctl doctor`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct DoctorOutput {
     /// No check has failed.

@@ -1,5 +1,5 @@
-//! `gdp-ctl fib dump` and `rib dump`: all that the data plane forwards by, all that the RIB knows.
-//! Fetched page by page.
+//! `gdp-ctl fib dump` and `rib dump`: all routes of the data plane, and all records of the RIB,
+//! fetched page by page.
 
 use clap::Subcommand;
 use gdp_core::cert::CertError;
@@ -33,20 +33,20 @@ pub enum RibCommand {
     },
 }
 
-/// What `gdp-ctl fib dump` shows.
+/// Output of `gdp-ctl fib dump`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct FibOutput {
     routes: Vec<FibRoute>,
 }
 
-/// What `gdp-ctl rib dump` shows.
+/// Output of `gdp-ctl rib dump`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct RibOutput {
     records: Vec<RecordOutput>,
     switches: Vec<RibSwitch>,
 }
 
-/// An entity's part in a name.
+/// An entity's role for a name.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct RecordOutput {
     pub name: Name,
@@ -54,18 +54,18 @@ pub struct RecordOutput {
     pub role: String,
     pub entity: Name,
     pub switch: Name,
-    /// In seconds.
+    /// Remaining lifetime in seconds.
     pub expires_in: u64,
 }
 
 impl RecordOutput {
-    /// What the record says; believed by nobody.
+    /// Converts a record without verifying it.
     pub fn new(record: &Record) -> Result<Self, CertError> {
         let (role, entity) = (record.role()?.to_string(), record.entity.name()?);
         Ok(Self { name: record.name, role, entity, switch: record.switch, expires_in: record.expires_in })
     }
 
-    /// Its row in a table.
+    /// Returns its row in a table.
     pub fn row(&self) -> [String; 5] {
         let [name, entity, switch] = [self.name, self.entity, self.switch].map(|name| format!("{name:#}"));
         [name, self.role.clone(), entity, switch, format!("{} s", self.expires_in)]
@@ -82,7 +82,7 @@ pub fn fib(command: &FibCommand, context: &Context) -> anyhow::Result<()> {
         let page: FibReply = client.ask(&Request::Fib { after })?;
         routes.extend(page.routes);
         let last = routes.last().map(|route| route.name);
-        // A daemon that repeats itself must not keep this program for ever.
+        // A daemon that repeats a page must not make this loop endless.
         if !page.more || last == after {
             break;
         }

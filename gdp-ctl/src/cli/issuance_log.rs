@@ -1,9 +1,9 @@
-//! What is kept beside the card of a name or a domain: the ledger of what was issued from here
+//! Files beside the card of a name or a domain: the ledger of certificates issued here
 //! (`CARD.grants`, `CARD.members`), and `CARD.revocation`, the newest revocation. Both are written
-//! whole or not at all, mode 0600; nobody else changes them while [`IssuanceLog`] are open.
+//! atomically with mode 0600. No other command changes them while an [`IssuanceLog`] is open.
 //!
-//! The revocation is the owner's word and is checked like one. The ledger is a memory: without it
-//! nothing that was granted stops to hold, but only its serial or its file can name it.
+//! The revocation is signed by the owner and is verified. The ledger is only a record. Without the
+//! ledger all grants remain valid, but only a serial or a file can identify them.
 
 use std::fs::File;
 use std::ops::Deref;
@@ -21,26 +21,26 @@ use serde::{Deserialize, Serialize};
 
 const VERSION: u32 = 1;
 
-/// About 300 bytes an entry.
+/// Maximum size in bytes; an entry has about 300 bytes.
 const MAX_LEDGER: usize = 4 << 20;
 
 const MAX_REVOCATION: usize = 16 << 10;
 
-/// A name's card, and the files beside it.
+/// The card of a name, and the files beside it.
 pub struct IssuanceLog {
     card: NameCard,
     path: PathBuf,
-    /// Held on the card itself, which no command replaces.
+    /// Lock on the card itself, which no command replaces.
     _lock: File,
 }
 
-/// One certificate that was issued from here.
+/// A certificate that was issued here.
 pub trait Entry: Serialize + DeserializeOwned {
-    /// Ends the name of the file with all of them.
+    /// Suffix of the ledger's file name.
     const SUFFIX: &'static str;
 
     fn serial(&self) -> u64;
-    /// When all that rests on it has ended.
+    /// Returns the time at which the certificate and all that depend on it have expired.
     fn ends(&self) -> u64;
 }
 
@@ -53,7 +53,7 @@ struct Ledger<E> {
 }
 
 impl IssuanceLog {
-    /// Waits for another command that has them open.
+    /// Opens and locks the files. Waits for another command that has locked them.
     pub fn open(card: &Path) -> anyhow::Result<Self> {
         let issuance_log = Self {
             card: NameCard::load(card)?,
@@ -76,7 +76,7 @@ impl IssuanceLog {
         self.sibling(".revocation")
     }
 
-    /// What was issued from here, in the order of serials; empty if nothing was.
+    /// Returns the certificates issued here, in the order of serials.
     pub fn ledger<E: Entry>(&self) -> anyhow::Result<Vec<E>> {
         let path = self.ledger_path::<E>();
         let Some(content) = read(&path, MAX_LEDGER)? else { return Ok(Vec::new()) };
@@ -103,7 +103,7 @@ impl IssuanceLog {
         Ok(secret_file::replace(&path, text.as_bytes())?)
     }
 
-    /// The newest revocation of the name that is known here.
+    /// Returns the newest local revocation of the name.
     pub fn revocation(&self) -> anyhow::Result<Option<(Signed<Revocation>, Revocation)>> {
         let path = self.revocation_path();
         let Some(content) = read(&path, MAX_REVOCATION)? else { return Ok(None) };
@@ -129,7 +129,7 @@ impl IssuanceLog {
     }
 }
 
-/// The content of a file, if there is one.
+/// Returns the contents of a file, or `None` if it does not exist.
 fn read(path: &Path, max: usize) -> Result<Option<impl Deref<Target = Vec<u8>>>, SecretFileError> {
     match secret_file::read(path, max) {
         Err(error) if error.is_not_found() => Ok(None),

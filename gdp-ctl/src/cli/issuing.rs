@@ -1,21 +1,21 @@
-//! Serial numbers and validity periods of the certificates that commands issue.
+//! Serial numbers and validity periods of certificates.
 
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
 
-/// The serial of what is issued now.
+/// Returns the serial of a certificate issued now.
 pub fn serial_now() -> u64 {
     unix_nanos()
 }
 
-/// Beginning and end of what is issued now for so many seconds. A clock that is a little behind
-/// must not refuse it.
+/// Returns the start and end of the validity of a certificate issued now. The start is backdated,
+/// so that a clock that is slightly behind accepts the certificate.
 pub fn validity(seconds: u64) -> (u64, u64) {
     const BACKDATED: u64 = 300;
     let now = unix_seconds();
     (now.saturating_sub(BACKDATED), now.saturating_add(seconds))
 }
 
-/// `90s`, `15m`, `2h`, `7d`, or a bare number of seconds.
+/// Parses `90s`, `15m`, `2h`, `7d`, or a bare number of seconds.
 pub fn parse_seconds(text: &str) -> Result<u32, String> {
     let (digits, unit) = match text.strip_suffix(['s', 'm', 'h', 'd']) {
         Some(digits) => (digits, &text[digits.len()..]),

@@ -48,26 +48,26 @@ impl EntityKind {
     }
 }
 
-/// What `gdp-ctl key generate` shows.
+/// Output of `gdp-ctl key generate`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct NewKeyOutput {
     file: PathBuf,
-    /// What the entity is.
+    /// Kind of the entity.
     kind: &'static str,
-    /// Of the entity.
+    /// Name of the entity.
     name: Name,
     /// 66 hex digits.
     public_key: String,
 }
 
-/// What `gdp-ctl key show` shows.
+/// Output of `gdp-ctl key show`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct KeyOutput {
     /// 66 hex digits.
     public_key: String,
-    /// The entities that the key makes, by kind.
+    /// The names of the key's entities, by kind.
     names: BTreeMap<&'static str, Name>,
-    /// Of the entity of this kind, if only one was asked for.
+    /// Name of the entity of the requested kind; only if a kind was given.
     #[serde(skip_serializing_if = "Option::is_none")]
     name: Option<Name>,
 }

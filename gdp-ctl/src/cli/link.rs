@@ -65,13 +65,14 @@ fn row(link: &LinkStatus) -> [String; 13] {
     ]
 }
 
-/// Frames that came in on a link, and how many of them were dropped, by reason.
+/// Returns the number of frames that arrived on a link, and the number of dropped frames for each
+/// drop reason.
 fn arrivals(counts: &Counts) -> (String, String) {
     let dropped = counts.iter().filter_map(|(name, n)| Some(format!("{} {n}", name.strip_prefix("drop_")?)));
     (counts.values().sum::<u64>().to_string(), dropped.collect::<Vec<_>>().join(", "))
 }
 
-/// In the two largest units, as `3h 20m`.
+/// Returns a duration in its two largest units, such as `3h 20m`.
 fn duration(seconds: u64) -> String {
     let units = [(86400, "d"), (3600, "h"), (60, "m"), (1, "s")];
     let first = units.iter().position(|(size, _)| seconds >= *size).unwrap_or(3);

@@ -1,6 +1,6 @@
-//! The command line: one file to an object. Commands that make files work without a daemon; the
-//! others talk to it over the admin socket. Data goes to stdout (JSON with `-j`, each object with
-//! `"v": 1`), everything else to stderr.
+//! The command line, with one file for each command. Commands that create files need no daemon. The
+//! others use the admin socket. Data goes to stdout (JSON with `-j`, each object with `"v": 1`),
+//! everything else to stderr.
 
 mod action;
 mod advertise;
@@ -138,13 +138,14 @@ enum Command {
     Xdp(xdp::Command),
 }
 
-/// Runs the command of this process.
+/// Runs the command line of this process.
 pub fn main() -> ExitCode {
     gdp_util::panics::end_process();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {
-            // Of arguments that would forge a line, the message that quotes them escaped.
+            // If arguments contain control characters, print the message that quotes them in
+            // escaped form.
             let escaped = std::env::args_os().map(|argument| Escaped(argument.to_string_lossy()).to_string());
             return wrong_usage(&Cli::try_parse_from(escaped).err().unwrap_or(error));
         }
@@ -159,7 +160,7 @@ pub fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             note(format_args!("gdp-ctl: {}", join_causes(error.chain().map(ToString::to_string))));
-            // Where stdout cannot be written, the line on stderr has to do.
+            // If stdout cannot be written, the line on stderr must suffice.
             let _ = context.output.print_failure(&error);
             let no_daemon = matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. }));
             ExitCode::from(if no_daemon { 3 } else { 1 })
@@ -171,7 +172,7 @@ fn print_schema() -> anyhow::Result<()> {
     Ok(terminal::print_json(&serde_json::to_string_pretty(&schema::schema())?)?)
 }
 
-/// Prints help and version as clap does, and errors, which quote what was given, escaped.
+/// Prints help and version as clap does. Prints errors with quoted arguments escaped.
 fn wrong_usage(error: &clap::Error) -> ExitCode {
     if error.use_stderr() {
         let text = error.render().to_string();

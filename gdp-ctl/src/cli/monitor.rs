@@ -1,4 +1,4 @@
-//! `gdp-ctl monitor`: what happens at the daemon's switch, as it happens.
+//! `gdp-ctl monitor`: live events at the daemon's switch.
 
 use crate::cli::context::Context;
 use gdp_proto::admin::event::{Event, TimedEvent};

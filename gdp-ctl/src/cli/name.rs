@@ -79,7 +79,7 @@ impl CardKind {
         }
     }
 
-    /// The middle of the name of its types, and an example of one.
+    /// Returns the middle part of ROS type names, and an example.
     fn types(self) -> Option<(&'static str, &'static str)> {
         match self {
             Self::Topic => Some(("msg", "std_msgs/msg/String")),
@@ -89,10 +89,10 @@ impl CardKind {
         }
     }
 
-    /// The type as the card says it, which is nothing for a catalog.
+    /// Returns the type for the card; empty for a catalog.
     ///
     /// # Errors
-    /// For names that no ROS graph can have, and for a type that is of something else.
+    /// If no ROS graph can have this name, or the type is of another kind.
     fn check<'t>(self, topic: &str, type_name: Option<&'t str>) -> anyhow::Result<&'t str> {
         let kind = self.as_str();
         let Some((folder, example)) = self.types() else {
@@ -116,16 +116,16 @@ impl CardKind {
     }
 }
 
-/// What the commands on name cards show.
+/// Output of the commands on name cards.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct CardOutput {
     name: Name,
     /// 66 hex digits.
     owner_key: String,
-    /// Of the metadata: 64 hex digits.
+    /// Digest of the metadata: 64 hex digits.
     digest: String,
     metadata: Metadata,
-    /// Of a new card.
+    /// File of a new card.
     #[serde(skip_serializing_if = "Option::is_none")]
     file: Option<PathBuf>,
 }
@@ -188,7 +188,7 @@ impl CardOutput {
     }
 }
 
-/// A public key in hex, or that of a private key file.
+/// Returns a public key from hex digits, or from a private key file.
 fn public_key(owner: &str) -> anyhow::Result<VerifyKey> {
     match owner.parse() {
         Ok(key) => Ok(key),

@@ -1,4 +1,4 @@
-//! Names as `trace` and `ping` take them, and what the daemon knows of where they are.
+//! Name arguments of `trace` and `ping`, and their location in the daemon's view.
 
 use std::path::Path;
 
@@ -10,7 +10,8 @@ use crate::client::Client;
 use gdp_proto::admin::Request;
 use gdp_proto::admin::trace::LocateReply;
 
-/// A card file, a whole name, or the first digits of one name that the daemon's switch knows.
+/// Finds a name by card file, whole name, or a unique prefix among the names that the daemon's
+/// switch knows.
 pub fn find(what: &str, client: &mut Client) -> anyhow::Result<LocateReply> {
     let path = Path::new(what);
     let prefix: NamePrefix = if path.is_file() {
@@ -21,7 +22,7 @@ pub fn find(what: &str, client: &mut Client) -> anyhow::Result<LocateReply> {
     Ok(client.ask(&Request::Locate { what: prefix })?)
 }
 
-/// A time in microseconds, as milliseconds.
+/// Formats a time in microseconds as milliseconds.
 pub fn millis(micros: u64) -> String {
     format!("{}.{:03} ms", micros / 1000, micros % 1000)
 }

@@ -1,4 +1,4 @@
-//! What commands have in common that are nodes of the fabric themselves.
+//! Shared parts of the commands that are nodes of the fabric.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -21,7 +21,7 @@ use crate::ros::{fabric::Fabric, fabric::identity, fabric::local_switch, keyring
 use gdp_daemon::folders;
 use gdp_util::unix_time::unix_seconds;
 
-/// How often somebody is told that nobody publishes.
+/// Time after which a reader is warned that nobody publishes.
 const TIMEOUT: Duration = Duration::from_secs(3);
 
 #[derive(Debug, Args)]
@@ -43,7 +43,7 @@ pub struct NodeOptions {
 }
 
 impl NodeOptions {
-    /// The keyring, with a word on files that are left out.
+    /// Opens the keyring, and warns about omitted files.
     pub fn keyring(&self) -> anyhow::Result<Keyring> {
         let keyring = Keyring::open(&self.folder()?)?;
         for reason in &keyring.left_out {
@@ -61,7 +61,7 @@ impl NodeOptions {
         identity(&self.folder()?, self.key.as_ref(), self.kind.as_str())
     }
 
-    /// Attaches, does `what`, and detaches.
+    /// Attaches, runs `what`, and detaches.
     pub fn with_fabric<T>(
         &self,
         keyring: Keyring,
@@ -73,7 +73,8 @@ impl NodeOptions {
             Some(switch) => switch.clone(),
             None => local_switch(&mut context.client()?)?,
         };
-        // One thread keeps the link alive while another writes to a terminal that is stopped.
+        // A worker thread keeps the link alive while the main thread is blocked by a stopped
+        // terminal.
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
         runtime.block_on(async {
             let attaching = format!("attaching at {switch}");
@@ -85,7 +86,7 @@ impl NodeOptions {
     }
 }
 
-/// `None` once ^C has come.
+/// Runs `what`; returns `None` after ^C.
 pub async fn unless_interrupted<T>(what: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result<Option<T>> {
     tokio::select! {
         done = what => done.map(Some),
@@ -114,12 +115,12 @@ pub async fn subscribe(fabric: &Fabric, card: &NameCard, options: SubscribeOptio
     Ok(fabric.node.subscribe(card.proof(), grant, options).await?)
 }
 
-/// Reads a topic with what its publishers are.
+/// Reads a topic, with its publishers' types.
 pub async fn listen(fabric: &Fabric, card: &NameCard, options: SubscribeOptions) -> anyhow::Result<Feed> {
     Ok(Feed::new(subscribe(fabric, card, options).await?, card))
 }
 
-/// Says once, a moment after the start, if nobody publishes; never returns.
+/// Prints a warning after a short time if nobody publishes; never returns.
 pub async fn tell_if_silent<T>(fabric: &Fabric, card: &NameCard) -> anyhow::Result<T> {
     tokio::time::sleep(TIMEOUT).await;
     if fabric.entities(card).await?.writers.is_empty() {
@@ -128,7 +129,7 @@ pub async fn tell_if_silent<T>(fabric: &Fabric, card: &NameCard) -> anyhow::Resu
     std::future::pending().await
 }
 
-/// More than none.
+/// Parses a number greater than zero.
 pub fn parse_positive(text: &str) -> Result<f64, String> {
     let value = text.parse::<f64>().ok().filter(|value| value.is_finite() && *value > 0.0);
     value.ok_or_else(|| format!("{text:?} is not a number greater than zero"))

@@ -1,5 +1,5 @@
-//! What commands print: JSON for programs, lines for people. Either way no text of a stranger
-//! reaches a terminal unescaped.
+//! Output of commands: JSON for programs, lines for users. In both forms, control characters in
+//! foreign text are escaped before they reach a terminal.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -17,18 +17,18 @@ use serde::Serialize;
 
 use crate::client::ClientError;
 
-/// A failure that what was printed shows already, so that `-j` prints no object for it.
+/// A failure that the printed output already shows, so that `-j` prints no further object.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct AlreadyPrinted(pub String);
 
-/// What `-j` prints of a command that fails.
+/// Output of `-j` for a command that fails.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct FailureOutput {
     pub error: ErrorReply,
 }
 
-/// The version of what `-j` prints.
+/// Version of the output format of `-j`.
 pub const VERSION: u64 = 1;
 
 pub struct Output {
@@ -36,8 +36,8 @@ pub struct Output {
 }
 
 impl Output {
-    /// Prints `value`, an object, with the version of its form; or, without `-j`, the `lines`. Each
-    /// is escaped as a whole, so that a line feed in a text does not make another line.
+    /// Prints the object `value` with its format version, or without `-j` the `lines`. Each line is
+    /// escaped as a whole, so that a line feed in a text does not start another line.
     pub fn print<T, L>(&self, value: &T, lines: impl FnOnce() -> L) -> anyhow::Result<()>
     where
         T: Serialize + JsonSchema,
@@ -51,7 +51,7 @@ impl Output {
         printed.context("cannot write to stdout")
     }
 
-    /// With `-j`, prints why the command failed, unless its output shows that.
+    /// Prints the reason for a failure with `-j`, unless the output already shows it.
     pub fn print_failure(&self, error: &anyhow::Error) -> anyhow::Result<()> {
         if !self.json || error.is::<AlreadyPrinted>() {
             return Ok(());
@@ -64,13 +64,13 @@ impl Output {
         self.print(&FailureOutput { error: ErrorReply { code, reason, remedy } }, || None)
     }
 
-    /// Prints a line for people, which `-j` leaves out.
+    /// Prints a line for users; does nothing with `-j`.
     pub fn tell(&self, line: impl FnOnce() -> String) -> anyhow::Result<()> {
         if self.json { Ok(()) } else { terminal::print([line()]).context("cannot write to stdout") }
     }
 }
 
-/// An error's causes on one line, without those that another one names.
+/// Joins an error's causes on one line, omitting causes that another cause already contains.
 pub fn join_causes(causes: impl Iterator<Item = String>) -> String {
     causes.fold(String::new(), |text, cause| match text.as_str() {
         "" => cause,
@@ -79,7 +79,7 @@ pub fn join_causes(causes: impl Iterator<Item = String>) -> String {
     })
 }
 
-/// Writes a new file that others may read; an existing one is never overwritten.
+/// Writes a new file that other users may read. Never overwrites an existing file.
 pub fn write_new(path: &Path, text: &str) -> anyhow::Result<()> {
     let mut file = OpenOptions::new()
         .write(true)
@@ -90,8 +90,7 @@ pub fn write_new(path: &Path, text: &str) -> anyhow::Result<()> {
     file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Lines of columns of equal width, left-aligned, under a heading. Cells are escaped before they
-/// are measured.
+/// Formats left-aligned columns under a heading. Cells are escaped before their width is measured.
 pub fn table<const N: usize>(heading: [&str; N], rows: &[[String; N]]) -> Vec<String> {
     let escaped = |row: &[String; N]| row.each_ref().map(|cell| Escaped(cell).to_string());
     let rows: Vec<[String; N]> = std::iter::once(heading.map(str::to_owned)).chain(rows.iter().map(escaped)).collect();
@@ -104,18 +103,18 @@ pub fn table<const N: usize>(heading: [&str; N], rows: &[[String; N]]) -> Vec<St
     rows.iter().map(line).collect()
 }
 
-/// Lines of a text that was made here, such as YAML, and in which nobody else's line feeds are
-/// left.
+/// Splits a text of this program, such as YAML, into lines. The text must not contain unescaped
+/// line feeds of others.
 pub fn lines_of(text: &str) -> Vec<String> {
     text.trim_end().lines().map(str::to_owned).collect()
 }
 
-/// Names in their short form.
+/// Joins names in their short form.
 pub fn short<'a>(names: impl IntoIterator<Item = &'a Name>) -> String {
     names.into_iter().map(|name| format!("{name:#}")).collect::<Vec<_>>().join(" ")
 }
 
-/// A value, or a dash where there is none.
+/// Returns the value as text, or a dash if there is none.
 pub fn or_dash<T: ToString>(value: Option<T>) -> String {
     value.map_or_else(|| "–".to_owned(), |value| value.to_string())
 }

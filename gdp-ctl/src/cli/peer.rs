@@ -1,4 +1,4 @@
-//! `gdp-ctl peer list`: whom the daemon's switch has, or should have, links with.
+//! `gdp-ctl peer list`: neighbours with which the daemon's switch has, or should have, links.
 
 use super::output::{or_dash, table};
 use crate::cli::context::Context;

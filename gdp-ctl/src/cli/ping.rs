@@ -1,4 +1,4 @@
-//! `gdp-ctl ping`: whether a name's data path answers, and how fast.
+//! `gdp-ctl ping`: tests whether a name's data path answers, and its round-trip time.
 
 use std::time::{Duration, Instant};
 
@@ -41,17 +41,17 @@ fn parse_interval(text: &str) -> Result<f64, String> {
     seconds.ok_or_else(|| format!("{text:?} is not a number of seconds from 0.02 to 3600"))
 }
 
-/// What `gdp-ctl ping` prints: a line for each answer, and the statistics.
+/// Output of `gdp-ctl ping`: a line for each answer, and the statistics.
 #[derive(Debug, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum PingOutput {
     Answer {
         seq: u64,
-        /// Who was asked.
+        /// The target of the request.
         from: Name,
-        /// None: no answer.
+        /// None without an answer.
         rtt_us: Option<u64>,
-        /// What that switch delivers the name to.
+        /// Local delivery of the name at that switch.
         end: Option<PathEnd>,
     },
     Statistics {
@@ -91,7 +91,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     }
 }
 
-/// Whether ^C comes before the time is over.
+/// Waits; returns whether ^C arrived before the time was over.
 async fn interrupted(rest: Duration) -> std::io::Result<bool> {
     tokio::select! {
         result = tokio::signal::ctrl_c() => result.map(|()| true),
@@ -107,12 +107,13 @@ fn how(location: &LocateReply) -> String {
     }
 }
 
-/// Whom to ask each time.
+/// Returns the targets of each round.
 fn targets(location: &LocateReply) -> &[Name] {
     if location.near { std::slice::from_ref(&location.name) } else { &location.egress }
 }
 
-/// The time to the target and back, and what it delivers the name to; none if nothing answers.
+/// Returns the round-trip time to the target, and the target's local delivery of the name; `None`
+/// without an answer.
 fn ask(
     location: &LocateReply,
     target: &Name,
@@ -127,7 +128,7 @@ fn ask(
     }
     let probe = Request::Probe { name: location.name, switch: *target, hops: INITIAL_HOP_LIMIT };
     let ProbeReply { rtt_us, end, .. } = client.ask(&probe)?;
-    // A switch before the end has no end to tell of.
+    // A switch before the end of the path reports no delivery.
     Ok((rtt_us.filter(|_| end.is_some()), end))
 }
 
@@ -139,7 +140,7 @@ fn describe(seq: u64, from: &Name, rtt_us: Option<u64>, end: Option<&PathEnd>) -
     }
 }
 
-/// What has been sent, and the times of what was answered, in microseconds.
+/// Number of requests sent, and the times of the answers in microseconds.
 #[derive(Default)]
 struct Tally {
     sent: u64,
@@ -157,7 +158,7 @@ impl Tally {
         100.0 * lost as f64 / self.sent.max(1) as f64
     }
 
-    /// The shortest time, the mean and the longest.
+    /// Returns the minimum, mean and maximum time.
     fn times(&self) -> Option<[u64; 3]> {
         let (min, max) = (self.times.iter().min()?, self.times.iter().max()?);
         Some([*min, self.times.iter().sum::<u64>() / self.times.len() as u64, *max])

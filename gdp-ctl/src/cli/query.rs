@@ -1,5 +1,5 @@
-//! `gdp-ctl query`: who publishes, reads, serves or calls a name. Believes neither the daemon nor
-//! the RIB: every record is verified here.
+//! `gdp-ctl query`: the publishers, readers, servers and callers of a name. The command trusts
+//! neither the daemon nor the RIB: it verifies every record itself.
 
 use std::path::Path;
 
@@ -20,7 +20,7 @@ use crate::client::Client;
 use gdp_proto::admin::Request;
 use gdp_util::unix_time::unix_seconds;
 
-/// Records that are shown at most.
+/// Maximum number of records shown.
 const MOST: usize = 100_000;
 
 #[derive(Debug, Args)]
@@ -30,15 +30,15 @@ pub struct Options {
     what: String,
 }
 
-/// What `gdp-ctl query` shows.
+/// Output of `gdp-ctl query`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct QueryOutput {
     records: Vec<VerifiedRecord>,
-    /// There are more.
+    /// Whether there are more records.
     truncated: bool,
 }
 
-/// An entity's part in a name, whose certificates were verified here.
+/// An entity's role for a name; this command has verified its certificates.
 #[derive(Debug, Serialize, JsonSchema)]
 struct VerifiedRecord {
     #[serde(flatten)]
@@ -79,7 +79,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     })
 }
 
-/// All records of the names that begin so, and whether there are more than this program takes.
+/// Returns the records of the names with this prefix, and whether there are more than the maximum.
 fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>, bool)> {
     let mut records: Vec<Record> = Vec::new();
     loop {
@@ -102,7 +102,7 @@ fn ask(client: &mut Client, prefix: &NamePrefix) -> anyhow::Result<(Vec<Record>,
     }
 }
 
-/// A card file, else digits of a name.
+/// Returns the name of a card file, or a prefix from digits.
 fn prefix(what: &str) -> anyhow::Result<NamePrefix> {
     let path = Path::new(what);
     if path.is_file() {

@@ -1,5 +1,5 @@
-//! What `gdp-ctl grant revoke` and `gdp-ctl domain revoke` share: the next revocation of a name,
-//! and telling the fabric.
+//! Shared parts of `gdp-ctl grant revoke` and `gdp-ctl domain revoke`: creating the next revocation
+//! of a name, and publishing it.
 
 use anyhow::{Context as _, bail};
 use gdp_core::card::NameCard;
@@ -18,12 +18,13 @@ use gdp_proto::admin::Request;
 use gdp_proto::admin::error::ErrorCode;
 use gdp_proto::control::RefusalCode;
 
-/// Seconds that an expired certificate stays listed: a clock may be so much behind.
+/// Number of seconds that an expired certificate stays listed, because a clock may be behind by
+/// this much.
 const CLOCKS_DIFFER: u64 = 86400;
 
 /// Sends the newest revocation of the issuance log's name to the daemon, and prints the result.
-/// `anew`: the revocation was made now, so it is of use though no daemon answers. `again` is the
-/// command that publishes it then.
+/// `anew`: the revocation is new, so it is useful even if no daemon answers. `again`: the command
+/// that publishes it later.
 pub fn publish(
     issuance_log: &IssuanceLog,
     signed: Signed<Revocation>,
@@ -35,7 +36,7 @@ pub fn publish(
     let file = issuance_log.revocation_path();
     let published = match send(issuance_log.card(), signed, context) {
         Ok(()) => true,
-        // It holds as soon as the fabric knows it; this machine need not be one that is connected.
+        // The revocation takes effect when the fabric receives it. This machine may be offline.
         Err(error) if anew && matches!(error.downcast_ref(), Some(ClientError::NoDaemon { .. })) => {
             note(format_args!(
                 "gdp-ctl: not published, so it has no effect yet: {error}. Then, or on another machine with a copy \
@@ -67,7 +68,7 @@ pub struct RevocationOutput {
     number: u64,
     /// All certificates with a lower serial are revoked.
     floor: String,
-    /// And these.
+    /// Further revoked serials.
     revoked: Vec<String>,
 }
 
@@ -78,19 +79,19 @@ impl RevocationOutput {
     }
 }
 
-/// What `gdp-ctl grant revoke` and `gdp-ctl domain revoke` show.
+/// Output of `gdp-ctl grant revoke` and `gdp-ctl domain revoke`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct RevokeOutput {
     #[serde(flatten)]
     revocation: RevocationOutput,
     name: Name,
     file: String,
-    /// A RIB has it.
+    /// Whether a RIB has received it.
     published: bool,
 }
 
-/// The revocation that follows `known`. With a new `floor` nothing that was said before matters, so
-/// it is no harm if that was lost: the number is then the time, which is above any earlier one.
+/// Returns the revocation that follows `known`. A new `floor` supersedes all earlier revocations,
+/// so `known` may be lost. The number is then at least the time, which exceeds any earlier number.
 pub fn next<E: Entry>(
     name: Name,
     known: Option<&Revocation>,
@@ -122,7 +123,8 @@ pub fn next<E: Entry>(
     Ok(Revocation { name, number, floor, revoked })
 }
 
-/// The time of issue; above all that was issued or revoked, also if the clock was set back.
+/// Returns the time as the serial, or the next serial above all issued or revoked ones if the clock
+/// was set back.
 pub fn next_serial<E: Entry>(issued: &[E], revocation: Option<&Revocation>) -> anyhow::Result<u64> {
     let issued = issued.iter().map(Entry::serial);
     let revoked = revocation.into_iter().flat_map(|revocation| {

@@ -1,4 +1,4 @@
-//! The JSON schema of what commands print with `-j`: `gdp-ctl --schema`.
+//! The JSON schema of the commands' output with `-j`: `gdp-ctl --schema`.
 
 use gdp_proto::admin::Versioned;
 use gdp_proto::admin::event::TimedEvent;
@@ -16,7 +16,7 @@ use super::{advertise, doctor, domain, dump, grant, key, name, ping, query, serv
 
 type Of = fn(&mut SchemaGenerator) -> Schema;
 
-/// What each command prints: one object, or an object a line.
+/// Output type of each command: a single object, or one object on each line.
 const OUTPUTS: [(&str, Of); 42] = [
     ("error", of::<FailureOutput>),
     ("status", of::<StatusReply>),
@@ -62,7 +62,8 @@ const OUTPUTS: [(&str, Of); 42] = [
     ("xdp detach", of::<xdp::DetachOutput>),
 ];
 
-/// A schema of an object with a property for each command: what that command prints.
+/// Returns the schema of an object with a property for each command, which describes the command's
+/// output.
 pub fn schema() -> Schema {
     let mut generator = SchemaSettings::draft2020_12().for_serialize().into_generator();
     let outputs: Map<_, _> =
@@ -81,7 +82,7 @@ fn of<T: JsonSchema>(generator: &mut SchemaGenerator) -> Schema {
     Versioned::<T>::json_schema(generator)
 }
 
-/// By what was to be shown: a domain's card, an invitation or a certificate.
+/// Returns the schema by the kind of argument: a domain's card, an invitation or a certificate.
 fn domain_show(generator: &mut SchemaGenerator) -> Schema {
     let shown: [Of; 3] = [of::<domain::DomainOutput>, of::<domain::InvitationOutput>, of::<CertificateOutput>];
     json_schema!({"anyOf": shown.map(|of| of(generator))})

@@ -1,4 +1,4 @@
-//! `gdp-ctl serve`: runs the daemon until it is told to stop.
+//! `gdp-ctl serve`: runs the daemon until it receives a signal to stop.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -45,7 +45,7 @@ pub struct Options {
     keep: bool,
 }
 
-/// What this process was started with, as a shell takes it.
+/// Returns this process's command line, quoted for a shell.
 fn command() -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,@%+".contains(c);
     let word = |word: String| match !word.is_empty() && word.chars().all(is_plain) {
@@ -74,7 +74,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     if !options.interface.is_empty() {
         config.name_interfaces(options.interface);
     }
-    // Before there are other threads.
+    // Drop privileges before other threads start.
     privileges::restrict(&config)?;
     let _log = gdp_util::log::start();
     let runtime = tokio::runtime::Builder::new_multi_thread()

@@ -1,4 +1,4 @@
-//! `gdp-ctl status`: the daemon as it sees itself.
+//! `gdp-ctl status`: the daemon's report of its own state.
 
 use super::output::{short, table};
 use crate::cli::context::Context;
@@ -86,7 +86,7 @@ fn describe_tier(tier: &TierStatus) -> String {
     )
 }
 
-/// The counters that count something, by data plane.
+/// Returns the nonzero counters, by data plane.
 fn describe_counters(status: &StatusReply) -> Vec<String> {
     let has_dpdk = status.counters_by_plane.values().any(|planes| planes.contains_key("dpdk"));
     let first = if has_dpdk { "dpdk" } else { "kernel" };
@@ -98,7 +98,7 @@ fn describe_counters(status: &StatusReply) -> Vec<String> {
     section(["frames", first, "userspace"], &rows.map(row).collect::<Vec<_>>())
 }
 
-/// A table behind an empty line, if it has rows.
+/// Returns a table after an empty line, if it has rows.
 fn section<const N: usize>(heading: [&str; N], rows: &[[String; N]]) -> Vec<String> {
     if rows.is_empty() { Vec::new() } else { [vec![String::new()], table(heading, rows)].concat() }
 }

@@ -1,4 +1,5 @@
-//! `gdp-ctl trace`: every switch and domain on the data path to a name, with the time to each.
+//! `gdp-ctl trace`: shows every switch and domain on the data path to a name, with the time to
+//! each.
 
 use clap::Args;
 use gdp_proto::control::MAX_PATH;
@@ -14,10 +15,10 @@ use gdp_proto::admin::Request;
 use gdp_proto::admin::trace::{BeyondReply, DomainHop, InsideHop, LocateReply, PathEnd, ProbeReply};
 use gdp_proto::admin::words::Outcome;
 
-/// Probes for one hop, until one is answered.
+/// Maximum number of probes for one hop.
 const TRIES: usize = 3;
 
-/// Hops in a row that nothing answers from: then nothing further on is asked.
+/// Number of consecutive hops without an answer after which the trace ends.
 const SILENT: usize = 4;
 
 /// Show every switch that frames for a name cross from here, and the time to each.
@@ -40,19 +41,19 @@ pub struct Options {
     max_hops: u8,
 }
 
-/// What `gdp-ctl trace` shows.
+/// Output of `gdp-ctl trace`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct TraceOutput {
     name: Name,
-    /// One to each egress switch of the name.
+    /// One path to each egress switch of the name.
     paths: Vec<TracePath>,
 }
 
-/// The path to an egress switch, and on into other domains.
+/// The path to an egress switch, and its continuation in other domains.
 #[derive(Debug, Serialize, JsonSchema)]
 struct TracePath {
     egress: Name,
-    /// All of it has answered.
+    /// Whether the path has answered completely.
     reached: bool,
     hops: Vec<TraceHop>,
     domains: Vec<DomainHop>,
@@ -61,12 +62,12 @@ struct TracePath {
 /// A switch of this domain on the path.
 #[derive(Debug, Serialize, JsonSchema)]
 struct TraceHop {
-    /// Switches from the daemon's.
+    /// Number of switches from the daemon's switch.
     hop: u8,
-    /// None: no answer.
+    /// None without an answer.
     switch: Option<Name>,
     rtt_us: Option<u64>,
-    /// None if the switch is not an egress switch of the name.
+    /// None unless the switch is an egress switch of the name.
     end: Option<PathEnd>,
 }
 
@@ -75,7 +76,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     let location = name_location::find(&options.what, &mut client)?;
     let mut paths = Vec::new();
     if location.egress.is_empty() {
-        // An endpoint whose link is here, and to which nobody here may send.
+        // The name is an endpoint with a link here, but nobody here may send to it.
         let (egress, hops) = (location.own, vec![own(&location)]);
         paths.push(TracePath { egress, reached: true, hops, domains: Vec::new() });
     }
@@ -92,7 +93,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         .into())
 }
 
-/// The path to one egress switch.
+/// Traces the path to one egress switch.
 fn follow(location: &LocateReply, egress: Name, max_hops: u8, client: &mut Client) -> Result<TracePath, ClientError> {
     let mut hops = vec![own(location)];
     let (mut reached, mut silent) = (egress == location.own, 0);
@@ -111,7 +112,8 @@ fn follow(location: &LocateReply, egress: Name, max_hops: u8, client: &mut Clien
     Ok(TracePath { egress, reached, hops, domains })
 }
 
-/// The domains that the name leaves for at the last switch of a path, and those behind them.
+/// Returns the domains to which the name leaves at the last switch of a path, and those behind
+/// them.
 fn beyond(
     name: Name,
     border: Name,
@@ -137,7 +139,7 @@ fn ask(probe: &Request, client: &mut Client) -> Result<ProbeReply, ClientError> 
     Ok(answer)
 }
 
-/// The daemon's switch is the first on every path.
+/// Returns the daemon's switch as the first hop of every path.
 fn own(location: &LocateReply) -> TraceHop {
     let is_end = location.egress.is_empty() || location.egress.contains(&location.own);
     TraceHop { hop: 0, switch: Some(location.own), rtt_us: Some(0), end: is_end.then(|| location.end.clone()) }
@@ -161,7 +163,7 @@ fn describe(TraceOutput { name, paths }: &TraceOutput) -> Vec<String> {
     lines
 }
 
-/// A domain: where it is entered, and what is inside.
+/// Describes a domain: its entry, and its inside.
 fn cross(domain: &DomainHop, lines: &mut Vec<String>) {
     let indent = " ".repeat(4 * usize::from(domain.depth).min(MAX_PATH));
     let (name, entered) = (format!("{:#}", domain.domain), time(domain.rtt_us, "no answer to echoes"));
@@ -197,7 +199,7 @@ fn time(rtt_us: Option<u64>, none: &str) -> String {
     rtt_us.map_or_else(|| none.to_owned(), millis)
 }
 
-/// What the last switch, or a domain, delivers to.
+/// Describes the delivery at the last switch, or in a domain.
 fn describe_end(end: Option<&PathEnd>) -> String {
     let Some(PathEnd { links, beyond }) = end else { return String::new() };
     let mut text = format!("  → {links} local {}", if *links == 1 { "link" } else { "links" });

@@ -1,5 +1,5 @@
-//! `gdp-ctl xdp stats` and `xdp detach`: what daemons have left in the kernel, running ones or not.
-//! Works without a daemon, as root; reads and removes the pinned files itself.
+//! `gdp-ctl xdp stats` and `xdp detach`: state of running and ended daemons in the kernel. The
+//! commands need no daemon, but need root. They read and remove the pinned files themselves.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -84,39 +84,39 @@ impl Options {
     fn find(&self) -> anyhow::Result<Vec<Found>> {
         let found = pins::find(&self.bpffs).context("cannot look for what daemons left")?;
         let wanted = self.switch.as_deref().unwrap_or_default();
-        // Of the name only the first digits are known.
+        // Pins contain only the first digits of the name.
         Ok(found.into_iter().filter(|f| f.switch.starts_with(wanted) || wanted.starts_with(&f.switch)).collect())
     }
 }
 
-/// What `gdp-ctl xdp stats` shows.
+/// Output of `gdp-ctl xdp stats`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct StatsOutput {
     switches: Vec<PinnedOutput>,
 }
 
-/// What `gdp-ctl xdp detach` shows: folders of pins.
+/// Output of `gdp-ctl xdp detach`: folders of pins.
 #[derive(Debug, Default, Serialize, JsonSchema)]
 pub struct DetachOutput {
     detached: Vec<String>,
-    /// A daemon runs with these.
+    /// Folders whose daemon is running.
     running: Vec<String>,
 }
 
-/// What a daemon has in the kernel.
+/// State of a daemon in the kernel.
 #[derive(Debug, Serialize, JsonSchema)]
 struct PinnedOutput {
-    /// First digits of its name.
+    /// First digits of the switch's name.
     switch: String,
     /// Inode number of the network namespace.
     namespace: u64,
-    /// The version of the maps.
+    /// Version of the maps.
     abi: u32,
     folder: PathBuf,
     programs: Vec<ProgramOutput>,
-    /// A daemon runs with them.
+    /// Whether a daemon runs with these pins.
     daemon: bool,
-    /// Only of maps of this program's version.
+    /// Present only if the maps have this program's version.
     #[serde(flatten)]
     maps: Option<MapsOutput>,
 }
@@ -129,12 +129,12 @@ struct ProgramOutput {
     mode: &'static str,
 }
 
-/// What the maps of a data plane hold.
+/// Contents of the maps of a data plane.
 #[derive(Debug, Serialize, JsonSchema)]
 struct MapsOutput {
     links: usize,
     names: usize,
-    /// Frames that an interface did not take after a redirect, by its index.
+    /// Frames that an interface did not accept after a redirect, by interface index.
     redirect_lost: BTreeMap<String, u64>,
     /// Frames by counter.
     counters: BTreeMap<String, u64>,
@@ -142,7 +142,7 @@ struct MapsOutput {
 
 fn describe(found: &Found) -> anyhow::Result<PinnedOutput> {
     let programs = found.links().into_iter().map(|(ifindex, mode)| ProgramOutput { ifindex, mode: mode.as_str() });
-    // What the maps of another version mean is not known here.
+    // This program cannot interpret maps of another version.
     let maps = (found.abi == ABI).then(|| {
         let stats = kernel::pinned_stats(&found.folder)
             .with_context(|| format!("cannot read the maps in {}", found.folder.display()))?;

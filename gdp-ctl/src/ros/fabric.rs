@@ -1,4 +1,4 @@
-//! The node of the fabric that a command is, with the user's key, and what it asks the RIB.
+//! A command as a node of the fabric, with the user's key, and its queries to the RIB.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::path::{Path, PathBuf};
@@ -16,16 +16,16 @@ use crate::client::Client;
 use gdp_proto::admin::Request;
 use gdp_proto::admin::status::HelloReply;
 
-/// Records of one name that are counted.
+/// Maximum number of records of one name that are counted.
 const MAX_RECORDS: usize = 100_000;
 
-/// The command's place in the fabric.
+/// The command's node in the fabric, with its keyring.
 pub struct Fabric {
     pub node: Node,
     pub keyring: Keyring,
 }
 
-/// Who publishes and reads a name, or serves and calls it, as the RIB shows it.
+/// The entities of a name in the RIB.
 #[derive(Debug, Default)]
 pub struct Entities {
     /// Publishers or servers.
@@ -34,7 +34,7 @@ pub struct Entities {
     pub readers: Vec<Name>,
 }
 
-/// `id.pem` of the keyring, if nothing else is said.
+/// Loads the key; without `key`, `id.pem` of the keyring.
 pub fn identity(keyring: &Path, key: Option<&PathBuf>, kind: &str) -> anyhow::Result<Identity> {
     let file = key.cloned().unwrap_or_else(|| keyring.join("id.pem"));
     match SigningKey::load(&file) {
@@ -50,7 +50,7 @@ pub fn identity(keyring: &Path, key: Option<&PathBuf>, kind: &str) -> anyhow::Re
 }
 
 impl Fabric {
-    /// Attaches at a switch.
+    /// Attaches to a switch.
     pub async fn join(keyring: Keyring, identity: Identity, switch: LinkTarget) -> anyhow::Result<Self> {
         let credentials = keyring.credentials.as_ref().map(|files| files.load()).transpose()?;
         let place = switch.to_string();
@@ -59,7 +59,7 @@ impl Fabric {
         Ok(Self { node, keyring })
     }
 
-    /// Without this node itself.
+    /// Returns the entities of a name, without this node itself.
     pub async fn entities(&self, card: &NameCard) -> anyhow::Result<Entities> {
         let (name, mut entities, mut after, mut seen) = (card.name(), Entities::default(), None, 0);
         loop {
@@ -87,7 +87,7 @@ fn role(record: &Record) -> anyhow::Result<(NameRole, Name)> {
     Ok((record.role()?, record.entity.name()?))
 }
 
-/// Where the local daemon takes links over UDP.
+/// Returns the address at which the local daemon accepts links over UDP.
 pub fn local_switch(client: &mut Client) -> anyhow::Result<LinkTarget> {
     let HelloReply { udp, .. } = client.ask(&Request::Hello)?;
     let Some(mut addr) = udp else {

@@ -1,5 +1,5 @@
-//! Messages of a topic with what their publishers are: rosters tell it, and for writers that send
-//! none the name's card does.
+//! Messages of a topic with their publishers' types. Rosters state the types. For writers without
+//! rosters, the name's card states the type.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
@@ -14,10 +14,10 @@ use gdp_ros::types::{TypeError, Types, unsealed};
 use gdp_wire::Name;
 use serde_json::Value;
 
-/// How often publishers that are not heard of are looked for.
+/// Interval at which silent publishers are checked.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// What is known of a publisher in ROS.
+/// Known properties of a ROS publisher.
 #[derive(Clone, Debug)]
 pub struct RemotePublisher {
     pub kind: Kind,
@@ -25,7 +25,7 @@ pub struct RemotePublisher {
     pub offers: Offer,
 }
 
-/// A message, and what it is of.
+/// A message with its type.
 pub struct ReceivedMessage {
     pub message: Message,
     pub kind: Kind,
@@ -37,10 +37,10 @@ pub struct Feed {
     subscription: Subscription,
     incoming: Incoming,
     publishers: BTreeMap<(Name, u32), RemotePublisher>,
-    /// For writers that tell no publishers apart.
+    /// Type from the card, for writers without rosters.
     carded: Option<Kind>,
     released: VecDeque<ReceivedMessage>,
-    /// What is worth a word of what was left out, since it was last asked for.
+    /// Warnings about omitted messages since the last call of [`Self::take_said`].
     said: Vec<String>,
 }
 
@@ -58,7 +58,7 @@ impl Feed {
         }
     }
 
-    /// By writer and number.
+    /// Returns the publishers by writer and number.
     pub fn publishers(&self) -> &BTreeMap<(Name, u32), RemotePublisher> {
         &self.publishers
     }
@@ -67,7 +67,7 @@ impl Feed {
         std::mem::take(&mut self.said)
     }
 
-    /// The next message; `None` once the right to read has ended. Safe to cancel.
+    /// Returns the next message; `None` once the right to read has ended. Cancel safe.
     pub async fn next(&mut self) -> Option<ReceivedMessage> {
         loop {
             if let Some(received) = self.released.pop_front() {
@@ -77,7 +77,7 @@ impl Feed {
         }
     }
 
-    /// Takes in what comes next, whatever it is. Safe to cancel.
+    /// Processes the next message or timer event. Cancel safe.
     pub async fn step(&mut self) -> Option<()> {
         tokio::select! {
             message = self.subscription.recv() => {
@@ -132,13 +132,13 @@ impl Feed {
     }
 }
 
-/// Reads messages as values.
+/// Decodes messages to values.
 pub struct Decoder {
     types: Types,
     known: HashMap<(Kind, Option<Arc<str>>, Encoding), ReaderConverters>,
 }
 
-/// Kinds and encodings that are kept ready to be read.
+/// Maximum number of cached converters, one for each kind and encoding.
 const MAX_KNOWN: usize = 256;
 
 struct ReaderConverters {
@@ -147,10 +147,10 @@ struct ReaderConverters {
     mapping: Mapping,
 }
 
-/// A message that was read.
+/// A decoded message.
 pub struct Decoded<'a> {
     pub schema: &'a Schema,
-    /// Of the type itself.
+    /// The message type itself.
     pub root: &'a Base,
     pub value: Value,
 }

@@ -1,10 +1,10 @@
-//! How often messages come, how large and how old they are, over a window of the last ones: the
-//! figures of `ros2 topic hz`, `bw` and `delay`.
+//! Rate, size and age of messages over a window of the latest messages: the figures of `ros2 topic
+//! hz`, `bw` and `delay`.
 
 use std::collections::VecDeque;
 
-/// Times in nanoseconds: the mean, the least, the greatest, the standard deviation, and of how
-/// many.
+/// Statistics of times in nanoseconds: mean, minimum, maximum, standard deviation, and number of
+/// values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
     pub mean: f64,
@@ -23,7 +23,7 @@ impl Spread {
         Some(Self { mean, min, max, deviation: (squares / count as f64).sqrt(), count })
     }
 
-    /// As `ros2 topic hz` and `delay` go on behind the first figure.
+    /// Returns the text after the first figure, as `ros2 topic hz` and `delay` print it.
     pub fn text(&self) -> String {
         format!(
             "\tmin: {:.3}s max: {:.3}s std dev: {:.5}s window: {}",
@@ -35,12 +35,12 @@ impl Spread {
     }
 }
 
-/// Of nanoseconds.
+/// Converts nanoseconds to seconds.
 pub fn seconds(nanos: f64) -> f64 {
     nanos * 1e-9
 }
 
-/// The last values, and whether any is new.
+/// The latest values, and whether any is new.
 struct Window {
     most: usize,
     values: VecDeque<i64>,
@@ -60,7 +60,7 @@ impl Window {
         self.is_new = true;
     }
 
-    /// Nothing if nothing is new.
+    /// Returns the statistics, or `None` if there is no new value.
     fn spread(&mut self) -> Option<Spread> {
         std::mem::take(&mut self.is_new).then(|| Spread::of(&self.values)).flatten()
     }
@@ -73,12 +73,12 @@ pub struct Intervals {
 }
 
 impl Intervals {
-    /// Of the last `most` intervals.
+    /// Creates a window of the latest `most` intervals.
     pub fn new(most: usize) -> Self {
         Self { window: Window::new(most), last: None }
     }
 
-    /// A message came, at this time of a clock in nanoseconds.
+    /// Records a message that arrived at time `now` in nanoseconds.
     pub fn record(&mut self, now: u64) {
         if let Some(last) = self.last {
             self.window.add(now.saturating_sub(last) as i64);
@@ -86,7 +86,7 @@ impl Intervals {
         self.last = Some(now);
     }
 
-    /// If a message came since.
+    /// Returns the statistics, if a message has arrived since the last call.
     pub fn spread(&mut self) -> Option<Spread> {
         self.window.spread()
     }
@@ -96,12 +96,13 @@ impl Intervals {
 pub struct Delays(Window);
 
 impl Delays {
-    /// Of the last `most` messages.
+    /// Creates a window of the latest `most` messages.
     pub fn new(most: usize) -> Self {
         Self(Window::new(most))
     }
 
-    /// A message came that was as old, in nanoseconds; less than nothing if its clock is ahead.
+    /// Records a message of this age in nanoseconds. The age is negative if the sender's clock is
+    /// ahead.
     pub fn record(&mut self, age: i64) {
         self.0.add(age);
     }
@@ -110,19 +111,19 @@ impl Delays {
         self.0.values.is_empty()
     }
 
-    /// If a message came since.
+    /// Returns the statistics, if a message has arrived since the last call.
     pub fn spread(&mut self) -> Option<Spread> {
         self.0.spread()
     }
 }
 
-/// Bytes of messages, and when they came.
+/// Sizes of messages in bytes, and their arrival times.
 pub struct Sizes {
     most: usize,
     messages: VecDeque<(u64, usize)>,
 }
 
-/// Of the messages in a window.
+/// Figures of the messages in a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bandwidth {
     pub bytes_per_s: f64,
@@ -133,7 +134,7 @@ pub struct Bandwidth {
 }
 
 impl Sizes {
-    /// Of the last `most` messages.
+    /// Creates a window of the latest `most` messages.
     pub fn new(most: usize) -> Self {
         Self { most, messages: VecDeque::new() }
     }
@@ -145,7 +146,8 @@ impl Sizes {
         }
     }
 
-    /// From the first message of the window until now; nothing of fewer than two.
+    /// Returns the figures from the first message of the window until now; `None` for fewer than
+    /// two messages.
     pub fn bandwidth(&self, now: u64) -> Option<Bandwidth> {
         let (first, count) = (self.messages.front()?.0, self.messages.len());
         let time = seconds(now.saturating_sub(first) as f64);
@@ -159,7 +161,7 @@ impl Sizes {
 }
 
 impl Bandwidth {
-    /// As `ros2 topic bw` says it: all sizes in the unit of the first.
+    /// Returns the text as `ros2 topic bw` prints it. All sizes have the unit of the first.
     pub fn text(&self) -> String {
         let unit = |bytes: f64| match self.bytes_per_s {
             few if few < 1e3 => format!("{bytes:.0} B"),

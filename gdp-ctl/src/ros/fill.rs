@@ -1,6 +1,6 @@
-//! From what a user gives to a whole message: what is not given is what the definition says, and
-//! else zero and empty, as in ROS 2. Made as JSON, which `gdp-msg` then checks against the
-//! definition and encodes.
+//! Completes a user's input to a whole message. Omitted fields get the definition's default, or
+//! else zero or empty values, as in ROS 2. The result is JSON, which `gdp-msg` then checks against
+//! the definition and encodes.
 
 use gdp_msg::{Base, Count, Dialect, Field, Scalar, Schema, TypeName};
 use serde_json::{Map, Value};
@@ -8,10 +8,10 @@ use serde_json::{Map, Value};
 use super::user_input::UserInput;
 use super::view::{definition, is_octet};
 
-/// Elements of fixed arrays that are filled with zeros, for one message.
+/// Maximum number of zero elements added to fixed arrays of one message.
 const MAX_FILLED: usize = 1 << 20;
 
-/// Why there is no message.
+/// Reasons why the input is not a valid message.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FillError {
     #[error("{of} has no field `{field}`; its fields are: {}", there.join(", "))]
@@ -24,8 +24,8 @@ pub enum FillError {
     TooLarge { path: String },
 }
 
-/// The message that is meant by `input`. `now`: seconds and nanoseconds for times that are given as
-/// `now`, and for headers given as `auto`.
+/// Returns the message for `input`. `now`: seconds and nanoseconds for times given as `now`, and
+/// for headers given as `auto`.
 pub fn fill(schema: &Schema, input: &UserInput, now: (u64, u32)) -> Result<Value, FillError> {
     Fill { schema, now, room: MAX_FILLED }.message("", schema.name(), input)
 }
@@ -68,7 +68,7 @@ impl Fill<'_> {
         Ok(Value::Object(members))
     }
 
-    /// What the definition begins a message with; its texts are YAML.
+    /// Returns the default of a field. Default texts in the definition are YAML.
     fn default(&mut self, path: &str, field: &Field) -> Result<Value, FillError> {
         match field.default.as_ref().and_then(|text| UserInput::parse(text).ok()) {
             Some(input) => self.field(path, field, &input),
@@ -93,7 +93,7 @@ impl Fill<'_> {
                 return zeros.collect::<Result<_, _>>().map(Value::Array);
             }
             (UserInput::Nothing, _) => &vec![],
-            // As JSON has it.
+            // Base64, as in JSON.
             (UserInput::Text(base64), _) if octets => return Ok(Value::String(base64.clone())),
             (other, _) => return Err(unlike(path, "a list".into(), other)),
         };
@@ -108,7 +108,7 @@ impl Fill<'_> {
             Base::String(_) | Base::WString(_) => match input {
                 UserInput::Nothing => Ok("".into()),
                 UserInput::Text(text) => Ok(text.clone().into()),
-                // `data: 5` means a text as well, as in ROS 2.
+                // `data: 5` is also valid for a text, as in ROS 2.
                 UserInput::Integer(value) => Ok(value.to_string().into()),
                 UserInput::Float(value) => Ok(super::python::float(*value).into()),
                 other => Err(unlike(path, "a text, in quotes".into(), other)),
@@ -127,7 +127,7 @@ impl Fill<'_> {
             (_, UserInput::Integer(value)) if is_float => Ok((*value as f64).into()),
             (_, UserInput::Integer(value)) => {
                 let small = i64::try_from(*value).map(Value::from);
-                // JSON has larger ones as text, and whether it fits is checked there.
+                // JSON represents larger integers as text. The encoder checks their range.
                 Ok(small.unwrap_or_else(|_| value.to_string().into()))
             }
             (_, UserInput::Float(value)) if is_float => Ok(match *value {
@@ -136,7 +136,7 @@ impl Fill<'_> {
                 f64::NEG_INFINITY => "-Infinity".into(),
                 value => value.into(),
             }),
-            // A character, as `topic echo` prints it; else a number as JSON has it.
+            // A character, as `topic echo` prints it; otherwise a number as in JSON.
             (Scalar::Byte, UserInput::Text(text))
                 if self.schema.dialect() == Dialect::Ros2 && text.chars().count() == 1 =>
             {

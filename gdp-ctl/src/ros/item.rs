@@ -1,6 +1,6 @@
 //! The values of a message as YAML.
 
-/// What is printed.
+/// A value to print.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
     Bool(bool),
@@ -8,6 +8,6 @@ pub enum Item {
     Float(f64),
     Text(String),
     List(Vec<Item>),
-    /// By name, in this order.
+    /// Fields by name, in this order.
     Map(Vec<(String, Item)>),
 }

@@ -1,9 +1,10 @@
-//! A user's folder of name cards, certificates and one entity key: who may read or publish a topic,
-//! told by its ROS name.
+//! A user's folder of name cards, certificates and one entity key. It provides the rights to read
+//! or publish a topic by its ROS name.
 //!
-//! `*.card`, `*.grant` and `*.ad` are what `gdp-ctl name create` and `gdp-ctl grant add` make. With
-//! `*.member` (or `membership`) and the card of the domain, the entity shows itself as a member of
-//! it; `*.peer` are what that domain lets others do. What is no such file is named, and left out.
+//! `gdp-ctl name create` and `gdp-ctl grant add` create `*.card`, `*.grant` and `*.ad`. `*.member`
+//! (or `membership`) and the domain's card prove that the entity is a member of the domain.
+//! `*.peer` are certificates of that domain for other domains. Invalid files are reported and
+//! omitted.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +16,7 @@ use gdp_wire::Name;
 
 use crate::cli::credential_file::CredentialFile;
 
-/// Entries of a folder that are looked at.
+/// Maximum number of folder entries that are read.
 const MAX_ENTRIES: usize = 10_000;
 
 #[derive(Debug, thiserror::Error)]
@@ -30,7 +31,7 @@ pub enum KeyringError {
     TooMany(PathBuf),
 }
 
-/// Why no card is meant.
+/// Reasons why a search finds no single card.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FindError {
     #[error("no name card of a {kind} {what} in {}; `gdp-ctl {kind} list` shows those there are", folder.display())]
@@ -41,7 +42,7 @@ pub enum FindError {
     Other { what: String, kind: String, got: String },
 }
 
-/// Why a certificate is not there.
+/// Reasons why there is no valid certificate.
 #[derive(Debug, thiserror::Error)]
 pub enum RightError {
     #[error(transparent)]
@@ -71,7 +72,7 @@ fn listed(names: &[Name]) -> String {
     names.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// What is in the folder.
+/// Contents of the folder.
 #[derive(Debug, Default)]
 pub struct Keyring {
     folder: PathBuf,
@@ -79,9 +80,9 @@ pub struct Keyring {
     cards: Vec<NameCard>,
     ads: Vec<(PathBuf, Name, Issued<AdCert>)>,
     grants: Vec<(PathBuf, Name, Reading)>,
-    /// Of the domain that the entity is a member of.
+    /// Credentials of the domain of which the entity is a member.
     pub credentials: Option<CredentialFiles>,
-    /// Files that were left out, and why.
+    /// Omitted files, each with the reason.
     pub left_out: Vec<String>,
 }
 
@@ -132,7 +133,7 @@ impl Keyring {
         Ok(keyring)
     }
 
-    /// Whether it is that of a domain.
+    /// Adds a card. Returns `true` for the card of a domain, which is not added.
     fn card(&mut self, file: &Path) -> Result<bool, String> {
         let card = NameCard::load(file).map_err(|error| error.to_string())?;
         if card.get("kind") == Some("domain") {
@@ -160,12 +161,12 @@ impl Keyring {
         Ok(())
     }
 
-    /// Cards of this kind: `topic`, `service` or `action`.
+    /// Returns the cards of this kind: `topic`, `service` or `action`.
     pub fn cards(&self, kind: &str) -> impl Iterator<Item = &NameCard> {
         self.cards.iter().filter(move |card| card.get("kind") == Some(kind))
     }
 
-    /// The card that is meant by a ROS name, a name or its first digits, or a card file.
+    /// Finds a card by its ROS name, its name or a prefix of it, or its file.
     pub fn find(&self, what: &str, kind: &str) -> Result<NameCard, FindError> {
         let rooted = if what.starts_with('/') { what.to_owned() } else { format!("/{what}") };
         let called = |card: &&NameCard| card.get("topic").is_some_and(|topic| topic == rooted || topic == what);
@@ -190,7 +191,7 @@ impl Keyring {
         }
     }
 
-    /// What lets `entity` read the name.
+    /// Returns a grant for `entity` to read the name.
     pub fn grant(&self, card: &NameCard, entity: Name, now: u64) -> Result<Reading, RightError> {
         let ours = self.grants.iter().filter(|(_, of, _)| *of == card.name());
         let checked = ours.map(|(file, _, grant)| {
@@ -200,7 +201,7 @@ impl Keyring {
         newest(checked, card)?.cloned().ok_or_else(|| self.missing("grant to read", "--read", "grant", card, entity))
     }
 
-    /// What lets `entity` publish the name.
+    /// Returns a certificate for `entity` to publish the name.
     pub fn ad(&self, card: &NameCard, entity: Name, now: u64) -> Result<Issued<AdCert>, RightError> {
         let ours = self.ads.iter().filter(|(_, of, _)| *of == card.name());
         let checked = ours.map(|(file, _, ad)| {
@@ -226,12 +227,13 @@ impl Keyring {
     }
 }
 
-/// The ROS name of a card.
+/// Returns the ROS name of a card.
 pub fn called(card: &NameCard) -> &str {
     card.get("topic").unwrap_or("a name without a topic")
 }
 
-/// Of those that hold, the one that holds longest; why none does, if there are any.
+/// Returns the valid certificate with the latest expiry. If none is valid, returns the error of
+/// one, or `None` if there are none.
 fn newest<'a, T>(
     checked: impl Iterator<Item = (&'a PathBuf, &'a T, Result<u64, CertError>)>,
     card: &NameCard,

@@ -1,10 +1,10 @@
-//! What `gdp-ctl topic`, `service` and `action` are made of: the user's keyring, messages as people
-//! of ROS 2 read and write them, and the figures that are kept of a topic. [`fabric`] and [`feed`]
-//! talk to the Global Data Plane; the others do no I/O but for the keyring's files. No ROS graph is
-//! needed: the commands are a node of the fabric.
+//! Components of `gdp-ctl topic`, `service` and `action`. They are the user's keyring, messages in
+//! the text forms of ROS 2, and statistics of a topic. [`fabric`] and [`feed`] use the Global Data
+//! Plane. The others perform no I/O besides the keyring's files. The commands are nodes of the
+//! fabric, so they need no ROS graph.
 //!
-//! Layouts are those of ros2cli and of `rosidl_runtime_py`, for people and for scripts that read
-//! them.
+//! Output layouts are those of ros2cli and `rosidl_runtime_py`, for users and for scripts that
+//! parse them.
 
 pub mod fabric;
 pub mod feed;

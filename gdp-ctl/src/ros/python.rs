@@ -1,11 +1,11 @@
-//! Values as Python prints them: what `ros2 topic pub`, `ros2 service call` and `ros2 topic echo
-//! --raw` show.
+//! Values in Python notation, as `ros2 topic pub`, `ros2 service call` and `ros2 topic echo --raw`
+//! print them.
 
 use gdp_msg::{Base, Count, Scalar};
 
 use super::view::{View, ViewError};
 
-/// `repr` of a float: the shortest text that reads as the same number.
+/// Returns `repr` of a float: the shortest text that parses to the same number.
 pub fn float(value: f64) -> String {
     if value.is_nan() {
         return "nan".into();
@@ -26,7 +26,7 @@ pub fn float(value: f64) -> String {
     format!("{digits}e{sign}{:02}", exponent.abs())
 }
 
-/// `repr` of a string.
+/// Returns `repr` of a string.
 pub fn string(value: &str) -> String {
     let quote = if value.contains('\'') && !value.contains('"') { '"' } else { '\'' };
     let mut out = String::from(quote);
@@ -45,7 +45,7 @@ pub fn string(value: &str) -> String {
     out
 }
 
-/// `repr` of bytes.
+/// Returns `repr` of bytes.
 pub fn bytes(value: &[u8]) -> String {
     let quote = if value.contains(&b'\'') && !value.contains(&b'"') { '"' } else { '\'' };
     let mut out = format!("b{quote}");
@@ -64,13 +64,13 @@ pub fn bytes(value: &[u8]) -> String {
     out
 }
 
-/// `repr` of a message, or of what is in one.
+/// Returns `repr` of a message or a value in it.
 pub fn value(view: &View<'_>) -> Result<String, ViewError> {
     if view.count != Count::One {
         let (values, _) = view.elements(usize::MAX)?;
         let items = values.iter().map(|element| value(&view.element(element))).collect::<Result<Vec<_>, _>>()?;
         let list = format!("[{}]", items.join(", "));
-        // Fixed arrays of numbers are numpy's.
+        // Python has numpy arrays for fixed arrays of numbers.
         let is_numpy =
             matches!((view.count, view.base), (Count::Fixed(_), Base::Scalar(scalar)) if *scalar != Scalar::Bool);
         return Ok(if is_numpy && !view.is_byte() { format!("array({list})") } else { list });

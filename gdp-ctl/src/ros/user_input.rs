@@ -1,5 +1,5 @@
-//! What a user gives of a message, in YAML, of which JSON is a part: values, before it is known of
-//! which type they are to be.
+//! A user's input for a message, in YAML, which includes JSON. The values are parsed before their
+//! types are known.
 
 use std::fmt;
 
@@ -14,7 +14,7 @@ pub enum UserInput {
     Float(f64),
     Text(String),
     List(Vec<UserInput>),
-    /// As it was written, each name once.
+    /// Entries in the order of the input; each name occurs once.
     Map(Vec<(String, UserInput)>),
 }
 
@@ -34,7 +34,7 @@ impl UserInput {
         serde_saphyr::from_str_with_options(text, options).map_err(|error| UserInputError(error.to_string()))
     }
 
-    /// For whoever reads why it does not fit.
+    /// Returns a description for error messages.
     pub fn what(&self) -> &'static str {
         match self {
             Self::Nothing => "nothing",

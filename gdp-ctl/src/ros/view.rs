@@ -1,5 +1,5 @@
-//! A message with its definition: JSON has the values, and the definition says in which order they
-//! stand and what they are.
+//! A message with its definition. JSON contains the values, and the definition states their order
+//! and types.
 
 use gdp_msg::{Base, Count, Definition, Dialect, Scalar, Schema, TypeName};
 use serde_json::Value;
@@ -15,14 +15,14 @@ pub struct View<'a> {
     pub value: &'a Value,
 }
 
-/// What is shown of a message.
+/// Limits of the printed output of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Characters of a text, and elements of an array.
+    /// Maximum characters of a text, and elements of an array.
     pub length: usize,
-    /// Of arrays, only what they are.
+    /// Print only the type of arrays.
     pub no_arrays: bool,
-    /// Of texts, only their length.
+    /// Print only the length of texts.
     pub no_texts: bool,
 }
 
@@ -40,7 +40,7 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
-/// The fields of a message, also of the two that ROS 1 has built in.
+/// Returns the fields of a message, including the two built-in messages of ROS 1.
 fn members<'a>(schema: &'a Schema, base: &'a Base) -> Option<Vec<(&'a str, &'a Base, Count)>> {
     const UNSIGNED: Base = Base::Scalar(Scalar::UInt32);
     const SIGNED: Base = Base::Scalar(Scalar::Int32);
@@ -55,23 +55,23 @@ fn members<'a>(schema: &'a Schema, base: &'a Base) -> Option<Vec<(&'a str, &'a B
     }
 }
 
-/// Of a type that the schema consists of.
+/// Returns the definition of a type in the schema.
 pub fn definition<'a>(schema: &'a Schema, name: &TypeName) -> Option<&'a Definition> {
     schema.definitions().find(|definition| definition.name == *name)
 }
 
-/// Whether arrays of these are base64 in JSON.
+/// Returns whether JSON represents arrays of this scalar as base64.
 pub fn is_octet(scalar: Scalar) -> bool {
     matches!(scalar, Scalar::Byte | Scalar::Char | Scalar::UInt8)
 }
 
 impl<'a> View<'a> {
-    /// `root`: [`Base::Named`] with the schema's own name.
+    /// Creates the view of a message. `root`: [`Base::Named`] with the schema's own name.
     pub fn of(schema: &'a Schema, root: &'a Base, value: &'a Value) -> Self {
         Self { schema, base: root, count: Count::One, value }
     }
 
-    /// The fields, if it is a message.
+    /// Returns the fields, if this is a message.
     pub fn fields(&self) -> Option<Vec<(&'a str, Self)>> {
         let members = members(self.schema, self.base).filter(|_| self.count == Count::One)?;
         let view =
@@ -79,7 +79,7 @@ impl<'a> View<'a> {
         members.into_iter().map(view).collect()
     }
 
-    /// A field of a field, as `pose.position.x`.
+    /// Returns a nested field, such as `pose.position.x`.
     pub fn at(&self, path: &[String]) -> Result<Self, ViewError> {
         let mut view = *self;
         for field in path {
@@ -95,7 +95,7 @@ impl<'a> View<'a> {
         Ok(view)
     }
 
-    /// Whether it is a `byte` of ROS 2, which Python has as text of one character.
+    /// Returns whether this is a `byte` of ROS 2, which Python represents as text of one character.
     pub fn is_byte(&self) -> bool {
         self.schema.dialect() == Dialect::Ros2 && *self.base == Base::Scalar(Scalar::Byte)
     }
@@ -104,7 +104,7 @@ impl<'a> View<'a> {
         self.count == Count::One && matches!(self.base, Base::Named(_) | Base::Time | Base::Duration)
     }
 
-    /// So many of the first elements, and how many there are.
+    /// Returns at most `most` of the first elements, and the total number of elements.
     pub fn elements(&self, most: usize) -> Result<(Vec<Value>, usize), ViewError> {
         if let Value::Array(values) = self.value {
             return Ok((values.iter().take(most).cloned().collect(), values.len()));
@@ -118,7 +118,7 @@ impl<'a> View<'a> {
         Ok((bytes.iter().take(shown).map(|byte| Value::from(*byte)).collect(), length))
     }
 
-    /// One of them.
+    /// Returns a view of one element.
     pub fn element<'b>(&self, value: &'b Value) -> View<'b>
     where
         'a: 'b,
@@ -126,7 +126,7 @@ impl<'a> View<'a> {
         View { schema: self.schema, base: self.base, count: Count::One, value }
     }
 
-    /// As `rosidl_runtime_py` makes it ready to be printed.
+    /// Converts the value for printing, as `rosidl_runtime_py` does.
     pub fn item(&self, limits: &Limits) -> Result<Item, ViewError> {
         match self.count {
             Count::One => self.one(limits),
@@ -164,13 +164,15 @@ impl<'a> View<'a> {
         }
     }
 
-    /// Integers beyond what JSON's readers take for exact are text there.
+    /// Returns the integer. JSON represents integers as text if they exceed the exact range of JSON
+    /// readers.
     pub fn integer(&self) -> Option<i128> {
         let number = self.value.as_i64().map(i128::from).or_else(|| self.value.as_u64().map(i128::from));
         number.or_else(|| self.value.as_str()?.parse().ok())
     }
 
-    /// Python has no numbers of single precision: it shows what they are in double precision.
+    /// Returns the float. Python has no single precision: it prints single-precision values
+    /// converted to double.
     pub fn float(&self) -> Result<f64, ViewError> {
         let value = match self.value {
             Value::String(text) => match &**text {
@@ -184,7 +186,7 @@ impl<'a> View<'a> {
         Ok(if *self.base == Base::Scalar(Scalar::Float32) { f64::from(value as f32) } else { value })
     }
 
-    /// What an array is, without what is in it.
+    /// Returns a description of an array without its elements.
     fn array_text(&self) -> Result<String, ViewError> {
         let named = match self.base {
             Base::Named(name) => name.to_string(),
@@ -198,7 +200,7 @@ impl<'a> View<'a> {
         })
     }
 
-    /// As IDL calls what is no message of its own.
+    /// Returns the IDL name of a type that is not a message.
     fn kind_name(&self) -> &'static str {
         match self.base {
             Base::Scalar(Scalar::Bool) => "boolean",

@@ -1,16 +1,16 @@
-//! The values of a message as YAML, in blocks as `ros2 topic echo` prints them.
+//! The values of a message as YAML, in the block style of `ros2 topic echo`.
 
 use serde::ser::{Serialize, Serializer};
 use serde_saphyr::ser::Error;
 
 use crate::ros::item::Item;
 
-/// A document, with a line feed at its end.
+/// Returns a document with a trailing line feed.
 ///
 /// # Errors
-/// If a value has no form in YAML.
+/// If a value cannot be represented in YAML.
 pub fn document(item: &Item) -> Result<String, Error> {
-    // A text with line feeds is quoted on one line, so that it cannot look like another message.
+    // A text with line feeds is quoted on one line, so that it cannot imitate another message.
     serde_saphyr::to_string_with_options(item, serde_saphyr::ser_options! { prefer_block_scalars: false })
 }
 

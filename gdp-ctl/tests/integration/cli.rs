@@ -1,4 +1,4 @@
-//! The command line as a user or a script meets it: output, files, exit statuses, and messages that
+//! The command line as users and scripts see it: output, files, exit statuses, and messages that
 //! name the remedy.
 
 use std::ffi::OsStr;
@@ -264,7 +264,7 @@ fn hostile_admin_clients_get_an_error_and_others_are_served() {
         "{\"v\":2,\"op\":\"entity\"}\n".into(),
     ] {
         let mut stream = UnixStream::connect(user.file("ctl.sock")).unwrap();
-        // The daemon may hang up in the middle of an endless line.
+        // The daemon may close the connection in the middle of an endless line.
         let _ = stream.write_all(line.as_bytes());
         let mut reply = String::new();
         let _ = BufReader::new(&stream).read_line(&mut reply);
@@ -294,7 +294,7 @@ impl Daemon {
         daemon
     }
 
-    /// As a service manager would.
+    /// Stops the daemon as a service manager does.
     fn stop(mut self) -> std::process::ExitStatus {
         terminate(&self.0).unwrap();
         self.0.wait().unwrap()

@@ -1,5 +1,5 @@
-//! Whole daemons on loopback UDP, without root: what two applications publish and read through
-//! them, and what is left when one of them, or a link, or a daemon is gone.
+//! Whole daemons on loopback UDP, without root. The tests cover two applications that publish and
+//! read, and the state after an application, a link or a daemon ends.
 
 use gdp_wire::hop;
 use std::net::{SocketAddr, UdpSocket};
@@ -38,7 +38,7 @@ async fn two_applications_meet_at_one_switch() {
     let writer = papers.writer(at).await;
     let mut publisher = papers.publish(&writer).await;
     assert_eq!(switch.status().await["warnings"], Value::Array(vec![]));
-    // Of the name, and of both their inboxes.
+    // Routes of the name, and of both inboxes.
     wait("the routes", async || fib_names(&switch).await == 3).await;
     for i in 0..20u32 {
         publisher.send(Encoding::Bytes, &i.to_be_bytes()).await.unwrap();
@@ -78,7 +78,7 @@ async fn a_name_crosses_three_switches_and_outlives_the_loss_of_any_of_them() {
 
     for (i, which) in ["the writer's switch", "the switch in the middle", "the RIB"].into_iter().enumerate() {
         running[i].take().unwrap().stop().await;
-        // QUIC lets go of its socket in a task of its own.
+        // QUIC releases its socket in a separate task.
         wait("the address to be free", async || UdpSocket::bind(chain.addrs[i]).is_ok()).await;
         running[i] = Some(start(chain.config(i)).await.unwrap());
         exchange(&mut publisher, &mut subscription, &format!("after a restart of {which}")).await;
@@ -117,7 +117,7 @@ async fn a_name_for_which_the_fib_has_no_room_is_refused_until_there_is_some() {
     let chain = Chain::new(folder.path());
     let switches = [
         start(chain.config(0)).await.unwrap(),
-        // One name, the inbox of its writer here and that of its reader.
+        // Capacity for one name, and the inboxes of its writer and its reader here.
         start(Config { fib_capacity: 3, ..chain.config(1) }).await.unwrap(),
         start(chain.config(2)).await.unwrap(),
     ];
@@ -150,7 +150,7 @@ async fn a_certificate_until_the_end_of_time_does_not_stop_the_clock() {
     let papers = Credentials::new();
     let (_port, link) = papers.bare_link(&switch, 0).await;
     papers.attach(&switch, (&link, 0), u64::MAX).await;
-    // The RIB's clock now sleeps for ever, or until there is something nearer.
+    // The RIB's timer now sleeps forever, or until an earlier deadline is added.
     let card = &papers.card;
     let says = Advert {
         op: AdvertOp::Publish,
@@ -202,7 +202,7 @@ async fn a_switch_that_is_not_listed_gets_no_link_nor_does_a_copy_of_this_one() 
     for (identity, needle) in [(stranger, "is not listed in the neighbours"), (copy, "has the key of this switch")] {
         let port = Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::switch(identity, LinkIds::new())).unwrap();
         let to = LinkAddr::udp(switch.udp_addr().unwrap());
-        // The switch may be so quick that there is no link to begin with; then nothing says why.
+        // The switch may close the link before it is established; then there is no reason.
         let refused = async || match port.dial(to, Some(switch.name())).await {
             Ok(link) => link.closed().await.contains(needle),
             Err(_) => false,
@@ -231,7 +231,7 @@ async fn writers_of_a_name_may_send_to_it_and_nobody_else() {
     }
 
     let (port, link) = stranger.bare_link(&switch, 0).await;
-    // This side has the link before the switch does.
+    // This side has the link before the switch has it.
     let linked = async || switch.status().await["links"].as_array().is_some_and(|links| links.len() == 4);
     wait("the stranger's link", linked).await;
     let (topic, own) = (first.card.name(), stranger.robot.name());
@@ -376,7 +376,7 @@ async fn where_no_switch_has_the_rib_that_is_said() {
     assert!(control["reason"].as_str().unwrap().contains("no switch that it knows"), "{control}");
 }
 
-/// A message sent again and again until it arrives: links and routes may just be coming back.
+/// Sends a message repeatedly until it arrives, because links and routes may still be recovering.
 async fn exchange(publisher: &mut Publisher, subscription: &mut Subscription, what: &str) {
     let deadline = Instant::now() + TIMEOUT;
     loop {
@@ -399,7 +399,7 @@ async fn fib_names(switch: &Running) -> u64 {
     switch.status().await["fib"]["names"].as_u64().unwrap()
 }
 
-/// Who may do what with one name.
+/// Keys and certificates for one name.
 #[derive(Clone)]
 struct Credentials {
     owner: SigningKey,
@@ -423,13 +423,13 @@ impl Credentials {
         connect(&self.cloud, at).await
     }
 
-    /// The same two entities, with another name.
+    /// Returns the same two entities with another name.
     fn with_another_name(&self) -> Self {
         let card = NameCard::create(self.owner.verify_key(), "topic", "/chatter", "T", None).unwrap();
         Self { card, ..self.clone() }
     }
 
-    /// Has the robot's link attached.
+    /// Attaches the robot's link.
     async fn attach(&self, switch: &Running, (link, lane): (&Link, u8), not_after: u64) {
         let claims = RtCert { entity: self.robot.name(), switch: switch.name(), not_after };
         let rt_cert = issue(self.robot.key(), &claims).unwrap();
@@ -438,7 +438,7 @@ impl Credentials {
         assert!(matches!(attached, Response::Attached { .. }), "{attached:?}");
     }
 
-    /// One of the robot's links, not attached; and its port, which closes it when dropped.
+    /// Returns an unattached link of the robot. Dropping the returned port closes the link.
     async fn bare_link(&self, switch: &Running, lane: u8) -> (Port, Link) {
         let config = PortConfig { lane, ..PortConfig::endpoint(self.robot.clone()) };
         let port = Port::udp("127.0.0.1:0".parse().unwrap(), &config).unwrap();

@@ -1,5 +1,5 @@
-//! Daemons and nodes as members of domains, on loopback UDP, without root: who gets a link with
-//! whom, what both sides say when not, and what ends a link or renews it.
+//! Daemons and nodes as members of domains, on loopback UDP, without root. The tests cover which
+//! links are accepted, the reasons that both sides log, and how links end or are renewed.
 
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
@@ -57,7 +57,7 @@ async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
     })
     .await;
 
-    // The hub knows it; the switch itself does not, and is told.
+    // The hub knows the revocation. The switch does not, and learns it from the hub.
     let revoked = Place::new("revoked");
     let settings = revoked.member(&home, "switch", LONG).dials(&hub);
     home.revoke(&hub, 1, &[revoked.serial()]).await;
@@ -75,14 +75,15 @@ async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
     let why = format!("{:#} is arm in domain", robot.name);
     wait("both to say that a robot is no switch", async || ends(&robot, &why)).await;
 
-    // Another domain: known to the hub's, not the other way round; then both ways.
+    // A border of another domain. First only the hub's domain has issued a PeerCert, then both
+    // domains have.
     let foreign = Place::new("foreign");
     let running = foreign.member(&away, "border", LONG).dials(&hub).start().await;
     let why = format!("which domain {:#} does not know", away.identity.name());
     let here =
         format!("domain {:#} has not issued a PeerCert to domain {:#}", away.identity.name(), home.identity.name());
-    // Each judges the other by itself: the one that dials may hear the hub's reason before it has
-    // come to its own.
+    // Each side verifies the other. The dialling side may receive the hub's reason before its own
+    // check has finished.
     wait("both to say why they do not peer", async || {
         let lines = log.lines();
         lines.iter().any(|line| line.contains("refused a link") && line.contains(&here))
@@ -96,13 +97,13 @@ async fn a_switch_gets_links_with_members_and_everybody_else_a_reason() {
     wait("the border link", async || standing(&hub_running, &foreign).await == "border").await;
     wait("its other end", async || standing(&running, &hub).await == "border").await;
     wait("its member to report", async || hub_running.status().await["rib"]["switches"].as_u64() >= Some(2)).await;
-    // It is no way for what belongs into one domain.
+    // The border link does not carry traffic within one domain.
     let (rib, name) = (hub_running.status().await, foreign.name.to_string());
     assert_eq!(rib["rib"]["switches"], 2, "the hub and its member: {rib}");
     let link = rib["links"].as_array().unwrap().iter().find(|link| link["peer"] == name.as_str()).unwrap();
     assert_eq!((&link["domain"], &link["role"]), (&away.identity.name().to_string().into(), &"border".into()));
 
-    // What the domain lets another do is taken back: at once, and said.
+    // Revoking the PeerCert closes the border link immediately, and both sides log the reason.
     let serial = rights.claims_unverified().unwrap().serial;
     home.revoke(&hub, 2, &[revoked.serial(), serial]).await;
     let why = format!("the PeerCert with serial {serial}");
@@ -125,7 +126,7 @@ async fn links_end_with_what_they_rest_on_unless_it_is_renewed() {
     wait("the link", async || standing(&hub_running, &spoke).await == "member").await;
     let (id, ends) = link_to(&hub_running, &spoke).await.map(|link| (link["id"].clone(), until(&link))).unwrap();
 
-    // Before the moment: the same link goes on, for as long as the new one says.
+    // A renewal before expiry: the same link continues until the new expiry.
     spoke.renew(&home, "switch", 14);
     wait("the renewal to be taken", async || {
         link_to(&hub_running, &spoke).await.is_some_and(|link| until(&link) > ends)
@@ -136,7 +137,7 @@ async fn links_end_with_what_they_rest_on_unless_it_is_renewed() {
     wait("the old one's end", async || now() > ends as i64 + 1).await;
     assert_eq!(link_to(&hub_running, &spoke).await.unwrap()["id"], id);
 
-    // At the moment.
+    // Expiry closes the link.
     let ends = until(&link) as i64;
     wait("the link to be closed", async || link_to(&hub_running, &spoke).await.is_none()).await;
     assert!((0..=10).contains(&(now() - ends)), "{} after its end", now() - ends);
@@ -145,11 +146,11 @@ async fn links_end_with_what_they_rest_on_unless_it_is_renewed() {
         log.lines().iter().filter(|line| line.contains(&why) && line.contains("expired at Unix time")).count() >= 2
     })
     .await;
-    // After it: a new link, without a new daemon.
+    // A renewal after expiry: the daemon gets a new link without a restart.
     spoke.renew(&home, "switch", LONG);
     wait("another link", async || standing(&hub_running, &spoke).await == "member").await;
     assert_ne!(link_to(&hub_running, &spoke).await.unwrap()["id"], id);
-    // Nonsense is not taken.
+    // An invalid file is ignored.
     std::fs::write(spoke.file("membership"), "nonsense").unwrap();
     wait("the complaint", async || log.lines().iter().any(|line| line.contains("is not taken, what was there"))).await;
     assert_eq!(standing(&hub_running, &spoke).await, "member");
@@ -170,7 +171,7 @@ async fn what_a_domain_takes_back_reaches_all_its_switches_and_stays_so() {
     wait("the leaf's link to be closed", async || standing(&mid_running, &leaf).await == "none").await;
     assert_eq!(standing(&mid_running, &hub).await, "member");
 
-    // Also for a daemon that starts anew, with nobody to tell it.
+    // The revocation also applies after a daemon restart, without being sent again.
     hub_running.stop().await;
     mid_running.stop().await;
     wait("the address to be free", async || UdpSocket::bind(mid.addr).is_ok()).await;
@@ -184,7 +185,7 @@ async fn what_a_domain_takes_back_reaches_all_its_switches_and_stays_so() {
     })
     .await;
     assert_eq!(standing(&mid_running, &leaf).await, "none");
-    // A revocation that goes back is refused, and so is another domain's.
+    // A revocation with a lower number is refused, and so is another domain's.
     let error = home.try_revoke(&mid, 0, &[]).unwrap_err();
     assert!(error.contains("rolled back"), "{error}");
 }
@@ -194,7 +195,7 @@ async fn what_cannot_be_kept_of_a_domain_is_not_said_to_be_done() {
     let home = Domain::new(6);
     let hub = Place::new("hub");
     let _hub = hub.member(&home, "rib", LONG).rib().start().await;
-    // No file takes the place of a folder that has something in it.
+    // A file cannot replace a folder that is not empty.
     let [revocations, invitations] =
         ["domain-revocations", "invitations"].map(|kind| hub.file("switch").with_extension(kind));
     std::fs::create_dir_all(revocations.join("in the way")).unwrap();
@@ -206,7 +207,8 @@ async fn what_cannot_be_kept_of_a_domain_is_not_said_to_be_done() {
     home.revoke(&hub, 1, &[7]).await;
     assert!(revocations.is_file() && invitations.is_file());
 
-    // An invitation that a RIB may forget would admit another after its next start.
+    // If the RIB forgot a used invitation, the invitation would admit another entity after a
+    // restart.
     std::fs::remove_file(&invitations).unwrap();
     std::fs::create_dir_all(invitations.join("in the way")).unwrap();
     let token = home.invite("arm", &hub);
@@ -240,7 +242,7 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
     wait("it to hear why", async || said(&log, "closed by the peer")).await;
     assert_eq!(standing(&mid_running, &second).await, "none");
 
-    // A robot's is one like any other.
+    // Invitations of robots work in the same way.
     let token = home.invite("arm", &mid);
     let [robot, thief] = ["proxy"; 2].map(|kind| Identity::generate(kind).unwrap());
     let papers = |robot: &Identity| {
@@ -253,8 +255,8 @@ async fn an_invitation_admits_the_first_that_the_rib_sees() {
     let error = attach(&thief, papers(&thief), mid.addr).await.err().unwrap().to_string();
     assert!(error.contains("closed by the peer") && error.contains("has admitted"), "{error}");
 
-    // The RIB remembers, and so does the switch: without the RIB, who was admitted gets its link
-    // again.
+    // The RIB and the switch both remember the invitation. Without the RIB, the admitted entity
+    // gets its link again.
     hub_running.stop().await;
     wait("the address to be free", async || UdpSocket::bind(hub.addr).is_ok()).await;
     mid_running.stop().await;
@@ -279,7 +281,7 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     let hub_running = settings.start().await;
     let open_running = open.member(&away, "rib", LONG).rib().start().await;
 
-    // Without a membership.
+    // Attach without a membership.
     let stranger = Identity::generate("proxy").unwrap();
     let error = attach(&stranger, None, hub.addr).await.err().unwrap().to_string();
     assert!(error.contains("closed by the peer") && error.contains("shows no membership"), "{error}");
@@ -296,8 +298,8 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     let error = attach(&robot, Some(papers(&home, -5, &[])), hub.addr).await.err().unwrap().to_string();
     assert!(error.contains("expired at Unix time"), "{error}");
 
-    // A visit to the hub; a robot goes nowhere that its own domain does not know, and is let in
-    // nowhere that does not know its domain.
+    // A visit to the hub. A robot attaches only to domains that its own domain knows, and only if
+    // they know its domain.
     let knows_home = away.peer(&home, "peering", LONG);
     let visitor = papers(&away, LONG, &[&knows_home]);
     let node = attach(&robot, Some(visitor), hub.addr).await.unwrap();
@@ -309,7 +311,7 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     let error = attach(&robot, Some(papers(&home, LONG, &[&knows_away])), open.addr).await.err().unwrap().to_string();
     assert!(error.contains("closed by the peer") && error.contains("does not know"), "{error}");
 
-    // It ends with its papers, and goes on with renewed ones.
+    // The link ends with its credentials, and continues with renewed credentials.
     let node = attach(&robot, Some(papers(&home, 6, &[])), hub.addr).await.unwrap();
     let first = link_of(&hub_running, robot.name()).await.unwrap();
     node.renew_credentials(papers(&home, 10, &[])).await.unwrap();
@@ -317,11 +319,12 @@ async fn robots_attach_as_members_or_visitors_and_to_their_own_kind_only() {
     assert!(first["id"] == renewed["id"] && until(&renewed) > until(&first));
     wait("the end of the link", async || link_of(&hub_running, robot.name()).await.is_none()).await;
     wait("the node to notice", async || node.switch().is_err()).await;
-    // No switch has to be there to hear it: it is shown with the next link.
+    // Renewal needs no switch: the node presents the new credentials with its next link.
     node.renew_credentials(papers(&home, LONG, &[])).await.unwrap();
     wait("the link again", async || node.switch().is_ok_and(|switch| switch == hub.name)).await;
 
-    // The switch is stolen: its domain takes it back, and who hears that leaves.
+    // The switch is stolen. Its domain revokes its membership, and nodes that learn of the
+    // revocation leave.
     let serial = open.serial();
     let node = attach(&robot, Some(papers(&away, LONG, &[])), open.addr).await.unwrap();
     away.revoke(&open, 1, &[serial]).await;
@@ -341,7 +344,7 @@ impl Domain {
         Token::new(self.identity.proof(), signed, key, at_addr, Some(at.name)).unwrap()
     }
 
-    /// Tells the daemon at a place.
+    /// Sends a revocation to the daemon at a place.
     async fn revoke(&self, place: &Place, number: u64, serials: &[u64]) {
         self.try_revoke(place, number, serials).unwrap();
     }
@@ -375,14 +378,14 @@ impl Place {
         self.settings_in_domain()
     }
 
-    /// Of the membership in its file, or the invitation that rests on.
+    /// Returns the serial of the membership in the file, or of its invitation.
     fn serial(&self) -> u64 {
         let text = std::fs::read_to_string(self.file("membership")).unwrap();
         Membership::from_pem(&text).unwrap().serial_unverified().unwrap()
     }
 }
 
-/// What the peer of a daemon's link is to it; "none" without a link.
+/// Returns the standing of the peer in a daemon's link list; "none" without a link.
 async fn standing(running: &Running, peer: &Place) -> String {
     link_to(running, peer).await.map_or("none".into(), |link| link["relationship"].as_str().unwrap().to_owned())
 }
@@ -408,7 +411,7 @@ async fn attach(identity: &Identity, papers: Option<Credentials>, to: SocketAddr
         .await
 }
 
-/// What all daemons of this process have logged.
+/// Log output of all daemons in this process.
 #[derive(Clone, Default)]
 struct Log(Arc<Mutex<Vec<u8>>>);
 

@@ -1,4 +1,4 @@
-//! Domains at the command line: with a key, a card and nothing else.
+//! Domains at the command line, with only a key and a card.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -42,7 +42,7 @@ fn members_are_admitted_listed_and_taken_back() {
     assert!(output.status.success() && said.contains("no effect yet"), "{said}");
     assert!(user.refusal(1, &show).contains("revoked: the MemberCert"));
     assert_eq!(states(&user.json(&["domain", "show", "home/domain.card"])), ["revoked"]);
-    // Renewed, it is one again.
+    // A renewal makes it a member again.
     admit(&user, &switch, "switch", "s1.renewed");
     let shown = user.json(&["domain", "show", "s1.renewed", "--card", "home/domain.card"]);
     assert_eq!(shown["verified"], true);
@@ -94,7 +94,7 @@ fn an_invitation_is_one_line_that_makes_a_member() {
     assert!(!user.text(&["domain", "show", line]).contains("gdp1"), "it is not repeated");
     assert!(user.refusal(1, &["domain", "show", &line[..line.len() - 4]]).contains("damaged"));
 
-    // From stdin, so that no list of processes shows it.
+    // Read the invitation from stdin, so that process lists do not show it.
     let mut join = user.command(&["-j", "domain", "join", "-", "-o", "s2"]);
     let mut join = join.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     std::io::Write::write_all(&mut join.stdin.take().unwrap(), line.as_bytes()).unwrap();
@@ -114,7 +114,7 @@ fn an_invitation_is_one_line_that_makes_a_member() {
     assert_eq!(config.identity, user.file("s2/switch.pem"));
     assert!(user.refusal(1, &["domain", "join", line, "-o", "s2"]).contains("not overwritten"));
 
-    // A robot's, with the key it has.
+    // An invitation for a robot with an existing key.
     let invite = ["domain", "invite", "--key", "home/domain.pem", "--role", "arm", "--at", "udp://edge.example:31415"];
     let robot = key(&user, "robot", "proxy");
     let line = user.text(&invite);
@@ -122,7 +122,7 @@ fn an_invitation_is_one_line_that_makes_a_member() {
     assert_eq!(joined["name"], robot.as_str());
     let written = std::fs::read_to_string(user.file("arm/gdp.yaml")).unwrap();
     assert!(written.contains("udp://edge.example:31415") && written.contains("domain.card"), "{written}");
-    // The domain takes back what it gave, by the file of whoever used it.
+    // The domain revokes the invitation, identified by the membership file created from it.
     user.json(&["domain", "revoke", "--key", "home/domain.pem", "arm/membership"]);
     let revoked = user.refusal(1, &["domain", "show", "arm/membership", "--card", "home/domain.card"]);
     assert!(revoked.contains("revoked: the Invite"), "{revoked}");
@@ -133,7 +133,7 @@ fn states(listed: &Value) -> Vec<&str> {
     listed["issued"].as_array().unwrap().iter().map(|issue| issue["state"].as_str().unwrap()).collect()
 }
 
-/// The name of an entity whose key is in a new file.
+/// Creates a key file and returns the name of its entity.
 fn key(user: &User, label: &str, kind: &str) -> String {
     let file = format!("{label}.pem");
     assert!(!Path::new(&file).exists());

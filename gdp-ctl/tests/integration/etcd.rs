@@ -1,5 +1,5 @@
-//! The store on a real etcd: who leads, what a leader writes and others read, what a leader of
-//! yesterday cannot, and how a copy is kept over compaction and restarts.
+//! The store on a real etcd. The tests cover leader election, writes by the leader and reads by
+//! others, fencing of former leaders, and copies across compaction and restarts.
 
 use std::time::Duration;
 
@@ -13,8 +13,8 @@ use tokio::time::timeout;
 
 use crate::cluster::Cluster;
 
-/// Seconds of a lease that nobody renews: as long as any test takes; and of one that a test waits
-/// for the end of.
+/// Lifetimes in seconds of leases that are not renewed: longer than any test, and short enough to
+/// wait for its end.
 const LONG: u64 = 300;
 const SHORT: u64 = 5;
 
@@ -117,7 +117,7 @@ async fn a_restart_of_etcd_loses_nothing_and_one_member_may_be_gone() {
     let mut one = Replica::new(&cluster, 1).await;
     let mut writer = one.elected().await.unwrap();
     written(&mut writer, &[put(1, b"a")]).await;
-    // The one that is asked first, and any other.
+    // Kill the first configured member, and then another.
     cluster.kill(0);
     written(&mut writer, &[put(2, b"b")]).await;
     cluster.kill(1);
@@ -138,7 +138,7 @@ struct Replica {
     copy: Copy,
     watch: Watch,
     lease: i64,
-    /// Of its leases, in seconds.
+    /// Lifetime of its leases in seconds.
     ttl: u64,
 }
 
@@ -159,11 +159,11 @@ impl Replica {
         self.copy.items().map(|(item, value)| (*item, value.to_vec())).collect()
     }
 
-    /// Who writes, if it is elected.
+    /// Stands for election. Returns a writer if elected.
     async fn elected(&mut self) -> Option<ItemWriter> {
         self.lease = self.client.grant(self.ttl).await.unwrap();
         let term = self.place.stand(&mut self.client, &self.name, self.lease).await.unwrap()?;
-        // An answer may be lost.
+        // The answer may be lost, so a repeated request must give the same result.
         assert_eq!(self.place.stand(&mut self.client, &self.name, self.lease).await.unwrap(), Some(term));
         let copy = Copy::list(&self.place, &mut self.client).await.unwrap();
         Some(copy.into_writer(client(&self.endpoints), term))
@@ -184,13 +184,13 @@ fn client(endpoints: &[Endpoint]) -> EtcdClient {
     EtcdClient::new(endpoints, &Access::default()).unwrap()
 }
 
-/// Within a time that is long enough for a lease to end.
+/// Waits for the next change, long enough for a lease to end.
 async fn next(watch: &mut Watch) -> Result<Vec<WatchEvent>, StoreError> {
     timeout(Duration::from_secs(30), watch.next()).await.expect("something changes")
 }
 
-/// Once a cluster that has lost a member has found another leader, and a slow disk has what was
-/// written.
+/// Writes, retrying until the cluster has elected a new leader after losing a member, and a slow
+/// disk has stored the data.
 async fn written(writer: &mut ItemWriter, changes: &[(Item, Option<Vec<u8>>)]) {
     let attempts = async {
         while let Err(error) = writer.write(changes).await {

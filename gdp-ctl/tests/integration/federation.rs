@@ -1,5 +1,5 @@
-//! Three domains on loopback UDP, without root: a robot's and a cloud's, each below a third one
-//! that lets them cross it.
+//! Three domains on loopback UDP, without root: a robot's and a cloud's, each below a third that
+//! permits transit.
 //!
 //! ```text
 //!                 T: top (RIB, border)
@@ -36,7 +36,7 @@ async fn a_reader_in_another_domain_hears_a_writer_through_a_third_that_may_not_
     let (robot, cloud, nosy) = (entity(), entity(), entity());
     let robot_node = attach(&robot, &f.hub).await;
     let (cloud_node, nosy_node) = (attach(&cloud, &f.far).await, attach(&nosy, &f.top).await);
-    // In the third domain, out of scope.
+    // A reader in the third domain, which is out of scope.
     let mut nosy_subscription = topic.subscribe(&nosy, &nosy_node).await;
     let mut subscription = topic.subscribe(&cloud, &cloud_node).await;
     let mut publisher = topic.publish(&robot, &robot_node, &f.away).await;
@@ -49,7 +49,7 @@ async fn a_reader_in_another_domain_hears_a_writer_through_a_third_that_may_not_
     assert!(f.carried().await >= 20);
     assert!(timeout(Duration::from_millis(300), nosy_subscription.recv()).await.is_err(), "it is out of scope");
 
-    // The third domain hides its inside, and that is all of the cloud's domain.
+    // The third domain hides its inside, and so does the cloud's domain.
     let (trace, text) = trace(&f.hub, topic.name()).await.expect("a whole trace");
     let hops = trace["paths"][0]["hops"].as_array().unwrap();
     let switches: Vec<_> = hops.iter().map(|hop| hop["switch"].as_str().unwrap().to_owned()).collect();
@@ -58,14 +58,16 @@ async fn a_reader_in_another_domain_hears_a_writer_through_a_third_that_may_not_
     let masked = |domain: &Domain| format!("… inside of domain {:#} (masked)", domain.identity.name());
     assert!(text.contains(&masked(&f.top_domain)) && text.contains(&masked(&f.away)), "{text}");
 
-    // Nobody in the other domain takes this one: a query climbs.
+    // No reader in the other domain subscribes to this name. A query there climbs to the RIB of the
+    // parent domain.
     let other = Topic::new("/other");
     let _other = other.publish(&robot, &robot_node, &f.away).await;
     wait("a query to climb", async || writers(&f.far, other.name()) == 1).await;
     assert_eq!(writers(&f.top, other.name()), 0, "and only for whom it is in scope");
     assert_eq!(query(&f.far, Name::from_bytes([7; 32])).len(), 0);
 
-    // The third domain takes back what it lets the first do: that one is cut off.
+    // The third domain revokes the first domain's transit right, which disconnects the first
+    // domain.
     revoke(&f.top_domain, &f.top, &f.crossing);
     let is_lost = async || tier(&f.hub_running, &f.top_domain).await.is_some_and(|state| state == "lost");
     wait("the parent to be lost", is_lost).await;
@@ -99,7 +101,7 @@ async fn borders_peer_on_demand_and_the_third_domain_carries_nothing_until_they_
         assert!(Instant::now() < deadline, "the third domain goes on carrying it");
         before = after;
     }
-    // The border of the cloud's domain shows what is inside: nothing but itself.
+    // The border of the cloud's domain reveals its inside, which is only itself.
     wait("a trace straight into the cloud's domain", async || {
         let Some((trace, text)) = trace(&f.hub, topic.name()).await else { return false };
         let is_open = text.contains("  inside of domain") && !text.contains("masked");
@@ -107,16 +109,16 @@ async fn borders_peer_on_demand_and_the_third_domain_carries_nothing_until_they_
     })
     .await;
 
-    // They may not any more: back to the third one.
+    // Revoking the peering moves traffic back to the third domain.
     revoke(&f.home, &f.edge, f.peering.as_ref().unwrap());
     wait("the peering to end", async || !is_direct().await).await;
     exchange(&robot, &mut publisher, &mut subscription).await;
     assert!(f.carried().await >= before + 20);
 }
 
-/// Twenty messages, in order, and each once.
+/// Sends twenty messages, and checks that each arrives once and in order.
 async fn exchange(robot: &Identity, publisher: &mut Publisher, subscription: &mut Subscription) {
-    // What is sent before is not for it.
+    // Messages sent before that are not addressed to the cloud.
     wait("the robot to know the cloud", async || publisher.readers() == 1).await;
     for i in 0..20u8 {
         publisher.send(Encoding::Bytes, &[i]).await.unwrap();
@@ -134,9 +136,9 @@ struct Federation {
     edge: Place,
     hub: Place,
     far: Place,
-    /// What the third domain lets the robot's do.
+    /// Rights that the third domain grants to the robot's domain.
     crossing: Signed<PeerCert>,
-    /// What the robot's domain lets the cloud's do.
+    /// Rights that the robot's domain grants to the cloud's domain.
     peering: Option<Signed<PeerCert>>,
     top_running: Running,
     edge_running: Running,
@@ -145,8 +147,8 @@ struct Federation {
 }
 
 impl Federation {
-    /// `may_peer`: the robot's domain and the cloud's know each other, and the cloud's can be
-    /// reached and shows its inside.
+    /// Starts the domains. `may_peer`: the robot's and the cloud's domain are peers, and the
+    /// cloud's border is reachable and reveals its inside.
     async fn start(may_peer: bool) -> Self {
         let (top_domain, home, away) = (Domain::new(1), Domain::new(2), Domain::new(3));
         let [top, edge, hub, far] = ["top", "edge", "hub", "far"].map(Place::new);
@@ -190,7 +192,7 @@ impl Federation {
         }
     }
 
-    /// Frames that the third domain has sent on.
+    /// Returns the number of frames that the third domain has forwarded.
     async fn carried(&self) -> u64 {
         let counters = &self.top_running.status().await["counters"];
         ["forwarded", "delivered"].iter().filter_map(|counter| counters[counter].as_u64()).sum()
@@ -239,7 +241,7 @@ impl Topic {
 }
 
 impl Settings {
-    /// The RIB of that place's domain is a parent of this one's.
+    /// Makes the RIB of `parent`'s domain a parent of this RIB.
     fn below(mut self, parent: &Place) -> Self {
         let neighbours = self.0.neighbours.iter_mut();
         neighbours.filter(|near| near.address.switch == parent.name).for_each(|near| near.parent = true);
@@ -256,8 +258,8 @@ async fn attach(identity: &Identity, to: &Place) -> Node {
     Node::connect(NodeConfig::new(identity.clone(), target)).await.unwrap()
 }
 
-/// What `gdp-ctl trace` says at a daemon, for programs and for people; none: it does not get to the
-/// end.
+/// Returns the JSON and the text output of `gdp-ctl trace` at a daemon; `None` if the trace does
+/// not reach the end.
 async fn trace(place: &Place, name: Name) -> Option<(Value, String)> {
     let socket = place.file("switch.sock");
     let run = move |for_programs: &[&str]| {
@@ -270,8 +272,8 @@ async fn trace(place: &Place, name: Name) -> Option<(Value, String)> {
     tokio::task::spawn_blocking(run).await.unwrap()
 }
 
-/// The domains in a trace: how deep, which, where they are entered, and how many links take the
-/// name there.
+/// Returns the domains in a trace: depth, domain, entry switch, and number of local links of the
+/// name.
 fn crossed(trace: &Value) -> Vec<Value> {
     let domains = trace["paths"][0]["domains"].as_array().unwrap();
     let in_time = |domain: &Value| domain["rtt_us"].as_u64() > Some(0) && domain["inside"]["rtt_us"].is_u64();
@@ -285,7 +287,7 @@ fn entry(depth: u8, domain: &Domain, switch: &Place, links: u32) -> Value {
     json!([depth, domain.identity.name(), switch.name, links])
 }
 
-/// How a daemon's RIB stands with a neighbouring domain, if that is one.
+/// Returns the state of the relation between a daemon's RIB and a neighbouring domain, if any.
 async fn tier(running: &Running, domain: &Domain) -> Option<String> {
     let (status, name) = (running.status().await, domain.identity.name().to_string());
     let tiers = status["tiers"].as_array()?;

@@ -1,5 +1,5 @@
-//! A switch whose RIB is played by the test, beside the switch's only neighbour: whose word counts
-//! when several say that they are the RIB, and what the switch does of what that wants.
+//! A switch with a RIB simulated by the test behind the switch's only neighbour. The tests cover
+//! which RIB the switch obeys when several claim to lead, and how it executes the RIB's requests.
 
 use std::net::UdpSocket;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ async fn a_leader_of_yesterday_is_refused_once_another_has_said_something() {
     let rib = Rib::beside_a_switch(7).await;
     rib.takes(rib.fib(7, 1, WHOLE)).await;
     rib.takes(rib.fib(9, 1, WHOLE)).await;
-    // Another leader is what the switch hears of when it asks.
+    // The switch learns of another leader when it asks.
     rib.run.store(9, Ordering::Relaxed);
     rib.refuses(rib.fib(7, 2, Extent::Delta)).await;
     rib.refuses(rib.fib(7, 3, WHOLE)).await;
@@ -67,11 +67,11 @@ async fn a_wanted_peering_is_made_at_the_address_that_answers() {
 
 const WHOLE: Extent = Extent::Full { part: 0, last: true };
 
-/// A RIB, and the switch that it is for.
+/// A simulated RIB, and its switch.
 struct Rib {
     switch: Running,
     link: Link,
-    /// That takes reports.
+    /// Run number of the leader that accepts reports.
     run: Arc<AtomicU64>,
     reports: Arc<AtomicU64>,
     _port: Port,
@@ -79,7 +79,7 @@ struct Rib {
 }
 
 impl Rib {
-    /// Which has taken the switch's first report.
+    /// Starts a RIB and a switch, and waits until the RIB has received the switch's first report.
     async fn beside_a_switch(run: u64) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let near = Identity::generate("switch").unwrap();
@@ -143,7 +143,7 @@ impl Rib {
     }
 }
 
-/// As the neighbour does that has the RIB.
+/// Answers requests like the neighbour with the RIB.
 async fn answer(link: Link, run: Arc<AtomicU64>, reports: Arc<AtomicU64>) {
     while let Some((request, responder)) = link.accept_request().await {
         let is_report =

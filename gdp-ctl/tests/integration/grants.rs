@@ -1,4 +1,4 @@
-//! Grants as an owner gives and takes them back: with a key, a card and nothing else.
+//! Issuing and revoking grants as an owner does, with only a key and a card.
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::fs::PermissionsExt;
@@ -29,10 +29,10 @@ fn grants_are_remembered_listed_and_taken_back() {
     assert_eq!(listed["grants"][0]["to"]["entity"], robot.as_str());
     assert!(listed["revocation"].is_null());
     let text = user.text(&["grant", "list", "chatter.card"]);
-    // A second less than a year, unless none has passed since.
+    // One second less than a year, unless less than a second has passed.
     assert!(text.contains("for 36") && text.contains("robot.ad"), "{text}");
 
-    // No daemon: it is written down, and said that nobody knows it yet.
+    // Without a daemon, the command records the revocation and reports that it is not published.
     let output = user.run(&["-j", "grant", "revoke", "chatter.card", "--key", "owner.pem", "--entity", &robot]);
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success() && said.contains("no effect yet"), "{said}");
@@ -47,10 +47,10 @@ fn grants_are_remembered_listed_and_taken_back() {
     assert_eq!((&shown["kind"], &shown["verified"]), (&"Revocation".into(), &true.into()));
     assert!(user.refusal(3, &["grant", "revoke", "chatter.card"]).contains("no daemon answers"));
 
-    // One by its file; what was revoked stays so.
+    // Revoke one grant by its file; earlier revocations remain.
     let revoked = user.json(&["grant", "revoke", "chatter.card", "cloud.grant", "--key", "owner.pem"]);
     assert_eq!((&revoked["number"], revoked["revoked"].as_array().unwrap().len()), (&2.into(), 3));
-    // All at once, and then the owner goes on.
+    // Revoke all at once, then issue new grants.
     let all = user.json(&["grant", "revoke", "chatter.card", "--all", "--key", "owner.pem"]);
     assert!(all["number"].as_u64() > Some(1_000_000) && all["revoked"].as_array().unwrap().is_empty(), "{all}");
     grant(&user, &["--read", "--entity", &cloud, "-o", "anew.grant"]);
@@ -67,7 +67,7 @@ fn a_delegate_grants_until_the_owner_takes_that_back() {
     let key = delegate["public_key"].as_str().unwrap();
     grant(&user, &["--publish", "--delegate", key, "--for", "1d", "-o", "delegation"]);
 
-    // The delegate works with copies; what it grants is in its own ledger.
+    // The delegate uses copies, and records its grants in its own ledger.
     std::fs::copy(user.file("chatter.card"), user.file("copy.card")).unwrap();
     let add = ["grant", "add", "copy.card", "--key", "delegate.pem", "--delegation", "delegation", "--entity", &robot];
     let ad = user.json(&[&add[..], &["--publish", "-o", "robot.ad"]].concat());
@@ -119,7 +119,7 @@ fn a_grant_to_a_role_is_read_with_the_domains_part_behind_it() {
     assert!(said.contains("a role has 1 to 32 characters"), "{said}");
 }
 
-/// A daemon that looks at what it is told, and refuses it the second time.
+/// The simulated daemon verifies requests, and refuses the second.
 #[test]
 fn a_revocation_is_published_where_a_daemon_answers() {
     let user = owner();
@@ -200,7 +200,7 @@ fn what_was_tampered_with_is_not_believed() {
     assert!(user.refusal(1, &["grant", "list", "chatter.card"]).contains("chmod 600"));
 }
 
-/// A user with `owner.pem` and `chatter.card`.
+/// Returns a user with `owner.pem` and `chatter.card`.
 fn owner() -> User {
     let user = User::new();
     user.json(&["key", "generate", "owner.pem", "--kind", "owner"]);
@@ -208,7 +208,7 @@ fn owner() -> User {
     user
 }
 
-/// The name of a new entity, with its key in a file.
+/// Creates a key file for an entity and returns the entity's name.
 fn entity(user: &User, who: &str) -> String {
     let made = user.json(&["key", "generate", &format!("{who}.pem"), "--kind", "proxy"]);
     made["name"].as_str().unwrap().to_owned()

@@ -1,5 +1,5 @@
-//! Cards, certificates and invitations whose texts would drive a terminal: no command prints or
-//! writes them as they are.
+//! Cards, certificates and invitations with terminal control characters in their texts. No command
+//! prints or writes these characters unescaped.
 
 use gdp_core::card::NameCard;
 use gdp_core::identity::SigningKey;
@@ -10,7 +10,7 @@ use crate::user::User;
 /// ESC, BEL, CSI of C1, bidirectional controls, DEL, and a line feed that would forge a line.
 const HOSTILE: &str = "/x\u{1b}]0;pwned\u{7}\u{1b}[2J\u{9b}31m\u{202e}\u{2066}\u{200f}\u{61c}\u{7f}\r\nvalid  yes\t";
 
-/// A user who has been sent a card.
+/// Returns a user who has received a hostile card.
 fn visited() -> User {
     let user = User::new();
     user.json(&["key", "generate", "owner.pem", "--kind", "owner"]);
@@ -26,7 +26,7 @@ fn hostile(kind: &str) -> String {
     format!("{kind}{}.card", HOSTILE.len())
 }
 
-/// What a command printed, all of which has to be harmless; its lines on stdout.
+/// Checks that a command's output is harmless, and returns its lines on stdout.
 fn printed(user: &User, arguments: &[&str]) -> Vec<String> {
     let output = user.run(arguments);
     let (stdout, stderr) = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes)).into();
@@ -70,7 +70,7 @@ fn a_hostile_card_is_shown_as_text() {
     ] {
         printed(&user, arguments);
     }
-    // The value is the same, and only its form is harmless.
+    // The value is unchanged; only its representation is harmless.
     let value = &printed(&user, &["-j", "name", "show", &topic])[0];
     let value: serde_json::Value = serde_json::from_str(value).unwrap();
     assert_eq!(value["metadata"]["topic"], HOSTILE);

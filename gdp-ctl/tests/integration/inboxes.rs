@@ -1,6 +1,6 @@
-//! Two entities at a whole daemon, without the SDK's node: they reach each other under their own
-//! names for as long as they are counterparts, are told of each other and of keys, and a revocation
-//! parts them at once.
+//! Two entities at a whole daemon, without the SDK's node. They reach each other under their own
+//! names while they are counterparts. The RIB notifies them of each other and of keys. A revocation
+//! separates them immediately.
 
 use gdp_wire::hop;
 use std::time::{Duration, Instant, SystemTime};
@@ -73,7 +73,7 @@ async fn counterparts_meet_in_their_inboxes_until_one_is_revoked() {
     switch.stop().await;
 }
 
-/// An attached entity that has one part in one name.
+/// An attached entity with a role for one name.
 struct Endpoint {
     identity: Identity,
     port: Port,
@@ -121,7 +121,7 @@ impl Endpoint {
         self.counterparts.take(unix_seconds(), peers).unwrap()
     }
 
-    /// What the RIB tells next.
+    /// Waits for the next notification from the RIB.
     async fn told(&mut self) -> Vec<PeerEvent> {
         let request = tokio::time::timeout(TIMEOUT, self.link.accept_request()).await.expect("told in time");
         let (Request::Peers(push), responder) = request.expect("a live link") else { panic!("told something else") };
@@ -139,7 +139,7 @@ impl Endpoint {
         assert_eq!(self.port.data().send_batch([frame]).sent, 1);
     }
 
-    /// Source and destination of the next data frame.
+    /// Returns the source and destination of the next data frame.
     async fn receive(&self) -> (Name, Name) {
         let (data, deadline) = (self.port.data(), Instant::now() + TIMEOUT);
         let mut batch = RecvBatch::new(1500);

@@ -1,5 +1,5 @@
-//! The library and the program as others use them. One program of all these tests: each would
-//! contain the whole daemon.
+//! Tests of the library and the program from the outside. They form a single program, because each
+//! separate program would contain the whole daemon.
 
 mod cli;
 #[cfg(feature = "etcd")]

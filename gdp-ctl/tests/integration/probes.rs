@@ -1,5 +1,5 @@
-//! Whether names answer, and by whom: `ping`, `trace`, `peer list`, `monitor` and `topology` at
-//! three daemons on loopback UDP.
+//! Path probing and its answers: `ping`, `trace`, `peer list`, `monitor` and `topology` at three
+//! daemons on loopback UDP.
 
 use std::net::UdpSocket;
 use std::process::{Command, Output, Stdio};
@@ -60,8 +60,7 @@ async fn switches_answer_near_and_far() {
     .await;
 }
 
-/// Whoever can attach can answer probes it was not asked by, or say that others did: nobody
-/// listens.
+/// Any attached endpoint can send unsolicited or forged probe answers. Switches must ignore them.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_endpoint_answers_no_probes() {
     let folder = tempfile::tempdir().unwrap();
@@ -92,7 +91,7 @@ async fn what_happens_is_told_and_peers_say_why_there_is_no_link() {
         (&second.clone().into(), &"up".into(), &"stranger".into())
     );
 
-    // Until it listens, nothing is told; so something happens again and again.
+    // Events before the command listens are lost, so cause events repeatedly.
     let mut seen = Vec::new();
     while !seen.contains(&"link_down".to_owned()) || !seen.contains(&"topology".to_owned()) {
         running.remove(1).stop().await;
@@ -172,7 +171,7 @@ impl Chain<'_> {
         tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
     }
 
-    /// What a command that succeeds prints with `-j`.
+    /// Returns the output lines of a successful command with `-j`.
     async fn lines(&self, i: usize, arguments: &[&str]) -> Vec<Value> {
         let output = self.run(i, &[&["-j"], arguments].concat()).await;
         assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));

@@ -1,5 +1,5 @@
-//! Three replicas of a RIB, each a daemon beside its switch, on three members of etcd; without
-//! root, over UDP on the loopback interface:
+//! Three replicas of a RIB, each a daemon beside its switch, on three members of etcd. The tests
+//! run without root, over UDP on the loopback interface:
 //!
 //! ```text
 //!  writer ── s ───── s ── reader        the third switch leads, until its daemon is killed,
@@ -33,8 +33,7 @@ use tokio::time::{sleep, timeout};
 use crate::cluster::Cluster;
 use crate::ports::free_addr;
 
-/// A lease has to end, and both clusters have to find another leader, on a machine that does other
-/// things as well.
+/// Time for a lease to end and for both clusters to elect a new leader, on a loaded machine.
 const RECOVERY: Duration = Duration::from_secs(60);
 
 #[tokio::test(flavor = "multi_thread")]
@@ -76,7 +75,7 @@ async fn nothing_is_lost_when_the_leading_rib_and_a_member_of_etcd_are_killed() 
         }
     });
 
-    // Statements without end, of one name after the other.
+    // Publish statements continuously, for one name after the other.
     let stated: Arc<std::sync::Mutex<Vec<(Name, Publisher, Instant)>>> = Arc::default();
     let stating = tokio::spawn({
         let (stated, stop, owner, robot, writer) =
@@ -130,7 +129,7 @@ async fn nothing_is_lost_when_the_leading_rib_and_a_member_of_etcd_are_killed() 
     assert!(!receiving.is_finished(), "{:?}", receiving.await);
     drop(publisher);
 
-    // Who was killed comes back as one that follows.
+    // The killed replica returns as a follower.
     cluster.restart_all();
     switches.spawn(leader);
     wait("the replica to follow", async || switches.status(leader).is_some_and(|status| status["rib"].is_null())).await;
@@ -146,11 +145,11 @@ async fn a_leader_that_is_told_to_stop_resigns_first() {
     let led_by = || cluster.etcdctl(&[0], &["get", "--print-value-only", "test/rib/leader"]).trim().to_owned();
     assert_eq!(led_by(), of);
     switches.terminate(leader);
-    // Its lease would last for seconds.
+    // Without resigning, its lease would last for seconds.
     assert_ne!(led_by(), of, "others may stand");
     let next = timeout(RECOVERY, switches.leader()).await.expect("another replica leads");
     assert!(next != leader && led_by() == switches.names[next].to_string());
-    // Who only follows just ends.
+    // A follower ends without an election.
     let follower = 3 - leader - next;
     switches.terminate(follower);
     assert_eq!(led_by(), switches.names[next].to_string());
@@ -164,7 +163,7 @@ async fn wait(what: &str, condition: impl AsyncFn() -> bool) {
     }
 }
 
-/// The serials of the statements that the RIB lists for these names.
+/// Returns the serials of the RIB's statements for these names.
 async fn serials(node: &Node, names: &[Name]) -> BTreeMap<Name, u64> {
     let mut serials = BTreeMap::new();
     for name in names {
@@ -174,7 +173,7 @@ async fn serials(node: &Node, names: &[Name]) -> BTreeMap<Name, u64> {
     serials
 }
 
-/// Three daemons that all have links with each other.
+/// Three daemons with links between all of them.
 struct Switches {
     folder: PathBuf,
     names: Vec<Name>,
@@ -198,7 +197,7 @@ impl Switches {
                 "data_plane": "userspace", "bpffs": null, "rib": true, "neighbours": others.collect::<Vec<_>>(),
                 "etcd": {"endpoints": endpoints, "prefix": "test/rib"},
             });
-            // JSON is YAML.
+            // JSON is valid YAML.
             fs::write(folder.join(format!("s{i}.yaml")), config.to_string()).unwrap();
         }
         let mut switches = Self { folder: folder.into(), names, addrs, daemons: vec![None, None, None] };
@@ -219,7 +218,7 @@ impl Switches {
         self.daemons[i] = Some(daemon);
     }
 
-    /// Without a chance to say anything.
+    /// Kills a daemon without a clean shutdown.
     fn kill(&mut self, i: usize) {
         if let Some(mut daemon) = self.daemons[i].take() {
             daemon.kill().unwrap();
@@ -227,7 +226,7 @@ impl Switches {
         }
     }
 
-    /// Waits until it has ended.
+    /// Terminates a daemon and waits until it has ended.
     fn terminate(&mut self, i: usize) {
         if let Some(mut daemon) = self.daemons[i].take() {
             terminate(&daemon).unwrap();
@@ -235,7 +234,7 @@ impl Switches {
         }
     }
 
-    /// Of one that runs, and answers.
+    /// Returns the status of a running daemon that answers.
     fn status(&self, i: usize) -> Option<Value> {
         self.daemons[i].as_ref()?;
         let mut command = own(env!("CARGO_BIN_EXE_gdp-ctl"));
@@ -244,7 +243,7 @@ impl Switches {
         output.status.success().then(|| serde_json::from_slice(&output.stdout).unwrap())
     }
 
-    /// The one replica that leads, once all that run can ask it.
+    /// Waits until one replica leads and all running daemons can reach it. Returns its index.
     async fn leader(&self) -> usize {
         let mut leader = None;
         let known = async |leader: &mut Option<usize>| {
@@ -252,7 +251,7 @@ impl Switches {
             let running = self.daemons.iter().flatten().count();
             let leading: Vec<_> = states.iter().filter(|(_, status)| !status["rib"].is_null()).collect();
             *leader = leading.first().map(|(i, _)| *i);
-            // One that was killed is among them for a while.
+            // A killed daemon is still counted for a while.
             let known = leading.first().and_then(|(_, status)| status["rib"]["switches"].as_u64());
             let all_known = known.is_some_and(|known| known >= running as u64);
             states.len() == running && leading.len() == 1 && all_known
@@ -276,7 +275,7 @@ impl Drop for Switches {
     }
 }
 
-/// Who owns all names.
+/// The owner of all names.
 #[derive(Clone)]
 struct Owner(SigningKey);
 
@@ -285,7 +284,7 @@ impl Owner {
         Self(SigningKey::generate().unwrap())
     }
 
-    /// Another one each time.
+    /// Creates a new name.
     fn name(&self) -> NameCard {
         NameCard::create(self.0.verify_key(), "topic", "/chatter", "T", None).unwrap()
     }
@@ -349,7 +348,7 @@ async fn connect(identity: &Identity, at: SocketAddr) -> Node {
     Node::connect(NodeConfig::new(identity.clone(), target)).await.unwrap()
 }
 
-/// A link, and its port, which closes it when dropped.
+/// Returns a link with its port. Dropping the port closes the link.
 async fn bare_link(identity: &Identity, at: SocketAddr) -> (Port, Link) {
     let port = Port::udp("127.0.0.1:0".parse().unwrap(), &PortConfig::endpoint(identity.clone())).unwrap();
     let link = port.dial(LinkAddr::udp(at), None).await.unwrap();

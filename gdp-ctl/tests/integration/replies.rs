@@ -1,4 +1,4 @@
-//! Replies of the daemon: each is read as it was written, and is what its schema describes.
+//! Replies of the daemon: each survives a round trip through its text form, and matches its schema.
 
 use std::fmt::Debug;
 
@@ -101,7 +101,7 @@ where
     assert_eq!(serde_json::to_value(&reply).unwrap(), sample);
     let schema = SchemaSettings::draft2020_12().for_serialize().into_generator().into_root_schema_for::<T>();
     assert_eq!(problems(&schema.into(), "", &sample), [""; 0]);
-    // On its line to the command line, and back.
+    // Round trip on the line to the command line.
     let read: Versioned<Reply> = serde_json::from_str(&reply_line(&reply.clone().into())).unwrap();
     assert_eq!((read.v, T::try_from(read.value).ok()), (1, Some(reply)));
 }

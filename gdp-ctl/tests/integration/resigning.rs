@@ -1,5 +1,5 @@
-//! A replica of the RIB that is told to stop at the moment at which etcd elects it: without the
-//! answer, it does not know.
+//! A RIB replica that is stopped while etcd elects it. Without the answer, the replica does not
+//! know that it was elected.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,8 +17,8 @@ use tokio::time::timeout;
 use crate::cluster::Cluster;
 use crate::switch::{TIMEOUT, config, wait};
 
-/// What a request to put the leader's key contains, and no other does: the key, then the tag of the
-/// value (`PutRequest` in etcd's `rpc.proto`).
+/// Contents of every request that writes the leader's key, and of no other: the key, then the tag
+/// of the value (`PutRequest` in etcd's `rpc.proto`).
 const PUT: &[u8] = b"test//leader\x12";
 
 #[tokio::test(flavor = "multi_thread")]
@@ -32,13 +32,13 @@ async fn a_replica_that_resigns_while_it_is_elected_leaves_no_leader() {
         (KeySpace::new("test/"), || EtcdClient::new(&cluster.endpoints(), &Access::default()).unwrap());
     wait("the election", async || place.has_leader(&mut client()).await.unwrap()).await;
     switch.resign().await;
-    // Its lease would last for seconds.
+    // Without resigning, its lease would last for seconds.
     assert!(!place.has_leader(&mut client()).await.unwrap(), "others may stand");
     switch.stop().await;
 }
 
-/// Passes on to a member of etcd what is asked of it, and its answers, but for those on a
-/// connection by which something was to be put.
+/// Relays requests to a member of etcd, and the answers. It withholds answers on connections with a
+/// write to the leader's key.
 async fn relay(to: Endpoint, puts: Arc<Notify>) -> Endpoint {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let port = listener.local_addr().unwrap().port();
@@ -78,6 +78,6 @@ async fn pass_on(near: TcpStream, far: TcpStream, puts: &Notify) {
             }
         }
     };
-    // A connection ends with what either side has to say.
+    // The connection ends when either direction ends.
     tokio::select! { () = ask => {} () = answer => {} }
 }

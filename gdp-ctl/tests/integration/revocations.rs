@@ -1,5 +1,5 @@
-//! What an owner has taken back stays so when the daemon with the RIB starts anew, though nobody
-//! tells it again.
+//! An owner's revocations remain in effect after the daemon with the RIB restarts, without being
+//! sent again.
 
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
@@ -39,7 +39,7 @@ async fn a_rib_that_starts_anew_refuses_what_was_revoked() {
     switch.stop().await;
     wait("the address to be free", async || UdpSocket::bind(at).is_ok()).await;
 
-    // Neither the robot nor anybody else tells it.
+    // Neither the robot nor anyone else sends the revocation again.
     let switch = start(config.clone()).await.unwrap();
     let robot = node(&switch, &robot).await;
     let publish = async |serial| {
@@ -49,7 +49,7 @@ async fn a_rib_that_starts_anew_refuses_what_was_revoked() {
     let error = publish(1).await.err().unwrap();
     assert!(matches!(&error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Revoked), "{error}");
     let _publisher = publish(2).await.unwrap();
-    // Nor can it be taken back by an older one.
+    // An older revocation cannot replace it either.
     assert!(matches!(ask(&config, owner.revocation(2, 3)).await, Response::Done));
     switch.stop().await;
     wait("the address to be free", async || UdpSocket::bind(at).is_ok()).await;
@@ -60,7 +60,7 @@ async fn a_rib_that_starts_anew_refuses_what_was_revoked() {
     });
     let error = refused.await.unwrap().unwrap_err();
     assert!(error.contains("ReplayedSerial"), "{error}");
-    // Who runs the switch may have names listed, by as little as a digit.
+    // The operator of the switch may list names by a prefix of only one digit.
     let digit: NamePrefix = owner.card.name().to_string()[..1].parse().unwrap();
     wait("the robot to be there again", async || {
         let query = EntityRequest::Query { prefix: digit.clone(), after: None };
@@ -85,7 +85,7 @@ async fn what_cannot_be_kept_is_not_said_to_be_done() {
         let (socket, request) = (config.socket.clone(), owner.revocation(1, 1));
         tokio::task::spawn_blocking(move || try_ask(&socket, request)).await.unwrap()
     };
-    // No file takes the place of a folder that has something in it.
+    // A file cannot replace a folder that is not empty.
     std::fs::create_dir_all(file.join("in the way")).unwrap();
     for _ in 0..2 {
         let error = revoke().await.unwrap_err();
@@ -109,7 +109,7 @@ impl Owner {
         issue(&self.key, &claims).unwrap().into()
     }
 
-    /// Takes back one certificate, in the revocation of this number.
+    /// Returns a revocation with this number that revokes one certificate.
     fn revocation(&self, number: u64, serial: u64) -> EntityRequest {
         let mut revoked = vec![1, serial];
         revoked.dedup();
@@ -123,7 +123,7 @@ async fn node(switch: &Running, identity: &Identity) -> Node {
     Node::connect(NodeConfig::new(identity.clone(), link)).await.unwrap()
 }
 
-/// Asks as the user who runs the daemon.
+/// Sends a request as the user who runs the daemon.
 async fn ask(config: &Config, request: EntityRequest) -> Response {
     let socket = config.socket.clone();
     tokio::task::spawn_blocking(move || try_ask(&socket, request)).await.unwrap().unwrap()

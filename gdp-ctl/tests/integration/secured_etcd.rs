@@ -1,5 +1,5 @@
-//! Replicas on an etcd that demands TLS, a certificate of the client, a user and a password; and
-//! what a replica says that lacks one of them.
+//! Replicas on an etcd that requires TLS, a client certificate, a user and a password. The tests
+//! also check a replica's errors if one of them is missing.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
@@ -119,7 +119,7 @@ fn files_that_others_may_read_or_that_hold_something_else_are_refused() {
     read().unwrap();
 }
 
-/// A member of etcd that demands everything, and the files of who may use it.
+/// A member of etcd that requires all credentials, and the files of an authorized client.
 struct Site {
     cluster: Cluster,
     folder: TempDir,
@@ -163,7 +163,7 @@ impl Site {
         EtcdClient::new(&self.cluster.endpoints(), access).unwrap()
     }
 
-    /// What a replica with this access says.
+    /// Returns the error of a replica with this access.
     async fn refused(&self, access: &Access) -> String {
         let place = KeySpace::new(PREFIX);
         let refused = Copy::list(&place, &mut self.client(access)).await.unwrap_err().to_string();
@@ -172,7 +172,7 @@ impl Site {
     }
 }
 
-/// Who certifies members and clients.
+/// CA for members and clients.
 struct Authority {
     file: PathBuf,
     issuer: Issuer<'static, KeyPair>,
@@ -187,7 +187,7 @@ impl Authority {
         Self { file, issuer: Issuer::new(params, key) }
     }
 
-    /// For a member on this machine, or a client.
+    /// Issues a certificate for a member on this machine, or for a client.
     fn certify(&self, folder: &Path, name: &str) -> ClientCertificate {
         let key = KeyPair::generate().unwrap();
         let params = CertificateParams::new(vec!["127.0.0.1".into()]).unwrap();

@@ -1,5 +1,5 @@
-//! Nodes of the SDK at whole daemons: what two callers of one service get, what is left when the
-//! server goes, and which of several servers is called.
+//! Nodes of the SDK at whole daemons: replies to two callers of one service, the state after a
+//! server ends, and the choice between several servers.
 
 use std::sync::Arc;
 use std::time::SystemTime;
@@ -28,7 +28,7 @@ async fn callers_get_their_own_replies_and_are_told_when_nobody_serves() {
             assert_eq!((&reply.body[..], reply.encoding), (&body[..], Encoding::Cdr));
         }
     }
-    // One that comes later is served as well.
+    // A caller that joins later is served as well.
     let late = owner.client(&node(&switch).await).await;
     tokio::time::timeout(TIMEOUT, late.call(Encoding::Cdr, b"late")).await.unwrap().unwrap();
     drop(serving.await.unwrap());
@@ -60,7 +60,7 @@ async fn the_nearest_server_is_called_and_another_when_it_is_gone() {
     }
     assert_eq!(far.counters().messages_received, 0);
 
-    // It dies with a call.
+    // The server ends while a call is pending.
     let waiting = tokio::spawn(call(client.clone(), b"last".to_vec()));
     let _request = tokio::time::timeout(TIMEOUT, near_server.recv()).await.unwrap().unwrap();
     near.close().await;
@@ -70,7 +70,7 @@ async fn the_nearest_server_is_called_and_another_when_it_is_gone() {
     assert_eq!(call(client.clone(), b"next".to_vec()).await.unwrap().writer, far_name);
     drop((near_server, near));
 
-    // It comes back, and with it another beside it.
+    // The server returns, and a second server starts at the same switch.
     let (near, twin) = (node_of(&switches[1], near_identity).await, node(&switches[1]).await);
     let (mut near_server, mut twin_server) = (owner.serve(&near).await, owner.serve(&twin).await);
     wait("both to be known", async || {
@@ -79,7 +79,8 @@ async fn the_nearest_server_is_called_and_another_when_it_is_gone() {
     })
     .await;
     let calls = [b"one", b"two"].map(|body| tokio::spawn(call(client.clone(), body.to_vec())));
-    // Neither is answered before the other is asked, or it would be free for both.
+    // Answer neither server's request before both have one. Otherwise the first server would be
+    // free for both calls.
     let mut requests = Vec::new();
     for server in [&mut near_server, &mut twin_server] {
         requests.push(tokio::time::timeout(TIMEOUT, server.recv()).await.unwrap().unwrap());
@@ -130,7 +131,7 @@ impl<T> Drop for AbortOnDrop<T> {
     }
 }
 
-/// Sends so many requests back.
+/// Echoes `count` requests.
 async fn answer(mut server: Server, count: usize) -> Server {
     for _ in 0..count {
         let call = server.recv().await.unwrap();

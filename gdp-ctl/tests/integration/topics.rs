@@ -46,7 +46,8 @@ async fn messages_of_a_publisher_elsewhere_are_shown_in_the_form_of_ros2cli() {
         "  Reliability: RELIABLE\n  History (Depth): KEEP_LAST (7)\n  Durability: VOLATILE\n  Lifespan: Infinite\n",
         "\n\nSubscription count: 0\n",
     ];
-    // It listens for a while, in which a publisher may not have said all of this.
+    // The command listens for a limited time, in which the publisher may not have sent its whole
+    // roster.
     wait("the publisher to be described", async || {
         let info = site.text(&["topic", "info", "chatter", "-v"]).await;
         shown.iter().all(|needle| info.contains(needle))
@@ -265,7 +266,8 @@ impl Site {
         command
     }
 
-    /// The daemon is in this process, and is not to wait.
+    /// Runs a command in a separate thread, because the daemon runs in this process and must not
+    /// block.
     async fn output(&self, arguments: &[&str]) -> Output {
         let mut command = self.command(arguments);
         tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
@@ -298,7 +300,7 @@ impl Site {
     }
 }
 
-/// A publisher that does what a proxy does for one in ROS.
+/// A publisher that behaves like a proxy's publisher for a ROS publisher.
 struct Talker {
     publisher: Publisher,
     roster: Outgoing<()>,
@@ -326,7 +328,7 @@ struct Following {
 }
 
 impl Following {
-    /// What it prints, up to a line with this.
+    /// Returns the output up to a line that contains `needle`.
     fn until(&mut self, needle: &str) -> String {
         let mut text = String::new();
         while !text.contains(needle) {
@@ -336,7 +338,8 @@ impl Following {
     }
 
     fn interrupt(&mut self) {
-        // SAFETY: kill takes two numbers; the child is not waited for yet, so the number is its.
+        // SAFETY: kill takes two numbers. The child has not been waited for, so the process id is
+        // still its own.
         unsafe { libc::kill(self.child.id() as i32, libc::SIGINT) };
         assert!(self.child.wait().unwrap().success(), "^C is no failure");
     }

@@ -1,5 +1,5 @@
-//! What a border tells another domain that traces names through it, and what it makes of one that
-//! says nothing, or nonsense.
+//! Answers of a border to another domain that traces names through it, and its handling of missing
+//! or invalid answers from the other domain.
 
 use std::sync::Arc;
 
@@ -56,7 +56,7 @@ async fn a_border_that_does_not_answer_or_answers_nonsense_is_said_to() {
     let answers = tokio::spawn(async move {
         while let Some((request, responder)) = link.accept_request().await {
             let Request::TraceOn(request) = request else { continue };
-            // What was asked before has been given up.
+            // The request before it has timed out.
             if request.name != Name::from_bytes([7; 32]) || request.path != [home] {
                 panic!("{request:?}");
             }
@@ -71,13 +71,13 @@ async fn a_border_that_does_not_answer_or_answers_nonsense_is_said_to() {
     answers.abort();
 }
 
-/// A domain of two switches, and a border of another one that the test speaks for.
+/// A domain of two switches, and a border of another domain that the test simulates.
 struct Borders {
     home: Domain,
     away: Domain,
     inner: Place,
     _inner_running: Running,
-    /// The border.
+    /// The daemon of the first domain's border.
     running: Running,
     border: Identity,
     link: Link,
@@ -105,13 +105,13 @@ impl Borders {
         borders
     }
 
-    /// What the daemon says of the link.
+    /// Returns the daemon's status of the link.
     async fn status(&self) -> Option<Value> {
         let status = self.running.status().await;
         status["links"].as_array()?.iter().find(|link| link["relationship"] == "border").cloned()
     }
 
-    /// What the inner switch finds behind the link.
+    /// Returns the inner switch's trace of the name beyond the link.
     async fn trace(&self) -> Value {
         let (domain, peer) = (self.away.identity.name(), self.border.name());
         let request =

@@ -1,4 +1,4 @@
-//! Messages there and back: as ROS 2 encodes and prints them, and as users give them.
+//! Round trips of messages: encoded and printed as in ROS 2, and entered by users.
 
 use std::sync::Arc;
 
@@ -41,7 +41,7 @@ fn messages_are_printed_as_ros_2_prints_them() {
             let read = |text: &str| format!("{:?}", UserInput::parse(text).unwrap());
             assert_eq!(read(&printed), read(&expected), "{}: {printed}", r#type);
         }
-        // numpy breaks lines and leaves zeros out.
+        // numpy breaks lines and omits zeros.
         if !repr.contains("array(") {
             assert_eq!(python::value(&view).unwrap(), repr, "{}", r#type);
         }

@@ -1,4 +1,4 @@
-//! A domain's key with the ledger of what it has issued.
+//! A domain's key with the ledger of its issued certificates.
 
 use std::path::{Path, PathBuf};
 
@@ -10,18 +10,18 @@ use super::super::issuance_log::IssuanceLog;
 use super::super::revocation::next_serial;
 use super::ledger::Issue;
 
-/// A domain's key and ledger, for as long as a command issues something.
+/// A domain's key and ledger, locked while a command issues certificates.
 pub struct Authority {
     pub identity: Identity,
     pub issuance_log: IssuanceLog,
     pub issued: Vec<Issue>,
     pub revocation: Option<Revocation>,
-    /// Of what is issued next.
+    /// Serial of the next certificate.
     pub serial: u64,
 }
 
 impl Authority {
-    /// The card lies beside the key, unless it is said where.
+    /// Opens key and ledger. The default location of the card is beside the key.
     pub fn open(key: &Path, card: Option<&Path>) -> anyhow::Result<Self> {
         let identity = Identity::new(SigningKey::load(key)?, "domain");
         let card = card.map_or_else(|| card_file_of(key), Path::to_path_buf);
@@ -41,8 +41,8 @@ impl Authority {
         Ok(Self { identity, issuance_log, issued, revocation, serial })
     }
 
-    /// Remembers first what is then given away: what is not known to be issued would not be
-    /// revoked.
+    /// Records a certificate in the ledger. Call this before handing it out, because a certificate
+    /// that is not in the ledger would not be revoked.
     pub fn remember(self, issue: Issue) -> anyhow::Result<()> {
         let mut issued = self.issued;
         issued.push(issue);
@@ -54,7 +54,8 @@ pub fn card_file_of(key: &Path) -> PathBuf {
     key.with_extension("card")
 }
 
-/// What would be overwritten is refused before anything is issued.
+/// Returns the absolute path of a file that does not exist; fails if it exists. Call this before
+/// issuing anything.
 pub fn expect_new(path: &Path) -> anyhow::Result<PathBuf> {
     if path.exists() {
         bail!("{}: a file of this name exists and is not overwritten", path.display());

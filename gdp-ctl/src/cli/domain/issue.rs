@@ -1,4 +1,5 @@
-//! `gdp-ctl domain init`, `admit`, `invite` and `peer`: what a domain issues.
+//! `gdp-ctl domain init`, `admit`, `invite` and `peer`: the commands by which a domain issues
+//! certificates.
 
 use std::path::PathBuf;
 
@@ -104,7 +105,7 @@ pub struct PeerOptions {
     output: PathBuf,
 }
 
-/// What `gdp-ctl domain init` shows.
+/// Output of `gdp-ctl domain init`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct InitOutput {
     name: Name,
@@ -185,7 +186,7 @@ pub fn peer(options: &PeerOptions, context: &Context) -> anyhow::Result<()> {
         .print(&IssuedOutput::new(&claims, serial, &options.output), || [options.output.display().to_string()])
 }
 
-/// Whether a daemon's configuration can say this.
+/// Checks that a daemon's configuration can contain this address.
 pub(super) fn check_address(at: &LinkTarget) -> anyhow::Result<()> {
     match at {
         LinkTarget::Ethernet { mac: None, .. } => Ok(()),

@@ -1,4 +1,4 @@
-//! `gdp-ctl domain join`: from an invitation to the files of a member.
+//! `gdp-ctl domain join`: creates the files of a member from an invitation.
 
 use std::io::Read;
 use std::net::{IpAddr, SocketAddr};
@@ -24,7 +24,7 @@ use crate::cli::context::Context;
 use crate::cli::domain::authority::expect_new;
 use crate::cli::issuing::{serial_now, validity};
 
-/// Longer than any invitation.
+/// Maximum length of an invitation on stdin, in bytes.
 const MAX_LINE: u64 = 16 << 10;
 
 #[derive(Debug, Args)]
@@ -40,13 +40,13 @@ pub struct Options {
     output: PathBuf,
 }
 
-/// What `gdp-ctl domain join` shows.
+/// Output of `gdp-ctl domain join`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct JoinOutput {
     name: Name,
     domain: Name,
     role: String,
-    /// When the membership ends, in Unix seconds.
+    /// End of the membership, in Unix seconds.
     not_after: u64,
     /// The private key.
     identity: PathBuf,
@@ -73,7 +73,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
         Some(file) => std::path::absolute(file).with_context(|| file.display().to_string())?,
         None => PathBuf::from(format!("{kind}.pem")),
     };
-    // Before anything is written.
+    // Check everything before writing any file.
     let config = if is_switch { switch(&token, &invite.role, &identity_at)? } else { proxy(&token, &identity_at) };
     let card = card(&token)?;
     let identity = Identity::load_or_generate(identity_file, kind)?;
@@ -104,7 +104,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     })
 }
 
-/// An invitation as it was given, or from stdin.
+/// Returns an invitation from the argument, or from stdin.
 pub fn read_token(argument: &str) -> anyhow::Result<Token> {
     if argument != "-" {
         return Ok(Token::from_line(argument)?);
@@ -116,7 +116,7 @@ pub fn read_token(argument: &str) -> anyhow::Result<Token> {
     Ok(token?)
 }
 
-/// The card of the token's domain, whose metadata is that of all domains.
+/// Returns the card of the token's domain. All domains have the same metadata.
 fn card(token: &Token) -> anyhow::Result<NameCard> {
     let metadata = Metadata::from([("kind".to_owned(), "domain".to_owned())]);
     if name::inner_digest(&metadata) != token.domain().digest {
@@ -147,7 +147,7 @@ fn proxy(token: &Token, identity: &Path) -> String {
     format!("version: 1\nidentity: {identity}\nlinks: [{{to: {to}{switch}}}]\n{}", domain())
 }
 
-/// A text in double quotes, which YAML reads as JSON does.
+/// Returns a text in double quotes, which YAML and JSON parse in the same way.
 fn quoted(text: impl Serialize) -> String {
     escape_json(&serde_json::json!(text).to_string()).into_owned()
 }

@@ -1,4 +1,4 @@
-//! What the ledger beside a domain's card remembers of each certificate.
+//! Entries of the ledger beside a domain's card, one for each certificate.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -18,9 +18,9 @@ pub struct Issue {
     pub to: To,
     pub not_before: u64,
     pub not_after: u64,
-    /// When all that rests on it has ended.
+    /// Time at which the certificate and all that depend on it have expired.
     pub ends: u64,
-    /// None for an invitation: it is nowhere but with whom it was given to.
+    /// `None` for an invitation, which only its recipient has.
     pub file: Option<PathBuf>,
 }
 
@@ -62,7 +62,7 @@ impl Issue {
         }
     }
 
-    /// The entity or domain that it is for.
+    /// Returns the entity or domain to which the certificate was issued.
     pub fn holder(&self) -> Option<Name> {
         match self.to {
             To::Member { entity, .. } => Some(entity),
@@ -93,7 +93,7 @@ impl Issue {
     }
 }
 
-/// A certificate of the domain, as `gdp-ctl domain show` shows it.
+/// A certificate of the domain in the output of `gdp-ctl domain show`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct IssueOutput {
     /// As text, because JavaScript and jq round such numbers.
@@ -102,7 +102,7 @@ pub struct IssueOutput {
     to: To,
     not_before: u64,
     not_after: u64,
-    /// None of an invitation.
+    /// None for an invitation.
     file: Option<PathBuf>,
     /// `valid`, `not yet`, `expired` or `revoked`.
     state: &'static str,

@@ -1,6 +1,6 @@
-//! `gdp-ctl domain`: a trust domain and its members. Works on files, where the domain's key is
-//! kept; only a revocation is sent to a daemon, if one answers. `join` alone runs on the machine of
-//! a new member, and needs no key but its own.
+//! `gdp-ctl domain`: a trust domain and its members. The commands work on files on the machine with
+//! the domain's key. Only a revocation goes to a daemon, if one answers. `join` runs on the machine
+//! of a new member, and needs only the member's own key.
 
 mod authority;
 mod issue;

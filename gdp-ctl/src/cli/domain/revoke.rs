@@ -1,5 +1,4 @@
-//! `gdp-ctl domain revoke`: the domain's word on what no longer holds, with a number above the last
-//! one.
+//! `gdp-ctl domain revoke`: signs the domain's next revocation, with a higher number than the last.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! `gdp-ctl domain show`: what is in a file or an invitation.
+//! `gdp-ctl domain show`: contents of a file or an invitation.
 
 use std::path::{Path, PathBuf};
 
@@ -29,27 +29,27 @@ pub struct Options {
     card: Option<PathBuf>,
 }
 
-/// What `gdp-ctl domain show` shows of an invitation.
+/// Output of `gdp-ctl domain show` for an invitation.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct InvitationOutput {
     kind: &'static str,
     claims: ClaimMap,
     /// As text, because JavaScript and jq round such numbers.
     serial: String,
-    /// Where the new member is to dial.
+    /// The address that the new member must dial.
     at: String,
-    /// The switch there.
+    /// The switch at this address.
     switch: Option<Name>,
 }
 
-/// What `gdp-ctl domain show` shows of a domain.
+/// Output of `gdp-ctl domain show` for a domain.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct DomainOutput {
     name: Name,
     /// 66 hex digits.
     public_key: String,
     issued: Vec<IssueOutput>,
-    /// The newest one of the domain.
+    /// The newest revocation of the domain.
     revocation: Option<RevocationOutput>,
 }
 

@@ -113,7 +113,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
             (to.into(), issuer.issue(&claims, &options.output)?)
         }
     };
-    // Remembered first: what is not known to be granted would not be revoked.
+    // Record the grant first: a grant that is not in the ledger would not be revoked.
     let mut grants = issuer.grants;
     let file = std::path::absolute(&options.output)?;
     grants.push(Grant { serial, publish, read, to, not_before, not_after, file });
@@ -122,7 +122,7 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     context.output.print(&output, || [options.output.display().to_string()])
 }
 
-/// Who signs, and what all that is issued now has in common.
+/// The issuer, and the common properties of the certificates that it issues now.
 struct Issuer<'b> {
     card: &'b NameCard,
     key: SigningKey,
@@ -167,7 +167,8 @@ impl<'b> Issuer<'b> {
         Ok(Self { card, key, delegation, revocation, grants, serial, validity })
     }
 
-    /// The text of a certificate and what it says; refused if whoever gets it would refuse it.
+    /// Returns the text of a certificate and its output. Fails if the recipient would refuse the
+    /// certificate.
     fn issue<T: AboutName>(&self, claims: &T, file: &Path) -> anyhow::Result<(String, IssuedOutput)> {
         let issued = Issued { cert: issue(&self.key, claims)?, delegation: self.delegation.clone() };
         issued.verify(&self.card.proof(), self.revocation.as_ref(), unix_seconds())?;

@@ -1,4 +1,4 @@
-//! What the ledger beside a name card remembers of each grant.
+//! Entries of the ledger beside a name card, one for each grant.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -11,14 +11,14 @@ use serde::{Deserialize, Serialize};
 
 use super::super::issuance_log;
 
-/// One certificate that was issued from here.
+/// A certificate in the ledger.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Grant {
     pub serial: u64,
-    /// May publish or serve; for a delegate: may let others.
+    /// May publish or serve. A delegate may grant this to others.
     pub publish: bool,
-    /// May subscribe or call; for a delegate: may let others.
+    /// May subscribe or call. A delegate may grant this to others.
     pub read: bool,
     pub to: Holder,
     pub not_before: u64,
@@ -38,7 +38,7 @@ impl issuance_log::Entry for Grant {
     }
 }
 
-/// Whom a certificate was issued to.
+/// The recipient of a certificate.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Holder {

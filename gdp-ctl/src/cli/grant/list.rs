@@ -1,4 +1,4 @@
-//! `gdp-ctl grant list`: what was granted from here, and what of it still holds.
+//! `gdp-ctl grant list`: the grants in the ledger, and whether they are still valid.
 
 use std::path::PathBuf;
 
@@ -47,16 +47,16 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     })
 }
 
-/// What `gdp-ctl grant list` shows.
+/// Output of `gdp-ctl grant list`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct GrantsOutput {
     name: Name,
     grants: Vec<GrantOutput>,
-    /// The newest one of the name.
+    /// The newest revocation of the name.
     revocation: Option<RevocationOutput>,
 }
 
-/// A certificate that was issued from here.
+/// A certificate in the ledger.
 #[derive(Debug, Serialize, JsonSchema)]
 struct GrantOutput {
     /// As text, because JavaScript and jq round such numbers.

@@ -1,5 +1,5 @@
-//! `gdp-ctl grant`: what an owner lets others do with a name. Works where the owner's key is kept,
-//! without a daemon; only a revocation is sent to one, if one answers.
+//! `gdp-ctl grant`: an owner's grants to others for a name. The commands run on the machine with
+//! the owner's key, without a daemon. Only a revocation goes to a daemon, if one answers.
 
 mod add;
 mod ledger;

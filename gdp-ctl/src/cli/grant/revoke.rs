@@ -1,5 +1,4 @@
-//! `gdp-ctl grant revoke`: the owner's word on what no longer holds, with a number above the last
-//! one.
+//! `gdp-ctl grant revoke`: signs the owner's next revocation, with a higher number than the last.
 
 use std::path::{Path, PathBuf};
 
@@ -86,7 +85,7 @@ impl Options {
         Ok((issue(&key, &claims)?, claims))
     }
 
-    /// The serials that are to be revoked.
+    /// Returns the serials to revoke.
     fn chosen(&self, card: &NameCard, grants: &[Grant]) -> anyhow::Result<Vec<u64>> {
         let mut chosen = Vec::new();
         for text in &self.serials {

@@ -1,4 +1,4 @@
-//! `gdp-ctl service call`: one request to the nearest server, in the terms of its ROS graph.
+//! `gdp-ctl service call`: sends one request to the nearest server, with values in ROS notation.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,7 +27,7 @@ use crate::ros::user_input::UserInput;
 use crate::ros::view::View;
 use gdp_util::unix_time::{unix_seconds, unix_time};
 
-/// How long, how often, and how soon again a server is asked what it serves.
+/// Timeout, number of attempts, and pause between attempts to get a server's description.
 const ATTEMPT: Duration = Duration::from_secs(2);
 const ATTEMPTS: u32 = 10;
 const SOON: Duration = Duration::from_millis(100);
@@ -50,7 +50,7 @@ pub struct Options {
     node: NodeOptions,
 }
 
-/// What `gdp-ctl service call` shows.
+/// Output of `gdp-ctl service call`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct CallOutput {
     /// The ROS name.
@@ -86,7 +86,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     options.node.with_fabric(keyring, context, async |fabric| unless_interrupted(ask(fabric)).await).map(drop)
 }
 
-/// One that serves the name, and what it has said of the service.
+/// A server of the name, with its description of the service.
 struct Server {
     instance: Name,
     epoch: Epoch,
@@ -131,7 +131,7 @@ impl Server {
     }
 }
 
-/// Asks again and again: the way to a server that has only just come may not be there yet.
+/// Requests the description repeatedly, because the route to a new server may not exist yet.
 async fn describe(client: &Client) -> anyhow::Result<Message> {
     for _ in 0..ATTEMPTS {
         let asked = tokio::time::timeout(ATTEMPT, client.call(CALL, &Request::Describe.to_bytes())).await;
@@ -146,7 +146,7 @@ async fn describe(client: &Client) -> anyhow::Result<Message> {
     bail!("its server does not describe it; is it a service of a gdp-proxy?")
 }
 
-/// Requests or responses of a service.
+/// The request or the response type of a service.
 struct Half {
     schema: Arc<Schema>,
     root: Base,

@@ -1,4 +1,4 @@
-//! `gdp-ctl service`: what `ros2 service` is in a ROS graph, in the fabric.
+//! `gdp-ctl service`: the counterpart of `ros2 service` in the fabric.
 
 mod call;
 

@@ -1,4 +1,4 @@
-//! `gdp-ctl topic echo`: a topic's messages as they come.
+//! `gdp-ctl topic echo`: prints a topic's messages as they arrive.
 
 use std::time::Duration;
 
@@ -107,7 +107,7 @@ async fn print_all(
         }
         match print(options, context, card, decoder, &received) {
             Ok(()) => *printed += 1,
-            // The next one may be another's.
+            // The next message may be from another publisher.
             Err(Failed::Message(error)) => note(format_args!("gdp-ctl: {error}")),
             Err(Failed::Output(error)) => return Err(error),
         }
@@ -118,7 +118,7 @@ async fn print_all(
     bail!("{} may not be read any more by {:#}", called(card), fabric.node.name())
 }
 
-/// What `gdp-ctl topic echo` prints of each message.
+/// Output of `gdp-ctl topic echo` for each message.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct EchoOutput {
     /// The ROS name.
@@ -128,7 +128,7 @@ pub struct EchoOutput {
     r#type: String,
     writer: Name,
     sequence: u64,
-    /// When it was sent, in Unix time.
+    /// Send time in Unix time.
     timestamp_ns: u64,
     /// With `--raw`: the number of the encoding.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -136,7 +136,7 @@ pub struct EchoOutput {
     /// With `--raw`: base64.
     #[serde(skip_serializing_if = "Option::is_none")]
     raw: Option<String>,
-    /// Otherwise, the message or the chosen field.
+    /// Without `--raw`: the message or the selected field.
     #[serde(skip_serializing_if = "Option::is_none")]
     message: Option<Value>,
 }
@@ -175,7 +175,7 @@ fn print(
     }
     let decoded = decoder.decode(received).map_err(|error| Failed::Message(error.into()))?;
     let path = options.field.as_ref().map_or(&[][..], |path| &path.0);
-    // A field that is not there is not there in any message.
+    // A field that this message lacks is missing in every message.
     let view = View::of(decoded.schema, decoded.root, &decoded.value);
     let view = view.at(path).map_err(|error| Failed::Output(error.into()))?;
     output.message = Some(view.value.clone());
@@ -185,7 +185,7 @@ fn print(
     context.output.print(&output, || lines_of(&format!("{text}---"))).map_err(Failed::Output)
 }
 
-/// A message as YAML; of what is none, its value as Python prints it.
+/// Returns a message as YAML, or any other value in Python notation.
 fn printed(view: &View<'_>, limits: &Limits) -> anyhow::Result<String> {
     let item = view.item(limits)?;
     Ok(match item {

@@ -1,4 +1,4 @@
-//! `gdp-ctl topic info`: a topic's type, its publishers with what they offer, and its readers.
+//! `gdp-ctl topic info`: a topic's type, its publishers with their offered QoS, and its readers.
 
 use std::time::{Duration, Instant};
 
@@ -16,7 +16,7 @@ use crate::cli::progress::while_waiting;
 use crate::ros::keyring::called;
 use crate::ros::{fabric::Entities, fabric::Fabric, feed::Feed, feed::RemotePublisher};
 
-/// For what the writers say of their publishers.
+/// Time to wait for the writers' rosters.
 const TIMEOUT: Duration = Duration::from_secs(3);
 
 #[derive(Debug, Args)]
@@ -31,7 +31,7 @@ pub struct Options {
     node: NodeOptions,
 }
 
-/// What `gdp-ctl topic info` shows.
+/// Output of `gdp-ctl topic info`.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct InfoOutput {
     /// The ROS name.
@@ -41,16 +41,16 @@ pub struct InfoOutput {
     r#type: String,
     publishers: Vec<PublisherOutput>,
     writers: Vec<Name>,
-    /// Writers that say nothing of ROS publishers.
+    /// Writers that send no roster of ROS publishers.
     writers_without_publishers: Vec<Name>,
     subscribers: Vec<Name>,
 }
 
-/// A ROS publisher behind a writer, and what it offers. Times of 0 are infinite.
+/// A ROS publisher behind a writer, and its offered QoS. Times of 0 are infinite.
 #[derive(Debug, Serialize, JsonSchema)]
 struct PublisherOutput {
     writer: Name,
-    /// Of the publisher at its writer.
+    /// Number of the publisher at its writer.
     number: u32,
     r#type: String,
     type_hash: String,
@@ -65,12 +65,12 @@ struct PublisherOutput {
     liveliness_lease_ns: u64,
 }
 
-/// What is known of a topic.
+/// Known state of a topic.
 struct Info {
     entities: Entities,
-    /// Of the ROS publishers behind the writers, each with its writer and its number.
+    /// ROS publishers behind the writers, each with its writer and its number.
     publishers: Vec<((Name, u32), RemotePublisher)>,
-    /// Writers that say nothing of publishers.
+    /// Writers that send no roster.
     silent: Vec<Name>,
 }
 
@@ -108,7 +108,7 @@ fn kind(card: &NameCard, info: &Info) -> String {
     match kinds[..] {
         [] => card.get("type").unwrap_or_default().to_owned(),
         [one] => one.to_owned(),
-        // As Python prints a list.
+        // Python list notation.
         _ => format!("{kinds:?}").replace('"', "'"),
     }
 }
@@ -147,8 +147,8 @@ impl PublisherOutput {
     }
 }
 
-/// The layout of ros2cli. Names of nodes stay with their graphs; the GID is the writer's name, and
-/// the number that the writer has given the publisher.
+/// Formats the output as ros2cli does. Node names are not known outside their graphs. The GID is
+/// the writer's name followed by the publisher's number at the writer.
 fn lines(card: &NameCard, info: &Info, verbose: bool) -> Vec<String> {
     let mut publishers = Vec::new();
     for ((writer, number), publisher) in &info.publishers {

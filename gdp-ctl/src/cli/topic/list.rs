@@ -1,5 +1,5 @@
-//! `gdp-ctl topic list`, and likewise of services and actions: what the keyring has cards of, and
-//! who is there.
+//! `gdp-ctl topic list`, also for services and actions: the cards in the keyring, and the entities
+//! of their names.
 
 use clap::Args;
 use gdp_core::card::NameCard;
@@ -27,14 +27,14 @@ pub struct ListOptions {
     node: NodeOptions,
 }
 
-/// What the `list` commands show.
+/// Output of the `list` commands.
 #[derive(Debug, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ListOutput {
     Topics(Vec<ListEntry>),
     Services(Vec<ListEntry>),
     Actions(Vec<ListEntry>),
-    /// Only how many there are.
+    /// Only the number of cards.
     Count(usize),
 }
 
@@ -46,12 +46,12 @@ pub struct ListEntry {
     /// The ROS type.
     r#type: String,
     name: Name,
-    /// Only if the RIB was asked.
+    /// Present only if the RIB was asked.
     #[serde(flatten)]
     entities: Option<Sides>,
 }
 
-/// Who is at a name.
+/// Entities of a name.
 #[derive(Debug, Serialize, JsonSchema)]
 #[serde(untagged)]
 enum Sides {
@@ -66,7 +66,7 @@ impl ListEntry {
     }
 }
 
-/// `kind`: `topic`, `service` or `action`.
+/// Lists the cards of `kind`: `topic`, `service` or `action`.
 pub fn list(kind: &str, options: &ListOptions, context: &Context) -> anyhow::Result<()> {
     let keyring = options.node.keyring()?;
     let mut cards: Vec<NameCard> = keyring.cards(kind).cloned().collect();

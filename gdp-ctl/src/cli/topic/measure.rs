@@ -1,4 +1,4 @@
-//! `gdp-ctl topic hz`, `bw` and `delay`: figures of a topic, once a second, until ^C.
+//! `gdp-ctl topic hz`, `bw` and `delay`: statistics of a topic, printed once a second until ^C.
 
 use std::num::NonZeroUsize;
 use std::time::{Duration, Instant};
@@ -26,7 +26,7 @@ use gdp_util::unix_time::unix_time;
 
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// Messages that figures are of, if nothing is said: as many as with ros2cli.
+/// Default numbers of messages in a window, as in ros2cli.
 const TIMES: usize = 10_000;
 const SIZES: usize = 100;
 
@@ -56,18 +56,18 @@ impl Options {
     }
 }
 
-/// Times between messages, or their delays.
+/// Times between messages, or delays of messages.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct TimesOutput {
     mean_s: f64,
     min_s: f64,
     max_s: f64,
     std_dev_s: f64,
-    /// Of so many.
+    /// Number of values.
     window: usize,
 }
 
-/// What `gdp-ctl topic hz` prints each second.
+/// Output of `gdp-ctl topic hz`, once a second.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct RateOutput {
     rate_hz: f64,
@@ -75,23 +75,23 @@ pub struct RateOutput {
     times: TimesOutput,
 }
 
-/// What `gdp-ctl topic bw` prints each second.
+/// Output of `gdp-ctl topic bw`, once a second.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct BandwidthOutput {
     bytes_per_s: f64,
-    /// Of so many.
+    /// Number of messages.
     messages: usize,
     mean_bytes: f64,
     min_bytes: usize,
     max_bytes: usize,
 }
 
-/// What `gdp-ctl topic delay` prints each second.
+/// Output of `gdp-ctl topic delay`, once a second.
 #[derive(Debug, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum DelayOutput {
     Times(TimesOutput),
-    /// No message came.
+    /// No message has arrived.
     None {
         window: usize,
     },
@@ -138,7 +138,7 @@ pub fn bw(options: &Options, context: &Context) -> anyhow::Result<()> {
     })
 }
 
-/// What happens, with the time in nanoseconds on a clock that is never set.
+/// An event, with the time in nanoseconds on a monotonic clock.
 enum Figure<'a> {
     Arrivals(u64, &'a Message),
     Show(u64),
@@ -219,7 +219,7 @@ fn show_delays(delays: &mut Delays, context: &Context) -> anyhow::Result<()> {
         .print(&DelayOutput::Times(TimesOutput::new(&spread)), || [format!("average delay: {mean:.3}"), spread.text()])
 }
 
-/// Nanoseconds since 1970, by the header of a message.
+/// Returns the stamp in the header of a message, in nanoseconds since 1970.
 fn stamp(message: &Value) -> Option<i128> {
     let stamp = message.get("header")?.get("stamp")?;
     let part =

@@ -1,4 +1,4 @@
-//! `gdp-ctl topic`: what `ros2 topic` is in a ROS graph, in the fabric.
+//! `gdp-ctl topic`: the counterpart of `ros2 topic` in the fabric.
 
 mod echo;
 mod info;

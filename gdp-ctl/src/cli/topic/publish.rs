@@ -1,5 +1,5 @@
-//! `gdp-ctl topic pub`: publishes a topic, with a roster as proxies send it, so that a publisher
-//! stands for it in ROS graphs elsewhere.
+//! `gdp-ctl topic pub`: publishes a topic. Like a proxy, it sends a roster, so that remote proxies
+//! create a publisher for it in their ROS graphs.
 
 use std::time::{Duration, Instant};
 
@@ -25,14 +25,14 @@ use crate::ros::user_input::UserInput;
 use crate::ros::view::View;
 use gdp_util::unix_time::{unix_seconds, unix_time};
 
-/// What ROS readers behind a proxy need to find what stands there for this publisher, before the
-/// first of a few messages.
+/// Time that ROS readers behind a proxy need to discover the proxy's publisher, before the first of
+/// a few messages.
 const DISCOVERY: Duration = Duration::from_secs(1);
 
-/// How long readers may take for the last messages.
+/// Maximum time for readers to receive the last messages.
 const TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How often it is looked for readers, and whether a roster is due.
+/// Interval of the checks for readers and for a due roster.
 const LOOK: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Args)]
@@ -85,7 +85,7 @@ enum Durable {
     TransientLocal,
 }
 
-/// What `gdp-ctl topic pub` prints of each message.
+/// Output of `gdp-ctl topic pub` for each message.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct PublishOutput {
     count: u64,
@@ -101,7 +101,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     {
         bail!("{} is of {carded}, and not of {}", called(&card), options.type_name);
     }
-    // Before the fabric is asked for anything.
+    // Check the input before contacting the fabric.
     maker.make()?;
     options.node.with_fabric(keyring, context, async |fabric: &Fabric| {
         let ad = fabric.keyring.ad(&card, fabric.node.name(), unix_seconds())?;
@@ -131,7 +131,7 @@ fn offer(options: &Options) -> Offer {
     }
 }
 
-/// Makes messages of what the user gave.
+/// Creates messages from the user's input.
 struct Maker {
     kind: Kind,
     schema: std::sync::Arc<Schema>,
@@ -140,7 +140,7 @@ struct Maker {
     mapping: Mapping,
 }
 
-/// A message: as it is encoded, as JSON, and as Python prints it.
+/// A message: encoded, as JSON, and in Python notation.
 struct Made {
     body: Vec<u8>,
     json: serde_json::Value,
@@ -159,13 +159,13 @@ impl Maker {
         Ok(Self { kind, schema, root, input, mapping })
     }
 
-    /// With the present time where `now` is given.
+    /// Creates a message; `now` in the input becomes the current time.
     fn make(&mut self) -> anyhow::Result<Made> {
         let now = unix_time();
         let json = fill(&self.schema, &self.input, (now.as_secs(), now.subsec_nanos()))?;
         let mut body = Vec::new();
         self.mapping.transcode(json.to_string().as_bytes(), &mut body, &Limits::default()).map_err(|error| {
-            // Where it is in the text that was made here says nothing to the user.
+            // The position in the generated text would not help the user.
             anyhow::anyhow!("`{}`: {}", error.path, error.fault)
         })?;
         let text = python::value(&View::of(&self.schema, &self.root, &json))?;
@@ -233,7 +233,8 @@ impl Source {
         Ok(())
     }
 
-    /// Waits until readers have everything, and says that this publisher leaves.
+    /// Waits until readers have received all messages, announces that this publisher leaves, and
+    /// closes it.
     async fn end(mut self) -> anyhow::Result<()> {
         self.publisher.flush(TIMEOUT).await.context("not everything has arrived")?;
         self.roster.left(&());

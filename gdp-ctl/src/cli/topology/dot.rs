@@ -1,4 +1,4 @@
-//! The topology in the language of Graphviz.
+//! The topology as a Graphviz graph.
 
 use std::collections::BTreeMap;
 
@@ -9,9 +9,10 @@ use petgraph::graph::{NodeIndex, UnGraph};
 
 use super::links::{Edge, edges};
 
-/// An adjacency that only one end states is drawn dashed: no frame goes by it.
+/// Returns the graph. An adjacency that only one end states is dashed, because it carries no
+/// frames.
 ///
-/// `names` has the lines that each switch's label ends with.
+/// `names` has the last lines of each switch's label.
 pub fn dot(reply: &TopologyReply, names: &BTreeMap<Name, Vec<String>>) -> String {
     let mut graph = UnGraph::<String, Adjacency>::new_undirected();
     let mut nodes = BTreeMap::<Name, NodeIndex>::new();

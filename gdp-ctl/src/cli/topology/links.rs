@@ -1,22 +1,22 @@
-//! The links of a topology reply, each once.
+//! The links of a topology reply, without duplicates.
 
 use std::collections::BTreeMap;
 
 use gdp_proto::admin::topology::TopologyReply;
 use gdp_wire::Name;
 
-/// A link between two switches, of whom one at least is of the own domain.
+/// A link between two switches, at least one of them in the own domain.
 pub struct Edge {
-    /// The second one is of `domain`, if that is another.
+    /// The second switch belongs to `domain`, if that is set.
     pub ends: [Name; 2],
     pub cost: u32,
-    /// Only then frames go by it. Of a link into another domain, the other end's statement is not
-    /// known.
+    /// Whether both ends state the link; only then it carries frames. For a link into another
+    /// domain, the other end's statement is not known.
     pub by_both: bool,
     pub domain: Option<Name>,
 }
 
-/// Each adjacency once, with the larger of the costs.
+/// Returns each adjacency once, with the larger of the costs.
 pub fn edges(reply: &TopologyReply) -> Vec<Edge> {
     let (mut home, mut others) = (BTreeMap::<[Name; 2], Edge>::new(), Vec::new());
     for switch in &reply.switches {

@@ -1,5 +1,5 @@
-//! `gdp-ctl topology`: the domain's switches and the links between them, as the daemon's switch
-//! knows them.
+//! `gdp-ctl topology`: the domain's switches and the links between them, in the view of the
+//! daemon's switch.
 
 mod dot;
 mod links;
@@ -17,7 +17,8 @@ use gdp_proto::admin::Request;
 use gdp_proto::admin::tables::RibReply;
 use gdp_proto::admin::topology::{Adjacency, TopologyReply};
 
-/// Records that are looked through for the names at each switch. A label has at most 8 names.
+/// Maximum number of records that are searched for the names at each switch. A label has at most 8
+/// names.
 const MOST_RECORDS: usize = 10_000;
 
 #[derive(Debug, Args)]
@@ -38,7 +39,7 @@ pub fn run(options: &Options, context: &Context) -> anyhow::Result<()> {
     context.output.print(&reply, || if options.dot { lines_of(&dot::dot(&reply, &names)) } else { describe(&reply) })
 }
 
-/// What the RIB's records say of each switch: names, and the roles of entities for them.
+/// Returns the names at each switch from the RIB's records, with the roles of entities.
 fn names(client: &mut Client) -> anyhow::Result<BTreeMap<Name, Vec<String>>> {
     let (mut names, mut after, mut seen) = (BTreeMap::<Name, Vec<String>>::new(), None, 0);
     loop {
@@ -67,7 +68,7 @@ fn describe(reply: &TopologyReply) -> Vec<String> {
     table(["switch", "bit", "by way of", "cost of the path", "neighbours (cost)"], &rows.collect::<Vec<_>>())
 }
 
-/// Neighbours with their costs.
+/// Returns the neighbours with their costs.
 pub fn neighbours(adjacencies: &[Adjacency]) -> String {
     let near = adjacencies.iter().map(|n| format!("{:#} ({})", n.switch, n.cost));
     near.collect::<Vec<_>>().join(" ")

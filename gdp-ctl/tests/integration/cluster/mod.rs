@@ -1,5 +1,5 @@
-//! A cluster of real etcd members on the loopback interface, each a process with its data in a
-//! temporary folder.
+//! A cluster of real etcd members on the loopback interface. Each member is a process with its data
+//! in a temporary folder.
 
 use std::net::{Ipv4Addr, TcpStream};
 use std::path::PathBuf;
@@ -12,10 +12,11 @@ use tempfile::TempDir;
 
 use crate::ports::free_addr;
 
-/// How long a member may take until it answers.
+/// Maximum time until a member answers.
 const START: Duration = Duration::from_secs(60);
 
-/// Files, in PEM, with which members demand certificates of their clients, and have one.
+/// PEM files of a member's certificate and of the CA. Members with them require client
+/// certificates.
 pub struct Certificates {
     pub ca: PathBuf,
     pub cert: PathBuf,
@@ -36,12 +37,12 @@ struct Member {
 }
 
 impl Cluster {
-    /// Starts so many members, and waits until they are one cluster.
+    /// Starts `count` members, and waits until they form a cluster.
     pub fn start(count: usize) -> Self {
         Self::start_with(count, None)
     }
 
-    /// With TLS, if there are certificates.
+    /// Starts the members, with TLS if there are certificates.
     pub fn start_with(count: usize, certificates: Option<Certificates>) -> Self {
         let port = || free_addr().port();
         let member = || Member { client: port(), peer: port(), metrics: port(), process: None };
@@ -60,7 +61,7 @@ impl Cluster {
         Endpoint { tls: self.certificates.is_some(), host: "127.0.0.1".into(), port: member.client }
     }
 
-    /// Ends a member at once, as if its machine had.
+    /// Kills a member immediately, as if its machine had failed.
     pub fn kill(&mut self, index: usize) {
         if let Some(mut process) = self.members[index].process.take() {
             process.kill().unwrap();
@@ -68,19 +69,19 @@ impl Cluster {
         }
     }
 
-    /// Starts a member again that was killed, with the data that it had.
+    /// Restarts a killed member with its data.
     pub fn restart(&mut self, index: usize) {
         self.spawn(index);
         self.await_health();
     }
 
-    /// All that were killed.
+    /// Restarts all killed members.
     pub fn restart_all(&mut self) {
         let gone: Vec<usize> = (0..self.members.len()).filter(|i| self.members[*i].process.is_none()).collect();
         gone.into_iter().for_each(|i| self.restart(i));
     }
 
-    /// Which member leads the others.
+    /// Returns the index of the leader.
     pub fn leader(&self) -> usize {
         let is_leader = |i: &usize| {
             let answer = self.etcdctl(&[*i], &["endpoint", "status", "-w", "fields"]);
@@ -93,7 +94,7 @@ impl Cluster {
         (0..self.members.len()).find(is_leader).expect("a cluster has a leader")
     }
 
-    /// What `etcdctl` says of these arguments, at members that run.
+    /// Returns the output of `etcdctl` with these arguments, run against these members.
     pub fn etcdctl(&self, members: &[usize], arguments: &[&str]) -> String {
         let urls: Vec<_> = members.iter().map(|i| self.endpoint(&self.members[*i]).to_string()).collect();
         let mut command = Program::Etcdctl.command();
@@ -142,7 +143,7 @@ impl Cluster {
         self.members[index].process = Some(process);
     }
 
-    /// Until those that run answer.
+    /// Waits until all running members answer.
     fn await_health(&self) {
         let until = Instant::now() + START;
         let running = |member: &&Member| member.process.is_some();
@@ -161,7 +162,7 @@ impl Drop for Cluster {
     }
 }
 
-/// As a member says of itself, which it does if it has a leader.
+/// Returns whether a member reports that it is healthy, which requires a leader.
 fn is_healthy(port: u16) -> bool {
     use std::io::{Read, Write};
     let Ok(mut stream) = TcpStream::connect((Ipv4Addr::LOCALHOST, port)) else { return false };

@@ -1,5 +1,4 @@
-//! Domains, and daemons that are members of them, on loopback UDP, for tests that run these in
-//! their own process.
+//! Domains and member daemons on loopback UDP, for tests that run daemons in their own process.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -17,17 +16,18 @@ use gdp_wire::Name;
 use crate::ports::free_addr;
 use crate::switch::config;
 
-/// Of what lasts for the whole of a test.
+/// Validity in seconds of certificates that must last for a whole test.
 pub const LONG: i64 = 3600;
 
-/// A domain's key.
+/// A domain's key, and its serials.
 pub struct Domain {
     pub identity: Identity,
     pub serials: Mutex<u64>,
 }
 
 impl Domain {
-    /// Serials of domains with different numbers differ, so that logs show which is meant.
+    /// Creates a domain. Domains with different numbers have different serials, so that logs
+    /// identify the domain.
     pub fn new(number: u64) -> Self {
         let serial = now() as u64 * 1_000_000_000 - number * 1_000_000;
         Self { identity: Identity::generate("domain").unwrap(), serials: serial.into() }
@@ -52,14 +52,14 @@ impl Domain {
     }
 }
 
-/// Where a daemon is, and its files.
+/// The address and the files of a daemon.
 pub struct Place {
     pub folder: tempfile::TempDir,
     pub name: Name,
     pub addr: SocketAddr,
 }
 
-/// What a daemon is to run with.
+/// Configuration of a daemon.
 pub struct Settings(pub Config);
 
 impl Place {
@@ -89,7 +89,7 @@ impl Place {
         std::fs::rename(fresh, self.file(file)).unwrap();
     }
 
-    /// As the files are.
+    /// Returns settings that match the files.
     pub fn settings(&self, domain: Option<&Domain>) -> Settings {
         let Some(domain) = domain else {
             return Settings(Config { udp: Some(self.addr), rib: false, ..config(self.folder.path(), "switch") });

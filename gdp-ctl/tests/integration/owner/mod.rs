@@ -9,7 +9,7 @@ pub struct Owner {
 }
 
 impl Owner {
-    /// Of a topic or service.
+    /// Creates the owner of a topic or service.
     pub fn new(kind: &str, of: &str) -> Self {
         let key = SigningKey::generate().unwrap();
         let card = NameCard::create(key.verify_key(), kind, of, "T", None).unwrap();

@@ -10,10 +10,11 @@ use gdp_wire::Name;
 
 use crate::ports::free_addr;
 
-/// How long anything may take on a busy machine.
+/// Timeout for any operation on a busy machine.
 pub const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// A switch with its RIB; its files lie in the folder under this label.
+/// Returns the configuration of a switch with its RIB. Its files are in the folder under this
+/// label.
 pub fn config(folder: &Path, label: &str) -> Config {
     let identity = folder.join(format!("{label}.pem"));
     Config { rib: true, fib_capacity: 1024, ..Config::userspace(identity, "127.0.0.1:0".parse().unwrap()) }

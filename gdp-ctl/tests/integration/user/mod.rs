@@ -1,4 +1,4 @@
-//! A user at the command line, as tests of it are.
+//! A simulated user at the command line.
 
 use std::process::{Command, Output};
 
@@ -6,7 +6,7 @@ use gdp_tests::programs::own;
 use gdp_tests::schema::problems;
 use serde_json::Value;
 
-/// Checks what a command printed with `-j` against its published schema.
+/// Checks a command's output with `-j` against its published schema.
 pub fn expect_described(arguments: &[&str], value: &Value) {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/gdp-ctl.schema.json");
     let schema = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
@@ -16,7 +16,7 @@ pub fn expect_described(arguments: &[&str], value: &Value) {
     assert_eq!(problems(&schema, &format!("/properties/{verb}"), value), [""; 0], "{arguments:?}: {value}");
 }
 
-/// A folder, and commands run in it.
+/// A folder in which commands run.
 pub struct User {
     pub folder: tempfile::TempDir,
 }
@@ -54,7 +54,7 @@ impl User {
         value
     }
 
-    /// What a command that fails with this status prints of it with `-j`.
+    /// Returns the `-j` output of a command that fails with this status.
     pub fn failure(&self, status: i32, arguments: &[&str]) -> Value {
         let output = self.run(&[&["-j"], arguments].concat());
         assert_eq!(output.status.code(), Some(status), "{arguments:?}: {output:?}");
@@ -64,7 +64,7 @@ impl User {
         value["error"].clone()
     }
 
-    /// What a command that fails with this status says of it.
+    /// Returns the error message of a command that fails with this status.
     pub fn refusal(&self, status: i32, arguments: &[&str]) -> String {
         let output = self.run(arguments);
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -73,7 +73,7 @@ impl User {
         error
     }
 
-    /// Makes `chatter.card`; `owner.pem` is its owner.
+    /// Creates `chatter.card`, owned by `owner.pem`.
     pub fn card(&self, topic: &str) -> Value {
         let create = ["name", "create", "--owner", "owner.pem", "--topic", topic, "--type", "std_msgs/msg/String"];
         self.json(&[&create[..], &["-o", "chatter.card"]].concat())

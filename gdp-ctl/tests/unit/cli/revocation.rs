@@ -10,7 +10,7 @@ const NOW: u64 = 1_800_000_000;
 fn what_is_taken_back_stays_so_until_it_has_expired() {
     let first = revoke(None, &[], &[7, 3, 7], None).unwrap();
     assert_eq!((first.number, first.floor, first.revoked.as_slice()), (1, 0, &[3, 7][..]));
-    // Of 3 it is known when it ends, of 7 it is not.
+    // The ledger states the expiry of 3, but not of 7.
     let entry = |ends| Item { serial: 3, ends };
     for (not_after, left) in [(NOW, vec![3, 5, 7]), (NOW - CLOCKS_DIFFER - 1, vec![5, 7])] {
         assert_eq!(revoke(Some(&first), &[entry(not_after)], &[5], None).unwrap().revoked, left);

@@ -23,7 +23,7 @@ fn every_command_that_prints_has_a_schema() {
     assert_eq!(described.collect::<BTreeSet<_>>(), verbs);
 }
 
-/// The commands that have no further ones, by what a user types.
+/// Returns the commands without subcommands, as a user types them.
 fn leaves(command: &clap::Command, typed: &str) -> Vec<String> {
     let mut leaves = Vec::new();
     for inner in command.get_subcommands() {

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// What Python 3.11 prints.
+/// The expected texts are the output of Python 3.11.
 #[test]
 fn floats_are_as_short_as_they_can_be() {
     for (value, printed) in [

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// What PyYAML prints of each text, and what is printed here, are read as the same text.
+/// Parsing PyYAML's output and this program's output of each text gives the same text.
 #[test]
 fn texts_are_read_as_they_were() {
     let cases: Vec<(String, String)> = serde_json::from_str(include_str!("oracle/texts.json")).unwrap();
