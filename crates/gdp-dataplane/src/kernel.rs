@@ -346,7 +346,7 @@ impl KernelPlane {
         }
     }
 
-    /// Revokes [`Self::permit`]. A missing permit is no error.
+    /// Revokes a permit. A missing permit is no error.
     pub fn forbid(&mut self, permit: &Permit) -> Result<(), UpdateError> {
         removed(self.permits.remove(permit)).map_err(update("PERMITS"))
     }

@@ -213,7 +213,7 @@ pub fn find(bpffs: &Path) -> Result<Vec<Found>, PinsError> {
             let name = file_name(&folder);
             let Some((switch, namespace)) = name.split_once('-') else { continue };
             let Ok(namespace) = namespace.parse() else { continue };
-            // An empty folder contains no pins. A daemon could not remove it.
+            // Skip empty folders, which contain no pins.
             if !entries(&folder).is_empty() {
                 found.push(Found { switch: switch.to_owned(), folder: folder.clone(), abi, namespace });
             }

@@ -18,8 +18,8 @@ pub struct InterfaceAddress {
 }
 
 /// Returns the addresses at which a socket bound to `bound` receives datagrams. A socket bound to a
-/// specific address receives only there. A socket bound to the unspecified address receives at all
-/// addresses except link-local addresses; for IPv6 this includes IPv4.
+/// specific address receives only there. For the unspecified address, returns all addresses except
+/// link-local ones; for IPv6 these include IPv4 addresses.
 pub fn taken_at(bound: SocketAddr, addresses: Vec<InterfaceAddress>) -> Vec<(LocalAddress, InterfaceAddress)> {
     let own = bound.ip().to_canonical();
     // Every interface has a link-local address, and `bpf_fib_lookup` does not resolve them.

@@ -15,7 +15,7 @@ const DESCRIPTORS: u16 = 1024;
 /// the requested size.
 pub(crate) const MAX_QUEUED: usize = 2048;
 
-/// MTU of a device that cannot be set to another.
+/// Default MTU of a device.
 const DEFAULT_MTU: u16 = 1500;
 
 /// Size in bytes of an Ethernet header and the trailing checksum.

@@ -72,8 +72,8 @@ fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; 11] {
     [w0, w1, w3, w4, w5, w6, w7, w8, w9, w10, w11]
 }
 
-/// Transposes four words from `FROM` (0 … 8) on of all headers: vector `i` contains word `FROM + i`
-/// of each header.
+/// Transposes four words of all headers, from `FROM` (0 … 8) on. Vector `i` contains word `FROM +
+/// i` of each header.
 #[target_feature(enable = "avx2")]
 #[inline]
 fn columns<const FROM: usize>(headers: [&[u64; 12]; LANES]) -> [Vector; 4] {
