@@ -44,6 +44,10 @@ struct SettingsFile {
     file: File,
 }
 
+/// Maximum number of settings of earlier daemons that stay in the file because they could not be
+/// restored: their interfaces may be gone for ever.
+const MAX_LEFT: usize = 256;
+
 /// A changed setting of an interface, with its previous and new value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct ChangedSetting {
@@ -58,15 +62,18 @@ impl Settings {
     /// dropped. `path`: the file, which may contain settings that a killed daemon did not restore.
     pub fn open(path: Option<PathBuf>) -> Self {
         let open = |path| {
-            let (file, left) = SettingsFile::open(path)?;
-            put_back(&left);
+            let (mut file, left) = SettingsFile::open(path)?;
+            let mut changed = put_back(left);
+            changed.drain(..changed.len().saturating_sub(MAX_LEFT));
             file.file.set_len(0)?;
-            Ok(file)
+            file.file.write_all(changed.iter().map(ChangedSetting::line).collect::<String>().as_bytes())?;
+            Ok((changed, file))
         };
-        let file = path.map(open).transpose().inspect_err(|error: &io::Error| {
+        let opened = path.map(open).transpose().inspect_err(|error: &io::Error| {
             tracing::warn!(%error, "if this daemon is killed, settings of interfaces stay changed");
         });
-        Self { changed: Vec::new(), file: file.ok().flatten() }
+        let (changed, file) = opened.ok().flatten().unzip();
+        Self { changed: changed.unwrap_or_default(), file }
     }
 
     /// Stops the kernel from processing packets that arrive at an interface.
@@ -112,8 +119,9 @@ impl Settings {
 
 impl Drop for Settings {
     fn drop(&mut self) {
-        put_back(&self.changed);
-        self.file.iter().for_each(SettingsFile::remove);
+        if put_back(std::mem::take(&mut self.changed)).is_empty() {
+            self.file.iter().for_each(SettingsFile::remove);
+        }
     }
 }
 
@@ -121,7 +129,7 @@ impl Drop for Settings {
 /// not be restored. The next daemon may succeed in another namespace or with more privileges.
 pub fn put_back_left(path: PathBuf) -> io::Result<()> {
     let (file, left) = SettingsFile::open(path)?;
-    if put_back(&left) {
+    if put_back(left).is_empty() {
         file.remove();
     }
     Ok(())
@@ -163,18 +171,25 @@ impl ChangedSetting {
 }
 
 /// Restores settings that no other program has changed since, in reverse order, because a setting
-/// may change another. Returns whether all could be read and restored.
-fn put_back(all: &[ChangedSetting]) -> bool {
+/// may change another. Returns those that could not be read or restored, in the given order.
+fn put_back(all: Vec<ChangedSetting>) -> Vec<ChangedSetting> {
     let now: Vec<_> = all.iter().map(|changed| read(&changed.interface, &changed.name)).collect();
-    let mut is_all = now.iter().all(Result::is_ok);
-    let ours = all.iter().zip(now).filter(|(changed, now)| now.as_ref().is_ok_and(|now| *now == changed.set));
-    for (ChangedSetting { interface, name, before, .. }, _) in ours.rev() {
-        if let Err(error) = write(interface, name, *before) {
-            tracing::warn!(interface, name, %error, "a setting stays");
-            is_all = false;
+    let mut left = Vec::new();
+    for (changed, now) in all.into_iter().zip(now).rev() {
+        let ChangedSetting { interface, name, before, set } = &changed;
+        match now {
+            Err(_) => left.push(changed),
+            Ok(now) if now != *set => {}
+            Ok(_) => {
+                if let Err(error) = write(interface, name, *before) {
+                    tracing::warn!(interface, name, %error, "a setting stays");
+                    left.push(changed);
+                }
+            }
         }
     }
-    is_all
+    left.reverse();
+    left
 }
 
 fn read(interface: &str, name: &str) -> io::Result<u32> {
