@@ -51,8 +51,8 @@ pub fn load(object: &Path, names: u32) -> Result<(Lookups, Fib, Hash)> {
 
 impl Lookups {
     /// Looks up `times` random names of the first `names`, a power of two. Of these, the first
-    /// `stored` must be found. Returns nanoseconds per lookup, including the cost of making the name
-    /// and of a test run.
+    /// `stored` must be found. Returns nanoseconds per lookup. They include the cost of making the
+    /// name and of a test run.
     pub fn run(&mut self, program: &str, names: u64, stored: u64, times: u32) -> Result<(f64, Found)> {
         let before = self.found()?;
         let mut packet = [0; 128];
