@@ -9,9 +9,10 @@
 //! # Ok(()) }
 //! ```
 //!
-//! A node is an entity attached to a switch, by one link or several. The node verifies again what
-//! the switch and its RIB say: certificates of a name's owner alone decide who may write it.
-// They panic where stdout or stderr cannot be written.
+//! A node is an entity attached to a switch, over one or several links. The node verifies the
+//! answers of the switch and its RIB itself. Only certificates of a name's owner decide which
+//! entities may write it.
+// `print!` and `eprint!` panic when stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod node;

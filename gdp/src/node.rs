@@ -1,8 +1,7 @@
-//! The SDK: a node is an entity attached to a switch, by one link or several, that publishes and
-//! subscribes to names.
+//! The SDK: a node is an entity that is attached to a switch and publishes and subscribes to names.
 //!
-//! What the switch and its RIB say is verified here again before it is believed: who may write a
-//! name follows from certificates of the name's owner alone.
+//! A node has one or several links. It verifies the answers of the switch and its RIB itself. Only
+//! certificates of a name's owner decide which entities may write it.
 
 mod abort_on_drop;
 mod attachment;
@@ -90,14 +89,14 @@ pub use services::{Call, Client, Server};
 pub use statement::Stated;
 pub use subscription::Subscription;
 
-/// An attached entity. Clones are the same node; it detaches when the last of them and of what it
-/// handed out is dropped.
+/// An attached entity. Clones refer to the same node. The node detaches when the last clone and the
+/// last handle that it returned are dropped.
 #[derive(Clone)]
 pub struct Node(Arc<Handle>);
 
 impl Node {
-    /// Makes links to the switches and attaches by them; returns as soon as one is up. Call within
-    /// a tokio runtime.
+    /// Makes links to the switches and attaches over them. Returns as soon as one link is up. Call
+    /// within a tokio runtime.
     pub async fn connect(config: NodeConfig) -> Result<Self, NodeError> {
         let NodeConfig { identity, links, connect_timeout, rekey, state, credentials } = config;
         if !(1..=MAX_LANES).contains(&links.len()) {
@@ -112,11 +111,12 @@ impl Node {
         let receiver = Receiver { commands: command_queue, send_path, feedback };
         spawn("gdp-receive", move || receiver.run())?;
 
-        // From here on, dropping the handle ends everything.
+        // From here on, dropping the handle stops the node.
         let (stop, (first, mut results)) = (watch::Sender::new(false), mpsc::unbounded_channel());
         let all = supervisor::run(state.clone(), links, rekey, connect_timeout, update_queue, first, stop.subscribe());
         let handle = Handle { state, stop, supervisor: Mutex::new(Some(tokio::spawn(all))) };
-        // Of several, one that waiting may mend, and of these the one of the first link.
+        // Of several errors, returns one that a retry may resolve; among those, the one of the
+        // first link.
         let rank = |lane: u8, error: &NodeError| (!error.may_pass(), lane);
         let mut failure: Option<(u8, NodeError)> = None;
         loop {
@@ -136,7 +136,8 @@ impl Node {
         Ok(Self(Arc::new(handle)))
     }
 
-    /// Publishes a name: `proof` shows how it is derived, `ad_cert` that its owner allows it.
+    /// Publishes a name. `proof` proves the derivation of the name, `ad_cert` the permission of its
+    /// owner.
     pub async fn publish(
         &self,
         proof: NameProof,
@@ -147,13 +148,13 @@ impl Node {
         let statement = Statement::Write { proof, ad_cert };
         let name = state.check(&statement)?;
         let publication = state.open(name, Stated::Published, statement, &options)?;
-        // From here on, dropping the publisher ends the statement.
+        // From here on, dropping the publisher withdraws the statement.
         let publisher = Publisher::new(self.0.clone(), publication.clone(), state.feedback.of(name));
         self.make_known(name, Stated::Published, Some(&publication)).await?;
         Ok(publisher)
     }
 
-    /// Subscribes to a name: `grant` shows that its owner allows it.
+    /// Subscribes to a name. `grant` proves the permission of its owner.
     pub async fn subscribe(
         &self,
         proof: NameProof,
@@ -169,8 +170,8 @@ impl Node {
         Ok(subscription)
     }
 
-    /// Answers calls to a name, as one of those who serve it: `ad_cert` shows that its owner allows
-    /// it. Requests and replies can be read by the one caller and the one server alone.
+    /// Serves calls to a name, as one of its servers. `ad_cert` proves the permission of the name's
+    /// owner. Only the caller and the server of a call can read its request and reply.
     pub async fn serve(&self, proof: NameProof, ad_cert: Issued<AdCert>) -> Result<Server, NodeError> {
         let state = &self.0.state;
         let statement = Statement::Write { proof, ad_cert };
@@ -181,7 +182,8 @@ impl Node {
         Ok(server)
     }
 
-    /// Calls a name, each time the nearest that serves it: `grant` shows that its owner allows it.
+    /// Calls a name; each call goes to the nearest server. `grant` proves the permission of the
+    /// name's owner.
     pub async fn client(&self, proof: NameProof, grant: Grant) -> Result<Client, NodeError> {
         let state = &self.0.state;
         let statement = Statement::Read { proof, grant };
@@ -193,8 +195,8 @@ impl Node {
         Ok(client)
     }
 
-    /// States something to the RIB, and has keys for what is sent stored there: so those who are
-    /// there have them before the first message.
+    /// Sends a statement to the RIB and stores the key boxes of the publication there. Attached
+    /// readers therefore have the keys before the first message.
     async fn make_known(
         &self,
         name: Name,
@@ -205,7 +207,7 @@ impl Node {
         let attachment = loop {
             let attachment = state.send_path.links.attached().await?;
             match state.state(&attachment, name, stated).await {
-                // Another is the main one meanwhile.
+                // Another link has become the main one.
                 Err(NodeError::Detached(_)) => {}
                 result => break result.map(|()| attachment)?,
             }
@@ -216,8 +218,9 @@ impl Node {
         Ok(())
     }
 
-    /// Who publishes and reads the names with this prefix, as far as it verifies: as many as fit an
-    /// answer, from the one behind `after` on; and whether there are more.
+    /// Returns the publishers and readers of the names with this prefix, without records that do
+    /// not verify. An answer starts after the record `after`. The flag is true if there are more
+    /// records than fit one answer.
     pub async fn query(&self, prefix: NamePrefix, after: Option<RecordKey>) -> Result<(Vec<Record>, bool), NodeError> {
         let state = &self.0.state;
         let attachment = state.send_path.links.attached().await?;
@@ -232,36 +235,40 @@ impl Node {
         Ok((records, truncated))
     }
 
-    /// This entity's name.
+    /// Returns this entity's name.
     pub fn name(&self) -> Name {
         self.0.state.identity.name()
     }
 
-    /// The links, in the order in which they are wanted, how they are and what went by them.
+    /// Returns the state and counters of the links, in order of preference.
     pub fn links(&self) -> Vec<LinkStatus> {
         self.0.state.send_path.links.status()
     }
 
-    /// The switch the node is attached to at the moment, by its main link; `Err` says why there is
-    /// none.
+    /// Returns the switch at the other end of the main link, or the reason why the node is
+    /// detached.
     pub fn switch(&self) -> Result<Name, NodeError> {
         self.0.state.send_path.links.attached_now().map(|attachment| attachment.link.peer().name)
     }
 
-    /// What became of frames and messages so far.
+    /// Returns the counters of frames and messages.
     pub fn counters(&self) -> NodeCounters {
         self.0.state.send_path.links.node_counters()
     }
 
-    /// The same at any time, from any task.
+    /// Returns a meter that reads the same counters at any time, from any task.
     pub fn meter(&self) -> Meter<NodeCounters> {
         let links = self.0.state.send_path.links.clone();
         Meter::new(move || links.node_counters())
     }
 
-    /// Shows renewed papers from now on, also on the links there are. An error if they are not this
-    /// node's, or a switch does not take them: then what was shown before counts there. Of no
-    /// effect on a node that was made without.
+    /// Replaces the node's credentials, also on existing links. Has no effect on a node without
+    /// credentials.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the credentials belong to another node, or if a switch refuses them. A switch that
+    /// refuses them continues to use the earlier ones.
     pub async fn renew_credentials(&self, credentials: Credentials) -> Result<(), NodeError> {
         let (state, credentials) = (&self.0.state, Arc::new(credentials));
         state.home.renew(credentials.clone())?;
@@ -274,8 +281,8 @@ impl Node {
         Ok(())
     }
 
-    /// Detaches: the switch is told, and withdraws everything at once. Publishers and subscriptions
-    /// are of no use after.
+    /// Detaches from the switch, which withdraws all routes of the node at once. Publishers and
+    /// subscriptions cannot be used afterwards.
     pub async fn close(&self) {
         let send_path = &self.0.state.send_path;
         send_path.publications.all().iter().for_each(|publication| send_path.finish(publication));

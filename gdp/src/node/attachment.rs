@@ -16,24 +16,24 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep};
 use zerocopy::IntoBytes as _;
 
-/// A link that was made, as publishers use it.
+/// An established link, as publishers use it.
 pub struct Attachment {
-    /// Which of the node's links it is.
+    /// The lane of the link.
     pub lane: u8,
     pub link: Link,
     pub entry: SharedEntry,
     pub data: Arc<DataSocket>,
-    /// Bytes of the largest frame that may come.
+    /// Size of the largest frame that may arrive, in bytes.
     pub largest: usize,
-    /// What links further on take, as far as it is known.
+    /// The known frame size limit of links beyond the first.
     pub frame_size: FrameSize,
-    /// How the switch was reached when the link was made.
+    /// The network path to the switch when the link was made.
     pub path: NetworkPath,
     pub since: Instant,
     pub count: AtomicU64,
-    /// Cookie of the latest answer to an echo.
+    /// The cookie of the latest answer to an echo.
     pub answer: AtomicU64,
-    /// The switch tells what paths cost.
+    /// Whether the switch reports path costs.
     pub reported_costs: AtomicBool,
 }
 
@@ -57,23 +57,23 @@ impl Attachment {
         }
     }
 
-    /// The count for the next frame: 1 for the first.
+    /// Returns the count for the next frame. The first frame has count 1.
     pub fn next_count(&self) -> u64 {
         self.count.fetch_add(1, Ordering::Relaxed).wrapping_add(1)
     }
 
-    /// Sends a frame without a payload to the switch itself; if it is lost, so be it.
+    /// Sends a frame without a payload to the switch itself. The frame is not retransmitted.
     pub fn send(&self, mut header: Header) {
         hop::stamp(&mut header, &self.entry.get(), self.next_count());
         self.data.send_batch([OutFrame { to: self.link.addr(), head: header.as_bytes(), body: &[] }]);
     }
 
-    /// The switch has answered the echo with this cookie.
+    /// Records the switch's answer to the echo with this cookie.
     pub fn answered(&self, cookie: u64) {
         self.answer.store(cookie, Ordering::Relaxed);
     }
 
-    /// Asks the data plane of the switch whether it lives, and returns when it does not answer.
+    /// Probes the switch's data plane with echoes, and returns when it no longer answers.
     pub async fn until_silent(&self) {
         let mut liveness = Liveness::new(Pace::of(self.link.addr()));
         loop {
@@ -86,8 +86,9 @@ impl Attachment {
         }
     }
 
-    /// Whether the data plane of the switch answers where frames are sent to. On the host itself
-    /// that takes microseconds, but the daemon may not have taken the link into service yet.
+    /// Returns whether the switch's data plane answers at the address of frames within this time. A
+    /// switch on the same host answers in microseconds, but its daemon may not have installed the
+    /// link yet.
     pub async fn is_answered(&self, within: Duration) -> bool {
         let (mut asked, until) = (Vec::new(), Instant::now() + within);
         while Instant::now() < until {
@@ -102,14 +103,15 @@ impl Attachment {
         false
     }
 
-    /// Has the switch report what paths cost, and returns that, unless it reports it already. If it
-    /// does not answer, servers are chosen without, and it is asked again with the next statement.
+    /// Requests path costs from the switch and returns them, unless the switch already reports
+    /// them. If the switch does not answer, the node selects servers without costs. It repeats the
+    /// request with the next statement.
     pub async fn watch_costs(&self) -> Option<PathCosts> {
         if self.reported_costs.load(Ordering::Relaxed) {
             return None;
         }
         match self.link.request(&Request::WatchCosts).await {
-            // What it has reported since is newer.
+            // A report that has arrived since the request is newer.
             Ok(Response::Costs(costs)) => (!self.reported_costs.swap(true, Ordering::Relaxed)).then_some(costs),
             Ok(other) => {
                 tracing::debug!(?other, "the switch does not report what paths cost");
@@ -122,15 +124,15 @@ impl Attachment {
         }
     }
 
-    /// Largest payload of a frame, in bytes: what this link takes now, and links further on as far
-    /// as is known.
+    /// Returns the maximum payload of a frame, in bytes. It respects this link's MTU and the known
+    /// limits of further links.
     pub fn max_payload(&self) -> usize {
         let settling = matches!(self.link.addr(), LinkAddr::Udp(_)) && self.since.elapsed() < SETTLING;
         let largest = if settling { SMALLEST_PATH.into() } else { self.link.mtu() };
         (largest.min(self.frame_size.get()) as usize).saturating_sub(Header::LEN)
     }
 
-    /// Replaces the keys of the link now and then, as long as it lives.
+    /// Replaces the link's keys on schedule until the link closes.
     pub async fn keep_keys(self: Arc<Self>) {
         let put = |keys: &LinkKeys| {
             self.entry.update(|entry| keys.put(entry));
@@ -140,9 +142,9 @@ impl Attachment {
     }
 }
 
-/// Between two echoes that are waited for.
+/// Interval between echoes in [`Attachment::is_answered`].
 pub const ECHOES: Duration = Duration::from_millis(10);
 
-/// How long frames on a new link over UDP stay as small as any path takes: meanwhile QUIC learns
-/// the paths of links that are made at the same time, and switches learn them from it.
+/// Time for which frames on a new UDP link fit any path. Meanwhile QUIC discovers the path MTUs of
+/// links that are made at the same time, and switches learn them from QUIC.
 pub const SETTLING: Duration = Duration::from_secs(3);

@@ -1,28 +1,29 @@
-//! Chooses a node's main link, which takes everything, and its second link, which takes copies.
-//! Judges also whether a link that is up is any good. No I/O.
+//! Selects a node's main link, and the second link for copies.
+//!
+//! Also detects whether a link that is up is silent. No I/O.
 
 use gdp_core::peer::MAX_LANES;
 use gdp_link::link::liveness::Unanswered;
 
-/// So long a link that is better than the main one has to be up before it becomes that: one that
-/// comes and goes would otherwise take the traffic along each time.
+/// Time for which a preferred link must be up before it replaces the main link, in nanoseconds.
+/// Without the delay, a flapping link would move the traffic each time.
 pub const STABLE: u64 = 5_000_000_000;
 
-/// What a link is good for.
+/// The usability of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fitness {
     Down,
-    /// Frames may arrive; nobody says so.
+    /// Frames may arrive, but the switch does not confirm it.
     Doubtful,
     Up,
 }
 
-/// Lanes in the order in which they are wanted, by number.
+/// The selected lanes. Lane numbers are in order of preference.
 #[derive(Debug, Default)]
 pub struct Choice {
     main: usize,
     second: Option<usize>,
-    /// Since when each is up.
+    /// The time since when each lane has been up.
     up_since: [Option<u64>; MAX_LANES],
 }
 
@@ -31,12 +32,12 @@ impl Choice {
         self.main
     }
 
-    /// The first other link that is up.
+    /// Returns the first other lane that is up.
     pub fn second(&self) -> Option<usize> {
         self.second
     }
 
-    /// Takes in what the links are good for now; whether another is chosen.
+    /// Updates the fitness of all lanes. Returns whether the selection changed.
     pub fn look(&mut self, now: u64, lanes: &[Fitness]) -> bool {
         let before = (self.main, self.second);
         for (since, fitness) in self.up_since.iter_mut().zip(lanes) {
@@ -59,19 +60,19 @@ impl Choice {
     }
 }
 
-/// Echoes in a row that a link may leave unanswered before another is used.
+/// Number of consecutive unanswered echoes after which a link counts as silent.
 const MISSES: usize = 5;
 
-/// Whether the other end of a link answers.
+/// Detects whether the other end of a link answers.
 #[derive(Debug, Default)]
 pub struct Pulse {
-    /// The last echoes without an answer.
+    /// The latest unanswered echoes.
     open: Unanswered,
 }
 
 impl Pulse {
-    /// To be called with each echo that is sent: its cookie, and the one of the latest answer, if
-    /// there was any. Whether the link is silent.
+    /// Processes one echo that is sent: its cookie, and the cookie of the latest answer, if any.
+    /// Returns whether the link is silent.
     pub fn beat(&mut self, answer: u64, cookie: u64) -> bool {
         let silent = self.open.settle(answer) >= MISSES;
         self.open.add(cookie, MISSES);

@@ -1,11 +1,11 @@
-//! The one clock of a node.
+//! The clock that all parts of a node share.
 
 use std::time::Instant;
 
 use gdp_e2e::seal::Timestamps;
 use gdp_util::unix_time::unix_nanos;
 
-/// Counts from its making on.
+/// A steady clock that starts at zero.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock(Instant);
 
@@ -14,7 +14,7 @@ impl Clock {
         Self(Instant::now())
     }
 
-    /// Nanoseconds; never goes back.
+    /// Returns the nanoseconds since the start. Never decreases.
     pub fn now(&self) -> u64 {
         self.0.elapsed().as_nanos() as u64
     }

@@ -1,4 +1,4 @@
-//! What handles and tasks of a node tell its receiving thread and its supervisor.
+//! Messages from a node's handles and tasks to its receiving thread and its supervisor.
 
 use std::sync::{Arc, mpsc};
 use std::time::Instant;
@@ -12,20 +12,21 @@ use super::subscription_receiver::{Change, SubscriptionReceiver};
 use gdp_core::cert::{Revocation, Signed};
 use gdp_core::name::NameProof;
 
-/// What the supervisor is to bring to the RIB.
+/// An update of the RIB that the supervisor sends.
 pub enum RibUpdate {
     /// A publisher or subscription was dropped.
     Withdraw { name: Name, stated: Stated },
-    /// The RIB does not know this revocation.
+    /// The RIB lacks this revocation.
     Revoke { proof: NameProof, revocation: Signed<Revocation> },
 }
 
-/// What the rest of the node tells the receiving thread.
+/// A command to the receiving thread.
 pub enum Command {
-    /// Frames now come on this link, which is new.
+    /// Receive frames on this new link.
     Attach {
         attachment: Arc<Attachment>,
-        /// A link that this one replaces, and until when the switch may still send on it.
+        /// The link that this one replaces, and the time until which the switch may still send on
+        /// it.
         stale: Option<(Arc<Attachment>, Instant)>,
     },
     Subscribe {
@@ -35,20 +36,20 @@ pub enum Command {
     Unsubscribe {
         name: Name,
     },
-    /// What the reader of the name is to believe.
+    /// Update the writers and keys of the name's reader.
     Change {
         name: Name,
         changes: Vec<Change>,
     },
-    /// The application has made room.
+    /// The application's queue has space again.
     Resume {
         name: Name,
     },
-    /// The node is closed: end, and with it all subscriptions.
+    /// The node is closed: end the thread and all subscriptions.
     Stop,
 }
 
-/// The way to the receiving thread. Clones lead to the same.
+/// The sending end of the commands to the receiving thread. Clones share it.
 #[derive(Clone)]
 pub struct Commands {
     sender: mpsc::Sender<Command>,
@@ -56,13 +57,13 @@ pub struct Commands {
 }
 
 impl Commands {
-    /// `links`: the thread waits for frames on one of these.
+    /// `links`: the thread waits for frames on one of these links.
     pub fn new(sender: mpsc::Sender<Command>, links: Arc<Links>) -> Self {
         Self { sender, links }
     }
 
     pub fn send(&self, command: Command) {
-        // The thread ends only once this node is closed.
+        // The thread ends only when this node closes.
         let _ = self.sender.send(command);
         if let Ok(attachment) = self.links.sending_on() {
             attachment.data.wake();

@@ -1,4 +1,4 @@
-//! What an application configures of a node: its identity and its links.
+//! The configuration of a node: its identity and its links.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -10,34 +10,35 @@ use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
 use gdp_link::link::RekeySchedule;
 
-/// How a node finds its switch.
+/// The configuration of a node.
 #[derive(Clone, Debug)]
 pub struct NodeConfig {
     pub identity: Identity,
-    /// One to [`gdp_core::peer::MAX_LANES`], in the order in which they are wanted, each to a
-    /// switch of the same domain. Everything goes by the first that is up, and what is to be
-    /// [duplicated](super::PublishOptions::duplicate) by the next one as well.
+    /// One to [`gdp_core::peer::MAX_LANES`] links in order of preference, all to switches of one
+    /// domain. The first link that is up carries all traffic. The next one also carries
+    /// [duplicates](super::PublishOptions::duplicate).
     pub links: Vec<LinkConfig>,
-    /// How long [`Node::connect`](super::Node::connect) keeps trying.
+    /// Time for which [`Node::connect`](super::Node::connect) retries.
     pub connect_timeout: Duration,
-    /// When the keys of data frames are replaced.
+    /// The rekey schedule of data frames.
     pub rekey: RekeySchedule,
-    /// A folder in which the node keeps the revocations that it hears of, made if it is not there;
-    /// without one, it forgets them when it ends.
+    /// A folder for the revocations that the node receives, created if it does not exist. Without a
+    /// folder, the node forgets them when it ends.
     pub state: Option<PathBuf>,
-    /// What the node shows of its trust domain. With it, it takes switches of that domain only, and
-    /// of those that the domain has issued a PeerCert to; without, any.
+    /// The node's credentials in its trust domain. With credentials, the node accepts only switches
+    /// of that domain and those with a PeerCert of the domain. Without credentials, it accepts any
+    /// switch.
     pub credentials: Option<Credentials>,
 }
 
-/// One of a node's links.
+/// The configuration of one of a node's links.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinkConfig {
     pub target: LinkTarget,
-    /// The name that the switch must prove; without it, any switch at `target` is taken.
+    /// The name that the switch must prove. Without a name, any switch at `target` is accepted.
     pub switch: Option<Name>,
-    /// Bytes a second that topics send by this link at most, of frames with their header; `None`:
-    /// what the ways to their readers take.
+    /// Rate limit for topics on this link, in bytes per second of frames with headers. `None`: no
+    /// limit but the capacity of the paths to their readers.
     pub budget: Option<u64>,
 }
 
@@ -48,7 +49,7 @@ impl From<LinkTarget> for LinkConfig {
 }
 
 impl NodeConfig {
-    /// One link, to any switch at `link`, waited for 10 s.
+    /// Returns a configuration with one link, to any switch at `link`, with a timeout of 10 s.
     pub fn new(identity: Identity, link: LinkTarget) -> Self {
         let (connect_timeout, rekey) = (Duration::from_secs(10), RekeySchedule::default());
         Self { identity, links: vec![link.into()], connect_timeout, rekey, state: None, credentials: None }

@@ -1,4 +1,4 @@
-//! What a node did with frames and messages. Written by the sending tasks and the receiving thread
+//! Counters of a node's frames and messages. The sending tasks and the receiving thread update them
 //! without locks.
 
 use std::collections::BTreeMap;
@@ -12,8 +12,8 @@ use serde::Serialize;
 use gdp_e2e::seal::DropReason;
 use gdp_e2e::transport::{InboundCounters, TopicCounters};
 
-/// Counters that can be read at any time from any task, also once what they count is gone. Clones
-/// are the same.
+/// Counters that any task can read at any time, also after the counted object is dropped. Clones
+/// share the counters.
 pub struct Meter<T>(Arc<dyn Fn() -> T + Send + Sync>);
 
 impl<T> Meter<T> {
@@ -21,7 +21,7 @@ impl<T> Meter<T> {
         Self(Arc::new(read))
     }
 
-    /// As they are at this moment.
+    /// Returns the current values.
     pub fn read(&self) -> T {
         (self.0)()
     }
@@ -39,38 +39,39 @@ impl<T: fmt::Debug> fmt::Debug for Meter<T> {
     }
 }
 
-/// The counters of a publisher at one moment.
+/// A snapshot of a publisher's counters.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct PublisherCounters {
     #[serde(flatten)]
     pub topic: TopicCounters,
-    /// Attached at this moment, as far as is known here.
+    /// Attached readers that this node knows of.
     pub readers: usize,
-    /// Those of them that ask for every message, where this publisher offers the newest: ROS calls
-    /// that incompatible QoS. They get the newest.
+    /// Attached readers that request every message from a best-effort publisher (incompatible QoS
+    /// in ROS). They receive the newest messages.
     pub incompatible_readers: usize,
-    /// What the switch said of frames that it refused ([`super::Feedback::errors`]).
+    /// Error reports of the switch about refused frames ([`super::Feedback::errors`]).
     pub refused: BTreeMap<&'static str, u64>,
 }
 
-/// The counters of a subscription at one moment.
+/// A snapshot of a subscription's counters.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SubscriptionCounters {
     #[serde(flatten)]
     pub inbound: InboundCounters,
-    /// Of those delivered, what the application did not take in time; none of a reliable writer.
+    /// Delivered messages that the application did not receive in time. None from reliable writers.
     pub queue_full: u64,
-    /// Of those delivered, latched messages that were sent again for others, and are known here.
+    /// Delivered latched messages that were sent again for other readers, and that this reader
+    /// already had.
     pub repeats: u64,
-    /// Writers that offer the newest message, where this subscription asks for every: ROS calls
-    /// that incompatible QoS. Their newest are delivered.
+    /// Best-effort writers in a subscription that requests every message (incompatible QoS in ROS).
+    /// Their newest messages are delivered.
     pub incompatible_writers: usize,
-    /// Segments and messages that were dropped on arrival, by reason ([`DropReason::label`]).
-    /// Reasons without a drop are left out.
+    /// Segments and messages dropped on arrival, by reason ([`DropReason::label`]). Reasons without
+    /// drops are omitted.
     pub drops: BTreeMap<&'static str, u64>,
 }
 
-/// A counter that only rises.
+/// A monotonic counter.
 #[derive(Default)]
 pub struct Count(AtomicU64);
 
@@ -79,7 +80,7 @@ impl Count {
         self.0.fetch_add(more, Ordering::Relaxed);
     }
 
-    /// Takes over what is counted elsewhere.
+    /// Copies the value of another counter.
     pub fn set(&self, count: u64) {
         self.0.store(count, Ordering::Relaxed);
     }
@@ -101,58 +102,61 @@ pub struct Counters {
     /// By [`ErrorCode`].
     pub errors: [Count; ErrorCode::COUNT],
     pub echoes_answered: Count,
-    /// Frames refused before their payload was looked at, by [`Counter`].
+    /// Frames refused before their payload was examined, by [`Counter`].
     pub refused: [Count; Counter::COUNT],
-    /// Frames for a name nobody here subscribed to.
+    /// Frames to a name without a subscription at this node.
     pub not_subscribed: Count,
-    /// Messages the application did not take in time.
+    /// Messages that the application did not receive in time.
     pub queue_full: Count,
-    /// Requests to what is not served here, or of those who may not call it.
+    /// Requests to services that this node does not serve, or from unauthorised callers.
     pub requests_refused: Count,
-    /// Frames of reliable names that there was no room for; they come again.
+    /// Frames of reliable names that a reader had no space for; the writers retransmit them.
     pub beyond: Count,
-    /// Told to counterparts, and what they told.
+    /// Feedback sent to counterparts and received from them.
     pub feedback_sent: Count,
     pub feedback_received: Count,
-    /// Frames to this node's own name: from none of its counterparts; not sealed by it; received
-    /// before, as by another of two links; of no sense.
+    /// Dropped frames to this node's own name, by reason. Unknown: not from a counterpart. Forged:
+    /// not sealed by the counterpart. Replayed: already received, for example on another link.
+    /// Malformed: not parseable.
     pub feedback_unknown: Count,
     pub feedback_forged: Count,
     pub feedback_replayed: Count,
     pub feedback_malformed: Count,
-    /// Segments and messages a reader dropped, by [`DropReason`].
+    /// Segments and messages that a reader dropped, by [`DropReason`].
     pub dropped: [Count; DropReason::COUNT],
 }
 
-/// The counters of a node at one moment.
+/// A snapshot of a node's counters.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct NodeCounters {
     pub messages_sent: u64,
-    /// Refused at once: no link, or no right. What became of the others
-    /// [`Publisher::counters`](super::Publisher::counters) say.
+    /// Messages refused immediately, without a link or without a right. For the outcome of others
+    /// see [`Publisher::counters`](super::Publisher::counters).
     pub messages_unsent: u64,
     pub messages_received: u64,
     pub frames_sent: u64,
     pub frames_unsent: u64,
-    /// Frames from the switch, before any check.
+    /// Frames from the switch, before validation.
     pub frames_received: u64,
-    /// Links made so far; all but the first are reconnections.
+    /// Links made so far. All but the first of each lane are reconnections.
     pub links: u64,
-    /// Errors from the switch about frames of this node, by what they say. Those that did not come
-    /// are left out.
+    /// Errors from the switch about frames of this node, by error code. Codes without errors are
+    /// omitted.
     pub errors_received: BTreeMap<&'static str, u64>,
-    /// Echoes of the switch that were answered.
+    /// Echoes from the switch that this node answered.
     pub echoes_answered: u64,
-    /// What was told to readers and writers, and what they told: frames besides those of messages.
+    /// Feedback sent to readers and writers, and received from them. Feedback frames are separate
+    /// from message frames.
     pub feedback_sent: u64,
     pub feedback_received: u64,
-    /// Frames, segments and messages that were dropped on arrival, by reason. Reasons without a
-    /// drop are left out.
+    /// Frames, segments and messages dropped on arrival, by reason. Reasons without drops are
+    /// omitted.
     pub drops: BTreeMap<&'static str, u64>,
 }
 
 impl Counters {
-    /// `socket_drops`: what the kernel dropped before this process saw it.
+    /// Returns a snapshot. `socket_drops` is the number of frames that the kernel dropped before
+    /// this process received them.
     pub fn snapshot(&self, socket_drops: u64) -> NodeCounters {
         let refused = Counter::ALL.iter().zip(&self.refused).map(|(counter, count)| (counter.as_str(), count.get()));
         let dropped = DropReason::ALL.iter().zip(&self.dropped).map(|(reason, count)| (reason.label(), count.get()));
@@ -184,7 +188,7 @@ impl Counters {
     }
 }
 
-/// Those that are not 0, by the name of the code.
+/// Returns the counts that are not 0, by the name of their error code.
 pub fn by_code(counts: &[Count; ErrorCode::COUNT]) -> BTreeMap<&'static str, u64> {
     let counts = ErrorCode::ALL.iter().zip(counts).map(|(code, count)| (code.as_str(), count.get()));
     counts.filter(|(_, count)| *count > 0).collect()

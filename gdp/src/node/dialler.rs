@@ -1,5 +1,7 @@
-//! Reaches the switch of one link: by which port, at which address, and whether another network
-//! would do better.
+//! Dials the switch of one link.
+//!
+//! Selects the port and the address, and detects whether a change of the network makes another
+//! attempt worthwhile.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
@@ -18,26 +20,26 @@ use gdp_core::peer::Role;
 use gdp_link::link::{Link, LinkError, RekeySchedule};
 use gdp_link::port::{Interface, LinkAddr, Port, PortConfig, interface_index};
 
-/// How long a switch may take to answer discovery.
+/// Maximum time for a switch's answer to discovery.
 const DISCOVERY: Duration = Duration::from_secs(2);
 
-/// Answers to discovery that are tried before it is asked again.
+/// Maximum number of discovery answers to try before the next discovery.
 const MAX_CANDIDATES: usize = 8;
 
 pub struct Dialler {
     pub target: LinkTarget,
     pub port: Option<Arc<Port>>,
-    /// Index of the interface that a UDP port is bound to.
+    /// Index of the interface that the UDP port is bound to.
     pub through: Option<u32>,
     pub network: Option<Arc<Network>>,
-    /// How the switch was reached when that was last looked at.
+    /// The path to the switch at the last lookup.
     pub path: NetworkPath,
     home: Arc<Home>,
     pinned: Option<Name>,
     port_config: PortConfig,
-    /// Of the network, since the last attempt began.
+    /// Changes of the network since the start of the last attempt.
     changes: Option<watch::Receiver<()>>,
-    /// What the host of a UDP target was resolved to last, unless it was not.
+    /// The latest resolved address of a UDP target's host. `None` if the last lookup failed.
     address: Option<SocketAddr>,
 }
 
@@ -59,8 +61,8 @@ impl Dialler {
         Self { target, port, through, network, path, home, pinned, port_config, changes, address }
     }
 
-    /// Begins an attempt: a port to dial from, and whom to dial. What the network does from now on
-    /// is news.
+    /// Starts an attempt, and returns the port to dial from and the candidates to dial. Later
+    /// changes of the network count as news.
     pub async fn begin(&mut self) -> Result<(Arc<Port>, Vec<(LinkAddr, Option<Name>)>), NodeError> {
         self.changes.as_mut().into_iter().for_each(watch::Receiver::mark_unchanged);
         if let Some(network) = self.network.clone() {
@@ -69,12 +71,13 @@ impl Dialler {
         self.locate().await
     }
 
-    /// Whether nobody knows to where there should be a way.
+    /// Returns whether the address of the target is unknown, so that no route to it can be looked
+    /// up.
     pub fn is_blind(&self) -> bool {
         matches!(self.target, LinkTarget::Udp { .. }) && self.address.is_none()
     }
 
-    /// Returns when the network is such that another attempt may do better than the last.
+    /// Returns when the network has changed such that another attempt may succeed.
     pub async fn news(&self) {
         let (Some(network), Some(changes)) = (&self.network, &self.changes) else {
             return std::future::pending().await;
@@ -82,13 +85,13 @@ impl Dialler {
         if !self.is_blind() {
             return until_led(changes.clone(), self.path.clone(), || self.look(network)).await;
         }
-        // Whatever it is, it may be the way to who knows the address.
+        // Any change may provide a route to a name server that knows the address.
         if changes.clone().changed().await.is_err() {
             std::future::pending().await
         }
     }
 
-    /// How the switch would be reached now.
+    /// Returns the current path to the switch.
     async fn look(&self, network: &Network) -> NetworkPath {
         match &self.target {
             LinkTarget::Ethernet { interface, .. } => match interface_index(interface) {
@@ -105,8 +108,9 @@ impl Dialler {
         }
     }
 
-    /// Anybody on the segment can answer discovery in the name of the switch: the first that proves
-    /// to be it counts. `apart`: frames are to go through the daemon even of a switch on this host.
+    /// Dials the candidates in order until one is the wanted switch. Any station on the segment can
+    /// answer discovery with the switch's name, so the first one that proves it counts. `apart`:
+    /// frames pass through the daemon even of a switch on this host.
     pub async fn dial_first(
         &mut self,
         port: &Port,
@@ -126,11 +130,11 @@ impl Dialler {
                     self.path = network.way(*to, self.through).await;
                     tokio::select! {
                         dialled = dialling => dialled,
-                        // What went to the old network is not answered: better begun anew than said
-                        // again later.
+                        // Packets on the old network are lost. A new attempt is faster than waiting
+                        // for a retransmission.
                         _ = network.until_other(*to, self.through, &self.path) => {
-                            // However it is reached by now, that has not been tried: the pause is
-                            // to take it for news.
+                            // The current path, whatever it is, has not been tried: with this
+                            // value, `pause` treats it as news.
                             self.path = NetworkPath::Nowhere;
                             return Err(NodeError::Detached("the network of this machine has changed".into()));
                         }
@@ -158,8 +162,8 @@ impl Dialler {
         })
     }
 
-    /// A port to dial from, and whom to dial. Opens another port if the interface is not the one it
-    /// was.
+    /// Returns a port to dial from, and the candidates to dial. Opens another port if the interface
+    /// has changed.
     async fn locate(&mut self) -> Result<(Arc<Port>, Vec<(LinkAddr, Option<Name>)>), NodeError> {
         match &self.target {
             LinkTarget::Ethernet { interface, mac } => {
@@ -184,8 +188,8 @@ impl Dialler {
                 Ok((port, answers.into_iter().map(|(to, name)| (to, Some(name))).collect()))
             }
             LinkTarget::Udp { host, port: number, interface } => {
-                // Before a port is opened: if it is made anew meanwhile, the next attempt finds
-                // out.
+                // Looked up before a port is opened: if the interface is replaced in between, the
+                // next attempt detects the other index.
                 let index = match interface {
                     Some(name) => Some(interface_index(name).map_err(|source| no_interface(name, source))?),
                     None => None,

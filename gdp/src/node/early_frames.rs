@@ -1,7 +1,8 @@
-//! Frames that came too early: from a writer that is not known yet, under a key that is not here
-//! yet, of a session that the writer has yet to confirm. A writer begins as soon as its
-//! switch lets it, which can be before its readers were told of it: what it sends until then waits
-//! here, for a moment and within a fixed amount of memory.
+//! Buffers frames that arrive too early.
+//!
+//! Such frames come from an unknown writer, use an unknown key, or belong to a session that the
+//! writer has yet to confirm. A writer starts as soon as its switch allows it, possibly before its
+//! readers know of it. Its frames wait here for a short time and within a fixed amount of memory.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -10,18 +11,18 @@ use gdp_wire::Name;
 
 use gdp_e2e::seal::DropReason;
 
-/// How long a frame waits.
+/// Time for which a frame waits.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Payload bytes that wait, of all names together: the first message of a camera should fit.
+/// Limit of the buffered payload bytes of all names. It should fit the first message of a camera.
 const MAX_BYTES: usize = 2 << 20;
 
-/// What a frame costs beside its payload, roughly.
+/// Approximate memory per frame besides its payload.
 const OVERHEAD: usize = 128;
 
 #[derive(Default)]
 pub struct EarlyFrames {
-    /// The oldest first.
+    /// Oldest first.
     frames: VecDeque<PendingFrame>,
     bytes: usize,
 }
@@ -32,7 +33,7 @@ pub struct PendingFrame {
     pub source: Name,
     pub payload: Vec<u8>,
     pub marked: bool,
-    /// Why it waits, and for how many drops it counts if that was in vain.
+    /// Why the frame waits, and the number of drops to count if it expires.
     why: (DropReason, u64),
 }
 
@@ -43,7 +44,7 @@ impl PendingFrame {
 }
 
 impl EarlyFrames {
-    /// Keeps a copy of the payload; `false` if there is no room.
+    /// Buffers a copy of the payload. Returns `false` if there is no space.
     pub fn keep(&mut self, (name, source): (Name, Name), payload: &[u8], marked: bool, why: (DropReason, u64)) -> bool {
         if self.bytes + payload.len() + OVERHEAD > MAX_BYTES {
             return false;
@@ -54,15 +55,15 @@ impl EarlyFrames {
         true
     }
 
-    /// One that was released, and is still too early, for another reason perhaps; as long as it has
-    /// waited in all counts.
+    /// Buffers a released frame that is still too early, perhaps for another reason. The frame's
+    /// total waiting time counts.
     pub fn keep_again(&mut self, frame: PendingFrame, why: (DropReason, u64)) {
         self.bytes += frame.cost();
         let at = self.frames.partition_point(|other| other.since <= frame.since);
         self.frames.insert(at, PendingFrame { why, ..frame });
     }
 
-    /// The frames of a source for `name`, in the order of their arrival.
+    /// Removes and returns the frames from a source for `name`, in order of arrival.
     pub fn release(&mut self, name: &Name, source: &Name) -> Vec<PendingFrame> {
         let (released, left): (Vec<_>, Vec<_>) =
             self.frames.drain(..).partition(|frame| frame.name == *name && frame.source == *source);
@@ -71,8 +72,8 @@ impl EarlyFrames {
         released
     }
 
-    /// The next frame that waited too long: of which name, why it waited, and for how many drops it
-    /// counts.
+    /// Removes the next frame that has waited too long. Returns its name, why it waited, and the
+    /// number of drops to count.
     pub fn next_expired(&mut self) -> Option<(Name, (DropReason, u64))> {
         let frame = self.frames.pop_front_if(|frame| frame.since.elapsed() >= TIMEOUT)?;
         self.bytes -= frame.cost();

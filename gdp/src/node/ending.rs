@@ -1,4 +1,4 @@
-//! That a handle is of no more use, and why: said once, by whoever notices first.
+//! The end of a handle and its reason, set once by the first task that detects it.
 
 use std::pin::pin;
 use std::sync::{Arc, OnceLock};
@@ -8,10 +8,10 @@ use tokio::sync::Notify;
 use super::error::NodeError;
 use gdp_core::cert::CertError;
 
-/// Why a handle is of no more use.
+/// Why a handle can no longer be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Ended {
-    /// The right to it has expired, or its owner has revoked it.
+    /// The right has expired, or the name's owner has revoked it.
     #[error(transparent)]
     Right(#[from] CertError),
     /// The node is closed, or the handle was dropped.
@@ -45,7 +45,7 @@ impl Ending {
         self.why.get()
     }
 
-    /// Waits for the end, also once the handle is gone.
+    /// Waits for the end. The future may outlive the handle.
     pub fn wait(self: &Arc<Self>) -> impl Future<Output = Ended> + Send + use<> {
         let ending = self.clone();
         async move {

@@ -1,4 +1,4 @@
-//! Why a node, or a handle of it, could not do what it was asked.
+//! Errors of a node and its handles.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ use gdp_link::link::LinkError;
 use gdp_link::port::LinkAddr;
 use gdp_proto::control::{Refusal, RefusalCode};
 
-/// Why a node could not do what it was asked.
+/// Why a node could not perform an operation.
 #[derive(Debug, thiserror::Error)]
 pub enum NodeError {
     #[error(transparent)]
@@ -66,8 +66,8 @@ pub enum NodeError {
 }
 
 impl NodeError {
-    /// Whether it is about this moment, and time may mend it; otherwise the same again meets with
-    /// the same.
+    /// Returns whether a later attempt may succeed. Otherwise the same operation fails in the same
+    /// way.
     pub fn may_pass(&self) -> bool {
         match self {
             Self::Link(LinkError::Io { .. } | LinkError::WrongPeer { .. }) => false,
@@ -75,7 +75,7 @@ impl NodeError {
                 matches!(refusal.code, RefusalCode::Unreachable | RefusalCode::Limit | RefusalCode::NotAttached)
             }
             Self::Link(_) | Self::NoAnswer { .. } | Self::NoAddress { .. } | Self::NoSwitch(_) => true,
-            // Credentials may be renewed.
+            // The credentials may be renewed.
             Self::Domain(_) => true,
             Self::Detached(_) | Self::NoServer(_) | Self::NoInstance { .. } | Self::InstanceLeft { .. } => true,
             Self::TooManyCalls(_) | Self::Unflushed(_) => true,
@@ -85,14 +85,15 @@ impl NodeError {
     }
 }
 
-/// What was not done in time: see [`Publisher::flush`](super::Publisher::flush).
+/// The messages that a flush did not finish in time: see
+/// [`Publisher::flush`](super::Publisher::flush).
 #[derive(Clone, Debug, Default, PartialEq, Eq, thiserror::Error)]
 #[error("{unsent} messages have not gone in time, and {} readers have not acknowledged all that \
          have", unacknowledged.len())]
 pub struct Unflushed {
-    /// Messages that have not gone from this host.
+    /// Messages that have not left this host.
     pub unsent: u64,
-    /// Readers of a reliable name that are live, and how many messages each has not acknowledged.
+    /// Live readers of a reliable name, with the number of messages that each has not acknowledged.
     pub unacknowledged: BTreeMap<Name, u64>,
 }
 

@@ -1,4 +1,4 @@
-//! What the switch says of the frames that a publisher sends.
+//! The switch's error reports about the frames of publishers.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -9,15 +9,15 @@ use parking_lot::Mutex;
 
 use super::counters::{Count, by_code};
 
-/// The feedback of all names that a node publishes. Bounded by them: errors about others are not
-/// kept.
+/// The feedback of all names that a node publishes. Its size is bounded by their number, because
+/// errors about other names are dropped.
 pub struct Feedbacks {
     node: Name,
     names: Mutex<HashMap<Name, Arc<Feedback>>>,
 }
 
 impl Feedbacks {
-    /// `node`: the source of the frames that errors are about.
+    /// Creates an empty collection. `node` is the source of the frames that errors refer to.
     pub fn new(node: Name) -> Self {
         Self { node, names: Mutex::default() }
     }
@@ -30,7 +30,7 @@ impl Feedbacks {
         self.names.lock().remove(name);
     }
 
-    /// Takes an error that the switch has sent.
+    /// Processes an error that the switch sent.
     pub fn add(&self, code: ErrorCode, error: &Header) {
         if error.source == self.node
             && let Some(feedback) = self.names.lock().get(&error.destination)
@@ -40,8 +40,8 @@ impl Feedbacks {
     }
 }
 
-/// The errors that frames to one name drew. Hints, never more: only the switch can have sent them,
-/// but it sends few of those that are due, and none for what is lost further on.
+/// Error reports about frames to one name. They are only hints: they come from the switch, but it
+/// rate-limits them, and it reports no losses beyond itself.
 #[derive(Default)]
 pub struct Feedback {
     errors: [Count; ErrorCode::COUNT],
@@ -53,19 +53,19 @@ pub struct Feedback {
 #[error("{}", self.reason())]
 pub struct FrameError {
     pub code: ErrorCode,
-    /// Of a frame that was too big, the largest the next link takes, in bytes with the header.
+    /// For a frame that was too big: the MTU of the next link, in bytes with the header.
     pub mtu: Option<u32>,
-    /// When this node was told.
+    /// When this node received the error.
     pub at: SystemTime,
 }
 
 impl Feedback {
-    /// The latest error. It says nothing of frames sent after it.
+    /// Returns the latest error. It does not apply to frames sent after it.
     pub fn last(&self) -> Option<FrameError> {
         *self.last.lock()
     }
 
-    /// Errors so far, by what they say. Those that did not come are left out.
+    /// Returns the number of errors by error code. Codes without errors are omitted.
     pub fn errors(&self) -> BTreeMap<&'static str, u64> {
         by_code(&self.errors)
     }

@@ -1,5 +1,5 @@
-//! How large the frames sent on a link may be, when links further on take less than the first:
-//! learnt from the errors that frames drew. Written by the receiving thread, read by publishers.
+//! The frame size limit of a link, learnt from TooBig errors about links beyond the first. The
+//! receiving thread writes it, publishers read it.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -7,7 +7,7 @@ use gdp_wire::{ErrorCode, Header};
 
 use gdp_link::link::MIN_MTU;
 
-/// In bytes, header and payload. Only ever falls: a new link begins anew.
+/// The limit in bytes, header and payload. It only decreases; a new link starts without a limit.
 #[derive(Debug)]
 pub struct FrameSize(AtomicU32);
 
@@ -22,10 +22,10 @@ impl FrameSize {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// Takes note of an error that the switch sent.
+    /// Processes an error from the switch.
     pub fn learn(&self, code: ErrorCode, error: &Header) {
         let (mtu, _) = error.complaint();
-        // No link has a smaller one.
+        // No link has a smaller MTU.
         if code == ErrorCode::TooBig && mtu >= MIN_MTU && self.0.fetch_min(mtu, Ordering::Relaxed) > mtu {
             tracing::info!(mtu, name = %format_args!("{:#}", error.destination), "frames were too big for a link \
                                                       further on; sending smaller ones");

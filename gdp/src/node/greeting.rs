@@ -1,15 +1,17 @@
-//! Decides when a reader asks a writer for its current session: at first, and when frames arrive
-//! of a session that the writer has not confirmed. Such frames may be of a new session, or
-//! recorded. No I/O.
+//! Decides when a reader requests a writer's current session with a Hello.
+//!
+//! The reader asks at first, and when frames arrive of a session that the writer has not confirmed.
+//! Such frames may belong to a new session, or may be replayed. No I/O.
 
 use gdp_core::crypto;
 use gdp_core::crypto::CryptoError;
 
 const MS: u64 = 1_000_000;
 
-/// A Hello that is not answered is said so many times, this far apart. From then on each waits
-/// twice as long as the one before, up to the longest pause: the writer may hear of this reader
-/// much later than the reverse, as between domains; or so long if there is reason to ask.
+/// Retransmission of an unanswered Hello: this many times at the eager interval. The interval then
+/// doubles up to the longest one, because the writer may learn of this reader much later than the
+/// reverse, as between domains. With a reason to ask, the reader repeats at the patient interval
+/// instead.
 const TRIES: u32 = 5;
 const EAGER: u64 = 100 * MS;
 const LONGEST: u64 = 30_000 * MS;
@@ -24,7 +26,7 @@ pub struct Greeting {
 }
 
 impl Greeting {
-    /// The writer is to be asked, with a new challenge if the last was answered.
+    /// Schedules a Hello, with a new challenge if the last one was answered.
     pub fn ask(&mut self, now: u64) -> Result<(), CryptoError> {
         if self.challenge.is_none() {
             (self.challenge, self.tries) = (Some(crypto::random()?), 0);
@@ -35,13 +37,13 @@ impl Greeting {
         Ok(())
     }
 
-    /// As [`Self::ask`], of a writer that has just come.
+    /// Schedules a Hello as [`Self::ask`] does, to a writer that has just joined.
     pub fn begin(&mut self, now: u64) -> Result<(), CryptoError> {
         (self.tries, self.due) = (0, None);
         self.ask(now)
     }
 
-    /// The challenge to send now, if it is time.
+    /// Returns the challenge to send now, if a Hello is due.
     pub fn poll(&mut self, now: u64) -> Option<[u8; 16]> {
         self.due.take_if(|due| *due <= now)?;
         self.said_at = Some(now);
@@ -55,7 +57,8 @@ impl Greeting {
         self.due
     }
 
-    /// A Welcome with this challenge: how long it took, if it answers the last Hello.
+    /// Processes a Welcome with this challenge. Returns the round-trip time if it answers the last
+    /// Hello.
     pub fn answered(&mut self, now: u64, challenge: &[u8; 16]) -> Option<u64> {
         self.challenge.take_if(|said| said == challenge)?;
         self.due = None;

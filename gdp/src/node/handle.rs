@@ -1,4 +1,5 @@
-//! What the application's handles share, and what ends the node with the last of them.
+//! The state that the application's handles share, and that stops the node when the last handle is
+//! dropped.
 
 use std::sync::Arc;
 
@@ -8,7 +9,7 @@ use tokio::task::JoinHandle;
 
 use super::state::State;
 
-/// What keeps the node running.
+/// The shared handle that keeps the node running.
 pub struct Handle {
     pub state: Arc<State>,
     pub stop: watch::Sender<bool>,

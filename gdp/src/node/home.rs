@@ -1,5 +1,5 @@
-//! The node's trust domain, if it is a member of one: what it shows its switches, and which of them
-//! it takes.
+//! The node's trust domain, if it is a member of one: the node's own credentials, and the admission
+//! of switches.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,25 +17,25 @@ use gdp_core::revocations::SignedRevocation;
 use gdp_link::link::Link;
 use gdp_util::unix_time::unix_seconds;
 
-/// How often links are looked at, whether what they rest on has ended.
+/// Interval of the checks whether a link's admission has ended.
 const LOOK: Duration = Duration::from_millis(250);
 
 pub struct Home {
     trust: Option<Mutex<Trust>>,
-    /// For the ports of the node's links.
+    /// The credentials, shared with the ports of the node's links.
     pub credentials: CurrentCredentials,
-    /// Rises with all that may change a judgement.
+    /// Increases with every change that may affect an admission.
     changes: AtomicU64,
 }
 
 impl Home {
-    /// Without papers the node takes any switch.
+    /// Creates the node's trust state. Without credentials, the node accepts any switch.
     pub fn new(identity: &Identity, shown: Option<Credentials>) -> Result<Self, DomainError> {
         let credentials = CurrentCredentials::default();
         let trust = match shown.map(Arc::new) {
             Some(shown) => {
                 credentials.set(shown.clone());
-                // It is no switch, so nobody is its guest.
+                // A node is not a switch and admits no guests.
                 Some(Mutex::new(Trust::new(identity.name(), shown, true)?))
             }
             None => None,
@@ -43,7 +43,7 @@ impl Home {
         Ok(Self { trust, credentials, changes: AtomicU64::new(0) })
     }
 
-    /// Whether the switch at the other end may have the link.
+    /// Checks whether the switch at the other end may have the link.
     pub fn admit(&self, link: &Link) -> Result<Admission, DomainError> {
         self.admit_by(link, link.credentials().as_deref())
     }
@@ -55,7 +55,7 @@ impl Home {
         }
     }
 
-    /// Puts renewed papers in place of those there were; a node without any stays so.
+    /// Replaces the credentials. A node without credentials stays without.
     pub fn renew(&self, credentials: Arc<Credentials>) -> Result<(), DomainError> {
         if let Some(trust) = &self.trust {
             trust.lock().renew(credentials.clone(), true)?;
@@ -65,7 +65,7 @@ impl Home {
         Ok(())
     }
 
-    /// The switch shows renewed papers.
+    /// Processes renewed credentials of the switch.
     pub fn take_credentials(&self, link: &Link, credentials: Credentials) -> Result<(), DomainError> {
         self.admit_by(link, Some(&credentials))?;
         link.set_credentials(Arc::new(credentials));
@@ -73,8 +73,8 @@ impl Home {
         Ok(())
     }
 
-    /// A domain has taken something back. Returns what, if that is news and of a domain that the
-    /// node has to do with.
+    /// Processes a revocation by a domain. Returns it if it is new and concerns a domain of this
+    /// node.
     pub fn take_revocation(
         &self,
         proof: &NameProof,
@@ -88,7 +88,7 @@ impl Home {
         Ok(self.revocations().into_iter().find(|claims| Ok(claims.name) == proof.name()))
     }
 
-    /// What the domains have taken back that the node has to do with, as far as it has heard.
+    /// Returns the known revocations of the domains that concern this node.
     pub fn revocations(&self) -> Vec<Revocation> {
         let Some(trust) = &self.trust else { return Vec::new() };
         let trust = trust.lock();
@@ -96,7 +96,7 @@ impl Home {
         trust.revocations().filter_map(of).collect()
     }
 
-    /// Closes the link once what it rests on has ended or was taken back, and says why.
+    /// Closes the link, with the reason, when its admission expires or is revoked.
     pub async fn watch(&self, link: &Link) {
         let (mut until, mut seen) = (0, 0);
         loop {

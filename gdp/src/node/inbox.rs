@@ -1,6 +1,7 @@
-//! What comes to this node's own name: requests to what it serves, and replies to what it called.
-//! And the ways to those who send them: one publication to the own name of each party of a service,
-//! for requests to it and replies to it alike, whichever service they are about.
+//! The messages to this node's own name: requests to its services and replies to its calls.
+//!
+//! Also the return paths to their senders. Each party of a service has one publication to its own
+//! name. That publication carries requests and replies of all services.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -21,7 +22,7 @@ use gdp_proto::peers::{Counterpart, PeerEvent};
 use gdp_util::unix_time::unix_seconds;
 
 impl State {
-    /// Takes requests and replies from now on, as long as the node runs.
+    /// Starts to receive requests and replies, until the node closes.
     pub fn open_inbox(self: &Arc<Self>) {
         let own = self.identity.name();
         let mut opened = self.inbox_opened.lock();
@@ -37,14 +38,14 @@ impl State {
                     None => state.take_reply(message),
                 }
             }
-            // Whoever waits still waits in vain.
+            // The remaining callers get no reply.
             state.calls.lock().clear();
         });
     }
 
-    /// A request counts if its writer may call the service, as the service's owner has signed. It
-    /// may come before the RIB has told of that: keys that the two have because of another service
-    /// open it.
+    /// Accepts a request if its writer may call the service, as certified by the service's owner.
+    /// The request may arrive before the RIB has announced that right: the two parties may already
+    /// share keys for another service.
     fn take_request(&self, service: Name, request: Message) {
         let now = self.send_path.clock.now();
         let mut services = self.services.lock();
@@ -60,7 +61,7 @@ impl State {
         }
     }
 
-    /// Only the server that was called may answer, and once.
+    /// Accepts a reply once, and only from the server that was called.
     fn take_reply(&self, reply: Message) {
         let Some(id) = reply.in_reply_to else { return };
         let mut calls = self.calls.lock();
@@ -71,12 +72,12 @@ impl State {
         }
     }
 
-    /// Those who call or serve a service are now others. To be called with [`State::counterparts`]
-    /// locked, as all that changes instances.
+    /// Processes changes of a service's callers or servers. Call with [`State::counterparts`]
+    /// locked, as for all functions that change instances.
     pub(super) fn take_instances(&self, name: Name, role: NameRole, events: &[PeerEvent]) {
         {
-            // Until the end: what is sent before the way is open would be for nobody, so none is to
-            // be chosen that has none.
+            // Locked until the end: a message sent before the publication exists would reach no
+            // reader. No server without a publication must be selected.
             let (now, mut services) = (self.send_path.clock.now(), self.services.lock());
             let joined = events.iter().filter_map(|event| match event {
                 PeerEvent::Joined(right) => Some(right.entity),
@@ -89,11 +90,11 @@ impl State {
             concerned.extend(instances.sweep(now, unix_seconds()));
             self.settle(&services, concerned, &returned);
         }
-        // Now that there is a way back.
+        // Run now that the return paths exist.
         self.release_requests();
     }
 
-    /// Lets go of instances whose time is over. As [`Self::take_instances`].
+    /// Removes instances that have expired. Locking as for [`Self::take_instances`].
     pub(super) fn sweep_instances(&self) {
         let (now, now_unix) = (self.send_path.clock.now(), unix_seconds());
         {
@@ -104,7 +105,7 @@ impl State {
         self.release_requests();
     }
 
-    /// Nothing is called or served any more by this. As [`Self::take_instances`].
+    /// Ends calling or serving by this statement. Locking as for [`Self::take_instances`].
     pub(super) fn end_service(&self, name: Name, stated: Stated, why: Ended) {
         let mut services = self.services.lock();
         if let Some(mut service) = services.remove(&(name, stated.role())) {
@@ -113,8 +114,8 @@ impl State {
         }
     }
 
-    /// Brings the way to each of these, and who is believed in the inbox, in line with the services
-    /// that they are instances of. `returned`: those that were attached for none of these before.
+    /// Aligns the publications to these entities, and the writers of the inbox, with their
+    /// services. `returned` has the entities that were attached for none of the services before.
     fn settle(&self, services: &Services, entities: BTreeSet<Name>, returned: &BTreeSet<Name>) {
         if entities.is_empty() {
             return;
@@ -135,7 +136,7 @@ impl State {
         match known {
             Some(publication) => {
                 if returned {
-                    // The RIB has forgotten the boxes of a pair that had parted.
+                    // The RIB has removed the key boxes of a pair that had disconnected.
                     publication.sealer.store_again();
                     publication.returned(&entity);
                 }
@@ -143,7 +144,7 @@ impl State {
             }
             None => match self.publication(entity, &PublishOptions::reliable()) {
                 Ok(publication) => {
-                    // Before anybody can send by it.
+                    // Run before any task can send to it.
                     publication.take(unix_seconds(), [joined.clone()]);
                     self.send_path.publications.insert(Arc::new(publication));
                 }
@@ -155,8 +156,8 @@ impl State {
 
     fn close_way(&self, entity: Name) {
         self.change_reading(self.identity.name(), |reading| reading.forget(&entity));
-        // Statements are looked at with services locked only where counterparts are as well:
-        // `begin` has the two the other way round.
+        // Statements may be examined with services locked only if counterparts are locked as well.
+        // `begin` takes the two locks in the opposite order.
         if !self.is_stated(entity, Stated::Published) {
             self.send_path.close(&entity);
         }
@@ -173,7 +174,7 @@ impl State {
         }
     }
 
-    /// A place at a server of the service: at `one`, or at the one to call next.
+    /// Reserves a call at a server of the service: at `one`, or at the preferred server.
     pub(super) fn choose(&self, service: Name, one: Option<&Name>) -> Option<PendingCall> {
         let costs = self.costs();
         self.services
@@ -192,7 +193,7 @@ impl State {
     pub(super) fn server_changes(&self, service: Name) -> watch::Receiver<()> {
         let services = self.services.lock();
         let called = services.get(&(service, NameRole::Caller));
-        // Nothing changes any more about what is not called.
+        // A service that is not called does not change.
         called.map_or_else(|| watch::channel(()).1, |called| called.instances.changes())
     }
 
@@ -200,7 +201,7 @@ impl State {
         self.services.lock().get(&(service, NameRole::Caller)).map_or(0, |called| called.instances.attached_count())
     }
 
-    /// Has the keys of what is sent to the first that would be called stored, so that it has them
+    /// Stores the key boxes for the preferred server with the RIB. That server then has the keys
     /// before the first call.
     pub(super) async fn store_first_boxes(&self, service: Name) -> Result<(), NodeError> {
         let first = self.instances(service).first().map(|instance| instance.name);
@@ -211,13 +212,13 @@ impl State {
         Ok(())
     }
 
-    /// What paths cost from the switch of the main link, as it last said.
+    /// Returns the latest path costs from the switch of the main link.
     fn costs(&self) -> Arc<PathCosts> {
         let main = self.send_path.links.main();
         self.costs.lock().get(main).cloned().unwrap_or_default()
     }
 
-    /// What paths cost from the switch of a link is now this.
+    /// Sets the path costs that a link's switch has reported.
     pub(super) fn set_costs(&self, lane: u8, costs: PathCosts) {
         if let Some(known) = self.costs.lock().get_mut(usize::from(lane)) {
             *known = Arc::new(costs);

@@ -1,6 +1,8 @@
-//! What is kept of a name for readers that come later: a message about the name itself, if there is
-//! one, and the last ones of each origin. They are sent to such readers as new messages; the latter
-//! say what they were.
+//! The latched messages of a name for late-joining readers.
+//!
+//! They are the pinned message about the name itself, if any, and the last messages of each origin.
+//! Late-joining readers receive them as new messages. Those of origins carry their original
+//! sequence and time.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -9,22 +11,22 @@ use gdp_wire::Name;
 
 use gdp_e2e::seal::{Draft, Encoding, Latched, MessageId};
 
-/// Origins that are kept apart. Beyond, the messages that are oldest go.
+/// Maximum number of origins. Beyond it, the oldest messages are removed.
 const MAX_ORIGINS: usize = 1024;
 
 pub struct LatchedSamples {
-    /// Of each origin of which nothing else was said.
+    /// Messages per origin without its own limit.
     most: usize,
-    /// Of origins of which it was.
+    /// Limits of individual origins.
     most_of: HashMap<Vec<u8>, usize>,
     pinned: Option<About>,
-    /// What is to be sent next about the name, and what was taken of it.
+    /// The message about the name to send next.
     next: Option<About>,
     taken: Option<About>,
     samples: VecDeque<Sample>,
-    /// How many there are of each origin.
+    /// Number of messages of each origin.
     counts: HashMap<Vec<u8>, usize>,
-    /// Sequences of those that are to be sent again: from, and through.
+    /// Sequences to send again: first and last.
     again: Option<(u64, u64)>,
 }
 
@@ -65,19 +67,19 @@ impl LatchedSamples {
         }
     }
 
-    /// Keeps a message about the name, in place of the one before. It is to be sent now, too.
+    /// Stores a message about the name, in place of the previous one, and schedules it.
     pub fn pin(&mut self, encoding: Encoding, body: &[u8]) {
         self.pinned = Some(About { encoding, body: body.into() });
         self.next = self.pinned.clone();
     }
 
-    /// A message about the name is to be sent now, unless one is to be already; readers that come
-    /// later do not get it.
+    /// Schedules a message about the name, unless one is already scheduled. Late-joining readers do
+    /// not receive it.
     pub fn mention(&mut self, encoding: Encoding, body: &[u8]) {
         self.next.get_or_insert_with(|| About { encoding, body: body.into() });
     }
 
-    /// Of this origin so many are kept from now on.
+    /// Sets the limit of this origin.
     pub fn limit(&mut self, origin: &[u8], most: usize) {
         self.most_of.insert(origin.to_vec(), most);
         while self.counts.get(origin).is_some_and(|count| *count > most) {
@@ -85,7 +87,7 @@ impl LatchedSamples {
         }
     }
 
-    /// Keeps messages that are sent now, the first of them with this sequence.
+    /// Stores messages that are being sent. The first one has this sequence.
     pub fn keep(&mut self, first: u64, timestamp_ns: u64, drafts: &[Draft<'_>]) {
         for (sequence, draft) in (first..).zip(drafts) {
             let most = self.most_of.get(draft.origin).copied().unwrap_or(self.most);
@@ -132,7 +134,7 @@ impl LatchedSamples {
         }
     }
 
-    /// Keeps nothing of this origin any more, and knows nothing of it.
+    /// Removes all messages and the limit of this origin.
     pub fn forget(&mut self, origin: &[u8]) {
         self.most_of.remove(origin);
         if self.counts.remove(origin).is_some() {
@@ -140,7 +142,7 @@ impl LatchedSamples {
         }
     }
 
-    /// All are to be sent again.
+    /// Schedules all latched messages to be sent again.
     pub fn again(&mut self) {
         self.next = self.pinned.clone().or(self.next.take());
         let ends = self.samples.front().zip(self.samples.back());
@@ -151,7 +153,7 @@ impl LatchedSamples {
         self.next.is_some() || self.again.is_some()
     }
 
-    /// The next that is to be sent again, once: first what is about the name.
+    /// Returns the next message to send again, once. The message about the name is first.
     pub fn next_again(&mut self) -> Option<Draft<'_>> {
         self.taken = self.next.take();
         if let Some(About { encoding, body }) = &self.taken {

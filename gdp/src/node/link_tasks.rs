@@ -1,5 +1,4 @@
-//! What goes on over one link as long as it lives: statements are renewed, and silence of the
-//! switch is noticed.
+//! The tasks of one link while it is up: renewing statements, and detecting silence of the switch.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -18,22 +17,22 @@ use gdp_core::crypto;
 use gdp_link::port::{LinkAddr, Port};
 use gdp_proto::control::Request;
 
-/// How long a switch on the same host may take to answer the first frame. Also any over UDP, once
-/// this machine is in another network, and four round trips.
+/// Maximum time for the first answer of a switch on the same host. Over UDP, also the base timeout
+/// after this machine has changed networks; four round trips are added.
 pub const ANSWER: Duration = Duration::from_millis(500);
 
-/// The same of a switch on a cable.
+/// The same base timeout for a switch over Ethernet.
 const ANSWER_ON_CABLE: Duration = Duration::from_millis(100);
 
-/// How often certificates and statements with a lifetime of [`LIFETIME`] are renewed.
+/// Renewal interval of certificates and statements with a lifetime of [`LIFETIME`].
 const RENEWAL: Duration = Duration::from_secs(LIFETIME as u64 / 3);
 
-/// Between two echoes, or a round trip if that is longer: on the main link, and on others.
+/// Interval of echoes on the main link and on other links. A longer round trip replaces it.
 const MAIN_ECHOES: Duration = Duration::from_millis(100);
 const OTHER_ECHOES: Duration = Duration::from_millis(500);
 
-/// States what stands, again when something was refused that time may mend or a withdrawal took it
-/// along, and in time before it runs out.
+/// Sends the node's statements to the RIB. Repeats them after a temporary refusal, after a
+/// withdrawal that also removed them, and before they expire.
 pub async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
     let mut backoff = BACKOFF;
     let mut renewal = Instant::now() + RENEWAL;
@@ -64,8 +63,8 @@ pub async fn keep_stated(state: Arc<State>, attachment: Arc<Attachment>) {
     }
 }
 
-/// The switch, if another link leads there as well, is to send on this one what is to come on one.
-/// Whether it heard that.
+/// Requests that a switch with several links to this node prefer this one. Returns whether the
+/// switch answered.
 async fn prefer(state: &State, attachment: &Attachment) -> bool {
     if state.send_path.links.slots().len() == 1 {
         return true;
@@ -74,8 +73,8 @@ async fn prefer(state: &State, attachment: &Attachment) -> bool {
     answer.inspect_err(|error| tracing::debug!(%error, "the switch did not hear that this is the main link")).is_ok()
 }
 
-/// Finds out whether the switch answers, so that another link is used at once when it does not, as
-/// long as this one is up.
+/// Detects a switch that does not answer. The node then uses another link at once, although this
+/// one is up.
 pub async fn watch_silence(send_path: Arc<SendPath>, attachment: Arc<Attachment>) {
     let mut pulse = Pulse::default();
     loop {
@@ -88,8 +87,8 @@ pub async fn watch_silence(send_path: Arc<SendPath>, attachment: Arc<Attachment>
     }
 }
 
-/// Has other links used once the switch is reached in another way than when the link was made,
-/// until it answers again. If it is reached but does not answer, the link ends.
+/// Makes the node use other links after the path to the switch has changed, until the switch
+/// answers again. Closes the link if the switch has a path but does not answer.
 pub async fn watch_moves(
     send_path: Arc<SendPath>,
     network: Arc<Network>,
@@ -108,7 +107,7 @@ pub async fn watch_moves(
         send_path.set_moved(lane, true);
         let answered = async {
             if path == NetworkPath::Nowhere {
-                // Wi-Fi may be back in a moment.
+                // Wi-Fi may return soon.
                 std::future::pending::<()>().await;
             }
             if let Err(error) = port.show_address() {
@@ -123,7 +122,7 @@ pub async fn watch_moves(
                 }
                 send_path.set_moved(lane, false);
             }
-            // From the top, with what is true by then.
+            // Restart with the current path.
             _ = network.until_other(link.addr(), through, &path) => {}
         }
     }

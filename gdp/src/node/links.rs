@@ -1,8 +1,7 @@
-//! The links of a node for as long as it lives: where each leads, how it is, and what went by it.
-//! [`Links`] chooses the main link, and a second one for copies.
+//! The links of a node, for the lifetime of the node: their targets, states and counters.
 //!
-//! [`super::sender`] sends by them. A [supervisor](super::supervisor) makes each again when it is
-//! lost.
+//! [`Links`] selects the main link and a second one for copies. [`super::sender`] sends on them. A
+//! [supervisor](super::supervisor) reconnects each link after a loss.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -21,26 +20,26 @@ use gdp_core::link_target::LinkTarget;
 use gdp_core::peer::MAX_LANES;
 use gdp_link::port::{OutFrame, Sent};
 
-/// How long a request over another link than the main one may keep that waiting, and four round
-/// trips.
+/// Maximum time for which a request on another link may delay the main link. Four round trips are
+/// added.
 const OTHERS_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How long a request waits for a link that is lost.
+/// Maximum time for which a request waits for a lost link.
 const LINK_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Whether frames can go by a link.
+/// The state of a link's connection.
 #[derive(Clone)]
 pub enum Connection {
     Down(String),
-    /// The switch fell silent, for this reason. Its kernel may forward on, so frames still go out
-    /// on the link; nothing can be asked over it.
+    /// The switch became silent, for this reason. Its kernel may continue to forward, so frames
+    /// still leave on the link. Requests cannot use it.
     Stale(Arc<Attachment>, String),
     Up(Arc<Attachment>),
     Closed,
 }
 
 impl Connection {
-    /// What frames can be sent on.
+    /// Returns the attachment that frames can be sent on.
     pub fn attachment(&self) -> Option<&Arc<Attachment>> {
         match self {
             Self::Up(attachment) | Self::Stale(attachment, _) => Some(attachment),
@@ -48,7 +47,7 @@ impl Connection {
         }
     }
 
-    /// The link, if it is up at this moment.
+    /// Returns the link if it is up.
     fn up(&self) -> Result<Arc<Attachment>, NodeError> {
         match self {
             Self::Up(attachment) => Ok(attachment.clone()),
@@ -58,10 +57,10 @@ impl Connection {
     }
 }
 
-/// The part of a link that needs no lock.
+/// The part of a link's state that needs no lock.
 pub struct LinkSlot {
     pub budget: Option<u64>,
-    /// There may be something to state over it.
+    /// Notified when statements may be due on this link.
     pub unstated: Notify,
     pub copies_sent: Count,
     pub copies_dropped: Count,
@@ -70,21 +69,21 @@ pub struct LinkSlot {
     target: LinkTarget,
 }
 
-/// How a link is, and what went by it.
+/// The state and counters of a link.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct LinkStatus {
     pub target: String,
     pub state: LinkState,
-    /// Why it is not up.
+    /// Why the link is not up.
     pub reason: Option<String>,
-    /// Whether everything goes by it at the moment.
+    /// Whether this is the main link.
     pub main: bool,
-    /// Who is, or was last heard to be, at its other end; `None` if it is down.
+    /// The current or last switch at the other end; `None` if the link is down.
     pub switch: Option<Name>,
     pub frames_sent: u64,
     pub frames_unsent: u64,
-    /// Of the frames sent, those that went by the main link as well; and those that its budget, or
-    /// its MTU, had no room for, or that still waited when it was lost.
+    /// Copies among the frames sent, which the main link carried as well. Dropped copies did not
+    /// fit the budget or the MTU, or were still queued when the link was lost.
     pub copies_sent: u64,
     pub copies_dropped: u64,
 }
@@ -93,21 +92,21 @@ pub struct LinkStatus {
 #[serde(rename_all = "snake_case")]
 pub enum LinkState {
     Up,
-    /// It is up, but the switch has not answered for a moment.
+    /// The link is up, but the switch has not answered the latest echoes.
     Silent,
-    /// The switch fell silent; its data plane may forward on.
+    /// The switch became silent; its data plane may continue to forward.
     Stale,
     Down,
 }
 
-/// The part of a link that changes with it.
+/// The part of a link's state that changes with its connection.
 struct Lane {
     connection: Connection,
-    /// Echoes are not answered at the moment, though the link is up.
+    /// Echoes are currently unanswered, although the link is up.
     silent: bool,
-    /// This machine is in another network since the switch last answered.
+    /// This machine has changed networks since the switch last answered.
     moved: bool,
-    /// Rises whenever the link goes in or out of use: copies that waited go nowhere then.
+    /// Increases whenever the link enters or leaves use. Copies queued before are then dropped.
     epoch: u64,
 }
 
@@ -134,17 +133,17 @@ impl Lane {
     }
 }
 
-/// All links at one moment, and those that are chosen.
+/// All links and the selected ones.
 struct LinkTable {
-    /// In the order in which they are wanted; at least one.
+    /// In order of preference; at least one.
     lanes: Vec<Lane>,
     choice: Choice,
-    /// Rises each time another link becomes the main one.
+    /// Increases each time another link becomes the main one.
     turn: u64,
 }
 
 impl LinkTable {
-    /// The main link.
+    /// Returns the connection of the main link.
     fn connection(&self) -> &Connection {
         &self.lanes[self.choice.main()].connection
     }
@@ -160,13 +159,13 @@ impl LinkTable {
         Some((self.choice.main(), self.connection().attachment()?))
     }
 
-    /// What copies go by.
+    /// Returns the link for copies.
     fn second(&self) -> Option<(usize, &Arc<Attachment>)> {
         let second = self.choice.second()?;
         Some((second, self.lanes[second].connection.attachment()?))
     }
 
-    /// Which links frames go by.
+    /// Returns which links carry frames.
     fn in_use(&self) -> [bool; MAX_LANES] {
         let mut used = [false; MAX_LANES];
         self.main().into_iter().chain(self.second()).for_each(|(number, _)| used[number] = true);
@@ -174,25 +173,25 @@ impl LinkTable {
     }
 }
 
-/// The links to send by at one moment, with their numbers.
+/// A snapshot of the links to send on, with their numbers.
 pub struct ActiveLinks {
     pub main: Option<(usize, Arc<Attachment>)>,
     pub second: Option<(usize, Arc<Attachment>)>,
-    /// By number; see [`Links::active`].
+    /// Epochs by link number; see [`Links::active`].
     pub epochs: [u64; MAX_LANES],
 }
 
-/// What the change of a link led to.
+/// The effect of a link change.
 pub struct Rerouted {
-    /// The main links before and now, if another became that.
+    /// The previous and the new main link, if the main link changed.
     pub main: Option<(usize, usize)>,
-    /// Whether frames can go by the main link.
+    /// Whether the main link can carry frames.
     pub is_attached: bool,
 }
 
-/// The owner of all that is known of a node's links.
+/// The state of all links of a node.
 pub struct Links {
-    /// This node's own.
+    /// The name of this node.
     name: Name,
     counters: Arc<Counters>,
     slots: Vec<LinkSlot>,
@@ -217,7 +216,7 @@ impl Links {
         Self { name, counters, slots: configs.iter().map(slot).collect(), table }
     }
 
-    /// This node's own.
+    /// Returns the name of this node.
     pub fn name(&self) -> Name {
         self.name
     }
@@ -238,13 +237,14 @@ impl Links {
         self.main() == usize::from(attachment.lane)
     }
 
-    /// If this is the main link, a number that differs each time it becomes that.
+    /// Returns the turn of the main link if this is the main link. The turn differs each time a
+    /// link becomes the main one.
     pub fn main_turn(&self, attachment: &Attachment) -> Option<u64> {
         let table = self.table.borrow();
         (table.choice.main() == usize::from(attachment.lane)).then_some(table.turn)
     }
 
-    /// Bytes a second that the main link may take.
+    /// Returns the budget of the main link, in bytes per second.
     pub fn main_budget(&self) -> Option<u64> {
         self.slots[self.main()].budget
     }
@@ -253,12 +253,12 @@ impl Links {
         self.table.borrow().lanes[lane].connection.clone()
     }
 
-    /// The main link, if it is up at this moment.
+    /// Returns the main link if it is up.
     pub fn attached_now(&self) -> Result<Arc<Attachment>, NodeError> {
         self.table.borrow().connection().up()
     }
 
-    /// The main link, waiting for it a while.
+    /// Returns the main link, after waiting for it at most `LINK_TIMEOUT`.
     pub async fn attached(&self) -> Result<Arc<Attachment>, NodeError> {
         let mut changes = self.table.subscribe();
         let is_settled = |table: &LinkTable| matches!(table.connection(), Connection::Up(_) | Connection::Closed);
@@ -266,24 +266,25 @@ impl Links {
         self.attached_now()
     }
 
-    /// The link that frames go out on: the one that is up, or for a while the one that fell silent.
+    /// Returns the main link for sending: up, or stale for a limited time.
     pub fn sending_on(&self) -> Result<Arc<Attachment>, NodeError> {
         self.table.borrow().sending_on()
     }
 
-    /// Returns when the main link is not to wait for an answer on this one any more: at once if
-    /// this one is silent.
+    /// Returns when the main link should no longer wait for an answer on this link. If this link is
+    /// silent, it returns at once.
     pub async fn until_unwanted(&self, attachment: &Attachment) {
         let (lane, mut changes) = (usize::from(attachment.lane), self.table.subscribe());
         let is_replaced =
             |table: &LinkTable| table.choice.main() != lane && matches!(table.connection(), Connection::Up(_));
-        // The other end of the channel is in `self`.
+        // `self` contains the sender of the channel.
         let _ = changes.wait_for(is_replaced).await;
         let timeout = OTHERS_TIMEOUT + 4 * attachment.link.rtt();
         let _ = tokio::time::timeout(timeout, changes.wait_for(|table| table.lanes[lane].is_silent())).await;
     }
 
-    /// The links to send by now. Copies for a link whose epoch is another than before go nowhere.
+    /// Returns the links to send on now. Copies queued for a link under another epoch must be
+    /// dropped.
     pub fn active(&self) -> ActiveLinks {
         let table = self.table.borrow();
         let owned = |(number, attachment): (usize, &Arc<Attachment>)| (number, attachment.clone());
@@ -292,14 +293,14 @@ impl Links {
         ActiveLinks { main: table.main().map(owned), second: table.second().map(owned), epochs }
     }
 
-    /// Bytes of a payload that these links take: the main one, and if anything goes by two
-    /// (`doubled`), each of them.
+    /// Returns the maximum payload of the main link, in bytes. With `doubled` it also fits the
+    /// second link.
     pub fn max_payload(&self, doubled: bool) -> Option<usize> {
         let table = self.table.borrow();
         max_payload(table.main(), table.second().filter(|_| doubled))
     }
 
-    /// Takes in that a link is up, or is not any more.
+    /// Sets the connection of a link.
     pub fn set_connection(&self, now: u64, lane: usize, connection: Connection) -> Option<Rerouted> {
         self.change(now, lane, |lane| {
             (lane.connection, lane.silent, lane.moved) = (connection, false, false);
@@ -307,7 +308,7 @@ impl Links {
         })
     }
 
-    /// Why there is still no link.
+    /// Updates the reason why a link is still down.
     pub fn still_lost(&self, now: u64, lane: usize, why: String) -> Option<Rerouted> {
         self.change(now, lane, |lane| {
             if let Connection::Down(reason) | Connection::Stale(_, reason) = &mut lane.connection {
@@ -317,7 +318,7 @@ impl Links {
         })
     }
 
-    /// The link that fell silent is of no use any more.
+    /// Ends the use of a stale link.
     pub fn end_stale(&self, now: u64, lane: usize) -> Option<Rerouted> {
         self.change(now, lane, |lane| {
             if let Connection::Stale(_, reason) = &mut lane.connection {
@@ -327,7 +328,7 @@ impl Links {
         })
     }
 
-    /// Whether the switch answers; of a link that is up.
+    /// Sets whether the switch is silent on a link that is up.
     pub fn set_silent(&self, now: u64, lane: usize, silent: bool) -> Option<Rerouted> {
         self.change(now, lane, |lane| {
             lane.silent = silent;
@@ -335,8 +336,8 @@ impl Links {
         })
     }
 
-    /// Whether this machine has changed networks and the switch has not answered since; of a link
-    /// that is up.
+    /// Sets whether this machine has changed networks without an answer from the switch since.
+    /// Applies to a link that is up.
     pub fn set_moved(&self, now: u64, lane: usize, moved: bool) -> Option<Rerouted> {
         self.change(now, lane, |lane| {
             lane.moved = moved;
@@ -344,7 +345,7 @@ impl Links {
         })
     }
 
-    /// Nothing is sent any more.
+    /// Closes all links for sending.
     pub fn shut(&self) {
         self.table.send_modify(|table| {
             for lane in &mut table.lanes {
@@ -354,8 +355,8 @@ impl Links {
         });
     }
 
-    /// Changes a link that is not closed, and chooses again. `change` returns whether others are to
-    /// know, also if the same links are chosen.
+    /// Changes a link that is not closed, and selects links again. `change` returns whether to
+    /// notify observers even if the selection stays the same.
     fn change(&self, now: u64, lane: usize, change: impl FnOnce(&mut Lane) -> bool) -> Option<Rerouted> {
         let mut rerouted = None;
         self.table.send_if_modified(|table| {
@@ -380,7 +381,8 @@ impl Links {
         rerouted
     }
 
-    /// Sends a frame by the main link, or by two; whether there is any.
+    /// Sends a frame on the main link, or on two links if `doubled`. Returns whether there is a
+    /// main link.
     pub fn send_one(&self, to: Name, payload: &[u8], doubled: bool) -> bool {
         let ActiveLinks { main, second, .. } = self.active();
         let is_sent = main.is_some();
@@ -415,7 +417,7 @@ impl Links {
         self.counters.snapshot(attached.map(|attachment| attachment.data.receive_drops()).sum())
     }
 
-    /// How each link is.
+    /// Returns the status of each link.
     pub fn status(&self) -> Vec<LinkStatus> {
         let table = self.table.borrow();
         let status = |(number, (slot, lane)): (usize, (&LinkSlot, &Lane))| LinkStatus {
@@ -437,7 +439,7 @@ impl Links {
 }
 
 impl ActiveLinks {
-    /// As [`Links::max_payload`].
+    /// Returns the maximum payload, as [`Links::max_payload`] does.
     pub fn max_payload(&self, doubled: bool) -> Option<usize> {
         let [main, second] = [&self.main, &self.second].map(|way| way.as_ref().map(|(number, link)| (*number, link)));
         max_payload(main, second.filter(|_| doubled))

@@ -1,29 +1,28 @@
-//! Small messages that came one upon another and are not sealed yet: they will share a signature,
-//! and frames.
+//! Batches of small unsealed messages that follow one another closely. The messages of a batch
+//! share a signature and frames.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use gdp_e2e::seal::{Draft, Encoding, MAX_ORIGIN};
 
-/// Since the last time a topic sealed. A message that comes later than that is sealed by itself, at
-/// once, if there is nothing to wait for; one that comes sooner waits as long, for company.
+/// Batching window after a topic's last seal, in nanoseconds. A later message is sealed alone and
+/// at once, unless it has to wait for a turn. An earlier message waits this long for others.
 pub const BATCH_WINDOW: u64 = 100_000;
 
-/// Small messages of all topics of a node together are signed so much apart, because each costs
-/// every reader the time of many messages; so many may come upon one another; and none waits longer
-/// for its turn.
+/// Limits of the signing rate of a node, in nanoseconds. Small messages of all topics are signed
+/// `APART` apart, because each signature costs every reader the time of many messages. A burst may
+/// use the turns of `TOGETHER` at once. No message waits longer than `LONGEST` for its turn.
 const APART: u64 = 300_000;
 const TOGETHER: u64 = 16 * APART;
 const LONGEST: u64 = 8_000_000;
 
-/// Whose turn it is to sign. Topics that together have more messages than that share signatures
-/// out: each gathers what comes until its turn. What comes too seldom to meet company by then does
-/// not wait.
+/// Allocates turns to sign. Topics with more messages than turns share signatures: each batches its
+/// messages until its turn. A message without likely company until its turn does not wait.
 #[derive(Default)]
 pub struct Turns(AtomicU64);
 
 impl Turns {
-    /// Takes the next turn; when it is. Clock in nanoseconds, as all times here.
+    /// Takes the next turn and returns its time, in nanoseconds of the node's clock.
     pub fn take(&self, now: u64) -> u64 {
         let next = |last: u64| (last.max(now) + APART).min(now + LONGEST + TOGETHER);
         let (Ok(last) | Err(last)) = self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |last| Some(next(last)));
@@ -31,37 +30,37 @@ impl Turns {
     }
 }
 
-/// With how many it is not worth while to wait: more share a signature that costs each of them
-/// little by then, but their proofs grow.
+/// Maximum size of a batch. Beyond it, a shared signature saves little per message, but the proofs
+/// grow.
 const MOST: usize = 64;
 const MOST_BYTES: usize = 64 << 10;
 
-/// A larger one fills frames of its own.
+/// Maximum body of a batched message. A larger message fills frames of its own.
 const SMALL: usize = 16 << 10;
 
 pub struct MessageBatch {
     most: usize,
-    /// Origin and body of one after another.
+    /// The concatenated origins and bodies.
     bytes: Vec<u8>,
     parts: Vec<Part>,
 }
 
 struct Part {
     encoding: Encoding,
-    /// Where in the bytes its origin ends, and its body.
+    /// End offsets of the origin and the body.
     ends: (usize, usize),
 }
 
 impl MessageBatch {
-    /// For a reliable topic that keeps so many messages, or another: a good part of a history is
-    /// not to go at once.
+    /// Creates an empty batch. For a reliable topic, the size of its history limits the batch: a
+    /// large part of a history must not leave at once.
     pub fn new(history: Option<usize>) -> Self {
         let most = history.map_or(MOST, |history| (history / 4).clamp(1, MOST));
         Self { most, bytes: Vec::new(), parts: Vec::new() }
     }
 
-    /// Whether these can wait here: one, small and with no extension but a good origin, so that
-    /// sealing it cannot fail for what it is.
+    /// Returns whether these drafts can wait in a batch: one small draft without extensions other
+    /// than a valid origin. Sealing such a draft cannot fail because of its contents.
     pub fn takes(drafts: &[Draft<'_>]) -> bool {
         let is_plain = |draft: &Draft<'_>| {
             let Draft { origin, in_reply_to, latched, service, .. } = draft;
@@ -98,7 +97,7 @@ impl MessageBatch {
         self.parts.iter().zip(starts).map(draft).collect()
     }
 
-    /// Keeps the capacity.
+    /// Removes all messages but retains the capacity.
     pub fn clear(&mut self) {
         self.bytes.clear();
         self.parts.clear();

@@ -1,6 +1,8 @@
-//! Notices that this machine is in another network, or back in its own, from what the kernel says
-//! of interfaces, addresses and routes. QUIC would find out after seconds of silence.
-//! [`super::supervisor`] asks how an address is reached, and waits until that is otherwise.
+//! Detects when this machine changes networks, from the kernel's notifications about interfaces,
+//! addresses and routes.
+//!
+//! QUIC would notice only after seconds of silence. [`super::supervisor`] looks up the path to an
+//! address and waits until it changes.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -20,7 +22,7 @@ use tokio::time::{sleep, timeout};
 use crate::node::abort_on_drop::AbortOnDrop;
 use gdp_link::port::LinkAddr;
 
-/// What is listened to.
+/// The netlink groups that the node listens to.
 const GROUPS: [MulticastGroup; 5] = [
     MulticastGroup::Link,
     MulticastGroup::Ipv4Ifaddr,
@@ -29,37 +31,39 @@ const GROUPS: [MulticastGroup; 5] = [
     MulticastGroup::Ipv6Route,
 ];
 
-/// How long the kernel may take to answer. It does at once, unless somebody reconfigures very much.
+/// Maximum time for an answer of the kernel. The kernel answers at once except during a large
+/// reconfiguration.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
-/// When it is asked again if it has not answered, or with an error.
+/// Delay before the next query after an error or a timeout.
 const ASK_AGAIN: Duration = Duration::from_secs(1);
 
-/// Between two questions that news raise: they may come in a stream.
+/// Minimum interval of queries that notifications trigger, because notifications may arrive in
+/// bursts.
 const BETWEEN: Duration = Duration::from_millis(5);
 
-/// How what is sent to an address leaves this machine, as far as the kernel says.
+/// The path from this machine to an address, as far as the kernel reports it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum NetworkPath {
     By(Exit),
-    /// Not at all.
+    /// There is no path.
     Nowhere,
-    /// It could not be found out. Nothing follows from that: whoever wants to get there has to try.
+    /// The path could not be determined. The caller has to try.
     Unknown,
 }
 
-/// The same address and router may be those of another network, if the carrier was lost meanwhile.
+/// An exit from this machine. With the same source and router it may still be another network, if
+/// the carrier was lost in between.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Exit {
     interface: u32,
-    /// How often its carrier came and went.
+    /// The number of carrier changes of the interface.
     carrier: u64,
     source: Option<IpAddr>,
     router: Option<IpAddr>,
 }
 
-/// The network of this machine, as the namespace sees it in which the runtime was when it was
-/// opened.
+/// The network of this machine, in the network namespace of the runtime when it was opened.
 pub struct Network {
     handle: Handle,
     carriers: Arc<Mutex<Carriers>>,
@@ -68,7 +72,7 @@ pub struct Network {
 }
 
 impl Network {
-    /// Begins to listen. To be called within a tokio runtime.
+    /// Starts to listen for notifications. Call within a tokio runtime.
     pub fn open() -> std::io::Result<Self> {
         let (connection, handle, mut messages) = rtnetlink::new_multicast_connection(&GROUPS)?;
         let (told, changes) = watch::channel(());
@@ -88,12 +92,12 @@ impl Network {
         Ok(Self { handle, carriers, changes, _tasks: tasks })
     }
 
-    /// Rises whenever anything changes.
+    /// Returns a receiver that is notified of every change.
     pub fn changes(&self) -> watch::Receiver<()> {
         self.changes.clone()
     }
 
-    /// How `to` is reached; `through` no other interface than that one.
+    /// Returns the path to `to`, only through the interface `through` if given.
     pub async fn way(&self, to: LinkAddr, through: Option<u32>) -> NetworkPath {
         let (interface, source, router) = match to {
             LinkAddr::Ethernet { ifindex, .. } => (ifindex, None, None),
@@ -109,7 +113,7 @@ impl Network {
         }
     }
 
-    /// Returns how `to` is reached once that is otherwise than `before`; see [`until_other`].
+    /// Returns the path to `to` when it differs from `before`; see [`until_other`].
     pub async fn until_other(&self, to: LinkAddr, through: Option<u32>, before: &NetworkPath) -> NetworkPath {
         until_other(self.changes(), before.clone(), || self.way(to, through)).await
     }
@@ -127,9 +131,9 @@ impl Network {
     }
 }
 
-/// Returns what `look` finds once that is something else than `before`. What is not known is
-/// nothing else; if it was not known before, what is found first is what it was. `changes`: when it
-/// may be otherwise.
+/// Returns the result of `look` when it differs from `before`. An unknown path does not count as a
+/// difference. If `before` is unknown, the first known path replaces it. `changes` notifies of
+/// possible differences.
 pub async fn until_other<F: Future<Output = NetworkPath>>(
     mut changes: watch::Receiver<()>,
     mut before: NetworkPath,
@@ -155,8 +159,8 @@ pub async fn until_other<F: Future<Output = NetworkPath>>(
     }
 }
 
-/// As [`until_other`]; but once there is a way, and another one than the last that there was or
-/// none.
+/// Waits as [`until_other`] does, but until there is a path. The path must differ from the last
+/// path, or the last lookup must have found none.
 pub async fn until_led<F: Future<Output = NetworkPath>>(
     changes: watch::Receiver<()>,
     before: NetworkPath,
@@ -171,13 +175,13 @@ pub async fn until_led<F: Future<Output = NetworkPath>>(
     }
 }
 
-/// What the kernel says of an address.
+/// The kernel's answer about a route.
 #[derive(Debug, PartialEq, Eq)]
 enum Answer {
     /// Interface, source and router.
     Route((u32, Option<IpAddr>, Option<IpAddr>)),
     NoRoute,
-    /// None in time, or that it cannot say.
+    /// No answer in time, or an error other than a missing route.
     None,
 }
 
@@ -216,9 +220,9 @@ impl From<&RouteMessage> for Answer {
     }
 }
 
-/// Whether this error says that there is no route, now; others say that something else is wrong.
+/// Returns whether this error means that there is no route now. Other errors mean other failures.
 fn is_no_route(errno: i32) -> bool {
-    // The last is of an interface that is gone.
+    // The kernel returns ENODEV for a removed interface.
     matches!(errno, libc::ENETUNREACH | libc::EHOSTUNREACH | libc::EACCES | libc::ENODEV)
 }
 
@@ -230,8 +234,8 @@ fn ip(address: &RouteAddress) -> Option<IpAddr> {
     }
 }
 
-/// Which interfaces have a carrier, and how often that has changed. One that nothing was heard of
-/// has it.
+/// The carrier of each interface and the number of its changes. An interface without notifications
+/// counts as having a carrier.
 #[derive(Debug, Default)]
 struct Carriers(HashMap<u32, (bool, u64)>);
 
@@ -250,7 +254,7 @@ impl Carriers {
         *before = lit;
     }
 
-    /// `None`: it has no carrier.
+    /// Returns the number of carrier changes, or `None` if the interface has no carrier.
     fn of(&self, interface: u32) -> Option<u64> {
         let (lit, changes) = self.0.get(&interface).copied().unwrap_or((true, 0));
         lit.then_some(changes)

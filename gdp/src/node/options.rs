@@ -1,4 +1,4 @@
-//! What an application asks of a name that it publishes or reads.
+//! The options of a name that an application publishes or reads.
 
 use std::time::Duration;
 
@@ -8,50 +8,50 @@ use gdp_e2e::seal::ReaderLimits;
 use gdp_e2e::transport;
 use gdp_e2e::transport::{History, InboundOptions, Order, TopicOptions};
 
-/// What a publisher promises its readers.
+/// The reliability that a publisher offers its readers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reliability {
-    /// The newest message: of those that wait for their turn older ones give way, and of one that
-    /// is older than `lifetime` nothing more is sent.
+    /// The newest message. Newer messages replace queued ones, and a message older than `lifetime`
+    /// is not sent any further.
     BestEffort { lifetime: Duration },
-    /// Every message, in order, as long as the history has it.
+    /// Every message, in order, as long as the history contains it.
     Reliable { overflow: Overflow },
 }
 
-/// What happens when the history is full of messages that a reader still lacks.
+/// The action when the history is full of messages that a reader still lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overflow {
-    /// [`Publisher::send`](super::Publisher::send) waits; for a reader that falls behind a while at
-    /// most.
+    /// [`Publisher::send`](super::Publisher::send) waits. For a reader that falls behind, it waits
+    /// for a limited time only.
     Block,
-    /// The oldest message goes, and is counted.
+    /// Drops and counts the oldest message.
     DropOldest,
 }
 
-/// How a name is published.
+/// The options of a publication.
 #[derive(Clone, Copy, Debug)]
 pub struct PublishOptions {
     pub reliability: Reliability,
-    /// Messages kept. Best effort: those that have not begun to go. Reliable: all that may be asked
-    /// for again.
+    /// Maximum number of stored messages. Best effort: those whose transmission has not started.
+    /// Reliable: those that readers may request again.
     pub history: usize,
-    /// Bytes of them, sealed.
+    /// Maximum size of the stored messages, sealed, in bytes.
     pub history_bytes: usize,
-    /// Traffic class, 0 to 7: higher ones go first.
+    /// Traffic class, 0 to 7. Higher classes are sent first.
     pub class: u8,
-    /// Each frame goes by two of the node's links, if so many are up: nothing is missed when one
-    /// fails. Readers take the first of the two.
+    /// Whether each frame is sent on two of the node's links, if two are up. No message is lost
+    /// when one of them fails. Readers use the first of the two frames.
     pub duplicate: bool,
-    /// How many of the last messages of each origin a reader that comes later is sent, sealed for
-    /// it anew. Of origins, the last 1024 that sent something.
-    /// [`Publisher::latch`](super::Publisher::latch) says it for one origin.
+    /// Number of latched messages per origin for late-joining readers, sealed again for them.
+    /// Applies to the 1024 most recent origins. [`Publisher::latch`](super::Publisher::latch) sets
+    /// it for one origin.
     pub latched: usize,
-    /// When the content key is replaced though nobody was revoked.
+    /// The schedule for replacing the content key without a revocation.
     pub rotation: Rotation,
 }
 
 impl PublishOptions {
-    /// The newest message, for half a second.
+    /// Offers the newest message, for half a second.
     pub fn best_effort() -> Self {
         Self {
             reliability: Reliability::BestEffort { lifetime: Duration::from_millis(500) },
@@ -64,8 +64,8 @@ impl PublishOptions {
         }
     }
 
-    /// Every message; the last 1024 may be asked for again, and the publisher waits when they are
-    /// not enough.
+    /// Offers every message. Readers may request the last 1024 again, and the publisher waits when
+    /// the history is full.
     pub fn reliable() -> Self {
         let reliability = Reliability::Reliable { overflow: Overflow::Block };
         Self { reliability, history: 1024, ..Self::best_effort() }
@@ -88,23 +88,27 @@ impl From<PublishOptions> for TopicOptions {
     }
 }
 
-/// How a name is read.
+/// The options of a subscription.
 #[derive(Clone, Copy, Debug)]
 pub struct SubscribeOptions {
-    /// Of publishers that are reliable, and if it is not only the newest that is wanted: every
-    /// message in its order, asked for again if it does not come. Otherwise each as soon as it is
-    /// complete, if it is newer than those before. Where every message is wanted, publishers that
-    /// are not reliable are incompatible, and counted.
+    /// Which messages the subscription requests.
+    ///
+    /// From reliable publishers, unless only the newest is requested: every message in order, with
+    /// retransmission. Otherwise each message as soon as it is complete, if it is newer than those
+    /// before. If every message is requested, publishers that are not reliable count as
+    /// incompatible.
     pub wants: Wants,
-    /// It comes by each of the node's links, and what comes twice is dropped: nothing is missed
-    /// when one fails, as long as its frames fit each of them. Otherwise it comes by the main one.
+    /// Whether each of the node's links delivers the name; the node drops duplicates. No message is
+    /// lost when one link fails, as long as the frames fit every link. Otherwise the main link
+    /// delivers it.
     pub duplicate: bool,
-    /// For messages that are not complete yet, and for how old they may be.
+    /// Limits of incomplete messages and of the age of messages.
     pub limits: ReaderLimits,
-    /// Complete messages that wait for [`Subscription::recv`](super::Subscription::recv). More are
-    /// dropped and counted; those of reliable names wait at their publisher.
+    /// Maximum number of complete messages that wait for
+    /// [`Subscription::recv`](super::Subscription::recv). Excess messages are dropped and counted;
+    /// those of reliable names wait at their publisher.
     pub queue: usize,
-    /// Bytes of their bodies.
+    /// Maximum size of their bodies, in bytes.
     pub queue_bytes: usize,
 }
 
@@ -119,20 +123,21 @@ impl SubscribeOptions {
         Self { wants: Wants::Every, limits, ..Self::best_effort() }
     }
 
-    /// Every message of publishers that are reliable, and the newest of others.
+    /// Requests every message of reliable publishers, and the newest of others.
     pub fn as_offered() -> Self {
         Self { wants: Wants::Offered, ..Self::reliable() }
     }
 }
 
 impl SubscribeOptions {
-    /// Of one writer's session. `reliable`: both want every message.
+    /// Returns the options for one writer's session. `reliable`: both sides want every message.
     pub(super) fn inbound(&self, reliable: bool) -> InboundOptions {
         if reliable {
             return InboundOptions::every();
         }
         let ReaderLimits { deadline, max_memory_per_source, .. } = self.limits;
-        // One that asks for every message would wait too long for each of a writer that keeps none.
+        // A subscription that requests every message would wait too long for a writer that stores
+        // none.
         let deadline = if self.wants != Wants::Newest { ReaderLimits::default().deadline } else { deadline };
         let newest = InboundOptions::newest();
         InboundOptions { order: Order::Newest, deadline: nanos(deadline), bytes: max_memory_per_source, ..newest }
@@ -143,7 +148,7 @@ fn nanos(time: Duration) -> u64 {
     u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// Of topics, by default. The clocks of writers and readers must not differ by more.
+/// Default maximum age of messages. The clocks of writers and readers must not differ by more.
 const MAX_AGE: Duration = Duration::from_secs(10);
-/// Of those that are reliable: a message may wait for a link to come back.
+/// Default maximum age with reliability: a message may wait for a link to return.
 const MAX_RELIABLE_AGE: Duration = Duration::from_secs(60);

@@ -1,5 +1,5 @@
-//! The keys that this node shares with each of its counterparts, for what the two tell each other
-//! alone. Made when they are first needed, kept as long as a name needs the counterpart.
+//! The pair keys that this node shares with each counterpart, for feedback between the two. Each
+//! key is created on first use and retained as long as a name has the counterpart.
 
 use std::collections::HashMap;
 
@@ -11,7 +11,7 @@ use gdp_core::identity::Identity;
 use gdp_e2e::feedback_wire::Feedback;
 use gdp_e2e::keys::{PairError, PairKey, PairOpener, PairSealer};
 
-/// Its lock is never held while anything else is locked.
+/// Its lock is a leaf: no other lock is taken while it is locked.
 pub struct Pairs {
     identity: Identity,
     counterparts: Mutex<HashMap<Name, Pair>>,
@@ -19,7 +19,7 @@ pub struct Pairs {
 
 struct Pair {
     box_key: [u8; PUBLIC_KEY_LEN],
-    /// Names in which it is a counterpart.
+    /// Number of names that have this counterpart.
     uses: usize,
     keys: Option<(PairSealer, PairOpener)>,
 }
@@ -39,7 +39,7 @@ impl Pairs {
         Self { identity, counterparts: Mutex::default() }
     }
 
-    /// An entity whose box key is verified is a counterpart in one more name.
+    /// Adds an entity, whose box key is verified, as a counterpart in one more name.
     pub fn introduce(&self, entity: Name, box_key: [u8; PUBLIC_KEY_LEN]) {
         let counterparts = &mut *self.counterparts.lock();
         let pair = counterparts.entry(entity).or_insert(Pair { box_key, uses: 0, keys: None });
@@ -49,7 +49,7 @@ impl Pairs {
         }
     }
 
-    /// It is one in one name less.
+    /// Removes an entity as a counterpart in one name.
     pub fn part(&self, entity: &Name) {
         let counterparts = &mut *self.counterparts.lock();
         if let Some(pair) = counterparts.get_mut(entity) {
@@ -60,15 +60,15 @@ impl Pairs {
         }
     }
 
-    /// Puts the payload of a frame to the entity's own name into `out`; `None` if it is no
-    /// counterpart.
+    /// Writes the payload of a frame to the entity's own name into `out`. Returns `None` if the
+    /// entity is no counterpart.
     pub fn seal(&self, entity: &Name, feedback: &Feedback, out: &mut Vec<u8>) -> Option<Result<(), PairError>> {
         let counterparts = &mut *self.counterparts.lock();
         let keys = counterparts.get_mut(entity)?.keys(&self.identity, entity);
         Some(keys.map_err(PairError::Crypto).and_then(|(sealer, _)| sealer.seal(feedback, out)))
     }
 
-    /// What the entity says; `None` if it is no counterpart.
+    /// Opens feedback from the entity. Returns `None` if the entity is no counterpart.
     pub fn open(&self, entity: &Name, payload: &[u8]) -> Option<Result<Feedback, PairError>> {
         let counterparts = &mut *self.counterparts.lock();
         let keys = counterparts.get_mut(entity)?.keys(&self.identity, entity);

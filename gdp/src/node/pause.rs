@@ -1,5 +1,4 @@
-//! Pauses between attempts: ever longer ones, that news of the network cut short; how often they
-//! may.
+//! Exponential backoff between attempts, which news of the network cut short, with a rate limit.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -9,24 +8,23 @@ use tokio::time::{Instant, sleep, sleep_until};
 use gdp_core::crypto;
 use gdp_util::backoff::{Backoff, jittered};
 
-/// Between attempts to get the link back, and to state what was refused: doubled from the first to
-/// the second.
+/// The backoff between reconnection attempts, and between repetitions of refused statements.
 pub const BACKOFF: Backoff = Backoff::new(Duration::from_millis(100), Duration::from_secs(5));
 
-/// What the kernel says of a network that has changed comes in parts.
+/// Time to wait for further notifications, because the kernel reports a network change in parts.
 const NEWS_SETTLE: Duration = Duration::from_millis(2);
 
-/// Attempts that news bring about as they come, as another network comes in parts; and how far
-/// apart they are then on average, because of a network that comes and goes there is no end of
-/// them.
+/// Rate limit of pauses that news cut short. `AT_ONCE` pauses may end at once, because a network
+/// change arrives in parts. On average they are `HURRIED` apart, because a flapping network sends
+/// endless news.
 const AT_ONCE: u32 = 3;
 const HURRIED: Duration = Duration::from_millis(100);
 
-/// The same where nobody knows which news matter.
+/// The same interval if the node cannot tell which news matter.
 const BLIND: Duration = Duration::from_secs(1);
 
-/// Waits for the next delay, with jitter, so that many nodes do not return at once. A wait that is
-/// cut short does not count.
+/// Waits for the next delay, with jitter, to spread the reconnections of many nodes. A cancelled
+/// wait does not advance the backoff.
 pub async fn wait(backoff: &mut Backoff) {
     let random = crypto::random::<1>().map_or(255, |[byte]| byte);
     let mut next = *backoff;
@@ -34,13 +32,13 @@ pub async fn wait(backoff: &mut Backoff) {
     *backoff = next;
 }
 
-/// When news cut pauses short, the last [`AT_ONCE`] times.
+/// The times of the last [`AT_ONCE`] pauses that news cut short.
 #[derive(Debug, Default)]
 pub struct ExpediteToken(VecDeque<Instant>);
 
 impl ExpediteToken {
-    /// Waits for the end of the pause, or for `news`; then the next pause is a short one again,
-    /// unless these may be of no use (`blind`).
+    /// Waits for the end of the pause or for `news`. After news the backoff restarts, unless the
+    /// news may be irrelevant (`blind`).
     pub async fn pause(&mut self, backoff: &mut Backoff, news: impl Future<Output = ()>, blind: bool) {
         let apart = if blind { BLIND } else { HURRIED };
         let is_full = self.0.len() >= AT_ONCE as usize;

@@ -1,5 +1,6 @@
-//! What the RIB tells of those on the other side of this node's names, and the key boxes that
-//! follow: to the publications, to the receiving thread, and back to the RIB.
+//! Distributes the RIB's updates about counterparts, and the resulting key boxes.
+//!
+//! Updates go to the publications and the receiving thread, key boxes back to the RIB.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,17 +21,17 @@ use gdp_proto::control::{EntityRequest, NameRole, Peers, RefusalCode, Response};
 use gdp_proto::peers::{OutOfStep, PeerEvent};
 use gdp_util::unix_time::{unix_nanos, unix_seconds};
 
-/// How often it is looked for what has ended.
+/// Interval of the checks for expired rights.
 const LOOK: Duration = Duration::from_secs(1);
 
 impl State {
-    /// Takes what the RIB told of the counterparts in a name; `None` if this node has no such part
-    /// in it.
+    /// Processes the RIB's update about the counterparts in a name. Returns `None` if this node
+    /// does not have that role in the name.
     pub fn take_peers(&self, name: Name, role: NameRole, peers: &Peers) -> Option<Result<(), OutOfStep>> {
         if name == self.identity.name() && role == NameRole::Subscriber {
             return self.take_boxes(peers);
         }
-        // Held throughout, so that what follows comes in the order in which it was told.
+        // Locked throughout, to preserve the order of the updates.
         let mut all = self.counterparts.lock();
         let counterparts = all.get_mut(&(name, role))?;
         match counterparts.take(unix_seconds(), peers) {
@@ -57,9 +58,9 @@ impl State {
         }
     }
 
-    /// A domain has taken something back.
+    /// Processes a revocation by a domain.
     pub fn domain_revoked(&self, claims: &Revocation) {
-        // As in `take_peers`.
+        // Locked as in `take_peers`.
         let mut all = self.counterparts.lock();
         for ((name, role), counterparts) in all.iter_mut() {
             let events = counterparts.domain_revoked(claims);
@@ -92,15 +93,15 @@ impl State {
         self.change_reading(name, |reading| reading.take(unix_nanos(), events));
     }
 
-    /// Carries out what follows before the reading changes again: the receiving thread has no use
-    /// for keys of a writer that it has not heard of yet.
+    /// Applies the effects before the next change of the reading. The receiving thread cannot use
+    /// keys of a writer that it does not know yet.
     pub(super) fn change_reading(&self, name: Name, change: impl FnOnce(&mut Reading) -> Vec<Effect>) {
         if let Some(reading) = self.readings.lock().get_mut(&name) {
             self.carry_out(name, change(reading));
         }
     }
 
-    /// Keys of what is sent to this node's own name; to be verified as those of any name.
+    /// Processes key boxes for this node's own name. They are verified like those of any name.
     fn take_boxes(&self, peers: &Peers) -> Option<Result<(), OutOfStep>> {
         let own = self.identity.name();
         if !self.readings.lock().contains_key(&own) {
@@ -124,10 +125,10 @@ impl State {
         }
     }
 
-    /// Runs as long as the node: ends what has ended, sends latched messages to readers that came,
-    /// and has the RIB store boxes as soon as there are any.
+    /// Runs for the lifetime of the node. It ends expired rights, sends latched messages to new
+    /// readers, and stores key boxes with the RIB.
     pub async fn keep(self: &Arc<Self>) {
-        // The RIB may take its time: nothing else waits for that.
+        // The RIB may answer slowly, and no other work waits for it.
         let boxes = Notify::new();
         tokio::join!(self.look(&boxes), self.store_all_boxes(&boxes));
     }
@@ -153,7 +154,7 @@ impl State {
         }
     }
 
-    /// `due`: there may be some.
+    /// Stores key boxes with the RIB. `due` is notified when there may be some.
     async fn store_all_boxes(&self, due: &Notify) {
         loop {
             due.notified().await;
@@ -187,7 +188,7 @@ impl State {
         }
     }
 
-    /// Brings the boxes of a publication to the RIB, as far as there are any.
+    /// Stores the pending boxes of a publication with the RIB.
     pub async fn store_boxes(&self, attachment: &Attachment, publication: &Arc<Publication>) {
         let _turn = publication.boxing.lock().await;
         loop {

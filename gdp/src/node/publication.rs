@@ -1,5 +1,6 @@
-//! A name that this node publishes: its [sealer](super::sealer), and its readers as far as they are
-//! known here. The receiving thread answers readers, the supervisor brings new ones.
+//! A name that this node publishes: its [sealer](super::sealer) and its known readers.
+//!
+//! The receiving thread answers readers; the supervisor adds new ones.
 
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
@@ -21,23 +22,26 @@ use gdp_e2e::feedback_wire::{Feedback, Wants};
 use gdp_e2e::transport::{TopicCounters, TopicId};
 use gdp_proto::peers::{Counterpart, PeerEvent};
 
-/// A reader that is not attached any more keeps its place and its keys for so long: links come
-/// back.
+/// Time for which a detached reader retains its state and keys, because links return. In
+/// nanoseconds.
 const ABSENCE: u64 = 60_000_000_000;
 
-/// Latched messages go to all readers again when one comes; however many come, not more often.
+/// Minimum interval between transmissions of latched messages to all readers, independent of the
+/// number of new readers. In nanoseconds.
 const BETWEEN_LATCHES: u64 = 1_000_000_000;
 
-/// Readers that are absent and keep their places; of more, the one longest away loses it.
+/// Maximum number of detached readers with state. Beyond it, the reader with the longest absence
+/// loses its state.
 const MOST_ABSENT: usize = 64;
 
 pub struct Publication {
     pub name: Name,
     pub sealer: Sealer,
     pub is_reliable: bool,
-    /// There is room again for a publisher that waits, or no sense in waiting: it is to look.
+    /// Notified when a waiting publisher should check again: space is available, or waiting is
+    /// pointless.
     pub room: Notify,
-    /// Boxes are handed out by one task at a time.
+    /// Serialises the tasks that store key boxes.
     pub boxing: tokio::sync::Mutex<()>,
     scheduler: Arc<Scheduler>,
     pairs: Arc<Pairs>,
@@ -50,20 +54,21 @@ pub struct Publication {
 struct Readers {
     known: HashMap<Name, KnownReader>,
     revocation: Option<Revocation>,
-    /// One was welcomed since the latched messages went again, and when that was.
+    /// Whether a reader was welcomed since the last transmission of latched messages, and the time
+    /// of that transmission.
     lacks_latched: bool,
     latched_at: Option<u64>,
-    /// The log has told of a reader that asks for more than is offered.
+    /// Whether the log has reported a reader that requests more than the publication offers.
     has_warned: bool,
 }
 
 struct KnownReader {
     right: Counterpart,
-    /// What it is told to begin with.
+    /// The sequence number that the Welcome announces as the start.
     from: u64,
-    /// The challenge that was answered last.
+    /// The last challenge that was answered.
     greeted: Option<[u8; 16]>,
-    /// Since when it is not attached.
+    /// The time since when the reader is detached.
     absent: Option<u64>,
     wants: Wants,
 }
@@ -73,7 +78,8 @@ impl Readers {
         self.known.iter().filter(|(_, reader)| reader.absent.is_none())
     }
 
-    /// Whether one is attached that asks for every message, as far as it has said.
+    /// Returns whether an attached reader requests every message, or has not stated its request
+    /// yet.
     fn asks_for_all(&self, reader: &Name) -> bool {
         let asks = |reader: &KnownReader| {
             reader.absent.is_none() && (reader.wants != Wants::Newest || reader.greeted.is_none())
@@ -109,18 +115,19 @@ impl Publication {
         self.sealer.topic
     }
 
-    /// Nothing is sent any more.
+    /// Ends sending.
     pub fn end(&self, why: Ended) {
         self.ending.end(why);
         self.room.notify_waiters();
     }
 
-    /// Readers that are attached.
+    /// Returns the number of attached readers.
     pub fn readers(&self) -> usize {
         self.readers.lock().attached().count()
     }
 
-    /// Those of them that ask for every message, where the newest is offered.
+    /// Returns the number of attached readers that request every message from a best-effort
+    /// publication.
     pub fn incompatible_readers(&self) -> usize {
         if self.is_reliable {
             0
@@ -129,7 +136,8 @@ impl Publication {
         }
     }
 
-    /// What has not gone yet, and what of it whom has not reached.
+    /// Returns the number of unsent messages, and for each reader the number of unacknowledged
+    /// ones.
     pub fn unfinished(&self) -> Unflushed {
         let readers = self.readers.lock();
         let waiting = self.sealer.waiting();
@@ -138,7 +146,7 @@ impl Publication {
         Unflushed { unsent: unsent + waiting, unacknowledged: lacking.collect() }
     }
 
-    /// Sends the latched messages again, if a reader has come that lacks them.
+    /// Sends the latched messages again if a new reader lacks them.
     pub fn latch(&self) {
         let now = self.scheduler.clock.now();
         {
@@ -152,7 +160,7 @@ impl Publication {
         self.sealer.send_latched();
     }
 
-    /// Answers a reader that asks which session this is.
+    /// Answers a reader's Hello with the session.
     pub fn welcome(&self, reader: &Name, challenge: [u8; 16], wants: Wants) -> Option<Feedback> {
         let readers = &mut *self.readers.lock();
         let entry = readers.known.get_mut(reader)?;
@@ -164,8 +172,8 @@ impl Publication {
         }
         if entry.greeted != Some(challenge) {
             readers.lacks_latched = true;
-            // One that asks again has lost what it knew, or has reason to doubt it: it begins with
-            // what comes now.
+            // A reader that asks again has lost its state or doubts it. It starts with the next
+            // message.
             if entry.greeted.replace(challenge).is_some() {
                 entry.from = self.admit(*reader)?;
             }
@@ -174,8 +182,8 @@ impl Publication {
         Some(Feedback::Welcome { name, challenge, session, sequence, reliable })
     }
 
-    /// A reader that was away is back. If it has begun anew, what is sent from now on is for it,
-    /// also what goes before it asks.
+    /// Processes the return of a detached reader. If the reader has restarted, it receives messages
+    /// from now on, also those sent before its Hello.
     pub fn returned(&self, reader: &Name) {
         let readers = &mut *self.readers.lock();
         let Some(entry) = readers.known.get_mut(reader) else { return };
@@ -184,7 +192,7 @@ impl Publication {
         }
     }
 
-    /// Takes what the RIB told of readers, and was verified.
+    /// Processes the verified updates of the RIB about readers.
     pub fn take(&self, now_unix: u64, events: impl IntoIterator<Item = PeerEvent>) {
         let readers = &mut *self.readers.lock();
         for event in events {
@@ -202,14 +210,14 @@ impl Publication {
                 PeerEvent::Refused(error) => {
                     tracing::warn!(name = %self.name, %error, "the RIB told of a reader that does not verify");
                 }
-                // Boxes are for readers; a RIB that is behind is the supervisor's business.
+                // Key boxes are for readers. The supervisor handles a RIB that lacks a revocation.
                 PeerEvent::KeyBox(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }
         self.sweep(readers, now_unix);
     }
 
-    /// Lets go of readers whose right has ended, or that are absent for long.
+    /// Removes readers whose right has ended, or that are detached for too long.
     pub fn expire(&self, now_unix: u64) {
         self.sweep(&mut self.readers.lock(), now_unix);
     }
@@ -225,12 +233,12 @@ impl Publication {
             return;
         }
         self.pairs.introduce(entity, box_key);
-        // Beyond what the transport keeps account of, readers get what the others get.
+        // Readers beyond the transport's capacity share the transmissions to the other readers.
         let from = self.admit(entity).unwrap_or(1);
         readers.known.insert(entity, KnownReader { right, from, greeted: None, absent: None, wants: Wants::Newest });
     }
 
-    /// The sequence that the reader begins with from now on, if the transport keeps account of it.
+    /// Returns the sequence number that the reader starts with, if the transport tracks the reader.
     fn admit(&self, reader: Name) -> Option<u64> {
         self.scheduler.uplink().join(self.scheduler.clock.now(), self.topic(), reader)
     }
@@ -260,13 +268,13 @@ impl Publication {
         }
     }
 
-    /// What became of messages and frames so far, also once it is closed.
+    /// Returns the counters of messages and frames, also after the publication is closed.
     pub fn counters(&self) -> TopicCounters {
         let now = self.scheduler.uplink().counters(self.topic());
         now.or_else(|| self.last_counters.get().copied()).unwrap_or_default()
     }
 
-    /// Nothing is published any more.
+    /// Closes the publication.
     pub fn close(&self) {
         {
             let mut uplink = self.scheduler.uplink();
