@@ -1,4 +1,4 @@
-//! Everything that this node publishes, by name and by topic.
+//! An index of this node's publications by name and by topic.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use parking_lot::Mutex;
 use super::publication::Publication;
 use gdp_e2e::transport::TopicId;
 
-/// Its lock is never held while a publication is used.
+/// Its lock is released before a publication is used.
 #[derive(Default)]
 pub struct Publications(Mutex<Index>);
 

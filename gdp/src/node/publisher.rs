@@ -1,4 +1,4 @@
-//! The application's sending end of a name.
+//! The application's handle for publishing a name.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -18,11 +18,11 @@ use super::statement::{Stated, Statement};
 use gdp_core::cert::{AdCert, Issued};
 use gdp_e2e::seal::{Draft, Encoding};
 
-/// How often it is looked whether everything has gone.
+/// Interval of the checks in [`Publisher::flush`].
 const LOOK: Duration = Duration::from_millis(2);
 
-/// Sends messages to a name. Dropping it withdraws the name; what has not gone yet is lost, and
-/// nothing is repaired any more: see [`Self::close`].
+/// Sends messages to a name. Dropping it withdraws the name. Unsent messages are then lost, and
+/// nothing is retransmitted: see [`Self::close`].
 pub struct Publisher {
     node: Arc<Handle>,
     publication: Arc<Publication>,
@@ -38,44 +38,50 @@ impl Publisher {
         self.publication.name
     }
 
-    /// What the switch says of this name's frames.
+    /// Returns the switch's error reports about this name's frames.
     pub fn feedback(&self) -> &Arc<Feedback> {
         &self.feedback
     }
 
-    /// Readers that are attached at the moment, as far as is known here. What is sent without any
-    /// goes nowhere.
+    /// Returns the number of attached readers that this node knows of. Messages without readers are
+    /// sent to no entity.
     pub fn readers(&self) -> usize {
         self.publication.readers()
     }
 
-    /// What became of messages and frames so far.
+    /// Returns the counters of messages and frames.
     pub fn counters(&self) -> PublisherCounters {
         counters(&self.publication, &self.feedback)
     }
 
-    /// The same at any time, from any task.
+    /// Returns a meter that reads the same counters at any time, from any task.
     pub fn meter(&self) -> Meter<PublisherCounters> {
         let (publication, feedback) = (self.publication.clone(), self.feedback.clone());
         Meter::new(move || counters(&publication, &feedback))
     }
 
-    /// Waits until nothing can be sent any more, and says why.
+    /// Waits until nothing can be sent any more, and returns the reason.
     pub fn ended(&self) -> impl Future<Output = Ended> + Send + use<> {
         self.publication.ending.wait()
     }
 
-    /// Publishes on by this certificate, in the same session; readers miss nothing. To be done
-    /// before the present one ends. A refusal of the RIB leaves the present one in force; while
-    /// there is no link, the RIB is given the new one with the next.
+    /// Continues to publish with this certificate, in the same session; readers miss no message.
+    /// Call it before the current certificate expires.
+    ///
+    /// If the RIB refuses the new certificate, the current one stays in force. Without a link, the
+    /// RIB receives the new certificate over the next link.
     pub async fn renew(&mut self, ad_cert: Issued<AdCert>) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Write { proof, ad_cert };
         self.node.state.renew(self.publication.name, Stated::Published, renewed).await
     }
 
-    /// Returns once all that was sent has left this host, and, if the name is reliable, every
-    /// reader that is live and asks for every message has acknowledged it; or after `patience`,
-    /// with what is left. What is best effort fails at once while there is no link.
+    /// Waits until all messages have left this host. If the name is reliable, also waits until
+    /// every live reader that requests every message has acknowledged them.
+    ///
+    /// # Errors
+    ///
+    /// Returns the unfinished messages after `patience`. A best-effort publisher without a link
+    /// fails at once.
     pub async fn flush(&mut self, patience: Duration) -> Result<(), NodeError> {
         let (publication, send_path) = (&self.publication, &self.node.state.send_path);
         let deadline = tokio::time::Instant::now() + patience;
@@ -94,28 +100,33 @@ impl Publisher {
         }
     }
 
-    /// [Flushes](Self::flush), and then withdraws the name.
+    /// [Flushes](Self::flush) and then withdraws the name.
     pub async fn close(mut self, patience: Duration) -> Result<(), NodeError> {
         self.flush(patience).await
     }
 
-    /// Seals one message and sends it; those that come within 100 µs of one another share a
-    /// signature and frames, and of a node that would sign more than 3000 times a second those
-    /// within 8 ms. It goes as [`PublishOptions`](super::PublishOptions) say: `Ok` says that it is
-    /// on its way or waits for its turn. Returns the sequence number. Waits only if the name is
-    /// reliable and the history full; a message that it was cancelled in waiting for is sent all
-    /// the same. While the link to the switch is lost, what is best effort fails at once, and what
-    /// is reliable is kept; but to a switch whose daemon fell silent frames are sent on, as long as
-    /// its data plane answers ([`gdp_core::peer::GRACEFUL_RESTART_TIME`]).
+    /// Seals and sends one message, and returns its sequence number.
+    ///
+    /// Messages within 100 µs of one another share a signature and frames. In a node that would
+    /// sign more than 3000 times a second, messages within 8 ms do. `Ok` means that the message is
+    /// sent or queued, by the [`PublishOptions`](super::PublishOptions).
+    ///
+    /// Waits only if the name is reliable and the history is full. If a waiting call is cancelled,
+    /// the message is sent nevertheless.
+    ///
+    /// Without a link to the switch, a best-effort message fails at once and a reliable one is
+    /// stored. If the switch's daemon became silent, frames are still sent while its data plane
+    /// answers ([`gdp_core::peer::GRACEFUL_RESTART_TIME`]).
     pub async fn send(&mut self, encoding: Encoding, body: &[u8]) -> Result<u64, NodeError> {
         self.send_batch(&[Draft::new(encoding, body)]).await
     }
 
-    /// Returns when a message that is sent next goes right behind the one that goes at the moment:
-    /// it would replace none that still waits, and wait for no room itself. For publishers of what
-    /// is best effort that can make messages faster than they go, and had rather not seal what
-    /// newer ones replace. What goes nowhere has its turn at once; what [`Self::send`] would fail
-    /// with for want of a link, this does as well.
+    /// Waits until a new message would directly follow the one in transmission. It would then
+    /// replace no queued message and wait for no space.
+    ///
+    /// For best-effort publishers that produce messages faster than the link sends them, and that
+    /// avoid sealing messages which newer ones replace. Without readers it returns at once. Without
+    /// a link it fails as [`Self::send`] does.
     pub async fn ready(&self) -> Result<(), NodeError> {
         let send_path = &self.node.state.send_path;
         loop {
@@ -130,8 +141,8 @@ impl Publisher {
         }
     }
 
-    /// Several messages under one signature; small ones share frames. Returns the sequence number
-    /// of the first.
+    /// Sends several messages under one signature; small ones share frames. Returns the sequence
+    /// number of the first.
     pub async fn send_batch(&mut self, messages: &[Draft<'_>]) -> Result<u64, NodeError> {
         let counters = self.node.state.counters.clone();
         let result = self.try_send(messages).await;
@@ -140,26 +151,26 @@ impl Publisher {
         result
     }
 
-    /// Sends a message about the name, now and to every reader that comes later, before what is
-    /// latched; in place of the one that was pinned before. Readers may get it several times.
+    /// Sends a message about the name to current readers, and to late-joining readers before the
+    /// latched messages. Replaces the previously pinned message. Readers may receive it several
+    /// times.
     pub fn pin(&self, encoding: Encoding, body: &[u8]) {
         self.publication.sealer.pin(encoding, body);
     }
 
-    /// Sends a message about the name to those who read it now. It is not latched.
+    /// Sends a message about the name to current readers. It is not latched.
     pub fn mention(&self, encoding: Encoding, body: &[u8]) {
         self.publication.sealer.mention(encoding, body);
     }
 
-    /// Latches the last `most` messages of this origin, whatever
-    /// [`PublishOptions::latched`](super::PublishOptions::latched) says of the others; until it is
-    /// [forgotten](Self::forget).
+    /// Latches the last `most` messages of this origin, until it is [forgotten](Self::forget).
+    /// Overrides [`PublishOptions::latched`](super::PublishOptions::latched).
     pub fn latch(&self, origin: &[u8], most: usize) {
         self.publication.sealer.limit_latched(origin, most);
     }
 
-    /// Sends readers that come later nothing more of what was
-    /// [latched](super::PublishOptions::latched) with this origin.
+    /// Removes the [latched](super::PublishOptions::latched) messages of this origin. Late-joining
+    /// readers no longer receive them.
     pub fn forget(&self, origin: &[u8]) {
         self.publication.sealer.forget(origin);
     }
@@ -178,8 +189,8 @@ fn counters(publication: &Publication, feedback: &Feedback) -> PublisherCounters
     }
 }
 
-/// Seals messages and sends them; waits for room if it must. `begun` gets the sequence of the
-/// first before anything goes.
+/// Seals and sends messages, and waits for space if necessary. Passes the sequence number of the
+/// first message to `begun` before anything is sent.
 pub async fn send_through(
     publication: &Publication,
     send_path: &SendPath,
@@ -189,7 +200,7 @@ pub async fn send_through(
     send_path.check_link(publication)?;
     let mut begun = Some(begun);
     loop {
-        // One that was cancelled may be waiting still.
+        // A message of a cancelled call may still be waiting.
         until_taken(publication, send_path).await?;
         let Some((first, pushed)) = publication.sealer.push(messages, &mut begun)? else { continue };
         match pushed {
@@ -205,7 +216,7 @@ pub async fn send_through(
     }
 }
 
-/// Returns once nothing waits for room any more.
+/// Returns once no message waits for space.
 async fn until_taken(publication: &Publication, send_path: &SendPath) -> Result<(), NodeError> {
     loop {
         let mut room = pin!(publication.room.notified());

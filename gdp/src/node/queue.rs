@@ -10,7 +10,7 @@ use super::command::{Command, Commands};
 use super::subscription_receiver::QueueState;
 use gdp_e2e::seal::Message;
 
-/// Verified messages from the receiving thread.
+/// The queue of verified messages from the receiving thread.
 pub struct Queue {
     pub name: Name,
     pub shared: Arc<QueueState>,
@@ -23,7 +23,7 @@ impl Queue {
         Self { name, shared, commands, receiver }
     }
 
-    /// The next; `None` once there are no more. Safe to cancel.
+    /// Returns the next message, or `None` at the end. Safe to cancel.
     pub async fn recv(&mut self) -> Option<Message> {
         let message = self.receiver.recv().await?;
         self.shared.queued_bytes.fetch_sub(message.body.len(), Ordering::Relaxed);

@@ -1,5 +1,6 @@
-//! A name that this node reads, as far as it is about who writes it and with which keys: what the
-//! RIB told and was verified goes in, what the receiving thread is to believe comes out. No I/O.
+//! The writers and keys of a name that this node reads.
+//!
+//! Verified updates of the RIB are inputs, changes for the receiving thread are outputs. No I/O.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -13,37 +14,37 @@ use gdp_core::keys::KeyBox;
 use gdp_e2e::keys::{KeyStore, MAX_WRITERS, StoreError};
 use gdp_proto::peers::{Counterpart, PeerEvent};
 
-/// Writers of one name that are believed at once, and boxes of writers that are not known yet,
-/// which may be told of in another message.
+/// Limits of the authorised writers of one name, and of key boxes from unknown writers. The RIB may
+/// announce such a writer in a later message.
 struct Bounds {
     writers: usize,
     early: usize,
 }
 
 const TOPIC: Bounds = Bounds { writers: 256, early: 64 };
-/// Of what this node is told under its own name, by all that it calls and all that call it.
+/// Limits for the node's own name, which all its servers and callers write to.
 const INBOX: Bounds = Bounds { writers: MAX_WRITERS, early: MAX_WRITERS };
 
 pub struct Reading {
     name: Name,
     bounds: Bounds,
     keys: KeyStore,
-    /// Those that are believed, attached or not: forgetting one would forget which of its messages
-    /// were delivered.
+    /// Authorised writers, attached or detached. Removing a writer would lose the record of its
+    /// delivered messages.
     writers: HashMap<Name, Counterpart>,
     revocation: Option<Revocation>,
-    /// With the writer that each names.
+    /// Key boxes with the writer that each names.
     early: VecDeque<(Name, Signed<KeyBox>)>,
 }
 
-/// What follows for the node.
+/// An effect on the node.
 #[derive(Debug)]
 pub enum Effect {
-    /// For the receiving thread.
+    /// A change for the receiving thread.
     Change(Change),
-    /// The node shares a key with this writer from now on.
+    /// The node shares a pair key with this writer from now on.
     Introduce(Name, [u8; PUBLIC_KEY_LEN]),
-    /// And with this one no more.
+    /// The node no longer shares a pair key with this writer.
     Part(Name),
 }
 
@@ -59,7 +60,7 @@ impl Reading {
         }
     }
 
-    /// Takes what the RIB told at `now` (Unix nanoseconds).
+    /// Processes the RIB's updates at `now` (Unix nanoseconds).
     pub fn take(&mut self, now: u64, events: impl IntoIterator<Item = PeerEvent>) -> Vec<Effect> {
         let mut effects = Vec::new();
         for event in events {
@@ -77,8 +78,8 @@ impl Reading {
                 PeerEvent::Refused(error) => {
                     tracing::warn!(name = %self.name, %error, "the RIB told of a writer that does not verify");
                 }
-                // A writer is believed as long as its right holds, for which it need be nobody's
-                // member; a RIB that is behind is the supervisor's business.
+                // A writer stays authorised while its right is valid, independent of attachment and
+                // domain membership. The supervisor handles a RIB that lacks a revocation.
                 PeerEvent::Left(_) | PeerEvent::Expelled(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }
@@ -86,7 +87,7 @@ impl Reading {
         effects
     }
 
-    /// What has ended by now: rights of writers, and keys that were kept for what is late.
+    /// Removes what has expired by now: rights of writers, and old keys for late messages.
     pub fn expire(&mut self, now: u64) -> Vec<Effect> {
         let unix = now / 1_000_000_000;
         let holds = |writer: &Counterpart| {
@@ -101,7 +102,7 @@ impl Reading {
         effects
     }
 
-    /// The writer is believed no more.
+    /// Removes the authorisation of a writer.
     pub fn forget(&mut self, writer: &Name) -> Vec<Effect> {
         if self.writers.remove(writer).is_none() {
             return Vec::new();
@@ -136,7 +137,7 @@ impl Reading {
         }
     }
 
-    /// Keeps it for later if its writer is not known yet.
+    /// Opens a key box, or queues it if its writer is not known yet.
     fn try_open(&mut self, now: u64, signed: Signed<KeyBox>, effects: &mut Vec<Effect>) -> Result<(), StoreError> {
         let writer = signed.claims_unverified()?.writer;
         let Some(known) = self.writers.get(&writer) else {

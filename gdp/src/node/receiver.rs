@@ -1,6 +1,8 @@
-//! The thread that takes data frames from the socket to the subscriptions: hop tag, destination,
-//! reader, queue; and what counterparts tell this node to those it concerns. It alone owns the
-//! readers; others reach them by commands, which take effect before the next frame is looked at.
+//! The thread that moves data frames from the sockets to the subscriptions.
+//!
+//! It checks the hop tag, finds the reader of the destination, and queues messages. It also
+//! dispatches feedback from counterparts. Only this thread accesses the readers; other tasks send
+//! commands, which take effect before the next frame is processed.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Weak, mpsc};
@@ -25,11 +27,10 @@ use gdp_e2e::seal::{DropReason, SEGMENT_VERSION};
 use gdp_link::link::KeyedEntry;
 use gdp_link::port::{DataSocket, InFrame, RecvBatch};
 
-/// How long the thread sleeps at most.
+/// Maximum sleep of the thread.
 const TICK: Duration = Duration::from_millis(100);
 
-/// The bits of [`Header::flags`] that tell of congestion, and what they are if it was met (RFC
-/// 3168).
+/// The ECN bits of [`Header::flags`], and their value after congestion (RFC 3168).
 const ECN: u8 = 0b11;
 const CONGESTED: u8 = 0b11;
 
@@ -40,10 +41,10 @@ pub struct Receiver {
 }
 
 impl Receiver {
-    /// Runs until it is told to stop, or nobody can tell it any more.
+    /// Runs until the stop command, or until all senders of commands are dropped.
     pub fn run(self) {
         let mut subscriptions = Subscriptions::new(self.send_path, self.feedback);
-        // By lane.
+        // Indexed by lane.
         let mut attached: [Option<Socket>; MAX_LANES] = Default::default();
         let mut batch = None;
         let mut next_tick = Instant::now() + TICK;
@@ -90,7 +91,8 @@ impl Receiver {
                         subscriptions.take(batch, links);
                     }
                     Err(error) => {
-                        // The link is about to be lost as well; the next one brings its socket.
+                        // The link is about to be lost as well. The next link provides a new
+                        // socket.
                         tracing::debug!(%error, "the data socket failed");
                         *place = None;
                     }
@@ -125,23 +127,23 @@ impl Receiver {
     }
 }
 
-/// The rest of a message, of which something has come: often it is but microseconds behind, and to
-/// sleep and be woken would take longer.
+/// Busy polling for the rest of a partly received message. The rest often follows within
+/// microseconds, which is faster than sleeping and waking.
 #[derive(Default)]
 struct Rest {
-    /// Since when it is waited for.
+    /// The start of the current polling.
     since: Option<Instant>,
-    /// How often it came while it was waited for, less how often it did not.
+    /// The number of successful polls minus the number of failed ones.
     hit_score: i8,
 }
 
 impl Rest {
     const NEAR: Duration = Duration::from_micros(50);
-    /// Who had none so often tries only now and then.
+    /// At this score, polling is only tried occasionally.
     const LEAST: i8 = -16;
     const MOST: i8 = 4;
 
-    /// Frames came. `is_amid`: they did not end all messages.
+    /// Records that frames arrived. `is_amid`: at least one message is still incomplete.
     fn on_frames(&mut self, is_amid: bool) {
         if self.since.take().is_some() {
             self.hit_score = (self.hit_score + 1).clamp(0, Self::MOST);
@@ -153,7 +155,7 @@ impl Rest {
         }
     }
 
-    /// Whether to look again at once.
+    /// Returns whether to poll again at once.
     fn is_near(&mut self) -> bool {
         let is_near = self.since.is_some_and(|since| since.elapsed() < Self::NEAR);
         if !is_near && self.since.take().is_some() {
@@ -163,19 +165,19 @@ impl Rest {
     }
 }
 
-/// Where frames come in from one of the node's links.
+/// The receiving end of one of the node's links.
 struct Socket {
     data: Arc<DataSocket>,
-    /// Bytes of the largest frame.
+    /// Size of the largest frame, in bytes.
     largest: usize,
     links: Ingresses,
 }
 
-/// The links that frames may come on.
+/// The links on which frames may arrive.
 struct Ingresses {
     current: Ingress,
-    /// Those that fell silent, and until when each is kept. A few: one is added each time the
-    /// switch comes back.
+    /// Stale links, and the time until which each is retained. There are few: one is added each
+    /// time the switch returns.
     stale: Vec<(Ingress, Instant)>,
 }
 
@@ -184,8 +186,8 @@ impl Ingresses {
         Self { current, stale: Vec::new() }
     }
 
-    /// A new link; `stale` is the one that fell silent, which goes on as it was among `earlier`
-    /// ones. The current one of these may be another, that never came into service.
+    /// Creates the state for a new link. `stale` is the stale link, which continues with its state
+    /// from `earlier`. The current link in `earlier` may be another one that was never in service.
     fn after(earlier: Option<Self>, new: Ingress, stale: Option<(Ingress, Instant)>) -> Self {
         let mut links = Self::new(new);
         let Some((silent, until)) = stale else { return links };
@@ -203,27 +205,27 @@ impl Ingresses {
         links
     }
 
-    /// Meets the keys that were put before; to be called after frames were received.
+    /// Loads the latest keys of all links. Call it after frames were received.
     fn refresh(&mut self) {
         let stale = self.stale.iter_mut().map(|(link, _)| link);
         stale.chain([&mut self.current]).for_each(|link| link.entry = link.shared.get());
     }
 
-    /// The link a frame says it is on; the current one for a frame that is on none, to be refused
-    /// by it.
+    /// Returns the link that a frame's id names. Other frames are assigned to the current link,
+    /// which refuses them.
     fn of(&self, header: &Header) -> &Ingress {
         let stale = self.stale.iter().map(|(link, _)| link).find(|link| link.entry.id == header.link_id());
         stale.unwrap_or(&self.current)
     }
 }
 
-/// A link that frames come from, and which of them came.
+/// A link that frames arrive on, with its replay window.
 struct Ingress {
     shared: SharedEntry,
-    /// As it is for the batch at hand.
+    /// A copy of the shared entry for the current batch.
     entry: KeyedEntry,
     window: Box<Window>,
-    /// For answers, as long as the node sends on the link.
+    /// The attachment for answers, as long as the node sends on the link.
     attachment: Weak<Attachment>,
 }
 
@@ -236,7 +238,7 @@ impl Ingress {
         Self::new(attachment.entry.clone(), Arc::downgrade(attachment))
     }
 
-    /// What the switch says to this node itself.
+    /// Processes a frame from the switch to this node itself.
     fn notice(
         &self,
         frame_type: FrameType,
@@ -276,13 +278,13 @@ struct Subscriptions {
     send_path: Arc<SendPath>,
     feedback: Arc<Feedbacks>,
     receivers: HashMap<Name, Box<SubscriptionReceiver>>,
-    /// Frames that came too early.
+    /// Frames that arrived too early.
     early: EarlyFrames,
-    /// When subscriptions have something to do.
+    /// Times at which subscriptions have work.
     timers: BTreeSet<(u64, Name)>,
-    /// Subscriptions that something came for in the batch at hand.
+    /// Subscriptions that received frames in the current batch.
     touched: Vec<Name>,
-    /// Whether the rest of a message is to come, of which something came of late.
+    /// Whether a recently received message is still incomplete.
     is_amid: bool,
 }
 
@@ -316,7 +318,7 @@ impl Subscriptions {
         self.poll(&name);
     }
 
-    /// Looks again at what came too early from a writer.
+    /// Processes the early frames of a writer again.
     fn release(&mut self, name: &Name, writer: &Name) {
         let now = self.send_path.clock.timestamps();
         let Some(receiver) = self.receivers.get_mut(name) else { return };
@@ -352,7 +354,7 @@ impl Subscriptions {
             let (name, source) = (header.destination, header.source);
             let payload = &rest[..header.payload_len().into()];
             let marked = congested || header.flags & ECN == CONGESTED;
-            // What comes for this node's own name is what counterparts tell it, or segments:
+            // Frames to this node's own name are feedback from counterparts, or segments of
             // requests and replies.
             if name == self.send_path.links.name() && payload.first() != Some(&SEGMENT_VERSION) {
                 self.hear(source, payload, &counters);
@@ -381,7 +383,7 @@ impl Subscriptions {
         }
     }
 
-    /// Takes a frame to this node's own name: what a counterpart tells it alone.
+    /// Processes feedback from a counterpart, in a frame to this node's own name.
     fn hear(&mut self, source: Name, payload: &[u8], counters: &Counters) {
         let feedback = match self.send_path.pairs.open(&source, payload) {
             Some(Ok(feedback)) => feedback,
@@ -416,7 +418,7 @@ impl Subscriptions {
         }
     }
 
-    /// Has a receiver do what is due, and notes when it wants to be asked again.
+    /// Runs a receiver's due work, and schedules its next wake-up.
     fn poll(&mut self, name: &Name) {
         let Some(receiver) = self.receivers.get_mut(name) else { return };
         let send_path = &self.send_path;
@@ -442,7 +444,7 @@ impl Subscriptions {
         }
     }
 
-    /// How long nothing is due.
+    /// Returns the time until the next work is due.
     fn idle(&self) -> Duration {
         let next = self.timers.first().map_or(u64::MAX, |(at, _)| *at);
         Duration::from_nanos(next.saturating_sub(self.send_path.clock.now())).min(TICK)

@@ -1,5 +1,6 @@
-//! How statements get to the RIB: signed, under rising serials, over one attachment or several. The
-//! supervisor says when.
+//! Sends statements to the RIB: signed, with increasing serials, over one or several attachments.
+//!
+//! The supervisor decides when to send them.
 
 use gdp_wire::Name;
 
@@ -13,8 +14,8 @@ use gdp_proto::control::{EntityRequest, Record, RecordKey, RefusalCode, Request,
 use gdp_util::unix_time::unix_seconds;
 
 impl State {
-    /// Lets the switch carry this entity's traffic, and learns the serial that the next statement
-    /// must exceed.
+    /// Attaches to the switch, which then carries this entity's traffic. Learns the serial that the
+    /// next statement must exceed.
     pub async fn attach(&self, attachment: &Attachment) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
         self.attach_locked(attachment, &mut serial).await?;
@@ -27,8 +28,8 @@ impl State {
         let switch = attachment.link.peer().name;
         let not_after = unix_seconds() + u64::from(LIFETIME);
         let rt_cert = issue(self.identity.key(), &RtCert { entity: self.identity.name(), switch, not_after })?;
-        // A node that has spoken before goes on; one that has just started does not know what
-        // another process had stated.
+        // A node that has already sent statements resumes. A restarted node does not know the
+        // statements of an earlier process.
         let (resumes, lane) = (serial.is_some(), attachment.lane);
         match self.ask_in_turn(attachment, EntityRequest::Attach { rt_cert, resumes, lane }).await? {
             Response::Attached { serial: floor } => *serial = Some(floor.max(serial.unwrap_or(0))),
@@ -37,11 +38,12 @@ impl State {
         Ok(())
     }
 
-    /// States one thing that stands to the RIB, if it belongs on this link and unless that is done
-    /// since the last [`Self::attach`].
+    /// Sends one statement to the RIB, if it belongs on this link and has not been sent since the
+    /// last [`Self::attach`].
     ///
-    /// What is sent may be sent by any link, whichever is the main one then. What is taken comes by
-    /// the main one, and moves with it, unless it is to come by each.
+    /// A statement about sending applies to all links, whichever is the main one. A statement about
+    /// receiving applies to the main link and moves with it, unless every link is to deliver the
+    /// name.
     pub async fn state(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
         if stated == Stated::Called
             && let Some(costs) = attachment.watch_costs().await
@@ -59,7 +61,7 @@ impl State {
                 return Ok(());
             }
             if !everywhere {
-                // From here on it may stand by this link alone, whether or not the answer comes.
+                // From here on, the RIB may have it for this link only, with or without an answer.
                 standing.done = 0;
             }
             (standing.statement.clone(), everywhere)
@@ -70,9 +72,9 @@ impl State {
             Statement::Read { proof, grant } => EntityRequest::Subscribe { proof, grant, advert, everywhere },
         });
         let Response::Peers(peers) = response.await? else { return Err(NodeError::Protocol("to a statement")) };
-        // Something newer may have come before; then the RIB tells the whole once more.
+        // A newer update may have arrived before. The RIB then sends the complete state again.
         let _ = self.take_peers(name, stated.role(), &peers);
-        // Unless another was put in its place meanwhile.
+        // Unless a renewed statement has replaced it in the meantime.
         if let Some(standing) = self.statements.lock().get_mut(&(name, stated)).filter(|it| it.statement == statement) {
             standing.done = if everywhere { standing.done | bit(attachment) } else { bit(attachment) };
         }
@@ -86,8 +88,8 @@ impl State {
         Ok(())
     }
 
-    /// States everything that stands; `false` if something was refused or did not get through, and
-    /// should be tried again.
+    /// Sends all statements. Returns `false` if one was refused or not delivered, so that the
+    /// caller retries.
     pub async fn state_all(&self, attachment: &Attachment) -> bool {
         let standing: Vec<_> = self.statements.lock().keys().copied().collect();
         let mut all = true;
@@ -95,7 +97,7 @@ impl State {
             if let Err(error) = self.state(attachment, name, stated).await {
                 tracing::warn!(%name, %error, "could not be {stated} again");
                 all = false;
-                // The rest would wait in vain as well, and others for it.
+                // Further statements would also fail, and delay others.
                 if matches!(error, NodeError::Link(_) | NodeError::Detached(_)) {
                     break;
                 }
@@ -104,7 +106,8 @@ impl State {
         all
     }
 
-    /// Withdraws a name. What else stands about it goes with it, and is to be stated again.
+    /// Withdraws a name. The RIB removes the other statements about the name as well, so they are
+    /// sent again.
     pub async fn state_withdrawal(&self, attachment: &Attachment, name: Name, stated: Stated) -> Result<(), NodeError> {
         let mut serial = self.serial.lock().await;
         if self.statements.lock().contains_key(&(name, stated)) {
@@ -116,7 +119,7 @@ impl State {
             if let Some(standing) = self.statements.lock().get_mut(&(name, other)) {
                 standing.done = 0;
                 self.restate();
-                // Its keys went with it.
+                // The RIB has removed its keys as well.
                 if let Some(publication) = self.send_path.publications.get(&name).filter(|_| other == Stated::Published)
                 {
                     publication.sealer.store_again();
@@ -126,13 +129,13 @@ impl State {
         Ok(())
     }
 
-    /// There may be something to state on any link.
+    /// Notifies all links that statements may be due.
     pub fn restate(&self) {
         self.send_path.links.slots().iter().for_each(|lane| lane.unstated.notify_one());
     }
 
-    /// The records of the names that begin so, from the one behind `after` on, and whether there
-    /// are more.
+    /// Queries the records of names with this prefix, starting after the record `after`. Returns
+    /// them, and whether there are more.
     pub async fn query(
         &self,
         attachment: &Attachment,
@@ -145,7 +148,7 @@ impl State {
         }
     }
 
-    /// Gives the RIB a revocation that it does not know.
+    /// Sends a revocation to a RIB that lacks it.
     pub async fn pass_on(
         &self,
         attachment: &Attachment,
@@ -155,8 +158,9 @@ impl State {
         ask(attachment, EntityRequest::Revoke { proof, revocation }).await.map(drop)
     }
 
-    /// Asks with a statement of this entity, under the next serial; and once more under a higher
-    /// one if something else spoke for the entity since it attached, such as a command-line tool.
+    /// Sends a signed statement under the next serial. Repeats it once under a higher serial if
+    /// another process has sent statements for the entity since it attached, such as a command-line
+    /// tool.
     async fn ask_signed(
         &self,
         attachment: &Attachment,
@@ -174,8 +178,8 @@ impl State {
         }
     }
 
-    /// As [`ask`], while all that is to be stated on any link waits for the answer: not for long if
-    /// another link is the main one.
+    /// Sends a request as [`ask`] does, while statements on all links wait for the answer. If
+    /// another link is the main one, it waits for a limited time only.
     async fn ask_in_turn(&self, attachment: &Attachment, request: EntityRequest) -> Result<Response, NodeError> {
         tokio::select! {
             answer = ask(attachment, request) => answer,
@@ -198,7 +202,7 @@ impl State {
     }
 }
 
-/// Of the lane in [`Advertisement::done`].
+/// Returns the bit of the lane in [`Advertisement::done`].
 fn bit(attachment: &Attachment) -> u8 {
     1 << attachment.lane
 }

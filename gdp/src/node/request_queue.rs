@@ -1,4 +1,5 @@
-//! Where requests to a service that this node serves wait for its [`Server`](super::Server).
+//! The queue of requests to a service that this node serves, between the inbox and its
+//! [`Server`](super::Server).
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -9,25 +10,25 @@ use tokio::sync::mpsc;
 
 use gdp_e2e::seal::Message;
 
-/// Requests that wait for a server, and bytes of their bodies. More are dropped: callers that still
-/// wait for so many replies had better be told by silence than by a server that has no memory left.
+/// Limits of queued requests: their number and the bytes of their bodies. Excess requests are
+/// dropped without an answer, because queueing more would exhaust the server's memory.
 const MAX_WAITING: usize = 4096;
 const MAX_WAITING_BYTES: usize = 64 << 20;
 
-/// Requests that came before the RIB told of their callers: each may be of one of them for so long
-/// (steady clock, nanoseconds).
+/// Limits of requests that arrive before the RIB has announced their callers: the time in
+/// nanoseconds of the steady clock, their number and their bytes.
 const TIMEOUT: u64 = 5_000_000_000;
 const MAX_EARLY: usize = 64;
 const MAX_EARLY_BYTES: usize = 4 << 20;
 
-/// The end of a desk that requests are taken from.
+/// The receiving end of a request queue.
 pub struct RequestQueue {
     requests: mpsc::Receiver<Message>,
     bytes: Arc<AtomicUsize>,
 }
 
 impl RequestQueue {
-    /// The next; `None` once no more are put there. Safe to cancel.
+    /// Returns the next request, or `None` after the sending end was dropped. Safe to cancel.
     pub async fn recv(&mut self) -> Option<Message> {
         let request = self.requests.recv().await?;
         self.bytes.fetch_sub(request.body.len(), Ordering::Relaxed);
@@ -35,7 +36,7 @@ impl RequestQueue {
     }
 }
 
-/// The end that they are put on.
+/// The sending end of a request queue.
 pub struct Tray {
     requests: mpsc::Sender<Message>,
     bytes: Arc<AtomicUsize>,
@@ -43,7 +44,7 @@ pub struct Tray {
     early_bytes: usize,
 }
 
-/// A desk with nothing on it.
+/// Creates an empty request queue.
 pub fn new() -> (Tray, RequestQueue) {
     let ((sender, requests), bytes) = (mpsc::channel(MAX_WAITING), Arc::<AtomicUsize>::default());
     let tray = Tray { requests: sender, bytes: bytes.clone(), early: VecDeque::new(), early_bytes: 0 };
@@ -51,13 +52,13 @@ pub fn new() -> (Tray, RequestQueue) {
 }
 
 impl Tray {
-    /// Puts a request there of one who may call; `false` if there is no room.
+    /// Queues a request of an authorised caller. Returns `false` if there is no space.
     pub fn put(&self, request: Message) -> bool {
         let size = request.body.len();
         if self.bytes.load(Ordering::Relaxed).saturating_add(size) > MAX_WAITING_BYTES {
             return false;
         }
-        // Before it can be taken out again.
+        // Counted before the request can be received.
         self.bytes.fetch_add(size, Ordering::Relaxed);
         let put = self.requests.try_send(request).is_ok();
         if !put {
@@ -66,8 +67,8 @@ impl Tray {
         put
     }
 
-    /// Keeps a request of one who is not known as a caller yet. Returns how many were dropped for
-    /// it.
+    /// Buffers a request of an unknown caller. Returns the number of buffered requests that were
+    /// dropped to make space.
     pub fn defer(&mut self, now: u64, request: Message) -> usize {
         self.early_bytes += request.body.len();
         self.early.push_back((now, request));
@@ -79,8 +80,8 @@ impl Tray {
         dropped
     }
 
-    /// Takes out what was held and `may` be put there by now. Returns that, and how many waited for
-    /// too long.
+    /// Removes the buffered requests whose callers `may` now call. Returns them, and the number of
+    /// expired requests.
     pub fn release(&mut self, now: u64, may: impl Fn(&Name) -> bool) -> (Vec<Message>, usize) {
         let (mut released, mut dropped) = (Vec::new(), 0);
         for (since, request) in std::mem::take(&mut self.early) {

@@ -1,4 +1,4 @@
-//! What the switch asks of the node, and what the node brings to the RIB besides statements.
+//! Processes the switch's requests to the node, and sends updates other than statements to the RIB.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -14,11 +14,11 @@ use super::state::State;
 use gdp_link::link::Responder;
 use gdp_proto::control::{Refusal, RefusalCode, Request, Response};
 
-/// How long the node tries to attach again over the link it has; the switch waits a little longer
-/// for its answer.
+/// Time for which the node retries to attach over the existing link. The switch waits slightly
+/// longer for its answer.
 const REATTACH: Duration = Duration::from_secs(4);
 
-/// Answers what the switch asks.
+/// Answers a request of the switch.
 pub async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Request, responder: Responder) {
     let response = match request {
         Request::Peers(push) if push.entity == state.identity.name() => {
@@ -33,7 +33,8 @@ pub async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Req
             state.set_costs(attachment.lane, costs);
             Response::Done
         }
-        // The RIB has forgotten what was stated, as after a restart. Frames go on meanwhile.
+        // The RIB has lost the node's statements, for example after a restart. Frames continue
+        // meanwhile.
         Request::Detach { entity, .. } if entity == state.identity.name() => {
             match tokio::time::timeout(REATTACH, attach_again(&state, &attachment)).await {
                 Ok(Ok(())) => Response::Done,
@@ -61,8 +62,8 @@ pub async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Req
     let _ = responder.respond(response).await;
 }
 
-/// Attaches over the link there is, and has everything stated again. The switch may only be about
-/// to find its way to the RIB.
+/// Attaches over the existing link and repeats all statements. The switch may not have its route to
+/// the RIB yet.
 async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), NodeError> {
     let mut backoff = BACKOFF;
     while let Err(error) = state.attach(attachment).await {
@@ -75,7 +76,7 @@ async fn attach_again(state: &State, attachment: &Attachment) -> Result<(), Node
     Ok(())
 }
 
-/// Has what the rest of the node says done over the main link, once there is one.
+/// Sends updates from the rest of the node to the RIB over the main link, once it is up.
 pub async fn update_rib(state: &Arc<State>, mut updates: mpsc::UnboundedReceiver<RibUpdate>) {
     while let Some(update) = updates.recv().await {
         let attachment = loop {
@@ -95,9 +96,9 @@ async fn handle(state: Arc<State>, attachment: Arc<Attachment>, update: RibUpdat
             let mut backoff = BACKOFF;
             while let Err(error) = state.state_withdrawal(&attachment, name, stated).await {
                 match error {
-                    // It went with an attachment that ended.
+                    // The statement was removed with an earlier attachment.
                     NodeError::Refused(refusal) if refusal.code == RefusalCode::NotFound => return,
-                    // What was stated may outlive the link: that is for the next one to tell.
+                    // The statement may outlive the link; the withdrawal is sent over the next one.
                     NodeError::Detached(_) => return state.withdraw_later(name, stated),
                     _ if attachment.link.close_reason().is_some() => return state.withdraw_later(name, stated),
                     error => tracing::warn!(%name, %error, "could not be withdrawn; trying again"),

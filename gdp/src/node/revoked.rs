@@ -1,4 +1,4 @@
-//! The revocations that a node has heard of, kept in its state folder from one process to the next.
+//! The revocations that a node has received, stored in its state folder across restarts.
 
 use std::fs::DirBuilder;
 use std::os::unix::fs::DirBuilderExt;
@@ -13,26 +13,26 @@ use gdp_core::name::NameProof;
 use gdp_core::revocations::{RevocationFile, SignedRevocation};
 use gdp_core::secret_file::SecretFileError;
 
-/// Names that revocations are kept of.
+/// Maximum number of names with a stored revocation.
 const MOST: usize = 1024;
 
-/// Bytes of the file.
+/// Maximum size of the file, in bytes.
 const MAX_FILE: usize = 16 << 20;
 
-/// What is kept, and where; without a folder, only as long as the node runs.
+/// The known revocations and their file. Without a folder, they last until the node ends.
 #[derive(Default)]
 pub struct Revoked {
-    /// Locked while it is written.
+    /// Locked during a write.
     file: Option<Mutex<RevocationFile>>,
-    /// Those heard of last come last.
+    /// The most recently received last.
     entries: Mutex<Vec<(SignedRevocation, Revocation)>>,
     unsaved: AtomicBool,
-    /// They could not be saved the last time, and the log says so.
+    /// Whether the last attempt to save failed and was logged.
     failing: AtomicBool,
 }
 
 impl Revoked {
-    /// What an entity kept in a folder, which is made if it is not there.
+    /// Loads the revocations of an entity from a folder. Creates the folder if it does not exist.
     pub fn open(folder: Option<&Path>, entity: Name) -> Result<Self, SecretFileError> {
         let Some(folder) = folder else { return Ok(Self::default()) };
         let made = DirBuilder::new().recursive(true).mode(0o700).create(folder);
@@ -49,7 +49,7 @@ impl Revoked {
         Some((kept.revocation.clone(), claims.clone()))
     }
 
-    /// Keeps one that was verified, unless a newer one of its name is kept.
+    /// Stores a verified revocation, unless a newer one of the same name is stored.
     pub fn keep(&self, proof: NameProof, revocation: Signed<Revocation>, claims: Revocation) {
         let mut kept = self.entries.lock();
         if let Some(at) = kept.iter().position(|(_, held)| held.name == claims.name) {
@@ -64,15 +64,15 @@ impl Revoked {
         self.unsaved.store(true, Ordering::Relaxed);
     }
 
-    /// Writes what is new to the file; if it cannot, that is still to be done. Blocks, also until
-    /// somebody else has written it.
+    /// Writes new revocations to the file. After a failure they stay marked as unsaved. Blocks,
+    /// also while another task writes the file.
     pub fn save(&self) {
         let Some(file) = &self.file else { return };
         let file = file.lock();
         if !self.unsaved.swap(false, Ordering::Relaxed) {
             return;
         }
-        // The file has those first that count most.
+        // The most important revocations come first in the file.
         let kept: Vec<SignedRevocation> = self.entries.lock().iter().rev().map(|(kept, _)| kept.clone()).collect();
         let saved = file.save(&kept);
         let failed_before = self.failing.swap(saved.is_err(), Ordering::Relaxed);

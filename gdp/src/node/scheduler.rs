@@ -1,5 +1,7 @@
 //! The middle stage of the send path: the queues of all topics, scheduled for the main link, and
-//! what the sending thread does next. It knows the links below it, and nobody above.
+//! the sending thread's next work.
+//!
+//! It uses the links below it, and knows no stage above.
 
 use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
@@ -18,43 +20,43 @@ use gdp_link::port::BATCH;
 
 pub struct Scheduler {
     pub clock: Clock,
-    /// To sign.
+    /// Turns to sign small messages.
     pub turns: Turns,
     links: Arc<Links>,
     queues: Mutex<Queues>,
     /// Wakes the sending thread.
     turn: Condvar,
-    /// Whether anything goes by two links.
+    /// Whether any name is sent on two links.
     has_doubled: AtomicBool,
 }
 
 struct Queues {
     uplink: Uplink,
-    /// Names that go by two links, and what is said about them as well.
+    /// Names that are sent on two links, together with the feedback about them.
     doubled: HashSet<Name>,
-    /// The sending thread sleeps, until then at the latest.
+    /// The latest wake-up time while the sending thread sleeps.
     asleep: Option<u64>,
-    /// The sending thread is to look at once.
+    /// Whether the sending thread must check for work at once.
     again: bool,
     stop: bool,
     events: Vec<Output>,
-    /// Topics whose small messages wait for others, and until when.
+    /// Topics with batched small messages, and the time at which to seal them.
     batching: BTreeSet<(u64, TopicId)>,
 }
 
-/// What came of [`Scheduler::poll`].
+/// The result of [`Scheduler::poll`].
 pub struct Polled {
     pub now: u64,
-    /// When there is more; `None` if it depends on others.
+    /// The time of the next output; `None` if it depends on other events.
     pub next: Option<u64>,
-    /// Topics that have room for a publisher that waits.
+    /// Topics that have space for a waiting publisher.
     pub rooms: Vec<TopicId>,
 }
 
-/// What the sending thread brings to the sealers.
+/// Due work that the sending thread passes to the sealers.
 pub struct Due {
     pub now: u64,
-    /// Topics whose small messages wait no longer.
+    /// Topics whose batches are due.
     pub batches: Vec<TopicId>,
     pub events: Vec<Output>,
 }
@@ -75,12 +77,12 @@ impl Scheduler {
         Self { clock, turns, links, queues: Mutex::new(queues), turn: Condvar::new(), has_doubled }
     }
 
-    /// The queues of all topics, locked. Nothing else is locked under it.
+    /// Returns the queues of all topics, locked. No other lock is taken under this lock.
     pub fn uplink(&self) -> MappedMutexGuard<'_, Uplink> {
         MutexGuard::map(self.queues.lock(), |queues| &mut queues.uplink)
     }
 
-    /// Whether this goes by two links from now on.
+    /// Sets whether a name is sent on two links.
     pub fn double(&self, name: Name, doubled: bool) {
         let names = &mut self.queues.lock().doubled;
         if doubled {
@@ -99,14 +101,14 @@ impl Scheduler {
         self.has_doubled.load(Ordering::Relaxed)
     }
 
-    /// Schedules for the link that is the main one now.
+    /// Updates the rate limit to that of the current main link.
     pub fn update_budget(&self) {
-        // Under the lock, so that the last to change the link has the last word.
+        // Read under the lock, so that the last change of the link takes effect.
         let uplink = &mut self.queues.lock().uplink;
         uplink.set_budget(self.links.main_budget());
     }
 
-    /// Bytes that the frames of a topic's messages may carry.
+    /// Returns the maximum payload of the frames of a topic's messages, in bytes.
     pub fn max_payload_of(&self, topic: TopicId) -> usize {
         let of_link = self.links.max_payload(self.has_doubled());
         let (now, mut uplink) = (self.clock.now(), self.uplink());
@@ -114,8 +116,8 @@ impl Scheduler {
         uplink.max_payload_of(now, topic)
     }
 
-    /// Puts frames that may go now into the batch. What is neither a frame nor room is an event for
-    /// the sending thread.
+    /// Adds frames that may be sent now to the batch. Outputs other than frames and space become
+    /// events for the sending thread.
     pub fn poll(&self, max_payload: usize, batch: &mut Vec<Transmit>) -> Polled {
         let queues = &mut *self.queues.lock();
         let now = self.clock.now();
@@ -138,26 +140,26 @@ impl Scheduler {
         polled
     }
 
-    /// The sending thread has something to do at this time, if it does not know.
+    /// Schedules work for the sending thread at this time, if it would otherwise wake later.
     pub fn plan(&self, at: Option<u64>) {
         if let Some(at) = at {
             self.queues.lock().plan(at, &self.turn);
         }
     }
 
-    /// What a topic batches is sealed at this time.
+    /// Schedules the sealing of a topic's batch at this time.
     pub fn batch_until(&self, topic: TopicId, until: u64) {
         let mut queues = self.queues.lock();
         queues.batching.insert((until, topic));
         queues.plan(until, &self.turn);
     }
 
-    /// Something changed that the sending thread is to look at.
+    /// Makes the sending thread check for work.
     pub fn wake(&self) {
         self.plan(Some(0));
     }
 
-    /// Takes what a reader reports. What that makes room for goes.
+    /// Processes a reader's feedback, and schedules frames that it allows.
     pub fn feedback(&self, now: u64, topic: TopicId, reader: Name, feedback: &Feedback) {
         let mut queues = self.queues.lock();
         queues.uplink.feedback(now, topic, reader, feedback);
@@ -166,14 +168,14 @@ impl Scheduler {
         }
     }
 
-    /// Ends the sending thread.
+    /// Stops the sending thread.
     pub fn stop(&self) {
         self.queues.lock().stop = true;
         self.turn.notify_one();
     }
 
-    /// What is due, once anything is, or there is something to send, as there is at `next`. `None`:
-    /// the sending thread is to end.
+    /// Waits for due work or until `next`, the time of the next frames. Returns the due work, or
+    /// `None` if the sending thread must end.
     pub fn wait(&self, next: Option<u64>) -> Option<Due> {
         let mut queues = self.queues.lock();
         if queues.stop {

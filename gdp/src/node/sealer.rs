@@ -1,6 +1,8 @@
-//! The first stage of the send path: seals the messages of one topic into segments, and has the
-//! scheduler queue them. Publishers and the sending thread call it, for new messages and for those
-//! that go again; the supervisor takes wrapped keys from it.
+//! The first stage of the send path: seals the messages of one topic into segments and queues them
+//! with the scheduler.
+//!
+//! Publishers and the sending thread call it, for new messages and for repeated ones. The
+//! supervisor takes key boxes from it.
 
 use std::sync::Arc;
 
@@ -20,7 +22,8 @@ use gdp_e2e::transport::{Full, Sealed, TopicId};
 use gdp_util::unix_time::unix_nanos;
 use gdp_wire::Name;
 
-/// Key boxes that could not be stored are offered again after so long, then less and less often.
+/// Backoff in nanoseconds before unstored key boxes are offered again: the first and the longest
+/// pause.
 const FIRST_PAUSE: u64 = 1_000_000_000;
 const LONGEST_PAUSE: u64 = 60_000_000_000;
 
@@ -37,34 +40,35 @@ struct Sealing {
     writer: Writer,
     ring: KeyRing,
     segments: Segments,
-    /// Comes next; empty while something is pending. The first of it waits until then.
+    /// The next messages to seal; empty while `pending` is set. Its first message waits until
+    /// `batched_until`.
     batch: MessageBatch,
     batched_until: u64,
-    /// When something was sealed last.
+    /// The time of the last seal.
     sealed_at: u64,
-    /// Sealed, and waits for room.
+    /// A sealed message that waits for space.
     pending: Option<Sealed>,
     latched: LatchedSamples,
-    /// Boxes that could not be stored yet.
+    /// Key boxes that could not be stored yet.
     unstored: Option<Unstored>,
-    /// Some were refused for good.
+    /// Whether the RIB has refused boxes permanently.
     refused: bool,
 }
 
 struct Unstored {
     boxes: Boxes,
-    /// When they are offered again, in Unix nanoseconds, and how long it was waited for that.
+    /// The time of the next offer, in Unix nanoseconds, and the pause before it.
     at: u64,
     pause: u64,
 }
 
-/// What became of a message.
+/// The outcome of a push.
 pub enum Pushed {
     Taken,
-    /// It waits for others. The first that does says until when: then [`Sealer::seal_batch`]
-    /// is to be called.
+    /// The message waits in a batch. For its first message it contains the time at which to call
+    /// [`Sealer::seal_batch`].
     Batched(Option<u64>),
-    /// It waits for room.
+    /// The message waits for space.
     Waits,
 }
 
@@ -99,21 +103,22 @@ impl Sealer {
         Ok(Self { session, topic, name, scheduler, ending, sealing })
     }
 
-    /// Whether anything can be sent still.
+    /// Checks that the publication has not ended.
     pub fn check(&self) -> Result<(), NodeError> {
         self.ending.get().map_or(Ok(()), |why| Err(why.clone().into()))
     }
 
-    /// Messages that the scheduler does not have yet.
+    /// Returns the number of messages that the scheduler does not have yet.
     pub fn waiting(&self) -> u64 {
         let sealing = self.sealing.lock();
         let pending = sealing.pending.as_ref().map_or(0, |sealed| sealed.last() - sealed.first() + 1);
         pending + sealing.batch.len() as u64
     }
 
-    /// Seals messages under one signature, or batches what is small and comes soon after another;
-    /// unless one waits for room still. Returns the sequence of the first, which `begun` gets
-    /// before anything can go.
+    /// Seals messages under one signature, or batches a small one that closely follows another.
+    ///
+    /// Returns `None` if a message still waits for space. Otherwise returns the sequence number of
+    /// the first message. `begun` gets that number before anything can be sent.
     pub fn push(
         &self,
         drafts: &[Draft<'_>],
@@ -128,7 +133,7 @@ impl Sealer {
         if MessageBatch::takes(drafts) {
             let begins = sealing.batch.is_empty();
             if begins {
-                // As long as the last one was ago, another is not likely to come.
+                // If the last message is longer ago than this wait, another one soon is unlikely.
                 let wait = (self.scheduler.turns.take(now) - now).max(BATCH_WINDOW);
                 let is_soon = now.saturating_sub(sealing.sealed_at) < wait;
                 sealing.batched_until = if is_soon { now + wait } else { now };
@@ -153,7 +158,7 @@ impl Sealer {
         self.push_pending(sealing).map(taken(first))
     }
 
-    /// Seals what is batched and waits no longer than until `due`.
+    /// Seals the batch if it is due by `due`.
     pub fn seal_batch(&self, due: u64) -> Result<Pushed, NodeError> {
         self.check()?;
         let sealing = &mut *self.sealing.lock();
@@ -173,7 +178,7 @@ impl Sealer {
         self.push_pending(sealing)
     }
 
-    /// Brings what waits for room into the outbox, and then what is to be sent again.
+    /// Queues the pending message, and then the messages to send again.
     pub fn push_waiting(&self) -> Result<Pushed, NodeError> {
         self.check()?;
         let sealing = &mut *self.sealing.lock();
@@ -181,7 +186,7 @@ impl Sealer {
             if let Pushed::Waits = self.push_pending(sealing)? {
                 return Ok(Pushed::Waits);
             }
-            // What is batched has its sequences already.
+            // Batched messages already have their sequence numbers.
             if sealing.latched.has_again()
                 && let Pushed::Waits = self.seal_all(sealing)?
             {
@@ -196,7 +201,7 @@ impl Sealer {
         }
     }
 
-    /// Sends a message about the name, and keeps it for readers that come later.
+    /// Sends a message about the name, and stores it for late-joining readers.
     pub fn pin(&self, encoding: Encoding, body: &[u8]) {
         self.sealing.lock().latched.pin(encoding, body);
         self.send_again();
@@ -208,14 +213,14 @@ impl Sealer {
         self.send_again();
     }
 
-    /// Latches so many of this origin.
+    /// Sets the number of latched messages of this origin.
     pub fn limit_latched(&self, origin: &[u8], most: usize) {
         self.sealing.lock().latched.limit(origin, most);
     }
 
-    /// Latches nothing of this origin any more.
+    /// Removes the latched messages of this origin.
     pub fn forget(&self, origin: &[u8]) {
-        // What is batched is latched when it is sealed.
+        // Batched messages are latched when they are sealed.
         if self.seal_batch(u64::MAX).is_ok() {
             self.scheduler.wake();
         }
@@ -235,7 +240,7 @@ impl Sealer {
         }
     }
 
-    /// Has the scheduler send the same messages in smaller frames, or give them up.
+    /// Makes the scheduler send the same messages in smaller frames, or drop them.
     pub fn reseal(&self, message: &Sealed) {
         let recut = self.recut(message, self.scheduler.max_payload_of(self.topic));
         let (now, mut uplink) = (self.scheduler.clock.now(), self.scheduler.uplink());
@@ -245,7 +250,7 @@ impl Sealer {
         }
     }
 
-    /// The same messages for smaller frames; `None` if they cannot be had any more.
+    /// Cuts the same messages into smaller frames. Returns `None` if that is impossible.
     fn recut(&self, message: &Sealed, max_payload: usize) -> Option<Sealed> {
         let sealing = &mut *self.sealing.lock();
         let Sealing { writer, ring, segments, .. } = sealing;
@@ -258,8 +263,8 @@ impl Sealer {
         Sealed::new(std::mem::take(segments))
     }
 
-    /// The payload of a frame that says that all before `next` has gone, and what comes before
-    /// `oldest` cannot be had again.
+    /// Writes a heartbeat payload. It announces that all messages before `next` have been sent, and
+    /// that those before `oldest` are no longer available.
     pub fn heartbeat(&self, next: u64, oldest: u64, out: &mut Vec<u8>) -> Result<(), SealError> {
         let sealing = &mut *self.sealing.lock();
         sealing.take_key()?;
@@ -271,7 +276,7 @@ impl Sealer {
         Ok(())
     }
 
-    /// Has the latched messages sent again, for readers that lack them.
+    /// Sends the latched messages again, for readers that lack them.
     pub fn send_latched(&self) {
         self.sealing.lock().latched.again();
         self.send_again();
@@ -284,12 +289,12 @@ impl Sealer {
         }
     }
 
-    /// Wraps keys for these readers, and for no others. Returns those that cannot have any.
+    /// Sets the readers that keys are wrapped for. Returns those that cannot receive keys.
     pub fn set_readers(&self, readers: &[(Name, [u8; PUBLIC_KEY_LEN])]) -> Vec<(Name, Omission)> {
         self.sealing.lock().ring.set_readers(readers)
     }
 
-    /// Boxes to be stored with the RIB next, if there are any.
+    /// Returns the next key boxes to store with the RIB, if any.
     pub fn boxes(&self) -> Result<Option<Boxes>, RingError> {
         let (sealing, now) = (&mut *self.sealing.lock(), unix_nanos());
         match &sealing.unstored {
@@ -300,15 +305,15 @@ impl Sealer {
         }
     }
 
-    /// The RIB has taken these.
+    /// Records that the RIB has stored these boxes.
     pub fn boxes_stored(&self, boxes: &Boxes) {
         let sealing = &mut *self.sealing.lock();
         sealing.unstored = None;
         sealing.ring.boxes_stored(boxes.epoch);
     }
 
-    /// The RIB has not: they are offered again, and if it has no room for them, less and less
-    /// often.
+    /// Schedules another offer of boxes that the RIB has not stored. The pauses increase if the RIB
+    /// has no space for them.
     pub fn boxes_failed(&self, boxes: Boxes, no_room: bool) {
         let sealing = &mut *self.sealing.lock();
         let before = sealing.unstored.take().filter(|_| no_room);
@@ -316,13 +321,14 @@ impl Sealer {
         sealing.unstored = Some(Unstored { boxes, at: unix_nanos() + pause, pause });
     }
 
-    /// The RIB never takes these, unless [something else](Self::stated) is stated.
+    /// Records that the RIB refuses these boxes permanently, until [another
+    /// statement](Self::stated).
     pub fn boxes_refused(&self) {
         let sealing = &mut *self.sealing.lock();
         (sealing.unstored, sealing.refused) = (None, true);
     }
 
-    /// The RIB knows by now what the right to it is.
+    /// Records that the RIB has the current statement, and offers refused boxes again.
     pub fn stated(&self) {
         let refused = std::mem::take(&mut self.sealing.lock().refused);
         if refused {
@@ -330,14 +336,14 @@ impl Sealer {
         }
     }
 
-    /// The RIB may have lost the boxes.
+    /// Offers all boxes again, because the RIB may have lost them.
     pub fn store_again(&self) {
         let sealing = &mut *self.sealing.lock();
         (sealing.unstored, sealing.refused) = (None, false);
         sealing.ring.republish();
     }
 
-    /// When there may be boxes, in Unix nanoseconds.
+    /// Returns the time at which boxes may be available, in Unix nanoseconds.
     pub fn boxes_at(&self) -> u64 {
         let sealing = self.sealing.lock();
         sealing.unstored.as_ref().map_or_else(|| sealing.ring.wake_at(), |unstored| unstored.at)
@@ -345,7 +351,7 @@ impl Sealer {
 }
 
 impl Sealing {
-    /// Seals what comes next.
+    /// Seals the next messages.
     fn seal(&mut self, now: u64, drafts: &[Draft<'_>], max_payload: usize) -> Result<(), SealError> {
         self.take_key()?;
         let Self { writer, ring, segments, latched, pending, sealed_at, .. } = self;
@@ -357,7 +363,7 @@ impl Sealing {
         Ok(())
     }
 
-    /// Seals with the ring's current key from now on.
+    /// Switches to the key ring's current key.
     fn take_key(&mut self) -> Result<(), SealError> {
         let (epoch, key) = self.ring.current();
         if self.writer.epoch() != Some(epoch) { self.writer.set_epoch(epoch, key) } else { Ok(()) }

@@ -1,9 +1,11 @@
-//! Everything that leaves the node, in three stages: a [sealer](super::sealer) of each topic seals
-//! messages, the [scheduler](super::scheduler) queues them, the [sender](super::sender) sends.
+//! The send path, in three stages.
 //!
-//! Each stage is locked by itself and knows those below it alone, so locks are taken downward.
-//! [`SendPath`] drives them. Publishers send what may go at once themselves, so that a message on
-//! an idle link is handed to no other thread. The sending thread does what has to wait, and brings
+//! A [sealer](super::sealer) per topic seals messages, the [scheduler](super::scheduler) queues
+//! them, the [sender](super::sender) sends them. Each stage has its own lock and knows only the
+//! stages below it, so locks are taken downward.
+//!
+//! [`SendPath`] drives the stages. Publishers themselves send what may leave at once, so a message
+//! on an idle link passes to no other thread. The sending thread sends delayed frames, and passes
 //! events of the scheduler to the sealers.
 
 use std::sync::Arc;
@@ -27,7 +29,8 @@ use gdp_core::identity::Identity;
 use gdp_e2e::feedback_wire::Feedback;
 use gdp_e2e::transport::{Output, TopicId};
 
-/// Batches that a publisher sends itself; the rest of a large message is the sending thread's.
+/// Maximum number of batches that a publisher sends itself. The sending thread sends the rest of a
+/// large message.
 const OWN_BATCHES: usize = 4;
 
 pub struct SendPath {
@@ -36,11 +39,11 @@ pub struct SendPath {
     pub links: Arc<Links>,
     pub scheduler: Arc<Scheduler>,
     pub publications: Publications,
-    /// The keys of what is said to one counterpart alone.
+    /// The pair keys for feedback to single counterparts.
     pub pairs: Arc<Pairs>,
-    /// There may be key boxes for the RIB, or latched messages for a reader.
+    /// Notified when there may be key boxes for the RIB, or latched messages for a reader.
     pub upkeep: Notify,
-    /// The sending thread waits for it; publishers try.
+    /// The sending thread waits for this lock; publishers only try it.
     sender: Mutex<Sender>,
 }
 
@@ -60,27 +63,28 @@ impl SendPath {
         }
     }
 
-    /// A link is up, or is not any more.
+    /// Sets the connection of a link.
     pub fn set_connection(&self, lane: usize, connection: Connection) {
         self.reroute(self.links.set_connection(self.clock.now(), lane, connection));
     }
 
-    /// Why there is still no link.
+    /// Updates the reason why a link is still down.
     pub fn still_lost(&self, lane: usize, why: String) {
         self.reroute(self.links.still_lost(self.clock.now(), lane, why));
     }
 
-    /// The link that fell silent is of no use any more.
+    /// Ends the use of a stale link.
     pub fn end_stale(&self, lane: usize) {
         self.reroute(self.links.end_stale(self.clock.now(), lane));
     }
 
-    /// Whether the switch answers on a link that is up.
+    /// Sets whether the switch is silent on a link that is up.
     pub fn set_silent(&self, lane: usize, silent: bool) {
         self.reroute(self.links.set_silent(self.clock.now(), lane, silent));
     }
 
-    /// Whether this machine has changed networks since the switch answered on a link that is up.
+    /// Sets whether this machine has changed networks without an answer from the switch since.
+    /// Applies to a link that is up.
     pub fn set_moved(&self, lane: usize, moved: bool) {
         self.reroute(self.links.set_moved(self.clock.now(), lane, moved));
     }
@@ -98,12 +102,12 @@ impl SendPath {
         }
     }
 
-    /// Those that wait are to look whether there is sense in it.
+    /// Makes waiting publishers check whether to continue waiting.
     fn wake_publishers(&self) {
         self.publications.all().iter().for_each(|publication| publication.room.notify_waiters());
     }
 
-    /// Nothing is sent any more, and [`Self::pump`] ends.
+    /// Stops all sending, and ends [`Self::pump`].
     pub fn shut(&self) {
         self.links.shut();
         self.scheduler.stop();
@@ -114,7 +118,8 @@ impl SendPath {
         self.publications.remove(name).into_iter().for_each(|publication| publication.close());
     }
 
-    /// What is best effort fails while there is no link; what is reliable waits for one.
+    /// Checks that a publication can send: best effort fails without a link, reliable ones wait for
+    /// a link.
     pub fn check_link(&self, publication: &Publication) -> Result<(), NodeError> {
         match self.links.sending_on() {
             Err(NodeError::Detached(_)) if publication.is_reliable => Ok(()),
@@ -122,24 +127,25 @@ impl SendPath {
         }
     }
 
-    /// What is batched waits for nothing more.
+    /// Seals and sends the batch of a publication without further waiting.
     pub fn finish(&self, publication: &Publication) {
         if publication.sealer.seal_batch(u64::MAX).is_ok() {
             self.send();
         }
     }
 
-    /// Sends what may go now, and leaves the rest to the sending thread.
+    /// Sends frames that may leave now. The sending thread sends the rest.
     pub fn send(&self) {
         let next = match self.sender.try_lock() {
             Some(mut sender) => self.drain(&mut sender, OWN_BATCHES),
-            // Who sends at the moment may have looked already.
+            // The current sender may already have polled.
             None => Some(0),
         };
         self.scheduler.plan(next);
     }
 
-    /// Says something to a counterpart, if it is one and there is a link; if it is lost, so be it.
+    /// Sends feedback to a counterpart, if it is one and there is a link. The frame is not
+    /// retransmitted.
     pub fn tell(&self, peer: &Name, feedback: &Feedback) {
         let mut payload = Vec::new();
         match self.pairs.seal(peer, feedback, &mut payload) {
@@ -152,12 +158,12 @@ impl SendPath {
         }
     }
 
-    /// The sending thread: runs until [`Self::shut`].
+    /// Runs the sending thread until [`Self::shut`].
     pub fn pump(&self) {
         loop {
             let next = self.drain(&mut self.sender.lock(), usize::MAX);
             let Some(Due { now, batches, events }) = self.scheduler.wait(next) else {
-                // Counts the copies that are left.
+                // Counts the remaining copies as dropped.
                 self.sender.lock().active();
                 return;
             };
@@ -166,13 +172,14 @@ impl SendPath {
         }
     }
 
-    /// Sends what may go now, so many batches of it. Returns when there is more.
+    /// Sends frames that may leave now, up to this number of batches. Returns the time of the next
+    /// output.
     fn drain(&self, sender: &mut Sender, batches: usize) -> Option<u64> {
         let active = sender.active();
         let max_payload = active.max_payload(self.scheduler.has_doubled())?;
         for _ in 0..batches {
             let Polled { now, next, rooms } = self.scheduler.poll(max_payload, &mut sender.transmits);
-            // Publishers are to be ready again before all that goes now has gone.
+            // Publishers should be ready again before all current frames have left.
             rooms.into_iter().for_each(|topic| self.make_room(topic));
             let next = next.into_iter().chain(sender.send(now, &active)).min();
             if next != Some(0) {
@@ -184,7 +191,7 @@ impl SendPath {
 
     fn make_room(&self, topic: TopicId) {
         let Some(publication) = self.publications.of(topic) else { return };
-        // What waits goes, also if who wanted it sent does not wait any more.
+        // The waiting message is sent even if its publisher no longer waits.
         if !matches!(publication.sealer.push_waiting(), Ok(Pushed::Waits)) {
             publication.room.notify_waiters();
         }
@@ -197,7 +204,7 @@ impl SendPath {
         }
     }
 
-    /// Brings an event of the scheduler to the sealer of its topic.
+    /// Passes an event of the scheduler to the sealer of its topic.
     fn handle(&self, event: Output) {
         match event {
             Output::Send(_) | Output::Room { .. } => unreachable!("the scheduler returns them apart"),

@@ -1,8 +1,8 @@
-//! The last stage of the send path: stamps frames and hands them to the sockets of the node's
-//! links. Frames are stamped when they leave, never before.
+//! The last stage of the send path: stamps frames and passes them to the sockets of the node's
+//! links.
 //!
-//! What goes by two links is copied when its turn on the main one has come. Copies that wait for
-//! another link when that becomes the main one go by it still.
+//! Frames are stamped when they leave, never earlier. A frame for two links is copied when the main
+//! link sends it. If the link of queued copies becomes the main link, it still sends them.
 
 use std::sync::Arc;
 
@@ -15,22 +15,22 @@ use gdp_core::peer::MAX_LANES;
 use gdp_e2e::transport::{Output, Transmit, Uplink, UplinkOptions};
 use gdp_link::port::{BATCH, OutFrame};
 
-/// Bits of [`Header::flags`]: the traffic class begins there, and the two lowest say that a mark is
-/// understood (ECT(0), RFC 3168).
+/// Bits of [`Header::flags`]: the first bit of the traffic class, and the ECN code point in the two
+/// lowest bits (ECT(0), RFC 3168).
 const CLASS_SHIFT: u8 = 2;
 const UNDERSTANDS_MARKS: u8 = 0b10;
 
-/// Whoever has it sends, so frames go in the order in which they were scheduled.
+/// The sender. The owner of its lock sends, which preserves the scheduled order of frames.
 pub struct Sender {
     links: Arc<Links>,
     /// The frames of one batch; empty between calls.
     pub transmits: Vec<Transmit>,
     headers: Box<[Header; BATCH]>,
-    /// Payloads that are put together from several.
+    /// Payloads that are concatenated from several parts.
     joined: Vec<u8>,
-    /// What goes by each link besides the main one.
+    /// The queue of copies for each link.
     copies: Vec<Uplink>,
-    /// Of the links that the copies wait for.
+    /// The epochs of the links when their copies were queued.
     epochs: [u64; MAX_LANES],
 }
 
@@ -48,7 +48,7 @@ impl Sender {
         }
     }
 
-    /// The links to send by now.
+    /// Returns the links to send on now. Drops copies of links whose epoch has changed.
     pub fn active(&mut self) -> ActiveLinks {
         let active = self.links.active();
         for (number, copies) in self.copies.iter_mut().enumerate() {
@@ -61,8 +61,8 @@ impl Sender {
         active
     }
 
-    /// Sends the batch at hand by the main link, and copies as they may go. Returns when more
-    /// copies go, if any wait.
+    /// Sends the current batch on the main link, and copies whose time has come. Returns the time
+    /// of the next copies, if any wait.
     pub fn send(&mut self, now: u64, active: &ActiveLinks) -> Option<u64> {
         if let Some((second, attachment)) = &active.second {
             self.copy(now, *second, attachment.max_payload());
@@ -79,7 +79,7 @@ impl Sender {
         next
     }
 
-    /// Takes copies of those frames that are to go by two links.
+    /// Queues copies of the frames that are sent on two links.
     fn copy(&mut self, now: u64, number: usize, max_payload: usize) {
         if self.transmits.iter().all(|transmit| !transmit.doubled) {
             return;
@@ -92,11 +92,11 @@ impl Sender {
         self.links.slots()[number].copies_dropped.set(copies.copies_dropped());
     }
 
-    /// Puts copies that may go now into the batch. Returns when there are more.
+    /// Adds copies that may be sent now to the batch. Returns the time of the next ones.
     fn take_copies(&mut self, now: u64, number: usize) -> Option<u64> {
         let copies = &mut self.copies[number];
         while self.transmits.len() < BATCH {
-            // It has no topics.
+            // A copy queue has no topics and returns no other output.
             let Some(Output::Send(copy)) = copies.poll(now) else { break };
             self.transmits.push(copy);
         }
@@ -112,7 +112,7 @@ impl Sender {
         let entry = attachment.entry.get();
         joined.clear();
         for (header, transmit) in headers.iter_mut().zip(&*transmits) {
-            // Payloads are within the link's MTU, which 16 bits can express.
+            // Payloads fit the link's MTU, which 16 bits can express.
             *header = Header::data(transmit.name, links.name(), transmit.payload_len() as u16);
             header.flags |= transmit.class << CLASS_SHIFT | UNDERSTANDS_MARKS;
             hop::stamp(header, &entry, attachment.next_count());

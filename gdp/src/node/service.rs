@@ -1,4 +1,4 @@
-//! A service that this node calls or serves, and a call that waits for its reply.
+//! A service that this node calls or serves, and the calls that wait for replies.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -12,19 +12,19 @@ use super::service_instances::ServiceInstances;
 use gdp_e2e::seal::Message;
 use gdp_proto::control::NameRole;
 
-/// By name, and by what this node is in it.
+/// Services by name and by this node's role.
 pub type Services = HashMap<(Name, NameRole), Service>;
 
 /// A service that this node calls or serves.
 pub struct Service {
     pub instances: ServiceInstances,
     pub ending: Arc<Ending>,
-    /// For what it serves, as long as it may.
+    /// The request queue of a service that this node may serve.
     pub tray: Option<Tray>,
 }
 
 impl Service {
-    /// Nothing is called by this any more, and no more requests are taken.
+    /// Ends calls and requests of this service.
     pub fn end(&mut self, why: Ended) {
         self.ending.end(why);
         self.tray = None;
@@ -33,7 +33,7 @@ impl Service {
 
 /// A call that waits for its reply.
 pub struct PendingReply {
-    /// Who may give it.
+    /// The server that may reply.
     pub instance: Name,
     pub reply: oneshot::Sender<Message>,
 }

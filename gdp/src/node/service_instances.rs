@@ -1,5 +1,6 @@
-//! The verified servers or callers on the other side of a service, and the choice of a server.
-//! Updates of the RIB go in, the entities that they concern come out. No I/O.
+//! The verified servers or callers of a service, and the selection of a server.
+//!
+//! Updates of the RIB are inputs, the affected entities are outputs. No I/O.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeSet, HashMap};
@@ -13,46 +14,45 @@ use gdp_core::cert::Revocation;
 use gdp_core::crypto::Backend;
 use gdp_proto::peers::{Counterpart, PeerEvent};
 
-/// One that is not attached any more keeps its place for so long, and what is under way between the
-/// two stands: links come back.
+/// Time for which a detached party and its outstanding calls are retained, because links return. In
+/// nanoseconds.
 const ABSENCE: u64 = 60_000_000_000;
 
-/// Those that are absent and keep their places; of more, the one longest away loses it.
+/// Maximum number of detached parties. Beyond it, the one with the longest absence is removed.
 const MOST_ABSENT: usize = 64;
 
-/// ServiceInstances of one service that are known at once. Of each a key is kept
-/// (`keys::MAX_WRITERS`).
+/// Maximum number of known parties per service. A key is stored for each (`keys::MAX_WRITERS`).
 const MAX_PARTIES: usize = 1024;
 
-/// A server of a service, as one that calls it sees it.
+/// A server of a service, as seen by a caller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Instance {
     pub name: Name,
-    /// What the path to its switch costs, if the caller's switch knows of one: not of one in
-    /// another domain.
+    /// The cost of the path to the server's switch, if the caller's switch knows it. It knows no
+    /// costs of other domains.
     pub cost: Option<u64>,
-    /// Calls of this node to the service that wait for its reply.
+    /// Number of this node's outstanding calls to the server for the service.
     pub waiting: usize,
     tie: [u8; 32],
 }
 
 impl Instance {
-    /// The nearest first; of those the one with the fewest calls; of those the one that the hash of
-    /// caller and server chooses, so that callers spread.
+    /// Orders servers by path cost, then by outstanding calls. Ties are resolved by a hash of
+    /// caller and server, which distributes callers.
     fn order(&self, other: &Self) -> Ordering {
         let rank = |one: &Self| (one.cost.unwrap_or(u64::MAX), one.waiting, one.tie);
         rank(self).cmp(&rank(other))
     }
 }
 
-/// Calls that wait for one server, for as long as it is attached.
+/// The outstanding calls to one server while it is attached.
 #[derive(Debug)]
 struct Presence {
     calls: AtomicUsize,
     left: watch::Sender<bool>,
 }
 
-/// One call's place at a server; given up when it is dropped.
+/// An outstanding call at a server. Dropping it ends the call.
 #[derive(Debug)]
 pub struct PendingCall {
     pub instance: Name,
@@ -60,9 +60,9 @@ pub struct PendingCall {
 }
 
 impl PendingCall {
-    /// Returns once the server is not attached any more.
+    /// Returns once the server is detached.
     pub async fn left(&self) {
-        // The sender is held here.
+        // `self.presence` contains the sender, so the wait does not fail.
         let _ = self.presence.left.subscribe().wait_for(|left| *left).await;
     }
 
@@ -79,16 +79,16 @@ impl Drop for PendingCall {
 
 struct ServiceInstance {
     right: Counterpart,
-    /// When that was told.
+    /// The time of the right's announcement.
     stated_at: u64,
-    /// While it is attached.
+    /// Present while the party is attached.
     presence: Option<Arc<Presence>>,
     absent_since: u64,
     tie: [u8; 32],
 }
 
 impl ServiceInstance {
-    /// Whether it was attached.
+    /// Marks the party as detached. Returns whether it was attached.
     fn leave(&mut self, now: u64) -> bool {
         let Some(presence) = self.presence.take() else { return false };
         presence.left.send_replace(true);
@@ -97,34 +97,34 @@ impl ServiceInstance {
     }
 }
 
-/// The parties of one service on its other side.
+/// The parties on the other side of one service.
 pub struct ServiceInstances {
     own: Name,
     known: HashMap<Name, ServiceInstance>,
     revocation: Option<Revocation>,
-    /// Told when others are attached than before.
+    /// Notified when the set of attached parties changes.
     changed: watch::Sender<()>,
 }
 
 impl ServiceInstances {
-    /// None yet, of the entity `own`.
+    /// Creates an empty set for the entity `own`.
     pub fn new(own: Name) -> Self {
         Self { own, known: HashMap::new(), revocation: None, changed: watch::Sender::new(()) }
     }
 
-    /// Sees a change whenever one is attached that was not, or is not any more; the end once there
-    /// are no parties for good.
+    /// Returns a receiver that is notified of each attached or detached party. It ends with this
+    /// set.
     pub fn changes(&self) -> watch::Receiver<()> {
         self.changed.subscribe()
     }
 
-    /// Takes what the RIB told of the `service` at `now` (steady clock, nanoseconds), and was
-    /// verified. Returns whom that concerns.
+    /// Processes the RIB's verified updates about the `service` at `now` (steady clock,
+    /// nanoseconds). Returns the affected entities.
     pub fn take(&mut self, now: u64, service: &Name, events: &[PeerEvent]) -> BTreeSet<Name> {
         let mut concerned = BTreeSet::new();
         for event in events {
             match event {
-                // It does not call itself.
+                // The node does not call itself.
                 PeerEvent::Joined(right) if right.entity == self.own => {}
                 PeerEvent::Joined(right) if self.has_room(&right.entity) => {
                     concerned.insert(right.entity);
@@ -145,8 +145,8 @@ impl ServiceInstances {
                 PeerEvent::Refused(error) => {
                     tracing::warn!(%service, %error, "the RIB told of one that does not verify");
                 }
-                // Nothing goes to the service's name, so there are no keys for it; a RIB that is
-                // behind is the supervisor's business.
+                // The service's name carries no messages and needs no keys. The supervisor handles
+                // a RIB that lacks a revocation.
                 PeerEvent::KeyBox(_) | PeerEvent::RibIsBehind(_) => {}
             }
         }
@@ -174,8 +174,8 @@ impl ServiceInstances {
         (party.right, party.stated_at) = (right, stated_at);
     }
 
-    /// Lets go of those whose right has ended by `now_unix` (seconds) or was revoked, or that are
-    /// absent for long. Returns them.
+    /// Removes the parties that are absent for too long, or whose right has expired by `now_unix`
+    /// (seconds) or was revoked. Returns them.
     pub fn sweep(&mut self, now: u64, now_unix: u64) -> BTreeSet<Name> {
         let revocation = self.revocation.as_ref();
         let holds = |right: &Counterpart| {
@@ -196,7 +196,7 @@ impl ServiceInstances {
         gone
     }
 
-    /// Nobody is a party any more. Returns those who were.
+    /// Removes all parties and returns them.
     pub fn clear(&mut self, now: u64) -> BTreeSet<Name> {
         let mut known = std::mem::take(&mut self.known);
         if known.values_mut().filter_map(|party| party.leave(now).then_some(())).count() > 0 {
@@ -205,12 +205,13 @@ impl ServiceInstances {
         known.into_keys().collect()
     }
 
-    /// When the right of one that is known, attached or not, was told, and that right.
+    /// Returns the right of a known party, attached or detached, and the time of its announcement.
     pub fn right(&self, entity: &Name) -> Option<(u64, &Counterpart)> {
         self.known.get(entity).map(|party| (party.stated_at, &party.right))
     }
 
-    /// Those that are attached, the one to call first in front. `cost`: of the path to a switch.
+    /// Returns the attached servers, the preferred one first. `cost` returns the cost of the path
+    /// to a switch.
     pub fn instances(&self, cost: impl Fn(&Name) -> Option<u64>) -> Vec<Instance> {
         let mut instances: Vec<_> = self.attached(cost).collect();
         instances.sort_unstable_by(Instance::order);
@@ -225,7 +226,8 @@ impl ServiceInstances {
         self.known.values().filter(|party| party.presence.is_some()).count()
     }
 
-    /// A place at the server to call, or at this `one`; `None` if it is not attached.
+    /// Reserves a call at `one`, or at the preferred server. Returns `None` if there is no such
+    /// attached server.
     pub fn choose(&self, one: Option<&Name>, cost: impl Fn(&Name) -> Option<u64>) -> Option<PendingCall> {
         let chosen = match one {
             Some(one) => *one,
@@ -244,8 +246,8 @@ impl ServiceInstances {
     }
 }
 
-/// Merges the rights of an entity in several services: the result holds as long as any of them,
-/// with the key that the entity showed last.
+/// Merges the rights of an entity in several services. The result is valid as long as any of them,
+/// and has the key that the entity presented last.
 pub fn joint_right<'a>(rights: impl Iterator<Item = (u64, &'a Counterpart)>) -> Option<Counterpart> {
     let mut joint: Option<(u64, Counterpart)> = None;
     for (stated_at, right) in rights {

@@ -1,7 +1,8 @@
-//! Calls and their replies. A call goes to one server of the service, to its own name, under keys
-//! of the caller that this server alone has; the reply goes to the caller's own name, under keys of
-//! the server that this caller alone has. So nobody else reads either, and no frame goes to the
-//! name of the service.
+//! Calls and their replies.
+//!
+//! A request goes to one server's own name, under keys of the caller for that server only. The
+//! reply goes to the caller's own name, under keys of the server for that caller only. No other
+//! entity can read them, and no frame goes to the name of the service.
 
 use std::sync::Arc;
 
@@ -21,10 +22,10 @@ use super::statement::{Stated, Statement};
 use gdp_core::cert::{AdCert, Issued, Reading};
 use gdp_e2e::seal::{Draft, Encoding, Message, MessageId};
 
-/// Calls of a node that may wait for their replies at once.
+/// Maximum number of outstanding calls of a node.
 const MAX_CALLS: usize = 4096;
 
-/// Takes calls to a name. Dropping it withdraws the name.
+/// Receives the calls to a name. Dropping it withdraws the name.
 pub struct Server {
     node: Arc<Handle>,
     name: Name,
@@ -37,12 +38,13 @@ impl Server {
         Self { node, name, requests, ending }
     }
 
-    /// Waits until nothing is served any more, and says why.
+    /// Waits until serving ends, and returns the reason.
     pub fn ended(&self) -> impl Future<Output = Ended> + Send + use<> {
         self.ending.wait()
     }
 
-    /// Serves on by this certificate, as [`Publisher::renew`](super::Publisher::renew) publishes.
+    /// Continues to serve with this certificate, as [`Publisher::renew`](super::Publisher::renew)
+    /// does for publishing.
     pub async fn renew(&mut self, ad_cert: Issued<AdCert>) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Write { proof, ad_cert };
         self.node.state.renew(self.name, Stated::Served, renewed).await
@@ -52,8 +54,10 @@ impl Server {
         self.name
     }
 
-    /// The next call; `None` once the node is closed, or the certificate holds no more. Safe to
-    /// cancel. Some thousands wait here; more are dropped and counted, and never answered.
+    /// Returns the next call, or `None` after the node closes or the certificate ends. Safe to
+    /// cancel.
+    ///
+    /// Some thousands of calls can wait. Excess calls are dropped, counted and never answered.
     pub async fn recv(&mut self) -> Option<Call> {
         let request = self.requests.recv().await?;
         Some(Call { node: self.node.clone(), request })
@@ -66,14 +70,14 @@ impl Drop for Server {
     }
 }
 
-/// A call that waits for its reply. Dropped, it is never answered.
+/// A call that waits for its reply. Dropping it leaves it unanswered.
 pub struct Call {
     node: Arc<Handle>,
     request: Message,
 }
 
 impl Call {
-    /// Who calls.
+    /// Returns the name of the caller.
     pub fn client(&self) -> Name {
         self.request.writer
     }
@@ -86,7 +90,7 @@ impl Call {
         &self.request.body
     }
 
-    /// Replies to the caller alone: `Ok` says that the reply is on its way or waits for its turn.
+    /// Replies to the caller only. `Ok` means that the reply is sent or queued.
     pub async fn reply(self, encoding: Encoding, body: &[u8]) -> Result<(), NodeError> {
         let state = &self.node.state;
         let Message { session, sequence, writer, .. } = self.request;
@@ -98,7 +102,7 @@ impl Call {
     }
 }
 
-/// Calls a name. Dropping it withdraws that.
+/// Calls a name. Dropping it withdraws the statement that this node calls it.
 pub struct Client {
     node: Arc<Handle>,
     name: Name,
@@ -114,46 +118,50 @@ impl Client {
         self.name
     }
 
-    /// Waits until nothing can be called any more, and says why.
+    /// Waits until calling ends, and returns the reason.
     pub fn ended(&self) -> impl Future<Output = Ended> + Send + use<> {
         self.ending.wait()
     }
 
-    /// Calls on by this grant, as [`Subscription::renew`](super::Subscription::renew) reads; also
-    /// while calls wait.
+    /// Continues to call with this grant, as [`Subscription::renew`](super::Subscription::renew)
+    /// does for reading. Outstanding calls continue.
     pub async fn renew(&self, grant: Reading) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Read { proof, grant };
         self.node.state.renew(self.name, Stated::Called, renewed).await
     }
 
-    /// Servers that are attached at the moment, as far as is known here.
+    /// Returns the number of attached servers that this node knows of.
     pub fn servers(&self) -> usize {
         self.node.state.servers(self.name)
     }
 
-    /// These servers, the one that is called next in front.
+    /// Returns these servers, the preferred one first.
     pub fn instances(&self) -> Vec<Instance> {
         self.node.state.instances(self.name)
     }
 
-    /// Sees a change whenever a server is attached that was not, or is not any more: ask
-    /// [`Self::instances`] then. Ends with the client.
+    /// Returns a receiver that is notified of each attached or detached server: call
+    /// [`Self::instances`] then. It ends with the client.
     pub fn changes(&self) -> watch::Receiver<()> {
         self.node.state.server_changes(self.name)
     }
 
-    /// Sends a request to one server, and waits for the reply to it for as long as the caller of
-    /// this function does. The server is the nearest; of several that are as near, the one with the
-    /// fewest calls of this node waiting. [`Message::writer`] of the reply is who it was. If that
-    /// is not attached any more before it replies, this fails at once: a request is never sent
-    /// again to another server, for it may have been carried out.
+    /// Sends a request to one server and waits for its reply, without a timeout.
+    ///
+    /// The nearest server is selected, or of equally near ones the one with the fewest outstanding
+    /// calls of this node. [`Message::writer`] of the reply is the server.
+    ///
+    /// # Errors
+    ///
+    /// Fails at once if the server is detached before it replies. The request is never repeated at
+    /// another server, because the first one may have executed it.
     pub async fn call(&self, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
         let pending = self.node.state.choose(self.name, None).ok_or(NodeError::NoServer(self.name))?;
         self.call_there(pending, encoding, body).await
     }
 
-    /// As [`Self::call`], of this server whichever is nearest: what was begun at one is continued
-    /// there. Its name is the [writer](Message::writer) of an earlier reply.
+    /// Calls this server as [`Self::call`] does, independent of its distance, to continue an
+    /// earlier exchange. Its name is the [writer](Message::writer) of an earlier reply.
     pub async fn call_at(&self, instance: Name, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
         let absent = NodeError::NoInstance { service: self.name, instance };
         let pending = self.node.state.choose(self.name, Some(&instance)).ok_or(absent)?;
@@ -163,7 +171,8 @@ impl Client {
     async fn call_there(&self, pending: PendingCall, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
         let (state, service, instance) = (&self.node.state, self.name, pending.instance);
         let left = || NodeError::InstanceLeft { service, instance };
-        // There is no way to one that has only just come, and none any more to one that has left.
+        // A server that has just joined has no publication yet, and one that has left has none any
+        // more.
         let absent = || if pending.has_left() { left() } else { NodeError::NoInstance { service, instance } };
         let publication = state.send_path.publications.get(&instance).ok_or_else(absent)?;
         let waiting = state.calls.lock().len();
@@ -185,7 +194,7 @@ impl Client {
             replied.await.map_err(|_| NodeError::Closed)
         };
         tokio::select! {
-            // A reply that is here counts, whatever became of the server since.
+            // A reply that has arrived counts, even if the server has left since.
             biased;
             result = exchange => result.map_err(|error| if pending.has_left() { left() } else { error }),
             () = pending.left() => Err(left()),
@@ -200,7 +209,7 @@ impl Drop for Client {
     }
 }
 
-/// Nobody waits any more once this is dropped.
+/// Removes the outstanding call when it is dropped.
 struct CallGuard<'a> {
     state: &'a State,
     id: Option<MessageId>,

@@ -1,6 +1,7 @@
-//! The entry of the node's link, which frames are tagged and checked by. Publishers and the
-//! receiving thread read it, batch by batch; the supervisor writes it when keys change. Once a
-//! write has returned, every batch that begins meets it.
+//! The shared entry of the node's link, for tagging and checking frames.
+//!
+//! Publishers and the receiving thread read it per batch. The supervisor writes it when keys
+//! change. Every batch that starts after a write uses the new keys.
 
 use std::sync::Arc;
 
@@ -9,7 +10,7 @@ use parking_lot::{Mutex, MutexGuard};
 
 use gdp_link::link::KeyedEntry;
 
-/// Clones are the same entry.
+/// The shared entry. Clones refer to the same entry.
 #[derive(Clone)]
 pub struct SharedEntry(Arc<Mutex<KeyedEntry>>);
 

@@ -1,6 +1,7 @@
-//! What a node states to the RIB, and the link it states it on: shared by the application's
-//! handles, the supervisor and its tasks. Requests go out from here; when, is the supervisor's
-//! business.
+//! The node's statements and their state, shared by the application's handles, the supervisor and
+//! its tasks.
+//!
+//! Requests to the RIB are sent from here. The supervisor decides when.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -35,11 +36,11 @@ use gdp_proto::control::{NameRole, PathCosts};
 use gdp_proto::peers::Counterparts;
 use gdp_util::unix_time::unix_seconds;
 
-/// Seconds that certificates for the switch and statements to the RIB hold; they are renewed long
-/// before.
+/// Validity in seconds of certificates for the switch and of statements to the RIB. They are
+/// renewed long before it ends.
 pub const LIFETIME: u32 = 24 * 3600;
 
-/// What the handles, the supervisor and its tasks share.
+/// The state that the handles, the supervisor and its tasks share.
 pub struct State {
     pub identity: Identity,
     pub home: Arc<Home>,
@@ -47,31 +48,31 @@ pub struct State {
     pub feedback: Arc<Feedbacks>,
     pub send_path: Arc<SendPath>,
     pub readings: Mutex<HashMap<Name, Reading>>,
-    /// What this node serves and calls.
+    /// The services that this node serves and calls.
     pub services: Mutex<Services>,
-    /// What paths cost from the switch of each lane, as it last said.
+    /// The path costs that the switch of each lane reported last.
     pub costs: Mutex<Vec<Arc<PathCosts>>>,
     /// Calls that wait for their replies.
     pub calls: Mutex<HashMap<MessageId, PendingReply>>,
-    /// Whether requests and replies are taken.
+    /// Whether the node receives requests and replies.
     pub inbox_opened: Mutex<bool>,
-    /// That subscriptions ended, and why.
+    /// The endings of subscriptions.
     pub subscriptions: Mutex<HashMap<Name, Arc<Ending>>>,
-    /// Everything the RIB is to know, stated again after each reconnection.
+    /// All current statements to the RIB. They are repeated after each reconnection.
     pub statements: Mutex<HashMap<(Name, Stated), Advertisement>>,
-    /// Those on the other side of what is stated.
+    /// The counterparts of each statement.
     pub counterparts: Mutex<HashMap<(Name, NameRole), Counterparts>>,
-    /// What owners have taken back, as far as it came by.
+    /// The known revocations of names.
     pub revoked: Revoked,
-    /// The highest serial used, once attached. Held while a statement is on its way, so that they
-    /// arrive in their order; by links other than the main one for a moment only.
+    /// The highest serial used, once attached. Locked while a statement is in flight, to preserve
+    /// the order of statements. Links other than the main one lock it for a limited time only.
     pub serial: tokio::sync::Mutex<Option<u64>>,
     pub commands: Commands,
     pub rib_updates: mpsc::UnboundedSender<RibUpdate>,
 }
 
 impl State {
-    /// Not attached yet.
+    /// Creates the state of a node that is not attached.
     pub fn new(
         identity: Identity,
         home: Home,
@@ -103,14 +104,14 @@ impl State {
         }
     }
 
-    /// Whether this node's own right in a name holds under a revocation of it.
+    /// Checks that this node's own right in a name is valid under a revocation of the name.
     pub fn check_own(&self, name: Name, role: NameRole, revocation: &Revocation) -> Result<(), CertError> {
         let (statements, own) = (self.statements.lock(), self.identity.name());
         let standing = statements.get(&(name, Stated::of(role)));
         standing.map_or(Ok(()), |it| it.statement.verify(own, Some(revocation), unix_seconds()).map(drop))
     }
 
-    /// The name that a right is about, if it holds.
+    /// Verifies the right of a statement, and returns its name.
     pub fn check(&self, statement: &Statement) -> Result<Name, CertError> {
         let name = statement.proof().name()?;
         let revoked = self.revoked.of(&name);
@@ -118,7 +119,7 @@ impl State {
         statement.verify(self.identity.name(), revocation, unix_seconds()).map(|(name, _)| name)
     }
 
-    /// The statements whose right has ended by itself, and the errors that say so.
+    /// Returns the statements whose right has expired, with the errors.
     pub fn expired(&self, now: u64) -> Vec<(Name, Stated, CertError)> {
         let (statements, own) = (self.statements.lock(), self.identity.name());
         let late = statements.iter().filter(|(_, standing)| !standing.over && standing.not_after < now);
@@ -126,7 +127,7 @@ impl State {
         late.filter_map(|((name, stated), standing)| Some((*name, *stated, error(standing)?))).collect()
     }
 
-    /// This node's own right in a name has ended.
+    /// Ends a statement after this node's right in a name has ended.
     pub fn end(&self, name: Name, role: NameRole, error: CertError) {
         match self.statements.lock().get_mut(&(name, Stated::of(role))) {
             Some(standing) if !standing.over => standing.over = true,
@@ -153,15 +154,15 @@ impl State {
         }
     }
 
-    /// The node is closed.
+    /// Ends all handles because the node closes.
     pub fn close(&self) {
         self.send_path.publications.all().iter().for_each(|publication| publication.end(Ended::Closed));
         self.subscriptions.lock().values().for_each(|ending| ending.end(Ended::Closed));
         self.services.lock().values_mut().for_each(|service| service.end(Ended::Closed));
     }
 
-    /// Puts another right in the place of the one that something is stated by. The RIB has it then,
-    /// or gets it with the next link; if it refuses it, the old one stays.
+    /// Replaces the right of a statement. The RIB receives it now, or over the next link. If the
+    /// RIB refuses it, the old right stays in force.
     pub async fn renew(
         &self,
         name: Name,
@@ -204,9 +205,8 @@ impl State {
         }
     }
 
-    /// Takes in what the application states, unless it is stated already. `register` puts in place
-    /// what the RIB's answer is for: it is called before anybody can state it, as the supervisor's
-    /// tasks may do at once.
+    /// Adds a statement of the application, unless it already exists. `register` installs the
+    /// consumer of the RIB's answers. It runs before the supervisor's tasks can send the statement.
     pub fn begin(
         &self,
         name: Name,
@@ -219,7 +219,7 @@ impl State {
         let mut counterparts = Counterparts::new(*statement.proof(), stated.role())?;
         self.revoked.of(&name).into_iter().for_each(|revocation| counterparts.recall(revocation));
         let (mut known, mut statements) = (self.counterparts.lock(), self.statements.lock());
-        // Under the lock: what comes from now on, `domain_revoked` tells.
+        // Under the lock: `domain_revoked` handles later revocations.
         self.home.revocations().iter().for_each(|claims| drop(counterparts.domain_revoked(claims)));
         if statements.contains_key(&(name, stated)) {
             return Err(NodeError::Already { name, stated });
@@ -235,8 +235,8 @@ impl State {
         self.statements.lock().contains_key(&(name, stated))
     }
 
-    /// Serves or calls what is stated: returns the end of that, and of what is served where
-    /// requests come.
+    /// Starts to serve or call a service. Returns its ending, and for a server the queue of
+    /// requests.
     pub fn open_service(
         self: &Arc<Self>,
         name: Name,
@@ -252,7 +252,7 @@ impl State {
         Ok((requests, ending))
     }
 
-    /// A publication for what is stated.
+    /// Opens a publication with its statement.
     pub fn open(
         &self,
         name: Name,
@@ -266,12 +266,12 @@ impl State {
         Ok(publication)
     }
 
-    /// A publication that nobody knows yet.
+    /// Creates a publication without registering it.
     pub fn publication(&self, name: Name, options: &PublishOptions) -> Result<Publication, NodeError> {
         Publication::new(name, &self.identity, options, &self.send_path.scheduler, &self.send_path.pairs)
     }
 
-    /// What comes of what is stated, and why it ended.
+    /// Opens a subscription with its statement. Returns its queue and its ending.
     pub fn read(
         &self,
         name: Name,
@@ -285,7 +285,7 @@ impl State {
         listening.ok_or(NodeError::Closed)
     }
 
-    /// What comes for a name, and why it ended.
+    /// Starts to receive a name. Returns the queue of its messages and its ending.
     pub fn listen(&self, name: Name, options: SubscribeOptions) -> (Queue, Arc<Ending>) {
         let (sender, receiver) = mpsc::channel(options.queue.max(1));
         let (shared, ended) = (Arc::<QueueState>::default(), Arc::<Ending>::default());
@@ -296,9 +296,10 @@ impl State {
         (Queue::new(name, receiver, shared, self.commands.clone()), ended)
     }
 
-    /// A handle was dropped. The RIB is told by the supervisor, or by the loss of the link.
+    /// Withdraws a statement after its handle was dropped. The supervisor informs the RIB, or the
+    /// loss of the link does.
     pub fn withdraw(&self, name: Name, stated: Stated) {
-        // The statement last: until then nobody else can begin the same.
+        // The statement is removed last. Until then, no other handle can make the same statement.
         match stated {
             Stated::Served | Stated::Called => {
                 let mut known = self.counterparts.lock();
@@ -326,7 +327,7 @@ impl State {
         self.withdraw_later(name, stated);
     }
 
-    /// Has the supervisor tell the RIB that this is withdrawn, once there is a link.
+    /// Makes the supervisor send a withdrawal to the RIB when there is a link.
     pub fn withdraw_later(&self, name: Name, stated: Stated) {
         let _ = self.rib_updates.send(RibUpdate::Withdraw { name, stated });
     }

@@ -1,5 +1,5 @@
-//! A statement of this node about a name: that it publishes, reads, serves or calls it, and by
-//! which right.
+//! A statement of this node about a name: that it publishes, reads, serves or calls it, and the
+//! right to do so.
 
 use gdp_wire::Name;
 
@@ -7,7 +7,7 @@ use gdp_core::cert::{AdCert, CertError, Issued, Reading as Grant, Revocation};
 use gdp_core::name::NameProof;
 use gdp_proto::control::NameRole;
 
-/// What a node can state about a name.
+/// The kinds of statements about a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Stated {
     Published,
@@ -28,8 +28,8 @@ impl Stated {
         }
     }
 
-    /// Whether it concerns what the node sends, which may go by any of its links: to the name, or
-    /// to those who serve it.
+    /// Returns whether the statement concerns frames that the node sends, on any of its links.
+    /// These go to the name itself or to its servers.
     pub fn sends(self) -> bool {
         matches!(self, Self::Published | Self::Called)
     }
@@ -55,30 +55,31 @@ impl std::fmt::Display for Stated {
     }
 }
 
-/// The right to a name, as it is shown to the RIB.
+/// The right to a name, as presented to the RIB.
 #[derive(Clone, PartialEq, Eq)]
 pub enum Statement {
-    /// Publishes or serves.
+    /// A right to publish or serve.
     Write { proof: NameProof, ad_cert: Issued<AdCert> },
-    /// Subscribes or calls.
+    /// A right to subscribe or call.
     Read { proof: NameProof, grant: Grant },
 }
 
-/// A statement that the application wants to stand.
+/// A statement that the application wants to maintain.
 pub struct Advertisement {
     pub statement: Statement,
-    /// When the right ends, in Unix seconds.
+    /// The expiry of the right, in Unix seconds.
     pub not_after: u64,
-    /// It comes and goes by two links.
+    /// Whether its frames use two links.
     pub duplicate: bool,
-    /// Lanes on whose present link it was stated, as a bit each.
+    /// A bit for each lane whose current link has carried the statement.
     pub done: u8,
-    /// The right has ended.
+    /// Whether the right has ended.
     pub over: bool,
 }
 
 impl Statement {
-    /// The name it is about and when the right ends (Unix seconds), if it holds for this entity.
+    /// Returns the name and the expiry of the right (Unix seconds), if the right is valid for this
+    /// entity.
     pub fn verify(&self, entity: Name, revocation: Option<&Revocation>, now: u64) -> Result<(Name, u64), CertError> {
         match self {
             Self::Write { proof, ad_cert } => {

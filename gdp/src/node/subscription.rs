@@ -1,4 +1,4 @@
-//! The application's receiving end of a name.
+//! The application's handle for receiving a name.
 
 use gdp_wire::Name;
 use std::sync::Arc;
@@ -28,31 +28,33 @@ impl Subscription {
         self.queue.name
     }
 
-    /// The next message; `None` once the node is closed, or the grant holds no more
+    /// Returns the next message, or `None` after the node closes or the grant ends
     /// ([`Self::ended`]). Safe to cancel.
     pub async fn recv(&mut self) -> Option<Message> {
         self.queue.recv().await
     }
 
-    /// Waits until nothing is received any more, and says why.
+    /// Waits until receiving ends, and returns the reason.
     pub fn ended(&self) -> impl Future<Output = Ended> + Send + use<> {
         self.ending.wait()
     }
 
-    /// Reads on by this grant; nothing is missed, and writers do not notice. To be done before the
-    /// present one ends. A refusal of the RIB leaves the present one in force; while there is no
-    /// link, the RIB is given the new one with the next.
+    /// Continues to read with this grant; no message is lost, and writers do not notice. Call it
+    /// before the current grant expires.
+    ///
+    /// If the RIB refuses the new grant, the current one stays in force. Without a link, the RIB
+    /// receives the new grant over the next link.
     pub async fn renew(&mut self, grant: Reading) -> Result<(), NodeError> {
         let renewed = |proof| Statement::Read { proof, grant };
         self.node.state.renew(self.queue.name, Stated::Subscribed, renewed).await
     }
 
-    /// What became of messages and segments so far.
+    /// Returns the counters of messages and segments.
     pub fn counters(&self) -> SubscriptionCounters {
         self.queue.shared.counters()
     }
 
-    /// The same at any time, from any task.
+    /// Returns a meter that reads the same counters at any time, from any task.
     pub fn meter(&self) -> Meter<SubscriptionCounters> {
         let shared = self.queue.shared.clone();
         Meter::new(move || shared.counters())

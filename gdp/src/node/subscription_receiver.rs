@@ -1,6 +1,7 @@
-//! A subscription as the receiving thread has it: the reader, whom it believes, how far each
-//! writer's session is, and the queue to the application. What it has to say to writers comes out;
-//! the receiving thread sends it.
+//! A subscription in the receiving thread: the reader, its authorised writers, the state of each
+//! writer's session, and the queue to the application.
+//!
+//! The receiving thread sends its feedback to writers.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
@@ -19,7 +20,7 @@ use gdp_e2e::keys::Opened;
 use gdp_e2e::seal::{DropReason, Message, Reader, Received, Timestamps, segment_ids};
 use gdp_e2e::transport::{Arrival, Inbound, InboundCounters, Position, Segment};
 
-/// What a reader is to believe.
+/// A change of a reader's writers and keys.
 #[derive(Debug)]
 pub enum Change {
     /// This writer's right was verified.
@@ -30,7 +31,7 @@ pub enum Change {
     Revoke {
         writer: Name,
     },
-    /// What it seals with.
+    /// The writer's key.
     Key {
         writer: Name,
         opened: Opened,
@@ -41,22 +42,22 @@ pub enum Change {
     },
 }
 
-/// What became of a payload.
+/// The outcome of a payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// Used, or dropped and counted.
     Done,
-    /// It may be of use later, for this reason and counting for so many drops otherwise.
+    /// Not usable yet, for this reason. If it expires, it counts as this number of drops.
     Early(DropReason, u64),
 }
 
-/// What the application's handle shares with the thread.
+/// The state that the application's handle shares with the thread.
 #[derive(Default)]
 pub struct QueueState {
     pub queued_bytes: AtomicUsize,
-    /// Messages of a reliable name wait for room in the queue.
+    /// Whether messages of a reliable name wait for space in the queue.
     pub stalled: AtomicBool,
-    /// Writers that offer less than the reader asks for.
+    /// Number of writers that offer less than the reader requests.
     pub incompatible: AtomicUsize,
     pub counters: ReadCounters,
 }
@@ -74,8 +75,8 @@ impl QueueState {
     }
 }
 
-/// What became of a name's messages at this reader. Those that the writers began since each was
-/// welcomed are the sum of the first four and of what is not dealt with yet.
+/// The counters of a name's messages at this reader. The writers' messages since the Welcome of
+/// each are the sum of the first four and of those in progress.
 #[derive(Default)]
 pub struct ReadCounters {
     delivered: AtomicU64,
@@ -84,9 +85,9 @@ pub struct ReadCounters {
     abandoned: AtomicU64,
     duplicates: AtomicU64,
     beyond: AtomicU64,
-    /// Of those delivered, what the application did not take in time.
+    /// Delivered messages that the application did not receive in time.
     pub queue_full: AtomicU64,
-    /// Of those delivered, latched messages that were known.
+    /// Delivered latched messages that this reader already had.
     pub repeats: AtomicU64,
     /// Segments and messages that the reader dropped, by [`DropReason`].
     dropped: [AtomicU64; DropReason::COUNT],
@@ -97,7 +98,7 @@ impl ReadCounters {
         self.dropped[reason as usize].fetch_add(times, Ordering::Relaxed);
     }
 
-    /// Those that are not 0.
+    /// Returns the counts that are not 0.
     pub fn drops(&self) -> BTreeMap<&'static str, u64> {
         let counts = self.dropped.iter().map(|count| count.load(Ordering::Relaxed));
         DropReason::ALL.iter().map(|reason| reason.label()).zip(counts).filter(|(_, count)| *count > 0).collect()
@@ -141,12 +142,12 @@ pub struct SubscriptionReceiver {
     queue: mpsc::Sender<Message>,
     shared: Arc<QueueState>,
     writers: HashMap<Name, KnownWriter>,
-    /// Of reliable sessions, what the application has no room for yet.
+    /// Messages of reliable sessions that do not fit the application's queue yet.
     stalled: VecDeque<Message>,
-    /// Empty between calls; keeps its capacity.
+    /// Empty between calls; retains its capacity.
     received: Received,
     seen_drops: [u64; DropReason::COUNT],
-    /// Where it is among the thread's timers.
+    /// The subscription's entry in the thread's timers.
     pub timer: Option<u64>,
 }
 
@@ -156,21 +157,22 @@ struct KnownWriter {
     session: Option<Session>,
 }
 
-/// The one session of a writer that it has vouched for last.
+/// The session that a writer has confirmed last.
 struct Session {
     id: [u8; 16],
     inbound: Inbound<Message>,
     seen: InboundCounters,
-    /// What it was told to begin with.
+    /// The sequence number that its Welcome announced as the start.
     from: u64,
-    /// The last message sent before that which came again.
+    /// The last repeated message with an original sequence before `from`.
     latched: u64,
-    /// Every message is wanted, and the writer keeps them.
+    /// Whether the reader wants every message and the writer stores them.
     reliable: bool,
 }
 
 impl Session {
-    /// Whether a message is new to this reader; its time is that of its first sending.
+    /// Returns whether a message is new to this reader. Sets the time of a repeated message to that
+    /// of its first transmission.
     fn is_new(&mut self, message: &mut Message) -> bool {
         let Some(first) = message.latched else { return true };
         message.timestamp_ns = first.timestamp_ns;
@@ -202,12 +204,12 @@ impl SubscriptionReceiver {
         self.writers.contains_key(writer)
     }
 
-    /// Returns the writer whose early frames may be of use now.
+    /// Applies a change. Returns the writer whose early frames may be usable now.
     pub fn change(&mut self, now: u64, change: Change) -> Option<Name> {
         match change {
             Change::Authorise { writer, key } => {
                 self.reader.authorise(writer, key).ok()?;
-                // It may have begun anew, also if it was known.
+                // Even a known writer may have restarted.
                 let begun = self.writers.entry(writer).or_default().greeting.begin(now);
                 if let Err(error) = begun {
                     tracing::warn!(%error, "a writer could not be asked for its session");
@@ -232,7 +234,7 @@ impl SubscriptionReceiver {
         }
     }
 
-    /// What the writer says to this reader alone. Returns whether its early frames may be of use
+    /// Processes feedback from a writer. Returns whether the writer's early frames may be usable
     /// now.
     pub fn hear(&mut self, now: u64, writer: &Name, feedback: &Feedback) -> bool {
         let Some(known) = self.writers.get_mut(writer) else { return false };
@@ -243,9 +245,8 @@ impl SubscriptionReceiver {
                     return false;
                 }
                 if let Some(known) = known.session.as_mut().filter(|known| known.id == *session) {
-                    // It was asked again, and says where a reader begins that knows nothing. This
-                    // one knows where it is: what comes before that was sent, and is missed if it
-                    // is not here.
+                    // A repeated Welcome announces the start for a new reader. This reader retains
+                    // its position: earlier messages were sent, and those it lacks are missing.
                     known.inbound.heartbeat(now, *sequence, 0);
                 } else {
                     let reliable = self.options.wants != Wants::Newest && *reliable;
@@ -265,7 +266,7 @@ impl SubscriptionReceiver {
         }
     }
 
-    /// Takes a frame's payload from a writer it knows. `marked`: the frame met congestion.
+    /// Processes a frame's payload from a known writer. `marked`: the frame met congestion.
     pub fn push(
         &mut self,
         now: Timestamps,
@@ -280,7 +281,7 @@ impl SubscriptionReceiver {
             if marked {
                 inbound.congested();
             }
-            // What there is no room for comes again; opened, it would count as delivered.
+            // The writer retransmits what does not fit. Opening it would count it as delivered.
             let most = inbound.next_sequence().saturating_add(REACH);
             let is_beyond = |id: [u8; 16], sequence| {
                 segment_ids(payload).any(|segment| segment.session == id && segment.sequence >= sequence)
@@ -298,7 +299,7 @@ impl SubscriptionReceiver {
                 writer.ask(steady);
             }
             let times = self.reader.drops()[reason as usize] - before[reason as usize];
-            // Counted if it is of no use later.
+            // Counted later if it expires.
             self.seen_drops[reason as usize] += times;
             verdict = Verdict::Early(reason, times);
         }
@@ -307,8 +308,8 @@ impl SubscriptionReceiver {
             received.clear();
             return verdict;
         };
-        // Those that are repeated as well: if a report was lost, the writer has to hear that they
-        // are here. What did not open is nobody's word, so it counts for nothing.
+        // Includes repeated segments: after a lost report, the writer must learn that they have
+        // arrived. Segments that did not open are unauthenticated and do not count.
         for segment in received.segments.iter().chain(&received.repeated).filter(|segment| segment.session == *id) {
             inbound.segment(steady, &as_segment(segment));
         }
@@ -316,7 +317,7 @@ impl SubscriptionReceiver {
             if lost.again {
                 inbound.forget(steady, lost.sequence);
             } else {
-                // Messages before it are older still.
+                // Earlier messages are older still.
                 let gone = Feedback::Unavailable { name: self.name, session: *id, oldest: lost.sequence + 1 };
                 inbound.feedback(steady, &gone);
             }
@@ -328,7 +329,7 @@ impl SubscriptionReceiver {
             if message.session == *id {
                 inbound.complete(steady, message.sequence, message.body.len(), message);
             } else {
-                // Of a session that the writer has left.
+                // The message belongs to a session that the writer has left.
                 counters.dropped[DropReason::Stale as usize].add(1);
             }
         }
@@ -336,7 +337,8 @@ impl SubscriptionReceiver {
         verdict
     }
 
-    /// What is due: messages to the application; what is to be said to writers comes out.
+    /// Runs due work: delivers messages to the application, and passes feedback for writers to
+    /// `tell`.
     pub fn poll(&mut self, now: u64, counters: &Counters, mut tell: impl FnMut(&Name, &Feedback)) {
         self.take_up(counters);
         let Self { name, writers, options, queue, shared, stalled, .. } = self;
@@ -349,7 +351,8 @@ impl SubscriptionReceiver {
             while let Some(arrival) = session.inbound.poll(now) {
                 match arrival {
                     Arrival::Message(mut message) => {
-                        // First: who has the message may look.
+                        // Counted before delivery, because the recipient of the message may read
+                        // the counters.
                         out.shared.counters.add(session.inbound.counters(), &mut session.seen);
                         match session.is_new(&mut message) {
                             true => out.deliver(message, session.reliable, counters),
@@ -367,7 +370,7 @@ impl SubscriptionReceiver {
         self.count_drops(counters);
     }
 
-    /// When [`Self::poll`] has something to do, if nothing else happens.
+    /// Returns the time at which [`Self::poll`] has work, without other events.
     pub fn next_wake(&self) -> Option<u64> {
         let of = |known: &KnownWriter| {
             let inbound = known.session.as_ref().and_then(|session| session.inbound.next_wake());
@@ -377,12 +380,12 @@ impl SubscriptionReceiver {
         self.writers.values().filter_map(of).chain(deadline).min()
     }
 
-    /// Whether the rest of the newest message of a writer is to come.
+    /// Returns whether the newest message of a writer is still incomplete.
     pub fn is_amid(&self) -> bool {
         self.writers.values().any(|known| known.session.as_ref().is_some_and(|session| session.inbound.is_amid()))
     }
 
-    /// Brings what waited for room to the application.
+    /// Delivers messages that waited for space.
     fn take_up(&mut self, counters: &Counters) {
         while let Some(message) = self.stalled.pop_front() {
             let Self { options, queue, shared, stalled, .. } = self;
@@ -394,7 +397,7 @@ impl SubscriptionReceiver {
         self.shared.stalled.store(false, Ordering::Relaxed);
     }
 
-    /// How many writers offer less than is asked for; of the first of them the log tells.
+    /// Counts the writers that offer less than the reader requests, and logs the first one.
     fn compare(&self) {
         let lesser = self.writers.iter().filter(|(_, known)| {
             self.options.wants == Wants::Every && known.session.as_ref().is_some_and(|session| !session.reliable)
@@ -408,7 +411,7 @@ impl SubscriptionReceiver {
         }
     }
 
-    /// Of a frame that came too early, in vain.
+    /// Counts the drops of an early frame that expired.
     pub fn count_early(&self, reason: DropReason, times: u64, counters: &Counters) {
         counters.dropped[reason as usize].add(times);
         self.shared.counters.dropped(reason, times);
@@ -436,7 +439,7 @@ impl KnownWriter {
     }
 }
 
-/// The way to the application.
+/// The path of messages to the application.
 struct Out<'a> {
     options: &'a SubscribeOptions,
     queue: &'a mpsc::Sender<Message>,
@@ -458,8 +461,8 @@ impl Out<'_> {
         }
     }
 
-    /// Returns the message if there is no room for it. One that is larger than all the room is
-    /// taken if nothing else is there.
+    /// Queues a message, or returns it if there is no space. A message that exceeds the whole queue
+    /// is accepted if the queue is empty.
     fn offer(&self, message: Message, counters: &Counters) -> Option<Message> {
         let length = message.body.len();
         let queued = self.shared.queued_bytes.load(Ordering::Relaxed);
@@ -468,7 +471,7 @@ impl Out<'_> {
         }
         match self.queue.try_reserve() {
             Ok(place) => {
-                // Counted first: who has the message may look.
+                // Counted first, because the recipient of the message may read the counters.
                 self.shared.queued_bytes.fetch_add(length, Ordering::Relaxed);
                 counters.messages_received.add(1);
                 place.send(message);
@@ -479,8 +482,8 @@ impl Out<'_> {
     }
 }
 
-/// How far beyond the first message that is missing others are taken: as far as the reader's replay
-/// window remembers.
+/// How far beyond the first missing message others are accepted: the size of the reader's replay
+/// window.
 const REACH: u64 = 1024;
 
 fn as_segment(id: &gdp_e2e::seal::SegmentId) -> Segment {

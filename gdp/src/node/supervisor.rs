@@ -1,7 +1,8 @@
-//! Keeps one link of the node: makes it, attaches, states again what the application wants stated,
-//! answers the switch, and begins anew when the link is lost, or at once when this machine is in
-//! another network. The application's handles never notice but for what was lost. [`run`] keeps all
-//! links of a node.
+//! Supervises one link of the node.
+//!
+//! The supervisor makes the link, attaches, repeats the application's statements and answers the
+//! switch. It reconnects after a loss, or at once after this machine has changed networks. The
+//! application's handles notice only lost messages. [`run`] supervises all links of a node.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,14 +27,14 @@ use gdp_core::peer::GRACEFUL_RESTART_TIME;
 use gdp_link::link::RekeySchedule;
 use gdp_util::backoff::Backoff;
 
-/// A link whose switch fell silent, in use until then at the latest.
+/// A link with a silent switch, in use until this time at the latest.
 struct StaleLink {
     attachment: Arc<Attachment>,
     until: Instant,
 }
 
 impl StaleLink {
-    /// Returns when the link is of no use any more, and says why.
+    /// Returns the reason when the link can no longer be used.
     async fn end(&self) -> &'static str {
         match timeout_at(self.until, self.attachment.until_silent()).await {
             Ok(()) => "its data plane does not answer either",
@@ -42,8 +43,8 @@ impl StaleLink {
     }
 }
 
-/// Keeps the links of a node until `stop` becomes true, or none could be made in the time that each
-/// had for its first. Says through `first` what came of that, by the number of the link.
+/// Supervises the links of a node until `stop` becomes true. Sends the result of each link's first
+/// connection through `first`, with the lane of the link.
 pub async fn run(
     state: Arc<State>,
     links: Vec<LinkConfig>,
@@ -73,7 +74,7 @@ pub async fn run(
     }
     state.close();
     state.revoked.save();
-    // In this order: the thread is woken through a link.
+    // In this order, because the command wakes the thread through a link.
     state.commands.send(Command::Stop);
     state.send_path.shut();
     ending.send_replace(true);
@@ -92,7 +93,7 @@ impl Supervisor {
         self.lane.into()
     }
 
-    /// The first link, within `timeout`. What waiting cannot mend is an error at once.
+    /// Makes the first link within `timeout`. A permanent error is returned at once.
     async fn connect(&mut self, timeout: Duration) -> Result<Arc<Attachment>, NodeError> {
         let mut backoff = BACKOFF;
         let attempts = async {
@@ -113,7 +114,7 @@ impl Supervisor {
         })
     }
 
-    /// Runs until `ending` becomes true. The only link of a node has to be made in time.
+    /// Runs until `ending` becomes true.
     async fn run(
         mut self,
         timeout: Duration,
@@ -159,8 +160,7 @@ impl Supervisor {
         }
     }
 
-    /// A new link. What the application sends in the meantime goes out on the stale one, as
-    /// long as that is of use.
+    /// Makes a new link. Meanwhile frames leave on the stale link while it is usable.
     async fn reconnect_while_stale(&mut self, stale: &StaleLink) -> Arc<Attachment> {
         let (state, lane) = (self.state.clone(), self.lane());
         let end = async {
@@ -189,14 +189,14 @@ impl Supervisor {
         }
     }
 
-    /// Waits before the next attempt; not if the switch is reached in another way than at the last
-    /// one.
+    /// Waits before the next attempt, or until the path to the switch differs from that of the last
+    /// attempt.
     async fn pause(&mut self, backoff: &mut Backoff) {
         let Self { dialler, expedite, .. } = self;
         expedite.pause(backoff, dialler.news(), dialler.is_blind()).await;
     }
 
-    /// One link's life; returns why it ended.
+    /// Runs one link until it closes, and returns the reason.
     async fn serve(&self, attachment: Arc<Attachment>) -> String {
         let (state, send_path) = (&self.state, &self.state.send_path);
         let others = send_path.links.slots().len() > 1;
@@ -222,8 +222,8 @@ impl Supervisor {
         }
     }
 
-    /// Makes a link and attaches: from then on the switch may send on it, so frames are taken on it
-    /// before. Those on the stale link are taken for as long as the switch may send them.
+    /// Makes a link and attaches. The switch may send on the link after that, so the node receives
+    /// on it before. It also receives on the stale link as long as the switch may send there.
     async fn attempt(&mut self, stale: Option<&StaleLink>) -> Result<Arc<Attachment>, NodeError> {
         let (port, candidates) = self.dialler.begin().await?;
         let stale = stale.map(|stale| (stale.attachment.clone(), stale.until.into_std()));
