@@ -1,5 +1,5 @@
-//! Publish and subscribe bytes by name, without ROS. Needs a running switch: `gdp-ctl serve` (no
-//! root needed).
+//! Publishes and subscribes to bytes by name, without ROS. Requires a running switch: `gdp-ctl
+//! serve` (without root).
 //!
 //! ```text
 //! cargo run -p gdp --example pubsub                               both ends in one process
@@ -67,7 +67,7 @@ async fn publish(options: &Options, papers: &Credentials) -> Result<()> {
         println!("sent      {text}");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    // Not before the reader has all of it.
+    // Waits until the reader has received all messages.
     publisher.close(Duration::from_secs(5)).await?;
     node.close().await;
     Ok(())
@@ -81,8 +81,8 @@ async fn subscribe(
     let node = Node::connect(NodeConfig::new(papers.cloud.clone(), options.link.clone())).await?;
     let mut subscription = node.subscribe(papers.card.proof(), papers.grant()?, SubscribeOptions::reliable()).await?;
     ready.map(|ready| ready.send(()));
-    // An endpoint that publishes a moment later is known by its certificate; nothing has to be set
-    // up for it here.
+    // A publisher that joins later is authorised by its certificate. This subscriber needs no
+    // configuration for it.
     for received in 0..options.count {
         let waiting = tokio::time::timeout(Duration::from_secs(60), subscription.recv());
         let Ok(Some(message)) = waiting.await else {
@@ -96,7 +96,8 @@ async fn subscribe(
     Ok(())
 }
 
-/// What the owner of a topic gives out, and to whom. The owner's key would stay off the robot.
+/// The certificates that the owner of a topic issues, and their holders. In a deployment, the
+/// owner's key would not be on the robot.
 struct Credentials {
     owner: SigningKey,
     card: NameCard,
@@ -133,7 +134,8 @@ impl Credentials {
     }
 }
 
-/// A certificate's serial, Unix nanoseconds; and from an hour ago to tomorrow, in Unix seconds.
+/// Returns a certificate's serial in Unix nanoseconds, and its validity in Unix seconds: from an
+/// hour ago to tomorrow.
 fn today() -> Result<(u64, u64, u64)> {
     let now = SystemTime::UNIX_EPOCH.elapsed()?;
     Ok((u64::try_from(now.as_nanos())?, now.as_secs() - 3600, now.as_secs() + 24 * 3600))

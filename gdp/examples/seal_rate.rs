@@ -1,7 +1,7 @@
-//! How many signed messages one core seals, and how many it opens and verifies, by the size of the
-//! batch that shares a signature: `cargo run --release -p gdp --example seal_rate`. One line of
-//! JSON for each size. Time is this thread's on the processor, so that what else runs matters
-//! little.
+//! Measures how many signed messages per second one core seals, and how many it opens and verifies.
+//!
+//! `cargo run --release -p gdp --example seal_rate` prints one line of JSON per batch size. A batch
+//! shares one signature. The clock is this thread's CPU time, which other load hardly affects.
 
 use std::time::Duration;
 
@@ -44,8 +44,8 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Messages sealed a second, messages opened a second, and bytes of frame payload that a message
-/// takes.
+/// Returns the messages sealed per second, the messages opened per second, and the bytes of frame
+/// payload per message.
 fn measure(options: &Options, batch: usize) -> Result<(f64, f64, usize)> {
     let (entity, name, key) = (Identity::generate("proxy")?, Name::from_bytes([1; 32]), EpochKey::generate()?);
     let mut writer = Writer::new(name, entity.name(), entity.key().clone(), Backend::default())?;
@@ -80,10 +80,10 @@ fn measure(options: &Options, batch: usize) -> Result<(f64, f64, usize)> {
     Ok((per_second(sealing), per_second(opening), wire_bytes))
 }
 
-/// How long this thread has run.
+/// Returns the CPU time of this thread.
 fn on_processor() -> Duration {
     let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: the kernel writes one `timespec` to the place it is given.
+    // SAFETY: the kernel writes one `timespec` to `time`.
     unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &mut time) };
     Duration::new(time.tv_sec.unsigned_abs(), time.tv_nsec.unsigned_abs() as u32)
 }

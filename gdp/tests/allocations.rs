@@ -1,5 +1,6 @@
-//! Sealing and opening must not allocate per frame. This file is a program of its own because it
-//! counts every allocation of the process.
+//! Checks that sealing and opening do not allocate per frame.
+//!
+//! This test is a separate executable because it counts all allocations of the process.
 
 use gdp_core::crypto::Backend;
 use gdp_core::identity::Identity;
@@ -15,12 +16,12 @@ thread_local! {
     static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
 }
 
-// SAFETY: everything is passed on to the system's allocator; counting touches only a `const`
-// thread-local without destructor, which itself never allocates.
+// SAFETY: all calls are forwarded to the system's allocator. Counting only uses a `const`
+// thread-local without a destructor, which itself never allocates.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller's guarantees are those that `System` asks for.
+        // SAFETY: the caller guarantees the requirements of `System`.
         unsafe { System.alloc(layout) }
     }
 
@@ -31,7 +32,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as above; what this allocator hands out comes from `System`.
+        // SAFETY: as above. The memory was allocated by `System`.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -52,18 +53,20 @@ fn frames_cost_no_allocation() {
     let (mut segments, mut received) = (Segments::new(), Received::default());
     let body = vec![7u8; 200_000];
 
-    // Once to let the buffers grow.
+    // The first call grows the buffers.
     writer.seal(0, Encoding::Bytes, &body, 1400, &mut segments).unwrap();
     push(&mut reader, entity.name(), &segments, &mut received);
     let sealing = allocations(|| writer.seal(0, Encoding::Bytes, &body, 1400, &mut segments).unwrap());
     assert!(segments.len() > 140);
     let opening = allocations(|| push(&mut reader, entity.name(), &segments, &mut received));
     assert_eq!(received.messages.len(), 1);
-    // What is left: the signature (inside the library), and per message its body and bookkeeping.
+    // The remaining allocations: the signature (inside the library), and the body and bookkeeping
+    // of each message.
     assert!(sealing <= 4, "sealing {} frames: {sealing} allocations", segments.len());
     assert!(opening <= 10, "opening {} frames: {opening} allocations", segments.len());
 
-    // Small messages have their bytes, and those whose proof is in the next frame some bookkeeping.
+    // Small messages allocate their bytes. Those with their proof in the next frame also allocate
+    // bookkeeping.
     let batch = [Draft::new(Encoding::Bytes, &body[..64]); 256];
     writer.seal_batch(0, &batch, 1400, &mut segments).unwrap();
     push(&mut reader, entity.name(), &segments, &mut received);

@@ -1,5 +1,7 @@
-//! The public API from end to end, without a network: an owner makes a name and lets a writer and a
-//! reader in, a RIB checks both, and a message crosses.
+//! Uses the public API from end to end, without a network.
+//!
+//! An owner creates a name and authorises a writer and a reader. A RIB verifies both, and a message
+//! is sealed and opened.
 
 use gdp_core::card::NameCard;
 use gdp_core::cert;
@@ -25,14 +27,14 @@ fn a_message_crosses_from_an_authorised_writer_to_a_reader() -> anyhow::Result<(
     let ad_cert = cert::issue(&owner, &ad_cert)?;
     let grant = ReadGrant { name, to: Grantee::Entity(reader.name()), serial, not_before, not_after };
     let grant = cert::issue(&owner, &grant)?.into();
-    // Certificates travel as files.
+    // Certificates are exchanged as files.
     let ad_cert = Issued::<AdCert>::from_pem(&ad_cert.to_pem())?;
 
     let publish = statement(&writer, AdvertOp::Publish, name, switch)?;
     let subscribe = statement(&reader, AdvertOp::Subscribe, name, switch)?;
     cert::authorise_advertise(&speaker(&writer, switch), &card.proof(), &ad_cert, &publish, None)?;
     cert::authorise_subscribe(&speaker(&reader, switch), &card.proof(), &grant, &subscribe, None)?;
-    // The reader's certificate does not make it a writer, nor anybody else.
+    // The reader's certificate authorises neither the reader nor any other entity as a writer.
     let refused = cert::authorise_advertise(&speaker(&reader, switch), &card.proof(), &ad_cert, &subscribe, None);
     assert!(matches!(refused, Err(CertError::WrongEntity { .. })), "{refused:?}");
 

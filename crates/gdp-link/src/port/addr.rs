@@ -16,7 +16,7 @@ pub enum LinkAddr {
 }
 
 impl LinkAddr {
-    /// A UDP address, with an IPv6-mapped IPv4 address unmapped.
+    /// Returns a UDP address, with an IPv4-mapped IPv6 address converted to IPv4.
     pub fn udp(addr: SocketAddr) -> Self {
         Self::Udp(SocketAddr::new(addr.ip().to_canonical(), addr.port()))
     }

@@ -1,4 +1,5 @@
-//! A service with several servers: whom a call goes to, that it stays there, and who may call.
+//! Tests of a service with several servers: the selection of a server, pinned calls, and the
+//! authorisation of callers.
 
 use std::collections::BTreeMap;
 
@@ -41,7 +42,7 @@ async fn calls_are_shared_and_each_stays_with_its_server() {
     let reply = reply.unwrap();
     assert_eq!((reply.writer, &reply.body[..]), (near_name, &b"pinned"[..]));
 
-    // It goes, and what waits there fails at once; it is sent to no other.
+    // The server leaves. Its outstanding call fails at once and is not sent to another server.
     let before = seen(other_name);
     assert!(!changes.has_changed().unwrap(), "the same two all the while");
     drop(near);
@@ -60,7 +61,7 @@ async fn calls_are_shared_and_each_stays_with_its_server() {
     let (reply, ()) = tokio::join!(soon(client.call(Encoding::Bytes, b"next")), echo(&mut other));
     assert_eq!(reply.unwrap().writer, other_name);
 
-    // It comes back.
+    // The server returns.
     let mut near = owner.serve(if near_name == one.name() { &one } else { &two }).await;
     soon(changes.changed()).await.unwrap();
     assert_eq!((client.servers(), client.instances()[0].name), (2, near_name));
@@ -68,7 +69,7 @@ async fn calls_are_shared_and_each_stays_with_its_server() {
     assert_eq!(reply.unwrap().writer, near_name);
     drop(unanswered);
     drop(client);
-    // Whoever was there leaves, and then there is nothing to wait for.
+    // The remaining server leaves. After that the channel closes.
     while soon(changes.changed()).await.is_ok() {}
 }
 
@@ -121,8 +122,8 @@ async fn who_may_call_one_service_does_not_call_another_of_the_same_server() {
     eventually("it is not served here", || refused() == 1).await;
     forge(guarded.name()).await;
     eventually("it may not be called by this", || refused() == 2).await;
-    // It may as soon as it has a grant that the RIB told of, and what came a moment earlier with
-    // it.
+    // The caller is authorised after the RIB has announced its grant. That also applies to a
+    // request from just before.
     forge(guarded.name()).await;
     let (reply, ()) = tokio::join!(soon(client.call(Encoding::Bytes, b"where to?")), echo(&mut server));
     assert_eq!(&reply.unwrap().body[..], b"where to?", "what came before was taken by now");
@@ -174,8 +175,8 @@ async fn a_server_that_begins_anew_is_called_again() {
     }
 }
 
-/// Those that are shown can be called: the way to one that is new is open by then, and so is that
-/// to one that is back.
+/// All listed servers can be called: their publications exist by then, also those of new and
+/// returned servers.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_server_is_called_in_the_moment_in_which_it_is_there() {
     let fabric = Fabric::start().await;
@@ -206,7 +207,7 @@ async fn a_server_is_called_in_the_moment_in_which_it_is_there() {
     }
 }
 
-/// Counts frames with sealed parts of messages from a node to an entity.
+/// Returns a counter of the frames with sealed segments from a node to an entity.
 fn requests_seen(fabric: &Fabric, from: &Node) -> impl Fn(Name) -> usize + use<> {
     let seen = Arc::<Mutex<Vec<Name>>>::default();
     let (from, tape) = (from.name(), seen.clone());
@@ -223,7 +224,7 @@ async fn call(client: Arc<Client>, body: &'static [u8]) -> Result<Message, NodeE
     client.call(Encoding::Bytes, body).await
 }
 
-/// Sends the next request back.
+/// Replies to the next request with its body.
 async fn echo(server: &mut Server) {
     let call = soon(server.recv()).await.unwrap();
     let body = call.body().clone();

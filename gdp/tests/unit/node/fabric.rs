@@ -1,6 +1,7 @@
-//! A switch with a RIB that believes everybody, for the tests of nodes: real ports and links,
-//! frames forwarded with `gdp_wire::forward`, and switches for each way in which a RIB may
-//! misbehave.
+//! A switch with a RIB that believes every entity, for the tests of nodes.
+//!
+//! It uses real ports and links, forwards frames with `gdp_wire::forward`, and can simulate each
+//! way in which a RIB may misbehave.
 
 use gdp_wire::hop;
 use std::collections::{HashMap, HashSet};
@@ -44,7 +45,7 @@ struct Running {
     forwarder: std::thread::JoinHandle<()>,
 }
 
-/// Whether a frame arrives.
+/// Decides whether a frame is delivered.
 pub type Fate = Box<dyn FnMut(&Header, &[u8]) -> bool + Send>;
 
 #[derive(Default)]
@@ -57,20 +58,20 @@ struct Rib {
     boxes: HashMap<(Name, Name), Vec<Signed<KeyBox>>>,
     revocations: HashMap<Name, Signed<Revocation>>,
     refuse: Option<RefusalCode>,
-    /// What becomes of key boxes of a name, and how often that was asked.
+    /// The refusals of key boxes by name, and the number of refused requests.
     refuse_boxes: HashMap<Name, (RefusalCode, u32)>,
     told_revocations: u32,
     silent: bool,
     fate: Option<Fate>,
-    /// What an entity takes on each of its links, and the one on which it wants the rest.
+    /// Names that an entity receives on each of its links. Other names use the preferred link.
     everywhere: HashSet<(Name, Name)>,
     preferred: HashMap<Name, u8>,
-    /// What paths cost, and the links on which that is told.
+    /// The path costs, and the links that report them.
     costs: PathCosts,
     watchers: HashSet<u32>,
-    /// Links that no frames pass, either way.
+    /// Links that drop all frames in both directions.
     cut: HashSet<(Name, u8)>,
-    /// Links on which no request is answered.
+    /// Links that answer no request.
     mute: HashSet<(Name, u8)>,
     run: u64,
     generation: u64,
@@ -107,14 +108,14 @@ impl Fabric {
         self.running = Some(Running { port, accept, stop, forwarder });
     }
 
-    /// The switch goes away and forgets everything.
+    /// Stops the switch, which loses its state.
     pub async fn stop(&mut self) {
         let running = self.running.take().unwrap();
         running.stop.store(true, Ordering::Relaxed);
         running.accept.abort();
         running.forwarder.join().unwrap();
         running.port.close("going away").await;
-        // The socket closes with the last of what still uses it.
+        // The socket closes when its last user is dropped.
         {
             let mut rib = self.rib.lock();
             *rib = Rib { run: rib.run + 1, ..Rib::default() };
@@ -135,12 +136,12 @@ impl Fabric {
         self.node_by(kind, [None]).await
     }
 
-    /// With a link for each of these budgets.
+    /// Connects a node with one link for each of these budgets.
     pub async fn node_by<const N: usize>(&self, kind: &str, budgets: [Option<u64>; N]) -> Node {
         self.node_of(&Identity::generate(kind).unwrap(), budgets, None).await
     }
 
-    /// With a folder for what it keeps.
+    /// Connects a node with a state folder.
     pub async fn node_of<const N: usize>(
         &self,
         identity: &Identity,
@@ -156,7 +157,7 @@ impl Fabric {
         node
     }
 
-    /// Whether frames pass a link of a node.
+    /// Sets whether a node's link drops all frames.
     pub fn cut(&self, node: &Node, lane: u8, cut: bool) {
         let (mut rib, place) = (self.rib.lock(), (node.name(), lane));
         if cut {
@@ -166,13 +167,13 @@ impl Fabric {
         };
     }
 
-    /// A link of a node ends; the node makes another.
+    /// Closes a node's link; the node reconnects.
     pub fn end_link(&self, node: &Node, lane: u8) {
         let links = self.rib.lock().links_of(&node.name());
         links.iter().filter(|link| link.peer().lane == lane).for_each(|link| link.close("as the test wants it"));
     }
 
-    /// Answers no request over a link of a node any more.
+    /// Stops answering requests on a node's link.
     pub fn mute(&self, node: &Node, lane: u8) {
         self.rib.lock().mute.insert((node.name(), lane));
     }
@@ -185,7 +186,7 @@ impl Fabric {
         self.rib.lock().of(name, NameRole::Publisher).len()
     }
 
-    /// The serials of the certificates that writers of a name state.
+    /// Returns the serials of the certificates that a name's writers present.
     pub fn write_serials(&self, name: Name) -> Vec<u64> {
         let serial = |record: &Record| match &record.credential {
             Credential::Writer(cert) => cert.serials().unwrap()[0].1,
@@ -198,21 +199,21 @@ impl Fabric {
         !self.rib.lock().of(name, NameRole::Subscriber).is_empty()
     }
 
-    /// Decides over every frame from now on.
+    /// Sets the decision on each later frame.
     pub fn set_fate(&self, fate: Option<Fate>) {
         self.rib.lock().fate = fate;
     }
 
-    /// Tells everybody whom it exchanges messages with in this name.
+    /// Sends all entities of a name their counterparts.
     pub async fn tell(&self, name: Name) {
         let pushes = self.rib.lock().pushes(name);
         for (link, push) in pushes {
-            // One that lies has no part in the name.
+            // An entity with a forged record has no role in the name.
             link.request(&Request::Peers(push)).await.unwrap();
         }
     }
 
-    /// The owner takes certificates back.
+    /// Publishes the owner's revocation of certificates.
     pub async fn revoke(&self, revocation: Signed<Revocation>) {
         let name = revocation.claims_unverified().unwrap().name;
         self.rib.lock().revocations.insert(name, revocation);
@@ -223,7 +224,7 @@ impl Fabric {
         self.rib.lock().boxes.values().flatten().cloned().collect()
     }
 
-    /// What was stored for a reader of a name.
+    /// Returns the key boxes stored for a reader of a name.
     pub fn boxes(&self, name: Name, reader: &Node) -> Vec<KeyBox> {
         let rib = self.rib.lock();
         let boxes = rib.boxes.get(&(name, reader.name())).into_iter().flatten();
@@ -252,22 +253,22 @@ impl Fabric {
         self.rib.lock().refuse_boxes[&name].1
     }
 
-    /// Takes key boxes of every name again.
+    /// Accepts key boxes of every name again.
     pub fn take_boxes(&self) {
         self.rib.lock().refuse_boxes.clear();
     }
 
-    /// Revocations that nodes passed on.
+    /// Returns the number of revocations that nodes have forwarded.
     pub fn told_revocations(&self) -> u32 {
         self.rib.lock().told_revocations
     }
 
-    /// Whether nodes are told when their counterparts change.
+    /// Sets whether nodes are notified when their counterparts change.
     pub fn push_peers(&self, push: bool) {
         self.rib.lock().silent = !push;
     }
 
-    /// Switches tell of other costs.
+    /// Changes the path costs and reports them.
     pub async fn set_costs(&self, costs: PathCosts) {
         let watching: Vec<Link> = {
             let mut rib = self.rib.lock();
@@ -283,7 +284,7 @@ impl Fabric {
         self.identity.name()
     }
 
-    /// Claims that `node` may write `name`.
+    /// Adds a record that claims that `node` may write `name`.
     pub fn lie(&self, name: Name, node: &Node, proof: NameProof, cert: Issued<AdCert>) {
         let mut rib = self.rib.lock();
         let records = rib.records.get_mut(&(name, NameRole::Publisher)).unwrap();
@@ -293,7 +294,7 @@ impl Fabric {
     }
 }
 
-/// The owner of one name, and all it gives out.
+/// The owner of one name, who issues its certificates.
 pub struct Owner {
     key: SigningKey,
     card: NameCard,
@@ -308,7 +309,7 @@ impl Owner {
         Self { key, card }
     }
 
-    /// Somebody who knows the card, but whose key is another.
+    /// Returns an impostor with the same card but another key.
     pub fn of_card(card: NameCard) -> Self {
         Self { key: SigningKey::generate().unwrap(), card }
     }
@@ -331,7 +332,7 @@ impl Owner {
         issue(&self.key, &claims).unwrap().into()
     }
 
-    /// Reliable.
+    /// Publishes the name with reliable options.
     pub async fn publish(&self, node: &Node) -> Result<Publisher, NodeError> {
         self.publish_as(node, PublishOptions::reliable()).await
     }
@@ -348,7 +349,7 @@ impl Owner {
         self.subscribe_by(node, 1, options).await
     }
 
-    /// By a grant with this serial.
+    /// Subscribes with a grant that has this serial.
     pub async fn subscribe_by(
         &self,
         node: &Node,
@@ -375,16 +376,16 @@ impl Owner {
         issue(&self.key, &ReadGrant { name, to, serial, not_before: 0, not_after }).unwrap().into()
     }
 
-    /// Takes back the certificates with these serials.
+    /// Revokes the certificates with these serials.
     pub fn revocation(&self, number: u64, revoked: Vec<u64>) -> Signed<Revocation> {
         issue(&self.key, &Revocation { name: self.name(), number, floor: 0, revoked }).unwrap()
     }
 }
 
-/// For whatever a test waits for. Says that it is broken, not how fast it is.
+/// Timeout for all conditions in tests. It detects a failure and makes no statement about speed.
 pub const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// Waits for a condition.
+/// Waits until a condition is true.
 pub async fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
     let deadline = Instant::now() + TIMEOUT;
     while !condition() {
@@ -407,7 +408,8 @@ async fn accept_all(port: Arc<Port>, rib: Arc<Mutex<Rib>>) {
                     continue;
                 }
                 let (response, pushes) = rib.lock().answer(&link, request);
-                // Unlike a real RIB, so that the first message of a new writer is never too early.
+                // Pushed before the response, unlike a real RIB. The first message of a new writer
+                // is thus never too early.
                 for (other, push) in pushes {
                     let _ = other.request(&Request::Peers(push)).await;
                 }
@@ -506,7 +508,7 @@ impl Rib {
         self.records.get(&(name, role)).map_or(&[], Vec::as_slice)
     }
 
-    /// Keeps the boxes of the newest two epochs.
+    /// Stores the key boxes, those of the two newest epochs only.
     fn keep(&mut self, boxes: &[Signed<KeyBox>]) -> Pushes {
         let mut names = Vec::new();
         for signed in boxes {
@@ -523,7 +525,7 @@ impl Rib {
         let mut pushes: Pushes =
             names.iter().flat_map(|name| takers.map(|role| self.pushes_to(*name, role))).flatten().collect();
         for entity in names {
-            // What comes to an entity's own name.
+            // The key boxes for an entity's own name.
             if let Some(link) = self.link_of(&entity) {
                 let (role, switch) = (NameRole::Subscriber, entity);
                 let peers = self.peers(entity, role, entity);
@@ -533,7 +535,7 @@ impl Rib {
         pushes
     }
 
-    /// All counterparts of somebody in a name, as this RIB tells of them.
+    /// Returns all counterparts of an entity in a name, as this RIB reports them.
     fn peers(&mut self, name: Name, role: NameRole, entity: Name) -> Peers {
         self.generation += 1;
         let extent = PeersExtent::Whole { part: 0, last: true };
@@ -573,7 +575,7 @@ impl Rib {
         pushes
     }
 
-    /// The one that it prefers.
+    /// Returns the link that the entity prefers.
     fn link_of(&self, entity: &Name) -> Option<Link> {
         let preferred = self.preferred.get(entity).copied().unwrap_or(0);
         self.links_of(entity).into_iter().min_by_key(|link| link.peer().lane != preferred)
@@ -619,7 +621,7 @@ fn forward_frame(frame: &[u8], rib: &mut Rib, data: &DataSocket) {
             false => takers.extend(rib.link_of(&reader)),
         }
     }
-    // An entity is reached under its own name.
+    // An entity receives the frames to its own name.
     takers.extend(rib.links_of(&header.destination));
     takers.retain(|link| rib.passes(link));
     for link in takers {

@@ -13,7 +13,7 @@ fn it_is_said_a_few_times_soon_then_ever_more_rarely_and_again_when_there_is_rea
     let at: Vec<u64> = said.iter().map(|(at, _)| *at).collect();
     assert_eq!(at, [0, 100, 200, 300, 400, 500, 700, 1100, 1900, 3500, 6700]);
     assert!(said.iter().all(|(_, challenge)| *challenge == said[0].1));
-    // A stranger's frames come all the time.
+    // Frames of an unconfirmed session arrive continuously.
     let mut said = 0;
     for at in 10_000..20_000 {
         greeting.ask(at * MS).unwrap();

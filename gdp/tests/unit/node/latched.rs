@@ -14,7 +14,7 @@ fn the_last_are_kept_and_sent_again_once_each() {
     let mut sent = Vec::new();
     while let Some(draft) = samples.next_again() {
         sent.push((draft.latched.unwrap().sequence, draft.body[0]));
-        // What is sent meanwhile reaches all readers as it is.
+        // Messages that are sent in between reach all readers directly.
         if sent.len() == 1 {
             samples.keep(20, 79, &drafts[..2]);
         }

@@ -1,4 +1,4 @@
-//! Nodes with several links.
+//! Tests of nodes with several links.
 
 use std::sync::atomic::AtomicU64;
 use std::time::Instant;
@@ -8,10 +8,10 @@ use tokio::time::MissedTickBehavior;
 use super::*;
 use gdp_link::link::REQUEST_TIMEOUT;
 
-/// Between two messages in the tests.
+/// Interval between two messages in the tests.
 const PERIOD: Duration = Duration::from_millis(10);
 
-/// Of a small message: its body, and its proof.
+/// Number of segments of a small message: its body and its proof.
 const SEGMENTS: u64 = 2;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -19,7 +19,7 @@ async fn what_goes_by_two_links_is_not_missed_when_one_is_cut_and_comes_once() {
     let fabric = Fabric::start().await;
     let robot = fabric.node_by("proxy", [None, None]).await;
     let cloud = fabric.node("proxy").await;
-    // For as long as it takes on a machine that is busy.
+    // A lifetime that suffices on a busy machine.
     let (reliability, history) = (Reliability::BestEffort { lifetime: TIMEOUT }, 1024);
     let best_effort = PublishOptions { reliability, history, ..PublishOptions::best_effort() };
     for options in [PublishOptions::reliable(), best_effort] {
@@ -225,7 +225,7 @@ async fn frames_are_as_small_as_another_link_takes_only_if_they_may_go_by_it() {
     let small = usize::from(SMALLEST_PATH) - Header::LEN;
     eventually("the main link takes large frames", || send_path.links.attached_now().unwrap().max_payload() > small)
         .await;
-    // It begins anew with small ones.
+    // The new link starts with small frames.
     fabric.end_link(&robot, 1);
     eventually("the other is back", || robot.counters().links == 3 && robot.links()[1].state == LinkState::Up).await;
     publisher.send(Encoding::Bytes, &[1; 5000]).await.unwrap();

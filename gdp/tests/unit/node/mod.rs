@@ -1,5 +1,6 @@
-//! Nodes against a switch and RIB of a page, over UDP on loopback. No root. The real ones:
-//! `gdp-ctl`, `tests/`.
+//! Tests of nodes against a minimal switch and RIB, over UDP on loopback.
+//!
+//! No root. `gdp-ctl` and `tests/` have tests with the real switch and RIB.
 
 mod anycast;
 mod fabric;
@@ -54,7 +55,7 @@ async fn only_writers_with_the_owners_certificate_are_believed() {
     let mut subscription = owner.subscribe(&cloud).await.unwrap();
     let mut publisher = owner.publish(&robot).await.unwrap();
 
-    // The rogue has a RIB that lies for it: a certificate that another key signed.
+    // The rogue's record in the RIB has a certificate that another key signed.
     let card = owner.card();
     let forged = Owner::of_card(card.clone()).ad_cert(rogue.name());
     assert!(matches!(
@@ -83,7 +84,7 @@ async fn a_writer_that_comes_later_is_learnt() {
     let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
     let mut subscription = owner.subscribe(&cloud).await.unwrap();
     let mut publisher = owner.publish(&robot).await.unwrap();
-    // Nobody told the subscriber yet: what comes until then waits.
+    // The subscriber does not know the writer yet, so the frames wait.
     publisher.send(Encoding::Bytes, &[1; 10_000]).await.unwrap();
     publisher.send(Encoding::Bytes, &[2; 10]).await.unwrap();
     eventually("the frames are there", || cloud.counters().frames_received >= 9).await;
@@ -115,7 +116,7 @@ async fn everything_is_stated_again_after_the_link_was_lost() {
     fabric.restart().await;
     eventually("both are back", || robot.counters().links == 2 && cloud.counters().links == 2).await;
     eventually("all is stated", || fabric.writers(owner.name()) == 1 && fabric.has_subscriber(owner.name())).await;
-    // The RIB forgot the serials with all else; the nodes did not.
+    // The RIB has lost its state including the serials; the nodes have not.
     assert!(fabric.serial(robot.name()) > 1);
     publisher.send(Encoding::Bytes, b"after").await.unwrap();
     assert_eq!(&recv(&mut subscription).await.body[..], b"meanwhile");
@@ -262,7 +263,7 @@ async fn of_best_effort_messages_each_is_accounted_for() {
         publisher.send(Encoding::Bytes, &[1; 3000]).await.unwrap();
     }
     fabric.set_fate(None);
-    // The last one is complete some day: then all before it are dealt with.
+    // Eventually the last message arrives complete. The outcome of all earlier ones is then known.
     let mut last = 1;
     while last < publisher.counters().topic.messages {
         publisher.send(Encoding::Bytes, b"last").await.unwrap();
@@ -292,7 +293,7 @@ async fn a_publisher_that_waits_for_its_turn_replaces_nothing() {
     }
     let TopicCounters { messages, replaced, .. } = publisher.counters().topic;
     assert_eq!((messages, replaced), (100, 0));
-    // Without waiting some are, sooner or later: the path may be as fast as this for a while.
+    // Without waiting, messages are replaced eventually. The path may keep up for a while.
     let mut sent = 0;
     while publisher.counters().topic.replaced == 0 {
         sent += 1;
@@ -348,7 +349,7 @@ async fn recorded_messages_of_yesterday_are_not_read_by_a_restarted_reader() {
     drop(subscription);
     eventually("unsubscribed", || !fabric.has_subscriber(name)).await;
 
-    // The reader's identity is the same, its memory is not.
+    // The reader has the same identity but lost its state.
     let welcomes = robot.counters().feedback_sent;
     let mut subscription = owner.subscribe(&cloud).await.unwrap();
     fabric.tell(name).await;
@@ -361,7 +362,7 @@ async fn recorded_messages_of_yesterday_are_not_read_by_a_restarted_reader() {
     eventually("all are refused", || {
         let drops = cloud.counters().drops;
         let refused = ["seal_stale", "seal_duplicate"].into_iter().filter_map(|reason| drops.get(reason)).sum::<u64>();
-        // Repeats of a loaded writer are duplicates as well.
+        // Retransmissions of a busy writer also count as duplicates.
         refused >= 2 && drops.contains_key("seal_stale")
     })
     .await;
@@ -436,7 +437,7 @@ async fn small_messages_one_upon_another_share_signatures_and_frames_and_keep_th
             let sequence = publisher.send(Encoding::Bytes, &number.to_be_bytes()).await.unwrap();
             assert_eq!(sequence, u64::from(number) + u64::from(burst) + 1);
         }
-        // One that is not small comes after those that wait, and each of them alone.
+        // A large message follows the batched ones, and is sealed alone.
         publisher.send(Encoding::Bytes, &[burst as u8; 20_000]).await.unwrap();
         for i in 0..BURST {
             let message = recv(&mut subscription).await;
@@ -444,7 +445,7 @@ async fn small_messages_one_upon_another_share_signatures_and_frames_and_keep_th
         }
         assert_eq!(recv(&mut subscription).await.body[..], [burst as u8; 20_000]);
     }
-    // Alone, a message of four bytes is a frame.
+    // Without batching, each message of four bytes would take a frame.
     let large = 20_000_u64.div_ceil(1000) * u64::from(BURSTS);
     let TopicCounters { frames, repeated, .. } = publisher.counters().topic;
     assert!(frames - repeated < large + u64::from(BURSTS * BURST) * 2 / 3, "{frames} frames");
@@ -506,7 +507,7 @@ async fn whoever_comes_later_gets_the_latched_messages_and_nobody_twice() {
         times.push(message.timestamp_ns);
     }
     let mut subscription = owner.subscribe(&late).await.unwrap();
-    // The second comes while the same samples are not due again yet.
+    // The second reader joins before the same samples may be sent again.
     let latest = fabric.node("proxy").await;
     let mut another = owner.subscribe(&latest).await.unwrap();
     for subscription in [&mut subscription, &mut another] {
@@ -549,7 +550,7 @@ async fn large_frames_that_vanish_are_noticed_without_any_word_of_the_reader() {
     let mut subscription = owner.subscribe_as(&cloud, SubscribeOptions::best_effort()).await.unwrap();
     let mut publisher = owner.publish_as(&robot, PublishOptions::best_effort()).await.unwrap();
     let swallows = Swallows::begin(&fabric, &mut publisher, &mut subscription).await;
-    // A multiple of what frames carry: none of them is small.
+    // A multiple of the frame payload, so that no frame is small.
     let body = vec![7; 200_000];
     let deadline = tokio::time::Instant::now() + TIMEOUT;
     loop {
@@ -569,7 +570,8 @@ async fn calls_are_answered_and_no_caller_reads_anothers() {
     let (robot, one, two) = (fabric.node("proxy").await, fabric.node("proxy").await, fabric.node("proxy").await);
     let mut server = owner.serve(&robot).await;
     let (first, second) = (owner.client(&one).await, owner.client(&two).await);
-    // As if the other caller saw all frames: the fabric is not what keeps them apart.
+    // The test gives the other caller all frames, because the fabric must not be what separates the
+    // callers.
     let taped = Arc::new(Mutex::new(Vec::new()));
     let (tape, names, service) = (taped.clone(), [robot.name(), one.name()], owner.name());
     fabric.set_fate(Some(Box::new(move |header, payload| {
@@ -598,7 +600,7 @@ async fn calls_are_answered_and_no_caller_reads_anothers() {
     let (server, callers) = serving.await.unwrap();
     assert_eq!(callers.iter().filter(|caller| **caller == one.name()).count(), 10);
 
-    // The second has a right of its own, and every box that is for it.
+    // The second caller has a right of its own, and all key boxes that are addressed to it.
     let mut readers = Vec::new();
     for (name, writer) in [(robot.name(), &one), (one.name(), &robot)] {
         let mut reader = Reader::new(name, Backend::default(), ReaderLimits::default());
@@ -649,11 +651,11 @@ async fn a_call_that_is_given_up_is_forgotten() {
     assert_eq!(&call.unwrap().body[..], b"in time");
 }
 
-/// How many frames were swallowed for being large.
+/// The number of frames dropped because of their size.
 struct Swallows(Arc<AtomicUsize>);
 
 impl Swallows {
-    /// Begins once large frames are sent at all: a new link begins with small ones.
+    /// Starts once the publisher sends large frames, because a new link starts with small ones.
     async fn begin(fabric: &Fabric, publisher: &mut Publisher, subscription: &mut Subscription) -> Self {
         let [seen, begun] = [false; 2].map(|flag| Arc::new(AtomicBool::new(flag)));
         let swallowed = Arc::<AtomicUsize>::default();
@@ -675,11 +677,11 @@ impl Swallows {
     }
 }
 
-/// Segments that are asked for though they are only late, on a machine that is busy.
+/// Maximum number of late segments that a busy machine requests unnecessarily.
 const A_FEW: u64 = 10;
 
-/// Whether nothing is wrong with what a reader dropped: on a machine that is busy it may not know
-/// of a writer or a key for so long that what came before is sent again.
+/// Returns whether a reader's drops are explained by delays. On a busy machine a reader may lack a
+/// writer or a key until its early segments are retransmitted.
 fn only_late(drops: &std::collections::BTreeMap<&'static str, u64>) -> bool {
     const LATE: [&str; 4] = ["seal_unknown_writer", "seal_no_key", "seal_unvouched", "seal_duplicate"];
     drops.iter().all(|(reason, count)| LATE.contains(reason) && *count <= A_FEW)

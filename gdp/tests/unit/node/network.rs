@@ -75,7 +75,7 @@ async fn only_news_of_another_way_to_the_switch_matter() {
     assert!(timeout(20 * BETWEEN, gone()).await.is_err(), "that there is no way any more is nothing to go by");
 }
 
-/// However many news there are, questions are apart.
+/// Queries have a minimum interval, however many notifications arrive.
 #[tokio::test]
 async fn a_stream_of_news_is_no_stream_of_questions() {
     let (told, changes) = watch::channel(());

@@ -3,7 +3,7 @@
 use super::*;
 use std::future::{pending, ready};
 
-/// A pause that nothing here waits for.
+/// A pause that no test waits for.
 const LONG: Duration = Duration::from_secs(600);
 
 #[tokio::test]

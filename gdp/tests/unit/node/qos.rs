@@ -1,5 +1,5 @@
-//! What publishers and readers ask of each other, and what becomes of messages when one of them
-//! ends.
+//! Tests of the QoS that publishers and readers request, and of the outcome of messages when a
+//! publisher or reader ends.
 
 use super::*;
 use crate::node::Unflushed;
@@ -29,7 +29,7 @@ async fn who_asks_for_more_than_is_offered_gets_the_newest_and_both_are_told() {
     assert_eq!((here.inbound.overtaken, here.incompatible_writers), (1, 1));
     assert_eq!((there.readers, there.incompatible_readers), (2, 1));
 
-    // A writer that offers enough takes its place.
+    // A writer that offers enough replaces it.
     drop(publisher);
     eventually("withdrawn", || fabric.writers(name) == 0).await;
     let mut publisher = owner.publish(&robot).await.unwrap();
@@ -159,7 +159,7 @@ async fn key_boxes_that_are_refused_for_good_are_not_offered_again_and_again() {
     fabric.take_boxes();
     other.send(Encoding::Bytes, b"there is room again").await.unwrap();
     assert_eq!(&recv(&mut another).await.body[..], b"there is room again");
-    // What is stated anew may be another matter.
+    // A new statement may have another outcome.
     publisher.renew(refused.ad_cert_until(robot.name(), 2, unix_seconds() + 60)).await.unwrap();
     publisher.send(Encoding::Bytes, b"by another right").await.unwrap();
     assert_eq!(&recv(&mut subscription).await.body[..], b"by another right");
@@ -182,7 +182,7 @@ async fn a_late_reader_gets_what_is_pinned_and_the_last_messages_of_each_origin(
     let mut bodies = Vec::new();
     while bodies.last().is_none_or(|body| body != "d") {
         let body = recv(&mut first).await.body;
-        // What is pinned goes to all readers again when one is heard of.
+        // Each new reader causes another transmission of the pinned message to all readers.
         if body != "who" || !bodies.contains(&body) {
             bodies.push(body);
         }

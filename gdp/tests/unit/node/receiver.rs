@@ -112,7 +112,7 @@ fn links() -> Ingresses {
     Ingresses::new(Ingress::new(SharedEntry::new(keyed(0)), Weak::new()))
 }
 
-/// A link whose two ends have the same keys.
+/// Returns the entry of a link with the same keys at both ends.
 fn keyed(id: u32) -> LinkEntry {
     LinkEntry { id, peer_id: id, rx_keys: [[1, 2]; 2], tx_keys: [[1, 2]; 2], ..LinkEntry::default() }
 }

@@ -44,7 +44,7 @@ fn whoever_saves_finds_it_saved_afterwards() {
                 assert!(Instant::now() < deadline, "it is not saved");
                 std::thread::yield_now();
             }
-            // The other one is at it now.
+            // The other thread is writing now.
             revoked.save();
             assert!(Revoked::open(Some(folder.path()), Name::default()).unwrap().of(&claims.name).is_some());
         });

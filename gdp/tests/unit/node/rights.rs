@@ -1,4 +1,4 @@
-//! Certificates that end while something runs under them, and those that take their place.
+//! Tests of certificates that expire or are revoked while in use, and of their replacement.
 
 use super::*;
 use crate::node::Ended;
@@ -146,7 +146,7 @@ async fn rights_end_in_time_while_the_rib_does_not_answer() {
     let cert = short.ad_cert_until(robot.name(), 1, soon);
     let publisher = robot.publish(short.card().proof(), cert, PublishOptions::reliable()).await.unwrap();
     fabric.mute(&robot, 0);
-    // For each there are boxes to store.
+    // Each subscription requires key boxes to be stored.
     for owner in &owners {
         subscriptions.push(owner.subscribe(&cloud).await.unwrap());
     }
@@ -172,7 +172,7 @@ async fn a_node_that_starts_anew_has_forgotten_no_revocation() {
         robot.close().await;
         cloud.close().await;
     }
-    // Everything but the one node forgets it.
+    // All state except that of one node is lost.
     fabric.stop().await;
     fabric.restart().await;
     let (robot, cloud) = (fabric.node_of(&robot, [None], None).await, fabric.node_of(&cloud, [None], state()).await);
@@ -185,6 +185,6 @@ async fn a_node_that_starts_anew_has_forgotten_no_revocation() {
     eventually("it is dropped", || cloud.counters().drops.contains_key("seal_unknown_writer")).await;
     publisher.renew(owner.ad_cert_until(robot.name(), 2, unix_seconds() + 60)).await.unwrap();
     publisher.send(Encoding::Bytes, b"by another right").await.unwrap();
-    // What was sent before was for this reader, too, as far as the robot knew.
+    // The robot had also sealed the earlier messages for this reader.
     while &recv(&mut subscription).await.body[..] != b"by another right" {}
 }

@@ -11,8 +11,8 @@ const S: u64 = 1_000_000_000;
 #[test]
 fn the_nearest_is_called_then_the_one_with_the_fewest_calls() {
     let mut parties = ServiceInstances::new(name(0));
-    // Two at switch 1, one further on, and one at a switch that there is no path to, as in another
-    // domain.
+    // Two servers are at switch 1, one is further away. One is at a switch without a known path, as
+    // in another domain.
     let _ = parties.take(0, &SERVICE, &[joined(1, 1), joined(2, 1), joined(3, 2), joined(4, 7)]);
     let cost = |switch: &Name| BTreeMap::from([(name(1), 5), (name(2), 6)]).get(switch).copied();
     let order = |parties: &ServiceInstances| parties.instances(cost).iter().map(|one| one.name).collect::<Vec<_>>();

@@ -7,8 +7,8 @@ use gdp_e2e::seal::{Encoding, Segments};
 
 const NAME: Name = Name::from_bytes([1; 32]);
 
-/// The RIB may tell of a writer twice, and what that sent before it was asked again may have found
-/// no way.
+/// The RIB may announce a writer twice. Frames that the writer sent before the second Hello may
+/// have been lost.
 #[test]
 fn what_was_lost_between_two_greetings_is_asked_for() {
     let (queue, _messages) = mpsc::channel(4);
@@ -43,7 +43,7 @@ fn what_was_lost_between_two_greetings_is_asked_for() {
     assert_eq!(missing, [1, 2]);
 }
 
-/// Ten thousand writers come, send a message and the beginning of another, and go.
+/// Ten thousand writers join, each sends a message and the start of another, and leave.
 #[test]
 fn nothing_is_left_of_writers_that_came_and_went() {
     let (queue, mut messages) = mpsc::channel(4);
