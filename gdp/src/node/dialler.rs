@@ -62,7 +62,7 @@ impl Dialler {
     }
 
     /// Starts an attempt, and returns the port to dial from and the candidates to dial. Later
-    /// changes of the network count as news.
+    /// changes of the network make [`Self::news`] return.
     pub async fn begin(&mut self) -> Result<(Arc<Port>, Vec<(LinkAddr, Option<Name>)>), NodeError> {
         self.changes.as_mut().into_iter().for_each(watch::Receiver::mark_unchanged);
         if let Some(network) = self.network.clone() {
@@ -133,8 +133,8 @@ impl Dialler {
                         // Packets on the old network are lost. A new attempt is faster than waiting
                         // for a retransmission.
                         _ = network.until_other(*to, self.through, &self.path) => {
-                            // The current path, whatever it is, has not been tried: with this
-                            // value, `pause` treats it as news.
+                            // The current path has not been tried. `Nowhere` makes `news` treat any
+                            // path as a change.
                             self.path = NetworkPath::Nowhere;
                             return Err(NodeError::Detached("the network of this machine has changed".into()));
                         }

@@ -1,4 +1,4 @@
-//! Exponential backoff between attempts, which news of the network cut short, with a rate limit.
+//! Exponential backoff between attempts, which network changes cut short, with a rate limit.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -14,13 +14,13 @@ pub const BACKOFF: Backoff = Backoff::new(Duration::from_millis(100), Duration::
 /// Time to wait for further notifications, because the kernel reports a network change in parts.
 const NEWS_SETTLE: Duration = Duration::from_millis(2);
 
-/// Rate limit of pauses that news cut short. `AT_ONCE` pauses may end at once, because a network
-/// change arrives in parts. On average they are `HURRIED` apart, because a flapping network sends
-/// endless news.
+/// Rate limit of pauses that network changes cut short. `AT_ONCE` pauses may end at once, because a
+/// change arrives in several notifications. On average they are `HURRIED` apart, because a flapping
+/// network changes endlessly.
 const AT_ONCE: u32 = 3;
 const HURRIED: Duration = Duration::from_millis(100);
 
-/// The same interval if the node cannot tell which news matter.
+/// The same interval if the node cannot determine which changes are relevant.
 const BLIND: Duration = Duration::from_secs(1);
 
 /// Waits for the next delay, with jitter, to spread the reconnections of many nodes. A cancelled
@@ -32,13 +32,13 @@ pub async fn wait(backoff: &mut Backoff) {
     *backoff = next;
 }
 
-/// The times of the last [`AT_ONCE`] pauses that news cut short.
+/// The times of the last [`AT_ONCE`] pauses that network changes cut short.
 #[derive(Debug, Default)]
 pub struct ExpediteToken(VecDeque<Instant>);
 
 impl ExpediteToken {
-    /// Waits for the end of the pause or for `news`. After news the backoff restarts, unless the
-    /// news may be irrelevant (`blind`).
+    /// Waits for the end of the pause or for `news`, a network change. After a change the backoff
+    /// restarts, unless the change may be irrelevant (`blind`).
     pub async fn pause(&mut self, backoff: &mut Backoff, news: impl Future<Output = ()>, blind: bool) {
         let apart = if blind { BLIND } else { HURRIED };
         let is_full = self.0.len() >= AT_ONCE as usize;

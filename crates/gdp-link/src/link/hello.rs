@@ -127,8 +127,8 @@ async fn say_and_hear(
     Link::new(connection, location, (id, config.mtu), peer, peer_end, true, config.rekey)
 }
 
-/// Answers the hello of a connection that the peer dialled. This side allocates nothing before the
-/// peer has proved its name.
+/// Answers the hello of a connection that the peer dialled. This side allocates no link id before
+/// the peer has proved its name.
 pub async fn greet_as_server(
     connection: Connection,
     location: LinkLocation,

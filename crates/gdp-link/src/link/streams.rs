@@ -76,8 +76,8 @@ async fn read_request(send: SendStream, mut recv: RecvStream, takers: Takers) {
     match timeout(READ_TIMEOUT, read_message(&mut recv, MAX_MESSAGE)).await {
         Ok(Ok(bytes)) => match control::decode(&bytes) {
             Ok(Request::Ratcheted { generation }) => {
-                // If the queue is full or no task keeps the keys, the announcement is not answered.
-                // The peer then repeats it.
+                // If the queue is full or no task runs `keep_keys`, the announcement is not
+                // answered. The peer then repeats it.
                 let _ = takers.announcements.try_send((generation, responder));
             }
             Ok(request) => {

@@ -295,7 +295,7 @@ async fn a_peer_that_does_not_answer_keeps_its_keys_and_takes_what_comes() {
         tokio::task::yield_now().await;
     }
     assert_eq!(client.key_generations(), (0, 1), "it has moved once, and asks");
-    // A peer that keeps its keys answers, and the client continues.
+    // A peer that runs `keep_keys` answers, and the client continues.
     let _end = End::new(&server);
     let deadline = Instant::now() + Duration::from_secs(60);
     while client.key_generations().1 < 3 {
