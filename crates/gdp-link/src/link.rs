@@ -168,8 +168,8 @@ impl Link {
     /// sides.
     pub fn carrier(&self) -> Carrier {
         let inner = &*self.0;
-        // An endpoint reads frames from a socket. With a UDP checksum, its kernel joins datagrams
-        // (GRO).
+        // An endpoint's kernel joins datagrams with a UDP checksum (GRO). A switch receives frames
+        // before its kernel could join them.
         let joins = if inner.peer.role == Role::Endpoint { Carrier::CHECKSUM } else { 0 };
         match inner.location {
             LinkLocation::Ethernet { vlan, local_mac, peer_mac, .. } => {

@@ -1,8 +1,9 @@
 //! The ids that an entity assigns to its links: a table index in the low bits and random bits above
 //! it.
 //!
-//! An id is never 0. A frame of an earlier link has other random bits than the link that now uses
-//! the same index. The data plane drops such a frame before it verifies the tag.
+//! An id is never 0. The random bits distinguish frames of an earlier link from those of the link
+//! that now uses the same index. The data plane drops frames of the earlier link before it verifies
+//! the tag.
 
 use std::sync::Arc;
 
