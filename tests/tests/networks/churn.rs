@@ -1,5 +1,5 @@
-//! Two hundred topics whose nodes come and go at both ends: in the end every route carries, and the
-//! proxies are no larger and no busier than they were.
+//! Two hundred topics whose nodes come and go at both ends. At the end every route carries
+//! messages, and the proxies' memory and processor use have not grown.
 //!
 //! ```text
 //!   nodes, robot r0 ── l0 s1 r0 ── l0 cloud, nodes
@@ -20,10 +20,10 @@ use serde_json::json;
 
 const TOPICS: usize = 200;
 
-/// How long nodes come and go; `GDP_CHURN_SECONDS` says otherwise.
+/// Seconds during which nodes come and go; `GDP_CHURN_SECONDS` overrides this.
 const SECONDS: u64 = 24;
 
-/// Until everything is discovered, on two cores.
+/// Longest time until everything is discovered, on two cores.
 const SETTLED: Duration = Duration::from_secs(60);
 
 #[test]
@@ -68,15 +68,16 @@ fn nodes_come_and_go_and_every_route_still_carries() -> Result<()> {
     );
     for ((early, middle), late) in early.iter().zip(&middle).zip(&late) {
         let (before, after) = (middle.cpu_ticks - early.cpu_ticks, late.cpu_ticks - middle.cpu_ticks);
-        // What waited while this machine had something else to do comes on top.
+        // The margin covers work that was delayed by other load on this machine.
         ensure!(after < before * 3 + 50, "gets busier: {before} ticks, then as long after {after}");
-        // An allocator keeps some of what it gave.
+        // An allocator does not return all freed memory.
         ensure!(late.resident_kb < early.resident_kb * 5 / 4 + 8192, "grows: {early:?}, then {late:?}");
     }
     Ok(())
 }
 
-/// Of how many topics the last line tells; once everything has settled, if that is asked.
+/// Returns the number of topics in the listeners' last line. With `settled`, returns it only once
+/// everything has settled.
 fn heard(listeners: &Process, settled: bool) -> Option<usize> {
     let last = listeners.json_lines().pop().filter(|line| line["event"] == "heard")?;
     (!settled || last["settled"] == true).then(|| last["topics"].as_u64().unwrap_or(0) as usize)
@@ -121,7 +122,7 @@ fn proxies(tools: &Tools, chain: &Chain, authority: &Authority<'_>) -> Result<Ve
     sides.into_iter().map(start).collect()
 }
 
-/// Of a process, so far.
+/// Resources that a process has used so far.
 #[derive(Debug)]
 struct Usage {
     resident_kb: u64,

@@ -1,5 +1,5 @@
-//! What a daemon takes of a host unasked, what it takes if that is named, and the rights that it
-//! keeps.
+//! The host resources that a daemon uses by default, those that it uses if they are named, and the
+//! capabilities that it retains.
 //!
 //! ```text
 //!   host:e0 192.0.2.1 ──── b0:beyond 192.0.2.2
@@ -23,11 +23,11 @@ use serde_json::{Value, json};
 
 /// CAP_NET_ADMIN, CAP_NET_RAW, CAP_PERFMON and CAP_BPF in `/proc/PID/status`.
 const FOUR_CAPABILITIES: &str = "000000c000003000";
-/// The same for setpriv.
+/// The same capabilities in the form that setpriv expects.
 const GRANTED: &str = "-all,+net_admin,+net_raw,+perfmon,+bpf";
-/// The neighbour's key, in a folder of its own.
+/// The neighbour's key, in a separate folder.
 const FAR: &str = "far/key.pem";
-/// `nobody` of Debian.
+/// Debian's user `nobody`.
 const NOBODY: u32 = 65534;
 
 #[test]
@@ -44,10 +44,10 @@ fn unasked_it_has_xdp_for_udp_where_there_is_an_address_and_no_links_on_ethernet
 
     let _neighbour = site.neighbour(&daemon)?;
     site.wait_for_kernel_link(&daemon)?;
-    // What is not GDP passes.
+    // Traffic other than GDP passes.
     site.exchange_datagrams()?;
 
-    // An interface that comes later.
+    // An interface that appears later.
     site.cable("e2", "b2", 3)?;
     site.host.ip(&["address", "add", "198.51.100.1/24", "dev", "e2"])?;
     daemon.process.wait_until("XDP on e2", TIMEOUT, |_| site.attached("e2").ok()?.then_some(()))?;
@@ -58,7 +58,7 @@ fn unasked_it_has_xdp_for_udp_where_there_is_an_address_and_no_links_on_ethernet
     Ok(())
 }
 
-/// A bridge has no native XDP, and the generic one would slow down all that the host receives.
+/// A bridge has no native XDP, and generic XDP would slow down all of the host's reception.
 #[test]
 fn an_interface_that_would_be_disturbed_is_left_alone_until_it_is_named() -> Result<()> {
     let site = Site::build()?;
@@ -73,7 +73,7 @@ fn an_interface_that_would_be_disturbed_is_left_alone_until_it_is_named() -> Res
     ensure!(!site.attached("br0")?);
     daemon.stop()?;
 
-    // The command does it.
+    // The printed command enables it.
     let words: Vec<&str> = command.split(' ').collect();
     let mut as_printed = site.host.command(PathBuf::from(words[0]))?;
     as_printed.args(&words[1..]).env("GDP_EBPF_OBJECT", site.tools.ebpf_object()?);
@@ -119,14 +119,14 @@ fn of_roots_capabilities_it_keeps_four_and_they_suffice_for_all_that_comes() -> 
     let _neighbour = site.neighbour(&daemon)?;
     site.wait_for_kernel_link(&daemon)?;
 
-    // A named interface that comes, goes, and comes again.
+    // A named interface that appears, disappears, and appears again.
     for address in [5, 6] {
         site.cable("e9", "b9", address)?;
         daemon.process.wait_until("XDP on e9", TIMEOUT, |_| site.attached("e9").ok()?.then_some(()))?;
         site.host.ip(&["link", "del", "e9"])?;
     }
 
-    // What a killed daemon leaves in the kernel is taken over, and taken away at the end.
+    // The next daemon takes over a killed daemon's kernel state, and removes it when it ends.
     daemon.process.kill()?;
     ensure!(site.attached("e0")?);
     let daemon = site.serve(&[])?;
@@ -137,7 +137,7 @@ fn of_roots_capabilities_it_keeps_four_and_they_suffice_for_all_that_comes() -> 
     daemon.stop()?;
     ensure!(!site.attached("e0")?);
 
-    // It may not read others' files any more.
+    // The daemon can no longer read other users' files.
     chown(site.file("key.pem"), Some(NOBODY), None)?;
     let output = site.command(&[])?.output()?;
     let said = String::from_utf8_lossy(&output.stderr);
@@ -237,7 +237,7 @@ impl Site {
         Ok(Daemon { process })
     }
 
-    /// The switch beyond `e0`, which the daemon knows.
+    /// Starts the switch beyond `e0`, with a link to the daemon.
     fn neighbour(&self, daemon: &Daemon) -> Result<Process> {
         let line = daemon.ready()?;
         let name = line.split("ready: switch ").nth(1).and_then(|rest| rest.split(';').next()).context("a name")?;
@@ -252,7 +252,7 @@ impl Site {
         Process::spawn("neighbour", command, self.files.path())
     }
 
-    /// Until there is a link that the kernel sends on.
+    /// Waits until there is a link on which the kernel sends.
     fn wait_for_kernel_link(&self, daemon: &Daemon) -> Result<()> {
         let link = wait_for("a link in the kernel", TIMEOUT, || {
             let mut status = own(self.tools.gdp_ctl()?);
@@ -263,7 +263,7 @@ impl Site {
         link.with_context(|| daemon.process.report())
     }
 
-    /// Over the interface that has the program, at another port.
+    /// Exchanges datagrams on another port, over the interface with the XDP program.
     fn exchange_datagrams(&self) -> Result<()> {
         let socket = |at: &Namespace, address: &str| -> Result<UdpSocket> {
             let _inside = at.enter()?;
@@ -286,14 +286,14 @@ impl Site {
         Ok(self.host.ip(&["-o", "link", "show", interface])?.contains(" xdp"))
     }
 
-    /// In the host, whoever has them.
+    /// Returns the number of packet sockets in the host, of all processes.
     fn packet_sockets(&self) -> Result<usize> {
         let _inside = self.host.enter()?;
         Ok(fs::read_to_string("/proc/thread-self/net/packet")?.lines().skip(1).count())
     }
 
-    /// The daemon's files, with copies of the executable and of the eBPF object that anybody can
-    /// read.
+    /// Gives the daemon's files to `nobody`, with readable copies of the executable and the eBPF
+    /// object.
     fn give_to_nobody(&self) -> Result<()> {
         fs::create_dir(self.file("bpf"))?;
         execute(Program::Mount.command().args(["-t", "bpf", "bpf"]).arg(self.file("bpf")))?;
@@ -318,7 +318,7 @@ impl Site {
 }
 
 impl Daemon {
-    /// The line by which it says that it is ready, of which there is one.
+    /// Returns the daemon's ready line, and fails unless there is exactly one.
     fn ready(&self) -> Result<String> {
         let log = self.process.stderr();
         let mut lines = log.lines().filter(|line| line.contains("ready: switch "));
@@ -327,13 +327,13 @@ impl Daemon {
         Ok(line.to_owned())
     }
 
-    /// In order, so that nothing stays in the kernel.
+    /// Stops the daemon with SIGTERM, so it removes its kernel state.
     fn stop(mut self) -> Result<()> {
         ensure!(self.process.stop(TIMEOUT)?.success(), "{}", self.process.report());
         Ok(())
     }
 
-    /// In all of its threads, for good.
+    /// Checks that all threads have exactly these capabilities and cannot gain others.
     fn has_four_capabilities(&self) -> Result<()> {
         let threads = format!("/proc/{}/task", self.process.pid());
         for thread in fs::read_dir(Path::new(&threads))?.flatten() {

@@ -1,5 +1,5 @@
-//! `gdp-ctl doctor` where something is really amiss, and what `serve` says of the same; and
-//! `gdp-ctl link list`.
+//! `gdp-ctl doctor` with real faults, the messages of `serve` about the same faults, and `gdp-ctl
+//! link list`.
 //!
 //! ```text
 //!   switch:l0 ──── e0:end
@@ -52,7 +52,7 @@ fn a_foreign_program_is_named_by_doctor_and_by_serve() -> Result<()> {
     ensure!(said.contains("xdpdrv off"), "with the remedy: {said}");
     site.serves_in_userspace_because(&fact)?;
 
-    // The remedy is a command that works.
+    // The remedy is a working command.
     let remedy = finding["remedy"].as_str().unwrap_or_default();
     let command = remedy.split('`').nth(1).with_context(|| remedy.to_owned())?;
     let words: Vec<&str> = command.split(' ').collect();
@@ -62,7 +62,7 @@ fn a_foreign_program_is_named_by_doctor_and_by_serve() -> Result<()> {
     Ok(())
 }
 
-/// One that the interface does not hold itself cannot be removed by `ip`.
+/// `ip` cannot remove a program that a BPF link attached instead of the interface itself.
 #[test]
 fn a_program_that_a_link_holds_has_another_remedy() -> Result<()> {
     let site = Site::build()?;
@@ -170,7 +170,7 @@ fn links_and_losses_are_shown_and_what_a_daemon_leaves_is_found() -> Result<()> 
     Ok(())
 }
 
-/// BPF file systems in the folder of a site: the daemon's, and that of the foreign program.
+/// BPF file systems in the folder of a site: the daemon's, and the foreign program's.
 const BPFFS: &str = "bpf";
 const FOREIGN: &str = "foreign";
 
@@ -181,7 +181,7 @@ struct Site {
     files: tempfile::TempDir,
 }
 
-/// What `gdp-ctl doctor -j` printed.
+/// The output of `gdp-ctl doctor -j`.
 struct Diagnosis(Value);
 
 impl Site {
@@ -194,7 +194,7 @@ impl Site {
         Ok(Self { tools: Tools::beside_this_test()?, files: tempfile::tempdir()?, switch, end })
     }
 
-    /// A configuration with everything in a folder of its own.
+    /// Writes a configuration whose paths are all in this site's folder.
     fn config(&self, data_plane: &str) -> Result<PathBuf> {
         let file = |name: &str| self.files.path().join(name);
         let config = json!({
@@ -226,7 +226,7 @@ impl Site {
             daemon.check_alive()?;
             let mut ctl = own(self.tools.gdp_ctl()?);
             let output = ctl.arg("--socket").arg(self.files.path().join("socket")).args(["status", "-j"]).output()?;
-            // It answers before it has looked at its interfaces.
+            // The daemon answers before it has examined its interfaces.
             let status = serde_json::from_slice::<Value>(&output.stdout).ok();
             Ok(status.filter(|status| status["interfaces"][0].is_object()))
         })?;
@@ -239,7 +239,7 @@ impl Site {
         self.switch.ip(&["-o", "link", "show", "l0"])
     }
 
-    /// The object's pass-through program stands for one that is not GDP's.
+    /// Loads the object's pass-through program, in the role of a program that is not GDP's.
     fn foreign(&self) -> Result<Ebpf> {
         let mut ebpf = Ebpf::load_file(self.tools.ebpf_object()?)?;
         let program: &mut Xdp = ebpf.program_mut("gdp_pass").context("gdp_pass")?.try_into()?;
@@ -247,7 +247,7 @@ impl Site {
         Ok(ebpf)
     }
 
-    /// As `ip` attaches programs: the interface holds it. The number of the program.
+    /// Attaches the program as `ip` does, to the interface itself, and returns the program's id.
     fn attach_foreign(&self) -> Result<u32> {
         let place = self.files.path().join(FOREIGN);
         std::fs::create_dir(&place)?;
@@ -264,7 +264,7 @@ impl Site {
 impl Drop for Site {
     fn drop(&mut self) {
         for place in [BPFFS, FOREIGN] {
-            // Not every test has both.
+            // Not every test mounts both.
             let _ = execute(Program::Umount.command().arg("--lazy").arg(self.files.path().join(place)));
         }
     }

@@ -1,5 +1,6 @@
-//! A trust domain as its administrator makes it, with the real programs: a first switch, an
-//! invitation, and a second switch or a proxy that joins by it over a cable without IP.
+//! A trust domain as its administrator makes it, with the real programs. There is a first switch,
+//! an invitation, and a second switch or a proxy. The newcomer joins with the invitation over a
+//! cable without IP.
 //!
 //! ```text
 //!  [ first switch and RIB  h0 ]────────[ e0  newcomer ]
@@ -28,7 +29,7 @@ fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
         ["domain", "invite", "--key", "home/domain.pem", "--role", "switch", "--at", "eth://e0", "--switch", &first];
     let token = user(&invite)?["token"].as_str().context("a line")?.to_owned();
     let name = join(&home.tools, folder, &token)?;
-    // What is to be added to what `join` wrote is this machine's business.
+    // Adds this machine's settings to the configuration that `join` wrote.
     let config = folder.join("new/gdp.yaml");
     let written = fs::read_to_string(&config)? + "socket: ../new.sock\ninterfaces: [e0]\nudp: null\nbpffs: null\n";
     fs::write(&config, written)?;
@@ -56,7 +57,7 @@ fn a_switch_joins_by_one_line_and_leaves_when_it_is_revoked() -> Result<()> {
         Ok((said(&home.process) && said(&newcomer)).then_some(()))
     })
     .with_context(|| home.process.report() + &newcomer.report())?;
-    // Its key and its line are in no log.
+    // No log contains the invitation's key or the invitation itself.
     for process in [&home.process, &newcomer] {
         ensure!(!process.stderr().contains(&token[..40]), "{}", process.report());
     }
@@ -77,8 +78,8 @@ fn a_proxy_attaches_with_the_configuration_that_join_wrote() -> Result<()> {
     Ok(())
 }
 
-/// As in a container: what is written to the mounted file elsewhere brings no event in the folder
-/// of the mount.
+/// Reproduces a container: a write to the mounted file elsewhere produces no event in the folder of
+/// the mount.
 #[test]
 fn a_bind_mounted_configuration_is_read_again() -> Result<()> {
     let mut home = Home::start()?;
@@ -99,7 +100,7 @@ fn a_bind_mounted_configuration_is_read_again() -> Result<()> {
     Ok(())
 }
 
-/// A file that is mounted on another one, until this is dropped.
+/// A file that is bind-mounted on another one until this guard is dropped.
 struct BindMount(PathBuf);
 
 impl BindMount {
@@ -115,10 +116,10 @@ impl Drop for BindMount {
     }
 }
 
-/// A domain with its first switch, and a cable to whoever is to join.
+/// A domain with its first switch, and a cable to the newcomer.
 struct Home {
     process: Process,
-    /// The first switch.
+    /// The name of the first switch.
     first: String,
     files: tempfile::TempDir,
     beyond: Namespace,
@@ -171,7 +172,7 @@ impl Home {
     }
 }
 
-/// The link with `peer`, as the daemon behind `socket` has it.
+/// Returns the link with `peer` from the daemon behind `socket`.
 fn standing(tools: &Tools, folder: &Path, socket: &str, peer: &str) -> Option<Value> {
     let links = ctl(tools, folder, &["--socket", socket, "link", "list"]).ok()?;
     links["links"].as_array()?.iter().find(|link| link["peer"] == peer).cloned()
@@ -183,7 +184,7 @@ fn serve(tools: &Tools, at: &Namespace, label: &str, config: &Path, folder: &Pat
     Process::spawn(label, command, folder)
 }
 
-/// As somebody who pastes the line. Returns the new member's name; its files are in the folder
+/// Joins with the invitation on stdin. Returns the new member's name; its files are in the folder
 /// `new`.
 fn join(tools: &Tools, folder: &Path, token: &str) -> Result<String> {
     let mut command = own(tools.gdp_ctl()?);

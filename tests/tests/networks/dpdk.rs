@@ -1,6 +1,6 @@
-//! DPDK in real networks: messages of ROS across its switches, alone and between others; the host
-//! behind its ports; and what it takes while nothing happens. What becomes of single frames is in
-//! `generated` and `kernel`, links over UDP are in `udp_fabric`.
+//! DPDK in real networks: ROS messages across its switches, alone and between others; the host
+//! behind its ports; the cost of idle loops. Single frames are tested in `generated` and `kernel`,
+//! links over UDP in `udp_fabric`.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
@@ -37,8 +37,8 @@ fn messages_cross_a_switch_of_each_plane() -> Result<()> {
     messages_cross(&["xdp", "net_af_packet", "userspace"], 1500)
 }
 
-/// Messages of many frames as large as the MTU, from one vendor's program to another's. Every
-/// switch forwards in the plane it was given.
+/// Sends messages of many frames, each as large as the MTU, between two vendors' programs. Every
+/// switch must forward in its configured plane.
 fn messages_cross(data_planes: &'static [&'static str], mtu: u32) -> Result<()> {
     let chain = ChainOptions { mtu, ..Default::default() };
     let options = FabricOptions { chain, data_planes, ..Default::default() };
@@ -53,7 +53,7 @@ fn messages_cross(data_planes: &'static [&'static str], mtu: u32) -> Result<()> 
     let messages = both.finish(TIMEOUT, TIMEOUT).with_context(|| fabric.report())?;
     let complete = messages.len() as u64 == traffic.count && messages.iter().all(|message| message.intact);
     ensure!(complete, "{messages:?}\n{}", fabric.report());
-    // A few per cent of a frame are headers, and there are other frames.
+    // Headers take a few per cent of a frame, and other frames add to the count.
     let frames = traffic.count * traffic.size as u64 / u64::from(mtu);
     for i in 0..fabric.switches.len() {
         let status = fabric.status(i)?;
@@ -68,7 +68,7 @@ fn messages_cross(data_planes: &'static [&'static str], mtu: u32) -> Result<()> 
         };
         ensure!(status["data_plane"] == reported, "s{}: {status:#}", i + 1);
         ensure!(sent(first) > frames, "s{}: {:#}", i + 1, status["counters_by_plane"]);
-        // What the robot's proxy says of itself is up to a second old.
+        // The statistics of the robot's proxy are up to a second old.
         wait_for(&format!("s{} to have sent each frame once", i + 1), TIMEOUT, || {
             let given = fabric.proxy_stats("robot")["topics"][0]["fabric"]["frames"].as_u64().unwrap_or(0);
             Ok((sent(first) < given + frames / 2).then_some(()))
@@ -84,9 +84,9 @@ fn errors(status: &Value) -> Vec<String> {
     status["errors"].as_array().into_iter().flatten().map(Value::to_string).collect()
 }
 
-/// Its addresses are on the host's side of the port: ARP, datagrams and connections are answered
-/// there, once each, and what it sends arrives; also with a driver by which the kernel sees all
-/// packets as well.
+/// The host's addresses are on its side of the port. The host answers ARP, datagrams and
+/// connections once each, and what it sends arrives. The same holds with a driver that leaves all
+/// packets visible to the kernel.
 #[test]
 fn the_host_is_reached_through_a_port() -> Result<()> {
     for driver in gdp_tests::dpdk::DRIVERS {
@@ -119,8 +119,8 @@ fn the_host_is_reached_through_a_port() -> Result<()> {
     Ok(())
 }
 
-/// Some megabytes over TCP to the host, from the namespace of the calling thread. In next to no
-/// time, unless segments are lost.
+/// Sends some megabytes over TCP to the host, from the calling thread's namespace. This is fast
+/// unless segments are lost.
 fn stream(to: &TcpListener) -> Result<()> {
     let mut near = TcpStream::connect("10.7.0.2:7000").context("no connection")?;
     let (mut far, _) = to.accept()?;
@@ -134,8 +134,8 @@ fn stream(to: &TcpListener) -> Result<()> {
     Ok(())
 }
 
-/// Each has a queue of the device; by which a datagram comes its flow says. Connections lose
-/// nothing either.
+/// Each loop has a queue of the device; a datagram's flow selects its queue. Connections lose no
+/// segments either.
 #[test]
 fn loops_share_a_port() -> Result<()> {
     let site = Site::build()?;
@@ -165,8 +165,8 @@ fn loops_share_a_port() -> Result<()> {
     Ok(())
 }
 
-/// Packets of the host's as large as the MTU, each way; also the largest that the device's frames
-/// have room for. The MTU of the device's interface is what it was afterwards.
+/// Packets of the host as large as the MTU cross in both directions, including the largest MTU of
+/// the device's frames. Afterwards the device's interface has its original MTU again.
 #[test]
 fn large_packets_reach_the_host() -> Result<()> {
     let site = Site::build()?;
@@ -203,8 +203,8 @@ fn large_packets_reach_the_host() -> Result<()> {
     Ok(())
 }
 
-/// When the other end of the device's link is gone, the host's interface has no carrier, and one
-/// again when it is back.
+/// The host's interface loses its carrier when the other end of the device's link disappears, and
+/// regains it afterwards.
 #[test]
 fn the_host_sees_a_cable_that_is_pulled() -> Result<()> {
     for driver in gdp_tests::dpdk::DRIVERS {
@@ -224,14 +224,14 @@ fn the_host_sees_a_cable_that_is_pulled() -> Result<()> {
     Ok(())
 }
 
-/// What devices count is told by the interfaces on the host's side.
+/// The interfaces on the host's side report the device's counters.
 #[test]
 fn devices_tell_what_they_counted() -> Result<()> {
     let site = Site::build()?;
     let planes = site.planes("net_af_packet")?;
     let _inside = site.other.enter()?;
     let sends = UdpSocket::bind("10.7.0.1:0")?;
-    // Nobody answers for the address, so ARP is all there is.
+    // The address has no owner, so only ARP requests arrive.
     sends.send_to(&[0], "10.7.0.2:7000")?;
     let device = wait_for("a packet at the device", TIMEOUT, || {
         let device = *planes.dpdk_devices().get(HOST).context("no device")?;
@@ -241,7 +241,7 @@ fn devices_tell_what_they_counted() -> Result<()> {
     Ok(())
 }
 
-/// It sleeps between questions, which takes little even in a test build.
+/// The loop sleeps between polls, which costs little even in a test build.
 #[test]
 fn a_loop_without_traffic_leaves_its_core_to_others() -> Result<()> {
     let site = Site::build()?;
@@ -255,8 +255,8 @@ fn a_loop_without_traffic_leaves_its_core_to_others() -> Result<()> {
     Ok(())
 }
 
-/// The host's interface goes with the plane, the settings of the device's are what they were, and
-/// it can be taken again.
+/// The host's interface disappears with the plane. The device's settings are restored, and the
+/// device can be used again.
 #[test]
 fn a_plane_that_ends_leaves_nothing() -> Result<()> {
     let site = Site::build()?;
@@ -280,15 +280,15 @@ fn a_plane_that_ends_leaves_nothing() -> Result<()> {
     Ok(())
 }
 
-/// What packets of the host's `r0` are joined up to, as `ip` has it.
+/// Returns the `gro_max_size` of the host's `r0`, as `ip` prints it.
 fn gro(site: &Site) -> Result<String> {
     let told = site.host.ip(&["-d", "link", "show", "r0"])?;
     let words = told.split_whitespace().skip_while(|word| *word != "gro_max_size");
     Ok(words.take(2).collect::<Vec<_>>().join(" "))
 }
 
-/// What a daemon that was killed has not put back is in a file; the next one does, but not what
-/// somebody else has set since.
+/// A file lists the settings that a killed daemon did not restore. The next daemon restores them,
+/// except those that were changed since.
 #[test]
 fn settings_outlive_a_daemon_that_is_killed() -> Result<()> {
     let site = Site::build()?;
@@ -368,7 +368,7 @@ impl Site {
         Ok(Self { other, host })
     }
 
-    /// The host's `r0` as a device of this driver.
+    /// Starts planes with the host's `r0` as a device of this driver.
     fn planes(&self, driver: &str) -> Result<Planes> {
         Ok(self.planes_of(&format!("{driver}0,iface=r0"))?)
     }
@@ -377,7 +377,7 @@ impl Site {
         self.planes_on(device, Vec::new())
     }
 
-    /// Packets that the host got shorter than they say they are.
+    /// Returns the number of packets that the host received shorter than their headers state.
     fn truncated(&self) -> Result<u64> {
         let _inside = self.host.enter()?;
         let text = std::fs::read_to_string("/proc/thread-self/net/netstat")?;

@@ -1,13 +1,13 @@
-//! What a router on the way says of congestion reaches the reader, whatever carries frames before
-//! and behind it; the reader tells the writer, and that sends less.
+//! Congestion marks of a router on the path reach the reader, over any kind of link before and
+//! behind the router. The reader reports the marks, and the writer slows down.
 //!
 //! ```text
 //!   robot:r0 ──── l0:s1:r0 ──── l0:s2:r0 ──── l0:cloud
 //!    writer        switch        switch        reader
 //! ```
 //!
-//! Each of the cables is Ethernet, or has addresses and UDP. One is slow, and marks packets of IP
-//! that wait for it; or the first switch has a slow interface.
+//! Each cable carries Ethernet, or has IP addresses and UDP. One cable is slow and marks queued IP
+//! packets; or the first switch has a slow interface.
 
 use std::time::Duration;
 
@@ -71,13 +71,12 @@ fn nobody_speaks_of_congestion_where_nothing_is_marked() -> Result<()> {
     let site = Site::build([V4, ETHERNET, V6], Some(1), DataPlane::Xdp)?;
     let (told, wire) = (site.carry_messages(true)?, site.marked());
     ensure!(wire > 0, "packets waited");
-    // There is no IP on that cable, and the frame's own header is under its tag.
+    // There is no IP on that cable, and the hop tag covers the frame's own header.
     ensure!(told.marked == 0, "{told:?}");
     Ok(())
 }
 
-/// A switch in user space marks frames itself that wait for an interface of Ethernet, where nobody
-/// else does.
+/// A userspace switch marks frames that queue for an Ethernet interface, where no router can.
 #[test]
 fn the_userspace_plane_marks_what_waits() -> Result<()> {
     let site = Site::build([ETHERNET; 3], None, DataPlane::Userspace)?;
@@ -92,14 +91,14 @@ fn marks_arrive(cables: [Cable; 3], slow: usize, data_plane: DataPlane) -> Resul
     let context = || format!("{cables:?}, the cable {slow} is slow, {data_plane:?}");
     let site = Site::build(cables, Some(slow), data_plane)?;
     let (told, wire) = (site.carry_messages(false).with_context(context)?, site.marked());
-    // Others are QUIC's.
+    // The other marks are on QUIC packets.
     let most = (wire / 2 + 1)..=wire;
     ensure!(wire > 0 && most.contains(&told.marked), "{}: {wire} marks, {told:?}", context());
     ensure!(told.slowed > 0, "{}: {told:?}", context());
     Ok(())
 }
 
-/// What a link between neighbours goes over.
+/// The medium of a link between neighbours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Cable {
     Ethernet,
@@ -108,7 +107,7 @@ enum Cable {
 }
 
 impl Cable {
-    /// The address of an end, 1 or 2.
+    /// Returns the address of an end, 1 or 2.
     fn address(self, cable: usize, end: usize) -> String {
         match self {
             Self::V6 => format!("2001:db8:{cable}::{end}"),
@@ -116,7 +115,7 @@ impl Cable {
         }
     }
 
-    /// How the node at one end reaches the one at the other, which is a switch.
+    /// Returns how the node at one end reaches the switch at the other.
     fn via(self, cable: usize, end: usize) -> Result<Via> {
         Ok(match self {
             Self::Ethernet => Via::Interface(interface(end).into()),
@@ -132,13 +131,13 @@ impl Cable {
     }
 }
 
-/// Of the node at this end of a cable: 1 is the robot's side.
+/// Returns the interface of the node at this end of a cable: 1 is the robot's side.
 fn interface(end: usize) -> &'static str {
     if end == 1 { "r0" } else { "l0" }
 }
 
 struct Site {
-    // Order is the order of the end.
+    // Fields drop in this order.
     switches: Vec<(Running, Inside)>,
     wire: Option<Wire>,
     chain: Chain,
@@ -148,7 +147,7 @@ struct Site {
 }
 
 impl Site {
-    /// `slow`: the cable that is.
+    /// Builds the network. `slow`: the index of the slow cable.
     fn build(cables: [Cable; 3], slow: Option<usize>, data_plane: DataPlane) -> Result<Self> {
         let chain = Chain::build(ChainOptions { switches: 2, wire: slow, ..Default::default() })?;
         chain.nodes().iter().try_for_each(Namespace::enable_ipv6)?;
@@ -178,7 +177,7 @@ impl Site {
         Ok(site)
     }
 
-    /// Frames that waited for the slow cable.
+    /// Returns the number of frames that the slow cable marked.
     fn marked(&self) -> u64 {
         self.wire.as_ref().map_or(0, |wire| wire.counts(0).marked)
     }
@@ -217,8 +216,8 @@ impl Site {
         inside.runtime.block_on(running.status())
     }
 
-    /// From the robot to the cloud, as fast as they go: what the writer was told of the way.
-    /// `silent`: nothing of marks.
+    /// Sends messages from the robot to the cloud as fast as possible, and returns the writer's
+    /// counters. `silent`: no reports of marks are expected.
     fn carry_messages(&self, silent: bool) -> Result<TopicCounters> {
         const REPORTED: Duration = Duration::from_secs(2);
         const ROUNDS: usize = 5;
@@ -257,8 +256,8 @@ impl Site {
                 writer.runtime.block_on(publisher.send(Encoding::Bytes, &[i as u8; LENGTH]))?;
             }
             subscription = reader.runtime.block_on(received)??;
-            // The reader's last report comes behind the last message. A loss at the beginning slows
-            // the writer down, and for a while there may be nothing to mark.
+            // The reader's last report follows the last message. A loss at the beginning slows the
+            // writer down; for a while there may be nothing to mark.
             let reported = wait_for("reports of the marks", REPORTED, || {
                 told = publisher.counters().topic;
                 Ok((told.marked > self.marked() / 2 && told.slowed > 0).then_some(()))
@@ -284,7 +283,7 @@ impl Site {
         Ok(told)
     }
 
-    /// Frames that a switch sent on, in the kernel and in user space.
+    /// Returns the frames that a switch forwarded, in the kernel and in userspace.
     fn onward(&self, i: usize) -> [u64; 2] {
         let status = self.status(i);
         let count = |counter: &str, plane: &str| status["counters_by_plane"][counter][plane].as_u64().unwrap_or(0);

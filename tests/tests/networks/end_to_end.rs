@@ -1,5 +1,4 @@
-//! Messages of unmodified DDS programs across three XDP switches, and what happens when parts come
-//! and go.
+//! Messages of unmodified DDS programs across three XDP switches, while parts start and stop.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -93,7 +92,7 @@ fn a_listener_that_joins_late_gets_what_comes_then() -> Result<()> {
     let folder = fabric.folder().to_owned();
     let mut talker = peers::talker(&fabric.tools, fabric.chain.robot(), Vendor::Cyclone, &traffic, &folder)?;
     talker.wait_event("matched", TIMEOUT)?;
-    // It has talked into the void; now somebody comes.
+    // The talker has sent without a reader; now a reader starts.
     wait_for("messages that nobody reads", TIMEOUT, || Ok((sent(&fabric) > 2).then_some(())))?;
     fabric.start_cloud()?;
     fabric.wait_for_route()?;
@@ -106,7 +105,7 @@ fn a_listener_that_joins_late_gets_what_comes_then() -> Result<()> {
     Ok(())
 }
 
-/// The talker has gone by then: its proxy has the messages.
+/// The robot's proxy stores the latched messages.
 #[test]
 fn the_last_messages_of_a_latched_topic_reach_who_comes_later() -> Result<()> {
     let (transient_local, depth) = (true, 3);
@@ -115,7 +114,7 @@ fn the_last_messages_of_a_latched_topic_reach_who_comes_later() -> Result<()> {
     fabric.start_robot()?;
     let traffic = Traffic { count: 10, transient_local, depth, ..Default::default() };
     let folder = fabric.folder().to_owned();
-    // As long as it is there: with a publisher goes what it has latched, as in ROS.
+    // The talker stays alive: as in ROS, latched messages disappear with their publisher.
     let _talker = peers::talker(&fabric.tools, fabric.chain.robot(), Vendor::Cyclone, &traffic, &folder)?;
     wait_for("all messages to be written", TIMEOUT, || Ok((sent(&fabric) == traffic.count).then_some(())))?;
     fabric.start_cloud()?;
@@ -128,8 +127,8 @@ fn the_last_messages_of_a_latched_topic_reach_who_comes_later() -> Result<()> {
     Ok(())
 }
 
-/// What each party has: its own key, the name card, its certificate. Nothing that only writer and
-/// readers may know.
+/// Each party has its own key, the name card and its certificate, and no secret of writer and
+/// readers.
 #[test]
 fn parties_share_no_secret_and_the_owners_key_stays_with_the_owner() -> Result<()> {
     let fabric = started(FabricOptions::default())?;
@@ -154,8 +153,8 @@ fn parties_share_no_secret_and_the_owners_key_stays_with_the_owner() -> Result<(
     Ok(())
 }
 
-/// A second reader joins while messages flow, and goes on reading when the first is taken its
-/// right.
+/// A second reader joins while messages flow, and continues to read after the first one's right is
+/// revoked.
 #[test]
 fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Result<()> {
     let chain = ChainOptions { wire: Some(0), ..Default::default() };
@@ -182,19 +181,19 @@ fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Resul
     let readers: Vec<_> = readers.as_array().into_iter().flatten().filter(|r| r["role"] == "subscriber").collect();
     ensure!(readers.len() == 1 && readers[0]["entity"] != *cloud, "{revoked}: {readers:?}");
 
-    // What was under way is there by the time the guest has read more.
+    // Messages in flight have arrived by the time the guest has read more.
     let guest_reads_on = || {
         let so_far = read_by("guest");
         wait_for("the guest to read on", TIMEOUT, || Ok((read_by("guest") >= so_far + 20).then_some(())))
     };
-    // Each of them tells of what it has read once a second.
+    // Each proxy updates its statistics once a second.
     (0..3).try_for_each(|_| guest_reads_on())?;
     let so_far = (read_by("cloud"), peers::received(&both.listener).len());
     (0..3).try_for_each(|_| guest_reads_on())?;
     ensure!((read_by("cloud"), peers::received(&both.listener).len()) == so_far, "the revoked reader reads on");
     both.listener.check_alive()?;
 
-    // Nor does it come back.
+    // The revoked reader also cannot rejoin.
     fabric.cloud.take().context("started")?.stop(TIMEOUT)?;
     fabric.start_cloud()?;
     let status = |fabric: &Fabric| fabric.proxy_stats("cloud")["topics"][0]["status"].as_str().map(str::to_owned);
@@ -202,8 +201,8 @@ fn a_revoked_reader_gets_nothing_of_the_next_epoch_and_the_others_all() -> Resul
         .with_context(|| format!("{:?}", status(&fabric)))
 }
 
-/// Its certificate, and then the reader's, are replaced by short ones, and these by others before
-/// they end.
+/// Short-lived certificates replace the robot's and then the reader's, and others replace these
+/// before they expire.
 #[test]
 fn certificates_are_renewed_and_messages_flow_over_the_end_of_the_old_ones() -> Result<()> {
     const SHORT: u64 = 15;
@@ -244,7 +243,7 @@ fn certificates_are_renewed_and_messages_flow_over_the_end_of_the_old_ones() -> 
     Ok(())
 }
 
-/// Nobody reads the name: the robot keeps its messages to itself, and no switch knows of it.
+/// Without a reader, the robot does not send its messages, and no switch has a route for the name.
 #[test]
 fn what_nobody_reads_goes_nowhere() -> Result<()> {
     let mut fabric = Fabric::start(Tools::beside_this_test()?, FabricOptions::default())?;
@@ -286,7 +285,7 @@ fn kernel_forwards(fabric: &Fabric) -> Result<Vec<u64>> {
     (0..fabric.switches.len()).map(|i| fabric.forwarded_in_kernel(i)).collect()
 }
 
-/// Names and content of the files in a folder.
+/// Returns names and content of the files in a folder.
 fn files_in(folder: &Path) -> Result<BTreeMap<String, String>> {
     let mut files = BTreeMap::new();
     for file in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
@@ -296,23 +295,23 @@ fn files_in(folder: &Path) -> Result<BTreeMap<String, String>> {
     Ok(files)
 }
 
-/// Of a data frame, 64 hex digits.
+/// Returns the destination of a data frame, 64 hex digits.
 fn destination(frame: &[u8]) -> String {
     frame[ETHERNET + 32..ETHERNET + 64].iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Under which the first segment of a data frame is sealed.
+/// Returns the epoch of the first segment in a data frame.
 fn epoch(frame: &[u8]) -> u32 {
     let at = ETHERNET + size_of::<Header>() + 40;
     frame[at..at + 4].iter().fold(0, |epoch, byte| epoch << 8 | u32::from(*byte))
 }
 
-/// Messages that the robot's proxy took from DDS.
+/// Returns the number of messages that the robot's proxy received from DDS.
 fn sent(fabric: &Fabric) -> u64 {
     fabric.proxy_stats("robot")["topics"][0]["messages"].as_u64().unwrap_or(0)
 }
 
-/// Data frames that any plane of switch `i` sent on.
+/// Returns the data frames that any plane of switch `i` forwarded.
 fn forwards(fabric: &Fabric, i: usize) -> Result<u64> {
     Ok(fabric.counter(i, "forwarded")? + fabric.counter(i, "delivered")?)
 }

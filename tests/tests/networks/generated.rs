@@ -1,9 +1,9 @@
 //! A million generated frames through `decide` over plain tables, the XDP switch under
-//! `BPF_PROG_TEST_RUN`, the loops of DPDK and the userspace plane: the same verdict, the same
-//! bytes, the same counters, frame by frame.
+//! `BPF_PROG_TEST_RUN`, the DPDK loops and the userspace plane. Verdict, bytes and counters must be
+//! equal, frame by frame.
 //!
-//! All keep what they know of links from frame to frame, so replays, late frames and counts beyond
-//! 2³² are among the cases.
+//! All planes retain their link state from frame to frame. Replays, late frames and counters beyond
+//! 2³² are therefore among the cases.
 
 #[path = "../../../crates/gdp-wire/tests/tables/mod.rs"]
 mod tables;
@@ -27,12 +27,13 @@ const SEED: u64 = 20_261_120;
 
 const FRAMES: usize = 1_000_000;
 
-/// Reading the kernel's counters costs as much as twenty frames, so they are read after so many.
+/// Reading the kernel's counters costs as much as twenty frames, so they are read after this many
+/// frames.
 const CHUNK: usize = 2000;
 
 const BURSTS_OF_COPIES: usize = 500;
 
-/// Of each counter that a plane can reach, at least.
+/// Least count of each counter that a plane can reach.
 const OF_EACH: u64 = 100;
 
 #[test]
@@ -54,8 +55,8 @@ fn the_kernel_does_what_decide_says_with_a_million_frames() -> Result<()> {
             return Err(find_miscounted(&switch, chunk * CHUNK)?);
         }
     }
-    // The userspace plane's, which the kernel leaves them to; what a redirect loses is known only
-    // after it; rates need time.
+    // The kernel leaves notices to the userspace plane. It counts redirect losses only after the
+    // redirect. Rates need time.
     reached(seen, &[Counter::Notice, Counter::RedirectLost, Counter::PuntLimit])
 }
 
@@ -74,7 +75,7 @@ fn the_userspace_plane_does_what_decide_says_with_a_million_frames() -> Result<(
     reached(seen, &[Counter::Slow, Counter::RedirectFailed, Counter::RedirectLost, Counter::PuntLimit])
 }
 
-/// In bursts of all sizes: what is done for many frames at once must be what is done for each.
+/// Uses bursts of all sizes: batch processing must equal processing of each frame.
 #[test]
 fn dpdk_does_what_decide_says_with_a_million_frames() -> Result<()> {
     let switch = plain_switch();
@@ -87,11 +88,11 @@ fn dpdk_does_what_decide_says_with_a_million_frames() -> Result<()> {
         seen.iter_mut().zip(counts).for_each(|(seen, count)| *seen += count);
         frames += burst;
     }
-    // The userspace plane's; links by no device are left to it as well; rates need time.
+    // Notices belong to the userspace plane, as do links without a device. Rates need time.
     reached(seen, &[Counter::Notice, Counter::RedirectFailed, Counter::RedirectLost, Counter::PuntLimit])
 }
 
-/// More copies than wait for each other: some of a burst leave before the rest is decided about.
+/// A burst makes more copies than can wait together: some leave before the rest is decided.
 #[test]
 fn dpdk_makes_the_copies_that_decide_says_of_bursts_with_many() -> Result<()> {
     let switch = plain_switch();
@@ -118,7 +119,7 @@ struct Dpdk {
     plane: DpdkSwitch,
     tables: PlainTables<true>,
     links: Vec<u32>,
-    /// Whether copies share what they have in common: in turn.
+    /// Whether copies share their common part; alternates.
     gathers: bool,
 }
 
@@ -130,9 +131,9 @@ impl Dpdk {
         Ok(Self { plane, tables, links: ids(switch), gathers: false })
     }
 
-    /// How many frames came together, and what was counted of them, if that and what left is what
-    /// decide says of one after the other. At most `most`, and none behind one that is answered
-    /// with an error: of these a neighbour gets one at a time.
+    /// Compares one burst with decide's results for its frames one by one. Returns the number of
+    /// frames and their counts. A burst has at most `most` frames and ends with a frame that is
+    /// answered with an error. A neighbour gets one such error at a time.
     fn compare(&mut self, mut next: impl FnMut() -> Vec<u8>, most: usize) -> (usize, Result<Counts>) {
         let (mut frames, mut sent, mut passed, mut counts) = (vec![], vec![], vec![], [0; Counter::COUNT]);
         let (mut is_over, mut fates) = (false, vec![]);
@@ -175,7 +176,7 @@ impl Dpdk {
     }
 }
 
-/// The first frame that only one of the two has.
+/// Describes the first frames that only one of the two lists has.
 fn differences(got: &[Vec<u8>], expected: &[Vec<u8>]) -> String {
     let only = |all: &[Vec<u8>], others: &[Vec<u8>]| {
         let one = all.iter().find(|frame| !others.contains(frame));
@@ -185,13 +186,13 @@ fn differences(got: &[Vec<u8>], expected: &[Vec<u8>]) -> String {
 }
 
 struct Kernel {
-    // Order is the order of the end.
+    // Fields drop in this order.
     plane: KernelPlane,
     _site: Site,
     tables: PlainTables<true>,
     memory: LinkMemory,
     links: Vec<u32>,
-    /// For the next frame: in turn.
+    /// Buffer layout of the next frame; alternates.
     buffers: Buffers,
 }
 
@@ -204,7 +205,7 @@ impl Kernel {
         Ok(Self { plane, _site: site, tables, memory, links: ids(switch), buffers: Buffers::One })
     }
 
-    /// What decide says, if the kernel does the same; but for how it counts that.
+    /// Returns decide's result if the kernel's is the same. Kernel counters are compared elsewhere.
     fn compare(&mut self, frame: &[u8]) -> Result<Fate> {
         forgive(&self.memory, &self.links);
         let (expected, mut got) = (self.tables.run(frame), run_uncounted(&mut self.plane, self.buffers, frame)?);
@@ -213,7 +214,7 @@ impl Kernel {
             Buffers::Several => Buffers::One,
         };
         if (expected.verdict, got.verdict) == (Verdict::Copy, Verdict::Send) {
-            // What the kernel would copy is not yet a frame.
+            // A frame that the kernel would copy does not count as a frame yet.
             got = Fate::copied(vec![]);
         }
         same(&expected, &Fate { counter: expected.counter, ..got })?;
@@ -250,7 +251,7 @@ fn same(expected: &Fate, got: &Fate) -> Result<()> {
     Ok(())
 }
 
-/// All counters that a plane can reach were reached.
+/// Fails unless every counter that the plane can reach was reached.
 fn reached(seen: [u64; Counter::COUNT], others: &[Counter]) -> Result<()> {
     let reachable = Counter::ALL.iter().zip(seen).filter(|(counter, _)| !others.contains(counter));
     let rare: Vec<_> = reachable.filter(|(_, seen)| *seen < OF_EACH).collect();
@@ -258,8 +259,7 @@ fn reached(seen: [u64; Counter::COUNT], others: &[Counter]) -> Result<()> {
     Ok(())
 }
 
-/// Runs everything again up to the frames from `start` on that were not counted as they should, and
-/// looks at each.
+/// Runs everything again, and finds the first of the frames from `start` on with a wrong counter.
 fn find_miscounted(switch: &Switch, start: usize) -> Result<anyhow::Error> {
     let mut site = Kernel::new(switch)?;
     let mut generator = Generator::new(SEED, switch);
@@ -287,7 +287,7 @@ fn shown(fate: &Fate) -> String {
     format!("{:?} {:?} {:?} {copies:?}", fate.verdict, fate.counter, bytes(&fate.frame))
 }
 
-/// The switch of the fixtures, on whose links nothing has come in yet.
+/// Returns the fixtures' switch without any arrivals on its links.
 fn plain_switch() -> Switch {
     let mut switch = fixtures::read().switch;
     switch.links.iter_mut().for_each(|link| link.taken.clear());
@@ -302,7 +302,8 @@ fn begin(memory: LinkMemory, switch: &Switch) -> LinkMemory {
     memory
 }
 
-/// Nobody was sent an error lately, and the daemon no probe: plain tables know no time.
+/// Resets the limits of errors to neighbours and of probes to the daemon: plain tables have no
+/// time.
 fn forgive(memory: &LinkMemory, links: &[u32]) {
     links.iter().for_each(|link| memory.forgive(*link));
 }

@@ -1,4 +1,4 @@
-//! The harness itself: what the other tests rely on, without any of the project's programs.
+//! The harness itself: the features that other tests rely on, without the project's programs.
 
 use std::net::UdpSocket;
 use std::time::Duration;
@@ -25,7 +25,7 @@ fn a_chain_routes_ip_from_end_to_end() -> Result<()> {
         Ok(socket)
     };
     let (from, to) = (socket_in(chain.robot())?, socket_in(chain.cloud())?);
-    // The bridge in the wire takes a moment to forward.
+    // The bridge in the wire needs a short time before it forwards.
     wait_for("a datagram through three routers", TIMEOUT, || {
         from.send_to(b"hello", (cloud.as_str(), 4000))?;
         Ok(to.recv(&mut [0; 16]).ok())
@@ -87,7 +87,7 @@ fn entering_a_namespace_ends_with_its_guard() -> Result<()> {
     Ok(())
 }
 
-/// The peers understand each other without us: a failure elsewhere is then ours.
+/// The peers interoperate without this project: a failure in another test is then this project's.
 #[test]
 fn the_dds_vendors_understand_each_other() -> Result<()> {
     let tools = Tools::beside_this_test()?;

@@ -1,5 +1,5 @@
-//! An attacker on a cable replays, cuts, flips and invents frames, or has a key and a link of its
-//! own and sends what it may not. None of it reaches ROS, and every frame is counted under a
+//! An attacker on a cable replays, cuts, flips and invents frames. Another attacker has a key and a
+//! link and sends what it may not. No such frame reaches ROS, and every one is counted under a drop
 //! reason.
 
 mod half_open;
@@ -27,8 +27,7 @@ use zerocopy::{FromBytes, IntoBytes};
 /// Bytes of the GDP header.
 const HEADER: usize = 96;
 
-/// Indices of the switches that an attacker's frames reach first: between s1 and s2, and beside the
-/// robot.
+/// Indices of the first switch of an attacker's frames: S2 between s1 and s2, S1 next to the robot.
 const S2: usize = 1;
 const S1: usize = 0;
 
@@ -36,12 +35,12 @@ struct Scene {
     fabric: Fabric,
     conversation: Conversation,
     attacker: PacketSocket,
-    /// A data frame that passed: Ethernet, header, sealed message.
+    /// A captured data frame: Ethernet, header, sealed message.
     frame: Vec<u8>,
 }
 
 impl Scene {
-    /// A fabric in which messages flow, with one of them captured.
+    /// Builds a fabric with message traffic and captures one message.
     fn set() -> Result<Self> {
         let chain = ChainOptions { wire: Some(1), ..Default::default() };
         let mut fabric = Fabric::start(Tools::beside_this_test()?, FabricOptions { chain, ..Default::default() })?;
@@ -57,9 +56,9 @@ impl Scene {
         Ok(Self { fabric, conversation, attacker, frame })
     }
 
-    /// Sends hostile frames and waits until s2 has counted as many under `reason`.
+    /// Sends hostile frames and waits until s2 has counted all of them under `reason`.
     fn refused_by_s2(&self, reason: &str, frames: &[Vec<u8>]) -> Result<()> {
-        // Fewer at a time than the ring of a veth takes.
+        // Fewer frames at a time than a veth's ring has room for.
         frames.chunks(64).try_for_each(|frames| {
             let before = self.fabric.counter(S2, reason)?;
             self.send(frames)?;
@@ -67,8 +66,8 @@ impl Scene {
         })
     }
 
-    /// Cuts the cable and hands on what comes, until `count` data frames have gone on toward the
-    /// cloud as `alter` leaves them.
+    /// Cuts the cable and relays frames until `count` data frames have continued toward the cloud,
+    /// each changed by `alter`.
     fn hand_on(&self, count: usize, mut alter: impl FnMut(usize, &mut Vec<u8>)) -> Result<()> {
         const TURN: Duration = Duration::from_millis(2);
         let (from_robot, from_cloud) = (self.fabric.chain.wire_from_robot()?, &self.attacker);
@@ -104,8 +103,8 @@ impl Scene {
         })
     }
 
-    /// Honest messages still arrive, and nothing else has: every number once, in order, content as
-    /// written.
+    /// Checks that honest messages still arrive, and nothing else: every number once, in order,
+    /// with its original content.
     fn only_honest_messages_arrived(self) -> Result<()> {
         let messages = self.no_dishonest_message_arrived()?;
         let numbers: Vec<i64> = messages.iter().map(|message| message.sequence).collect();
@@ -113,7 +112,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Some honest messages may be missing.
+    /// Checks that no other message arrived. Some honest messages may be missing.
     fn no_dishonest_message_arrived(mut self) -> Result<Vec<Received>> {
         let so_far = peers::received(&self.conversation.listener).len();
         let messages = self.conversation.listener.wait_until("ten more messages", TIMEOUT, |p| {
@@ -142,7 +141,7 @@ fn replayed_frames_are_refused_by_the_next_switch() -> Result<()> {
     scene.only_honest_messages_arrived()
 }
 
-/// The link is found by the id in the frame, and its key fits no other.
+/// The link id in the frame selects the link, whose key fits no other link.
 #[test]
 fn frames_moved_to_another_link_are_refused_by_the_next_switch() -> Result<()> {
     let scene = Scene::set()?;
@@ -158,8 +157,8 @@ fn frames_moved_to_another_link_are_refused_by_the_next_switch() -> Result<()> {
     scene.only_honest_messages_arrived()
 }
 
-/// Somebody with a key, whom the switch gives a link as it would anybody; on the cable between
-/// robot and s1.
+/// An attacker with a key, on the cable between robot and s1. The switch gives it a link like any
+/// endpoint.
 #[test]
 fn an_endpoint_sends_only_in_its_own_name_and_to_what_it_publishes() -> Result<()> {
     let chain = ChainOptions { wire: Some(0), ..Default::default() };
@@ -190,7 +189,7 @@ fn an_endpoint_sends_only_in_its_own_name_and_to_what_it_publishes() -> Result<(
         ensure!(count(&fabric)? == before + 20, "{reason} was counted more often");
     }
     let sent_on = fabric.counter(S1, "forwarded")? + fabric.counter(S1, "delivered")?;
-    // Writer and reader greet each other.
+    // Writer and reader exchange greetings.
     ensure!(sent_on < 20, "s1 sent {sent_on} frames on");
     Ok(())
 }
@@ -199,9 +198,9 @@ fn name(text: &str) -> Result<Name> {
     text.parse().map_err(|error| anyhow::anyhow!("{text}: {error}"))
 }
 
-/// An endpoint of its own making.
+/// An endpoint implemented by the test.
 struct Stranger {
-    // Order is the order of the end.
+    // Fields drop in this order.
     link: Link,
     port: Port,
     _runtime: Runtime,
@@ -224,7 +223,7 @@ impl Stranger {
             let link = port.dial(*to, Some(*name)).await?;
             anyhow::Ok((port, link))
         })?;
-        // It is in service a moment after it is made.
+        // The link enters service shortly after it is made.
         let own = identity.name().to_string();
         wait_for("s1 to take the link into service", TIMEOUT, || {
             Ok(fabric.status(S1)?["links"].to_string().contains(&own).then_some(()))
@@ -233,13 +232,13 @@ impl Stranger {
         Ok(Self { link, port, _runtime: runtime, name: identity.name(), sent: 0, received, window })
     }
 
-    /// Frames that are right in all but what they say.
+    /// Sends frames that are valid except for their names.
     fn send(&mut self, destination: Name, source: Name, count: usize) -> Result<()> {
         let frames: Vec<_> = (0..count).map(|_| self.stamped(Header::data(destination, source, 0))).collect();
         self.send_frames(&frames)
     }
 
-    /// The next frame on the link.
+    /// Returns the next frame on the link.
     fn stamped(&mut self, mut header: Header) -> Header {
         self.sent += 1;
         hop::stamp(&mut header, &self.link.entry(PORT_USERSPACE), self.sent);
@@ -253,7 +252,8 @@ impl Stranger {
         Ok(())
     }
 
-    /// What s1 says on the link, waiting a while for the first; it must be what only s1 can say.
+    /// Receives s1's frames on the link, waiting a while for the first. Each must be one that only
+    /// s1 can make.
     fn receive(&mut self, patience: Duration) -> Result<Vec<Header>> {
         let (data, entry) = (self.port.data(), self.link.entry(PORT_USERSPACE));
         if data.wait_readable(patience)? {
@@ -272,8 +272,8 @@ impl Stranger {
     }
 }
 
-/// Errors and echoes are signs between neighbours: whoever has not the link's key cannot make one,
-/// and whoever has recorded one cannot use it again.
+/// Errors and echoes are signals between neighbours. Without the link's key they cannot be forged,
+/// and a recorded one cannot be reused.
 #[test]
 fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Result<()> {
     let scene = Scene::set()?;
@@ -284,7 +284,7 @@ fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Res
     };
     let errors: Vec<_> = (0..=5).map(|code| forged(2, code)).collect();
     let echoes: Vec<_> = (0..=2).map(|kind| forged(4, kind)).collect();
-    // What its neighbours have said before: a greeting may come before a switch knows the way.
+    // Errors from before: a neighbour may send a greeting before a switch has its route.
     let heard = || -> Result<_> {
         let status = scene.fabric.status(S2)?;
         let links = status["links"].as_array().context("links")?.clone();
@@ -298,7 +298,7 @@ fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Res
     ensure!(scene.fabric.status(S2)?["counters"]["echoed"] == 0, "{}", scene.fabric.status(S2)?);
     scene.only_honest_messages_arrived()?;
 
-    // By somebody with a link: an echo is answered once, and an endpoint has no errors to send.
+    // From an attacker with a link: an echo is answered once, and an endpoint may not send errors.
     let chain = ChainOptions { wire: Some(0), switches: 1, ..Default::default() };
     let fabric = Fabric::start(Tools::beside_this_test()?, FabricOptions { chain, ..Default::default() })?;
     let mut stranger = Stranger::attach(&fabric)?;
@@ -329,7 +329,7 @@ fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Res
     Ok(())
 }
 
-/// A million names that nobody knows, from an endpoint with a link, as fast as a socket sends them.
+/// An endpoint with a link sends to a million unknown names, as fast as a socket allows.
 #[test]
 fn a_flood_of_unknown_names_draws_few_errors_and_stops_nobody() -> Result<()> {
     const NAMES: u64 = 1_000_000;
@@ -346,7 +346,7 @@ fn a_flood_of_unknown_names_draws_few_errors_and_stops_nobody() -> Result<()> {
     let heard = || peers::received(&conversation.listener).len();
     let (before, began) = (heard(), Instant::now());
     let (mut sent, mut errors) = (0, 0);
-    // As long as it takes to see that messages arrive meanwhile.
+    // Runs long enough to see that messages arrive meanwhile.
     while sent < NAMES || heard() < before + 20 {
         ensure!(sent < NAMES || began.elapsed() < 3 * TIMEOUT, "only {} messages arrived", heard() - before);
         let batch: Vec<_> = (sent..sent + 64)
@@ -370,7 +370,7 @@ fn a_flood_of_unknown_names_draws_few_errors_and_stops_nobody() -> Result<()> {
     ensure!(2 * messages.len() as i64 > span, "only {} of {span} messages arrived", messages.len());
     let dropped = fabric.counter(S1, "drop_no_route")?;
     println!("{sent} names in {took:?}: {dropped} dropped, {errors} errors; {during} messages arrived meanwhile");
-    // A bridge and a veth are in between, and lose some of a flood.
+    // A bridge and a veth on the path lose part of a flood.
     ensure!(dropped > sent / 2 && fabric.status(S1)?["counters_by_plane"]["drop_no_route"]["userspace"] == 0);
     ensure!(errors > 0 && errors <= 1 + took.as_millis() as u64 / 10, "{errors} errors in {took:?}");
     ensure!(fabric.status(S1)?["fib"] == names, "the flood changed the FIB");
@@ -379,20 +379,20 @@ fn a_flood_of_unknown_names_draws_few_errors_and_stops_nobody() -> Result<()> {
     Ok(())
 }
 
-/// KiB of memory that the daemon of s1 uses.
+/// Returns the resident memory of the daemon of s1 in KiB.
 fn resident(fabric: &Fabric) -> Result<u64> {
     resident_of(fabric.switches[S1].process.pid())
 }
 
-/// KiB of memory that a process uses.
+/// Returns the resident memory of a process in KiB.
 fn resident_of(pid: u32) -> Result<u64> {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status"))?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("VmRSS")?;
     Ok(line.trim().trim_end_matches(" kB").parse()?)
 }
 
-/// Every bit that the hop tag covers, the tag's own included; link id and lengths are found wrong
-/// before the tag is.
+/// Flips every bit that the hop tag covers, and the tag's own. A switch detects wrong link ids and
+/// lengths before the tag.
 #[test]
 fn flipped_header_bits_are_refused_by_the_next_switch() -> Result<()> {
     let scene = Scene::set()?;
@@ -404,13 +404,13 @@ fn flipped_header_bits_are_refused_by_the_next_switch() -> Result<()> {
     scene.refused_by_s2("drop_bad_tag", &flips(7..8))?;
     scene.refused_by_s2("drop_bad_tag", &flips(12..HEADER))?;
     scene.refused_by_s2("drop_no_link", &flips(8..12))?;
-    // The payload's length: more than there is, or less than was tagged.
+    // Payload length: longer than the frame, or shorter than tagged.
     let (longer, shorter) =
         flips(4..6).into_iter().partition::<Vec<_>, _>(|frame| payload_length(frame) > payload_length(&scene.frame));
     scene.refused_by_s2("drop_truncated", &longer)?;
     scene.refused_by_s2("drop_bad_tag", &shorter)?;
-    // Header length; version and type, but for the bits that make a control frame, an error and an
-    // echo.
+    // Header length; version and type, except for the bits that make a control frame, an error and
+    // an echo.
     scene.refused_by_s2("drop_unknown", &flips(6..7))?;
     scene.refused_by_s2("drop_unknown", &(3..8).map(|bit| scene.flipped(bit)).collect::<Vec<_>>())?;
     scene.refused_by_s2("drop_bad_tag", &[scene.flipped(1), scene.flipped(2)])?;
@@ -441,7 +441,7 @@ fn truncated_frames_are_refused_by_the_next_switch() -> Result<()> {
     scene.only_honest_messages_arrived()
 }
 
-/// Frames of somebody who knows the format, the names and the link, but not the link's key.
+/// The attacker knows the format, the names and the link, but not the link's key.
 #[test]
 fn forged_frames_are_refused_by_the_next_switch() -> Result<()> {
     let scene = Scene::set()?;
@@ -465,7 +465,7 @@ fn payload_length(frame: &[u8]) -> u16 {
     u16::from_be_bytes([frame[ETHERNET + 4], frame[ETHERNET + 5]])
 }
 
-/// The number under `key`, wherever it is.
+/// Returns the sum of the numbers under `key`, at any depth.
 fn sum_of(value: &Value, key: &str) -> u64 {
     match value {
         Value::Object(fields) => fields
@@ -477,7 +477,7 @@ fn sum_of(value: &Value, key: &str) -> u64 {
     }
 }
 
-/// All numbers under any `drops`.
+/// Returns the sum of all numbers under any `drops`.
 fn all_drops(value: &Value) -> u64 {
     fn total(value: &Value) -> u64 {
         match value {

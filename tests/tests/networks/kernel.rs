@@ -1,6 +1,6 @@
 //! The XDP switch under `BPF_PROG_TEST_RUN`: the real program in the real kernel, one frame at a
-//! time. Nothing is sent; but it asks the routing table of a network namespace where links over UDP
-//! lead.
+//! time. The kernel sends nothing. It looks up next hops of links over UDP in a network namespace's
+//! routing table.
 
 use std::sync::Barrier;
 
@@ -23,7 +23,7 @@ use crate::planes::{Site, fill, is_for_no_data_socket, run, run_userspace, user_
 fn every_fixture_through_the_kernel() -> Result<()> {
     let Fixtures { switch, cases, .. } = fixtures::read();
     let site = Site::build()?;
-    // A test run puts what is longer into several.
+    // A test run splits longer frames into several buffers.
     const ONE_BUFFER: usize = 3000;
     let mut plane = site.kernel_plane(&switch)?;
     for (case, buffers) in cases.iter().flat_map(|case| [(case, Buffers::One), (case, Buffers::Several)]) {
@@ -34,7 +34,7 @@ fn every_fixture_through_the_kernel() -> Result<()> {
         reset(plane.link_memory(), &switch);
         let got = run(&mut plane, buffers, &frame).with_context(|| case.name.clone())?;
         let got = Expected::from(got);
-        // The copies themselves are made where they leave: see `replication`.
+        // The kernel makes the copies at their egress: see `replication`.
         let expected = Expected { copies: vec![], ..case.kernel.clone() };
         ensure!(got == expected, "{}, {buffers:?}:\n     got {got:?}\nexpected {expected:?}", case.name);
     }
@@ -57,7 +57,8 @@ fn every_fixture_through_the_userspace_plane() -> Result<()> {
     Ok(())
 }
 
-/// Where the kernel leaves a frame to the userspace plane that it could not copy, DPDK copies it.
+/// Where the kernel passes a frame that it cannot copy to the userspace plane, DPDK copies the
+/// frame.
 #[test]
 fn every_fixture_through_dpdk() -> Result<()> {
     let Fixtures { switch, cases, .. } = fixtures::read();
@@ -71,7 +72,7 @@ fn every_fixture_through_dpdk() -> Result<()> {
         }
         let [slow, failed] = [Counter::Slow, Counter::RedirectFailed].map(Counter::as_str);
         let is_copied = case.kernel.counter == slow && Some(&got) == case.userspace.as_ref();
-        // The kernel was promised a port that is not there; DPDK knows its own.
+        // The kernel's configuration names a port that does not exist; DPDK knows its own ports.
         let is_left = case.kernel.counter == failed && got.counter == slow && got.verdict == Verdict::Pass;
         ensure!(is_copied || is_left, "{}:\n     got {got:?}\nexpected {:?}", case.name, case.kernel);
         if is_copied && gathers {
@@ -82,8 +83,8 @@ fn every_fixture_through_dpdk() -> Result<()> {
     Ok(())
 }
 
-/// Frames of one link may come to the kernel and to the userspace plane at once. Both are given the
-/// same frames, in opposite order; each must be sent on by one of them.
+/// The kernel and the userspace plane may receive frames of one link at the same time. Both get the
+/// same frames in opposite order, and exactly one plane must forward each.
 #[test]
 fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
     const ROUNDS: usize = 1000;
@@ -125,7 +126,7 @@ fn frames_that_come_to_both_planes_at_once_are_taken_once() -> Result<()> {
         let mut in_kernel = Vec::new();
         for round in frames.chunks(FRAMES) {
             together.wait();
-            // An error must not leave the other thread waiting.
+            // An error must not block the other thread.
             in_kernel.extend(
                 round.iter().map(|frame| kernel.programs.test_run(Buffers::One, frame).map(|(action, _)| action)),
             );
@@ -213,7 +214,7 @@ fn a_full_fib_refuses_and_forgets_nothing() -> Result<()> {
     Ok(())
 }
 
-/// A daemon that dies leaves its table, which may be about to replace a smaller one.
+/// A daemon that dies leaves its table, and possibly a larger one that was about to replace it.
 #[test]
 fn a_successor_takes_over_a_fib_that_has_grown() -> Result<()> {
     const NAMES: u32 = 5000;
@@ -253,8 +254,8 @@ fn a_successor_takes_over_a_fib_that_has_grown() -> Result<()> {
     ensure!(plane.adopted()?.context("something was left")?.routes.len() == left.len() && sorted(&plane) == left);
     forwards(&mut plane)?;
     drop(plane);
-    // As if the daemon had died when the larger table was ready, and before it was in the place of
-    // the other.
+    // Simulates a daemon that died when the larger table was ready but had not yet replaced the
+    // other.
     std::fs::rename(found.folder.join("FIB_TABLE"), found.folder.join("FIB_TABLE_NEW"))?;
 
     let mut plane = open()?;

@@ -1,4 +1,4 @@
-//! The FIB in the kernel while it changes: through a mapping, and while it grows.
+//! The FIB in the kernel during changes: through a mapping, and while the table grows.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -9,12 +9,12 @@ use lookups::{Found, Lookups, is_route, load, name, route};
 #[path = "../../benches/forward/lookups.rs"]
 mod lookups;
 
-/// Names that programs ask for, and of these those that are never removed.
+/// Names that the programs look up, and the number of those that are never removed.
 const NAMES: u64 = 64;
 const KEPT: u64 = 32;
 
-/// All happens in as few lines as there are: every name changes a hundred thousand times a second,
-/// others come and go beside it.
+/// The table has as few lines as possible. Every name changes a hundred thousand times a second,
+/// and others are inserted and removed in the same lines.
 #[test]
 fn racing_updates_never_show_a_wrong_route() -> Result<()> {
     const CHANGES: u64 = 5_000_000;
@@ -71,7 +71,7 @@ fn the_limit_is_kept_and_changes_need_no_room() -> Result<()> {
     Ok(())
 }
 
-/// What programs find from before `change` to after it.
+/// Returns the results of lookups from before `change` until after it.
 fn while_programs_ask(lookups: &mut Lookups, change: impl FnOnce() -> Result<()>) -> Result<Found> {
     let (asking, over) = (AtomicBool::new(false), AtomicBool::new(false));
     std::thread::scope(|scope| {

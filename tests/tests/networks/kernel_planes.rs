@@ -1,5 +1,4 @@
-//! The planes on real interfaces: which one an interface gets, and that frames cross a switch
-//! whichever it is.
+//! The planes on real interfaces: the choice of plane, and frames that cross the switch in either.
 //!
 //! ```text
 //!   left:e0 ──── l0:switch:r0 ──── e0:right
@@ -67,8 +66,8 @@ fn frames_cross_a_switch_in_userspace() -> Result<()> {
     Ok(())
 }
 
-/// A veth drops what is redirected to it while its peer has neither GRO nor a program; the planes
-/// must know.
+/// A veth drops redirected frames while its peer has neither GRO nor a program; the planes must
+/// detect this.
 #[test]
 fn an_interface_that_takes_no_redirects_is_served_from_userspace() -> Result<()> {
     let site = Site::build(1500)?;
@@ -86,7 +85,8 @@ fn an_interface_that_takes_no_redirects_is_served_from_userspace() -> Result<()>
     Ok(())
 }
 
-/// Both planes send on the link: its counter must not repeat, or a replay window would drop frames.
+/// Both planes send on the link. Its counter must not repeat, because the neighbour's replay window
+/// would drop frames.
 #[test]
 fn the_planes_share_the_counter_of_a_link() -> Result<()> {
     let site = Site::build(1500)?;
@@ -101,7 +101,7 @@ fn the_planes_share_the_counter_of_a_link() -> Result<()> {
     Ok(())
 }
 
-/// A frame that one plane took is known to the other.
+/// A frame that one plane accepted is a replay to the other.
 #[test]
 fn the_planes_share_the_window_of_a_link() -> Result<()> {
     let site = Site::build(1500)?;
@@ -131,7 +131,7 @@ fn the_planes_share_the_window_of_a_link() -> Result<()> {
     counted(&switch, Counter::Replayed, (5, 0))?;
     counted(&switch, Counter::Delivered, (1, 1))?;
 
-    // The link stays the same when what it reaches changes.
+    // The link stays the same when its reach changes.
     let reach = LinkEntry { reach: 1 << 9, ..left_link() };
     let at = switch.address_of_left()?;
     switch.planes.set_link(reach, at)?;
@@ -209,8 +209,8 @@ fn who_may_come_from_abroad_comes_and_goes_in_the_kernel() -> Result<()> {
     Ok(())
 }
 
-/// The FIB begins small and is replaced by larger ones. One frame is under way at a time, so each
-/// that is lost is missed.
+/// The FIB begins small, and larger ones replace it. One frame is in flight at a time, so every
+/// loss is detected.
 #[test]
 fn no_frame_is_lost_while_the_fib_grows() -> Result<()> {
     const NAMES: u32 = 40_000;
@@ -242,7 +242,7 @@ fn no_frame_is_lost_while_the_fib_grows() -> Result<()> {
     Ok(())
 }
 
-/// A VLAN is served on the interface below it. Here another interface stands for the VLAN's own.
+/// A VLAN is served on the interface below it. Here another interface stands in for the VLAN's own.
 #[test]
 fn a_vlan_is_served_on_the_interface_below_it() -> Result<()> {
     const TAG: Carried = Carried::Vlan(5);
@@ -268,8 +268,8 @@ fn a_vlan_is_served_on_the_interface_below_it() -> Result<()> {
     to.receive(TIMEOUT, gdp_tests::packet::is_gdp_data)?;
     ensure!(switch.counted(Counter::Delivered)? == (1, 0));
 
-    // An echo comes back tagged: the kernel takes the tag off before a packet socket sees the
-    // frame, and counts it there.
+    // An echo returns with a tag. The kernel removes the tag before a packet socket sees the frame,
+    // and counts the frame there.
     let from = PacketSocket::open(&site.left, "e0")?;
     let echo = Frame { carrier: TAG, version_type: 0x14, hop_limit: 1, payload: vec![], ..site.next_frame(96) };
     site.send(&echo)?;
@@ -283,8 +283,8 @@ fn a_vlan_is_served_on_the_interface_below_it() -> Result<()> {
     Ok(())
 }
 
-/// A bridge has no native XDP and takes no redirected frames, but those of generic XDP are ordinary
-/// packets.
+/// A bridge has no native XDP and accepts no redirected frames. Frames redirected by generic XDP
+/// are ordinary packets.
 #[test]
 fn without_native_xdp_generic_is_next() -> Result<()> {
     let site = Site::build(1500)?;
@@ -356,7 +356,7 @@ struct Site {
     left: Namespace,
     switch: Namespace,
     right: Namespace,
-    /// Frames sent from left.
+    /// Frames sent from the left end.
     sent: Cell<u64>,
 }
 
@@ -367,7 +367,7 @@ impl Site {
         let end = |namespace, interface, mac| End { namespace, interface, mac };
         veth(&end(&site.left, "e0", LEFT_MAC), &end(&site.switch, "l0", L0_MAC), mtu)?;
         veth(&end(&site.switch, "r0", R0_MAC), &end(&site.right, "e0", RIGHT_MAC), mtu)?;
-        // The kernel notices at the other end only what changes while this end is up.
+        // The kernel notices a GRO change for the other end only while this end is up.
         for side in [&site.left, &site.right] {
             gro(side, "off")?;
             gro(side, "on")?;
@@ -375,7 +375,7 @@ impl Site {
         Ok(site)
     }
 
-    /// A switch on both interfaces, with a link to each side and a route from left to right.
+    /// Starts a switch on both interfaces, with a link to each side and a route from left to right.
     fn switch(&self, wanted: Wanted) -> Result<Switch> {
         self.switch_on(wanted, ["l0", "r0"])
     }
@@ -402,8 +402,8 @@ impl Site {
         Ok(switch)
     }
 
-    /// Sends a frame of `length` bytes from left; what arrives on the right must be what the switch
-    /// should make of it.
+    /// Sends a frame of `length` bytes from the left end. The frame on the right must be what the
+    /// switch should send.
     fn send_through(&self, length: usize) -> Result<Vec<u8>> {
         let to = PacketSocket::open(&self.right, "e0")?;
         let frame = self.next_frame(length);
@@ -423,7 +423,7 @@ impl Site {
         Ok(crossed)
     }
 
-    /// A frame of `length` bytes as left sends it next.
+    /// Returns the next frame of the left end, `length` bytes long.
     fn next_frame(&self, length: usize) -> Frame {
         self.sent.update(|sent| sent + 1);
         Frame {
@@ -474,13 +474,13 @@ impl Switch {
         Ok(LinkAddr::Ethernet { ifindex, mac: LEFT_MAC })
     }
 
-    /// What the kernel and the userspace plane counted.
+    /// Returns the counts of the kernel and of the userspace plane.
     fn count(&self, wanted: Counter) -> Result<(u64, u64)> {
         let counted = self.planes.counters()?.into_iter().find(|(counter, ..)| *counter == wanted);
         counted.map(|(_, kernel, userspace)| (kernel, userspace)).context("all counters")
     }
 
-    /// What the kernel and the userspace plane counted; waits until the latter has come to it.
+    /// Returns the counts of the kernel and of the userspace plane, once there are any.
     fn counted(&self, wanted: Counter) -> Result<(u64, u64)> {
         wait_for("a frame to be counted", TIMEOUT, || Ok(Some(self.count(wanted)?).filter(|count| *count != (0, 0))))
     }

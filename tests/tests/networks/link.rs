@@ -1,5 +1,5 @@
-//! Links directly on Ethernet: discovery, QUIC in control frames, data frames beside them. Two
-//! ports on one veth pair:
+//! Links directly on Ethernet: discovery, QUIC in control frames, and data frames at the same time.
+//! Two ports on one veth pair:
 //!
 //! ```text
 //!  [ endpoint  e0 ]────────[ s0  switch ]
@@ -42,7 +42,7 @@ async fn an_endpoint_finds_its_switch_and_exchanges_frames_with_it() -> Result<(
     );
     assert_eq!(at_client.carrier.peer_mac.as_bytes(), SWITCH_MAC);
 
-    // Shorter than Ethernet's minimum without the payload, and as large as the MTU allows.
+    // Payload sizes: frames below Ethernet's minimum, and a frame as large as the MTU allows.
     for payload in [vec![], vec![1; 7], vec![2; 1500 - Header::LEN]] {
         exchange(&endpoint, &client, &switch, &server, &payload, 300);
         exchange(&switch, &server, &endpoint, &client, &payload, 300);
@@ -70,7 +70,7 @@ async fn what_is_not_for_this_station_is_not_received() -> Result<()> {
     Ok(())
 }
 
-/// The ports stay open; the link is lost by silence and made again.
+/// The ports stay open. The link is lost to silence and then established again.
 #[tokio::test]
 async fn a_port_outlives_its_cable() -> Result<()> {
     let cable = Cable::new(1500)?;
@@ -126,7 +126,7 @@ impl Cable {
         Ok((self.port(true)?, self.port(false)?))
     }
 
-    /// A socket stays in the namespace it was opened in.
+    /// Opens a port. A socket stays in the namespace in which it was opened.
     fn port(&self, endpoint: bool) -> Result<Port, anyhow::Error> {
         if endpoint {
             let _inside = self.namespaces.0.enter()?;
@@ -147,7 +147,8 @@ async fn link(endpoint: &Port, switch: &Port, to: LinkAddr) -> Result<(Link, Lin
     Ok((client?, server.expect("an open port")?))
 }
 
-/// Sends `count` frames one way, in one call, and expects all of them, whole and in order.
+/// Sends `count` frames in one direction, in one call, and expects all of them, intact and in
+/// order.
 fn exchange(from: &Port, out: &Link, to: &Port, input: &Link, payload: &[u8], count: u32) {
     let (egress, ingress, window) = (out.entry(0), input.entry(0), replay::empty());
     let headers: Vec<Header> = (0..count)

@@ -30,21 +30,22 @@ use crate::patient::patient;
 
 const MS: u64 = 1_000_000;
 
-/// The Wi-Fi is quick, the mobile network is not; both lose nothing until they are cut.
+/// One-way delays: the Wi-Fi is fast, the mobile network is slow. Neither loses frames until it is
+/// cut.
 const WIFI: u64 = 3 * MS;
 const LTE: u64 = 15 * MS;
 
-/// For so long one is cut.
+/// Duration of a cut.
 const CUT: Duration = Duration::from_secs(3);
 
-/// Between two messages of a topic, and their bytes: two frames. What comes by each of two links
-/// fits the smaller one: the writer cannot know of that.
+/// Interval between two messages of a topic, and their bytes: two frames. Messages that a reader
+/// gets on each of two links are smaller. They must fit the smaller link; the writer cannot know of
+/// it.
 const PERIOD: Duration = Duration::from_millis(20);
 const SIZE: usize = 2000;
 const SMALL: usize = 1000;
 
-/// It takes half a second to find out that a link is cut: no message that goes by two waits for
-/// that.
+/// Bound on gaps. Detecting a cut takes half a second; messages on two links do not wait for that.
 const NO_GAP: Duration = Duration::from_millis(400);
 
 #[test]
@@ -57,7 +58,8 @@ fn with_one_switch_nothing_is_missed_while_either_link_is_cut() -> Result<()> {
     loses_nothing(1)
 }
 
-/// Topics that go by two links show no gap; those that go by one move over, and are repaired.
+/// Topics on two links have no gap; those on one link move to the other, and lost messages are
+/// repaired.
 fn loses_nothing(switches: usize) -> Result<()> {
     let site = Site::build(switches)?;
     let (robot, cloud) = (site.robot()?, site.cloud()?);
@@ -94,7 +96,7 @@ fn loses_nothing(switches: usize) -> Result<()> {
         let so_far = heard(&flows);
         until("messages by both links again", so_far + 50)?;
     }
-    // For so long this machine had something else to do.
+    // The delay that this machine's other load caused.
     let late = watch.end();
     let results = flows.into_iter().map(Flow::finish).collect::<Result<Vec<_>>>()?;
     for (i, result) in results.iter().enumerate() {
@@ -114,7 +116,7 @@ fn loses_nothing(switches: usize) -> Result<()> {
     site.wires.iter().try_for_each(Wire::check)
 }
 
-/// Sees how long threads wait for a CPU here.
+/// Measures how long threads wait for a CPU on this machine.
 struct Watch {
     stop: Arc<AtomicBool>,
     worst: Option<JoinHandle<Duration>>,
@@ -137,7 +139,7 @@ impl Watch {
         Self { stop, worst: Some(std::thread::spawn(watching)) }
     }
 
-    /// The longest time.
+    /// Ends the measurement and returns the longest delay.
     fn end(mut self) -> Duration {
         self.stop.store(true, Ordering::Relaxed);
         self.worst.take().map_or(Duration::ZERO, |worst| worst.join().expect("no panic"))
@@ -171,7 +173,7 @@ fn what_comes_twice_is_counted_and_dropped() -> Result<()> {
                 ensure!(topic.hear()? == i, "each once");
             }
         }
-        // A body that fits a frame, and a proof.
+        // A body that fits one frame, and a proof.
         let segments = 2 * COUNT;
         for (i, topic) in topics.iter().enumerate() {
             let expected = if i % 2 == 0 { segments } else { 0 };
@@ -198,14 +200,15 @@ fn a_link_through_an_interface_that_is_made_anew_comes_back() -> Result<()> {
     robot.wait_for_links(|links| links[1].state == LinkState::Up).with_context(|| site.report())
 }
 
-/// Switches, the robot's two cables, and room for two nodes.
+/// Switches, the robot's two cables, and space for two nodes.
 struct Site {
     wires: Vec<Wire>,
     switches: Vec<Process>,
     places: [Namespace; 2],
     folder: tempfile::TempDir,
     count: usize,
-    /// The air, and where the switches are. Last: the others end before their networks do.
+    /// The cables' namespace and the switches'. Last field: the others must drop before their
+    /// networks do.
     networks: Vec<Namespace>,
 }
 
@@ -227,7 +230,7 @@ impl Site {
         veth(&end(&air, "m1", 7), &end(second, "l1", 8), 1500)?;
         veth(&end(&s1, "x0", 9), &end(&s2, "x0", 10), 1500)?;
         veth(&end(&s1, "c0", 11), &end(&cloud, "e0", 12), 1500)?;
-        // By its routes alone, the robot would look for the second switch on the first link.
+        // By its routes alone, the robot would search for the second switch on the first link.
         robot.ip(&["addr", "add", "10.8.0.2/24", "dev", "wlan0"])?;
         second.ip(&["addr", "add", "10.8.0.1/24", "dev", "l1"])?;
         let wires = vec![Wire::start(&air, ["w0", "w1"], delayed(WIFI), 1)?];
@@ -258,7 +261,7 @@ impl Site {
         Ok(site)
     }
 
-    /// Makes the robot's second interface, with the cable to it.
+    /// Creates the robot's second interface and its cable.
     fn lay_second(&mut self) -> Result<()> {
         let (robot, air) = (&self.places[0], &self.networks[0]);
         veth(&end(robot, "wwan0", 5), &end(air, "m0", 6), 1500)?;
@@ -272,7 +275,7 @@ impl Site {
         self.folder.path().join(file)
     }
 
-    /// Makes a switch's key; its name.
+    /// Creates a switch's key and returns its name.
     fn key(&self, number: usize) -> Result<String> {
         let mut command = own(Tools::beside_this_test()?.gdp_ctl()?);
         command.args(["key", "generate", "--kind", "switch", "-j"]).arg(self.path(&format!("s{number}.pem")));
@@ -302,7 +305,7 @@ impl Site {
         connect(&self.places[1], &["eth://e0"])
     }
 
-    /// For three seconds from now on nothing passes.
+    /// Drops everything for three seconds from now on.
     fn cut(&self, lane: usize) {
         let delay = [WIFI, LTE][lane];
         let partitions = vec![(0, CUT.as_nanos() as u64)];

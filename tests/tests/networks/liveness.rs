@@ -1,5 +1,5 @@
-//! Silence is told from absence: a link whose peer's daemon died is held while the peer's kernel
-//! answers echoes, and one whose cable is cut is not. Under DDS traffic from robot to cloud.
+//! Distinguishes silence from absence, under DDS traffic from robot to cloud. A link whose peer's
+//! daemon died stays up while the peer's kernel answers echoes. A link whose cable is cut does not.
 
 use std::time::Duration;
 
@@ -13,8 +13,8 @@ use gdp_tests::peers::{self, Conversation, Side, Traffic, Vendor};
 use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::Value;
 
-/// Until a link that nothing answers on is given up: QUIC's silence, the echoes', and as long again
-/// for a loaded machine. Far less than the hold.
+/// Time until a link without any answer is closed: QUIC's idle timeout, the echo timeout, and the
+/// same again for a loaded machine. Far less than the graceful restart time.
 const GIVEN_UP: Duration = Duration::from_secs(2 * (IDLE_TIMEOUT.as_secs() + 1));
 const _: () = assert!(GIVEN_UP.as_secs() < GRACEFUL_RESTART_TIME.as_secs() / 2);
 
@@ -28,7 +28,7 @@ fn a_switch_whose_daemon_died_is_held_by_its_neighbours_while_its_kernel_forward
         wait_for("the neighbour to hear nothing more", GIVEN_UP, || Ok(held(&fabric, neighbour, 1)?.map(drop)))
             .with_context(|| fabric.report())?;
     }
-    // For much longer than a dead switch would be given.
+    // Far longer than a dead switch's link would stay up.
     let echoes = 2 * 5 * Pace::ETHERNET.misses as u64;
     let before = echoed(&fabric, 1)?;
     wait_for("the kernel to answer echoes", TIMEOUT, || Ok((echoed(&fabric, 1)? >= before + echoes).then_some(())))?;
@@ -48,7 +48,7 @@ fn a_switch_whose_daemon_died_is_held_by_its_neighbours_while_its_kernel_forward
 #[test]
 fn a_cut_cable_ends_the_hold_on_both_sides_and_a_mended_one_carries_again() -> Result<()> {
     let chain = ChainOptions { wire: Some(0), ..Default::default() };
-    // All that the robot writes meanwhile may be asked for later.
+    // The reader may later ask for everything that the robot writes meanwhile.
     let mut fabric = fabric(FabricOptions { chain, depth: 10_000, ..Default::default() })?;
     let mut conversation = converse(&fabric)?;
     wait_for_more(&mut conversation, 10)?;
@@ -98,18 +98,18 @@ fn nothing_is_missing(conversation: &Conversation) -> Result<()> {
     Ok(())
 }
 
-/// What switch `i` says of the link to switch `to` that it holds.
+/// Returns the status that switch `i` reports of its retained link to switch `to`.
 fn held(fabric: &Fabric, i: usize, to: usize) -> Result<Option<Value>> {
     let status = fabric.status(i)?;
     let links = status["links_in_grace"].as_array().context("links")?;
     Ok(links.iter().find(|link| link["peer"] == *fabric.switches[to].name).cloned())
 }
 
-/// Echoes that the kernel of switch `i` answered, whether its daemon lives or not.
+/// Returns the echoes that the kernel of switch `i` answered, with or without its daemon.
 fn echoed(fabric: &Fabric, i: usize) -> Result<u64> {
     let stats = fabric.xdp("stats")?;
     let switches = stats["switches"].as_array().context("switches")?;
-    // Known by the first digits of its name.
+    // The output identifies a switch by the first digits of its name.
     let is_it = |switch: &&Value| switch["switch"].as_str().is_some_and(|id| fabric.switches[i].name.starts_with(id));
     let found = switches.iter().find(is_it);
     Ok(found.with_context(|| stats.to_string())?["counters"]["echoed"].as_u64().unwrap_or(0))

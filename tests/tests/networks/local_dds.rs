@@ -1,5 +1,5 @@
-//! What DDS sends where a proxy is in the graph: user data stays on the host of its nodes, in as
-//! many copies as there are readers. Between proxies it is sealed.
+//! DDS traffic in a graph with a proxy: user data stays on the host of its nodes, in as many copies
+//! as there are readers. Between proxies it is sealed.
 //!
 //! ```text
 //!   arm ── in0 robot up0 ── e0 cloud: proxy, nodes of another domain
@@ -29,7 +29,7 @@ use crate::logs::foreign_lines;
 /// The topic that crosses from the cloud to the robot.
 const COMMANDS: &str = "/commands";
 
-/// What a message says; nothing else on the network says it.
+/// The text of messages, which occurs in no other traffic.
 const TEXT: &str = "for nodes of this graph alone";
 
 /// Bytes before the text: sequence number, clock and checksum (`tests/peers/README.md`).
@@ -63,7 +63,8 @@ fn messages_for_a_robot_stay_on_loopback_once_for_each_subscriber() -> Result<()
     counts.check(100, vendors.len()).with_context(|| format!("{counts:?}\n{}", site.report()))
 }
 
-/// On a network whose switch or driver repeats datagrams, or where DDS repairs what was only late.
+/// Reproduces a network whose switch or driver duplicates datagrams, or DDS repairs of delayed
+/// samples.
 #[test]
 fn a_large_reliable_topic_goes_on_where_every_datagram_comes_twice() -> Result<()> {
     const MESSAGES: u64 = 200;
@@ -88,7 +89,8 @@ fn a_large_reliable_topic_goes_on_where_every_datagram_comes_twice() -> Result<(
     Ok(())
 }
 
-/// As the history policy KEEP_LAST says: a writer replaces its oldest sample and waits for nobody.
+/// As the history policy KEEP_LAST requires: a writer replaces its oldest sample and waits for no
+/// reader.
 #[test]
 fn a_subscriber_that_was_killed_takes_nothing_from_the_others() -> Result<()> {
     const MESSAGES: i64 = 1200;
@@ -108,7 +110,7 @@ fn a_subscriber_that_was_killed_takes_nothing_from_the_others() -> Result<()> {
     let received = |process: &Process| -> Vec<i64> {
         process.json_lines().iter().filter_map(|line| line["seq"].as_i64()).filter(|sequence| *sequence >= 0).collect()
     };
-    // Twice as long as the talker took: a reader whose lease lasts must not delay the others.
+    // Twice the talker's duration: a reader whose lease has not expired must not delay the others.
     let last = |process: &Process| (received(process).last() == Some(&(MESSAGES - 1))).then_some(());
     healthy.wait_until("the last message", Duration::from_secs(8), last)?;
     ensure!(received(&healthy) == (0..MESSAGES).collect::<Vec<_>>(), "{} of {MESSAGES}", received(&healthy).len());
@@ -123,7 +125,7 @@ enum Vendor {
     Cyclone,
 }
 
-/// Copies of each message, by sequence number.
+/// Number of copies of each message, by sequence number.
 type Copies = BTreeMap<i64, usize>;
 
 #[derive(Debug)]
@@ -143,7 +145,7 @@ impl Counts {
     }
 }
 
-/// Dropping it ends the programs, then removes the namespaces and files.
+/// A running site. Dropping it ends the programs, then deletes the namespaces and files.
 struct Site {
     proxies: Vec<Process>,
     _switch: Switch,
@@ -165,7 +167,8 @@ impl Site {
             robot.ip(&["addr", "add", &format!("10.77.{i}.2/24"), "dev", interface])?;
             other.ip(&["addr", "add", &format!("10.77.{i}.3/24"), "dev", "e0"])?;
         }
-        // As on a host with a default route, and on the far side as where DDS is kept on the host.
+        // The robot resembles a host with a default route; the far side, a host that restricts DDS
+        // to itself.
         robot.ip(&["route", "add", "default", "via", "10.77.0.3"])?;
         cloud.enable_loopback_multicast()?;
 
@@ -185,7 +188,8 @@ impl Site {
         Ok(site)
     }
 
-    /// The one of the robot publishes [`TOPIC`] and reads [`COMMANDS`], the other one the reverse.
+    /// Starts a proxy. The robot's publishes [`TOPIC`] and reads [`COMMANDS`]; the other one does
+    /// the reverse.
     fn proxy(&self, label: &str, domain: usize, link: &str) -> Result<Process> {
         let authority = Authority { tools: &self.tools, folder: self.folder.path() };
         let entity = authority.proxy(label)?;
@@ -233,15 +237,15 @@ impl Site {
             Vendor::Rclpy => {
                 command.arg(self.tools.peer("rclpy_topic.py")).args([verb, "--topic", topic]);
                 command.env("ROS_DOMAIN_ID", domain).env("ROS_LOG_DIR", self.folder.path());
-                // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared
-                // memory.
+                // UDP alone: two Fast DDS programs on one machine would otherwise communicate
+                // through shared memory.
                 command.env("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
             }
         };
         Ok(command)
     }
 
-    /// Looks at the interfaces while the talker sends its messages, until all listeners have the
+    /// Captures on the interfaces while the talker sends its messages, until all listeners have the
     /// last one.
     fn copies_until_heard(
         &mut self,
@@ -267,7 +271,7 @@ impl Site {
         Ok(Counts { loopback: loopback?, uplink: uplink?, arm: arm? })
     }
 
-    /// Talkers send warm-up messages until it exists.
+    /// Returns the gate file. Talkers send warm-up messages until it exists.
     fn gate(&self) -> PathBuf {
         self.folder.path().join("gate")
     }
@@ -286,7 +290,7 @@ impl Site {
     }
 }
 
-/// The messages in the frames that have come so far.
+/// Returns the messages in the frames that have arrived so far.
 fn copies(socket: &PacketSocket) -> Result<Copies> {
     let mut copies = Copies::new();
     let mut buffer = vec![0; 1 << 17];
@@ -303,11 +307,11 @@ fn copies(socket: &PacketSocket) -> Result<Copies> {
     Ok(copies)
 }
 
-/// Sends each datagram to a user data port on a loopback interface a second time, until it is
-/// dropped.
+/// Sends each datagram to a user data port on a loopback interface a second time, until this guard
+/// is dropped.
 struct Doubler {
     thread: Option<JoinHandle<Result<()>>>,
-    /// Closing it is what ends the thread.
+    /// Closing this pipe ends the thread.
     running: Option<PipeWriter>,
 }
 
@@ -315,7 +319,8 @@ impl Doubler {
     fn start(at: &Namespace) -> Result<Self> {
         {
             let _inside = at.enter()?;
-            // Otherwise the kernel drops the copies: they come from addresses of the host itself.
+            // Otherwise the kernel drops the copies, because their source addresses are the host's
+            // own.
             for (setting, value) in [("accept_local", "1"), ("route_localnet", "1"), ("rp_filter", "0")] {
                 for scope in ["all", "lo"] {
                     fs::write(format!("/proc/sys/net/ipv4/conf/{scope}/{setting}"), value)
@@ -360,10 +365,10 @@ fn readable(fd: i32) -> libc::pollfd {
     libc::pollfd { fd, events: libc::POLLIN, revents: 0 }
 }
 
-/// Whether it is a first datagram to the user data port of the first participants of domain 0; then
-/// makes it a copy.
+/// Marks a datagram to the user data port of the first participants of domain 0 as a copy. Returns
+/// false for other frames, and for copies.
 fn mark_copy(frame: &mut [u8]) -> bool {
-    /// Of the source address, which is zero on a loopback interface.
+    /// A byte of the source MAC address, which is zero on a loopback interface.
     const MARK: usize = 6;
     const UDP: usize = ETHERNET + 20;
     const PORTS: std::ops::Range<u16> = 7411..7431;
@@ -374,7 +379,7 @@ fn mark_copy(frame: &mut [u8]) -> bool {
         return false;
     }
     frame[MARK] = 2;
-    // None: the kernel leaves that of loopback to whoever sends it on.
+    // No checksum: on loopback, the kernel leaves the checksum to a forwarder.
     frame[UDP + 6..UDP + 8].fill(0);
     true
 }

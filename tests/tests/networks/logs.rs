@@ -1,5 +1,5 @@
-//! The logs of daemon and proxy: what they do where nobody can write one, how a panic shows, and
-//! that a normal run is quiet about other people's crates.
+//! The logs of daemon and proxy: behaviour when logs cannot be written, the report of a panic, and
+//! a normal run without lines from foreign crates.
 //!
 //! ```text
 //!  topic pub ─┐
@@ -20,7 +20,7 @@ use gdp_tests::programs::{Executable as _, Program, own};
 use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::{Value, json};
 
-/// The status of a program that ends because of a panic.
+/// Exit status of a program that ends because of a panic.
 const PANICKED: i32 = 101;
 
 #[test]
@@ -37,7 +37,7 @@ fn a_log_disk_that_is_full_costs_nothing_but_lines_of_the_log() -> Result<()> {
     site.wait_for_link()?;
 
     let filler = disk.0.join("filler");
-    // It ends with an error: there is no more room.
+    // The copy ends with an error when the file system is full.
     let _ = std::io::copy(&mut std::io::repeat(b'x'), &mut File::create(&filler)?);
     site.publish()?;
     daemon.kill()?;
@@ -129,16 +129,16 @@ fn a_normal_start_and_stop_logs_nothing_of_other_crates() -> Result<()> {
     Ok(())
 }
 
-/// Those of other crates than this project's.
+/// Returns the log lines of other crates than this project's.
 pub fn foreign_lines(log: &str) -> Vec<&str> {
     let is_ours = |line: &&str| line.split_whitespace().nth(2).is_some_and(|target| target.starts_with("gdp"));
     log.lines().filter(|line| !is_ours(line)).collect()
 }
 
-/// A pipe that takes nothing more, as long as its first end is not dropped.
+/// Returns a pipe that accepts no more data until its first end is dropped.
 fn full_pipe() -> Result<(std::io::PipeReader, std::io::PipeWriter)> {
     let (reader, mut writer) = std::io::pipe()?;
-    // What a pipe holds unless somebody says otherwise (pipe(7)).
+    // The default capacity of a pipe (pipe(7)).
     writer.write_all(&[b'\n'; 1 << 16])?;
     Ok((reader, writer))
 }
@@ -179,12 +179,12 @@ impl Site {
         self.folder.path().join(name)
     }
 
-    /// A file that makes a task of a program panic when it appears.
+    /// Returns a file whose appearance makes a task of a program panic.
     fn trigger(&self, label: &str) -> PathBuf {
         self.file(&format!("{label}.panic"))
     }
 
-    /// Answers when this returns.
+    /// Starts a daemon and waits until it answers.
     fn daemon(&self, label: &str, stderr: Stdio) -> Result<Process> {
         let mut command = self.host.command(self.tools.gdp_ctl()?)?;
         command.args(["serve", "--config"]).arg(self.file("switch.yaml"));
@@ -212,7 +212,7 @@ impl Site {
         Ok(serde_json::from_str(&execute(command.args(["status", "-j", "--socket"]).arg(self.file("switch.sock")))?)?)
     }
 
-    /// Until the proxy has a link to the daemon.
+    /// Waits until the proxy has a link to the daemon.
     fn wait_for_link(&self) -> Result<()> {
         wait_for("the proxy's link", TIMEOUT, || {
             let links = self.status()?["links"].as_array().map_or(0, Vec::len);

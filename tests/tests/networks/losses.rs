@@ -1,5 +1,5 @@
-//! Frames that are lost after the switch has decided to redirect them: each is counted, and nothing
-//! else is.
+//! Frames that are lost after the switch decided to redirect them: each is counted, and no other
+//! frame is.
 //!
 //! ```text
 //!   left:e0 ──── l0:switch:r0 ──── e0:right        left and other send, right takes
@@ -23,7 +23,7 @@ use gdp_wire::{Counter, ETHERTYPE, FibEntry, LinkEntry, LinkRole, Name, SwitchCo
 
 const OWN_BIT: u64 = 1;
 const TOPIC: Name = Name::from_bytes([0xd0; 32]);
-/// Link ids toward left, right and other; their interfaces at the switch.
+/// Link ids toward left, right and other, and their interfaces at the switch.
 const LINKS: [(u32, &str); 3] = [(0x1001, "l0"), (0x1002, "r0"), (0x1003, "m0")];
 const RIGHT: usize = 1;
 
@@ -34,13 +34,13 @@ fn what_an_interface_does_not_take_any_more_is_counted() -> Result<()> {
     site.settled(100, 100)?;
     ensure!(site.lost()? == (0, 0));
 
-    // The kernel refuses each frame as it is redirected: a veth says that it takes none.
+    // The kernel refuses each frame at the redirect: the veth reports that it accepts none.
     site.right_end(Program::Ethtool, &["-K", "e0", "gro", "off"])?;
     site.send(0, 101..=150)?;
     site.settled(150, 100)?;
     ensure!(site.lost()? == (50, 50), "{:?}", site.lost());
 
-    // It takes them again, and its other end goes down: the driver refuses whole batches.
+    // The veth accepts frames again, and its other end goes down: the driver refuses whole batches.
     site.right_end(Program::Ethtool, &["-K", "e0", "gro", "on"])?;
     site.send(0, 151..=160)?;
     site.settled(160, 110)?;
@@ -58,8 +58,8 @@ fn what_an_interface_does_not_take_any_more_is_counted() -> Result<()> {
     Ok(())
 }
 
-/// There the kernel refuses what is redirected to an interface that is down; the rest it sends like
-/// any other packet, so what is lost then is with the interface's own statistics.
+/// In generic mode the kernel refuses redirects to an interface that is down. It sends all others
+/// like ordinary packets; later losses appear in the interface's own statistics.
 #[test]
 fn in_generic_mode_only_what_the_kernel_refuses_is_counted() -> Result<()> {
     let mut site = Site::build()?;
@@ -81,12 +81,12 @@ fn in_generic_mode_only_what_the_kernel_refuses_is_counted() -> Result<()> {
     Ok(())
 }
 
-/// Two processors send as fast as they can to one interface, whose ring holds 256 frames, and which
-/// one of them has to empty.
+/// Two processors send as fast as they can to one interface. Its ring has 256 entries, and one of
+/// the two processors must empty it.
 #[test]
 fn what_does_not_fit_into_a_full_ring_is_counted() -> Result<()> {
     let site = Site::running()?;
-    // Each is offered every frame, which makes the receiving end slow.
+    // Each socket receives every frame, which slows the receiving end.
     let _listeners = (0..100).map(|_| PacketSocket::open(&site.ends[RIGHT], "e0")).collect::<Result<Vec<_>>>()?;
     let stop = AtomicBool::new(false);
     let sent = std::thread::scope(|scope| -> Result<u64> {
@@ -109,7 +109,8 @@ fn what_does_not_fit_into_a_full_ring_is_counted() -> Result<()> {
         lost?;
         sent.into_iter().sum()
     })?;
-    // A veth also drops what does not fit on the way to the switch; that is no loss of a redirect.
+    // A veth also drops frames that exceed its ring before the switch; such a drop is no redirect
+    // loss.
     let (delivered, received) = wait_for("the last frames", TIMEOUT, || {
         let (delivered, received) = (site.count(Counter::Delivered)?, site.received()?);
         Ok((delivered == received + site.lost()?.0).then_some((delivered, received)))
@@ -145,7 +146,7 @@ fn losses_are_counted_while_no_daemon_runs_and_by_the_next_one() -> Result<()> {
     Ok(())
 }
 
-/// Interfaces have the same numbers in every namespace.
+/// Interface numbers repeat across namespaces.
 #[test]
 fn the_losses_of_others_are_not_counted() -> Result<()> {
     let theirs = Site::running()?;
@@ -161,7 +162,7 @@ fn the_losses_of_others_are_not_counted() -> Result<()> {
 struct Site {
     plane: Option<KernelPlane>,
     switch: Namespace,
-    /// Left, right, other.
+    /// The ends left, right and other.
     ends: [Namespace; 3],
 }
 
@@ -182,7 +183,7 @@ impl Site {
         Ok(site)
     }
 
-    /// Puts the switch on its interfaces, or takes over what it left there.
+    /// Attaches the switch to its interfaces, or takes over its earlier state.
     fn start(&mut self, mode: Mode, pins: Option<Pins>) -> Result<()> {
         let _inside = self.switch.enter()?;
         self.plane = Some(start(mode, pins)?);
@@ -193,7 +194,7 @@ impl Site {
         self.plane.as_ref().context("no switch runs")
     }
 
-    /// A frame for the topic, the `count`th from this end.
+    /// Returns the `count`th frame for the topic from this end.
     fn frame(&self, from: usize, count: u64) -> Frame {
         Frame {
             to_mac: mac(from, 2),
@@ -211,8 +212,8 @@ impl Site {
         counts.into_iter().try_for_each(|count| socket.send(&self.frame(from, count).bytes()))
     }
 
-    /// Waits until the switch has decided about so many frames, and so many of them have arrived or
-    /// been counted as lost.
+    /// Waits until the switch has counted this many frames as delivered, and as many have arrived
+    /// or are counted as lost.
     fn settled(&self, delivered: u64, received: u64) -> Result<()> {
         wait_for(&format!("{delivered} delivered, {received} received"), TIMEOUT, || {
             let now = (self.count(Counter::Delivered)?, self.received()?, self.lost()?.0);
@@ -221,7 +222,8 @@ impl Site {
         .with_context(|| format!("{:?} received, {:?} lost", self.received(), self.lost()))
     }
 
-    /// Lost frames as the counter has them, and as the map has them for the right interface.
+    /// Returns the lost frames according to the counter, and according to the map for the right
+    /// interface.
     fn lost(&self) -> Result<(u64, u64)> {
         let right = self.plane()?.losses()?.get(&self.ifindex(RIGHT)?).copied().unwrap_or(0);
         ensure!(self.plane()?.uncounted().is_none(), "{:?}", self.plane()?.uncounted());
@@ -232,7 +234,7 @@ impl Site {
         Ok(self.plane()?.counters()?[counter as usize])
     }
 
-    /// As the right end itself counts.
+    /// Returns the frames that the right end itself counts.
     fn received(&self) -> Result<u64> {
         self.statistic(&self.ends[RIGHT], "e0", "rx", "packets")
     }
@@ -252,7 +254,7 @@ impl Site {
     }
 }
 
-/// In the namespace of the switch.
+/// Starts a plane in the namespace of the switch.
 fn start(mode: Mode, pins: Option<Pins>) -> Result<KernelPlane> {
     let mut plane = KernelPlane::load_pinned(&Tools::beside_this_test()?.ebpf_object()?, 16, pins)?;
     plane.set_config(SwitchConfig { own_bit: OWN_BIT, ethertype: ETHERTYPE.into(), host_pair: 0 })?;
@@ -278,11 +280,11 @@ fn start(mode: Mode, pins: Option<Pins>) -> Result<KernelPlane> {
     Ok(plane)
 }
 
-/// Keeps the calling thread on one processor.
+/// Pins the calling thread to one processor.
 fn stay_on(cpu: usize) -> Result<()> {
-    // SAFETY: zero is a set of no processors.
+    // SAFETY: zero is the empty set of processors.
     let mut set: libc::cpu_set_t = unsafe { std::mem::zeroed() };
-    // SAFETY: `cpu` is one of the first two, and the set has room for 1024.
+    // SAFETY: `cpu` is 0 or 1, and the set has room for 1024.
     unsafe { libc::CPU_SET(cpu, &mut set) };
     // SAFETY: pointer and length are of one live set.
     match unsafe { libc::sched_setaffinity(0, size_of_val(&set), &raw const set) } {

@@ -1,5 +1,5 @@
-//! What needs root: real XDP, network namespaces, foreign programs. One program of all these tests:
-//! each would contain the whole daemon.
+//! Tests that need root: real XDP, network namespaces, foreign programs. All are one executable,
+//! because each would contain the whole daemon.
 
 mod churn;
 mod defaults;
@@ -45,5 +45,5 @@ mod udp_fabric;
 mod udp_runs;
 mod wire;
 
-// By this path the tables of gdp-wire's tests know it, which `generated` uses.
+// The tables of gdp-wire's tests, which `generated` uses, expect this path.
 use gdp_tests::frames;

@@ -1,6 +1,6 @@
-//! What a switch, a RIB, a reader or a stolen robot can do that is against everybody else: each
-//! test lets one of them do it, and says what was delivered and what was counted under which
-//! reason. `docs/security.md` refers to the tests by their names. No root: see [`crate::evil`].
+//! Attacks that a switch, a RIB, a reader or a stolen robot can make on the others. Each test lets
+//! one of them attack, and checks the deliveries and the drop reasons. `docs/security.md` refers to
+//! the tests by their names. The tests need no root: see [`crate::evil`].
 
 mod flood;
 mod reader;
@@ -31,13 +31,13 @@ async fn nothing_is_refused_while_everybody_is_honest() -> Result<()> {
         let message = tokio::time::timeout(TIMEOUT, subscription.recv()).await?.unwrap();
         assert_eq!((&message.body[..], message.writer), (&body[..], robot.name()));
     }
-    // But for what was asked for again, and then came late.
+    // Except for frames that were requested again and then arrived late.
     let drops = cloud.counters().drops;
     assert!(drops.keys().all(|reason| *reason == "seal_duplicate"), "{drops:?}");
     Ok(())
 }
 
-/// The security model is worth what its tests are: those it names are there.
+/// The security model depends on its tests: those that it names must exist.
 #[test]
 fn every_test_that_the_security_model_names_exists() -> Result<()> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -47,7 +47,7 @@ fn every_test_that_the_security_model_names_exists() -> Result<()> {
     }
     let model = std::fs::read_to_string(root.join("docs/security.md"))?;
     let quoted = model.split('`').skip(1).step_by(2);
-    // Not paths, commands or types.
+    // Skips paths, commands and types.
     let names = quoted.filter(|name| name.contains('_') && !name.contains(['/', '.', ' ']));
     let mut count = 0;
     for name in names {

@@ -1,11 +1,11 @@
-//! Options of topics for tests.
+//! Options of topics in tests.
 
 use std::time::Duration;
 
 use gdp::{PublishOptions, Reliability, SubscribeOptions};
 
-/// Of best effort, where each message is to arrive as nothing loses any: for as long as that takes
-/// on a machine that is busy.
+/// Returns best-effort options for tests in which every message must arrive because nothing is
+/// lost. The lifetime is long enough for a busy machine.
 pub fn patient() -> (PublishOptions, SubscribeOptions) {
     const LIFETIME: Duration = Duration::from_secs(20);
     let reliability = Reliability::BestEffort { lifetime: LIFETIME };

@@ -1,11 +1,11 @@
-//! Link keys that are replaced many times a minute under traffic, in both data planes: not a frame
-//! is lost, and what was recorded under a key that is gone is refused.
+//! Link keys that are replaced many times a minute under traffic, in both data planes. No frame is
+//! lost, and frames recorded under a retired key are refused.
 //!
 //! ```text
 //!  robot r0 ── l0 s1 r0 ══ wire ══ l0 s2 r0 ── l0 cloud        s2 is the RIB
 //! ```
 //!
-//! Daemons and nodes run in this process: how often keys change is no option of theirs.
+//! Daemons and nodes run in this process, because their rekey interval is not configurable.
 
 use std::time::{Duration, Instant, SystemTime};
 
@@ -28,14 +28,14 @@ use serde_json::Value;
 use crate::inside::{Inside, ROOT};
 use crate::patient::patient;
 
-/// The overlap is far longer than a busy machine keeps a thread from sending what it has tagged.
+/// The overlap is far longer than a busy machine delays a thread between tagging and sending.
 const OFTEN: RekeySchedule =
     RekeySchedule { interval: Duration::from_millis(100), frames: u64::MAX, overlap: Duration::from_millis(500) };
 
-/// Changes of every key, at least.
+/// Least number of changes of every key.
 const CHANGES: u64 = 8;
 
-/// Messages each way, at least; several frames each.
+/// Least number of messages in each direction; each has several frames.
 const MESSAGES: u32 = 500;
 
 const BODY: usize = 5000;
@@ -50,7 +50,7 @@ fn keys_change_without_loss_in_userspace() -> Result<()> {
     Scene::set(DataPlane::Userspace)?.keys_change_without_loss("userspace")
 }
 
-/// Order of fields is the order of the end.
+/// Fields drop in this order.
 struct Scene {
     there: Way,
     back: Way,
@@ -116,8 +116,7 @@ impl Scene {
     fn keys_change_without_loss(mut self, plane: &str) -> Result<()> {
         let wire = self.chain.wire_from_robot()?;
         let (mut messages, begin) = (0, Instant::now());
-        // What a node says of itself at first may come before a switch knows the way; it is said
-        // again.
+        // A node's first greeting may arrive before a switch has its route; the node repeats it.
         let (mut recorded, mut lost_before) = (None, Vec::new());
         loop {
             for way in [&mut self.there, &mut self.back] {
@@ -151,7 +150,7 @@ impl Scene {
         Ok(())
     }
 
-    /// How often that key was replaced for which it was least often.
+    /// Returns the number of replacements of the least replaced key.
     fn fewest_changes(&self) -> Result<u64> {
         let mut fewest = u64::MAX;
         for i in 0..2 {
@@ -166,7 +165,7 @@ impl Scene {
         Ok(fewest)
     }
 
-    /// What the switches have dropped, by reason.
+    /// Returns the switches' drops by reason.
     fn lost(&self) -> Result<Vec<(usize, String, u64)>> {
         let mut lost = Vec::new();
         for i in 0..2 {
@@ -183,8 +182,8 @@ impl Scene {
         for (from, to) in [(&robot, &cloud), (&cloud, &robot)] {
             ensure!(from.messages_sent == messages && to.messages_received == messages, "{from:?} {to:?}");
             ensure!(to.frames_received > 2 * messages, "{from:?} {to:?}");
-            // What was late and asked for again comes twice; what the other end says first may come
-            // before it is known here.
+            // A delayed and repeated message arrives twice. The other end's first feedback may
+            // arrive before this end knows it.
             let harmless = ["seal_duplicate", "drop_feedback_unknown"];
             ensure!(to.drops.keys().all(|reason| harmless.contains(reason)), "{to:?}");
         }
@@ -224,7 +223,7 @@ impl Way {
         Ok(Self { publisher, subscription })
     }
 
-    /// One message, which must arrive.
+    /// Sends one message, which must arrive.
     fn cross(&mut self, number: u32, inside: &Inside) -> Result<()> {
         let mut body = vec![7; BODY];
         body[..4].copy_from_slice(&number.to_be_bytes());

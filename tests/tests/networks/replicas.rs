@@ -1,4 +1,4 @@
-//! Replicas of the RIB on three switches that forward in the kernel: the leading daemon and the
+//! Replicas of the RIB on three switches that forward in the kernel. The leading daemon and the
 //! leading member of etcd are killed at once under traffic, then others.
 
 use std::collections::BTreeMap;
@@ -15,7 +15,7 @@ use gdp_wire::Name;
 
 use crate::traffic::Traffic;
 
-/// What an entity has said of a name, and in which of its statements.
+/// The serial of each entity's statement about a name in a role.
 type Serials = BTreeMap<(Name, NameRole, Name), u64>;
 
 #[test]
@@ -40,7 +40,7 @@ fn nothing_stops_when_the_leading_daemon_and_a_member_of_etcd_are_killed_at_once
     let led = killed.elapsed();
     let second = replicas.leader()?;
 
-    // Another owner's topic, of a robot and a cloud that nobody has seen before.
+    // Another owner's topic, with a robot and a cloud that no replica knows yet.
     let parties = (replicas.folder_of_late("robot"), replicas.folder_of_late("cloud"));
     let later = Traffic::start((&replicas.late[0], parties.0), (&replicas.late[1], parties.1))
         .with_context(|| replicas.report())?;
@@ -56,8 +56,8 @@ fn nothing_stops_when_the_leading_daemon_and_a_member_of_etcd_are_killed_at_once
     ensure!(replicas.leader()? == second, "who was killed follows");
     ensure!(serials(&replicas)? == both);
 
-    // A daemon that follows, beside the cloud or the robot, and a member that follows: the others
-    // are enough.
+    // Kills a following daemon at the cloud or the robot, and a following member: the others
+    // suffice.
     let follower = if second == CLOUD_AT { ROBOT_AT } else { CLOUD_AT };
     let members = 0..replicas.nodes.len();
     let leading = replicas.etcd.leader(&replicas.nodes[FIRST_LEADER])?;
@@ -67,7 +67,7 @@ fn nothing_stops_when_the_leading_daemon_and_a_member_of_etcd_are_killed_at_once
     replicas.start_again(follower, member)?;
     replicas.wait_until_whole()?;
     ensure!(replicas.leader()? == second, "nobody else was needed");
-    // Links of its ends are new, their statements the same, or newer ones.
+    // The ends have new links, and the same or newer statements.
     replicas.wait("all names to be listed", |replicas| {
         let now = serials(replicas)?;
         Ok(now.keys().eq(both.keys()) && now.iter().all(|(of, serial)| *serial >= both[of]))
@@ -81,7 +81,7 @@ fn nothing_stops_when_the_leading_daemon_and_a_member_of_etcd_are_killed_at_once
     Ok(())
 }
 
-/// All that the leader lists, as who asks at a switch is told it.
+/// Returns all statements that the leader lists, as a query at its switch returns them.
 fn serials(replicas: &Replicas) -> Result<Serials> {
     let leader = replicas.leader()?;
     let listed = replicas.ctl(leader, &["rib", "dump"])?["records"].clone();
@@ -102,7 +102,7 @@ fn serials(replicas: &Replicas) -> Result<Serials> {
     Ok(serials)
 }
 
-/// Data frames that the switch in the middle has sent on in its kernel.
+/// Returns the data frames that the middle switch forwarded in its kernel.
 fn forwarded(replicas: &Replicas) -> Result<u64> {
     let status = replicas.ctl(FIRST_LEADER, &["status"])?;
     Ok(status["counters_by_plane"]["forwarded"]["kernel"].as_u64().unwrap_or(0))

@@ -26,7 +26,7 @@ const OTHER: Name = Name::from_bytes([0xe0; 32]);
 
 const FRAMES: u64 = 100;
 
-/// Who is to get a copy, with which egress bits.
+/// The expected receivers of a copy, with its egress bits.
 type Expected = Vec<(Leaf, u64)>;
 
 #[test]
@@ -45,8 +45,8 @@ fn readers_behind_one_interface() -> Result<()> {
     Ok(())
 }
 
-/// The writer's segment has readers as well; it is none of them, and as one of them it gets nothing
-/// either.
+/// The writer's segment also has readers. The writer is not a reader; and as a reader it gets no
+/// copy either.
 #[test]
 fn readers_behind_the_writers_interface() -> Result<()> {
     copies_to(readers(8, 1), 1)?;
@@ -76,7 +76,7 @@ fn bits_partition_over_neighbours() -> Result<()> {
     site.exchange(west, TOPIC, OWN_BIT | 0b101, 600, &both).context("in transit, and here")
 }
 
-/// Copies and frames for one link leave by the same interface side by side, in the same batches.
+/// Copies and frames for one link leave on the same interface, in the same batches.
 #[test]
 fn copies_and_single_frames_share_an_interface() -> Result<()> {
     let group = readers(4, 2);
@@ -107,8 +107,8 @@ fn copies_and_single_frames_share_an_interface() -> Result<()> {
     Ok(())
 }
 
-/// Neighbours that want no copies share the interfaces of those that do. The kernel sends in
-/// batches, and must not forget one of which the last copies are dropped.
+/// Neighbours without copies share the interfaces of readers. The kernel sends in batches, and must
+/// also flush a batch whose last copies are dropped.
 #[test]
 fn nothing_waits_behind_copies_that_nobody_wants() -> Result<()> {
     let group = readers(3, 4);
@@ -125,7 +125,7 @@ fn nothing_waits_behind_copies_that_nobody_wants() -> Result<()> {
             site.far.send(&frame)?;
             sent.push(frame);
         }
-        // Nothing follows that would take along what waits.
+        // No later frame flushes a pending batch.
         for (leaf, frames) in group.iter().zip([24, 32, 8]) {
             site.far.wait_for_frames(&[*leaf], frames * round).with_context(|| format!("in round {round}"))?;
         }
@@ -141,8 +141,8 @@ fn nothing_waits_behind_copies_that_nobody_wants() -> Result<()> {
     Ok(())
 }
 
-/// One of the readers is behind an interface that the kernel cannot send to: the userspace plane
-/// makes all copies. When it can, the kernel does.
+/// One reader is behind an interface that the kernel cannot send to: the userspace plane makes all
+/// copies. Once the kernel can send to it, the kernel makes them.
 #[test]
 fn a_reader_that_the_kernel_cannot_reach() -> Result<()> {
     let group = readers(3, 3);
@@ -179,7 +179,7 @@ fn beyond_its_bounds_the_kernel_leaves_copies_to_userspace() -> Result<()> {
     Ok(())
 }
 
-/// Links come back on other interfaces, go for good, and others take their place.
+/// Links return on other interfaces, disappear, and are replaced by others.
 #[test]
 fn links_move_and_go() -> Result<()> {
     let mut group = readers(6, 4);
@@ -199,7 +199,7 @@ fn links_move_and_go() -> Result<()> {
     site.exchange(WRITER, TOPIC, 0, 600, &onto(&group, 0)).context("back")
 }
 
-/// Who stays misses nothing and gets nothing twice, whoever comes and goes beside.
+/// A reader that stays misses no copy and gets none twice while others come and go.
 #[test]
 fn readers_come_and_go_under_traffic() -> Result<()> {
     const CHANGES: usize = 150;
@@ -257,8 +257,8 @@ fn readers_come_and_go_under_traffic() -> Result<()> {
     Ok(())
 }
 
-/// A daemon is killed and two more come after it; nobody misses a copy or gets one twice, and the
-/// group is still known.
+/// A daemon is killed and two successors follow. No reader misses a copy or gets one twice, and the
+/// group persists.
 #[test]
 fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
     let group = process_readers();
@@ -319,7 +319,7 @@ fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
     Ok(())
 }
 
-/// Names the folder of the process, which otherwise does nothing.
+/// Variable with the folder of the process, which does nothing without it.
 const SWITCH_PROCESS: &str = "GDP_TEST_SWITCH_PROCESS";
 const PROCESS_INTERFACES: usize = 3;
 const BPFFS: &str = "bpf";
@@ -328,7 +328,7 @@ fn process_readers() -> Vec<Leaf> {
     readers(5, PROCESS_INTERFACES)
 }
 
-/// Not a test of its own, but the process that is killed in the one above.
+/// The process that the test above kills; not a test itself.
 #[test]
 fn switch_process() -> Result<()> {
     let Some(folder) = std::env::var_os(SWITCH_PROCESS) else { return Ok(()) };
@@ -350,7 +350,7 @@ fn switch_process() -> Result<()> {
     }
 }
 
-/// Every case of the fixtures that makes copies, with the copies.
+/// Runs every fixture that makes copies, and compares the copies.
 #[test]
 fn every_fixture_with_copies() -> Result<()> {
     let Fixtures { switch, cases, .. } = fixtures::read();
@@ -423,13 +423,13 @@ fn onto(leaves: &[Leaf], bits: u64) -> Expected {
     leaves.iter().map(|leaf| (*leaf, bits)).collect()
 }
 
-/// The number that [`Far::next_frame`] gave a frame.
+/// Returns the number that [`Far::next_frame`] gave a frame.
 fn number(frame: &[u8]) -> u64 {
     frame[110..118].iter().fold(0, |number, byte| number << 8 | u64::from(*byte))
 }
 
 struct Site {
-    // First: it detaches while the interfaces are there.
+    // First field: it detaches while the interfaces exist.
     switch: Switch,
     far: Far,
     star: Star,
@@ -450,8 +450,8 @@ impl Site {
         self.exchange_by(Plane::Kernel, from, to, bits, length, expected)
     }
 
-    /// Sends frames; those expected must get each of them, as it should be for them, from that
-    /// plane, and nobody else.
+    /// Sends frames. Each expected receiver must get each of them, correctly addressed and from
+    /// that plane. No other receiver may get any.
     fn exchange_by(
         &mut self,
         plane: Plane,
@@ -491,7 +491,7 @@ impl Site {
         for ((counter, before), copies) in counters.into_iter().zip(before).zip(copies) {
             let before = before?;
             let wanted = if plane == Plane::Kernel { (copies * FRAMES, 0) } else { (0, copies * FRAMES) };
-            // The userspace plane counts what it has sent, so it may have arrived before.
+            // The userspace plane counts a frame after sending it, so the frame may arrive earlier.
             wait_for(&format!("{counter:?} to grow by {wanted:?}"), TIMEOUT, || {
                 let after = self.switch.count(counter)?;
                 Ok(((after.0 - before.0, after.1 - before.1) == wanted).then_some(()))

@@ -1,5 +1,5 @@
-//! Frames copied to links over UDP, together with others: every copy is compared byte for byte as
-//! it is on the cable, counted, and seen again behind a router.
+//! Frames copied to links over UDP and to others at the same time. Every copy is compared byte for
+//! byte on the cable, counted, and captured again behind a router.
 //!
 //! ```text
 //!   far:w0 ──── p0 ┐        ┌ r0 ──── s0 ┐
@@ -44,7 +44,7 @@ const OTHER: Name = Name::from_bytes([0xe0; 32]);
 const ETHERNETS: usize = 2;
 const PORT: u16 = 31415;
 const FRAMES: u64 = 50;
-/// What a frame in a datagram may have on these cables, with room to spare.
+/// The largest frame in a datagram on these cables, with a margin.
 const MTU: u32 = 1400;
 
 #[test]
@@ -63,7 +63,7 @@ fn readers_over_ipv6_behind_one_interface() -> Result<()> {
     Ok(())
 }
 
-/// Readers and neighbouring switches, over everything; each gets its own egress bits.
+/// Readers and neighbouring switches over all media; each gets its own egress bits.
 #[test]
 fn readers_and_neighbours_over_ethernet_and_both_kinds_of_udp() -> Result<()> {
     let readers = [peer(2, Over::Ethernet(0), 0), peer(3, Over::Ethernet(1), 0), peer(4, Over::Udp4, 0)];
@@ -78,7 +78,7 @@ fn readers_and_neighbours_over_ethernet_and_both_kinds_of_udp() -> Result<()> {
     site.exchange_to(Plane::Kernel, OTHER, &[(north, north.leaf.reach), (south, south.leaf.reach)])
 }
 
-/// The writer's link is one of the group, and it is behind the interface of the others.
+/// The writer's link is in the group, and behind the same interface as the others.
 #[test]
 fn the_link_that_a_frame_came_by_gets_no_copy() -> Result<()> {
     let writer = peer(1, Over::Udp4, 0);
@@ -90,8 +90,8 @@ fn the_link_that_a_frame_came_by_gets_no_copy() -> Result<()> {
     site.exchange(Plane::Kernel, &onto(&readers))
 }
 
-/// One frame, or the few that are under way, does not reach those whose route changed. Then the
-/// userspace plane copies, until the kernel's groups have followed.
+/// After a route change, one frame or the few in flight do not reach the changed links. Then the
+/// userspace plane makes the copies until the kernel's groups have followed.
 #[test]
 fn a_changed_route_is_followed() -> Result<()> {
     let ethernet = peer(2, Over::Ethernet(1), 0);
@@ -117,7 +117,7 @@ fn a_changed_route_is_followed() -> Result<()> {
     site.exchange(Plane::Kernel, &onto(&readers)).context("after")
 }
 
-/// Nobody may have asked for the router's station for a while.
+/// The router's neighbour entry may have expired.
 #[test]
 fn an_unresolved_router_is_resolved_by_the_userspace_plane() -> Result<()> {
     let readers = [peer(2, Over::Ethernet(1), 0), peer(3, Over::Udp4, 0), peer(4, Over::Udp6, 0)];
@@ -130,7 +130,7 @@ fn an_unresolved_router_is_resolved_by_the_userspace_plane() -> Result<()> {
     site.exchange(Plane::Kernel, &onto(&readers))
 }
 
-/// A peer's NAT gives it another port, and it comes back over Ethernet.
+/// A peer's NAT changes its port, and later the peer returns on Ethernet.
 #[test]
 fn a_reader_moves() -> Result<()> {
     let mut readers = [peer(2, Over::Udp4, 0), peer(3, Over::Udp4, 0), peer(4, Over::Udp6, 0)];
@@ -145,7 +145,7 @@ fn a_reader_moves() -> Result<()> {
     Ok(())
 }
 
-/// A daemon is killed and another comes after it: the kernel copies on, by the same group.
+/// A daemon is killed and a successor follows: the kernel continues to copy to the same group.
 #[test]
 fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
     let readers = process_readers();
@@ -194,17 +194,17 @@ fn no_copy_is_lost_when_the_switch_is_killed_and_comes_again() -> Result<()> {
     Ok(())
 }
 
-/// Names the folder of the process, which otherwise does nothing.
+/// Variable with the folder of the process, which does nothing without it.
 const SWITCH_PROCESS: &str = "GDP_TEST_SWITCH_PROCESS";
 const BPFFS: &str = "bpf";
 const PROCESS_READER: Leaf = Leaf { index: 2, interface: 1, reach: 0 };
 
-/// Those over UDP; and there is [`PROCESS_READER`].
+/// Returns the process's readers over UDP; the other reader is [`PROCESS_READER`].
 fn process_readers() -> [Peer; 3] {
     [peer(3, Over::Udp4, 0), peer(4, Over::Udp4, 0), peer(5, Over::Udp6, 0)]
 }
 
-/// Not a test of its own, but the process that is killed in the one above.
+/// The process that the test above kills; not a test itself.
 #[test]
 fn switch_process() -> Result<()> {
     let Some(folder) = std::env::var_os(SWITCH_PROCESS) else { return Ok(()) };
@@ -233,18 +233,18 @@ fn copies_to(count: u32, over: Over) -> Result<()> {
     site.exchange(Plane::Kernel, &onto(&readers))
 }
 
-/// What is at the other end of a link, and how it is reached.
+/// The peer of a link, and its medium.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Peer {
     leaf: Leaf,
     over: Over,
-    /// Of UDP.
+    /// UDP port.
     port: u16,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Over {
-    /// Of this interface.
+    /// Ethernet on this interface.
     Ethernet(usize),
     Udp4,
     Udp6,
@@ -256,7 +256,7 @@ fn peer(index: u32, over: Over, reach: u64) -> Peer {
 }
 
 impl Peer {
-    /// Of the switch and of the peer.
+    /// Returns the addresses of the switch and of the peer.
     fn addresses(&self) -> Option<[SocketAddr; 2]> {
         let [switch, peer] = match self.over {
             Over::Ethernet(_) => return None,
@@ -277,7 +277,7 @@ impl Peer {
         LinkEntry { carrier, ..entry }
     }
 
-    /// Where the frame lies in a packet.
+    /// Returns the offset of the GDP frame in a packet.
     fn at(&self) -> usize {
         match self.over {
             Over::Ethernet(_) => 14,
@@ -291,26 +291,26 @@ fn leaves(peers: &[Peer]) -> Vec<Leaf> {
     peers.iter().map(|peer| peer.leaf).collect()
 }
 
-/// To readers.
+/// Returns these peers as readers.
 fn onto(peers: &[Peer]) -> Vec<(Peer, u64)> {
     peers.iter().map(|peer| (*peer, 0)).collect()
 }
 
 struct Site {
-    // Order is the order of the end.
+    // Fields drop in this order.
     switch: Switch,
     far: Far,
     routed: Routed,
     /// Sends as if from behind the router.
     uplink: PacketSocket,
     writer: Peer,
-    /// By which of the router's interfaces frames leave over IPv4, and over IPv6.
+    /// The router's ingress interfaces for frames over IPv4 and over IPv6.
     ways: [usize; 2],
     _udp: (Port, Runtime),
     outside: Outside,
 }
 
-/// What is around the switch.
+/// The networks around the switch.
 struct Outside {
     star: Star,
     router: Namespace,
@@ -327,7 +327,7 @@ impl Outside {
     }
 }
 
-/// Has a switch take what arrives over UDP. To be called in its namespace.
+/// Attaches a switch to UDP. Call this in the switch's namespace.
 fn attach_udp(switch: &mut Switch) -> Result<(Port, Runtime)> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
     let port = {
@@ -347,7 +347,7 @@ fn set_link(switch: &mut Switch, peer: &Peer) -> Result<()> {
 }
 
 impl Site {
-    /// With links of the writer, on Ethernet, and of these.
+    /// Builds a site with the writer's link on Ethernet and links to these peers.
     fn build(peers: &[Peer]) -> Result<Self> {
         let outside = Outside::build()?;
         let mut switch = outside.star.start(xdp(Tools::beside_this_test()?.ebpf_object()?), &[WRITER])?;
@@ -376,8 +376,8 @@ impl Site {
         self.exchange_to(plane, TOPIC, expected)
     }
 
-    /// Sends frames; those expected must get each of them, with these egress bits and from that
-    /// plane, and nobody else.
+    /// Sends frames. Each expected peer must get each of them, with these egress bits and from that
+    /// plane. No other peer may get any.
     fn exchange_to(&mut self, plane: Plane, to: Name, expected: &[(Peer, u64)]) -> Result<()> {
         let counters = [Counter::Replicated, Counter::Delivered, Counter::Forwarded];
         let before = counters.map(|counter| self.switch.count(counter));
@@ -385,7 +385,8 @@ impl Site {
         let mut sent = Vec::new();
         for i in 0..FRAMES {
             sent.push(self.send(to, MTU as usize)?);
-            // Fewer are under way than the rings on the way take, all copies in one.
+            // Fewer frames are in flight than the rings on the path have room for, with all copies
+            // in one ring.
             self.wait_for(&peers, i.saturating_sub(2))?;
         }
         self.wait_for(&peers, FRAMES)?;
@@ -404,7 +405,7 @@ impl Site {
         for ((counter, before), copies) in counters.into_iter().zip(before).zip(copies) {
             let before = before?;
             let wanted = if plane == Plane::Kernel { (copies * FRAMES, 0) } else { (0, copies * FRAMES) };
-            // The userspace plane counts what it has sent, so it may have arrived before.
+            // The userspace plane counts a frame after sending it, so the frame may arrive earlier.
             wait_for(&format!("{counter:?} to grow by {wanted:?}"), TIMEOUT, || {
                 let after = self.switch.count(counter)?;
                 Ok(((after.0 - before.0, after.1 - before.1) == wanted).then_some(()))
@@ -414,7 +415,7 @@ impl Site {
         Ok(())
     }
 
-    /// The next frame of the writer, of so many bytes.
+    /// Sends the writer's next frame, `length` bytes long.
     fn send(&mut self, to: Name, length: usize) -> Result<Frame> {
         let frame = self.far.next_frame(&self.writer.leaf, to, length);
         let Some([to, from]) = self.writer.addresses() else {
@@ -454,13 +455,13 @@ impl Site {
             ..sent.clone()
         };
         let expected = expected.bytes();
-        // What a socket sends has a checksum, and for IPv6 a flow label.
+        // A socket's datagram has a checksum, and for IPv6 a flow label.
         let from = if plane == Plane::Kernel { 0 } else { at };
         ensure!(got[from..] == expected[from..], "to {peer:?}:\n     got {got:02x?}\nexpected {expected:02x?}");
         Ok(())
     }
 
-    /// Waits until all have got so many frames, those over UDP also behind the router.
+    /// Waits until all peers have received this many frames; those over UDP also behind the router.
     fn wait_for(&self, peers: &[Peer], frames: u64) -> Result<()> {
         let received = |peer: &Peer| match peer.over {
             Over::Ethernet(_) => self.far.received(&peer.leaf),
@@ -475,7 +476,7 @@ impl Site {
         })
     }
 
-    /// What has arrived since the last time.
+    /// Returns the packets that have arrived since the last call.
     fn take(&self) -> Taken {
         let ethernet = self.far.take().into_iter();
         let ethernet = ethernet.map(|(link, frames)| (link, frames.into_iter().map(|frame| (0, frame)).collect()));
@@ -516,11 +517,11 @@ fn build_routes(switch: &Namespace, router: &Namespace, cloud: &Namespace) -> Re
         (cloud, "addr add 2001:db8:9::9/64 dev e0 nodad"),
         (switch, "route add 10.9.0.0/24 via 10.1.0.254"),
         (switch, "-6 route add 2001:db8:9::/64 via 2001:db8:1::254"),
-        // Nobody has asked for these stations yet.
+        // No traffic has resolved these neighbours yet.
         (switch, "neigh replace 10.1.0.254 lladdr 02:00:00:05:00:00 dev r0 nud reachable"),
         (switch, "neigh replace 2001:db8:1::254 lladdr 02:00:00:05:00:00 dev r0 nud reachable"),
         (switch, "neigh replace 10.2.0.254 lladdr 02:00:00:05:00:01 dev r1 nud reachable"),
-        // While it asked the router would keep no more than 49 packets.
+        // During resolution the router would queue no more than 49 packets.
         (router, "neigh replace 10.9.0.9 lladdr 02:00:00:06:00:02 dev c0 nud permanent"),
         (router, "neigh replace 2001:db8:9::9 lladdr 02:00:00:06:00:02 dev c0 nud permanent"),
     ] {
@@ -532,11 +533,10 @@ fn build_routes(switch: &Namespace, router: &Namespace, cloud: &Namespace) -> Re
     Ok(())
 }
 
-/// Packets by the link id in them; each with the router's interface that it came in by, if it was
-/// over UDP.
+/// Packets by their link id. Each packet over UDP has the router's ingress interface.
 type Taken = HashMap<u32, Vec<(usize, Vec<u8>)>>;
 
-/// Keeps all data frames over UDP that the router gets, and counts those that it passes on.
+/// Stores all data frames over UDP that the router receives, and counts those that it forwards.
 struct Routed {
     inbox: Arc<Inbox>,
     threads: Vec<JoinHandle<()>>,
@@ -595,7 +595,7 @@ impl Inbox {
     }
 }
 
-/// The link id in a packet, if that carries a data frame over UDP.
+/// Returns the link id of a packet that carries a data frame over UDP.
 fn link_in(packet: &[u8]) -> Option<u32> {
     const DATA: u8 = 0x10;
     let at = match packet.get(12..14)? {

@@ -1,5 +1,5 @@
-//! A daemon is killed under traffic, and another one takes its place. Two nodes of the SDK over one
-//! switch, or three:
+//! A daemon is killed under traffic, and a successor replaces it. Two SDK nodes are connected by
+//! one switch, or by three:
 //!
 //! ```text
 //!  robot r0 ──── l0 s1 r0 ──── l0 cloud
@@ -21,7 +21,7 @@ use gdp_tests::wait::{TIMEOUT, wait_for};
 
 use crate::traffic::Traffic;
 
-/// What nodes have time for to notice that the switch is silent, and to make their links anew.
+/// Longest time in which nodes notice that the switch is silent and reconnect.
 const RECOVERY: Duration = Duration::from_secs(60);
 
 #[test]
@@ -32,13 +32,13 @@ fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result
     fabric.switches[0].process.kill()?;
     let killed = Instant::now();
 
-    // Without a daemon: until both nodes have noticed, and longer.
+    // Without a daemon, until both nodes have noticed, and longer.
     wait_for("both nodes to miss the switch", RECOVERY, || Ok((traffic.links_down() == 2).then_some(())))?;
     ensure!(killed.elapsed() > IDLE_TIMEOUT / 2);
     traffic.wait_for_more(1000, TIMEOUT).context("frames stopped while there was no daemon")?;
     traffic.nothing_is_missing()?;
     let stats = &fabric.xdp("stats")?["switches"][0];
-    // The topic, and the ends' own.
+    // The topic, and the names of the two ends.
     ensure!(stats["daemon"] == false && stats["links"] == 2 && stats["names"] == 3, "{stats}");
     ensure!(stats["counters"]["delivered"].as_u64().is_some_and(|delivered| delivered > 1500), "{stats}");
 
@@ -60,8 +60,8 @@ fn no_message_is_lost_when_a_daemon_is_killed_and_another_takes_over() -> Result
     ensure!(fabric.switches[0].process.stderr().contains("took over"), "{}", fabric.report());
     traffic.nothing_is_missing()?;
 
-    // Once more while the first is still held, and before anybody notices; the next one is of
-    // another build.
+    // Repeats the kill while the first link is still retained, and before any node notices. The
+    // next daemon uses another build.
     fabric.tools.rebuild()?;
     fabric.switches[0].process.kill()?;
     fabric.start_again(0)?;
@@ -87,10 +87,10 @@ fn no_message_is_lost_when_any_switch_of_a_chain_is_killed_and_started_again() -
     let mut fabric = pinned_fabric(3)?;
     let traffic = start_traffic(&fabric)?;
     traffic.wait_for_more(500, TIMEOUT).with_context(|| fabric.report())?;
-    // A reader that hears of a writer may greet it before the writer's switch has the route; it
-    // does so again.
+    // A reader that learns of a writer may greet it before the writer's switch has the route; the
+    // reader repeats the greeting.
     let before = no_way(&fabric)?;
-    // At once, before anybody notices; and so late that the neighbours have.
+    // First restarts before any node notices, then after the neighbours have noticed.
     for (noticed, i) in [false, true].into_iter().flat_map(|noticed| [0, 1, 2].map(|i| (noticed, i))) {
         let what = format!("s{} was killed, noticed: {noticed}", i + 1);
         let before = traffic.links_made();
@@ -124,7 +124,7 @@ fn no_message_is_lost_when_any_switch_of_a_chain_is_killed_and_started_again() -
     Ok(())
 }
 
-/// Frames that each switch of a chain had no way for, by reason.
+/// Returns the frames without a route or link in each switch of a chain, by drop reason.
 fn no_way(fabric: &Fabric) -> Result<[[u64; 4]; 3]> {
     let reasons = ["drop_no_route", "drop_no_link", "drop_no_egress", "drop_not_permitted"];
     let mut counts = [[0; 4]; 3];
@@ -136,12 +136,12 @@ fn no_way(fabric: &Fabric) -> Result<[[u64; 4]; 3]> {
     Ok(counts)
 }
 
-/// Links of switch `i` that are up.
+/// Returns the number of links of switch `i` that are up.
 fn links(fabric: &Fabric, i: usize) -> Result<usize> {
     Ok(fabric.status(i)?["links"].as_array().map_or(0, Vec::len))
 }
 
-/// Writers and readers that the RIB, at the last switch, knows of.
+/// Returns the number of writers and readers that the RIB, at the last switch, knows.
 fn records(fabric: &Fabric) -> usize {
     let dump = fabric.ctl(fabric.switches.len() - 1, &["rib", "dump"]);
     dump.ok().and_then(|dump| Some(dump["records"].as_array()?.len())).unwrap_or(0)
@@ -184,7 +184,7 @@ fn a_daemon_that_is_to_be_kept_leaves_the_kernel_to_its_successor() -> Result<()
     ensure!(stats["daemon"] == false && stats["programs"].as_array().map(Vec::len) == Some(2), "{stats}");
 
     fabric.start_again(0)?;
-    // It answers before it has looked at its interfaces.
+    // The daemon answers before it has examined its interfaces.
     let taken_over = |status: serde_json::Value| status["data_plane_reason"].to_string().contains("taken over");
     wait_for("the daemon to take over", TIMEOUT, || Ok(fabric.status(0).ok().is_some_and(taken_over).then_some(())))
         .with_context(|| fabric.report())
@@ -210,7 +210,7 @@ fn maps_of_another_layout_or_version_are_refused_with_the_remedy() -> Result<()>
     ensure!(refused.contains("capacity is 65536") && refused.contains("needs 1000"), "{refused}");
     ensure!(refused.contains("gdp-ctl xdp detach"), "{refused}");
 
-    // As if another build had left it.
+    // Simulates the state of another build.
     std::fs::write(&config, &text)?;
     let root = fabric.bpffs().join("gdp");
     let held = root.join(format!("v{}", gdp_wire::table::ABI));

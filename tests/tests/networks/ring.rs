@@ -1,5 +1,6 @@
-//! The link that traffic goes by is cut: the switches of a ring find another way among themselves,
-//! and no name is touched. What is asked of the RIB, and what it says, finds another way as well.
+//! The link that carries traffic is cut. The switches of a ring find another path among themselves,
+//! without changing any name's routes. Requests to the RIB and its updates find another path as
+//! well.
 
 use std::time::Duration;
 
@@ -55,7 +56,7 @@ fn traffic_flows_again_when_the_active_link_is_cut_and_no_name_is_touched() -> R
     Ok(())
 }
 
-/// The daemon of the RIB's switch is gone; what it left in the kernel forwards on.
+/// The daemon of the RIB's switch is gone; its kernel state continues to forward.
 #[test]
 fn paths_heal_without_the_rib() -> Result<()> {
     let mut ring = Ring::start(Tools::beside_this_test()?)?;
@@ -84,7 +85,7 @@ fn the_rib_is_reached_round_what_is_cut_or_dead() -> Result<()> {
     ring.wait_for_way(CLOUD_AT, 3)?;
     ring.set_cable(2, false)?;
     ring.wait_for_way(CLOUD_AT, 1)?;
-    // The cloud subscribes at s3, which the RIB then gives its routes.
+    // The cloud subscribes at s3, and the RIB sends s3 its routes.
     let before = ring.generation(CLOUD_AT)?;
     let traffic = start(&ring)?;
     traffic.wait_for_more(500, TIMEOUT).with_context(|| ring.report())?;
@@ -92,7 +93,7 @@ fn the_rib_is_reached_round_what_is_cut_or_dead() -> Result<()> {
     ring.set_cable(2, true)?;
     ring.wait_for_way(CLOUD_AT, 3)?;
 
-    // The daemon on the way dies; what it left forwards frames, but nothing else.
+    // The daemon on the path dies; its kernel state forwards frames, but nothing else works.
     ring.switches[3].process.kill()?;
     ring.wait_for_way(CLOUD_AT, 1)?;
     let before = ring.generation(CLOUD_AT)?;
@@ -101,7 +102,8 @@ fn the_rib_is_reached_round_what_is_cut_or_dead() -> Result<()> {
     ring.start_again(3)?;
     ring.wait_for_way(CLOUD_AT, 3)?;
 
-    // That of the RIB itself, so late that it is missed; and at once, when only its run tells.
+    // Kills the RIB's own daemon. First the others notice the loss; the second restart is
+    // immediate, and only the run number reveals it.
     for missed in [true, false] {
         ring.switches[RIB_AT].process.kill()?;
         if missed {
@@ -125,7 +127,7 @@ fn start(ring: &Ring) -> Result<Traffic> {
     Traffic::start((&ring.robot, ring.folder_of("robot")), (&ring.cloud, ring.folder_of("cloud")))
 }
 
-/// Once the RIB has told all that it had to tell.
+/// Returns the generations once the RIB has sent all its updates.
 fn settled_generations(ring: &Ring, switches: std::ops::Range<usize>) -> Result<Vec<u64>> {
     let mut before = generations(ring, switches.clone())?;
     wait_for("the RIB to have told all", TIMEOUT, || {

@@ -1,5 +1,5 @@
-//! A robot moves from one network to another, its switch there dies, and it comes home. Its topics,
-//! in both directions, and the programs at both ends notice a gap and nothing else.
+//! A robot moves from one network to another, its switch there dies, and it moves back. Its topics
+//! in both directions, and the programs at both ends, see a gap and no other effect.
 
 use std::time::{Duration, Instant};
 
@@ -18,7 +18,7 @@ use gdp_wire::Name;
 
 use crate::flows::{Flow, Heard, Party, Topic};
 
-/// Between two messages of a topic, and their bytes.
+/// Interval between two messages of a topic, and their bytes.
 const PERIOD: Duration = Duration::from_millis(10);
 const SIZE: usize = 200;
 
@@ -76,7 +76,7 @@ fn a_robot_roams_between_domains_and_back_and_nothing_reliable_is_lost() -> Resu
     Ok(())
 }
 
-/// What ROS programs see of it: a wait, once for each move.
+/// ROS programs see only a delay, once per move.
 #[test]
 fn ros_programs_on_a_robot_that_roams_notice_a_gap_and_nothing_else() -> Result<()> {
     let mut federation = Federation::start(Tools::beside_this_test()?)?;
@@ -112,7 +112,7 @@ fn ros_programs_on_a_robot_that_roams_notice_a_gap_and_nothing_else() -> Result<
     Ok(())
 }
 
-/// Waits until each flow has got on.
+/// Waits until each flow has received more messages.
 fn flow_on(federation: &Federation, flows: &[(&str, Flow)]) -> Result<()> {
     for (what, flow) in flows {
         let so_far = flow.heard();

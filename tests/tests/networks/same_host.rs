@@ -1,4 +1,4 @@
-//! Nodes without privileges beside a switch, on the same host, and one on another host:
+//! Nodes without privileges on the switch's own host, and one node on another host:
 //!
 //! ```text
 //!  near ─┐        ┌ gdp…h ═ gdp…s ┐
@@ -27,7 +27,7 @@ use serde_json::{Value, json};
 use crate::inside::{Inside, ROOT};
 use crate::patient::patient;
 
-/// Who owns nothing.
+/// A user without privileges or files.
 const NOBODY: libc::uid_t = 65534;
 
 #[test]
@@ -38,7 +38,7 @@ fn frames_of_nodes_beside_their_switch_do_not_meet_its_daemon() -> Result<()> {
     let remote = Party::connect(&site.remote, ROOT, "eth://e0")?;
     let mut ways = [Way::open(&near, &next)?, Way::open(&next, &remote)?, Way::open(&remote, &near)?];
     for way in &mut ways {
-        // The first of such size may be lost: what the path takes is learnt from that.
+        // The first large message may be lost: the node learns the path's MTU from it.
         wait_for("a first message", TIMEOUT, || Ok(way.may_carry(&vec![7; 1 << 16]).then_some(())))?;
     }
     let before = site.status()?;
@@ -64,7 +64,7 @@ fn frames_of_nodes_beside_their_switch_do_not_meet_its_daemon() -> Result<()> {
     Ok(())
 }
 
-/// Here what is for an interface that takes no redirected frames.
+/// Here the frames are for an interface that accepts no redirected frames.
 #[test]
 fn what_the_kernel_leaves_to_the_daemon_arrives_there() -> Result<()> {
     let site = Site::build("xdp")?;
@@ -184,7 +184,7 @@ fn without_xdp_or_the_pair_frames_go_through_the_daemon() -> Result<()> {
     Ok(())
 }
 
-/// As by a packet filter.
+/// Blocked as by a packet filter.
 #[test]
 fn a_pair_that_is_blocked_is_not_used() -> Result<()> {
     let site = Site::build("xdp")?;
@@ -200,7 +200,7 @@ fn a_pair_that_is_blocked_is_not_used() -> Result<()> {
     Ok(())
 }
 
-/// A daemon with all that a fabric needs, its host, and another one.
+/// A host whose daemon has everything that a fabric needs, and a second host.
 struct Site {
     daemon: Process,
     host: Namespace,
@@ -235,7 +235,7 @@ impl Site {
         Ok(site)
     }
 
-    /// Another daemon in place of one that has ended.
+    /// Starts another daemon after one has ended.
     fn start(&mut self) -> Result<()> {
         self.daemon = serve(&self.tools, &self.host, self.folder.path().to_owned())?;
         self.wait_until_up()
@@ -252,7 +252,7 @@ impl Site {
         Ok(serde_json::from_str(&execute(&mut command)?)?)
     }
 
-    /// Interfaces that are ends of a pair.
+    /// Returns the interfaces that are ends of a pair.
     fn ends(&self) -> Result<Vec<String>> {
         let links: Value = serde_json::from_str(&self.host.ip(&["-j", "link", "show"])?)?;
         let names = links.as_array().into_iter().flatten().filter_map(|link| link["ifname"].as_str());
@@ -276,7 +276,7 @@ fn serve(tools: &Tools, host: &Namespace, folder: PathBuf) -> Result<Process> {
     Process::spawn("switch", command, &folder)
 }
 
-/// A node.
+/// A node in a namespace.
 struct Party {
     node: Node,
     identity: Identity,
@@ -290,8 +290,8 @@ impl Party {
         Ok(Self { node, identity, inside })
     }
 
-    /// Whether this message comes within a time. Others may come before: what was sent in vain, and
-    /// is only late.
+    /// Returns whether this message arrives within a time. Late copies of earlier messages may
+    /// arrive first.
     fn hears(&self, subscription: &mut Subscription, wanted: &[u8], limit: Duration) -> bool {
         let next = async {
             while let Some(message) = subscription.recv().await {
@@ -350,12 +350,12 @@ impl<'a> Way<'a> {
         Ok(Self { from, to, publisher: topic.write(from)?, subscription })
     }
 
-    /// Whether a message arrives.
+    /// Returns whether a message arrives.
     fn carries(&mut self, body: &[u8]) -> bool {
         self.carries_within(body, TIMEOUT)
     }
 
-    /// The same of one that may be lost.
+    /// Returns whether a message that may be lost arrives, after a shorter wait.
     fn may_carry(&mut self, body: &[u8]) -> bool {
         self.carries_within(body, Duration::from_secs(1))
     }

@@ -1,6 +1,6 @@
-//! Daemons of a ring, that of the RIB among them, are killed and started again in a random order
-//! under traffic, at times two at once. What they left in the kernel forwards on, and in the end
-//! all is as it was.
+//! The daemons of a ring, including the RIB's, are killed and restarted in a random order under
+//! traffic, sometimes two at once. Their kernel state continues to forward, and in the end the
+//! whole state is as before.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -15,13 +15,13 @@ use crate::traffic::Traffic;
 
 const SWITCHES: usize = 5;
 
-/// Of the order; another one finds other things.
+/// Seed of the order; another seed may find other faults.
 const SEED: u64 = 20261121;
 
-/// How often every daemon is killed.
+/// Number of kills of every daemon.
 const TURNS: usize = 2;
 
-/// How soon all is as it was: nodes notice a silent switch, and make their links anew.
+/// Longest time until the state is as before: nodes notice a silent switch and reconnect.
 const RECOVERY: Duration = Duration::from_secs(60);
 
 #[test]
@@ -78,14 +78,14 @@ fn all_is_as_it_was_when_daemons_are_killed_and_started_again_in_any_order() -> 
     Ok(())
 }
 
-/// What daemons know and kernels hold.
+/// The state of daemons and kernels.
 #[derive(Debug, PartialEq)]
 struct State {
-    /// What the RIB lists: name, role, entity, switch.
+    /// The RIB's records: name, role, entity, switch.
     names: Vec<[Value; 4]>,
-    /// Of each switch: by what it sends on each name.
+    /// Egress of each name, per switch.
     fibs: Vec<BTreeMap<String, Value>>,
-    /// Of each switch: the peers it has links with.
+    /// Peers with links, per switch.
     links: Vec<Vec<String>>,
 }
 
@@ -108,7 +108,7 @@ fn fib(ring: &Ring, i: usize) -> Result<BTreeMap<String, Value>> {
     let dump = ring.ctl(i, &["fib", "dump"])?;
     let route = |route: &Value| {
         let mut shown = route.clone();
-        // Which group it is, is the daemon's own business.
+        // The group's number is internal to the daemon.
         shown["group"] = (route["group"] != 0).into();
         Some((route["name"].as_str()?.to_owned(), shown))
     };
@@ -123,7 +123,7 @@ fn links(ring: &Ring, i: usize) -> Result<Vec<String>> {
     Ok(peers)
 }
 
-/// Waits until neighbours that live have no link to a daemon that was killed.
+/// Waits until live neighbours have no link to a killed daemon.
 fn wait_until_missed(ring: &Ring, killed: &[usize]) -> Result<()> {
     wait_for("neighbours to miss who was killed", RECOVERY, || {
         for i in (0..SWITCHES).filter(|i| !killed.contains(i)) {
@@ -136,12 +136,12 @@ fn wait_until_missed(ring: &Ring, killed: &[usize]) -> Result<()> {
     })
 }
 
-/// Messages that did not come so far; nothing came twice.
+/// Returns the number of messages that have not arrived so far. Fails if one arrived twice.
 fn lost(traffic: &Traffic) -> Result<usize> {
     traffic.nothing_came_twice().with_context(|| traffic.summary())
 }
 
-/// The same numbers at each run.
+/// A generator with the same numbers in every run.
 pub struct Random(pub u64);
 
 impl Random {

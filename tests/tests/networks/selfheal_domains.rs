@@ -1,6 +1,7 @@
-//! Borders of three domains, each with the RIB of its own beside it and that of tier 1 among them,
-//! are killed and started again in a random order under traffic from one domain to another, at
-//! times two at once. Nothing outlives them here: after each, messages flow anew.
+//! The border switches of three domains are killed and restarted in a random order under
+//! inter-domain traffic, sometimes two at once. Each domain has its RIB next to its border; tier
+//! 1's border is among them. No kernel state survives here: after each restart, messages flow
+//! again.
 
 use std::time::{Duration, Instant};
 
@@ -15,21 +16,21 @@ use crate::flows::{Flow, Topic};
 use crate::roaming::party;
 use crate::selfheal::Random;
 
-/// Of the order; another one finds other things.
+/// Seed of the order; another seed may find other faults.
 const SEED: u64 = 20261122;
 
-/// How often each border is killed.
+/// Number of kills of each border.
 const TURNS: usize = 2;
 
-/// The borders with the links that the domains meet by, both ends of each.
+/// The borders, and both ends of each link between domains.
 const BORDERS: [&str; 3] = ["b1", "b2", "b3"];
 const CROSSINGS: [(&str, &str); 2] = [("b1", "b3"), ("b2", "b3")];
 
-/// How soon messages flow again: neighbours miss a silent border, make their links anew, and three
-/// RIBs hear of each other.
+/// Longest time until messages flow again. Neighbours notice a silent border, reconnect, and three
+/// RIBs exchange updates.
 const RECOVERY: Duration = Duration::from_secs(90);
 
-/// Between two messages of a topic, and their bytes.
+/// Interval between two messages of a topic, and their bytes.
 const PERIOD: Duration = Duration::from_millis(10);
 const SIZE: usize = 200;
 
@@ -37,7 +38,7 @@ const SIZE: usize = 200;
 fn domains_find_each_other_when_borders_and_their_ribs_are_killed_in_any_order() -> Result<()> {
     println!("seed {SEED}");
     let mut federation = Federation::start(Tools::beside_this_test()?)?;
-    // Its switch lives on, and so can it always send.
+    // The robot's switch stays alive, so the robot can always send.
     let robot = party(&federation, "robot", &federation.robot, &ROBOT_LINKS[..1])?;
     let cloud = party(&federation, "cloud", &federation.cloud, &[CLOUD_LINK])?;
     let scope: [Result<Name, _>; 2] =
@@ -80,7 +81,7 @@ fn domains_find_each_other_when_borders_and_their_ribs_are_killed_in_any_order()
     Ok(())
 }
 
-/// Waits until each flow has got on.
+/// Waits until each flow has received more messages.
 fn flow_on(what: &str, federation: &Federation, flows: &[(&str, Flow)]) -> Result<()> {
     for (kind, flow) in flows {
         let so_far = flow.heard();
@@ -90,7 +91,7 @@ fn flow_on(what: &str, federation: &Federation, flows: &[(&str, Flow)]) -> Resul
     Ok(())
 }
 
-/// Waits until borders that live have no link to one that was killed.
+/// Waits until live borders have no link to a killed one.
 fn wait_until_missed(federation: &Federation, killed: &[&str]) -> Result<()> {
     let both_ways = CROSSINGS.iter().flat_map(|(a, b)| [(*a, *b), (*b, *a)]);
     for (at, of) in both_ways.filter(|(at, of)| !killed.contains(at) && killed.contains(of)) {

@@ -1,5 +1,5 @@
-//! `gdp-ctl trace` shows the switches that frames cross, in real data planes; and others once these
-//! have changed.
+//! `gdp-ctl trace` shows the switches that frames cross, in real data planes, and the new ones
+//! after a path change.
 
 use anyhow::{Context, Result, ensure};
 use gdp_tests::Tools;
@@ -17,7 +17,7 @@ fn a_trace_shows_every_switch_on_the_way_and_the_other_way_after_a_cut() -> Resu
     let card = ring.folder_of("robot").join("chatter.card");
     let card = card.to_str().context("a path")?.to_owned();
 
-    // Frames take whatever way there is before every link is there.
+    // Frames take the available path until every link is up.
     ring.wait("the trace to go by s2", |ring| {
         Ok(switches(&ring.ctl(0, &["trace", &card])?)? == named(ring, &[0, 1, 2]))
     })?;
@@ -28,7 +28,7 @@ fn a_trace_shows_every_switch_on_the_way_and_the_other_way_after_a_cut() -> Resu
     ensure!(hops[..2].iter().all(|hop| hop["end"].is_null()), "only the last one is an end: {trace}");
     ensure!(hops[1..].iter().all(|hop| hop["rtt_us"].as_u64() > Some(0)), "{trace}");
 
-    // A switch without a writer knows no way to the name, and every switch one to every other.
+    // A switch without a writer has no route for the name; every switch has a path to every other.
     let unknown = ring.ctl(3, &["trace", &card]).err().context("s4 knows a way")?;
     ensure!(format!("{unknown:#}").contains("knows no way to"), "{unknown:#}");
     let fourth = ring.switches[3].name.clone();
@@ -51,7 +51,7 @@ fn switches(trace: &Value) -> Result<Vec<String>> {
     Ok(hops(trace)?.iter().map(|hop| hop["switch"].as_str().unwrap_or("nobody").to_owned()).collect())
 }
 
-/// Of the only path.
+/// Returns the hops of the only path.
 fn hops(trace: &Value) -> Result<Vec<Value>> {
     let paths = trace["paths"].as_array().context("no paths")?;
     ensure!(paths.len() == 1, "{trace}");

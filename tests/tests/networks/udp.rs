@@ -1,4 +1,4 @@
-//! Links over UDP in the kernel: real QUIC links of three endpoints to a switch, and a router
+//! Links over UDP in the kernel: real QUIC links of three endpoints to a switch, with a router
 //! between the switch and two of them.
 //!
 //! ```text
@@ -54,12 +54,12 @@ fn frames_cross_between_ethernet_and_both_kinds_of_udp_in_userspace() -> Result<
     site.every_crossing(|crossed| (0, crossed))
 }
 
-/// As they are on the cable to the router: a socket there would not show it.
+/// Captures on the cable to the router, because a socket there would hide headers.
 #[test]
 fn what_the_kernel_sends_is_right_to_the_bit() -> Result<()> {
     let mut site = Site::build(Wanted::Xdp)?;
     let cable = PacketSocket::open(&site.router, "s0")?;
-    // Endings of one to four bytes, and more than the kernel sums up at once.
+    // Lengths with one to four trailing bytes, and one above the kernel's block size for sums.
     for length in [500, 501, 502, 503, 1100] {
         let payload: Vec<u8> = (0..length).map(|i| (i * 7) as u8).collect();
         let frame = 96 + length;
@@ -89,8 +89,8 @@ fn what_the_kernel_sends_is_right_to_the_bit() -> Result<()> {
     Ok(())
 }
 
-/// What is long is summed up in many blocks; what lies in several buffers is not summed up at all,
-/// which IPv4 allows.
+/// Long datagrams are summed in many blocks. Datagrams in several buffers have no checksum, which
+/// IPv4 allows.
 #[test]
 fn long_datagrams_are_right_to_the_bit() -> Result<()> {
     for (mtu, frames) in
@@ -119,7 +119,7 @@ fn long_datagrams_are_right_to_the_bit() -> Result<()> {
     Ok(())
 }
 
-/// A switch takes datagrams before its kernel would look at checksums, or join them.
+/// A switch accepts datagrams before its kernel would verify or merge them.
 #[test]
 fn datagrams_to_a_switch_have_no_checksum() -> Result<()> {
     let mut site = Site::build(Wanted::Xdp)?;
@@ -137,8 +137,8 @@ fn datagrams_to_a_switch_have_no_checksum() -> Result<()> {
     Ok(())
 }
 
-/// With the pseudo headers of RFC 768 and RFC 8200; `addresses`: where they are in the packet,
-/// right before UDP.
+/// Verifies the checksum with the pseudo headers of RFC 768 and RFC 8200. `addresses`: their range
+/// in the packet, directly before UDP.
 fn udp_checksum_holds(packet: &[u8], addresses: std::ops::Range<usize>) -> bool {
     let udp = addresses.end;
     let length = (packet.len() - udp) as u32;
@@ -157,7 +157,7 @@ fn a_peer_that_refuses_datagrams_without_checksums_is_sent_to_from_userspace() -
     let sent = cable.receive(TIMEOUT, |frame| is_data(frame, 0x86dd, 62))?;
     ensure!(udp_checksum_holds(&sent, 22..54), "{:02x?}", &sent[54..62]);
     site.received(INET6, b"checked")?;
-    // A frame is counted once it was sent, so it may arrive before.
+    // A frame is counted after it is sent, so it may arrive earlier.
     wait_for("the counts", TIMEOUT, || {
         let counted = (site.count(Counter::Slow)?, site.count(Counter::Delivered)?);
         Ok((counted == ((1, 0), (0, 1))).then_some(()))
@@ -169,7 +169,7 @@ fn an_unresolved_neighbour_takes_the_slow_path_until_it_is_resolved() -> Result<
     let mut site = Site::build(Wanted::Xdp)?;
     let mut sent = 0;
     for (to, family) in [(INET, "-4"), (INET6, "-6")] {
-        // QUIC may have it resolved again at any moment.
+        // QUIC may resolve the neighbour again at any time.
         let slow = site.count(Counter::Slow)?.0;
         wait_for("a frame that finds no neighbour", TIMEOUT, || {
             site.switch.ip(&[family, "neigh", "flush", "dev", "r0"])?;
@@ -184,7 +184,7 @@ fn an_unresolved_neighbour_takes_the_slow_path_until_it_is_resolved() -> Result<
         sent += 1;
         ensure!(site.count(Counter::Slow)?.0 == before, "the next one is the kernel's again");
     }
-    // A frame is counted once it was sent, so it may arrive before.
+    // A frame is counted after it is sent, so it may arrive earlier.
     let slow = site.count(Counter::Slow)?.0;
     wait_for(&format!("{slow} of {sent} frames to be counted in userspace"), TIMEOUT, || {
         Ok((site.count(Counter::Delivered)? == (sent - slow, slow)).then_some(()))
@@ -192,7 +192,7 @@ fn an_unresolved_neighbour_takes_the_slow_path_until_it_is_resolved() -> Result<
     .with_context(|| format!("{:?}", site.planes.counters()))
 }
 
-/// The kernel drops them, each under its reason, and the daemon does not see them.
+/// The kernel drops the frames, each with its drop reason; the daemon does not receive them.
 #[test]
 fn an_attacker_on_the_path_gets_nothing_through() -> Result<()> {
     let mut site = Site::build(Wanted::Xdp)?;
@@ -238,7 +238,7 @@ fn an_attacker_on_the_path_gets_nothing_through() -> Result<()> {
     Ok(())
 }
 
-/// A peer's address changes under way, as when a NAT forgets it.
+/// A peer's address changes during use, as when a NAT loses its binding.
 #[test]
 fn a_link_follows_its_peer_through_a_rebinding() -> Result<()> {
     let mut site = Site::build(Wanted::Xdp)?;
@@ -274,7 +274,7 @@ fn what_is_not_ours_passes_untouched() -> Result<()> {
     other.set_read_timeout(Some(TIMEOUT))?;
     let mut buffer = vec![0; 8192];
     let from = site.in_cloud(|| Ok(UdpSocket::bind("10.2.0.9:0")?))?;
-    // A first byte as in GDP; and one so large that it comes in fragments.
+    // One datagram whose first byte equals GDP's; and one so large that it is fragmented.
     for datagram in [&[0x10; 100][..], &[0x10; 5000]] {
         from.send_to(datagram, "10.1.0.1:9999")?;
         let length = other.recv(&mut buffer)?;
@@ -290,7 +290,7 @@ fn what_is_not_ours_passes_untouched() -> Result<()> {
 fn what_does_not_fit_the_path_is_told() -> Result<()> {
     for (to, largest) in [(INET, 1472), (INET6, 1452)] {
         let mut site = Site::build(Wanted::Xdp)?;
-        // QUIC tries in steps, and ends within a few bytes of what the path takes.
+        // QUIC probes the MTU in steps, and ends within a few bytes of the path's.
         let (entry, address) = wait_for("QUIC to know the path", TIMEOUT, || {
             Ok(Some(site.at_switch(to)).filter(|(entry, _)| entry.mtu > largest - 25))
         })?;
@@ -308,7 +308,7 @@ fn what_does_not_fit_the_path_is_told() -> Result<()> {
     Ok(())
 }
 
-/// The socket is bound to all addresses, whatever those are at the time.
+/// The socket is bound to all addresses, including later ones.
 #[test]
 fn an_address_that_comes_later_is_served_as_well() -> Result<()> {
     let mut site = Site::build(Wanted::Xdp)?;
@@ -326,8 +326,8 @@ fn an_address_that_comes_later_is_served_as_well() -> Result<()> {
     Ok(())
 }
 
-/// What carries a link is in its entry, so a daemon finds in the kernel where the links of the one
-/// before it lead.
+/// A link's entry contains its carrier, so a daemon finds the previous daemon's link addresses in
+/// the kernel.
 #[test]
 fn links_over_udp_are_taken_over_from_an_earlier_daemon() -> Result<()> {
     let folder = tempfile::tempdir()?;
@@ -359,7 +359,7 @@ fn links_over_udp_are_taken_over_from_an_earlier_daemon() -> Result<()> {
     execute(Program::Umount.command().arg("--lazy").arg(folder.path()))?;
     let mut left: Vec<_> = left.into_iter().map(|(entry, to)| (entry, to.to_string())).collect();
     left.sort_by_key(|(entry, _)| entry.id);
-    // Which interface the link-local address is on is not in its entry.
+    // The entry does not contain the interface of a link-local address.
     ensure!(
         left == [(links[0].into(), "udp:192.0.2.1:2000".into()), (links[1].into(), "udp:[2001:db8::2]:3000".into())],
         "{left:?}"
@@ -367,12 +367,12 @@ fn links_over_udp_are_taken_over_from_an_earlier_daemon() -> Result<()> {
     Ok(())
 }
 
-/// Nobody publishes or reads it.
+/// A name without publisher or reader.
 const FORBIDDEN: Name = Name::from_bytes([0xf0; 32]);
 
-/// An endpoint, its link, and the other end of that.
+/// An endpoint, its link, and the switch's end of that link.
 struct Endpoint {
-    // Order is the order of the end.
+    // Fields drop in this order.
     link: Link,
     at_switch: Link,
     port: Port,
@@ -383,10 +383,10 @@ struct Endpoint {
 }
 
 struct Site {
-    // Order is the order of the end.
+    // Fields drop in this order.
     ends: Vec<Endpoint>,
     planes: Planes,
-    /// Ethernet, UDP.
+    /// Ethernet, then UDP.
     ports: [Port; 2],
     runtime: Runtime,
     robot: Namespace,
@@ -458,7 +458,7 @@ impl Site {
         Ok(site)
     }
 
-    /// Makes the link of an endpoint, perhaps in place of another. All others may send to it.
+    /// Connects an endpoint, or reconnects it. All other endpoints may send to it.
     fn dial(&mut self, index: usize, bind: &str, to: &str) -> Result<()> {
         let namespace = if index == ROBOT { &self.robot } else { &self.cloud };
         let identity = match self.ends.get(index) {
@@ -501,18 +501,18 @@ impl Site {
         Ok(())
     }
 
-    /// A link as the switch has it now.
+    /// Returns a link's present state at the switch.
     fn at_switch(&self, index: usize) -> (LinkEntry, LinkAddr) {
         let link = &self.ends[index].at_switch;
         (link.entry(PORT_USERSPACE), link.addr())
     }
 
-    /// How many of the links in the kernel, or of all, are so.
+    /// Returns the number of links in the planes that match.
     fn links(&self, wanted: impl Fn(&LinkEntry) -> bool) -> usize {
         self.planes.links().iter().filter(|entry| wanted(entry)).count()
     }
 
-    /// `planes`: of so many frames, how many each plane should have delivered.
+    /// Sends frames between all pairs. `planes`: each plane's expected deliveries, by their sum.
     fn every_crossing(&mut self, planes: impl Fn(u64) -> (u64, u64)) -> Result<()> {
         let mut crossed = 0;
         for from in [ROBOT, INET, INET6] {
@@ -533,7 +533,7 @@ impl Site {
         .with_context(|| format!("{:?}", self.planes.counters()))
     }
 
-    /// A header as an endpoint sends it next to another.
+    /// Returns the header of an endpoint's next frame to another.
     fn next_frame(&mut self, from: usize, to: usize, payload: &[u8]) -> Header {
         let destination = topic(self.ends[to].name);
         let from = &mut self.ends[from];
@@ -555,7 +555,7 @@ impl Site {
         Ok(())
     }
 
-    /// The next data frame an endpoint gets must be this.
+    /// Checks that the endpoint's next data frame is this one.
     fn received(&self, at: usize, payload: &[u8]) -> Result<()> {
         let (header, body) = self.next_received(at)?;
         ensure!(header.version_type == FrameType::Data.first_byte(), "{header:?}");
@@ -580,7 +580,7 @@ impl Site {
         })
     }
 
-    /// What the kernel and the userspace plane counted.
+    /// Returns the counts of the kernel and of the userspace plane.
     fn count(&self, wanted: Counter) -> Result<(u64, u64)> {
         let counted = self.planes.counters()?.into_iter().find(|(counter, ..)| *counter == wanted);
         counted.map(|(_, kernel, userspace)| (kernel, userspace)).context("all counters")
@@ -592,17 +592,17 @@ impl Site {
     }
 }
 
-/// The name that only this endpoint reads.
+/// Returns the name that only this endpoint reads.
 fn topic(reader: Name) -> Name {
     Name::from_bytes(reader.to_bytes().map(|byte| !byte))
 }
 
-/// Whether an Ethernet frame carries a data frame at this offset.
+/// Returns whether an Ethernet frame carries a data frame at this offset.
 fn is_data(frame: &[u8], ethertype: u16, at: usize) -> bool {
     frame[12..14] == ethertype.to_be_bytes() && frame.get(at) == Some(&FrameType::Data.first_byte())
 }
 
-/// Hands datagrams between the cloud and the switch, from another port once `rebind` is set.
+/// Relays datagrams between the cloud and the switch, from another port once `rebind` is set.
 struct Nat {
     rebind: Arc<AtomicBool>,
     stop: Arc<AtomicBool>,

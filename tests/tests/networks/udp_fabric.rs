@@ -30,15 +30,15 @@ fn messages_cross_three_carriers_without_leaving_the_kernel() -> Result<()> {
     messages_cross_three_carriers(DataPlane::Xdp, "kernel")
 }
 
-/// DPDK has the interfaces of both switches, and the kernel what is its own: addresses, ARP,
-/// neighbour discovery and QUIC.
+/// DPDK owns the interfaces of both switches. The kernel retains addresses, ARP, neighbour
+/// discovery and QUIC.
 #[test]
 fn messages_cross_three_carriers_in_dpdk() -> Result<()> {
     messages_cross_three_carriers(DataPlane::Dpdk, "dpdk")
 }
 
-/// Small ones, one that is cut into many frames, and again a small one. `plane`: the one that
-/// forwards, as the status has it.
+/// Sends small messages, one that is split into many frames, and small ones again. `plane`: the
+/// forwarding plane's name in the status.
 fn messages_cross_three_carriers(data_plane: DataPlane, plane: &str) -> Result<()> {
     let site = Site::build()?;
     let folder = tempfile::tempdir()?;
@@ -67,7 +67,7 @@ fn messages_cross_three_carriers(data_plane: DataPlane, plane: &str) -> Result<(
         Ok(())
     };
     exchange(b"first").context("a first message")?;
-    // What the path takes is learnt from its first frames.
+    // The first frames determine the path's MTU.
     exchange(&vec![7; 1 << 18]).context("a large message")?;
     for i in 0..50u32 {
         exchange(&i.to_be_bytes()).with_context(|| format!("message {i}"))?;
@@ -83,7 +83,8 @@ fn messages_cross_three_carriers(data_plane: DataPlane, plane: &str) -> Result<(
     Ok(())
 }
 
-/// The ports of a switch, for DPDK. Both are in one process here, where a device has one name.
+/// Returns the DPDK ports of a switch. Both switches share this process, where device names must be
+/// unique.
 fn devices(label: &str) -> Vec<DpdkPort> {
     let interfaces = if label == "edge" { ["l0", "r0"] } else { ["e0", "f0"] };
     let port = |interface| DpdkPort {
@@ -151,7 +152,7 @@ impl Site {
         Ok(Self { robot, edge, _router: router, cloud, far })
     }
 
-    /// What the kernel had of the interfaces it has of the ports.
+    /// Moves the kernel's addresses from the interfaces to the ports.
     fn give_addresses_to_dpdk(&self) -> Result<()> {
         for (side, commands) in [
             (
@@ -176,7 +177,7 @@ impl Site {
         Ok(())
     }
 
-    /// The edge and the cloud, with a link between them.
+    /// Starts the edge and the cloud, with a link between them.
     fn start_switches(&self, folder: &Path, data_plane: DataPlane) -> Result<[Switch; 2]> {
         let ebpf_object = Some(Tools::beside_this_test()?.ebpf_object()?);
         let identity = |label: &str| folder.join(format!("{label}.pem"));

@@ -1,11 +1,11 @@
-//! Frames over UDP that go to the kernel as one piece, on paths that do not take them so:
+//! Frames over UDP that go to the kernel as one piece, on paths that cannot carry them that way:
 //!
 //! ```text
 //!  [ sender  a0 ]────────[ b0  receiver ]
 //!   10.9.0.1              10.9.0.2
 //! ```
 //!
-//! What needs no path: `crates/gdp-link/tests/unit/port/udp_tests.rs`.
+//! Tests without a path are in `crates/gdp-link/tests/unit/port/udp_tests.rs`.
 
 use std::net::SocketAddr;
 
@@ -21,8 +21,8 @@ const FRAMES: usize = 500;
 #[tokio::test]
 async fn runs_arrive_whether_or_not_devices_cut_and_join_them() -> Result<()> {
     let cable = Cable::new()?;
-    // Devices that cut, that leave that to the kernel, and that have no checksums, without which
-    // older kernels refuse runs.
+    // Devices that segment, that leave segmentation to the kernel, and that compute no checksums.
+    // Without checksums, older kernels refuse runs.
     for (checksums, cut, join) in [("on", "on", "on"), ("on", "off", "off"), ("off", "off", "on"), ("on", "on", "off")]
     {
         cable.set("tx", checksums)?;
@@ -45,15 +45,15 @@ async fn where_the_path_takes_less_too_large_frames_are_lost_and_others_are_not(
     assert_eq!(cable.send(&large), Sent { sent: 0, lost: FRAMES });
     assert_eq!(cable.send(&small), Sent { sent: FRAMES, lost: 0 });
     cable.expect(&small)?;
-    // Nothing was sent in fragments.
+    // No fragment was sent.
     cable.expect(&[])?;
 
-    // The last frame of a run is shorter: it fits by itself.
+    // The last frame of a run is shorter: it fits alone.
     assert_eq!(cable.send(&[large[0].clone(), large[1].clone(), small[2].clone()]), Sent { sent: 1, lost: 2 });
     cable.expect(&small[2..3])
 }
 
-/// Each says which it is.
+/// Returns numbered frames.
 fn frames(length: usize) -> Vec<Vec<u8>> {
     let frame = |number: usize| [&[0x10, 0][..], &(number as u32).to_be_bytes(), &vec![7; length - 6]].concat();
     (0..FRAMES).map(frame).collect()
@@ -67,7 +67,7 @@ struct Cable {
 }
 
 impl Cable {
-    /// Within a tokio runtime.
+    /// Builds the cable. Call within a tokio runtime.
     fn new() -> Result<Self> {
         let (sender, receiver) = (Namespace::create("sender")?, Namespace::create("receiver")?);
         let end = |namespace, interface, number| End { namespace, interface, mac: [2, 0, 0, 0, 0, number] };
@@ -94,7 +94,7 @@ impl Cable {
         self.from.data().send_batch(frames.iter().map(|frame| OutFrame { to, head: &frame[..6], body: &frame[6..] }))
     }
 
-    /// These frames have arrived, in this order, and no others.
+    /// Checks that these frames have arrived in this order, and no others.
     fn expect(&self, frames: &[Vec<u8>]) -> Result<()> {
         let (data, mut batch, mut received) = (self.to.data(), RecvBatch::new(1500), 0);
         wait_for("all frames", TIMEOUT, || {

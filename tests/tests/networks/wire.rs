@@ -1,5 +1,5 @@
-//! The bad cable of the harness: real frames meet on it what the model says. Counts are exact;
-//! times are bounded from below alone.
+//! The harness's cable with faults: real frames experience the model's faults. Counts are exact;
+//! times are bounded from below only.
 //!
 //! ```text
 //!  robot r0 ── w0:wire:w1 ── l0 cloud
@@ -60,7 +60,8 @@ fn frames_meet_on_the_wire_what_they_meet_in_simulated_time() -> Result<()> {
         ensure!(counted == expected, "node {node}: other frames arrived than in the simulation");
         ensure!(site.wire.counts(node) == simulated.counts(node, cable));
     }
-    // 5 % of the frames, and 1 in 21 in bursts of 5, which are few enough for a wider bound.
+    // The link loses 5 % of the frames, and 1 in 21 in bursts of 5. Bursts are rare, so their bound
+    // is wider.
     let counts = site.wire.counts(0);
     ensure!((0.04..0.06).contains(&(counts.lost as f64 / FRAMES as f64)), "{counts:?}");
     ensure!((0.03..0.065).contains(&(counts.lost_in_bursts as f64 / FRAMES as f64)), "{counts:?}");
@@ -71,7 +72,7 @@ fn frames_meet_on_the_wire_what_they_meet_in_simulated_time() -> Result<()> {
 fn a_slow_wire_takes_its_time_and_marks_and_drops_what_is_too_much() -> Result<()> {
     const FRAMES: u64 = 200;
     const QUEUE: u64 = 100_000;
-    // A millisecond a frame of a thousand bytes.
+    // One millisecond per frame of a thousand bytes.
     let rate = Faults { rate: Some(8_000_000), ..Faults::delay(30 * MILLISECOND) };
     let slow = Faults { queue: Some(QUEUE), mark_above: Some(QUEUE / 2), ..rate };
     let site = Site::new([slow, Faults::default()])?;
@@ -151,9 +152,9 @@ fn tcp_gets_through_a_bad_wire() -> Result<()> {
     site.wire.check()
 }
 
-/// Robot and cloud with a bad cable between them.
+/// Robot and cloud with a faulty cable between them.
 struct Site {
-    // Before the interfaces that it is on.
+    // Drops before the interfaces that it uses.
     wire: Wire,
     robot: PacketSocket,
     cloud: PacketSocket,
@@ -170,8 +171,8 @@ impl Site {
         Ok(Self { wire, robot, cloud, chain })
     }
 
-    /// Now and then waits until the wire has taken what was sent, so that no queue of the kernel's
-    /// overflows.
+    /// Waits now and then until the wire has taken the sent frames. Otherwise a kernel queue would
+    /// overflow.
     fn keep_up(&self, direction: usize, number: u64) -> Result<()> {
         if number % 64 != 63 {
             return Ok(());
@@ -180,14 +181,14 @@ impl Site {
     }
 }
 
-/// Frames of ours, in the order of their arrival.
+/// Returns the received frames in the order of their arrival.
 fn receive(socket: &PacketSocket, count: u64) -> Result<Vec<Vec<u8>>> {
     let frames: Result<Vec<_>> = (0..count).map(|_| socket.receive(TIMEOUT, |_| true)).collect();
     ensure!(socket.try_receive(&mut [0; 2048])?.is_none(), "more than {count} frames arrived");
     frames
 }
 
-/// Its number is where corruption never is: in the addresses.
+/// Returns a frame with its number in the addresses, which corruption never affects.
 fn numbered(number: u64) -> Vec<u8> {
     Frame { to_mac: mac(number), payload: vec![0x5a; 40], ..Frame::default() }.bytes()
 }
@@ -196,7 +197,7 @@ fn number_of(frame: &[u8]) -> u64 {
     frame[2..6].iter().fold(0, |number, byte| number << 8 | u64::from(*byte))
 }
 
-/// A thousand bytes of IP from a sender that takes marks.
+/// Returns a thousand bytes of IP from an ECN-capable sender.
 fn datagram(number: u64) -> Vec<u8> {
     const ECT: u8 = 0b10;
     let [from, to] = [1, 2].map(|host| ([10, 9, 0, host], 5000).into());

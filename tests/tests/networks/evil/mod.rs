@@ -1,8 +1,8 @@
-//! A fabric that is on nobody's side, in one process over UDP on loopback, without root: a switch
-//! of the tests' own making that hands every frame to the test before it sends it on, and a RIB
-//! (the real one) whose every word the test may change before an entity hears it. What the switch
-//! sends bears the right hop tags, so nothing but what is end to end stands in its way. It does not
-//! ask who may send where: that is for switches that are honest (`hostile.rs`).
+//! A fabric with a malicious switch and RIB, in one process over UDP on loopback, without root. The
+//! switch belongs to the tests and passes every frame to the test before forwarding it. The RIB is
+//! the real one, but the test may change every update before an entity receives it. The switch's
+//! frames have valid hop tags, so only end-to-end checks can stop them. The switch does not check
+//! who may send where; tests of honest switches cover that (`hostile.rs`).
 //!
 //! ```text
 //!   Node ──┐  requests ──► refuse_to_hear ──► Rib ──► lie ──► Node, Rogue
@@ -10,8 +10,9 @@
 //!   Rogue  ┘  frames ────► tamper ──► Node, Rogue
 //! ```
 //!
-//! A [`Rogue`] is an entity without a node: it is at the switch itself, holds its own keys and
-//! whatever it is given, and has the switch send what it likes. [`Owner`] gives out certificates.
+//! A [`Rogue`] is an entity without a node. It is attached to the switch directly, has its own keys
+//! and whatever it receives, and lets the switch send arbitrary frames. [`Owner`] issues
+//! certificates.
 
 mod owner;
 mod rogue;
@@ -34,12 +35,12 @@ pub fn eventually<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> Re
     tokio::task::block_in_place(|| wait_for(what, TIMEOUT, || Ok(condition())))
 }
 
-/// A node of this identity at the switch.
+/// Connects a node of this identity to the switch.
 pub async fn node(switch: &Switch, identity: &Identity) -> Result<Node> {
     Ok(Node::connect(NodeConfig::new(identity.clone(), switch.target())).await?)
 }
 
-/// How often a node dropped something for this reason.
+/// Returns how many frames or messages a node dropped for this reason.
 pub fn dropped(counters: &NodeCounters, reason: &str) -> u64 {
     counters.drops.get(reason).copied().unwrap_or(0)
 }

@@ -10,7 +10,7 @@ use gdp_core::cert::{AdCert, Grantee, Issued, Mode, ReadGrant, Reading, Revocati
 use gdp_core::identity::SigningKey;
 use gdp_wire::Name;
 
-/// The owner of one name, and all it gives out.
+/// The owner of one name, which issues its certificates.
 pub struct Owner {
     pub key: SigningKey,
     pub card: NameCard,
@@ -24,7 +24,7 @@ impl Owner {
         Ok(Self { key, card, numbers: AtomicU64::new(1) })
     }
 
-    /// Somebody who knows the card, but whose key is another.
+    /// Returns an owner with the same card but another key.
     pub fn impostor(&self) -> Result<Self> {
         Ok(Self { key: SigningKey::generate()?, card: self.card.clone(), numbers: AtomicU64::new(1) })
     }
@@ -45,7 +45,7 @@ impl Owner {
         Ok(issue(&self.key, &ReadGrant { name, to, serial, not_before, not_after })?.into())
     }
 
-    /// Takes back what has one of these serials, under the next number.
+    /// Issues a revocation of these serials, under the next number.
     pub fn revocation(&self, mut revoked: Vec<u64>) -> Result<Signed<Revocation>> {
         revoked.sort_unstable();
         let number = self.numbers.fetch_add(1, Ordering::Relaxed);
@@ -63,13 +63,13 @@ impl Owner {
     }
 }
 
-/// A serial, and an end of validity in an hour.
+/// Returns a serial, and an expiry in an hour.
 fn now() -> (u64, u64) {
     let time = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     (time.as_nanos() as u64, time.as_secs() + 3600)
 }
 
-/// The serial of the first certificate in it.
+/// Returns the serial of the first certificate in the list.
 pub fn serial(serials: Result<Vec<(&'static str, u64)>, gdp_core::cert::CertError>) -> Result<u64> {
     Ok(serials?[0].1)
 }

@@ -1,4 +1,4 @@
-//! Entities that do what no SDK does.
+//! Entities with behaviour that no SDK has.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -14,19 +14,19 @@ use gdp_wire::Name;
 
 use super::{Frame, Owner, Switch, eventually};
 
-/// Where the session is in the header of a segment.
+/// Position of the session in a segment's header.
 const SESSION: std::ops::Range<usize> = 16..32;
 
-/// An entity that is hosted by the switch.
+/// An entity that the switch hosts.
 pub struct Rogue {
     pub identity: Identity,
     serial: u64,
-    /// Every box it was ever given, by whomever.
+    /// Every key box that the entity ever received, from any writer.
     boxes: Vec<Signed<KeyBox>>,
 }
 
 impl Rogue {
-    /// Attached, with a key of its own and no rights.
+    /// Attaches an entity with a new key and without rights.
     pub fn attach(switch: &Switch) -> Result<Self> {
         Self::attach_as(switch, Identity::generate("proxy")?)
     }
@@ -45,8 +45,8 @@ impl Rogue {
         self.identity.name()
     }
 
-    /// States its part in the owner's name, with a certificate that says so. The response may be a
-    /// refusal.
+    /// States the entity's role for the owner's name, with a matching certificate. The response may
+    /// be a refusal.
     pub fn state(&mut self, switch: &Switch, owner: &Owner, role: NameRole) -> Result<Response> {
         let credential = match role.is_writer() {
             true => Credential::Writer(owner.ad_cert(self.name())?),
@@ -55,7 +55,7 @@ impl Rogue {
         self.state_with(switch, owner, role, credential)
     }
 
-    /// As [`Self::state`], with this right.
+    /// Like [`Self::state`], with this credential.
     pub fn state_with(
         &mut self,
         switch: &Switch,
@@ -75,7 +75,7 @@ impl Rogue {
         Ok(response)
     }
 
-    /// A record of this entity with that right, as a RIB that lies might give out.
+    /// Returns a record of this entity with this credential, as a lying RIB might send it.
     pub fn record(&mut self, switch: &Switch, owner: &Owner, role: NameRole, credential: Credential) -> Result<Record> {
         let (advert, proof) = (self.advert(switch, owner, role)?, owner.card.proof());
         let (entity, switch) = (self.identity.proof(), switch.name());
@@ -100,14 +100,14 @@ impl Rogue {
         self.boxes.extend(peers.boxes.iter().cloned());
     }
 
-    /// Takes in what it was told, and returns the frames that came for it.
+    /// Takes in the updates that the entity received, and returns its frames.
     pub fn listen(&mut self, switch: &Switch) -> Vec<Frame> {
         let heard = switch.heard(self.name());
         heard.pushes.iter().for_each(|push| self.take(&push.peers));
         heard.frames
     }
 
-    /// Waits until it was given a key of this writer.
+    /// Waits until the entity has received a key of this writer.
     pub fn await_key(&mut self, switch: &Switch, name: Name, writer: &Identity) -> Result<()> {
         eventually("a key for the reader", || {
             self.listen(switch);
@@ -115,20 +115,20 @@ impl Rogue {
         })
     }
 
-    /// Boxes it holds, whoever they are for.
+    /// Returns all key boxes of the entity, for any reader.
     pub fn boxes(&self) -> &[Signed<KeyBox>] {
         &self.boxes
     }
 
-    /// The keys in its boxes of this writer for this name.
+    /// Returns this writer's keys for this name from the entity's boxes.
     pub fn keys(&self, name: Name, writer: &Identity) -> Vec<(u32, EpochKey)> {
         let (key, for_us) = (writer.key().verify_key(), (self.name(), self.identity.box_key()));
         let open = |signed| keys::open(signed, name, (writer.name(), &key), for_us).ok();
         self.boxes.iter().filter_map(open).collect()
     }
 
-    /// What it makes of frames to this name from this writer, with all the keys it holds and asking
-    /// nobody.
+    /// Reads frames to this name from this writer, with all keys of the entity and without asking
+    /// the RIB.
     pub fn read(&self, name: Name, writer: &Identity, frames: &[Frame]) -> Result<Vec<Message>> {
         let mut reader = Reader::new(name, Backend::default(), ReaderLimits::default());
         reader.authorise(writer.name(), writer.key().verify_key())?;
@@ -140,13 +140,13 @@ impl Rogue {
         for frame in frames.iter().filter(|frame| frame.destination == name && frame.source == writer.name()) {
             let session = frame.payload.get(SESSION).and_then(|session| session.try_into().ok());
             session.map(|session| reader.confirm_session(&writer.name(), session, 0)).transpose()?;
-            // What does not open is what the test is about.
+            // The tests are about frames that do not open.
             let _ = reader.push(now, frame.source, &frame.payload, &mut received);
         }
         Ok(received.messages)
     }
 
-    /// Attached again, after the RIB or the switch forgot it.
+    /// Attaches the entity again, after the RIB or the switch forgot it.
     pub fn again(&self, switch: &Switch) -> Result<Self> {
         let mut again = Self::attach_as(switch, self.identity.clone())?;
         again.serial = self.serial;
@@ -154,17 +154,16 @@ impl Rogue {
         Ok(again)
     }
 
-    /// A message that `writer` seals, in frames from `source`.
+    /// Returns a message sealed by `writer`, in frames from `source`.
     pub fn sealed(&self, writer: &mut Writer, source: Name, body: &[u8], to: Name) -> Result<Vec<Frame>> {
         let mut segments = Segments::new();
         writer.seal(unix().as_nanos() as u64, Encoding::Bytes, body, 1000, &mut segments)?;
         Ok(frames(&segments, writer.name(), source, to))
     }
 
-    /// A frame with one whole message as it would be with another body and `ahead` messages on:
-    /// sealed with the key of its epoch, which this entity holds, for the session that the frame
-    /// shows. The signature stays what it was. Made by docs/wire-format.md alone, as no SDK does
-    /// this.
+    /// Returns a copy of a one-message frame with another body, `ahead` messages later. The entity
+    /// seals it with its epoch's key, which it has, for the frame's session. The signature stays
+    /// unchanged. The code follows docs/wire-format.md alone, because no SDK does this.
     pub fn resealed(&self, honest: &Frame, (name, writer): (Name, &Identity), ahead: u64, to: Name) -> Result<Frame> {
         let (backend, mut rest) = (Backend::default(), &honest.payload[..]);
         let (session, epoch) = (&honest.payload[16..32], &honest.payload[40..44]);
@@ -192,7 +191,7 @@ impl Rogue {
         Ok(Frame { payload, to: vec![to], ..honest.clone() })
     }
 
-    /// The key itself, from the box of this epoch.
+    /// Returns the key from the box of this epoch.
     fn epoch_key(&self, name: Name, writer: &Identity, epoch: &[u8]) -> Result<Vec<u8>> {
         let of_epoch = |claims: &KeyBox| {
             (claims.name, claims.writer, claims.reader) == (name, writer.name(), self.name())
@@ -201,7 +200,7 @@ impl Rogue {
         let mut boxes = self.boxes.iter().filter_map(|signed| signed.claims_unverified().ok());
         let claims = boxes.find(of_epoch).context("no box of this epoch")?;
         let der = self.identity.key().pkcs8_der();
-        // RFC 5915: the private key is an octet string of 32 bytes behind the version.
+        // RFC 5915: the private key is an octet string of 32 bytes after the version.
         let behind = der.windows(5).position(|window| window == [2, 1, 1, 4, 32]).context("not a P-256 key")? + 5;
         let mut secret = [0; 32];
         secret.copy_from_slice(&der[behind..behind + 32]);
@@ -212,13 +211,13 @@ impl Rogue {
     }
 }
 
-/// The frames of what was sealed.
+/// Returns the frames of sealed segments.
 pub fn frames(segments: &Segments, destination: Name, source: Name, to: Name) -> Vec<Frame> {
     let frame = |payload: &[u8]| Frame { destination, source, flags: 0, payload: payload.to_vec(), to: vec![to] };
     segments.iter().map(frame).collect()
 }
 
-/// Sequence and cut, then the index.
+/// Returns the nonce: sequence number and cut, then the index.
 fn nonce(clear: &[u8; 44]) -> [u8; 12] {
     let mut nonce = [0; 12];
     nonce[..8].copy_from_slice(&clear[8..16]);

@@ -1,4 +1,4 @@
-//! What most tests begin with: a robot that publishes a name, and a cloud that reads it.
+//! The start of most tests: a robot that publishes a name, and a cloud that reads it.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use gdp_tests::wait::TIMEOUT;
 
 use super::{Frame, Owner, Switch, dropped, eventually, node};
 
-/// Declared in the order in which it ends.
+/// Fields are declared in the order in which they must drop.
 pub struct Scene {
     pub publisher: Publisher,
     pub subscription: Subscription,
@@ -29,18 +29,18 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// The newest message counts.
+    /// Builds a scene in which the newest message counts.
     pub async fn best_effort() -> Result<Self> {
         let (publishing, reading) = patient();
         Self::set(publishing, reading).await
     }
 
-    /// Every message counts.
+    /// Builds a scene in which every message counts.
     pub async fn reliable() -> Result<Self> {
         Self::set(PublishOptions::reliable(), SubscribeOptions::reliable()).await
     }
 
-    /// Set, and one message has come through.
+    /// Builds a scene and waits until one message has arrived.
     pub async fn set(publishing: PublishOptions, reading: SubscribeOptions) -> Result<Self> {
         let (switch, owner) = (Switch::start()?, Owner::new("/chatter")?);
         let (robot_identity, cloud_identity) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
@@ -57,7 +57,7 @@ impl Scene {
         Ok(())
     }
 
-    /// The next message that the application gets.
+    /// Returns the next message that the application receives.
     pub async fn next(&mut self) -> Result<Message> {
         match timeout(TIMEOUT, self.subscription.recv()).await {
             Ok(Some(message)) => Ok(message),
@@ -66,7 +66,7 @@ impl Scene {
         }
     }
 
-    /// The robot says this, and the cloud hears it as the next thing.
+    /// Sends this message; the cloud's next message must be this one.
     pub async fn passes(&mut self, body: &[u8]) -> Result<()> {
         self.send(body).await?;
         let message = self.next().await?;
@@ -75,7 +75,7 @@ impl Scene {
         Ok(())
     }
 
-    /// What has been delivered that nobody has asked for yet.
+    /// Returns the delivered messages that the test has not read yet.
     pub async fn delivered(&mut self) -> Vec<Message> {
         let mut messages = Vec::new();
         while let Ok(Some(message)) = timeout(Duration::from_millis(1), self.subscription.recv()).await {
@@ -84,13 +84,13 @@ impl Scene {
         messages
     }
 
-    /// Waits until the cloud has dropped as many for this reason.
+    /// Waits until the cloud has dropped at least this many for this reason.
     pub fn drops(&self, reason: &str, at_least: u64) -> Result<NodeCounters> {
         drops(&self.cloud, reason, at_least)
     }
 }
 
-/// Waits until a node has dropped as many for this reason.
+/// Waits until a node has dropped at least this many for this reason.
 pub fn drops(node: &Node, reason: &str, at_least: u64) -> Result<NodeCounters> {
     let enough = || Some(node.counters()).filter(|counters| dropped(counters, reason) >= at_least);
     eventually(&format!("{reason} to reach {at_least}"), enough).with_context(|| format!("{:?}", node.counters()))
@@ -109,14 +109,14 @@ impl Recording {
         self.0.lock().clone()
     }
 
-    /// The last that went there.
+    /// Returns the last frame to this destination.
     pub fn last(&self, destination: Name) -> Option<Frame> {
         let frames = self.0.lock();
         frames.iter().rev().find(|frame| frame.destination == destination).cloned()
     }
 
-    /// Of everything that passes from now on; takes the place of what the switch did to frames
-    /// before.
+    /// Records everything that passes from now on. The recording replaces the switch's previous
+    /// tampering.
     pub fn of(switch: &Switch) -> Self {
         let recording = Self::default();
         let adding = recording.clone();

@@ -1,4 +1,4 @@
-//! The switch and its RIB: see the module above.
+//! The switch and its RIB; see the parent module.
 
 use gdp_wire::hop;
 use std::collections::HashMap;
@@ -28,8 +28,8 @@ use parking_lot::{Mutex, MutexGuard};
 use tokio::runtime::Handle;
 use zerocopy::{FromBytes, IntoBytes};
 
-/// A frame on its way, as it is when its hop tag was checked; it is stamped anew for each that it
-/// goes `to`.
+/// A frame in the switch, after the check of its hop tag. The switch stamps it again for each
+/// receiver in `to`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frame {
     pub destination: Name,
@@ -37,18 +37,18 @@ pub struct Frame {
     /// Flags, traffic class and ECN.
     pub flags: u8,
     pub payload: Vec<u8>,
-    /// The entities at the switch that take the destination, by the RIB's word.
+    /// The entities at the switch that receive the destination, according to the RIB.
     pub to: Vec<Name>,
 }
 
-/// What the test does to the frames that came together.
+/// The test's change to the frames of one batch.
 type Tamper = Box<dyn FnMut(&mut Vec<Frame>) + Send>;
-/// What the test makes of the RIB's word to an entity about a name.
+/// The test's change to the RIB's update to an entity about a name.
 type Lie = Box<dyn FnMut(Name, Name, NameRole, &mut Peers) + Send>;
-/// Which requests the RIB never hears of, though it says that they are done.
+/// Selects requests that never reach the RIB, although the switch confirms them.
 type Deaf = Box<dyn FnMut(&EntityRequest) -> bool + Send>;
 
-/// Dropping it ends it.
+/// The switch. Dropping it ends it.
 pub struct Switch(Arc<Inner>);
 
 struct Inner {
@@ -65,13 +65,13 @@ struct Inner {
 struct State {
     rib: Rib,
     runs: u64,
-    /// By the id in frames that arrive.
+    /// Links by the id in arriving frames.
     links: HashMap<u32, Line>,
     routes: HashMap<Name, Vec<Name>>,
     tamper: Tamper,
     lie: Lie,
     deaf: Deaf,
-    /// Entities that are here without a link, and what they hear.
+    /// Entities that are attached without a link, and what they received.
     rogues: HashMap<Name, Heard>,
     lies: u64,
 }
@@ -89,7 +89,7 @@ pub struct Heard {
 }
 
 impl Switch {
-    /// Honest until told otherwise. Call within a tokio runtime.
+    /// Starts an honest switch. Call within a tokio runtime.
     pub fn start() -> Result<Self> {
         let identity = Identity::generate("switch")?;
         let address = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
@@ -130,23 +130,23 @@ impl Switch {
         LinkTarget::Udp { host: self.0.address.ip().to_string(), port: self.0.address.port(), interface: None }
     }
 
-    /// From now on frames are what this makes of them.
+    /// Changes all frames from now on with this function.
     pub fn tamper(&self, tamper: impl FnMut(&mut Vec<Frame>) + Send + 'static) {
         self.0.state().tamper = Box::new(tamper);
     }
 
-    /// From now on the RIB's word is what this makes of it: entity, name, what the entity is to it,
-    /// the word.
+    /// Changes all updates of the RIB from now on with this function. Its arguments are the entity,
+    /// the name, the entity's role and the update.
     pub fn lie(&self, lie: impl FnMut(Name, Name, NameRole, &mut Peers) + Send + 'static) {
         self.0.state().lie = Box::new(lie);
     }
 
-    /// From now on the RIB says that what this is true of is done, and does nothing.
+    /// From now on, confirms the selected requests without executing them.
     pub fn refuse_to_hear(&self, deaf: impl FnMut(&EntityRequest) -> bool + Send + 'static) {
         self.0.state().deaf = Box::new(deaf);
     }
 
-    /// The RIB forgets everything, and has all attach again.
+    /// Replaces the RIB by an empty one, and has all entities attach again.
     pub fn restart_rib(&self) {
         {
             let mut state = self.0.state();
@@ -156,30 +156,31 @@ impl Switch {
         self.0.report();
     }
 
-    /// Sends frames that nobody sent here.
+    /// Sends frames of the test's own making.
     pub fn inject(&self, frames: &[Frame]) {
         self.0.send(&mut self.0.state(), frames);
     }
 
-    /// Sends these frames again and again, as fast as one thread can, until told to stop.
+    /// Sends these frames repeatedly, as fast as one thread can, until `stop` is set.
     pub fn flood(&self, frames: Vec<Frame>, stop: Arc<AtomicBool>) -> JoinHandle<()> {
         let inner = self.0.clone();
         std::thread::spawn(move || {
             while !stop.load(Ordering::Relaxed) {
-                // Legitimate frames get their turn at the switch.
+                // Lets legitimate frames through the switch in between.
                 (0..16).for_each(|_| inner.send(&mut inner.state(), &frames));
                 std::thread::yield_now();
             }
         })
     }
 
-    /// Asks the RIB as the entity that `proof` shows, or as nobody; deaf or not, it hears this.
+    /// Sends the RIB a request as the entity of `proof`, or as no entity. Requests that the switch
+    /// otherwise suppresses reach the RIB too.
     pub fn ask(&self, proof: Option<&NameProof>, request: &EntityRequest) -> Response {
         self.0.ask(proof, request, &mut self.0.state())
     }
 
-    /// Tells an entity something that the RIB never said: as all there is, from a RIB that has just
-    /// started.
+    /// Sends an entity an update that the RIB never made. The update claims to be complete and to
+    /// come from a RIB that has just started.
     pub async fn tell(
         &self,
         entity: Name,
@@ -200,18 +201,18 @@ impl Switch {
         Ok(link.request(&Request::Peers(push)).await?)
     }
 
-    /// The records that the RIB holds.
+    /// Returns the records of the RIB.
     pub fn records(&self) -> Vec<Record> {
         let now = self.0.now();
         self.0.state().rib.records(now, None, usize::MAX).0
     }
 
-    /// An entity is here from now on, without a link; what it hears is kept.
+    /// Attaches an entity without a link from now on, and stores what it receives.
     pub fn host(&self, rogue: Name) {
         self.0.state().rogues.entry(rogue).or_default();
     }
 
-    /// What a hosted entity has heard since it was last asked.
+    /// Returns what a hosted entity has received since the last call.
     pub fn heard(&self, rogue: Name) -> Heard {
         self.0.state().rogues.get_mut(&rogue).map(std::mem::take).unwrap_or_default()
     }
@@ -236,7 +237,7 @@ impl Inner {
         Now { unix: unix.as_secs(), clock: self.start.elapsed() }
     }
 
-    /// As a switch reports itself to its RIB, with all that have links.
+    /// Reports the switch and all entities with links to the RIB, as a switch does.
     fn report(self: &Arc<Self>) {
         let state = &mut *self.state();
         let attached: Vec<Name> = state.links.values().map(|line| line.link.peer().name).collect();
@@ -246,7 +247,7 @@ impl Inner {
 
     fn ask(self: &Arc<Self>, proof: Option<&NameProof>, request: &EntityRequest, state: &mut State) -> Response {
         let mut response = state.rib.request(self.now(), self.identity.name(), proof, false, request);
-        // Its routes are there before it is answered.
+        // The RIB's routes are installed before the response.
         self.carry_out(state);
         let stated = match request {
             EntityRequest::Advertise { advert, .. } | EntityRequest::Subscribe { advert, .. } => {
@@ -262,7 +263,7 @@ impl Inner {
         response
     }
 
-    /// What the RIB has to say, now.
+    /// Executes the RIB's pending effects.
     fn carry_out(self: &Arc<Self>, state: &mut State) {
         let (now, own) = (self.now(), self.identity.name());
         loop {
@@ -373,7 +374,7 @@ async fn accept_all(inner: Arc<Inner>) {
         if inner.stopped.load(Ordering::Relaxed) {
             return;
         }
-        // What ends or is tried again by itself.
+        // Handles expiries and retries.
         {
             let state = &mut *inner.state();
             state.rib.tick(inner.now());
@@ -387,7 +388,7 @@ async fn accept_all(inner: Arc<Inner>) {
     }
 }
 
-/// One link's life.
+/// Serves one link until it ends.
 async fn serve(inner: Arc<Inner>, link: Link) {
     let (id, peer) = (link.local_id(), *link.peer());
     inner.state().links.insert(id, Line { link: link.clone(), window: replay::empty(), count: 0 });

@@ -1,5 +1,5 @@
-//! Nodes of the SDK in namespaces, topics between them, and messages that flow: which were sent,
-//! which came, and when.
+//! SDK nodes in namespaces, topics between them, and message flows: which messages were sent, which
+//! arrived, and when.
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -21,7 +21,7 @@ use tokio::time::MissedTickBehavior;
 
 use super::inside::{Inside, ROOT};
 
-/// A node.
+/// A node in a namespace.
 pub struct Party {
     pub node: Node,
     pub identity: Identity,
@@ -29,7 +29,7 @@ pub struct Party {
 }
 
 impl Party {
-    /// `to`: its links, in the order in which they are wanted.
+    /// Connects a node. `to`: its links, in order of preference.
     pub fn connect(at: &Namespace, identity: Identity, to: &[&str], papers: Option<Credentials>) -> Result<Self> {
         let inside = Inside::new(at, ROOT)?;
         let mut config = NodeConfig::new(identity.clone(), to[0].parse()?);
@@ -56,7 +56,7 @@ pub struct Topic<'a> {
 }
 
 impl<'a> Topic<'a> {
-    /// `scope`: the domains in which the reader may be, besides the one that the writer is in.
+    /// Opens a topic. `scope`: domains in which the reader may be, in addition to the writer's.
     pub fn open(
         from: &'a Party,
         to: &'a Party,
@@ -84,7 +84,7 @@ impl<'a> Topic<'a> {
         Ok(())
     }
 
-    /// The sequence of the next message.
+    /// Returns the sequence number of the next message.
     pub fn hear(&mut self) -> Result<u64> {
         let next = async { tokio::time::timeout(TIMEOUT, self.subscription.recv()).await };
         let message = self.to.inside.runtime.block_on(next).context("no message in time")?;
@@ -92,10 +92,10 @@ impl<'a> Topic<'a> {
     }
 }
 
-/// A message's number and when it came.
+/// A message's number and its arrival time.
 pub type Arrival = (u64, Instant);
 
-/// A topic on which a message goes now and then.
+/// A topic with periodic messages.
 pub struct Flow<'a> {
     to: &'a Party,
     from: &'a Party,
@@ -106,17 +106,17 @@ pub struct Flow<'a> {
     messages: Arc<Mutex<Vec<Arrival>>>,
 }
 
-/// What came of a flow.
+/// The result of a flow.
 pub struct Heard {
     pub messages: Vec<Arrival>,
-    /// From the sealing of a message to the application.
+    /// The longest time from the sealing of a message to the application.
     pub slowest: Duration,
     pub counters: InboundCounters,
     pub sent: u64,
 }
 
 impl<'a> Flow<'a> {
-    /// Messages of `size` bytes, one each `period`.
+    /// Starts a flow of messages of `size` bytes, one per `period`.
     pub fn start(topic: Topic<'a>, size: usize, period: Duration) -> Self {
         let Topic { from, to, mut publisher, mut subscription } = topic;
         let (stop, last) = (watch::Sender::new(false), watch::Sender::new(u64::MAX));
@@ -128,7 +128,7 @@ impl<'a> Flow<'a> {
                 ticks.tick().await;
                 count = publisher.send(Encoding::Bytes, &body).await?;
             }
-            // What is on its way still arrives.
+            // Messages in flight still arrive.
             tokio::spawn(async move {
                 let _publisher = publisher;
                 std::future::pending::<()>().await
@@ -157,7 +157,7 @@ impl<'a> Flow<'a> {
         self.messages.lock().expect("no panic").len()
     }
 
-    /// The longest time without a message since then, so far.
+    /// Returns the longest time without a message since `then`, so far.
     pub fn gap_since(&self, then: Instant) -> Duration {
         let messages = self.messages.lock().expect("no panic");
         let times: Vec<Instant> = messages.iter().map(|(_, at)| *at).collect();

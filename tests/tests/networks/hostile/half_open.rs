@@ -1,5 +1,5 @@
-//! A stranger of many addresses opens QUIC handshakes over UDP, proves its addresses where it is
-//! asked to, and hears of nothing else: none of its handshakes comes to an end by itself.
+//! A stranger with many addresses opens QUIC handshakes over UDP and proves its addresses on
+//! request. It ignores all other packets, so it completes none of its handshakes.
 //!
 //! ```text
 //!  stranger 10.8.0.2, 10.66.0.0/16 ──── 10.8.0.1 switch 10.7.0.1 ──── 10.7.0.2 robot
@@ -31,14 +31,14 @@ use serde_json::{Value, json};
 
 use crate::inside::{Inside, ROOT};
 
-/// Of the stranger, and of each of its addresses.
+/// Handshakes of the stranger, and of each of its addresses.
 const HANDSHAKES: usize = 10_000;
 const OF_ONE: usize = 20;
 
-/// KiB of memory that the daemon may take more meanwhile.
+/// Limit of the daemon's growth in KiB during the attack.
 const MEMORY: u64 = 64 << 10;
 
-/// Endpoints that come while the stranger goes on.
+/// Endpoints that attach while the stranger continues.
 const ENDPOINTS: usize = 3;
 
 #[test]
@@ -51,7 +51,7 @@ fn ten_thousand_handshakes_that_are_not_finished_take_little_memory_and_stop_nob
     veth(&end(&robot, "e0", 3), &end(&switch, "r0", 4), 1500)?;
     for (at, command) in [
         (&stranger, "addr add 10.8.0.2/24 dev e0"),
-        // All of them are its own.
+        // All these addresses belong to the stranger.
         (&stranger, "route add local 10.66.0.0/16 dev lo"),
         (&switch, "addr add 10.8.0.1/24 dev l0"),
         (&switch, "route add 10.66.0.0/16 via 10.8.0.2"),
@@ -107,7 +107,7 @@ fn ten_thousand_handshakes_that_are_not_finished_take_little_memory_and_stop_nob
     Ok(())
 }
 
-/// Handshakes from many addresses. They go on as long as what is returned lives.
+/// Opens handshakes from many addresses. They continue until the returned value is dropped.
 fn open(to: SocketAddr) -> Result<Vec<(Endpoint, Vec<Connecting>)>> {
     let config = client()?;
     (0..HANDSHAKES / OF_ONE)
@@ -125,7 +125,7 @@ fn open(to: SocketAddr) -> Result<Vec<(Endpoint, Vec<Connecting>)>> {
         .collect()
 }
 
-/// Of somebody who begins as an endpoint does.
+/// Returns a client configuration with which a handshake begins like an endpoint's.
 fn client() -> Result<ClientConfig> {
     let provider = Arc::new(rustls::crypto::aws_lc_rs::default_provider());
     let key = rcgen::KeyPair::generate_for(&rcgen::PKCS_ECDSA_P256_SHA256)?;
@@ -141,7 +141,7 @@ fn client() -> Result<ClientConfig> {
     Ok(ClientConfig::new(Arc::new(quinn::crypto::rustls::QuicClientConfig::try_from(tls)?)))
 }
 
-/// Whom a client believes that hears of no answer.
+/// A verifier that fails: the client must not see a server's answer.
 #[derive(Debug)]
 struct Nobody;
 
@@ -184,7 +184,7 @@ impl ServerCertVerifier for Nobody {
     }
 }
 
-/// Takes in only what asks it to prove its address.
+/// A socket that receives nothing but requests to prove its address.
 struct HardOfHearing(Arc<dyn AsyncUdpSocket>);
 
 impl fmt::Debug for HardOfHearing {

@@ -13,14 +13,14 @@ pub struct Inside {
 }
 
 impl Inside {
-    /// `user`: whose rights the threads have.
+    /// Starts the runtime. `user`: the user id of its threads.
     pub fn new(namespace: &Namespace, user: libc::uid_t) -> Result<Self> {
         let door = namespace.door()?;
         let enter = move || {
-            // A thread of the runtime stays inside until it ends.
+            // A runtime thread stays inside until it ends.
             std::mem::forget(door.enter().expect("a namespace that is there"));
-            // SAFETY: three numbers. The system call, and not libc's function, which is about all
-            // threads.
+            // SAFETY: the arguments are three numbers. The raw system call changes this thread;
+            // libc's function changes all threads.
             let changed = unsafe { libc::syscall(libc::SYS_setresuid, user, user, user) };
             assert_eq!(changed, 0, "a thread of root can become anybody's");
         };
@@ -28,8 +28,8 @@ impl Inside {
         Ok(Self { runtime: builder.worker_threads(1).enable_all().on_thread_start(enter).build()? })
     }
 
-    /// On a thread of the runtime: `block_on` stays on the calling one, where sockets would be of
-    /// another namespace.
+    /// Runs a future on a runtime thread. `block_on` alone would stay on the calling thread, whose
+    /// sockets belong to another namespace.
     pub fn run<T: Send + 'static>(&self, future: impl Future<Output = T> + Send + 'static) -> Result<T> {
         Ok(self.runtime.block_on(self.runtime.spawn(future))?)
     }

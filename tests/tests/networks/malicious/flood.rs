@@ -1,6 +1,6 @@
-//! An attacker that sends as much as it can on a link that legitimate traffic uses as well. At
-//! which rate that passes is measured by `cargo xtask bench transport`; here, that it passes, and
-//! that memory stays what it was.
+//! An attacker that sends as fast as it can on a link with legitimate traffic. `cargo xtask bench
+//! transport` measures the rate of that traffic. These tests check that the traffic arrives and
+//! that memory does not grow.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,11 +15,11 @@ use gdp_wire::Name;
 
 use crate::evil::{Frame, Recording, Rogue, Scene, dropped};
 
-/// Frames of a flood that are refused, at least.
+/// Least number of flood frames that are dropped.
 const FRAMES: u64 = 3_000;
 
-/// What the process may take more, in KiB: what waits for a key or a writer is 2 MiB, sockets and
-/// recordings not much.
+/// Limit of the process's growth in KiB. Segments that wait for a key or a writer take 2 MiB;
+/// sockets and recordings take little.
 const MEMORY: u64 = 48 << 10;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -40,7 +40,7 @@ async fn a_flood_of_what_is_not_authentic_stops_nobody_and_takes_no_memory() -> 
         payload,
         to: vec![cloud],
     };
-    // Each kind goes as far as it can before it is refused.
+    // Each kind passes as many checks as it can before it is dropped.
     let mut changed = honest.payload.clone();
     let last = changed.len() - 1;
     changed[last] ^= 1;
@@ -76,7 +76,7 @@ async fn a_flood_of_what_is_not_authentic_stops_nobody_and_takes_no_memory() -> 
     Ok(())
 }
 
-/// Of this process, in KiB.
+/// Returns the resident memory of this process in KiB.
 fn resident() -> Result<u64> {
     let status = std::fs::read_to_string("/proc/self/status")?;
     let line = status.lines().find(|line| line.starts_with("VmRSS:")).context("no VmRSS")?;

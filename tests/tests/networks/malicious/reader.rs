@@ -1,5 +1,5 @@
-//! Readers gone bad: one that has a grant and so the content keys, one that has none, one whose
-//! right was revoked; a writer whose right was revoked.
+//! Malicious readers: one with a grant and therefore the content keys, one without, one whose right
+//! was revoked; and a writer whose right was revoked.
 
 use std::time::Instant;
 
@@ -16,7 +16,7 @@ use super::rib::revoke;
 use crate::evil::{Frame, Recording, Rogue, Scene, bodies, dropped, drops, eventually, frames, serial};
 use gdp_tests::wait::TIMEOUT;
 
-/// A reader of the scene's name, with a grant and the robot's present key.
+/// Attaches a reader of the scene's name, with a grant and the robot's present key.
 fn insider(scene: &Scene) -> Result<Rogue> {
     let (switch, owner) = (&scene.switch, &scene.owner);
     let mut rogue = Rogue::attach(switch)?;
@@ -37,7 +37,7 @@ async fn a_reader_cannot_write_though_it_holds_the_key() -> Result<()> {
     assert_eq!(bodies(&rogue.read(name, &scene.robot_identity, &passed)?), [b"true"], "the key is the right one");
     let (epoch, key) = rogue.keys(name, &scene.robot_identity).pop().expect("a key");
 
-    // In a session of its own, as the robot.
+    // In a session of the rogue's own, as the robot.
     let mut writer = Writer::new(name, robot, rogue.identity.key().clone(), Backend::default())?;
     writer.set_epoch(epoch, &key)?;
     scene.switch.inject(&rogue.sealed(&mut writer, robot, b"forged", cloud)?);
@@ -46,14 +46,14 @@ async fn a_reader_cannot_write_though_it_holds_the_key() -> Result<()> {
     writer.heartbeat(0, 1, 1, &mut heartbeat)?;
     scene.switch.inject(&frames(&heartbeat, name, robot, cloud));
     scene.drops("seal_unvouched", 3)?;
-    // Under its own name.
+    // Under the rogue's own name.
     let mut writer = Writer::new(name, rogue.name(), rogue.identity.key().clone(), Backend::default())?;
     writer.set_epoch(epoch, &key)?;
     scene.switch.inject(&rogue.sealed(&mut writer, rogue.name(), b"forged", cloud)?);
     scene.drops("seal_unknown_writer", 1)?;
 
-    // In the robot's session, which it has from the frames: in the place of the next message, and
-    // far ahead.
+    // In the robot's session, which the frames contain: in place of the next message, and far
+    // ahead.
     let honest = passed.iter().find(|frame| frame.destination == name).expect("a frame of the topic");
     for ahead in [1, 5_000, 1 << 40] {
         let before = dropped(&scene.cloud.counters(), "seal_bad_signature");
@@ -76,7 +76,8 @@ async fn what_another_says_to_a_reader_or_writer_does_not_open() -> Result<()> {
     let mut session = [0; 16];
     session.copy_from_slice(&honest.payload[16..32]);
     let (robot, cloud) = (&scene.robot_identity, &scene.cloud_identity);
-    // A Welcome of the robot to the cloud, and a Nack of the cloud to the robot, both by the rogue.
+    // A Welcome of the robot to the cloud, and a Nack of the cloud to the robot, both made by the
+    // rogue.
     let welcome = Feedback::Welcome { name, challenge: [0; 16], session: [7; 16], sequence: 1, reliable: true };
     let nack = Feedback::Nack { name, session, missing: vec![Missing::whole(1)] };
     let gone = Feedback::Unavailable { name, session, oldest: 1 << 40 };
@@ -91,7 +92,7 @@ async fn what_another_says_to_a_reader_or_writer_does_not_open() -> Result<()> {
         scene.switch.inject(&vec![frame; 100]);
         drops(node, "drop_feedback_forged", before + 100)?;
     }
-    // What the cloud said itself counts once.
+    // The cloud's own report is accepted once.
     let said = eventually("a report", || {
         let mut passed = recording.frames().into_iter();
         passed.find(|frame| frame.destination == robot.name() && frame.source == cloud.name())
@@ -106,8 +107,8 @@ fn say(source: Name, destination: Name, payload: Vec<u8>) -> Frame {
     Frame { destination, source, flags: 0, payload, to: vec![destination] }
 }
 
-/// The robot repairs for each reader within a budget: what one asks for without end does not keep
-/// others waiting.
+/// The robot repairs for each reader within a budget: endless requests of one reader do not delay
+/// the others.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_reader_that_asks_for_everything_again_and_again_stops_nobody() -> Result<()> {
     let mut scene = Scene::reliable().await?;
@@ -136,7 +137,7 @@ async fn a_reader_that_asks_for_everything_again_and_again_stops_nobody() -> Res
     let asked = eventually("the Nacks to be heard", || {
         Some(scene.robot.counters().feedback_received - heard).filter(|asked| *asked >= 1900)
     })?;
-    // Each asked for 58 frames.
+    // Each Nack asked for 58 frames.
     let sent = scene.robot.counters().frames_sent;
     assert!(sent < asked * 58 / 4, "{sent} frames sent for {asked} Nacks");
     Ok(())
@@ -178,8 +179,8 @@ async fn a_revoked_reader_reads_nothing_of_the_next_epoch() -> Result<()> {
     let revocation = scene.owner.revocation(vec![serial])?;
     assert!(matches!(revoke(&scene.switch, &scene.owner, &revocation), Response::Done));
     let before = epoch(&recording, name);
-    // Those that are sealed until the writer has heard, and has begun another epoch, are the last
-    // that it reads.
+    // The last messages that the rogue reads are those sealed before the writer learned of the
+    // revocation and began another epoch.
     let (mut sent, deadline) = (Vec::new(), Instant::now() + TIMEOUT);
     while sent.is_empty() || epoch(&recording, name) == before {
         assert!(Instant::now() < deadline, "the epoch did not change");
@@ -194,7 +195,7 @@ async fn a_revoked_reader_reads_nothing_of_the_next_epoch() -> Result<()> {
     assert!(read.contains(&&b"before"[..]));
     assert!(!read.contains(&&b"after"[..]) && !read.contains(&&sent[sent.len() - 1][..]), "{read:?}");
     assert_eq!(read.len(), sent.len(), "of the epoch before it has everything, which is no news to it");
-    // Nor does it come back.
+    // The revoked reader also cannot rejoin.
     let stated = rogue.state_with(
         &scene.switch,
         &scene.owner,
@@ -205,17 +206,17 @@ async fn a_revoked_reader_reads_nothing_of_the_next_epoch() -> Result<()> {
     Ok(())
 }
 
-/// Of the last frame of the topic.
+/// Returns the epoch of the last frame of the topic.
 fn epoch(recording: &Recording, name: Name) -> Option<[u8; 4]> {
     recording.last(name)?.payload.get(40..44)?.try_into().ok()
 }
 
-/// A stolen robot: whoever has it has its key. It is revoked as a writer of one name, and as a
+/// The thief of a stolen robot has its key. The robot is revoked as a writer of one name, and as a
 /// reader of another.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stolen_robot_that_is_revoked_is_not_heard_and_hears_nothing() -> Result<()> {
     let mut scene = Scene::best_effort().await?;
-    // It reads what the cloud writes.
+    // The robot reads what the cloud writes.
     let orders = crate::evil::Owner::new("/orders")?;
     let mut subscription = orders.subscribe(&scene.robot, SubscribeOptions::best_effort()).await?;
     let mut publisher = orders.publish(&scene.cloud, PublishOptions::best_effort()).await?;
@@ -230,7 +231,7 @@ async fn a_stolen_robot_that_is_revoked_is_not_heard_and_hears_nothing() -> Resu
         assert_eq!(serials.len(), 1);
         assert!(matches!(revoke(&scene.switch, owner, &owner.revocation(serials)?), Response::Done));
     }
-    // Its own node says so, and an attacker's would not.
+    // The robot's own node reports the revocation; an attacker's would not.
     let error = eventually("the robot to hear of it", || {
         let sent = tokio::runtime::Handle::current().block_on(scene.publisher.send(Encoding::Bytes, b"stolen"));
         sent.err()

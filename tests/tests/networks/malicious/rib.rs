@@ -1,5 +1,5 @@
-//! A RIB that lies. It can keep things from entities; it cannot make them believe what the owner of
-//! a name has not signed.
+//! A RIB that lies. It can withhold information from entities. It cannot make them believe what the
+//! owner of a name has not signed.
 
 use std::sync::{Arc, Mutex};
 
@@ -30,7 +30,7 @@ async fn who_has_no_certificate_of_the_owner_is_not_believed_to_write() -> Resul
     ];
     for (what, right) in rights.drain(..) {
         let record = rogue.record(switch, owner, NameRole::Publisher, right)?;
-        // What is there already is told as well: only the lie is refused.
+        // The update also contains the honest records: the cloud refuses only the lie.
         let records = [vec![record], writers(switch, name)].concat();
         let told = switch.tell(cloud.name(), (name, NameRole::Subscriber), records, None, vec![]).await?;
         assert!(matches!(told, Response::Done), "{what}: {told:?}");
@@ -45,7 +45,7 @@ fn writers(switch: &Switch, name: Name) -> Vec<gdp_proto::control::Record> {
     switch.records().into_iter().filter(|record| record.name == name && record.is_writer()).collect()
 }
 
-/// A message of the rogue under a key of its own.
+/// Seals a message of the rogue under its own key.
 fn forged(rogue: &Rogue, owner: &Owner, to: Name) -> Result<Vec<Frame>> {
     let mut writer = Writer::new(owner.name(), rogue.name(), rogue.identity.key().clone(), Backend::default())?;
     writer.set_epoch(1, &EpochKey::generate()?)?;
@@ -71,7 +71,7 @@ async fn no_key_is_wrapped_for_who_has_no_grant_of_the_owner() -> Result<()> {
         let told = switch.tell(robot.name(), (name, NameRole::Publisher), records, None, vec![]).await?;
         assert!(matches!(told, Response::Done), "{told:?}");
     }
-    // An honest reader comes later, and gets its box: by then all the others would have theirs.
+    // An honest reader joins later and gets its box; the others would have theirs by then.
     let mut late = Rogue::attach(switch)?;
     assert!(matches!(late.state(switch, owner, NameRole::Subscriber)?, Response::Peers(_)));
     eventually("a box for the late reader", || boxes.readers().contains(&late.name()).then_some(()))?;
@@ -79,7 +79,7 @@ async fn no_key_is_wrapped_for_who_has_no_grant_of_the_owner() -> Result<()> {
     scene.passes(b"true").await
 }
 
-/// The boxes that writers bring to the RIB, which hears of no revocation from now on.
+/// The boxes that writers bring to the RIB, which receives no revocation from now on.
 struct Boxes(Arc<Mutex<Vec<Signed<KeyBox>>>>);
 
 impl Boxes {
@@ -110,8 +110,8 @@ async fn boxes_of_others_are_not_opened() -> Result<()> {
     let Scene { switch, owner, cloud, cloud_identity, robot, .. } = &scene;
     let (rogue, name) = (Rogue::attach(switch)?, owner.name());
     let (key, reader) = (EpochKey::generate()?, (cloud.name(), &cloud_identity.box_public()));
-    // Signed by the rogue, who is no writer; and in the name of the robot, with the rogue's own
-    // key.
+    // One box signed by the rogue, which is no writer; one in the robot's name, with the rogue's
+    // own signature.
     let own = keys::wrap(name, &rogue.identity, reader, u32::MAX, &key)?;
     let claims = KeyBox { writer: robot.name(), ..own.claims_unverified()? };
     let in_its_name = gdp_core::cert::issue(rogue.identity.key(), &claims)?;
@@ -122,7 +122,7 @@ async fn boxes_of_others_are_not_opened() -> Result<()> {
     let mut writer = Writer::new(name, robot.name(), rogue.identity.key().clone(), Backend::default())?;
     writer.set_epoch(u32::MAX, &key)?;
     switch.inject(&rogue.sealed(&mut writer, robot.name(), b"forged", cloud.name())?);
-    // The key in the box was not taken.
+    // The cloud did not accept the key in the box.
     scene.drops("seal_no_key", 1)?;
     scene.passes(b"true").await
 }
@@ -144,12 +144,12 @@ async fn a_revocation_that_was_heard_is_never_taken_back() -> Result<()> {
     assert!(matches!(revoke(switch, owner, &revoked), Response::Done));
     eventually("another epoch without the rogue", || (!boxes.all().is_empty()).then_some(()))?;
 
-    // The RIB forgets it, shows the older one, and shows the rogue as a reader.
+    // The RIB forgets the revocation, sends the older one, and lists the rogue as a reader.
     let readers = switch.records().into_iter().filter(|record| record.name == name && !record.is_writer());
     let records = readers.chain([rogue.record(switch, owner, NameRole::Subscriber, right.clone())?]).collect();
     let told = switch.tell(robot.name(), (name, NameRole::Publisher), records, Some(harmless), vec![]).await?;
     assert!(matches!(told, Response::Done), "{told:?}");
-    // Or starts anew without it, so that the rogue may state its part again.
+    // Or the RIB restarts without the revocation, so the rogue may state its role again.
     switch.restart_rib();
     eventually("both to be there again", || {
         (switch.records().iter().filter(|record| record.name == name).count() == 2).then_some(())
@@ -169,16 +169,16 @@ pub fn revoke(switch: &Switch, owner: &Owner, revocation: &Signed<gdp_core::cert
     switch.ask(None, &request)
 }
 
-/// What is left to a RIB that keeps a revocation to itself: until the certificate ends, who never
-/// hears of it does not know. Whoever brings it to the entity by another way, or to another RIB,
-/// has it hold from then on.
+/// A RIB can only withhold a revocation. An entity that never receives it accepts the certificate
+/// until it expires. The revocation takes effect once it reaches the entity on another path, or
+/// through another RIB.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_revocation_that_is_withheld_holds_once_it_is_heard() -> Result<()> {
     let mut scene = Scene::best_effort().await?;
     let Scene { switch, owner, cloud, .. } = &scene;
     let record = writers(switch, owner.name()).remove(0);
     let revocation = owner.revocation(vec![serial(record.credential.serials())?])?;
-    // The RIB still shows the robot as a writer, beside the revocation that takes its right away.
+    // The RIB still lists the robot as a writer, next to the revocation of its right.
     let told = (owner.name(), NameRole::Subscriber);
     switch.tell(cloud.name(), told, vec![record], Some(revocation), vec![]).await?;
     let _ = scene.publisher.send(Encoding::Bytes, b"revoked").await;
@@ -196,13 +196,13 @@ async fn a_rib_that_withholds_a_key_withholds_what_is_said_and_no_more() -> Resu
             peers.boxes.clear();
         }
     });
-    // Another robot, whose key the cloud is not given.
+    // Another robot, whose key the cloud does not receive.
     let robot = node(&scene.switch, &Identity::generate("proxy")?).await?;
     let mut publisher = scene.owner.publish(&robot, PublishOptions::reliable()).await?;
     publisher.send(Encoding::Bytes, b"unread").await?;
     scene.drops("seal_no_key", 1)?;
     scene.passes(b"from the robot whose key it has").await?;
-    // Once it is, nothing is lost.
+    // After the key arrives, nothing is lost.
     scene.switch.lie(|_, _, _, _| {});
     scene.switch.restart_rib();
     assert_eq!(&scene.next().await?.body[..], b"unread");
@@ -240,7 +240,7 @@ async fn a_rib_that_starts_anew_stops_nothing_that_runs() -> Result<()> {
     scene.passes(b"true").await?;
     let reader = node(&scene.switch, &Identity::generate("proxy")?).await?;
     let mut again = scene.owner.subscribe(&reader, SubscribeOptions::reliable()).await?;
-    // A reader begins with what is sent once the writer knows of it.
+    // A reader begins with the first message after the writer knows of it.
     eventually("the robot to know both", || (scene.publisher.readers() == 2).then_some(()))?;
     scene.publisher.send(Encoding::Bytes, b"to both").await?;
     let message = tokio::time::timeout(TIMEOUT, again.recv()).await?;

@@ -1,7 +1,7 @@
-//! A client gone bad, beside another client of the same service, with a switch that copies to it
-//! whatever passes and a RIB that shows it every key box: requests are sealed under a key of the
-//! client that the server alone is given, replies under one of the server that the one client alone
-//! is given. A server gone bad beside another is no better off.
+//! A malicious client next to another client of the same service. The switch copies all traffic to
+//! it, and the RIB shows it every key box. Requests are sealed under a client key that the server
+//! alone receives. Replies are sealed under a server key that the one client alone receives. A
+//! malicious server next to another one can do no more.
 
 use std::sync::{Arc, Mutex};
 
@@ -19,7 +19,7 @@ use tokio::time::timeout;
 use crate::evil::{Frame, Owner, Rogue, Switch, drops, eventually, frames, node};
 use gdp_tests::wait::TIMEOUT;
 
-/// How a sealed segment begins, and nothing else that comes to an entity's own name.
+/// First byte of a sealed segment, and of nothing else that an entity receives under its own name.
 const SEGMENT: u8 = 2;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -53,7 +53,7 @@ async fn another_client_reads_neither_requests_nor_replies() -> Result<()> {
         let claims = signed.claims_unverified()?;
         assert_eq!((claims.reader, claims.name), (other.name(), other.name()), "of what the server would reply to it");
     }
-    // A RIB that gives it to others gives them nothing.
+    // Boxes that a RIB gives to others are useless to them.
     let mut boxes = service.boxes.lock().unwrap().clone();
     boxes.retain(|signed| signed.claims_unverified().is_ok_and(|claims| claims.reader != other.name()));
     assert!(boxes.len() >= 2, "one each way");
@@ -74,8 +74,8 @@ async fn a_client_answers_no_other_client() -> Result<()> {
     let mut service = Service::start().await?;
     let (robot, to) = (service.server_identity.name(), service.client_node.name());
     let Service { switch, server, client_identity, client_node, client, other, .. } = &mut service;
-    // It is no counterpart of the client, so the RIB takes no box of it for the client's inbox; nor
-    // one in the server's name.
+    // The rogue is no counterpart of the client. The RIB accepts no box from it for the client's
+    // inbox, also not in the server's name.
     let key = EpochKey::generate()?;
     let own = keys::wrap(to, &other.identity, (to, &client_identity.box_public()), 1, &key)?;
     let claims = KeyBox { writer: robot, ..own.claims_unverified()? };
@@ -86,11 +86,11 @@ async fn a_client_answers_no_other_client() -> Result<()> {
             taken => panic!("taken: {taken:?}"),
         }
     }
-    // And a RIB that gives them to the client all the same makes it believe nothing.
+    // Even if a RIB delivers these boxes, the client does not accept them.
     let told = switch.tell(to, (to, NameRole::Subscriber), vec![], None, vec![own, in_the_servers_name]).await?;
     assert!(matches!(told, Response::Done), "{told:?}");
 
-    // It sees the request, and answers before the server does: as itself, and as the server.
+    // The rogue sees the request and answers before the server does: as itself, and as the server.
     let call = client.call(Encoding::Bytes, b"where to?");
     let answered = async {
         let request = timeout(TIMEOUT, server.recv()).await?.context("a call")?;
@@ -137,8 +137,8 @@ async fn another_server_reads_no_request_and_cannot_have_it_carried_out_again() 
     })?;
     assert!(seen.iter().all(|frame| frame.destination != owner.name()), "nothing goes to the service itself");
     assert!(other.read(robot, client_identity, &seen)?.is_empty());
-    // It has a key for what the client would send to it; a RIB that gives it the others gives it
-    // nothing.
+    // The rogue has a key for what the client would send to it; the others' boxes from a RIB are
+    // useless to it.
     let key = client_identity.key().verify_key();
     let stored = boxes.lock().unwrap().clone();
     let of_client = stored.iter().filter_map(|signed| Some((signed, signed.claims_unverified().ok()?)));
@@ -152,8 +152,8 @@ async fn another_server_reads_no_request_and_cannot_have_it_carried_out_again() 
         }
     }
 
-    // What it recorded is carried out once, whatever it sends again; and what it seals itself, not
-    // at all.
+    // The server executes recorded requests once, however often the rogue repeats them. It never
+    // executes a request that the rogue seals itself.
     let recorded: Vec<Frame> = of(&seen, robot, from).cloned().collect();
     let before = server_node.counters().messages_received;
     switch.inject(&recorded);
@@ -170,7 +170,7 @@ async fn another_server_reads_no_request_and_cannot_have_it_carried_out_again() 
     Ok(())
 }
 
-/// A server and a client, and another that has the same right as one of them.
+/// A server and a client, and a second entity with the same right as one of them.
 struct Service {
     client: Client,
     server: Server,
@@ -180,7 +180,7 @@ struct Service {
     server_identity: Identity,
     other: Rogue,
     owner: Owner,
-    /// All that writers had the RIB keep.
+    /// All boxes that writers stored at the RIB.
     boxes: Arc<Mutex<Vec<Signed<KeyBox>>>>,
     switch: Switch,
 }
@@ -190,7 +190,7 @@ impl Service {
         Self::beside(NameRole::Caller).await
     }
 
-    /// The other is this to the service.
+    /// Builds the service. `role`: the second entity's role.
     async fn beside(role: NameRole) -> Result<Self> {
         let (switch, owner) = (Switch::start()?, Owner::new("/plan")?);
         let (server_identity, client_identity) = (Identity::generate("proxy")?, Identity::generate("proxy")?);
@@ -227,7 +227,7 @@ impl Service {
     }
 }
 
-/// What is sealed among the frames from there to here.
+/// Returns the sealed frames in one direction.
 fn of(frames: &[Frame], to: Name, from: Name) -> impl Iterator<Item = &Frame> {
     frames
         .iter()
@@ -238,7 +238,8 @@ fn contains(frame: &Frame, text: &[u8]) -> bool {
     frame.payload.windows(text.len()).any(|window| window == text)
 }
 
-/// Which message the first segment of a frame is of: docs/wire-format.md, "Sealed segments".
+/// Returns the id of the message in a frame's first segment: docs/wire-format.md, "Sealed
+/// segments".
 fn message_id(frame: &Frame) -> MessageId {
     let (mut session, mut sequence) = ([0; 16], [0; 8]);
     session.copy_from_slice(&frame.payload[16..32]);

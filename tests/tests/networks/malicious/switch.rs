@@ -1,5 +1,5 @@
-//! A switch gone bad. It carries the frames and has the keys of the links, and none of those of
-//! what is in the frames.
+//! A malicious switch. It carries the frames and has the link keys, but none of the keys of the
+//! frames' content.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -16,7 +16,7 @@ use crate::evil::{Frame, Owner, Recording, Scene, dropped, eventually, node};
 use crate::patient::patient;
 use gdp_tests::wait::TIMEOUT;
 
-/// What becomes of a payload.
+/// A change to a payload.
 type Alter = Box<dyn Fn(&mut Vec<u8>) + Send>;
 
 /// Messages of a test.
@@ -55,7 +55,7 @@ async fn what_a_switch_alters_is_dropped() -> Result<()> {
         scene.drops(reason, before + 1)?;
         assert!(scene.delivered().await.is_empty(), "{part}");
         scene.switch.tamper(|_| {});
-        // What is repaired comes unaltered.
+        // Repairs arrive unaltered.
         scene.send(b"true").await?;
         while scene.next().await?.body != b"true"[..] {}
     }
@@ -68,7 +68,7 @@ async fn what_a_switch_alters_or_drops_is_repaired_if_it_lets_the_repair_through
     let topic = scene.owner.name();
     let mut seen = BTreeSet::new();
     scene.switch.tamper(move |frames| {
-        // Each the first time it comes, but for heartbeats: of these none comes twice.
+        // Changes each frame the first time it passes, except heartbeats, which never repeat.
         frames.retain_mut(|frame| {
             if frame.destination != topic || frame.payload[1] == 2 || !seen.insert(segment(&frame.payload)) {
                 return true;
@@ -88,7 +88,8 @@ async fn what_a_switch_alters_or_drops_is_repaired_if_it_lets_the_repair_through
     Ok(())
 }
 
-/// Session, sequence, cut and index of the first segment in a payload (docs/wire-format.md).
+/// Returns session, sequence number, cut and index of the first segment in a payload
+/// (docs/wire-format.md).
 fn segment(payload: &[u8]) -> Vec<u8> {
     payload[4..32].to_vec()
 }
@@ -105,8 +106,8 @@ async fn what_a_switch_repeats_is_delivered_once() -> Result<()> {
     for i in 0..COUNT {
         scene.passes(&[i; 100]).await?;
     }
-    // Twice too often, body and proof. On a machine that is busy a few are asked for again, and
-    // come three times more.
+    // Body and proof each arrive twice too often. On a busy machine the reader requests a few
+    // again, and these arrive three more times.
     let (repeats, few) = (4 * u64::from(COUNT), 3 * 10);
     let counters = scene.drops("seal_duplicate", repeats)?;
     let dropped = dropped(&counters, "seal_duplicate");
@@ -120,7 +121,7 @@ async fn what_a_switch_sends_in_another_order_is_put_right_or_overtaken() -> Res
         let mut scene = if reliable { Scene::reliable().await? } else { Scene::best_effort().await? };
         let (topic, mut late) = (scene.owner.name(), Vec::new());
         scene.switch.tamper(move |frames| {
-            // Three at a time, the last first.
+            // Delays three at a time, and reverses their order.
             let (of_topic, others) = frames.drain(..).partition(|frame: &Frame| frame.destination == topic);
             (*frames, late) = (others, [std::mem::take(&mut late), of_topic].concat());
             if late.len() >= 3 {
@@ -142,7 +143,7 @@ async fn what_a_switch_sends_in_another_order_is_put_right_or_overtaken() -> Res
             assert_eq!(numbers, (0..COUNT).collect::<Vec<_>>());
         } else {
             assert!(numbers.is_sorted_by(|a, b| a < b), "an older one behind a newer: {numbers:?}");
-            // None went without being counted.
+            // Every loss was counted.
             let counts = scene.subscription.counters().inbound;
             assert_eq!(counts.delivered as usize, numbers.len() + 2);
             assert_eq!(counts.delivered + counts.overtaken + counts.expired, u64::from(COUNT) + 2, "{counts:?}");
@@ -181,8 +182,8 @@ async fn what_a_switch_makes_up_is_dropped() -> Result<()> {
     scene.passes(b"still true").await
 }
 
-/// A frame with a segment that came before, and behind it one that nobody sealed: what is not
-/// authentic must not count as having come, or what follows would be taken for old.
+/// A frame with a repeated segment, and behind it one that no writer sealed. An unauthentic segment
+/// must not count as received, or later messages would be considered old.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_hidden_behind_a_true_segment_moves_nothing() -> Result<()> {
     for reliable in [false, true] {
@@ -197,7 +198,7 @@ async fn what_is_hidden_behind_a_true_segment_moves_nothing() -> Result<()> {
         let mut frame = honest.clone();
         frame.payload.extend(far);
         scene.switch.inject(&vec![frame; 10]);
-        // A reliable reader has no room so far ahead, whatever else is in the frame.
+        // A reliable reader has no room this far ahead, whatever else the frame contains.
         let reason = if reliable { "drop_no_room" } else { "seal_duplicate" };
         scene.drops(reason, 10)?;
         for i in 0..COUNT {
@@ -232,9 +233,9 @@ async fn a_restarted_reader_does_not_take_yesterdays_messages() -> Result<()> {
         let mut subscription = owner.subscribe(&cloud, SubscribeOptions::best_effort()).await?;
         let topic = owner.name();
         let yesterday: Vec<Frame> = recording.frames().into_iter().filter(|frame| frame.destination == topic).collect();
-        // Before it has heard from the writer, and after.
+        // Before the reader has heard from the writer, and after.
         switch.inject(&yesterday);
-        // What is sent before the reader has greeted the writer counts as yesterday's, too.
+        // Messages sent before the reader has greeted the writer count as yesterday's, too.
         let message = eventually("a message of today", || {
             let sent = async { publisher.send(Encoding::Bytes, b"today").await };
             let heard = async { timeout(Duration::from_millis(20), subscription.recv()).await };
@@ -242,8 +243,8 @@ async fn a_restarted_reader_does_not_take_yesterdays_messages() -> Result<()> {
         })?;
         assert_eq!(&message.body[..], b"today");
         switch.inject(&yesterday);
-        // Of this session, but from before the reader asked; or of one that has ended, and sealed
-        // with keys that have, too.
+        // Frames of this session from before the reader's request, or frames of an ended session,
+        // sealed with ended keys.
         let reasons: &[&str] = if robot_restarts { &["seal_no_key", "seal_forged"] } else { &["seal_stale"] };
         let refused = || reasons.iter().map(|reason| dropped(&cloud.counters(), reason)).sum::<u64>();
         eventually("all to be refused", || (refused() >= 4 * u64::from(COUNT)).then_some(()))?;
@@ -286,8 +287,8 @@ async fn what_a_switch_holds_back_for_too_long_is_too_old() -> Result<()> {
     scene.passes(b"go on").await
 }
 
-/// What readers said to the writer before it was restarted opens once more, as the writer remembers
-/// nothing. It must not cost any of them a message.
+/// Readers' feedback from before the writer's restart opens once more, because the writer remembers
+/// nothing. It must not cost a reader any message.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_readers_said_yesterday_moves_nothing_at_a_restarted_writer() -> Result<()> {
     let mut scene = Scene::reliable().await?;
@@ -312,7 +313,7 @@ async fn what_readers_said_yesterday_moves_nothing_at_a_restarted_writer() -> Re
     let mut publisher = owner.publish(&robot, PublishOptions::reliable()).await?;
     publisher.send(Encoding::Bytes, b"hello").await?;
     assert!(timeout(TIMEOUT, subscription.recv()).await?.is_some());
-    // Every other message needs a repair, while all that was said is said again.
+    // Every other message needs a repair while the recorded feedback is repeated.
     let mut seen = BTreeSet::new();
     switch.tamper(move |frames| {
         frames.retain(|frame| {
@@ -339,7 +340,7 @@ async fn what_readers_said_yesterday_moves_nothing_at_a_restarted_writer() -> Re
 async fn frames_moved_to_another_name_writer_or_session_do_not_open() -> Result<()> {
     let mut scene = Scene::best_effort().await?;
     let (switch, cloud) = (&scene.switch, &scene.cloud);
-    // The cloud reads another name as well, from the same robot and from a second one.
+    // The cloud also reads another name, from the same robot and from a second one.
     let (other, second) = (Owner::new("/other")?, node(switch, &Identity::generate("proxy")?).await?);
     let mut others = other.subscribe(cloud, SubscribeOptions::best_effort()).await?;
     let options = PublishOptions::best_effort();
@@ -368,8 +369,8 @@ async fn frames_moved_to_another_name_writer_or_session_do_not_open() -> Result<
         session,
     ];
     scene.switch.inject(&moved);
-    // Body and proof of each, but for the last one's proof, which is what it was. Epochs may have
-    // the same number.
+    // Body and proof of each, except the last one's proof, which is unchanged. Epochs may have the
+    // same number.
     let refused = || {
         let now = scene.cloud.counters();
         let more = |reason| dropped(&now, reason) - dropped(&before, reason);

@@ -1,6 +1,6 @@
-//! Every client at every server, of rospy, Cyclone DDS and Fast DDS; and an action of rclpy on Fast
-//! DDS. For no other vendor are there programs with actions that can be installed here: those of
-//! ROS 1 are topics, and Cyclone DDS has only its own interface, without ROS's.
+//! Every client with every server, of rospy, Cyclone DDS and Fast DDS; and an rclpy action on Fast
+//! DDS. No other vendor has installable programs with actions: those of ROS 1 are topics, and
+//! Cyclone DDS has only its own interface, without ROS's.
 
 use std::time::Duration;
 
@@ -12,10 +12,10 @@ use serde_json::{Value, json};
 
 use super::site::{Carried, Site, Vendor};
 
-/// With everything started at once on two cores.
+/// Limit with everything started at once on two cores.
 const TIMEOUT: Duration = Duration::from_secs(90);
 
-/// What each vendor's server serves.
+/// The service of each vendor's server.
 const SERVICE: &str = "lamp";
 
 const ACTION: &str = "/fibonacci";
@@ -39,7 +39,7 @@ fn every_client_calls_every_server_and_sees_it_go_and_an_action_runs_its_course(
     }
     feedback_and_results(&mut patient, &mut hasty).with_context(|| site.report())?;
     for client in &clients {
-        // Each once, and no server was gone meanwhile.
+        // Each answer arrived once, and no server disappeared meanwhile.
         ensure!(client.json_lines() == answers, "{}\n{}", client.report(), site.report());
     }
     site.check_alive()?;
@@ -56,8 +56,7 @@ fn every_client_calls_every_server_and_sees_it_go_and_an_action_runs_its_course(
     site.check_alive()
 }
 
-/// One goal gets a number of numbers, and with each the feedback; the other is cancelled after
-/// three.
+/// One goal yields twenty numbers, each with feedback; the other is cancelled after three.
 fn feedback_and_results(patient: &mut Process, hasty: &mut Process) -> Result<()> {
     let result = hasty.wait_event("result", TIMEOUT)?;
     ensure!(result["status"] == "canceled" && result["shown"] == "canceled", "{}", hasty.report());
@@ -65,28 +64,28 @@ fn feedback_and_results(patient: &mut Process, hasty: &mut Process) -> Result<()
     let result = patient.wait_event("result", TIMEOUT)?;
     let whole = result["status"] == "succeeded" && result["shown"] == "succeeded" && result["length"] == 20;
     ensure!(whole, "{}", patient.report());
-    // The last may overtake nothing, but come after the result, which another topic carries.
+    // Feedback stays in order, but may arrive after the result, which another topic carries.
     let heard = patient.wait_until("the last feedback", TIMEOUT, |patient| {
         let lines = patient.json_lines();
         let feedback = lines.iter().filter(|line| line["event"] == "feedback");
         let lengths: Vec<u64> = feedback.filter_map(|line| line["length"].as_u64()).collect();
         lengths.ends_with(&[20]).then_some(lengths)
     })?;
-    // The first ones may come before ROS has discovered who hears them, as from a server beside the
+    // The first ones may precede ROS's discovery of the listener, as with a server next to the
     // client.
     let all: Vec<u64> = (heard[0]..=20).collect();
     ensure!(heard == all && heard[0] < 10, "each, in order, and not {heard:?}");
     Ok(())
 }
 
-/// What a client says of a service: it is switched on, then off.
+/// Returns a client's output for a service: it is switched on, then off.
 fn answers(service: &str) -> [Value; 2] {
     [(true, "on"), (false, "off")].map(|(success, is)| {
         json!({"event": "response", "service": service, "success": success, "message": format!("{service} is {is}")})
     })
 }
 
-/// What a program has said, once it is that many lines.
+/// Returns a program's output once it has this many lines.
 fn lines(site: &Site, program: &mut Process, count: usize) -> Result<Vec<Value>> {
     let said = program.wait_until(&format!("{count} lines"), TIMEOUT, |program| {
         Some(program.json_lines()).filter(|lines| lines.len() >= count)
@@ -94,7 +93,7 @@ fn lines(site: &Site, program: &mut Process, count: usize) -> Result<Vec<Value>>
     said.with_context(|| site.report())
 }
 
-/// The network, and the proxies that carry each vendor's service and the action.
+/// Starts the network, and the proxies that carry each vendor's service and the action.
 fn start() -> Result<Site> {
     let service = |source: Vendor| Carried {
         what: "service",
@@ -108,7 +107,7 @@ fn start() -> Result<Site> {
     Site::start(Tools::beside_this_test()?, Site::files()?, &carried, json!({}))
 }
 
-/// A server (`switch`), or a client of all these (`set`).
+/// Starts a server (`switch`), or a client of all these services (`set`).
 fn service(site: &Site, vendor: Vendor, verb: &str, services: &[String]) -> Result<Process> {
     let at = if verb == "switch" { &site.robot } else { site.sink(vendor) };
     let mut command = match vendor {
@@ -120,7 +119,7 @@ fn service(site: &Site, vendor: Vendor, verb: &str, services: &[String]) -> Resu
     site.spawn(&format!("{}-{verb}", vendor.label()), command)
 }
 
-/// An rclpy node that the tests of the proxy have as well.
+/// Starts an rclpy node, which the proxy's tests use as well.
 fn fibonacci(site: &Site, at: &Namespace, name: &str, arguments: &[&str]) -> Result<Process> {
     let mut command = site.python(at, "../../gdp-proxy/tests/calls/peer.py")?;
     command.arg(name).args(arguments);

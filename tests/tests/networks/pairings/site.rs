@@ -1,5 +1,5 @@
-//! The network, its switch, its masters and the proxies. What crosses is said by the test, which
-//! starts the programs as well.
+//! The network, its switch, its ROS masters and the proxies. A test chooses what crosses, and
+//! starts the programs.
 //!
 //! ```text
 //!                         ┌ p1 ── l0 old: rospy at a master
@@ -22,7 +22,7 @@ use gdp_tests::wait::{TIMEOUT, wait_for};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-/// Whose ROS a program is made with.
+/// The ROS implementation of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Vendor {
     Rospy,
@@ -41,41 +41,41 @@ impl Vendor {
         }
     }
 
-    /// Of the robot's graphs, which it is in.
+    /// Returns the robot's graph that this vendor's programs are in.
     fn graph(self) -> &'static str {
         if self == Self::Rospy { "old" } else { "new" }
     }
 
-    /// What it has of something that each vendor has.
+    /// Returns the vendor's name for a topic, service or action.
     pub fn name(self, of: &str) -> String {
         format!("/{}/{of}", self.label())
     }
 }
 
-/// What crosses, from a program of the robot's to both sites.
+/// A topic, service or action from one of the robot's programs to both sites.
 pub struct Carried {
     /// `topic`, `service` or `action`.
     pub what: &'static str,
     pub name: String,
-    /// As ROS 2 calls it.
+    /// The type in ROS 2's notation.
     pub kind: String,
-    /// Whose program at the robot has it.
+    /// The vendor of the robot's program.
     pub source: Vendor,
 }
 
 impl Carried {
-    /// Whether it is for a site. A graph of ROS 1 has no actions: there they are topics.
+    /// Returns whether a site gets it. A graph of ROS 1 has no actions: there they are topics.
     fn is_for(&self, label: &str) -> bool {
         self.what != "action" || label != "old"
     }
 
-    /// What its card and certificates are called.
+    /// Returns the base name of its card and certificates.
     fn file(&self) -> String {
         self.name.trim_start_matches('/').replace('/', "-")
     }
 }
 
-/// Dropping it ends the programs, then removes the namespaces and files.
+/// A running site. Dropping it ends the programs, then deletes the namespaces and files.
 pub struct Site {
     pub programs: Vec<Process>,
     proxies: Vec<Process>,
@@ -90,13 +90,13 @@ pub struct Site {
 }
 
 impl Site {
-    /// For [`Site::start`].
+    /// Creates the folder for [`Site::start`].
     pub fn files() -> Result<TempDir> {
         Ok(tempfile::Builder::new().prefix("gdp-pairings-").tempdir()?)
     }
 
-    /// Everything but the programs that have what is carried. `more`: what else the robot's proxy
-    /// is configured with.
+    /// Starts everything except the programs under test. `more`: additional configuration of the
+    /// robot's proxy.
     pub fn start(tools: Tools, files: TempDir, carried: &[Carried], more: Value) -> Result<Self> {
         let folder = files.path();
         let [s1, robot, old, new] = network()?;
@@ -116,26 +116,26 @@ impl Site {
         Ok(site)
     }
 
-    /// Where the files and all logs are.
+    /// Returns the folder of the files and all logs.
     pub fn folder(&self) -> &Path {
         self.files.path()
     }
 
-    /// Where a vendor's programs are that have what comes from the robot.
+    /// Returns the namespace of a vendor's programs at the receiving end.
     pub fn sink(&self, vendor: Vendor) -> &Namespace {
         if vendor == Vendor::Rospy { &self.old } else { &self.new }
     }
 
-    /// A program of `tests/peers` for ROS 1, with the master of its namespace.
+    /// Returns a command for a ROS 1 program of `tests/peers`, with the master of its namespace.
     pub fn ros1(&self, at: &Namespace, peer: &str) -> Result<Command> {
         ros1(at, self.folder(), &self.tools.peer(peer))
     }
 
-    /// A program of `tests/peers` for Cyclone DDS or rclpy.
+    /// Returns a command for a Cyclone DDS or rclpy program of `tests/peers`.
     pub fn python(&self, at: &Namespace, peer: &str) -> Result<Command> {
         let mut command = at.command(self.tools.python()?)?;
-        // UDP alone: two Fast DDS programs of one machine would otherwise meet in shared memory,
-        // past the network.
+        // UDP alone: two Fast DDS programs on one machine would otherwise communicate through
+        // shared memory, past the network.
         command.arg(self.tools.peer(peer)).env("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4").env("ROS_DOMAIN_ID", "0");
         command.env("ROS_LOG_DIR", self.folder());
         Ok(command)
@@ -153,13 +153,13 @@ impl Site {
         self.programs.iter().chain(&self.proxies).map(Process::report).collect::<Vec<_>>().join("\n")
     }
 
-    /// The robot's is in both of its graphs.
+    /// Starts the proxies. The robot's proxy is in both of the robot's graphs.
     fn start_proxies(&mut self, carried: &[Carried], more: Value) -> Result<()> {
         let authority = Authority { tools: &self.tools, folder: self.files.path() };
         let labels = ["robot", "old", "new"];
         let entities = labels.map(|label| authority.proxy(label)).into_iter().collect::<Result<Vec<_>>>()?;
         authority.topic()?;
-        // By label, by the list of the configuration.
+        // Entries by label, then by list of the configuration.
         let mut lists: BTreeMap<&str, BTreeMap<String, Vec<Value>>> = BTreeMap::new();
         for one in carried {
             let (name, what) = (one.file(), one.what);
@@ -209,10 +209,10 @@ impl Site {
     }
 }
 
-/// Each namespace has its own.
+/// The ROS master's address; each namespace has its own master.
 const MASTER: &str = "http://localhost:11311";
 
-/// Switch, robot, the old site, the new one.
+/// Creates the namespaces of switch, robot, old site and new site.
 fn network() -> Result<[Namespace; 4]> {
     let all = ["s1", "robot", "old", "new"].map(Namespace::create).into_iter().collect::<Result<Vec<_>>>()?;
     let all: [Namespace; 4] = all.try_into().ok().context("four namespaces")?;
@@ -232,8 +232,8 @@ fn master(label: &str, at: &Namespace, folder: &Path) -> Result<Process> {
     Process::spawn(&format!("{label}-master"), command, folder)
 }
 
-/// A program of Debian's ROS 1, in the Python that it is installed for; another may come first in
-/// `PATH`.
+/// Returns a command for a program of Debian's ROS 1, in Debian's Python; `PATH` may list another
+/// one first.
 fn ros1(at: &Namespace, folder: &Path, program: &Path) -> Result<Command> {
     let mut command = at.command(Program::Python3)?;
     command.arg(program).env("ROS_MASTER_URI", MASTER).env("ROS_HOSTNAME", "localhost").env_remove("ROS_IP");

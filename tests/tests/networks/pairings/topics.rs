@@ -1,6 +1,6 @@
-//! Every source at every sink: nodes of rospy, Cyclone DDS and Fast DDS publish each type, and each
-//! of the three hears all of it, byte for byte as another implementation (rosbags) lays the message
-//! out. One type is of a package that no distribution has.
+//! Every source with every sink: nodes of rospy, Cyclone DDS and Fast DDS publish each type. Each
+//! of the three receives all messages, byte for byte as another implementation (rosbags) serializes
+//! them. One type is from a package that no distribution has.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,10 +15,10 @@ use serde_json::{Value, json};
 
 use super::site::{Carried, Site, Vendor};
 
-/// With everything started at once on two cores.
+/// Limit with everything started at once on two cores.
 const TIMEOUT: Duration = Duration::from_secs(90);
 
-/// What is published: the files of `samples.py`.
+/// The published messages: the files of `samples.py`.
 const KEYS: [&str; 6] = ["string", "image", "cloud", "joints", "tf", "report"];
 
 #[test]
@@ -52,8 +52,8 @@ fn every_source_is_heard_at_every_sink_with_every_type() -> Result<()> {
     }
 }
 
-/// Everything but the programs that publish and hear, and the types by key, as ROS 2 calls them.
-/// The robot's proxy alone knows what the type of the unknown package is, from a folder.
+/// Starts everything except the talkers and listeners, and returns ROS 2's type names by key. Only
+/// the robot's proxy has the unknown package's type definition, from a folder.
 fn start() -> Result<(Site, Value)> {
     let (tools, files) = (Tools::beside_this_test()?, Site::files()?);
     let folder = files.path();
@@ -71,12 +71,12 @@ fn start() -> Result<(Site, Value)> {
     Ok((Site::start(tools, files, &carried, definitions)?, types))
 }
 
-/// Publishes every type, beneath `/VENDOR`.
+/// Publishes every type under `/VENDOR`.
 fn talk(site: &Site, vendor: Vendor, types: &Value) -> Result<Process> {
     program(site, vendor, "talk", &site.robot, types, &[&format!("/{}", vendor.label())])
 }
 
-/// Hears every type from each vendor.
+/// Subscribes to every type from each vendor.
 fn listen(site: &Site, vendor: Vendor, types: &Value) -> Result<Process> {
     let prefixes = Vendor::ALL.map(|source| format!("/{}", source.label()));
     program(site, vendor, "listen", site.sink(vendor), types, &prefixes.each_ref().map(String::as_str))

@@ -1,5 +1,4 @@
-//! The fixtures' switch in DPDK: the code that its loops run, on packets in its memory, without a
-//! device.
+//! The fixtures' switch in DPDK: the code of its loops, on packets in its memory, without a device.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -17,10 +16,10 @@ use gdp_tests::frames::fixtures::{Fate, Link, Switch, Verdict, hex};
 use gdp_wire::table::{PORT_ROUTED, PORT_USERSPACE, mac_words};
 use gdp_wire::{Counter, LocalAddress};
 
-/// Where frames arrive; so it has the VLANs.
+/// The port where frames arrive, which has the VLANs.
 const PORT: u32 = 1;
 
-/// Links by this port lead nowhere, as the fixtures have it.
+/// Links on this port have no destination, as in the fixtures.
 pub const NOWHERE: u32 = 63;
 
 /// Larger than any generated frame.
@@ -32,7 +31,8 @@ pub struct DpdkSwitch {
     reader: LoopReader,
     local: Local,
     ports: Vec<u32>,
-    /// The ports by which packets leave between two stations: the neighbour's address, then ours.
+    /// The egress port of packets between two stations, keyed by the neighbour's MAC address, then
+    /// the switch's.
     ways: BTreeSet<([u8; 12], u32)>,
     _tables: UserTables,
     pub link_memory: LinkMemory,
@@ -42,7 +42,7 @@ impl DpdkSwitch {
     pub fn new(switch: &Switch) -> Result<Self> {
         let (tables, link_memory) = super::user_tables(switch);
         let reader = LoopReader::new(tables.reader(), Arc::new(Shared::new(tables.queues().clone())));
-        // The others have no route, or a neighbour that is not resolved.
+        // The other links have no route, or an unresolved neighbour.
         let routes = |link: &&Link| link.port.is_some() && link.udp.as_ref().is_some_and(|udp| udp.routed);
         let routed = switch.links.iter().filter(routes);
         let next_hop = |link: &Link| {
@@ -74,8 +74,8 @@ impl DpdkSwitch {
         })
     }
 
-    /// What becomes of frames that arrive together, and what is counted in all. `gathers`: whether
-    /// ports take packets that are chains, in which copies share what they have in common.
+    /// Returns the results for frames that arrive together, and their total counts. `gathers`:
+    /// whether ports accept chained packets, in which copies share their common part.
     pub fn run(&mut self, frames: &[Vec<u8>], gathers: bool) -> Result<(Seen, Counts)> {
         let mut burst = Burst::new();
         for frame in frames {
@@ -96,7 +96,7 @@ impl DpdkSwitch {
         Ok((seen, counts))
     }
 
-    /// What becomes of one frame.
+    /// Returns the result for one frame.
     pub fn fate(&mut self, frame: &[u8], gathers: bool) -> Result<Fate> {
         let (Seen { sent, passed, .. }, counts) = self.run(&[frame.to_vec()], gathers)?;
         let counted: Vec<_> = Counter::ALL.iter().zip(counts).filter(|(_, count)| *count > 0).collect();
@@ -116,7 +116,7 @@ impl DpdkSwitch {
     }
 }
 
-/// Copies are counted together: which is which is told by their destinations.
+/// Attributes the total counts to copies by their destinations.
 fn copied(sent: Vec<Vec<u8>>, counted: &[(&Counter, u64)]) -> Result<Fate> {
     let of = |counter: Counter| counted.iter().find(|(found, _)| **found == counter).map_or(0, |(_, count)| *count);
     let (forwarded, delivered) = (of(Counter::Forwarded), of(Counter::Delivered));
@@ -132,8 +132,7 @@ fn copied(sent: Vec<Vec<u8>>, counted: &[(&Counter, u64)]) -> Result<Fate> {
     Ok(Fate::copied(copies))
 }
 
-/// Whether a copy is on its way to further switches. Copies are carried by Ethernet, tagged or not,
-/// or UDP.
+/// Returns whether a copy goes to further switches. Ethernet (tagged or not) or UDP carries copies.
 fn has_bits(packet: &[u8]) -> bool {
     let at = match (packet[12], packet[13]) {
         (0x81, 0) => 18,
@@ -144,12 +143,12 @@ fn has_bits(packet: &[u8]) -> bool {
     packet[at + 24..at + 32] != [0; 8]
 }
 
-/// What a batch's frames became.
+/// The results for a batch's frames.
 #[derive(Default)]
 pub struct Seen {
     gathers: bool,
     pub sent: Vec<Vec<u8>>,
-    /// The ports that these were sent by.
+    /// The ports that sent these frames.
     pub ports: Vec<u32>,
     pub passed: Vec<Vec<u8>>,
 }

@@ -1,6 +1,6 @@
-//! The fixtures' switch in both data planes, and what becomes of a frame there. The kernel is asked
-//! under `BPF_PROG_TEST_RUN`, so nothing is sent; but it asks the routing table of a network
-//! namespace where links over UDP lead.
+//! The fixtures' switch in both data planes, and the results for frames there. The kernel runs
+//! under `BPF_PROG_TEST_RUN` and sends nothing. It looks up next hops of links over UDP in a
+//! network namespace's routing table.
 pub mod dpdk;
 
 use anyhow::{Context, Result, bail, ensure};
@@ -18,16 +18,17 @@ use gdp_wire::header::FIRST_QUIC_BYTE;
 use gdp_wire::{Counter, Header, LocalAddress, Vlan};
 use zerocopy::IntoBytes;
 
-/// The network of the fixtures' switch: one interface, with a gateway of each family behind it.
+/// The network of the fixtures' switch: one interface, with a gateway of each address family behind
+/// it.
 pub struct Site {
-    // Order is the order of the end.
+    // Fields drop in this order.
     _inside: Entered,
     switch: Namespace,
     _gateway: Namespace,
 }
 
 impl Site {
-    /// The calling thread is inside while it lives.
+    /// Builds the network. The calling thread is inside until the guard is dropped.
     pub fn build() -> Result<Self> {
         let (switch, gateway) = (Namespace::create("switch")?, Namespace::create("gateway")?);
         switch.enable_ipv6()?;
@@ -58,7 +59,7 @@ impl Site {
         Ok(Self { _inside: inside, switch, _gateway: gateway })
     }
 
-    /// The fixtures' switch in the kernel.
+    /// Loads the fixtures' switch into the kernel.
     pub fn kernel_plane(&self, switch: &Switch) -> Result<KernelPlane> {
         let mut plane = KernelPlane::load(&Tools::beside_this_test()?.ebpf_object()?, 1024)?;
         let e0 = Interface::find("e0").with_context(|| self.switch.name().to_owned())?.index;
@@ -68,11 +69,11 @@ impl Site {
     }
 }
 
-/// Ports below this lead to `lo`: in a test run nothing is sent.
+/// Ports below this number lead to `lo`: a test run sends nothing.
 const PORTS: u32 = 6;
 
 pub fn fill(plane: &mut KernelPlane, switch: &Switch) -> Result<()> {
-    // A test run comes in by it as well.
+    // A test run also uses this interface as ingress.
     const LOOPBACK: u32 = 1;
     (0..PORTS).try_for_each(|port| plane.set_port(port, LOOPBACK))?;
     let addresses = switch.own_addresses().into_iter().map(|own| LocalAddress::new(own.ip(), own.port()));
@@ -101,7 +102,7 @@ pub fn user_tables(switch: &Switch) -> (UserTables, LinkMemory) {
 pub fn user_tables_with(switch: &Switch, link_memory: LinkMemory) -> UserTables {
     let mut tables = UserTables::new(link_memory, 1024).expect("memory");
     for link in switch.links() {
-        // Only to be told apart.
+        // Distinct addresses only identify the links.
         let to = gdp_link::port::LinkAddr::Ethernet { ifindex: link.port, mac: [0; 6] };
         tables.set_link(link, to);
     }
@@ -114,20 +115,21 @@ pub fn user_tables_with(switch: &Switch, link_memory: LinkMemory) -> UserTables 
     tables
 }
 
-/// What the kernel does with a frame: the action, and exactly one counter.
+/// Returns the kernel's result for a frame: the action, and exactly one counter.
 pub fn run(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) -> Result<Fate> {
     let before = plane.counters()?;
     let fate = run_uncounted(plane, buffers, frame)?;
     Ok(match counted(before, plane.counters()?)? {
-        // What is to be copied is not yet a frame; the copies would be made where they leave.
+        // A frame to copy does not count as a frame yet; the kernel would make the copies at their
+        // egress.
         Counter::Replicated => Fate::copied(vec![]),
         counter => Fate { counter, ..fate },
     })
 }
 
-/// What the kernel does with a frame, but for how that is counted: `Slow`, `Forwarded` and
-/// `RedirectFailed` stand for whatever passes, is sent and is dropped. Reading the counters takes
-/// far longer than the frame.
+/// Returns the kernel's result for a frame without its counter. `Slow`, `Forwarded` and
+/// `RedirectFailed` stand for any frame that passes, is sent or is dropped. Reading the counters
+/// takes far longer than processing the frame.
 pub fn run_uncounted(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) -> Result<Fate> {
     let (action, out) = plane.programs.test_run(buffers, frame)?;
     Ok(match action {
@@ -141,7 +143,7 @@ pub fn run_uncounted(plane: &mut KernelPlane, buffers: Buffers, frame: &[u8]) ->
     })
 }
 
-/// The one counter that has gone up, by one.
+/// Returns the one counter that has increased, by one.
 pub fn counted(before: [u64; Counter::COUNT], after: [u64; Counter::COUNT]) -> Result<Counter> {
     let differences = Counter::ALL.iter().zip(before.into_iter().zip(after));
     let risen: Vec<_> = differences.filter(|(_, (before, after))| before != after).collect();
@@ -151,8 +153,8 @@ pub fn counted(before: [u64; Counter::COUNT], after: [u64; Counter::COUNT]) -> R
     }
 }
 
-/// What the userspace plane does with a frame, dressed in the Ethernet header it came with or
-/// leaves with.
+/// Returns the userspace plane's result for a frame. The frame has the Ethernet header with which
+/// it arrived or leaves.
 pub fn run_userspace(tables: &UserTables, switch: &Switch, frame: &[u8]) -> Fate {
     let place = switch.find(frame).expect("a frame of ours");
     let mut gdp = frame[place.at..place.at + place.length].to_vec();
@@ -179,8 +181,8 @@ pub fn run_userspace(tables: &UserTables, switch: &Switch, frame: &[u8]) -> Fate
     }
 }
 
-/// Whether the sockets of the userspace plane do not get to see a packet: it is another protocol's,
-/// or QUIC's.
+/// Returns whether the userspace plane's sockets do not receive a packet: it belongs to another
+/// protocol, or to QUIC.
 pub fn is_for_no_data_socket(switch: &Switch, packet: &[u8]) -> bool {
     match switch.find(packet) {
         Some(place) => place.over_udp && place.length > 0 && packet[place.at] >= FIRST_QUIC_BYTE,

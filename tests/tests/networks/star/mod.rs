@@ -1,5 +1,5 @@
-//! A switch with many interfaces, and links behind each: what `replication` tests with, and `bench
-//! forward` measures on.
+//! A switch with many interfaces, and links behind each. The `replication` tests use it, and `bench
+//! forward` measures on it.
 //!
 //! ```text
 //!            ┌ p0 ──── w0 ┐
@@ -27,28 +27,28 @@ use parking_lot::Mutex;
 
 pub const OWN_BIT: u64 = 1 << 5;
 
-/// Of the writer, which is the first link and behind the first interface.
+/// The writer's link: the first link, behind the first interface.
 pub const WRITER: Leaf = Leaf { index: 1, interface: 0, reach: 0 };
 
-/// Which of a switch's planes is to forward.
+/// The plane of a switch that must forward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Plane {
     Kernel,
     Userspace,
 }
 
-/// What is at the other end of a link.
+/// The peer of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Leaf {
-    /// From 1 on.
+    /// Number from 1.
     pub index: u32,
     pub interface: usize,
-    /// Egress bits it leads to; 0: it is an endpoint.
+    /// Egress bits that the link leads to; 0 for an endpoint.
     pub reach: u64,
 }
 
 impl Leaf {
-    /// The switch's id of its link.
+    /// Returns the switch's id of the link.
     pub fn id(&self) -> u32 {
         0x1000 + self.index
     }
@@ -90,7 +90,8 @@ impl Leaf {
     }
 }
 
-/// So many endpoints, the writer not among them, over the interfaces from the second on in turn.
+/// Returns `count` endpoints without the writer, distributed over the interfaces from the second
+/// on.
 pub fn readers(count: usize, interfaces: usize) -> Vec<Leaf> {
     let others = interfaces.max(2) - 1;
     (0..count).map(|i| Leaf { index: 2 + i as u32, interface: (1 + i % others) % interfaces, reach: 0 }).collect()
@@ -114,27 +115,27 @@ impl Star {
                 &End { namespace: &star.switch, interface: &here, mac: port_mac(i) },
                 mtu,
             )?;
-            // The kernel notices at the other end only what changes while this end is up.
+            // The kernel notices a GRO change for the other end only while this end is up.
             star.set_gro(i, "off")?;
             star.set_gro(i, "on")?;
         }
         Ok(star)
     }
 
-    /// Off: the interface takes no redirected frames.
+    /// Turns GRO on or off. Off: the interface accepts no redirected frames.
     pub fn set_gro(&self, interface: usize, state: &str) -> Result<()> {
         execute(self.far.command(Program::Ethtool)?.args(["-K", &far_port(interface), "gro", state])).map(drop)
     }
 
-    /// From now on a thread of its own takes what arrives on the first interface, so that it finds
-    /// several frames at a time. Otherwise the writer itself does, after each.
+    /// From now on a separate thread receives on the first interface, and finds several frames at a
+    /// time. Otherwise the writer's own thread does, after each frame.
     pub fn take_in_batches(&self) -> Result<()> {
         let threaded = "echo 1 > /sys/class/net/p0/threaded";
         execute(Program::Ip.command().args(["netns", "exec", self.switch.name(), Program::Sh.name(), "-c", threaded]))
             .map(drop)
     }
 
-    /// A switch on all interfaces with these links.
+    /// Starts a switch on all interfaces with these links.
     pub fn start(&self, config: PlaneConfig, links: &[Leaf]) -> Result<Switch> {
         let _inside = self.switch.enter()?;
         let mut switch = Switch::open(config, self.switch.door()?, self.interfaces)?;
@@ -148,8 +149,8 @@ pub fn xdp(ebpf_object: std::path::PathBuf) -> PlaneConfig {
     PlaneConfig { wanted: Wanted::Xdp, ebpf_object: Some(ebpf_object), ..PlaneConfig::default() }
 }
 
-/// The planes of the switch. Interfaces have their numbers only in the switch's namespace, so what
-/// is done to the planes is done there.
+/// The planes of the switch. Interface numbers are valid only in the switch's namespace, so planes
+/// are changed there.
 pub struct Switch {
     planes: Planes,
     ports: Vec<Port>,
@@ -158,7 +159,8 @@ pub struct Switch {
 }
 
 impl Switch {
-    /// With all interfaces attached. To be called in the switch's namespace, to which `door` leads.
+    /// Opens the planes and attaches all interfaces. Call this in the switch's namespace, which
+    /// `door` refers to.
     pub fn open(config: PlaneConfig, door: Door, interfaces: usize) -> Result<Self> {
         let mut planes = Planes::open(config)?;
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -189,7 +191,7 @@ impl Switch {
         Ok(self.change(|planes| planes.set_link(leaf.entry(mtu), to))??)
     }
 
-    /// From the writer.
+    /// Sets a route for frames from the writer.
     pub fn set_route(&mut self, name: Name, egress_bits: u64, readers: &[Leaf]) -> Result<()> {
         let mut readers: Vec<u32> = readers.iter().map(Leaf::id).collect();
         readers.sort_unstable();
@@ -197,13 +199,13 @@ impl Switch {
         Ok(self.change(|planes| planes.set_route(name, &route))??)
     }
 
-    /// What the kernel and the userspace plane counted.
+    /// Returns the counts of the kernel and of the userspace plane.
     pub fn count(&self, wanted: Counter) -> Result<(u64, u64)> {
         let counted = self.planes.counters()?.into_iter().find(|(counter, ..)| *counter == wanted);
         counted.map(|(_, kernel, userspace)| (kernel, userspace)).context("all counters")
     }
 
-    /// All counters that are not 0, for messages.
+    /// Returns all counters that are not 0, for messages.
     pub fn counted(&self) -> Result<Vec<(&'static str, u64, u64)>> {
         let all = self.planes.counters()?.into_iter().filter(|(_, kernel, userspace)| kernel + userspace > 0);
         Ok(all.map(|(counter, kernel, userspace)| (counter.as_str(), kernel, userspace)).collect())
@@ -219,24 +221,23 @@ impl Drop for Switch {
     }
 }
 
-/// Sends frames to the switch, and keeps all data frames that come from it.
+/// Sends frames to the switch, and stores all data frames that it returns.
 pub struct Far {
     writer: PacketSocket,
     inbox: Arc<Inbox>,
     threads: Vec<JoinHandle<()>>,
-    /// Frames sent by each link.
+    /// Frames sent so far, by link.
     sent: HashMap<u32, u64>,
 }
 
 #[derive(Default)]
 struct Inbox {
     stop: AtomicBool,
-    /// By the link id in them.
+    /// Frames by their link id.
     frames: Mutex<HashMap<u32, Vec<Vec<u8>>>>,
 }
 
-/// Frames that are under way at most: less than a veth's ring of 256 with 64 copies each going
-/// through its one queue in turn.
+/// Most frames in flight: less than a veth's ring of 256, with 64 copies each in its one queue.
 const WINDOW: u64 = 32;
 
 impl Far {
@@ -253,7 +254,8 @@ impl Far {
         Ok(Self { writer, inbox, threads, sent: HashMap::new() })
     }
 
-    /// The next frame of a link, of `length` bytes, with its number on the link as payload.
+    /// Returns the next frame of a link, `length` bytes long, with its number on the link as
+    /// payload.
     pub fn next_frame(&mut self, from: &Leaf, to: Name, length: usize) -> Frame {
         let count = self.sent.entry(from.id()).or_default();
         *count += 1;
@@ -272,24 +274,24 @@ impl Far {
         }
     }
 
-    /// By the first interface.
+    /// Sends a frame on the first interface.
     pub fn send(&self, frame: &Frame) -> Result<()> {
         self.send_bytes(&frame.bytes())
     }
 
-    /// By the first interface.
+    /// Sends raw bytes on the first interface.
     pub fn send_bytes(&self, frame: &[u8]) -> Result<()> {
         self.writer.send(frame)
     }
 
-    /// Waits until all of these have got so many frames, but for what may be under way.
+    /// Waits until all leaves have received this many frames, less the window.
     pub fn keep_pace(&self, leaves: &[Leaf], frames: u64) -> Result<()> {
         self.wait_for_frames(leaves, frames.saturating_sub(WINDOW))
     }
 
     pub fn wait_for_frames(&self, leaves: &[Leaf], frames: u64) -> Result<()> {
         let slowest = || leaves.iter().map(|leaf| self.received(leaf)).min().unwrap_or(u64::MAX);
-        // Mostly they are there, so this does not wait.
+        // Usually the frames have arrived, and this does not wait.
         if slowest() >= frames {
             return Ok(());
         }
@@ -303,12 +305,12 @@ impl Far {
         self.inbox.lock().get(&leaf.peer_id()).map_or(0, |frames| frames.len() as u64)
     }
 
-    /// Frames that have arrived since they were last taken.
+    /// Returns the number of frames that have arrived since the last `take`.
     pub fn total(&self) -> usize {
         self.inbox.lock().values().map(Vec::len).sum()
     }
 
-    /// What has arrived since the last time, by the link id in it.
+    /// Returns the frames that have arrived since the last call, by link id.
     pub fn take(&self) -> HashMap<u32, Vec<Vec<u8>>> {
         std::mem::take(&mut self.inbox.lock())
     }
@@ -328,7 +330,7 @@ impl Inbox {
 
     fn fill_from(&self, socket: &PacketSocket) {
         while !self.stop.load(Ordering::Relaxed) {
-            // What was sent to the switch is not seen here, only what comes from it.
+            // The socket receives only frames from the switch, not frames sent to it.
             let Ok(frame) = socket.receive(Duration::from_millis(50), gdp_tests::packet::is_gdp_data) else { continue };
             let link = u32::from_be_bytes([frame[22], frame[23], frame[24], frame[25]]);
             self.lock().entry(link).or_default().push(frame);

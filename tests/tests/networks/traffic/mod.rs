@@ -1,4 +1,4 @@
-//! Numbered messages from a robot to a cloud, by nodes of the SDK: which arrive, how often, and in
+//! Numbered messages from a robot to a cloud between SDK nodes: which arrive, how often, and in
 //! which order.
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -18,7 +18,7 @@ use tokio::time::MissedTickBehavior;
 
 use crate::patient::patient;
 
-/// Between two messages.
+/// Interval between two messages.
 const PACE: Duration = Duration::from_millis(1);
 
 /// Numbered messages from the robot to the cloud.
@@ -32,18 +32,18 @@ struct Shared {
     stop_sending: AtomicBool,
     stop: AtomicBool,
     sent: AtomicU64,
-    /// Messages that could not be sent, and why.
+    /// Messages that could not be sent, with their errors.
     unsent: Mutex<Vec<String>>,
     received: Mutex<Vec<u64>>,
-    /// Segments that came more than once, or too late.
+    /// Segments that arrived more than once, or too late.
     duplicates: AtomicU64,
     nodes: Mutex<[Option<Node>; 2]>,
     failure: Mutex<Option<String>>,
 }
 
 impl Traffic {
-    /// From the node whose key, card and certificate are in the first folder, on the interface `r0`
-    /// there; to that of the second, on `l0`.
+    /// Starts the traffic. The first folder has the key, card and certificate of the sending node,
+    /// on interface `r0`. The second has those of the receiving node, on `l0`.
     pub fn start(robot: (&Namespace, PathBuf), cloud: (&Namespace, PathBuf)) -> Result<Self> {
         let shared = Arc::new(Shared::default());
         let mut traffic = Self { shared, threads: Vec::new() };
@@ -71,7 +71,7 @@ impl Traffic {
             let node = connect(&folder.join("key.pem"), "r0").await?;
             let card = NameCard::load(&folder.join("chatter.card"))?;
             let cert = Issued::from_pem(&std::fs::read_to_string(folder.join("chatter.cert"))?)?;
-            // Nothing gives way to newer messages.
+            // No message gives way to newer ones.
             let options = PublishOptions { history: 1 << 16, ..patient().0 };
             let mut publisher = node.publish(card.proof(), cert, options).await?;
             shared.nodes()[0] = Some(node);
@@ -93,7 +93,7 @@ impl Traffic {
         Ok(traffic)
     }
 
-    /// A node of its own runtime, in a namespace: namespaces belong to threads.
+    /// Runs a node on its own runtime in a namespace: namespaces belong to threads.
     fn spawn<F: Future<Output = Result<()>>>(
         &mut self,
         at: &Namespace,
@@ -128,10 +128,10 @@ impl Traffic {
         self.shared.received.lock().expect("no panic").len()
     }
 
-    /// How many have been sent.
+    /// Stops sending, and returns the number of messages sent.
     pub fn stop_sending(&self) -> u64 {
         self.shared.stop_sending.store(true, Ordering::Relaxed);
-        // One may be on its way; it is counted once it is sent, and then nothing follows.
+        // One message may be in progress; it is counted once it is sent, and no other follows.
         let mut before = u64::MAX;
         let settled = wait_for("the last message", TIMEOUT, || {
             let sent = self.shared.sent.load(Ordering::Relaxed);
@@ -140,12 +140,12 @@ impl Traffic {
         settled.expect("it ends")
     }
 
-    /// Links that both nodes have made so far.
+    /// Returns the number of links that both nodes have made so far.
     pub fn links_made(&self) -> u64 {
         self.shared.nodes().iter().flatten().map(|node| node.counters().links).sum()
     }
 
-    /// Nodes that have no link.
+    /// Returns the number of nodes without a link.
     pub fn links_down(&self) -> usize {
         self.shared.nodes().iter().flatten().filter(|node| node.switch().is_err()).count()
     }
@@ -159,9 +159,9 @@ impl Traffic {
         Ok(())
     }
 
-    /// Nothing came twice, nor out of order; how many did not come. A segment that another way
-    /// delayed until a later message was there counts as one too many, as one that comes twice
-    /// does: but then its message is missing.
+    /// Checks that no message arrived twice or out of order, and returns the number of missing
+    /// messages. A segment that another path delayed beyond a later message also counts as surplus,
+    /// like a duplicate. In that case its message is missing.
     pub fn nothing_came_twice(&self) -> Result<usize> {
         let received = self.shared.received.lock().expect("no panic");
         ensure!(received.is_sorted_by(|a, b| a < b), "messages came twice, or out of order");
