@@ -2,7 +2,7 @@
 //! delegation to the issuer, and for a grant to a role, the reader's membership.
 
 use super::pem::{Blocks, MAX_TEXT};
-use super::{AboutName, Claims, Delegation, Grantee, Membership, ReadGrant, Revocation, Signed};
+use super::{AboutName, AdCert, Claims, Delegation, Grantee, Membership, ReadGrant, Revocation, Signed};
 use crate::cert::error::CertError;
 use crate::name::{Name, NameProof};
 use serde::{Deserialize, Serialize};
