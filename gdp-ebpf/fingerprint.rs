@@ -1,28 +1,28 @@
 //! A hash over everything that the XDP programs are compiled from.
 //!
-//! `xtask`, which compiles them, and the build script that embeds them include this file: an object
-//! that was made from other source is never embedded.
+//! `xtask`, which compiles the programs, and the build script that embeds them include this file.
+//! The build script therefore never embeds an object that was compiled from other source.
 
 use std::collections::BTreeSet;
 use std::hash::{DefaultHasher, Hasher as _};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-/// Files and folders below the root of the workspace.
+/// Files and folders, relative to the root of the workspace.
 pub const SOURCES: [&str; 5] =
     ["gdp-ebpf/Cargo.toml", "gdp-ebpf/Cargo.lock", "gdp-ebpf/src", "crates/gdp-wire/Cargo.toml", "crates/gdp-wire/src"];
 
-/// The folder below the root of the workspace that holds the object, and nothing else.
+/// The folder of the object, relative to the root of the workspace. It contains nothing else.
 pub const FOLDER: &str = "gdp-ebpf/object";
 
-/// The files below [`SOURCES`], in order. `root`: the workspace's.
+/// Returns the files of [`SOURCES`], sorted. `root` is the root of the workspace.
 pub fn files(root: &Path) -> io::Result<BTreeSet<PathBuf>> {
     let mut files = BTreeSet::new();
     SOURCES.iter().try_for_each(|source| collect(&root.join(source), &mut files))?;
     Ok(files)
 }
 
-/// Where the object of the present source is, once it is compiled.
+/// Returns the path that the object of the present source has once it is compiled.
 pub fn object(root: &Path) -> io::Result<PathBuf> {
     let mut hasher = DefaultHasher::new();
     for file in files(root)? {

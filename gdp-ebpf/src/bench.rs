@@ -1,11 +1,11 @@
-//! What `cargo xtask bench forward` and kernel tests load beside the switch: generators, a sink,
-//! the least a switch can do, and [`bench_lookups`].
+//! Programs for `cargo xtask bench forward` and the kernel tests, loaded in addition to the switch:
+//! generators, a sink, the minimal switch [`bare`], and [`bench_lookups`].
 //!
-//! Generators run under `BPF_PROG_TEST_RUN` with live frames: the kernel hands them frames, they
-//! send them by an interface. The sink sits on the interface where the frames should arrive. A
-//! generator is an endpoint: it counts and tags each frame. It does the same whatever forwards
-//! behind it, also where nothing will look at the tag, so that its own work weighs the same on all
-//! that are compared.
+//! Generators run under `BPF_PROG_TEST_RUN` with live frames: the kernel passes them frames, and
+//! they redirect the frames to an interface. The sink is attached to the interface where the frames
+//! should arrive. A generator acts as an endpoint: it counts and tags each frame. It does so for
+//! every forwarder under test, also for those that ignore the tag. The cost of the generator is
+//! therefore the same in all comparisons.
 #![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
 
 mod bench_lookups;
@@ -19,74 +19,75 @@ use aya_ebpf::maps::{Array, DevMap};
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::{Header, LinkEntry, Name, hop};
 
-/// What forwarding changes lies in the first 104 bytes: at most Ethernet with a VLAN tag, IPv6,
-/// UDP, and a GDP header up to the destination name.
+/// Length of the part of a frame that forwarding rewrites: the first 104 bytes. They cover at most
+/// Ethernet with a VLAN tag, IPv6, UDP, and a GDP header up to the destination name.
 const TEMPLATE_WORDS: usize = 13;
 
-/// Above any offset of a GDP header that a template may have.
+/// Upper bound and mask of the offset of the GDP header in a template.
 const MAX_HEADER_AT: usize = 127;
 
-/// Unknown names that [`flood`] sends to in turn.
+/// Number of unknown names that [`flood`] cycles through.
 const UNKNOWN_NAMES: u64 = 1 << 20;
 
-/// How a frame is made. Written by user space while no generator runs.
+/// Describes the frames to generate. Written by user space while no generator runs.
 #[repr(C)]
 #[derive(Clone, Copy)]
 struct Pattern {
     template: [u64; TEMPLATE_WORDS],
-    /// All ones; or 0 for frames to a switch that takes 0 for every tag.
+    /// All ones, or 0 for frames to a switch that expects 0 as every tag.
     tag_mask: u64,
     /// Nanoseconds between the frames of [`flood`] to the known name.
     known_interval: u64,
-    /// Nanoseconds between those to unknown names; 0 for none.
+    /// Nanoseconds between the frames to unknown names; 0 for none.
     unknown_interval: u64,
     /// Offset of the GDP header in the frame.
     header_at: u64,
-    /// Frames that arrive for each that [`generate`] sends.
+    /// Number of copies that arrive for each frame that [`generate`] sends.
     copies: u64,
-    /// Frames of [`generate`] that are under way at most, by what is to arrive.
+    /// Maximum number of frames of [`generate`] in flight, counted in copies that are to arrive.
     window: u64,
-    /// Not 0: frames go nowhere, and count as arrived.
+    /// Not 0: the generator drops its frames and counts them as arrived.
     discard: u64,
 }
 
 #[map]
 static PATTERN: Array<Pattern> = Array::with_max_entries(1, 0);
 
-/// Entry 0: the link that frames leave by. Written by user space while no generator runs.
+/// Entry 0: the link that frames leave on. Written by user space while no generator runs.
 #[map]
 static LINK: Array<LinkEntry> = Array::with_max_entries(1, 0);
 
-/// Entry 0: where frames leave. Written by user space before any program runs.
+/// Entry 0: the egress interface. Written by user space before any program runs.
 #[map]
 static OUT: DevMap = DevMap::with_max_entries(1, 0);
 
-/// Entry 0: frames sent to the known name, as many times as they are to arrive. Written by the
-/// generator, which runs on one CPU; by user space while it does not run.
+/// Entry 0: number of copies to expect of the frames sent to the known name. Written by the
+/// generator, which runs on one CPU, and by user space while no generator runs.
 #[map]
 static SENT: Array<u64> = Array::with_max_entries(1, 0);
 
-/// Entry 0: frames sent on the link, to whatever name. Written by the generators only, and never
-/// begun again.
+/// Entry 0: frames sent on the link, to any name. Written by the generators only, and never reset.
 #[map]
 static LINK_COUNT: Array<u64> = Array::with_max_entries(1, 0);
 
-/// When [`flood`] sends next: to the known name, to an unknown one. Written by it only.
+/// The times of the next frames of [`flood`]: to the known name, and to an unknown name. Written by
+/// [`flood`] only.
 #[map]
 static DUE: Array<[u64; 2]> = Array::with_max_entries(1, 0);
 
-/// Entry 0: frames that arrived. Written by the sink, and by a generator that keeps its frames, on
-/// the CPU of the generator: user space keeps that on one, and veths stay there.
+/// Entry 0: frames that arrived. Written by the sink, and by a generator that drops its frames, on
+/// the CPU of the generator. User space pins the generator to one CPU, and veths process its frames
+/// on the same CPU.
 #[map]
 static ARRIVED: Array<u64> = Array::with_max_entries(1, 0);
 
-/// Sends frames to the known name as fast as they arrive.
+/// Sends frames to the known name at the rate of their arrival.
 #[xdp]
 pub fn generate(context: XdpContext) -> u32 {
     let (Some(pattern), Some(sent), Some(arrived)) = (PATTERN.get(0), SENT.get_ptr_mut(0), ARRIVED.get_ptr(0)) else {
         return XDP_ABORTED;
     };
-    // SAFETY: elements of the maps; what another CPU writes meanwhile is read once.
+    // SAFETY: elements of the maps; the word that another CPU may write is read once.
     let (count, done) = unsafe { (*sent, arrived.read_volatile()) };
     if count.wrapping_sub(done) + pattern.copies > pattern.window {
         return XDP_DROP;
@@ -115,14 +116,13 @@ pub fn flood(context: XdpContext) -> u32 {
     XDP_DROP
 }
 
-/// The least a switch can do.
+/// Redirects every packet to the egress interface without looking at it: the minimal switch.
 #[xdp]
 pub fn bare(_context: XdpContext) -> u32 {
     OUT.redirect(0, XDP_DROP.into()).unwrap_or(XDP_ABORTED)
 }
 
-/// Counts frames and drops them; lets what hosts say to each other (ARP, and other short ones)
-/// pass.
+/// Counts frames and drops them. Passes the short frames of the hosts, such as ARP.
 #[xdp]
 pub fn sink(context: XdpContext) -> u32 {
     const SMALLEST: usize = 110;
@@ -142,7 +142,7 @@ fn arrive() -> u32 {
     XDP_DROP
 }
 
-/// Writes the frame, counts and tags it, and sends it: to the template's name or to another.
+/// Writes, counts, tags and sends a frame, to the name of the template or to `destination`.
 #[inline(always)]
 fn send(context: &XdpContext, destination: Option<Name>) -> u32 {
     let (start, end) = (context.data(), context.data_end());
@@ -152,8 +152,8 @@ fn send(context: &XdpContext, destination: Option<Name>) -> u32 {
     if start + TEMPLATE_WORDS * 8 > end {
         return XDP_ABORTED;
     }
-    // The kernel reuses the pages of frames that were received, with all that was rewritten on the
-    // way.
+    // The kernel reuses the pages of received frames, including all bytes that were rewritten on
+    // the path.
     let mut i = 0;
     while i < TEMPLATE_WORDS {
         // SAFETY: within the bounds checked above.
@@ -179,8 +179,8 @@ fn send(context: &XdpContext, destination: Option<Name>) -> u32 {
     OUT.redirect(0, XDP_DROP.into()).unwrap_or(XDP_ABORTED)
 }
 
-/// Whether `due` is over; if so, it is moved on. What was missed is made up for, if that is less
-/// than 20 milliseconds.
+/// Returns whether the time `due` has passed, and if so advances `due` by `interval`. A backlog of
+/// less than 20 milliseconds is caught up; a longer one is skipped.
 #[inline(always)]
 fn is_due(due: &mut u64, now: u64, interval: u64) -> bool {
     const MISSED: u64 = 20_000_000;
@@ -192,7 +192,8 @@ fn is_due(due: &mut u64, now: u64, interval: u64) -> bool {
     true
 }
 
-/// Distinct for distinct numbers, and as random as the hash that a name is.
+/// Returns a distinct name for each number, as evenly distributed as the hashes that real names
+/// are.
 #[inline(always)]
 fn unknown_name(number: u64) -> Name {
     // The finalizer of SplitMix64.
@@ -210,6 +211,6 @@ fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
     loop {}
 }
 
-/// On the host the crate only compiles, for lints and editors.
+/// On the host, the crate compiles only for lints and editors.
 #[cfg(not(target_arch = "bpf"))]
 fn main() {}

@@ -1,6 +1,6 @@
-//! What a lookup costs: programs that ask for one random name at a time, in the FIB of the switch
-//! and in a hash of the kernel, for `bench forward` under `BPF_PROG_TEST_RUN`. And what a lookup
-//! finds while user space changes the FIB, for the kernel tests.
+//! Lookup benchmarks: programs that look up one random name per run, in the FIB of the switch or in
+//! a hash map of the kernel. `bench forward` runs them under `BPF_PROG_TEST_RUN`. The kernel tests
+//! use them to check the results of lookups while user space changes the FIB.
 
 use aya_ebpf::bindings::xdp_action::{XDP_ABORTED, XDP_DROP};
 use aya_ebpf::macros::{map, xdp};
@@ -10,29 +10,30 @@ use gdp_wire::{FibEntry, Name, flat};
 
 use crate::{bench_names, fib};
 
-/// Of a packet, from its beginning. The programs write all but `mask` and `stored`.
+/// The layout of a packet, from its first byte. The programs write all fields except `mask` and
+/// `stored`.
 #[repr(C)]
 struct Question {
     ethernet: [u64; 2],
-    /// Of the random numbers.
+    /// State of the random number generator.
     state: u64,
     /// One less than the number of names to choose from, which is a power of two.
     mask: u64,
-    /// Names from 0 on that must be found.
+    /// Number of names, from name 0 on, that every lookup must find.
     stored: u64,
     name: [u64; 4],
 }
 
-/// The plain hash of the kernel, preallocated. User space sets the real capacity.
+/// A plain, preallocated hash map of the kernel. User space sets the real capacity.
 #[map]
 static HASH: HashMap<Name, FibEntry> = HashMap::with_max_entries(1, 0);
 
-/// Lookups that found a route of the name, that found something else, and that missed one of the
-/// names that must be found. Written by these programs, of which one runs at a time.
+/// Counts of lookups: those that found a route of the name, those that found something else, and
+/// those that missed a name they must find. Written by these programs, one of which runs at a time.
 #[map]
 static FOUND: Array<[u64; 3]> = Array::with_max_entries(1, 0);
 
-/// Only what the others do besides.
+/// Measures the overhead that all three programs share.
 #[xdp]
 pub fn lookup_none(context: XdpContext) -> u32 {
     ask(&context, |name, number| Some(flat::from_words(bench_names::route(number, name.words()[0]))))
@@ -45,8 +46,8 @@ pub fn lookup_flat(context: XdpContext) -> u32 {
 
 #[xdp]
 pub fn lookup_hash(context: XdpContext) -> u32 {
-    // SAFETY: elements are preallocated, so the memory stays an entry; nobody removes any while
-    // this runs.
+    // SAFETY: elements are preallocated, so the memory always contains an entry. No element is
+    // removed while this program runs.
     ask(&context, |name, _| HASH.get_ptr(name).map(|entry| unsafe { *entry }))
 }
 
@@ -61,7 +62,7 @@ fn ask(context: &XdpContext, look_up: impl Fn(&Name, u64) -> Option<FibEntry>) -
     question.state = question.state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
     let number = question.state >> 33 & question.mask;
     question.name = bench_names::name(number);
-    // SAFETY: a name is four words, whichever.
+    // SAFETY: a name is four words, and all values are valid.
     let name = unsafe { &*(&raw const question.name).cast::<Name>() };
     let found = match look_up(name, number) {
         Some(entry) if bench_names::is_route(number, flat::to_words(entry)) => 0,

@@ -1,20 +1,20 @@
-//! The names and routes of `bench forward` and of the tests of the FIB in the kernel, by number.
-//! Programs and user space, which includes this file by its path, must make the same.
+//! Numbered names and routes for `bench forward` and for the FIB tests in the kernel. The programs
+//! and user space, which includes this file by its path, must compute the same values.
 
-/// Four words of the name with this number.
+/// Returns the four words of the name with this number.
 #[inline(always)]
 pub const fn name(number: u64) -> [u64; 4] {
     let a = mix(number.wrapping_add(0x9e37_79b9_7f4a_7c15));
     [a, a.wrapping_mul(0x9e37_79b9_7f4a_7c15), a ^ 0x5555_5555_5555_5555, !a]
 }
 
-/// A route of the name with this number, one of many.
+/// Returns a route of the name with this number; every `version` is a different route.
 #[inline(always)]
 pub const fn route(number: u64, version: u64) -> [u64; 3] {
     [version, number ^ version.rotate_left(32), !version]
 }
 
-/// Whether it is any of those.
+/// Returns whether `route` is a route of the name with this number, of any version.
 #[inline(always)]
 pub const fn is_route(number: u64, route: [u64; 3]) -> bool {
     let [version, both, inverse] = route;

@@ -1,17 +1,17 @@
-//! From the switch to the program at the interface where a copy leaves: what the copy is for. It is
-//! written in place of the Ethernet addresses, which no longer matter then; so it reaches every
-//! driver's copies, whereas XDP metadata would not. The rest of the frame is the same for all
-//! copies: [`gdp_wire::forward::copy`] makes each of them from it.
+//! Labels that tell the egress program which link a copy is for. The switch writes the label over
+//! the Ethernet addresses, which are no longer needed. The label therefore survives in the copies
+//! of every driver, unlike XDP metadata. All copies of a frame are otherwise identical:
+//! [`gdp_wire::forward::copy`] makes the frame for each link.
 //!
-//! The kernel makes the copies of a frame that leave by one interface in a row, on the CPU that the
-//! switch ran on. So a count by CPU and interface tells them apart: `COUNTED`, of which user space
-//! makes an entry before an interface takes frames, and that only the CPU's own runs write.
-//! `SEQUENCE` tells frames apart.
+//! The kernel makes the copies of a frame that leave by one interface in sequence, on the CPU of
+//! the switch program. The index of a copy is therefore a count per CPU and interface, in
+//! `COUNTED`. User space creates the entry of an interface before the interface takes frames. Only
+//! the programs on the CPU write its value. `SEQUENCE` distinguishes frames.
 //!
-//! A copy that nobody needs is dropped, but for the last at its interface. The kernel sends up to
-//! 16 frames at a time, and if it is left with none of the last ones it does not tell the driver
-//! that there were others before: those would wait for the next frame. So the last copy leaves in
-//! any case, as a filler if need be.
+//! The egress program drops a copy that no link needs, except the last copy at its interface. The
+//! kernel sends up to 16 frames in a batch. If the program drops all frames of the last batch, the
+//! kernel does not flush the driver. Earlier frames would then wait for the next frame. The last
+//! copy therefore always leaves, as a filler if no link needs it.
 
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::{PerCpuArray, PerCpuHashMap};
@@ -29,15 +29,15 @@ static SEQUENCE: PerCpuArray<u64> = PerCpuArray::with_max_entries(1, 0);
 #[map]
 static COUNTED: PerCpuHashMap<u32, CopyCount> = PerCpuHashMap::with_max_entries(MAX_PORTS, 0);
 
-/// No interface has a group address of its own, so no frame that leaves otherwise has this in its
-/// source.
+/// Marks a label. No interface has a group address as its own, so the source address of no other
+/// frame starts with this value.
 const MARK: u16 = 0xffff;
 
-/// What a copy is for, in the place of the Ethernet addresses.
+/// The label of a copy, written over the Ethernet addresses.
 #[derive(Clone, Copy)]
 #[repr(C)]
 pub struct Label {
-    /// The low 48 bits of the number of the frame on this CPU.
+    /// The low 48 bits of the sequence number of the frame on this CPU.
     sequence: [u16; 3],
     mark: u16,
     group: u16,
@@ -46,7 +46,7 @@ pub struct Label {
 
 const _: () = assert!(size_of::<Label>() <= ETHERNET_LEN);
 
-/// Labels a frame that is about to be copied; `false` if that cannot be.
+/// Labels a frame before the kernel copies it. Returns `false` if the frame cannot be labelled.
 #[inline(always)]
 pub fn label(packet: &Packet, group: u32) -> bool {
     let (Some(sequence), Some(at)) = (SEQUENCE.get_ptr_mut(0), packet.get::<Label>(0)) else { return false };
@@ -60,20 +60,21 @@ pub fn label(packet: &Packet, group: u32) -> bool {
 }
 
 impl Label {
-    /// The label of a packet, if that is a copy.
+    /// Returns the label of a packet, or `None` if the packet is not a copy.
     #[inline(always)]
     pub fn of(packet: &Packet) -> Option<Self> {
         // SAFETY: `get` checked the bounds, and any bytes are a label.
         packet.get::<Self>(0).map(|label| unsafe { *label }).filter(|label| label.mark == MARK)
     }
 
-    /// Which of the copies this is, that now leaves by `interface`. To be asked once for each.
+    /// Returns the group slot of this copy, which now leaves by `interface`. Must be called once
+    /// per copy.
     #[inline(always)]
     pub fn slot(&self, interface: u32) -> Option<GroupSlot> {
         let [low, middle, high] = self.sequence.map(u64::from);
         let sequence = low | middle << 16 | high << 32;
-        // SAFETY: this CPU's part of an element that stays while its interface takes frames; nobody
-        // else writes it.
+        // SAFETY: this CPU's value of an element that exists while its interface takes frames. No
+        // other CPU writes the value.
         let counted = unsafe { &mut *COUNTED.get_ptr_mut(interface)? };
         let index = if counted.sequence == sequence { counted.copies } else { 0 };
         *counted = CopyCount { sequence, copies: index + 1, ..*counted };
@@ -81,25 +82,25 @@ impl Label {
     }
 }
 
-/// Says that a copy is dropped because nobody needs it.
+/// Counts a copy that is dropped because no link needs it.
 #[inline(always)]
 pub fn count_superfluous(interface: u32) {
     if let Some(counted) = COUNTED.get_ptr_mut(interface) {
-        // SAFETY: this CPU's part of an element, as above.
+        // SAFETY: this CPU's value of an element, as above.
         unsafe { (*counted).superfluous += 1 };
     }
 }
 
-/// How many were said since this was last asked.
+/// Returns the number of superfluous copies since the last call, and resets it.
 #[inline(always)]
 pub fn take_superfluous(interface: u32) -> u64 {
     let Some(counted) = COUNTED.get_ptr_mut(interface) else { return 0 };
-    // SAFETY: this CPU's part of an element, as above.
+    // SAFETY: this CPU's value of an element, as above.
     unsafe { core::mem::take(&mut (*counted).superfluous).into() }
 }
 
-/// Turns a copy into the shortest frame there is, with nothing of the copy in it. No bridge
-/// forwards it (IEEE 802.1Q, reserved group address). No host takes it (IEEE 802, local
+/// Replaces a copy with a frame of minimum length that contains nothing of the copy. Bridges do not
+/// forward the frame (IEEE 802.1Q, reserved group address). Hosts do not accept it (IEEE 802, local
 /// experimental ethertype 2).
 #[inline(always)]
 pub fn make_discardable(context: &XdpContext) -> bool {

@@ -1,6 +1,6 @@
-//! One count per [`Counter`] and CPU. Written here only, by the CPU that owns the slot; XDP
-//! programs do not preempt each other on a CPU, so a plain increment loses nothing. User space only
-//! reads, and sums.
+//! One count per [`Counter`] and CPU. Only these programs write a slot, on the CPU that owns it.
+//! XDP programs do not preempt each other on a CPU, so a plain increment is safe. User space only
+//! reads and sums.
 
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::PerCpuArray;
@@ -17,7 +17,7 @@ pub fn count(counter: Counter) {
 #[inline(always)]
 pub fn add(counter: Counter, frames: u64) {
     if let Some(slot) = COUNTERS.get_ptr_mut(counter as u32) {
-        // SAFETY: the kernel returned a pointer to this CPU's slot, which nobody else writes.
+        // SAFETY: the kernel returned a pointer to this CPU's slot, which no other CPU writes.
         unsafe { *slot += frames }
     }
 }

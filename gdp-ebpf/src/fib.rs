@@ -1,7 +1,7 @@
-//! Where names lead. `FIB` holds one flat table (`gdp_wire::flat`, which says what a reader may
-//! meet), in an array that user space maps and writes while programs read. To grow, user space
-//! fills another array and puts it in the place of the first: a program runs to its end on the one
-//! that it began with.
+//! The FIB. The map `FIB` contains one flat table, an array that user space maps and writes while
+//! programs read. `gdp_wire::flat` specifies the states that a reader may see. To grow the table,
+//! user space fills a new array and replaces the old one. A program that has started on the old
+//! array finishes on it.
 
 use aya_ebpf::bindings::{BPF_F_INNER_MAP, BPF_F_MMAPABLE};
 use aya_ebpf::btf_maps::{Array, ArrayOfMaps};
@@ -9,7 +9,7 @@ use aya_ebpf::macros::btf_map;
 use gdp_wire::flat::{self, BUCKET};
 use gdp_wire::{FibEntry, Name};
 
-/// Tables differ in size, which only `BPF_F_INNER_MAP` allows.
+/// Tables of different sizes require `BPF_F_INNER_MAP`.
 type Table = Array<[u64; BUCKET], 1, { (BPF_F_MMAPABLE | BPF_F_INNER_MAP) as usize }>;
 
 #[btf_map]
@@ -38,19 +38,19 @@ struct Bucket(*const u64);
 impl flat::Words for Bucket {
     #[inline(always)]
     fn load(self, index: usize) -> u64 {
-        // SAFETY: within the element, whose memory stays while the program runs; aligned; the
-        // kernel's JIT makes one load of it.
+        // SAFETY: within the element, whose memory remains valid while the program runs. Aligned.
+        // The kernel's JIT emits one load.
         unsafe { self.0.add(index).read_volatile() }
     }
 
-    /// A load whose address depends on what another load returned happens after that one, on every
-    /// machine the kernel runs on, and costs no barrier.
+    /// Orders loads by an address dependency, without a barrier. On every architecture of the
+    /// kernel, a load whose address depends on another load happens after that load.
     #[cfg(target_arch = "bpf")]
     #[inline(always)]
     fn after(self, loaded: u64) -> Self {
         let mut words = self.0;
-        // SAFETY: adds zero, in a way that neither the compiler nor the JIT sees through; touches
-        // two registers.
+        // SAFETY: adds zero in a form that neither the compiler nor the JIT can optimise away.
+        // Changes two registers only.
         unsafe {
             core::arch::asm!(
                 "{loaded} &= 0",
@@ -62,7 +62,7 @@ impl flat::Words for Bucket {
         Self(words)
     }
 
-    /// On the host.
+    /// The host version, with an acquire fence.
     #[cfg(not(target_arch = "bpf"))]
     fn after(self, _loaded: u64) -> Self {
         core::sync::atomic::fence(core::sync::atomic::Ordering::Acquire);

@@ -1,19 +1,23 @@
-//! Groups of links that frames are copied to. A group is a device map with one key for each copy
-//! that the kernel is to make, and the places that say which link gets which. Written by user space
-//! only, but for [`suspend`].
+//! Groups of links that frames are copied to. A group consists of a device map with one key per
+//! copy, and slots that assign a link to each copy. Written by user space only, except by
+//! [`suspend`].
 //!
-//! `SERVED` says which egress bits the kernel can copy frames for: its links that those lead to are
-//! all in the group. Of a link over UDP user space has asked by which interface it leaves. When a
-//! copy finds that this is not so any more (the route changed, or the neighbour is to be resolved
-//! anew) it is lost, and the group is suspended: until user space has asked again the frames are
-//! left to the userspace plane.
+//! `SERVED` contains the egress bits that the kernel can copy frames for. All links of the switch
+//! that lead to these bits are in the group. For a link over UDP, user space has looked up the
+//! egress interface in the kernel's routing table. A copy is lost if this interface is no longer
+//! right, because the route changed or the neighbour is unresolved. The egress program then
+//! suspends the group. The userspace plane forwards the frames of the group until user space has
+//! repeated the lookup.
 //!
-//! A group that is in use changes only so that nobody else in it misses a frame or gets it twice: a
-//! link that goes leaves its place empty, one that comes takes an empty place or a new one behind
-//! the others; a key comes after its place is taken, and goes after that is empty. Keys of one
-//! interface are all the same to the kernel. A group that takes the number of another is written
-//! anew only when no frame is under way to that: after it served nobody for an RCU grace period,
-//! which no run of these programs outlasts.
+//! Changes to a group in use never make another member miss a frame or receive a frame twice:
+//!
+//! - A link that leaves the group leaves its slot empty. A link that joins takes an empty slot, or
+//!   a new slot after the others.
+//! - User space adds a key after its slot is filled, and removes a key after its slot is empty. The
+//!   kernel does not distinguish the keys of one interface.
+//! - User space reuses a group number only when no frame to the old group is in flight. The old
+//!   group must have served no bits for an RCU grace period, which no run of these programs
+//!   outlasts.
 
 use aya_ebpf::bindings::BPF_F_NO_PREALLOC;
 use aya_ebpf::btf_maps::{ArrayOfMaps, DevMapHash};
@@ -28,40 +32,40 @@ static GROUPS: ArrayOfMaps<DevMapHash<{ MAX_COPIES as usize }>, { MAX_GROUPS as 
 #[map]
 static SERVED: Array<u64> = Array::with_max_entries(MAX_GROUPS, 0);
 
-/// Values are link ids. Most groups are small, so elements are allocated as they are needed.
+/// Maps a slot to a link id. Most groups are small, so elements are allocated on demand.
 #[map]
 static SLOTS: HashMap<GroupSlot, u32> = HashMap::with_max_entries(MAX_GROUPS * MAX_COPIES, BPF_F_NO_PREALLOC);
 
-/// The egress bits that the kernel can copy frames for; this switch's own bit is that of the local
-/// readers.
+/// Returns the egress bits that the kernel can copy frames for. This switch's own bit stands for
+/// the local readers.
 #[inline(always)]
 pub fn served(group: u32) -> u64 {
     SERVED.get(group).copied().unwrap_or(0)
 }
 
-/// Leaves the frames for a group to the userspace plane, until user space says which it is to copy.
+/// Hands the frames of a group to the userspace plane until user space writes `SERVED` again.
 #[inline(always)]
 pub fn suspend(group: u32) {
     if let Some(served) = SERVED.get_ptr_mut(group) {
-        // SAFETY: a live, aligned element of the map, that is written only whole, as the kernel's
-        // JIT makes it.
+        // SAFETY: a live, aligned element of the map. All writers write the whole word, in one
+        // store of the kernel's JIT.
         unsafe { served.write_volatile(0) };
     }
 }
 
-/// Makes the copies when the program returns, of which each runs through the program at its
-/// interface; `false` if there is no such group.
+/// Makes the copies when the program returns. Each copy runs through the program at its interface.
+/// Returns `false` if the group does not exist.
 #[inline(always)]
 pub fn redirect(group: u32) -> bool {
     const BROADCAST: u64 = 1 << 3;
     GROUPS.get(group).is_some_and(|keys| keys.redirect(0, BROADCAST).is_ok())
 }
 
-/// The link that gets this copy.
+/// Returns the link of this copy.
 #[inline(always)]
 pub fn link_at(slot: &GroupSlot) -> Option<u32> {
-    // SAFETY: the value is read at once; an element that is freed meanwhile stays readable until
-    // the program ends, as an id of a link that then is another's or nobody's: the copy is of the
-    // same name, and for it as for any reader just gone.
+    // SAFETY: the value is read at once. An element that is freed concurrently remains readable
+    // until the program ends, and may then contain the id of another link or of no link. The copy
+    // is of the same name, so the result is the same as for a reader that has just left.
     SLOTS.get_ptr(slot).map(|link| unsafe { *link })
 }

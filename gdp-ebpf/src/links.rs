@@ -1,17 +1,18 @@
-//! The switch's links. `LINKS` is written by user space only, whole entries: a link is written
-//! before any route leads to it and removed after. A frame that races with the first write of an
-//! entry fails its tag or finds no link.
+//! The switch's links. Only user space writes `LINKS`, whole entries at a time. User space writes a
+//! link before any route leads to the link, and removes the link after the last such route. A frame
+//! that races with the first write of an entry fails the tag check or finds no link.
 //!
-//! While its id stays, a link's keys change in two writes: first a key that no frame is tagged
-//! with, then, a round trip or more later, the phase that points to it. So a program that reads
-//! while the kernel copies finds one phase or the other, and the key of either whole.
+//! The keys of a link change in two writes while its id stays the same. The first writes a key that
+//! no frame is tagged with yet. The second, at least a round trip later, changes the phase to that
+//! key. A program that reads during the kernel's copy therefore sees one of the two phases, and a
+//! complete key for either.
 //!
-//! `TX_COUNTERS` is shared with the userspace plane, which maps it: a link has one sequence of
-//! counters, whichever plane sends. Hence atomic additions, and nothing else, on both sides.
+//! `TX_COUNTERS` is shared with the userspace plane, which maps it: both planes use one sequence of
+//! counters per link. Both sides therefore access the counters by atomic addition only.
 //!
-//! `COMPLAINTS` and `PUNTS` are shared likewise. Two that race write nearly the same time, and the
-//! link gets one error more, or the daemon one probe. The second is written by user space only,
-//! which is where probes get to the daemon.
+//! `COMPLAINTS` and `PUNTS` are shared in the same manner. Two racing writers store nearly the same
+//! time; the neighbour then gets one more error, or the daemon one more probe. Only user space
+//! writes `PUNTS`, because probes reach the daemon there.
 
 use aya_ebpf::bindings::BPF_F_MMAPABLE;
 use aya_ebpf::helpers::bpf_ktime_get_coarse_ns;
@@ -23,21 +24,23 @@ use gdp_wire::table::{COMPLAINT_INTERVAL_NS, MAX_LINKS, PUNT_INTERVAL_NS, link_i
 #[map]
 static LINKS: Array<LinkEntry> = Array::with_max_entries(MAX_LINKS, 0);
 
-/// The count of frames sent by the link with the same index, of which frames carry the low 32 bits.
+/// Number of frames sent on the link with the same index. Frames carry the low 32 bits.
 #[map]
 static TX_COUNTERS: Array<u64> = Array::with_max_entries(MAX_LINKS, BPF_F_MMAPABLE);
 
-/// When the last error left by the link with the same index, in nanoseconds of the monotonic clock.
+/// Time of the last error sent on the link with the same index, in nanoseconds of the monotonic
+/// clock.
 #[map]
 static COMPLAINTS: Array<u64> = Array::with_max_entries(MAX_LINKS, BPF_F_MMAPABLE);
 
-/// When the daemon was last given a probe that came on the link with the same index, likewise.
+/// Time of the last probe that the daemon received from the link with the same index, on the same
+/// clock.
 #[map]
 static PUNTS: Array<u64> = Array::with_max_entries(MAX_LINKS, BPF_F_MMAPABLE);
 
 #[inline(always)]
 pub fn get(id: u32) -> Option<&'static LinkEntry> {
-    // SAFETY: array elements live as long as the map.
+    // SAFETY: array elements are valid as long as the map.
     let link = unsafe { &*LINKS.get_ptr(link_index(id))? };
     (link.id == id && id != 0).then_some(link)
 }
@@ -45,7 +48,7 @@ pub fn get(id: u32) -> Option<&'static LinkEntry> {
 #[inline(always)]
 pub fn next_count(link: &LinkEntry) -> u64 {
     match TX_COUNTERS.get_ptr_mut(link_index(link.id)) {
-        // SAFETY: a live, aligned element of the map, only ever accessed atomically.
+        // SAFETY: a live, aligned element of the map; all accesses are atomic.
         Some(slot) => unsafe { fetch_add(slot, 1) }.wrapping_add(1),
         None => 0,
     }
@@ -54,8 +57,8 @@ pub fn next_count(link: &LinkEntry) -> u64 {
 #[inline(always)]
 pub fn may_send_error(link: &LinkEntry) -> bool {
     let Some(last) = COMPLAINTS.get_ptr_mut(link_index(link.id)) else { return false };
-    // SAFETY: a helper without arguments, and a live, aligned element of the map; the kernel's JIT
-    // makes one load.
+    // SAFETY: a helper without arguments, and a live, aligned element of the map. The kernel's JIT
+    // emits one load.
     unsafe { bpf_ktime_get_coarse_ns().wrapping_sub(last.read_volatile()) >= COMPLAINT_INTERVAL_NS }
 }
 
@@ -69,17 +72,17 @@ pub fn may_punt(link: &LinkEntry) -> bool {
 #[inline(always)]
 pub fn send_error(link: &LinkEntry) {
     if let Some(last) = COMPLAINTS.get_ptr_mut(link_index(link.id)) {
-        // SAFETY: as above; the kernel's JIT makes one store.
+        // SAFETY: as above; the kernel's JIT emits one store.
         unsafe { last.write_volatile(bpf_ktime_get_coarse_ns()) }
     }
 }
 
-/// Adds to `*slot` atomically and returns what it was. The compiler's description of the target
-/// says it has no such instruction; the kernel has it since 5.12.
+/// Adds to `*slot` atomically and returns the previous value. The compiler's target description
+/// lacks this instruction; the kernel supports it since 5.12.
 ///
 /// # Safety
 ///
-/// `slot` must be valid, aligned, and accessed atomically by everybody.
+/// `slot` must be valid and aligned, and all its accesses must be atomic.
 #[cfg(target_arch = "bpf")]
 #[inline(always)]
 unsafe fn fetch_add(slot: *mut u64, mut value: u64) -> u64 {
@@ -91,7 +94,7 @@ unsafe fn fetch_add(slot: *mut u64, mut value: u64) -> u64 {
     value
 }
 
-/// On the host.
+/// The host version.
 ///
 /// # Safety
 ///

@@ -1,6 +1,6 @@
-//! What on the interfaces is ours beside untagged GDP frames. Written by user space only, an
-//! element before the first link that needs it, and removed after the last. Only whether a key is
-//! there counts.
+//! The addresses and VLANs whose frames the switch takes, in addition to untagged GDP frames. Only
+//! user space writes them: it adds an element before the first link that needs it, and removes it
+//! after the last. Both maps are sets; the values are unused.
 
 use aya_ebpf::bindings::BPF_F_NO_PREALLOC;
 use aya_ebpf::macros::map;
@@ -8,11 +8,11 @@ use aya_ebpf::maps::HashMap;
 use gdp_wire::table::{MAX_LOCAL_ADDRESSES, MAX_PORTS};
 use gdp_wire::{LocalAddress, Vlan};
 
-/// Where the daemon's socket takes frames over UDP.
+/// The addresses of the daemon's socket for frames over UDP.
 #[map]
 static ADDRESSES: HashMap<LocalAddress, u32> = HashMap::with_max_entries(MAX_LOCAL_ADDRESSES, BPF_F_NO_PREALLOC);
 
-/// Where GDP runs on a VLAN.
+/// The VLANs that GDP runs on.
 #[map]
 static VLANS: HashMap<Vlan, u32> = HashMap::with_max_entries(MAX_PORTS, BPF_F_NO_PREALLOC);
 

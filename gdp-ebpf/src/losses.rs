@@ -1,11 +1,11 @@
-//! Counts the frames that are lost after the switch has redirected them: the verdict only queues a
-//! frame, and the kernel hands it to the other interface later, a batch at a time, where nobody
-//! hears what that interface did not take. Two tracepoints tell.
+//! Counts the frames that are lost after the switch has redirected them. The verdict only queues a
+//! frame. The kernel passes the frames to the egress interface later, in batches, and does not
+//! report rejected frames to the program. Two tracepoints report them.
 //!
-//! They see the whole machine, so a loss counts only if it was on the way from one watched
-//! interface to another: those that are keys of `REDIRECT_LOSSES`, in the network namespace of
-//! `NET_DEVICES`. Keys are written by user space only, values here only, by the CPU that owns them;
-//! the tracepoints fire where the switch runs, and a program does not interrupt itself.
+//! The tracepoints cover the whole machine. A loss therefore counts only between two watched
+//! interfaces: keys of `REDIRECT_LOSSES` in the network namespace of `NET_DEVICES`. Only user space
+//! writes keys; only these programs write values, on the CPU that owns them. The tracepoints fire
+//! on the CPU of the switch program, and a program does not interrupt itself.
 
 use core::ptr;
 
@@ -19,7 +19,7 @@ use gdp_wire::losses::NetDevices;
 
 use crate::{copies, counters};
 
-/// Frames lost on the way to an interface, by its index.
+/// Frames lost on the path to an interface, by interface index.
 #[map]
 static REDIRECT_LOSSES: PerCpuHashMap<u32, u64> = PerCpuHashMap::with_max_entries(256, 0);
 
@@ -27,9 +27,9 @@ static REDIRECT_LOSSES: PerCpuHashMap<u32, u64> = PerCpuHashMap::with_max_entrie
 #[unsafe(no_mangle)]
 static NET_DEVICES: NetDevices = NetDevices { namespace: 0, ifindex: 0, net: 0, inum: 0 };
 
-/// `xdp_devmap_xmit(from_dev, to_dev, sent, drops, err)`: a batch was handed to an interface. What
-/// the program that it went through dropped is among the drops: the copies that nobody needs, which
-/// are no losses.
+/// `xdp_devmap_xmit(from_dev, to_dev, sent, drops, err)`: the kernel passed a batch to an
+/// interface. `drops` includes the packets that the egress program dropped. Those are superfluous
+/// copies and not losses.
 #[raw_tracepoint(tracepoint = "xdp_devmap_xmit")]
 pub fn gdp_devmap_xmit(context: RawTracePointContext) -> i32 {
     let drops: i32 = context.arg(3);
@@ -39,39 +39,40 @@ pub fn gdp_devmap_xmit(context: RawTracePointContext) -> i32 {
     0
 }
 
-/// `xdp_redirect_err(dev, prog, target, err, map_type, map_id, index)`: a frame was refused before
-/// it came into a batch. An interface that a broadcast passes over, because it is down or takes no
-/// such frames, is told by nobody.
+/// `xdp_redirect_err(dev, prog, target, err, map_type, map_id, index)`: the kernel refused a frame
+/// before adding it to a batch. No tracepoint reports an interface that a broadcast skips because
+/// it is down or takes no redirected frames.
 #[raw_tracepoint(tracepoint = "xdp_redirect_err")]
 pub fn gdp_redirect_err(context: RawTracePointContext) -> i32 {
     let (target, map_type): (*const *const u8, u32) = (context.arg(2), context.arg(4));
     if map_type == BPF_MAP_TYPE_DEVMAP || map_type == BPF_MAP_TYPE_DEVMAP_HASH {
-        // An entry of a device map begins with the interface, which the kernel keeps so for
-        // tracepoints. A broadcast has none.
+        // An entry of a device map begins with the interface; the kernel preserves this layout for
+        // tracepoints. A broadcast has no target.
         let from = context.arg(0);
         lost(from, read(target).unwrap_or(from), |_| 1);
     }
     0
 }
 
-/// `frames`: how many, on the way to the interface with this index.
+/// Counts `frames` of the index of the interface `to` as lost on the path from `from` to `to`.
 #[inline(always)]
 fn lost(from: *const u8, to: *const u8, frames: impl FnOnce(u32) -> u64) {
     if watched(from).is_some()
         && let Some((ifindex, losses)) = watched(to)
     {
         let frames = frames(ifindex);
-        // SAFETY: the kernel returned a pointer to this CPU's value, which nobody else writes.
+        // SAFETY: the kernel returned a pointer to this CPU's value, which no other CPU writes.
         unsafe { *losses += frames };
         counters::add(Counter::RedirectLost, frames);
     }
 }
 
-/// The index of a `struct net_device` and this CPU's count for it, if it is one of ours.
+/// Returns the index of a `struct net_device` and this CPU's count for it, if it is a watched
+/// interface.
 #[inline(always)]
 fn watched(device: *const u8) -> Option<(u32, *mut u64)> {
-    // SAFETY: a static; user space has replaced its value, which the compiler must not take for
-    // known.
+    // SAFETY: a static. User space has replaced its value, so the compiler must not assume the
+    // initial one.
     let at = unsafe { ptr::read_volatile(&raw const NET_DEVICES) };
     let net: *const u8 = read(device.wrapping_add(at.net as usize).cast())?;
     let inum: u32 = read(net.wrapping_add(at.inum as usize).cast())?;
@@ -84,7 +85,7 @@ fn watched(device: *const u8) -> Option<(u32, *mut u64)> {
 
 #[inline(always)]
 fn read<T>(at: *const T) -> Option<T> {
-    // SAFETY: the helper checks the address and fails where there is nothing; integers and pointers
-    // are any bytes.
+    // SAFETY: the helper checks the address and fails if it is not mapped. Any bytes are valid
+    // integers and pointers.
     unsafe { bpf_probe_read_kernel(at) }.ok()
 }

@@ -1,19 +1,19 @@
-//! The XDP programs of a switch. Everything that decides is in `gdp_wire::forward`; here is only
-//! what the kernel needs done around it: find the header in the packet, look up in BPF maps, carry
-//! the verdict out, count.
+//! The XDP programs of a switch. All decisions are in `gdp_wire::forward`. This crate does the
+//! kernel's part: it finds the header in the packet, looks up BPF maps, carries out the verdict and
+//! counts.
 //!
-//! Loaded by `gdp_dataplane::kernel`. The modules are the maps, each with the rule of who may write
-//! it when; [`packet`] and [`carrier`], what is around a frame; and [`next_hop`]. Only this file
-//! turns outcomes into XDP actions and counters.
+//! Loaded by `gdp_dataplane::kernel`. Most modules are maps; each states who may write its map, and
+//! when. [`packet`] and [`carrier`] handle the headers around a frame, and [`next_hop`] the
+//! kernel's routing table. Only this file turns outcomes into XDP actions and counters.
 //!
-//! [`gdp_switch`] runs where a frame arrives, [`gdp_egress`] where the kernel has been told to send
-//! it. The second is there for the copies of a frame; but the kernel runs one program over all
-//! frames that leave by an interface together, so where copies leave every frame comes by it.
+//! [`gdp_switch`] runs where a frame arrives, [`gdp_egress`] at the interface that the kernel sends
+//! the frame on. [`gdp_egress`] exists for the copies of a frame. The kernel runs it on all frames
+//! that leave by an interface, so where copies leave, every frame passes through it.
 //!
-//! Of both there are two that do the same. Those above take packets that span several buffers (MTU
-//! above about 3500), which kernels before 5.18 cannot; for those there are [`gdp_switch_linear`]
-//! and [`gdp_egress_linear`]. The first of these is also the better one where packets are smaller,
-//! because it need not ask the kernel how long they are.
+//! Each of the two exists in two variants. [`gdp_switch`] and [`gdp_egress`] accept packets that
+//! span several buffers (MTU above about 3500), which kernels before 5.18 do not support.
+//! [`gdp_switch_linear`] and [`gdp_egress_linear`] run on those kernels. [`gdp_switch_linear`] is
+//! also faster where packets are smaller, because it need not ask the kernel for their length.
 #![cfg_attr(target_arch = "bpf", no_std, no_main, feature(asm_experimental_arch))]
 
 mod carrier;
@@ -51,52 +51,52 @@ use crate::next_hop::NextHop;
 use crate::packet::Packet;
 use crate::tables::Maps;
 
-/// The switch where packets may span several buffers.
+/// The switch for packets that may span several buffers.
 #[xdp(frags)]
 pub fn gdp_switch(context: XdpContext) -> u32 {
     let length = packet::length(&context);
     act(&context, handle(&context, length))
 }
 
-/// The switch where each packet is in one buffer, and on kernels before 5.18.
+/// The switch for packets in one buffer, and for kernels before 5.18.
 #[xdp]
 pub fn gdp_switch_linear(context: XdpContext) -> u32 {
     let length = context.data_end().saturating_sub(context.data());
     act(&context, handle(&context, length))
 }
 
-/// What leaves, on kernels from 5.18 on.
+/// The egress program, on kernels from 5.18 on.
 #[xdp(frags, map = "devmap")]
 pub fn gdp_egress(context: XdpContext) -> u32 {
     act_at_egress(leave(&context))
 }
 
-/// What leaves, on older kernels.
+/// The egress program, on older kernels.
 #[xdp(map = "devmap")]
 pub fn gdp_egress_linear(context: XdpContext) -> u32 {
     act_at_egress(leave(&context))
 }
 
-/// Never attached: user space runs it to ask where frames for a link over UDP leave. The packet
-/// begins with the id of the link; the answer is the interface, as [`gdp_egress`] would find it for
-/// the largest frame that it is given for the link, or 0.
+/// Returns the egress interface of a link over UDP, or 0. Never attached: user space runs it. The
+/// packet begins with the id of the link. The result is the interface that [`gdp_egress`] would
+/// find for the largest frame that it gets for the link.
 #[xdp]
 pub fn gdp_route(context: XdpContext) -> u32 {
     route(&context).unwrap_or(0)
 }
 
-/// For the interface of an endpoint on a veth: a veth takes redirected frames only if its other end
+/// For the interface of an endpoint on a veth. A veth takes redirected frames only if its other end
 /// runs a program (or has GRO on).
 #[xdp(frags)]
 pub fn gdp_pass(_context: XdpContext) -> u32 {
     XDP_PASS
 }
 
-/// What became of a packet.
+/// The outcome for a packet.
 enum Outcome {
-    /// It is on its way to another interface.
+    /// The packet is redirected to another interface.
     Redirected(Counter),
-    /// The host takes it, untouched but for what [`host_pair`] does.
+    /// The packet goes to the host, unchanged except by [`host_pair`].
     Passed(Counter),
     Dropped(Counter),
 }
@@ -121,16 +121,16 @@ fn act(context: &XdpContext, outcome: Outcome) -> u32 {
     }
 }
 
-/// What becomes of a packet that leaves.
+/// The outcome for a packet at egress.
 enum Departure {
-    /// It was made for its link before.
+    /// The packet was already addressed to its link at ingress.
     Ready,
-    /// It is a copy, now made for its link.
+    /// The packet is a copy, now addressed to its link.
     Copied(Counter),
-    /// It is a copy that nobody needs.
+    /// The packet is a copy that no link needs.
     Superfluous,
-    /// It is such a copy, the last at its interface, and has become what no host takes: see
-    /// [`copies`].
+    /// The packet is a superfluous copy, the last at its interface, and was replaced by a frame
+    /// that no host accepts. See [`copies`].
     Filler,
 }
 
@@ -155,7 +155,7 @@ fn handle(context: &XdpContext, length: usize) -> Outcome {
     let Some(carried) = carrier::find(context, &packet, length, config::get().ethertype) else {
         return Outcome::Passed(Counter::Foreign);
     };
-    // Behind an empty datagram there may be padding.
+    // Padding may follow an empty datagram.
     let Some(first_byte) = packet.get::<u8>(carried.at).filter(|_| carried.available > 0) else {
         return Outcome::Dropped(Counter::Truncated);
     };
@@ -194,7 +194,7 @@ fn forward_headed(
     let tables = Maps { context, length: header.frame_len(), in_one_buffer };
     let traffic = carrier::traffic(&Packet::of(context), &carried);
     let verdict = forward::decide(header, carried.available, traffic, &tables);
-    // An answer has no payload, so this is its length as well.
+    // An answer has no payload, so this is also the length of an answer.
     let frame = header.frame_len();
     let behind = length - carried.at - frame;
     let (link, hop, counter) = match verdict {
@@ -207,7 +207,7 @@ fn forward_headed(
             tally::sample(tag, header);
             return replicate(context, group, carried.at, behind);
         }
-        // The kernel leaves a notice to the daemon as well.
+        // The kernel also hands a notice to the daemon.
         Verdict::Notice(_) | Verdict::Slow => return Outcome::Passed(Counter::Slow),
         Verdict::Drop(counter) => return Outcome::Dropped(counter),
     };
@@ -218,8 +218,8 @@ fn forward_headed(
     if ports::redirect(hop.port) { Outcome::Redirected(counter) } else { Outcome::Dropped(Counter::RedirectFailed) }
 }
 
-/// Has copies made of the frame that lies `at`, without the bytes `behind` it. Each then becomes
-/// one for its link in [`leave`].
+/// Makes the kernel copy the frame at offset `at`, without the `behind` bytes after it. [`leave`]
+/// then addresses each copy to its link.
 #[inline(always)]
 fn replicate(context: &XdpContext, group: u32, at: usize, behind: usize) -> Outcome {
     let bare = packet::cut(context, behind) && packet::shift(context, at, ETHERNET_LEN);
@@ -234,7 +234,7 @@ fn replicate(context: &XdpContext, group: u32, at: usize, behind: usize) -> Outc
 fn leave(context: &XdpContext) -> Departure {
     let mut packet = Packet::of(context);
     let Some(label) = Label::of(&packet) else { return Departure::Ready };
-    // SAFETY: the context of a program that runs in a device map has the field.
+    // SAFETY: the context of a program in a device map has this field.
     let interface = unsafe { (*context.ctx).egress_ifindex };
     let Some(slot) = label.slot(interface) else { return Departure::Superfluous };
     let Some(header) = packet.header(ETHERNET_LEN) else { return Departure::Superfluous };
@@ -244,7 +244,8 @@ fn leave(context: &XdpContext) -> Departure {
     }
 }
 
-/// Makes a copy the one for the link at its slot; how it is then counted.
+/// Addresses a copy to the link of its slot. Returns the counter of the copy, or `None` if it is
+/// not sent.
 #[inline(always)]
 fn copy(context: &XdpContext, header: &mut Header, slot: GroupSlot) -> Option<Counter> {
     let link: &LinkEntry = groups::link_at(&slot).and_then(links::get)?;
@@ -301,6 +302,6 @@ fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
     loop {}
 }
 
-/// On the host the crate only compiles, for lints and editors.
+/// On the host, the crate compiles only for lints and editors.
 #[cfg(not(target_arch = "bpf"))]
 fn main() {}

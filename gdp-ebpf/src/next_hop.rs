@@ -1,8 +1,8 @@
-//! Where the kernel's routing table leads for a link over UDP: an interface, and the MAC addresses
-//! of the neighbour there and of the interface. Asked before a frame is taken, so that one for
-//! which there is no answer (no route, a neighbour that is yet to be resolved, an interface that
-//! takes no redirected frames) is left, untouched, to the host: the daemon's socket then sends it,
-//! the kernel resolves the neighbour for that, and later frames find it.
+//! Looks up the next hop of a link over UDP in the kernel's routing table. A next hop consists of
+//! an interface and the MAC addresses of the neighbour and the interface. The lookup precedes the
+//! decision to take a frame. A frame without a next hop (no route, an unresolved neighbour, an
+//! interface that takes no redirected frames) goes to the host unchanged. The daemon's socket then
+//! sends the frame, for which the kernel resolves the neighbour. Lookups for later frames succeed.
 
 use aya_ebpf::bindings::bpf_fib_lookup as Lookup;
 use aya_ebpf::helpers::bpf_fib_lookup;
@@ -12,58 +12,59 @@ use gdp_wire::{Carrier, LinkEntry};
 
 use crate::ports;
 
-/// The question's family for IPv4, and for IPv6.
+/// The address families of a lookup, for IPv4 and for IPv6.
 const AF_INET: u8 = 2;
 const AF_INET6: u8 = 10;
 
-/// `lo`, in every network namespace. Asked as if from there, the table answers as it does for what
-/// the host itself sends; the kernel wants forwarding enabled on that interface, which the daemon
-/// sees to.
+/// `lo`, in every network namespace. With this ingress interface, the kernel routes as for packets
+/// of the host itself. The kernel requires forwarding enabled on the interface, which the daemon
+/// ensures.
 const LOOPBACK: u32 = 1;
 
-/// Not 0: also programs in device maps can ask. User space replaces the value before the programs
-/// are loaded. Before Linux 6.12 they run without the interface that a packet came by, from which
-/// the kernel takes the network namespace: to ask there would crash it.
+/// Not 0 if programs in device maps may also look up a next hop. User space replaces the value
+/// before the programs are loaded. Before Linux 6.12, these programs run without the ingress
+/// interface, from which the kernel takes the network namespace. A lookup there would crash the
+/// kernel.
 #[unsafe(no_mangle)]
 static ASKS_AT_EGRESS: u32 = 0;
 
-/// Whether what leaves can be asked for where it does.
+/// Returns whether the egress program may look up a next hop.
 #[inline(always)]
 pub fn asks_at_egress() -> bool {
-    // SAFETY: a static; user space has replaced its value, which the compiler must not take for
-    // known.
+    // SAFETY: a static. User space has replaced its value, so the compiler must not assume the
+    // initial one.
     unsafe { (&raw const ASKS_AT_EGRESS).read_volatile() != 0 }
 }
 
-/// Where a frame leaves, and between which stations it goes there.
+/// The egress interface of a frame, and the MAC addresses for it.
 #[derive(Clone, Copy, Default)]
 pub struct NextHop {
     /// The interface.
     pub port: u32,
-    /// The neighbour's MAC address, if the routing table was asked.
+    /// The neighbour's MAC address, if the routing table was consulted.
     pub destination: [u16; 3],
-    /// The interface's MAC address, likewise.
+    /// The interface's MAC address, under the same condition.
     pub source: [u16; 3],
 }
 
-/// Words of a question.
+/// Words of the lookup structure.
 const WORDS: usize = size_of::<Lookup>() / size_of::<u64>();
 
 const _: () = assert!(WORDS * size_of::<u64>() == size_of::<Lookup>() && align_of::<Lookup>() <= align_of::<u64>());
 
-/// Asks for a frame of `length` bytes; `false` if it cannot be sent. A function of its own also in
-/// the kernel: it is asked in several places, and inlined the compiler spills a register there that
-/// holds nothing, which the verifier refuses.
+/// Looks up the next hop for a frame of `length` bytes. Returns `false` if the frame cannot be
+/// sent. Not inlined, also in the kernel: inlined at its several call sites, the compiler spills an
+/// uninitialised register, which the verifier rejects.
 #[inline(never)]
 pub fn look_up(context: &XdpContext, link: &LinkEntry, length: usize, hop: &mut NextHop) -> bool {
     let carrier = &link.carrier;
-    // The kernel wants all of it written before anything is read. A zero that the compiler knows
-    // becomes a call of a function that writes byte by byte.
+    // The verifier requires the whole structure to be written before it is read. With a zero known
+    // to the compiler, this becomes a call of a function that writes byte by byte.
     let mut words = [core::hint::black_box(0u64); WORDS];
     let lookup: *mut Lookup = words.as_mut_ptr().cast();
-    // SAFETY: the function's own memory, as large and as aligned as a question, in which any bytes
-    // are one. The helper writes within the size it is given. A MAC address is six bytes at an even
-    // address.
+    // SAFETY: the function's own memory, with the size and alignment of the structure, for which
+    // any bytes are valid. The helper writes within the size it is given. A MAC address is six
+    // bytes at an even address.
     unsafe {
         (*lookup).l4_protocol = UDP;
         (*lookup).sport = carrier.local_port;

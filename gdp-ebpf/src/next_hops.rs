@@ -1,4 +1,4 @@
-//! Where egress bits lead: one word per bit, written by user space only.
+//! The next hops of egress bits: one link id per bit, written by user space only.
 
 use aya_ebpf::macros::map;
 use aya_ebpf::maps::Array;

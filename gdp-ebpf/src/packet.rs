@@ -1,15 +1,15 @@
-//! A packet as XDP hands it over: bounds checks where the verifier sees them, access in place, and
-//! changes of its length.
+//! A packet as XDP provides it: bounds checks in the form that the verifier recognises, access
+//! without copying, and changes of the length.
 
 use aya_ebpf::helpers::{bpf_xdp_adjust_head, bpf_xdp_adjust_tail, bpf_xdp_get_buff_len};
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::Header;
 
-/// What there is of a packet here. Void after its length has changed.
+/// The part of a packet in its first buffer. Invalid after the length of the packet has changed.
 #[derive(Clone, Copy)]
 pub struct Packet {
     start: usize,
-    /// End of what can be read here; the packet may go on in further buffers.
+    /// End of the first buffer; the packet may continue in further buffers.
     end: usize,
 }
 
@@ -19,42 +19,42 @@ impl Packet {
         Self { start: context.data(), end: context.data_end() }
     }
 
-    /// What lies `at` bytes behind the start, if all of it is here. `T`: plain integers, for which
-    /// any bytes are a value.
+    /// Returns a pointer to a `T` at offset `at`, if all of it is in the first buffer. `T` must
+    /// consist of plain integers, for which any bytes are valid.
     ///
-    /// The address need not be a multiple of the type's alignment: in the machine code of all
-    /// targets the kernel compiles this for, an unaligned word access is an ordinary one, whereas
-    /// telling the compiler so makes it build every word from bytes.
+    /// The address need not be a multiple of the type's alignment. An unaligned word access is an
+    /// ordinary instruction on all targets the kernel compiles this program for. Declaring the
+    /// access unaligned would make the compiler assemble every word from bytes.
     #[inline(always)]
     pub fn get<T>(&self, at: usize) -> Option<*mut T> {
         let from = self.start + at;
         (from + size_of::<T>() <= self.end).then_some(from as *mut T)
     }
 
-    /// The GDP header `at` bytes behind the start, in place.
+    /// Returns the GDP header at offset `at`, without copying it.
     #[inline(always)]
     pub fn header(&mut self, at: usize) -> Option<&mut Header> {
-        // SAFETY: `get` checked the bounds, and the packet is this program's alone while it runs;
-        // for the alignment see there.
+        // SAFETY: `get` checked the bounds, and only this program accesses the packet while it
+        // runs. For the alignment see `get`.
         self.get::<Header>(at).map(|header| unsafe { &mut *header })
     }
 }
 
-/// Bytes of the whole packet, further buffers included.
+/// Returns the length of the whole packet in bytes, including further buffers.
 #[inline(always)]
 pub fn length(context: &XdpContext) -> usize {
     // SAFETY: a helper that reads the context it is given.
     unsafe { bpf_xdp_get_buff_len(context.ctx) as usize }
 }
 
-/// Takes so many bytes off the end; `false` if the kernel does not.
+/// Removes `bytes` bytes from the end. Returns `false` if the kernel refuses.
 #[inline(always)]
 pub fn cut(context: &XdpContext, bytes: usize) -> bool {
     // SAFETY: a helper on the context it is given; it checks the length.
     bytes == 0 || unsafe { bpf_xdp_adjust_tail(context.ctx, -(bytes as i32)) == 0 }
 }
 
-/// Moves the start so that what was `from` bytes behind it is `to` bytes behind it; `false` if
+/// Moves the start of the packet, so that offset `from` becomes offset `to`. Returns `false` if
 /// there is no room.
 #[inline(always)]
 pub fn shift(context: &XdpContext, from: usize, to: usize) -> bool {

@@ -1,4 +1,4 @@
-//! The BPF maps as the tables that the forwarding decision asks.
+//! The BPF maps as the tables of the forwarding decision.
 
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::replay::Words;
@@ -9,17 +9,17 @@ use gdp_wire::{FibEntry, LinkEntry, Name, Permit};
 use crate::next_hop::NextHop;
 use crate::{config, fib, groups, links, next_hop, next_hops, permits, windows};
 
-/// The maps, asked about one frame.
+/// The maps, for the lookups of one frame.
 pub struct Maps<'p> {
     pub context: &'p XdpContext,
     /// Bytes of the frame.
     pub length: usize,
-    /// Whether the packet lies in one buffer: the kernel copies no others.
+    /// Whether the packet is in one buffer. The kernel copies no other packets.
     pub in_one_buffer: bool,
 }
 
 impl Tables for Maps<'_> {
-    /// There is the userspace plane.
+    /// The userspace plane follows this one.
     const LAST: bool = false;
 
     type NextHop = NextHop;
@@ -76,7 +76,8 @@ impl Tables for Maps<'_> {
         self.in_one_buffer && length <= MAX_COPIED_FRAME && bits & !groups::served(group) == 0
     }
 
-    /// What is redirected is in no queue of this program's: an interface that is behind drops.
+    /// Redirected frames never wait in a queue of this program: an interface that cannot keep up
+    /// drops them.
     #[inline(always)]
     fn has_queue(&self, _: &LinkEntry) -> bool {
         false
@@ -97,7 +98,7 @@ impl Tables for Maps<'_> {
         links::may_punt(link)
     }
 
-    /// The userspace plane says so, which is the one that gives it one.
+    /// The userspace plane records the probe, because it passes the probe to the daemon.
     #[inline(always)]
     fn punt(&self, _: &LinkEntry) {}
 }

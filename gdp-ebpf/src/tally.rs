@@ -1,10 +1,10 @@
-//! What became of the frames of each link, and which names are the busiest. Written here only, by
-//! the CPU that owns the slot, as the counters are; user space reads and sums, and clears the row
-//! of a link before it writes a new one there.
+//! The frame counts of each link, and the busiest names. Only these programs write, on the CPU that
+//! owns the slot, as for the counters. User space reads and sums. It clears the row of a link
+//! before it writes a new link with that index.
 //!
-//! Of the frames that leave, one in [`SAMPLING`] is counted for its name, chosen by its hop tag,
-//! which nobody but the neighbour can steer. Here a map may forget: the least recently seen name
-//! makes room.
+//! Of the frames that leave, one in [`SAMPLING`] is counted for its name. The hop tag of the frame
+//! selects it, which only the neighbour can influence. This map may evict entries: the least
+//! recently seen name goes first.
 
 use aya_ebpf::bindings::BPF_ANY;
 use aya_ebpf::macros::map;
@@ -19,26 +19,27 @@ static LINK_COUNTERS: PerCpuArray<[u64; Counter::COUNT]> = PerCpuArray::with_max
 #[map]
 static BUSIEST: LruPerCpuHashMap<Name, u64> = LruPerCpuHashMap::with_max_entries(BUSIEST_NAMES, 0);
 
-/// Counts a frame that came in on a link. Nothing is counted for ids that no link has.
+/// Counts a frame that arrived on a link. Frames with an unknown link id are not counted.
 #[inline(always)]
 pub fn count_arrival(link: u32, counter: Counter) {
     if counter.is_before_link() {
         return;
     }
     if let Some(row) = LINK_COUNTERS.get_ptr_mut(link_index(link)) {
-        // SAFETY: this CPU's slot, which nobody else writes.
+        // SAFETY: this CPU's slot, which no other CPU writes.
         unsafe { (*row)[counter as usize] += 1 }
     }
 }
 
-/// Counts the name of a frame that leaves, if it is one of those that are looked at.
+/// Counts the name of a frame that leaves, if the frame is in the sample.
 #[inline(always)]
 pub fn sample(tag: u64, header: &Header) {
     if !is_sampled(tag) {
         return;
     }
     match BUSIEST.get_ptr_mut(header.destination) {
-        // SAFETY: this CPU's value; that the element is reused meanwhile costs at most this count.
+        // SAFETY: this CPU's value. If the element is reused concurrently, at most this count is
+        // lost.
         Some(count) => unsafe { *count += 1 },
         None => _ = BUSIEST.insert(header.destination, 1, BPF_ANY.into()),
     }

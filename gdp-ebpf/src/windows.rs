@@ -1,11 +1,11 @@
-//! What has arrived on each link. Shared with the userspace plane, which maps it: frames of a link
-//! may come to either.
+//! The replay windows of all links. Shared with the userspace plane, which maps them: frames of a
+//! link may arrive at either plane.
 //!
-//! Every word is changed by compare-exchange only, in the kernel and in user space, except that
-//! user space clears the window of a link that is new, before it writes the link. A frame runs to
-//! its end on one CPU and is over within microseconds; an index rests while 1023 others are used,
-//! so no frame of a link that is gone meets a window of the next. What several CPUs may do to one
-//! window at once is in `gdp_wire::replay`.
+//! The kernel and user space change every word by compare-exchange only. The only exception: user
+//! space clears the window of a new link before it writes the link. A program processes a frame to
+//! the end on one CPU within microseconds. An index is not reused until 1023 others have been used,
+//! so no frame of a removed link meets the window of its successor. `gdp_wire::replay` describes
+//! concurrent accesses to one window.
 
 use aya_ebpf::bindings::BPF_F_MMAPABLE;
 use aya_ebpf::macros::map;
@@ -28,25 +28,24 @@ pub fn get(link: &LinkEntry) -> Option<Window> {
 impl Words for Window {
     #[inline(always)]
     fn load(&self, index: usize) -> u64 {
-        // SAFETY: within the element, whose memory stays; aligned; the kernel's JIT makes one load
-        // of it.
+        // SAFETY: within the element, whose memory remains valid. Aligned. The kernel's JIT emits
+        // one load.
         unsafe { self.0.add(index).read_volatile() }
     }
 
     #[inline(always)]
     fn compare_exchange(&self, index: usize, current: u64, new: u64) -> u64 {
-        // SAFETY: within the element, whose memory stays; aligned; everybody accesses it
-        // atomically.
+        // SAFETY: within the element, whose memory remains valid. Aligned. All accesses are atomic.
         unsafe { compare_exchange(self.0.add(index), current, new) }
     }
 }
 
-/// Writes `new` to `*word` if that is `current`, atomically, and returns what it was. See
+/// Writes `new` to `*word` atomically if `*word` is `current`. Returns the previous value. See
 /// `links::fetch_add`.
 ///
 /// # Safety
 ///
-/// `word` must be valid, aligned, and accessed atomically by everybody.
+/// `word` must be valid and aligned, and all its accesses must be atomic.
 #[cfg(target_arch = "bpf")]
 #[inline(always)]
 unsafe fn compare_exchange(word: *mut u64, current: u64, new: u64) -> u64 {
@@ -63,7 +62,7 @@ unsafe fn compare_exchange(word: *mut u64, current: u64, new: u64) -> u64 {
     found
 }
 
-/// On the host.
+/// The host version.
 ///
 /// # Safety
 ///

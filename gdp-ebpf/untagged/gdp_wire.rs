@@ -1,7 +1,7 @@
-//! `gdp-wire` file by file, but for SipHash: here a hop tag is always 0. The programs around it are
-//! the shipped ones, and compared with these they show what the tag costs. So nothing that is
-//! shipped knows of a way to leave the tag out. (No name is sampled, though, because the tag
-//! chooses which are; of shipped programs' frames that is one in 64.)
+//! `gdp-wire` file by file, without SipHash: every hop tag is 0 here. The programs around it are
+//! the shipped ones. Their comparison with this build measures the cost of the tag. No shipped code
+//! therefore has an option to omit the tag. (This build samples no names, because the tag selects
+//! them; the shipped programs sample one frame in 64.)
 //!
 //! Built and loaded by `cargo xtask bench forward` only.
 #![no_std]
@@ -32,7 +32,7 @@ pub mod table;
 pub mod tables;
 
 pub mod siphash {
-    //! The tag of every header.
+    //! A constant instead of SipHash as the tag of every header.
 
     #[inline(always)]
     pub fn siphash24<const N: usize>(_key: [u64; 2], _words: &[u64; N]) -> u64 {

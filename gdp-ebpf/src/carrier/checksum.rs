@@ -1,5 +1,5 @@
-//! The UDP checksum of a frame, for neighbours whose kernel joins datagrams only if they have one
-//! ([`Carrier::CHECKSUM`]).
+//! The UDP checksum of a frame, for neighbours whose kernel coalesces only datagrams with a
+//! checksum ([`Carrier::CHECKSUM`]).
 
 use aya_ebpf::helpers::generated::bpf_csum_diff;
 use aya_ebpf::programs::XdpContext;
@@ -9,17 +9,17 @@ use gdp_wire::packet::UDP;
 use crate::carrier::udp4::Udp;
 use crate::packet::Packet;
 
-/// What kernels before 6.13 sum up at once.
+/// Maximum number of bytes that kernels before 6.13 sum in one call.
 const BLOCK: usize = 512;
 
-/// Blocks that are looked at: frames of up to 9 kB.
+/// Maximum number of full blocks: frames of up to 9 kB.
 const MOST_BLOCKS: usize = 18;
 
-/// All that a verifier needs to know of a length for its bounds checks: what 14 bits express.
+/// Mask that bounds a length for the verifier: 14 bits.
 const LENGTHS: usize = 0x3fff;
 
-/// Writes the checksum of a datagram of `bytes` bytes into its UDP header, `at` bytes behind the
-/// start. Writes none if the datagram is too long or not all in the packet's first buffer.
+/// Writes the checksum of a datagram of `bytes` bytes into the UDP header at offset `at`. Writes
+/// none if the datagram is too long or not entirely in the packet's first buffer.
 #[inline(always)]
 pub fn write(context: &XdpContext, carrier: &Carrier, at: usize, bytes: usize) {
     if bytes >= (MOST_BLOCKS + 1) * BLOCK {
@@ -27,15 +27,15 @@ pub fn write(context: &XdpContext, carrier: &Carrier, at: usize, bytes: usize) {
     }
     let sum = sum(context.data() + at, context.data_end(), bytes, pseudo_header(carrier, bytes));
     if let (Some(sum), Some(udp)) = (sum, Packet::of(context).get::<Udp>(at)) {
-        // Zero would say that there is none (RFC 768).
+        // Zero would mean that there is no checksum (RFC 768).
         let checksum = if sum == 0xffff { sum } else { !sum };
         // SAFETY: `get` checked the bounds.
         unsafe { (*udp).checksum = checksum };
     }
 }
 
-/// Of RFC 768 and RFC 8200: their sums are alike, as the words of addresses that IPv4 does not have
-/// are zero.
+/// Returns the sum of the pseudo header of RFC 768 or RFC 8200. Both have the same sum, because the
+/// address words that IPv4 does not use are zero.
 #[inline(always)]
 fn pseudo_header(carrier: &Carrier, bytes: usize) -> u32 {
     let mut sum = u32::from(u16::from(UDP).to_be()) + u32::from((bytes as u16).to_be());
@@ -48,8 +48,8 @@ fn pseudo_header(carrier: &Carrier, bytes: usize) -> u32 {
     sum
 }
 
-/// The ones' complement sum of `bytes` bytes from `start` on and `seed`, folded; `None` if not all
-/// are before `end`.
+/// Returns the folded ones' complement sum of `seed` and `bytes` bytes from `start` on. Returns
+/// `None` if the bytes extend beyond `end`.
 #[inline(always)]
 fn sum(start: usize, end: usize, bytes: usize, seed: u32) -> Option<u16> {
     let mut sum = seed;
@@ -58,8 +58,8 @@ fn sum(start: usize, end: usize, bytes: usize, seed: u32) -> Option<u16> {
         sum = add(start + block * BLOCK, end, BLOCK, sum)?;
         block += 1;
     }
-    // Where what is left begins follows from the length alone, by a mask: so bounds are known,
-    // whichever parts there were before.
+    // A mask of the length alone gives the offset of each part. The verifier therefore knows the
+    // bounds, whichever parts precede it.
     let mut part = BLOCK / 2;
     while part >= 4 {
         if bytes & part != 0 {
@@ -89,12 +89,12 @@ fn sum(start: usize, end: usize, bytes: usize, seed: u32) -> Option<u16> {
     Some(((sum & 0xffff) + (sum >> 16)) as u16)
 }
 
-/// `bytes`: a multiple of 4.
+/// Adds `bytes` bytes, a multiple of 4, to a sum.
 #[inline(always)]
 fn add(at: usize, end: usize, bytes: usize, sum: u32) -> Option<u32> {
     if at + bytes > end {
         return None;
     }
-    // SAFETY: the helper reads what was checked to be there.
+    // SAFETY: the helper reads only bytes within the bounds checked above.
     Some(unsafe { bpf_csum_diff(core::ptr::null_mut(), 0, at as *mut u32, bytes as u32, sum) } as u32)
 }

@@ -1,4 +1,4 @@
-//! Frames as payload of Ethernet, with an IEEE 802.1Q tag or without.
+//! Frames as payload of Ethernet, with or without an IEEE 802.1Q tag.
 
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::packet::{self, ETHERNET_LEN, TAGGED_LEN, VLAN};
@@ -13,7 +13,7 @@ type Tag = packet::Tag<u16>;
 
 const _: () = assert!(ETHERTYPE > 0x600);
 
-/// In host order; `None` if there is no whole header.
+/// Returns the ethertype in host order, or `None` if the header is incomplete.
 #[inline(always)]
 pub fn ethertype(packet: &Packet) -> Option<u16> {
     // SAFETY: `get` checked the bounds.
@@ -25,7 +25,8 @@ pub fn find(length: usize) -> Option<FrameLocation> {
     Some(FrameLocation { at: ETHERNET_LEN, available: length - ETHERNET_LEN, over_udp: false })
 }
 
-/// A tagged frame is ours on a VLAN that GDP runs on; others, IP among them, are the host's.
+/// Finds a GDP frame with a VLAN tag, on a VLAN that GDP runs on. All other tagged packets,
+/// including IP, belong to the host.
 #[inline(always)]
 pub fn find_tagged(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<FrameLocation> {
     // SAFETY: `get` checked the bounds.

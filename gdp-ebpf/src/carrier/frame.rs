@@ -1,12 +1,12 @@
-//! Where the frame lies in a packet.
+//! The location of a frame in a packet.
 
-/// Where the frame lies in a packet.
+/// The location of a frame in a packet.
 #[derive(Clone, Copy)]
 pub struct FrameLocation {
-    /// Bytes in front of it.
+    /// Offset of the frame in the packet, in bytes.
     pub at: usize,
-    /// Bytes there are of it, and perhaps of padding behind it.
+    /// Bytes from the start of the frame on, possibly including padding.
     pub available: usize,
-    /// Whether it may also be QUIC.
+    /// Whether the payload may also be QUIC.
     pub over_udp: bool,
 }

@@ -1,8 +1,8 @@
-//! What carries a GDP frame in a packet, and its exchange for what carries it on the next link. The
-//! frame itself stays where it is in memory: the start of the packet moves, and headers are written
-//! in front of it.
+//! The carrier of a GDP frame, and its replacement by the carrier of the next link. The frame
+//! itself stays at its position in memory: the start of the packet moves, and headers are written
+//! in front of the frame.
 //!
-//! One file for each carrier, with how it is taken off (`find`) and put on (`encapsulate`). Called
+//! One file per carrier, with its decapsulation (`find`) and encapsulation (`encapsulate`). Called
 //! by `main.rs`.
 
 mod checksum;
@@ -21,8 +21,8 @@ use gdp_wire::{Carrier, LinkEntry};
 use crate::next_hop::NextHop;
 use crate::packet::{self, Packet};
 
-/// The frame in a packet of `length` bytes; `None` if it is none of ours. `ethertype`: of GDP
-/// frames, in host order.
+/// Returns the frame in a packet of `length` bytes, or `None` if it carries none for this switch.
+/// `ethertype` is that of GDP frames, in host order.
 #[inline(always)]
 pub fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32) -> Option<FrameLocation> {
     let found = ethernet::ethertype(packet)?;
@@ -37,15 +37,15 @@ pub fn find(context: &XdpContext, packet: &Packet, length: usize, ethertype: u32
     }
 }
 
-/// The first byte of what is carried says whether it is QUIC.
+/// Returns whether the payload is QUIC, by its first byte.
 #[inline(always)]
 pub fn is_quic(carried: &FrameLocation, first_byte: u8) -> bool {
     carried.over_udp && first_byte >= FIRST_QUIC_BYTE
 }
 
-/// The byte that IP has for DSCP and ECN in what carries a frame; 0 on Ethernet. Read anew: what
-/// [`find`] might hand over, the compiler spills also where there is nothing of it, which the
-/// verifier refuses.
+/// Returns the DSCP and ECN byte of the IP header that carries a frame; 0 on Ethernet. Read again
+/// here: if [`find`] returned the byte, the compiler would spill it also where it is uninitialised,
+/// which the verifier rejects.
 #[inline(always)]
 pub fn traffic(packet: &Packet, carried: &FrameLocation) -> u8 {
     match carried.at {
@@ -55,9 +55,10 @@ pub fn traffic(packet: &Packet, carried: &FrameLocation) -> u8 {
     }
 }
 
-/// Makes a packet whose frame lies `at` one that carries the frame's first `length` bytes on
-/// `link`; `false` if there is no room. References into the packet are void after. `behind`: bytes
-/// of the packet behind those; `traffic`: as `gdp_wire::Header::ip_traffic` says.
+/// Replaces the headers before the frame at offset `at` with those of `link`, and keeps `length`
+/// bytes of the frame. Returns `false` if there is no room. Invalidates references into the packet.
+/// `behind` is the number of bytes after the frame, `traffic` the byte of
+/// `gdp_wire::Header::ip_traffic`.
 #[inline(always)]
 pub fn exchange(
     context: &XdpContext,

@@ -1,6 +1,6 @@
-//! Frames as payload of UDP over IPv4. What does not look as our peers send it (options, fragments,
-//! lengths that disagree) is the host's to judge. Checksums of what arrives are not looked at: the
-//! hop tag covers the frame's header, and the reader's decryption its payload.
+//! Frames as payload of UDP over IPv4. Packets that peers do not send in this form (options,
+//! fragments, inconsistent lengths) go to the host. Checksums of received packets are not verified:
+//! the hop tag covers the frame's header, and the reader's decryption its payload.
 
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::Carrier;
@@ -24,21 +24,22 @@ pub fn find(packet: &Packet, length: usize) -> Option<FrameLocation> {
     local::is_ours(&to).then_some(FrameLocation { at: UDP4_LEN, available, over_udp: true })
 }
 
-/// The byte for DSCP and ECN.
+/// Returns the DSCP and ECN byte.
 #[inline(always)]
 pub fn traffic(packet: &Packet) -> u8 {
     // SAFETY: `get` checked the bounds.
     packet.get::<Ipv4>(ETHERNET_LEN).map_or(0, |ip| unsafe { (*ip).traffic })
 }
 
-/// What is in front of a frame, if there is room for it.
+/// Returns the headers in front of a frame, if there is room for them.
 #[inline(always)]
 fn headers(packet: &Packet) -> Option<(*mut Ethernet, *mut Ipv4, *mut Udp)> {
     Some((packet.get(0)?, packet.get(ETHERNET_LEN)?, packet.get(ETHERNET_LEN + IPV4_LEN)?))
 }
 
-/// Sends a datagram back to where it came from: only that its sender's address is on this host
-/// makes sense of it there. `false` if it is none.
+/// Swaps the source and destination of a datagram, to send it back to its sender. The datagram is
+/// meaningful to the sender because the sender's address is on this host. Returns `false` if the
+/// packet is not IPv4.
 #[inline(always)]
 pub fn turn_back(packet: &Packet) -> bool {
     let Some((ethernet, ip, udp)) = headers(packet) else { return false };
@@ -49,18 +50,18 @@ pub fn turn_back(packet: &Packet) -> bool {
         }
         let (to, from) = ((*ethernet).source, (*ethernet).destination);
         (*ethernet).address(&to, &from, IPV4);
-        // Their sum stays what it was.
+        // The header checksum does not change.
         let (to, from) = ((*ip).source, (*ip).destination);
         (*ip).source = from;
         (*ip).destination = to;
-        // The sender left it to be finished by hardware that is not there.
+        // The sender left the checksum to be completed by hardware, which is absent here.
         (*udp).checksum = 0;
     }
     true
 }
 
-/// `length`: of the frame. `routed`: whether `hop` says which stations it goes between, and not the
-/// carrier.
+/// Writes the headers of a frame of `length` bytes. `routed` selects the MAC addresses of `hop`
+/// instead of those of the carrier.
 #[inline(always)]
 pub fn encapsulate(
     context: &XdpContext,

@@ -1,9 +1,9 @@
-//! Frames as payload of UDP over IPv6, to peers that take datagrams without a checksum (RFC 6936).
-//! Those that do not are sent to by the userspace plane: not every frame can be summed up here, see
-//! [`super::checksum`].
+//! Frames as payload of UDP over IPv6, to peers that accept datagrams without a checksum (RFC
+//! 6936). The userspace plane sends to other peers, because the program cannot compute the checksum
+//! of every frame. See [`super::checksum`].
 //!
-//! What arrives is looked at as in [`super::udp4`]; extension headers, fragments among them, are
-//! the host's.
+//! Received packets are checked as in [`super::udp4`]. Packets with extension headers, including
+//! fragments, go to the host.
 
 use aya_ebpf::programs::XdpContext;
 use gdp_wire::Carrier;
@@ -27,14 +27,14 @@ pub fn find(packet: &Packet, length: usize) -> Option<FrameLocation> {
     local::is_ours(&to).then_some(FrameLocation { at: UDP6_LEN, available, over_udp: true })
 }
 
-/// The byte for DSCP and ECN.
+/// Returns the DSCP and ECN byte.
 #[inline(always)]
 pub fn traffic(packet: &Packet) -> u8 {
     // SAFETY: `get` checked the bounds.
     packet.get::<Ipv6>(ETHERNET_LEN).map_or(0, |ip| unsafe { (*ip).traffic() })
 }
 
-/// `length`: of the frame.
+/// Writes the headers of a frame of `length` bytes.
 #[inline(always)]
 pub fn encapsulate(context: &XdpContext, carrier: &Carrier, hop: &NextHop, traffic: u8, length: u16) -> bool {
     let packet = Packet::of(context);
