@@ -10,13 +10,13 @@ use crate::siphash::siphash24;
 /// The protocol version in the high four bits of the first byte.
 pub const VERSION: u8 = 1;
 
-/// First byte of anything that is not QUIC on a shared UDP port: GDP frames are below it.
+/// First byte above those of GDP frames on a shared UDP port: this and all larger ones are QUIC.
 pub const FIRST_QUIC_BYTE: u8 = 0x40;
 
-/// The hop limit of a frame that leaves its writer.
+/// The hop limit of a frame when its writer sends it.
 pub const INITIAL_HOP_LIMIT: u8 = 64;
 
-/// What a frame is for: the low four bits of the first byte.
+/// The type of a frame: the low four bits of the first byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum FrameType {
@@ -24,21 +24,21 @@ pub enum FrameType {
     Data = 0,
     /// QUIC (and the discovery that precedes it) on Ethernet; never forwarded.
     Control = 1,
-    /// Tells the neighbour a frame came from why it was dropped; never forwarded.
+    /// Reports the reason of a drop to the neighbour that sent the frame; never forwarded.
     Error = 2,
-    /// Asks the switch where it ends who that is; forwarded by its egress bit.
+    /// Asks the switch where the probe ends for its identity; forwarded by its egress bit.
     Probe = 3,
-    /// Asks the neighbour's data plane whether it lives, and its answer; never forwarded.
+    /// A liveness check of the neighbour's data plane, or the answer to one; never forwarded.
     Echo = 4,
 }
 
-/// Why a frame drew an error: [`Header::egress_set`] of an error frame.
+/// The reason of an error: [`Header::egress_set`] of an error frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ErrorCode {
-    /// The name is not known, or nobody takes it.
+    /// The name is unknown, or has no readers.
     NoRoute = 1,
-    /// The frame is larger than the next link takes.
+    /// The frame is larger than the MTU of the next link.
     TooBig = 2,
     /// The hop limit is used up.
     HopLimit = 3,
@@ -47,18 +47,18 @@ pub enum ErrorCode {
 }
 
 impl ErrorCode {
-    /// How many codes there are.
+    /// Number of codes.
     pub const COUNT: usize = Self::ALL.len();
 
-    /// In the order of their numbers, from 1.
+    /// All codes in numerical order, from 1.
     pub const ALL: [Self; 4] = [Self::NoRoute, Self::TooBig, Self::HopLimit, Self::NotAuthorised];
 
-    /// Place in [`Self::ALL`].
+    /// Returns the index in [`Self::ALL`].
     pub const fn index(self) -> usize {
         self as usize - 1
     }
 
-    /// The code's name in statistics.
+    /// Returns the name of the code in statistics.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::NoRoute => "no_route",
@@ -68,7 +68,7 @@ impl ErrorCode {
         }
     }
 
-    /// The code with this number.
+    /// Returns the code with this number.
     pub const fn from_number(number: u8) -> Option<Self> {
         match number {
             1 => Some(Self::NoRoute),
@@ -81,17 +81,17 @@ impl ErrorCode {
 }
 
 impl FrameType {
-    /// The first byte of a frame of this type.
+    /// Returns the first byte of a frame of this type.
     #[inline(always)]
     pub const fn first_byte(self) -> u8 {
         VERSION << 4 | self as u8
     }
 }
 
-/// The fixed header of a frame that is forwarded: 96 bytes, all integers big-endian on the wire.
+/// The fixed header of a forwarded frame: 96 bytes, all integers big-endian on the wire.
 ///
-/// The fields are words of the alignment that the frame has behind an Ethernet header in the
-/// kernel, so that the eBPF program may use the header in place. On the host, copy it out with
+/// The fields have the alignment of a frame behind an Ethernet header in the kernel. The eBPF
+/// program can therefore use the header without copying it. On the host, copy the header out with
 /// [`FromBytes::read_from_bytes`].
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
@@ -101,10 +101,11 @@ pub struct Header {
     /// [`Header::KEY_PHASE`], [`Header::FOREIGN`], a reserved flag, traffic class (3 bits), ECN (2
     /// bits).
     pub flags: u8,
-    /// Switches the frame may still cross; a switch drops a frame that arrives with 0 or 1.
+    /// Number of switches that the frame may still cross. A switch drops a frame that arrives with
+    /// 0 or 1.
     pub hop_limit: u8,
-    /// Which set of 64 egress switches `egress_bits` speaks of. Of an error its [`ErrorCode`]; of
-    /// an echo [`Header::ASKS`] or [`Header::ANSWERS`].
+    /// The set of 64 egress switches that `egress_bits` refers to. In an error, its [`ErrorCode`];
+    /// in an echo, [`Header::ASKS`] or [`Header::ANSWERS`].
     pub egress_set: u8,
     payload_len: u16,
     /// Header length in units of 8 bytes: 12.
@@ -115,37 +116,39 @@ pub struct Header {
     link_counter: u32,
     tag: u64,
     egress_bits: u64,
-    /// Where the frame goes: a topic's name.
+    /// Destination of the frame: the name of a topic.
     pub destination: Name,
-    /// Who wrote it: an entity's name.
+    /// Writer of the frame: the name of an entity.
     pub source: Name,
 }
 
 impl Header {
     /// Bytes of the header on the wire.
     pub const LEN: usize = 96;
-    /// The bytes of it that are the hop tag.
+    /// Byte range of the hop tag in the header.
     pub const TAG: core::ops::Range<usize> = 16..24;
 
-    /// Flag: which of the two link keys that are valid at a time made the tag.
+    /// Flag: the key phase of the tag, one of the two link keys that are valid at a time.
     pub const KEY_PHASE: u8 = 0x80;
 
-    /// Flag: the frame came into this domain from another one, so it does not leave for a third.
+    /// Flag: the frame came into this domain from another one, so it must not leave for a third.
     pub const FOREIGN: u8 = 0x40;
 
-    /// Flags: the code point of RFC 3168. 0: whoever wrote the frame does not take marks (Not-ECT).
+    /// Flags: the ECN code point of RFC 3168. 0: the writer of the frame does not support marks
+    /// (Not-ECT).
     pub const ECN: u8 = 0x03;
 
-    /// Code point: the frame met congestion (CE).
+    /// Code point: the frame experienced congestion (CE).
     pub const CONGESTED: u8 = 0x03;
 
-    /// [`Header::egress_set`] of an echo that wants an answer.
+    /// [`Header::egress_set`] of an echo that requests an answer.
     pub const ASKS: u8 = 0;
 
     /// [`Header::egress_set`] of the answer to an echo.
     pub const ANSWERS: u8 = 1;
 
-    /// An echo that wants an answer with the same `cookie`, before a link's fields are filled in.
+    /// Returns an echo that requests an answer with the same `cookie`, without the fields of a
+    /// link.
     pub fn echo(cookie: u64) -> Self {
         Self {
             version_type: FrameType::Echo.first_byte(),
@@ -157,9 +160,9 @@ impl Header {
         }
     }
 
-    /// A probe of `source`, a switch, on the path to egress switch `bit` (0 … 63) of a name, before
-    /// a link's fields are filled in. It ends there, or at the switch where it arrives with
-    /// `hop_limit` 1.
+    /// Returns a probe without the fields of a link. `source` is the sending switch, and `bit` (0 …
+    /// 63) the egress switch of the name that the probe is for. The probe ends at that switch, or
+    /// at the switch where it arrives with `hop_limit` 1.
     pub fn probe(destination: Name, source: Name, bit: u8, hop_limit: u8) -> Self {
         Self {
             version_type: FrameType::Probe.first_byte(),
@@ -169,11 +172,11 @@ impl Header {
         }
     }
 
-    /// Bytes of the payload of a probe: what its answer repeats.
+    /// Bytes of the payload of a probe, which the answer repeats.
     pub const COOKIE_LEN: usize = 8;
 
-    /// Turns an echo that wants an answer into that answer. Its payload is left out, so it is never
-    /// larger than what drew it.
+    /// Turns an echo that requests an answer into the answer. The answer has no payload, so it is
+    /// never larger than the request.
     #[inline(always)]
     pub fn become_answer(&mut self) {
         self.flags &= !Self::ECN;
@@ -181,8 +184,8 @@ impl Header {
         self.payload_len = 0;
     }
 
-    /// Turns a frame that was dropped into the error that says why. `mtu`: of the link it did not
-    /// fit, otherwise 0.
+    /// Turns a dropped frame into the error with this reason. `mtu` is that of the link that the
+    /// frame did not fit, otherwise 0.
     #[inline(always)]
     pub fn become_error(&mut self, code: ErrorCode, mtu: u32) {
         self.version_type = FrameType::Error.first_byte();
@@ -194,14 +197,15 @@ impl Header {
         self.egress_bits = (u64::from(mtu) << 32 | u64::from(self.link_counter())).to_be();
     }
 
-    /// Of an error: the MTU it tells, and the low 32 bits of the count of the frame that drew it.
+    /// Returns the contents of an error: its MTU, and the low 32 bits of the count of the frame
+    /// that caused it.
     pub fn complaint(&self) -> (u32, u32) {
         let both = self.egress_bits();
         ((both >> 32) as u32, both as u32)
     }
 
-    /// A data frame from `source` to `destination` as its writer makes it, before a link's fields
-    /// are filled in.
+    /// Returns a data frame from `source` to `destination` as its writer makes it, without the
+    /// fields of a link.
     #[inline(always)]
     pub fn data(destination: Name, source: Name, payload_len: u16) -> Self {
         Self {
@@ -215,26 +219,28 @@ impl Header {
         }
     }
 
-    /// The byte that IP has for this (DSCP and ECN) in what carries a frame with these flags: the
-    /// class selector of its traffic class (RFC 2474), and its code point (RFC 6040, normal mode).
+    /// Returns the DSCP and ECN byte of the IP header that carries a frame with these flags. DSCP
+    /// is the class selector of the traffic class (RFC 2474), ECN the code point (RFC 6040, normal
+    /// mode).
     #[inline(always)]
     pub const fn ip_traffic(flags: u8) -> u8 {
         (flags & 0x1c) << 3 | flags & Self::ECN
     }
 
-    /// Payload bytes behind the header.
+    /// Returns the payload length in bytes.
     #[inline(always)]
     pub fn payload_len(&self) -> u16 {
         u16::from_be(self.payload_len)
     }
 
-    /// Bytes of the frame: header and payload. What lies behind them is not part of it.
+    /// Returns the length of header and payload in bytes. Any further bytes are not part of the
+    /// frame.
     #[inline(always)]
     pub fn frame_len(&self) -> usize {
         Self::LEN + self.payload_len() as usize
     }
 
-    /// The receiver's id of the link the frame is on.
+    /// Returns the receiver's id of the frame's link.
     #[inline(always)]
     pub fn link_id(&self) -> u32 {
         u32::from_be(self.link_id)
@@ -245,8 +251,8 @@ impl Header {
         self.link_id = id.to_be();
     }
 
-    /// The low 32 bits of the sender's count of frames on this link; see [`crate::replay`] for the
-    /// others.
+    /// Returns the low 32 bits of the sender's count of frames on this link. See [`crate::replay`]
+    /// for the high bits.
     #[inline(always)]
     pub fn link_counter(&self) -> u32 {
         u32::from_be(self.link_counter)
@@ -257,8 +263,8 @@ impl Header {
         self.link_counter = counter.to_be();
     }
 
-    /// Egress switches of the domain that still need a copy; bit `i` is switch `i` of the egress
-    /// set.
+    /// Returns the egress switches of the domain that still need a copy. Bit `i` is switch `i` of
+    /// the egress set.
     #[inline(always)]
     pub fn egress_bits(&self) -> u64 {
         u64::from_be(self.egress_bits)
@@ -269,7 +275,7 @@ impl Header {
         self.egress_bits = bits.to_be();
     }
 
-    /// The hop tag as it is on the wire.
+    /// Returns the hop tag as on the wire.
     #[inline(always)]
     pub fn tag(&self) -> u64 {
         u64::from_be(self.tag)
@@ -280,19 +286,19 @@ impl Header {
         self.tag = tag.to_be();
     }
 
-    /// The hop tag of this header under a key of its link.
+    /// Returns the hop tag of this header under a key of its link.
     #[inline(always)]
     pub fn tag_for(&self, key: [u64; 2], count: u64) -> u64 {
         siphash24(key, &self.tagged_words(count))
     }
 
-    /// The eleven little-endian words the hop tag covers: the whole header but the tag itself, and
-    /// the high 32 bits of the link's count. These are not in the header; they go on top of the
-    /// link id, which is the same in all frames under a key.
+    /// Returns the eleven little-endian words that the hop tag covers: the header without the tag,
+    /// and the high 32 bits of the link's count. Those bits are not in the header. They are XORed
+    /// onto the link id, which is constant under a key.
     #[inline(always)]
     pub fn tagged_words(&self, count: u64) -> [u64; 11] {
         let this = (&raw const *self).cast::<u64>();
-        // SAFETY: `Header` is 96 bytes of plain data with the alignment of u64, so it holds twelve
+        // SAFETY: `Header` is 96 bytes of plain data with the alignment of u64, which is twelve
         // words.
         let word = |i: usize| u64::from_le(unsafe { this.add(i).read() });
         let link = word(1) ^ u64::from(((count >> 32) as u32).swap_bytes());
@@ -300,8 +306,8 @@ impl Header {
     }
 }
 
-/// The header of a control frame: QUIC directly on Ethernet, which pads short frames and so hides
-/// their length.
+/// The header of a control frame, which carries QUIC directly on Ethernet. Ethernet pads short
+/// frames, so the header contains the payload length.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct ControlHeader {
@@ -320,9 +326,10 @@ impl ControlHeader {
     pub const LEN: usize = 8;
     /// The payload is one QUIC packet (or several coalesced).
     pub const QUIC: u8 = 0;
-    /// "Which switch is on this segment?"; no payload; sent to the broadcast address.
+    /// Requests the identity of the switch on this segment. No payload; sent to the broadcast
+    /// address.
     pub const SOLICIT: u8 = 0x80;
-    /// The answer to a solicitation; the payload is the 32-byte name of the switch, which TLS then
+    /// The answer to a solicitation. The payload is the 32-byte name of the switch, which TLS then
     /// proves.
     pub const ANSWER: u8 = 0x40;
 
@@ -337,8 +344,8 @@ impl ControlHeader {
         }
     }
 
-    /// The kind and payload of a control frame, without the padding behind it; `None` if it is not
-    /// one.
+    /// Returns the kind and payload of a control frame, without padding, or `None` if the frame is
+    /// not one.
     pub fn parse(frame: &[u8]) -> Option<(u8, &[u8])> {
         let (header, rest) = Self::read_from_prefix(frame).ok()?;
         if header.version_type != FrameType::Control.first_byte() || usize::from(header.header_words) * 8 != Self::LEN {

@@ -1,19 +1,19 @@
-//! The fields of a header that belong to the link it leaves by.
+//! The header fields that belong to the egress link of a frame.
 
 use crate::{Header, LinkEntry};
 
-/// Writes the fields that belong to `link` into a frame that leaves by it, and the hop tag over the
-/// whole. `count`: frames sent on the link, with this one.
+/// Writes the fields of `link` into a frame that leaves by it, and the hop tag over the whole
+/// header. `count` is the number of frames sent on the link, including this one.
 #[inline(always)]
 pub fn stamp(header: &mut Header, link: &LinkEntry, count: u64) {
     let key = direct(header, link, count);
     header.set_tag(header.tag_for(key, count));
 }
 
-/// As [`stamp`], but for the hop tag; the key of that.
+/// Writes the same fields as [`stamp`] except the hop tag. Returns the key for the tag.
 #[inline(always)]
 pub fn direct(header: &mut Header, link: &LinkEntry, count: u64) -> [u64; 2] {
-    // Once, although user space may change it meanwhile: flag and key must be of the same phase.
+    // Read once, because user space may change the phase concurrently and flag and key must match.
     // SAFETY: a field of a live entry.
     let second = unsafe { (&raw const link.tx_phase).read_volatile() } & 1 != 0;
     header.flags = header.flags & !Header::KEY_PHASE | if second { Header::KEY_PHASE } else { 0 };

@@ -1,9 +1,8 @@
-//! What every part of the Global Data Plane must agree on to the byte: names, frame headers, the
-//! layouts of the tables a data plane holds, and the one function that decides what happens to a
-//! frame.
+//! The byte-level agreement of all parts of the Global Data Plane: names, frame headers, table
+//! layouts of a data plane, and the forwarding decision.
 //!
 //! `no_std`, no allocation, no I/O, no clock. The eBPF program, the userspace plane and endpoints
-//! all call [`forward::decide`] or [`forward::accept`]; none of them has forwarding rules of its
+//! all call [`forward::decide`] or [`forward::accept`]. None of them has forwarding rules of its
 //! own.
 #![cfg_attr(not(test), no_std)]
 
@@ -32,8 +31,8 @@ pub use table::{Carrier, FibEntry, GroupSlot, LinkEntry, LinkRole, LocalAddress,
 /// Ethertype of GDP frames carried directly on Ethernet: IEEE 802 local experimental 1.
 pub const ETHERTYPE: u16 = 0x88B5;
 
-/// UDP port of GDP frames and of QUIC, which share it.
+/// UDP port that GDP frames and QUIC share.
 pub const UDP_PORT: u16 = 31415;
 
-/// Bytes of a datagram that any path takes, as QUIC assumes (RFC 9000, section 14).
+/// Bytes of a datagram that every path supports, as QUIC assumes (RFC 9000, section 14).
 pub const SMALLEST_PATH: u16 = 1200;

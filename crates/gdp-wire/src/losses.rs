@@ -1,13 +1,13 @@
-//! What the programs that count lost redirects must know of the running kernel: where in its
-//! structures the number of an interface and that of its network namespace are. Found in the
-//! kernel's BTF by the daemon, read by the eBPF object.
+//! Kernel structure offsets for the programs that count lost redirects. They locate the index of an
+//! interface and its network namespace. The daemon finds them in the kernel's BTF; the eBPF object
+//! reads them.
 
-/// Byte offsets in structures of the kernel, and the namespace whose interfaces count.
+/// Byte offsets in structures of the kernel, and the namespace of the watched interfaces.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct NetDevices {
-    /// Inode number of the network namespace; numbers of interfaces repeat in others. 0: count
-    /// nothing.
+    /// Inode number of the network namespace, because interface indices repeat across namespaces.
+    /// 0: count nothing.
     pub namespace: u32,
     /// `struct net_device`, `ifindex`: 4 bytes.
     pub ifindex: u32,

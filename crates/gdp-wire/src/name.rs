@@ -1,5 +1,5 @@
-//! The 256-bit name of a topic, service, action, log or entity. How a name is derived is
-//! `gdp::name`'s business: a data plane only compares names.
+//! The 256-bit name of a topic, service, action, log or entity. `gdp::name` derives names; a data
+//! plane only compares them.
 
 use core::fmt;
 use core::str::FromStr;
@@ -7,55 +7,56 @@ use core::str::FromStr;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// A 256-bit name. Displayed in full as 64 lower-case hex digits; `{:#}` is the short form for
-/// people (`75e…0fc`).
+/// human readers (`75e…0fc`).
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Default, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Name([u64; 4]);
 
 impl Name {
-    /// The name with these 32 bytes, in wire order.
+    /// Returns the name with these 32 bytes, in wire order.
     #[inline(always)]
     pub const fn from_bytes(bytes: [u8; 32]) -> Self {
         // SAFETY: both types are 32 bytes of plain data without invalid values.
         Self(unsafe { core::mem::transmute::<[u8; 32], [u64; 4]>(bytes) })
     }
 
-    /// The 32 bytes of the name, in wire order.
+    /// Returns the 32 bytes of the name, in wire order.
     #[inline(always)]
     pub const fn to_bytes(self) -> [u8; 32] {
         // SAFETY: both types are 32 bytes of plain data without invalid values.
         unsafe { core::mem::transmute::<[u64; 4], [u8; 32]>(self.0) }
     }
 
-    /// The 32 bytes of the name, in wire order.
+    /// Returns the 32 bytes of the name, in wire order.
     #[inline(always)]
     pub fn as_bytes(&self) -> &[u8; 32] {
         // SAFETY: the array covers exactly this value, and a byte needs no alignment.
         unsafe { &*(&raw const self.0).cast::<[u8; 32]>() }
     }
 
-    /// The name of which these are [`Self::words`].
+    /// Returns the name with these [`Self::words`].
     #[cfg(target_has_atomic = "64")]
     pub(crate) const fn from_words(words: [u64; 4]) -> Self {
         Self(words)
     }
 
-    /// Whether both are the same. As `==`, which the BPF compiler makes a function call of.
+    /// Returns whether both names are the same. Unlike `==`, the BPF compiler does not turn this
+    /// into a function call.
     #[inline(always)]
     pub const fn is(&self, other: &Self) -> bool {
         let ([a, b, c, d], [e, f, g, h]) = (self.0, other.0);
         (a ^ e) | (b ^ f) | (c ^ g) | (d ^ h) == 0
     }
 
-    /// Four machine words of the name, as they lie in memory: for hashing and comparing, never for
-    /// arithmetic.
+    /// Returns the four machine words of the name as in memory: for hashing and comparing, never
+    /// for arithmetic.
     #[inline(always)]
     pub const fn words(&self) -> &[u64; 4] {
         &self.0
     }
 }
 
-/// By the bytes in wire order, so that all machines agree which of two names is the smaller.
+/// Orders names by their bytes in wire order, so that the order is the same on all machines.
 impl Ord for Name {
     fn cmp(&self, other: &Self) -> core::cmp::Ordering {
         self.as_bytes().cmp(other.as_bytes())
@@ -120,7 +121,7 @@ mod serde_impls {
     use core::fmt;
     use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-    /// Hex text in formats for people, 32 bytes in binary ones.
+    /// Serializes as hex text in human-readable formats and as 32 bytes in binary formats.
     impl Serialize for Name {
         fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
             if serializer.is_human_readable() {

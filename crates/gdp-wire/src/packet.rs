@@ -1,9 +1,9 @@
-//! Headers of the packets that carry frames: Ethernet, IEEE 802.1Q, IPv4, IPv6 and UDP. What they
-//! must be for a packet to carry a frame, and how they are written, is here for the XDP programs
-//! and the DPDK plane; each of them knows how to reach the bytes.
+//! Headers of the packets that carry frames: Ethernet, IEEE 802.1Q, IPv4, IPv6 and UDP. The XDP
+//! programs and the DPDK plane share the rules for parsing and writing them. Each of the two
+//! accesses the bytes in its own manner.
 //!
-//! All words are in network order. The types that stand for them, `H` for 16 bits and `W` for 32
-//! bits, are integers in the XDP programs, where words may lie anywhere, and byte arrays elsewhere.
+//! All words are in network order. `H` is the type of 16-bit words and `W` of 32-bit words. Both
+//! are integers in the XDP programs, which can access unaligned words, and byte arrays elsewhere.
 
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
@@ -14,14 +14,14 @@ pub const IPV4: u16 = 0x0800;
 pub const IPV6: u16 = 0x86dd;
 pub const VLAN: u16 = 0x8100;
 
-/// Also IPv6's "next header".
+/// Protocol number of UDP, also the "next header" value of IPv6.
 pub const UDP: u8 = 17;
 
 const HOP_LIMIT: u8 = 64;
-/// Version 4, five words.
+/// Version 4, header length of five words.
 const VERSION_LENGTH: u8 = 0x45;
 const DO_NOT_FRAGMENT: u16 = 0x4000;
-/// More fragments follow, and where this one belongs.
+/// Mask of the "more fragments" flag and the fragment offset.
 const FRAGMENT: u16 = 0x3fff;
 
 pub const ETHERNET_LEN: usize = size_of::<Ethernet<[u8; 2]>>();
@@ -29,14 +29,14 @@ pub const TAGGED_LEN: usize = ETHERNET_LEN + size_of::<Tag<[u8; 2]>>();
 pub const IPV4_LEN: usize = size_of::<Ipv4<[u8; 2], [u8; 4]>>();
 pub const IPV6_LEN: usize = size_of::<Ipv6<[u8; 2], [u8; 4]>>();
 pub const UDP_LEN: usize = size_of::<Udp<[u8; 2]>>();
-/// Bytes in front of a frame over UDP.
+/// Bytes before a frame over UDP.
 pub const UDP4_LEN: usize = ETHERNET_LEN + IPV4_LEN + UDP_LEN;
 pub const UDP6_LEN: usize = ETHERNET_LEN + IPV6_LEN + UDP_LEN;
 
 const _: () = assert!(ETHERNET_LEN == 14 && TAGGED_LEN == 18 && UDP4_LEN == 42 && UDP6_LEN == 62);
 const _: () = assert!(size_of::<Ipv4<u16, u32>>() == IPV4_LEN && size_of::<Ipv6<u16, u32>>() == IPV6_LEN);
 
-/// A word in network order, as it lies in a packet.
+/// A word in network order, as in a packet.
 pub trait Word<T>: Copy {
     fn get(self) -> T;
     fn of(word: T) -> Self;
@@ -81,7 +81,7 @@ pub struct Ethernet<H> {
     pub ethertype: H,
 }
 
-/// What stands between a tagged frame's first ethertype, [`VLAN`], and its payload.
+/// The IEEE 802.1Q tag, between the first ethertype [`VLAN`] and the payload.
 #[derive(Clone, Copy, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
 #[repr(C)]
 pub struct Tag<H> {
@@ -111,7 +111,7 @@ pub struct Ipv4<H, W> {
 pub struct Ipv6<H, W> {
     /// Version (4 bits), traffic class (8 bits), flow label (20 bits).
     version_class: W,
-    /// Of what follows this header.
+    /// Length of the data after this header.
     length: H,
     next: u8,
     hop_limit: u8,
@@ -124,15 +124,15 @@ pub struct Ipv6<H, W> {
 pub struct Udp<H> {
     source: H,
     destination: H,
-    /// Of header and payload.
+    /// Length of header and payload.
     length: H,
     pub checksum: H,
 }
 
 impl<H: Word<u16>> Ethernet<H> {
-    /// `ethertype`: in host order. Word by word: a copy of six bytes becomes a function call in an
-    /// XDP program, and elsewhere a header made in another place is copied with reads that span the
-    /// writes before them, which is slow.
+    /// Writes the header. `ethertype` is in host order. Copies word by word, for two reasons. A
+    /// copy of six bytes becomes a function call in an XDP program. Elsewhere, copying a complete
+    /// header reads across the boundaries of the preceding writes, which is slow.
     #[inline(always)]
     pub fn address(&mut self, destination: &[u16; 3], source: &[u16; 3], ethertype: u16) {
         let mut i = 0;
@@ -144,7 +144,7 @@ impl<H: Word<u16>> Ethernet<H> {
         self.ethertype = H::of(ethertype.to_be());
     }
 
-    /// In host order.
+    /// Returns the ethertype in host order.
     #[inline(always)]
     pub fn ethertype(&self) -> u16 {
         u16::from_be(self.ethertype.get())
@@ -152,8 +152,8 @@ impl<H: Word<u16>> Ethernet<H> {
 }
 
 impl<H: Word<u16>> Tag<H> {
-    /// Writes the tag of a frame. The priority is the high three bits of `traffic`; `ethertype`: of
-    /// the frame, in host order.
+    /// Writes the tag of a frame. The priority is the high three bits of `traffic`. `ethertype` is
+    /// that of the frame, in host order.
     #[inline(always)]
     pub fn set(&mut self, vlan: u16, traffic: u8, ethertype: u16) {
         self.control = H::of((vlan & 0xfff | u16::from(traffic >> 5) << 13).to_be());
@@ -165,7 +165,7 @@ impl<H: Word<u16>> Tag<H> {
         u16::from_be(self.control.get()) & 0xfff
     }
 
-    /// Of what follows, in host order.
+    /// Returns the ethertype of the payload, in host order.
     #[inline(always)]
     pub fn ethertype(&self) -> u16 {
         u16::from_be(self.ethertype.get())
@@ -173,8 +173,9 @@ impl<H: Word<u16>> Tag<H> {
 }
 
 impl<H: Word<u16>, W: Word<u32>> Ipv4<H, W> {
-    /// Where a datagram goes, and the bytes of its payload, in `length` bytes from this header on.
-    /// `None`: options, fragments, and lengths that disagree are the host's to judge.
+    /// Returns the destination and the payload length of a datagram in `length` bytes from this
+    /// header on. Returns `None` for options, fragments and inconsistent lengths; those packets go
+    /// to the host.
     #[inline(always)]
     pub fn datagram(&self, udp: &Udp<H>, length: usize) -> Option<(LocalAddress, usize)> {
         let is_fragment = u16::from_be(self.fragment.get()) & FRAGMENT != 0;
@@ -187,13 +188,13 @@ impl<H: Word<u16>, W: Word<u32>> Ipv4<H, W> {
         fits.then(|| (udp.to(to, Carrier::UDP4), udp_length - UDP_LEN))
     }
 
-    /// Of a datagram from us to the peer. `length`: of the frame.
+    /// Returns the header of a datagram from the switch to the peer. `length` is that of the frame.
     #[inline(always)]
     pub fn new(carrier: &Carrier, traffic: u8, length: u16) -> Self {
         let (length, fragment) = (length.wrapping_add((IPV4_LEN + UDP_LEN) as u16).to_be(), DO_NOT_FRAGMENT.to_be());
         let (source, destination) = (carrier.local_ip[0], carrier.peer_ip[0]);
-        // RFC 1071: the order of bytes does not matter as long as it is one. Of values, and not of
-        // the header where it is: short writes that long reads follow at once are slow.
+        // RFC 1071: the byte order is irrelevant as long as it is consistent. The sum uses values
+        // rather than the header in memory: long reads immediately after short writes are slow.
         let sum = u16::from_ne_bytes([VERSION_LENGTH, traffic]) as u32
             + length as u32
             + fragment as u32
@@ -220,7 +221,7 @@ impl<H: Word<u16>, W: Word<u32>> Ipv4<H, W> {
 }
 
 impl<H: Word<u16>, W: Word<u32>> Ipv6<H, W> {
-    /// As [`Ipv4::datagram`]; extension headers, fragments among them, are the host's.
+    /// As [`Ipv4::datagram`]. Packets with extension headers, including fragments, go to the host.
     #[inline(always)]
     pub fn datagram(&self, udp: &Udp<H>, length: usize) -> Option<(LocalAddress, usize)> {
         if u32::from_be(self.version_class.get()) >> 28 != 6 || self.next != UDP {
@@ -233,13 +234,13 @@ impl<H: Word<u16>, W: Word<u32>> Ipv6<H, W> {
         fits.then(|| (udp.to(to, Carrier::UDP6), udp_length - UDP_LEN))
     }
 
-    /// DSCP and ECN.
+    /// Returns DSCP and ECN.
     #[inline(always)]
     pub fn traffic(&self) -> u8 {
         (u32::from_be(self.version_class.get()) >> 20) as u8
     }
 
-    /// Writes the header of a datagram from us to the peer. `length`: of the frame.
+    /// Writes the header of a datagram from the switch to the peer. `length` is that of the frame.
     #[inline(always)]
     pub fn set(&mut self, carrier: &Carrier, traffic: u8, length: u16) {
         self.version_class = W::of((6 << 28 | u32::from(traffic) << 20).to_be());
@@ -255,7 +256,8 @@ impl<H: Word<u16>, W: Word<u32>> Ipv6<H, W> {
 }
 
 impl<H: Word<u16>> Udp<H> {
-    /// From us to the peer. `length`: of the frame; `checksum`: in network order.
+    /// Returns the header of a datagram from the switch to the peer. `length` is that of the frame;
+    /// `checksum` is in network order.
     #[inline(always)]
     pub fn new(carrier: &Carrier, length: u16, checksum: u16) -> Self {
         Self {

@@ -1,25 +1,26 @@
-//! The replay window of a link: which counts its receiver has taken, so that it takes each once at
-//! most.
+//! The replay window of a link. It records the accepted counts, so that the receiver accepts each
+//! count at most once.
 //!
-//! The window is a ring of [`WORDS`] words. A word speaks of one *block* of 16 consecutive counts:
-//! the number of the block in the high 48 bits, and below it a bit for each count that was taken.
-//! The next block of a word is the one 16 · [`WORDS`] counts on, and replaces it. After RFC 6479,
-//! without its separate highest count: nothing is ever cleared, and a frame touches one word.
+//! The window is a ring of [`WORDS`] words. A word describes one *block* of 16 consecutive counts.
+//! Its high 48 bits are the block number; below are one bit per accepted count. The block 16 ·
+//! [`WORDS`] counts later replaces it in the same word. The design follows RFC 6479 without its
+//! separate highest count: nothing is ever cleared, and a frame touches one word.
 //!
-//! **Concurrency.** A frame is taken if and only if its own compare-exchange set its bit. The
-//! number of a word's block never falls, and within a block bits are only set: so no count is taken
-//! twice, however many CPUs and planes share the window. The worst case is a frame that loses
-//! [`TRIES`] races in a row: it is refused, though nobody took it. Each of these races was won by
-//! another frame of the same word, and there are 16 to a block: others must get through eight of
-//! them while this one does as many compare-exchanges.
+//! **Concurrency.** A frame is accepted if and only if its own compare-exchange set its bit. The
+//! block number of a word never decreases, and within a block bits are only set. No count is
+//! therefore accepted twice, however many CPUs and planes share the window. A frame that loses
+//! [`TRIES`] races in a row is refused although no other frame had its count. Each race is won by
+//! another frame of the same word, and a block has 16 counts. Eight such frames must therefore
+//! complete during eight compare-exchanges of this one.
 //!
-//! **Reordering.** A frame is never refused while it is behind the highest taken count by less than
-//! [`TOLERANCE`], and always from 16 · [`WORDS`] on if the frames between arrived.
+//! **Reordering.** A frame is never refused for being late while its distance to the highest
+//! accepted count is less than [`TOLERANCE`]. From a distance of 16 · [`WORDS`] on, a frame is
+//! always refused if the frames between have arrived.
 //!
-//! **Wrapping.** Frames carry the low 32 bits of their count; the rest follows from the window
-//! ([`whole`]) and goes into the hop tag, as the extended sequence numbers of RFC 4303 do. So a
-//! link outlives 2³² frames, and what was recorded before is not fresh after. The count has 52
-//! bits, which is 71 years at 2 million frames a second.
+//! **Wrapping.** Frames carry the low 32 bits of their count. The receiver derives the high bits
+//! from the window ([`whole`]) and includes them in the hop tag, like the extended sequence numbers
+//! of RFC 4303. A link can therefore carry more than 2³² frames, and recorded frames do not become
+//! fresh after the wrap. The count has 52 bits, which last 71 years at 2 million frames a second.
 
 #[cfg(target_has_atomic = "64")]
 use core::sync::atomic::{AtomicU64, Ordering};
@@ -27,44 +28,43 @@ use core::sync::atomic::{AtomicU64, Ordering};
 /// Words in a window.
 pub const WORDS: usize = 256;
 
-/// Frames that may overtake another one without its being refused.
+/// Number of later frames that may overtake a frame without its being refused.
 pub const TOLERANCE: u64 = (WORDS as u64 - 1) * BLOCK;
 
-/// Races that a frame may lose.
+/// Number of races that a frame may lose.
 pub const TRIES: u32 = 8;
 
 /// Counts in a block.
 const BLOCK: u64 = 16;
 
-/// The memory of a window, which others may change at any moment. Zeros are a window that has taken
-/// nothing.
+/// The memory of a window, which other CPUs may change at any time. All zeros is an empty window.
 ///
 /// An index is always below [`WORDS`]. Neither function orders any other memory access.
 pub trait Words {
     fn load(&self, index: usize) -> u64;
 
-    /// Stores `new` if the word is `current`, atomically; returns what it was.
+    /// Stores `new` atomically if the word is `current`. Returns the previous word.
     fn compare_exchange(&self, index: usize, current: u64, new: u64) -> u64;
 }
 
-/// The whole count that a frame with these low bits must have: the nearest to what the window has
-/// seen, so it is right as long as fewer than 2³¹ frames in a row are lost.
+/// Returns the whole count of a frame with these low bits. The result is the count nearest to the
+/// contents of the window. It is right as long as fewer than 2³¹ frames in a row are lost.
 #[inline(always)]
 pub fn whole(words: &impl Words, low: u32) -> u64 {
     let known = block(words.load(index(low.into()))) * BLOCK;
     let ahead = low.wrapping_sub(known as u32) as i32;
     let count = known.wrapping_add_signed(ahead.into());
-    // There is nothing before the first count.
+    // No count precedes the first.
     if (count as i64) < 0 { low.into() } else { count }
 }
 
-/// Whether a frame of this count could be taken now. Changes nothing.
+/// Returns whether a frame of this count could be accepted now. Changes nothing.
 #[inline(always)]
 pub fn is_fresh(words: &impl Words, count: u64) -> bool {
     with(words.load(index(count)), count).is_some()
 }
 
-/// Takes a count; `false` if it was taken before, or is too old to say.
+/// Records a count. Returns `false` if the count was already recorded, or is older than the window.
 #[inline(always)]
 pub fn take(words: &impl Words, count: u64) -> bool {
     let index = index(count);
@@ -82,7 +82,7 @@ pub fn take(words: &impl Words, count: u64) -> bool {
     false
 }
 
-/// What `word` becomes when `count` is taken, if it may be.
+/// Returns the value of `word` after recording `count`, or `None` if `count` is refused.
 #[inline(always)]
 fn with(word: u64, count: u64) -> Option<u64> {
     let (held, wanted) = (block(word), count / BLOCK);
@@ -118,12 +118,12 @@ impl<W: Words + ?Sized> Words for &W {
     }
 }
 
-/// A window in ordinary memory. (The compiler's description of the BPF target has no
-/// compare-exchange; `gdp-ebpf` brings its own.)
+/// A window in ordinary memory. (The compiler's description of the BPF target lacks
+/// compare-exchange; `gdp-ebpf` provides its own.)
 #[cfg(target_has_atomic = "64")]
 pub type Window = [AtomicU64; WORDS];
 
-/// A window that has taken nothing.
+/// Returns an empty window.
 #[cfg(target_has_atomic = "64")]
 pub const fn empty() -> Window {
     [const { AtomicU64::new(0) }; WORDS]

@@ -1,8 +1,8 @@
-//! SipHash-2-4 over whole words: the hop tag. Aumasson and Bernstein, "SipHash: a fast short-input
-//! PRF". Written out here because the eBPF program needs it without loops over memory the verifier
-//! cannot follow.
+//! SipHash-2-4 over whole words, for the hop tag. See Aumasson and Bernstein, "SipHash: a fast
+//! short-input PRF". Implemented here because the verifier cannot follow loops over memory in the
+//! eBPF program.
 
-/// SipHash-2-4 of `words` (little-endian, 8 bytes each) under a 128-bit key.
+/// Returns SipHash-2-4 of `words` (little-endian, 8 bytes each) under a 128-bit key.
 #[inline(always)]
 pub fn siphash24<const N: usize>(key: [u64; 2], words: &[u64; N]) -> u64 {
     let mut v0 = key[0] ^ 0x736f_6d65_7073_6575;

@@ -1,116 +1,117 @@
-//! What a data plane holds: the entries of its tables, laid out for BPF maps. Derived state; the
-//! control plane owns the truth and rewrites these at will. No implicit padding, no enums over
-//! bytes that anybody else writes.
+//! The table entries of a data plane, laid out for BPF maps. They are derived state: the control
+//! plane owns the original state and may rewrite them at any time. The types have no implicit
+//! padding, and no enums over bytes that others write.
 
 use core::fmt;
 use core::net::IpAddr;
 
 use crate::Name;
 
-/// The version of everything a data plane keeps in memory that outlives a daemon: the maps, and
-/// what their entries mean. To be raised with every change of meaning; of sizes as well, though a
-/// daemon compares those itself.
+/// Version of all data plane memory that outlives a daemon: the maps, and the meaning of their
+/// entries. Must be raised with every change of meaning. Must also be raised with changes of sizes,
+/// although the daemon compares those itself.
 pub const ABI: u32 = 6;
 
-/// Links a switch can have at once; the low bits of a link id are the index of its entry.
+/// Maximum number of links of a switch. The low bits of a link id are the index of its entry.
 pub const MAX_LINKS: u32 = 1024;
 
-/// Egress switches a set of egress bits can name.
+/// Number of egress switches in an egress set.
 pub const EGRESS_SET_SIZE: u32 = 64;
 
-/// Interfaces a switch can redirect to.
+/// Maximum number of interfaces that a switch can redirect to.
 pub const MAX_PORTS: u32 = 128;
 
-/// `LinkEntry::port` of a link that the kernel cannot send on: the userspace plane does.
+/// `LinkEntry::port` of a link that only the userspace plane can send on.
 pub const PORT_USERSPACE: u32 = u32::MAX;
 
-/// `LinkEntry::port` of a link over UDP: the kernel's routing table says which interface leads to
-/// the neighbour.
+/// `LinkEntry::port` of a link over UDP. The kernel's routing table determines the interface of the
+/// neighbour.
 pub const PORT_ROUTED: u32 = u32::MAX - 1;
 
-/// Addresses that a switch takes frames over UDP at.
+/// Maximum number of addresses where a switch accepts frames over UDP.
 pub const MAX_LOCAL_ADDRESSES: u32 = 1024;
 
-/// A neighbour is sent an error no sooner than this after the one before.
+/// Minimum interval between two errors to a neighbour.
 pub const COMPLAINT_INTERVAL_NS: u64 = 10_000_000;
 
-/// A daemon is given a probe that came on a link no sooner than this after the one before.
+/// Minimum interval between two probes from a link that the daemon receives.
 pub const PUNT_INTERVAL_NS: u64 = 10_000_000;
 
-/// The group of all neighbouring switches, and no endpoint.
+/// The group of all neighbouring switches, without endpoints.
 pub const NEIGHBOURS: u32 = 0;
 
-/// Groups of links that the kernel can copy frames to; a name with another one is the userspace
-/// plane's.
+/// Maximum number of groups of links that the kernel can copy frames to. The userspace plane
+/// handles names with other groups.
 pub const MAX_GROUPS: u32 = 256;
 
-/// Links in a group that the kernel copies frames to.
+/// Maximum number of links in a group that the kernel copies frames to.
 pub const MAX_COPIES: u32 = 128;
 
-/// Bytes of a GDP frame that the kernel copies. Its copies, with what lies before them in memory,
-/// must fit a page of 4096 bytes; those that do not vanish without a trace.
+/// Maximum length of a GDP frame that the kernel copies. A copy and the preceding data in memory
+/// must fit a page of 4096 bytes. The kernel drops larger copies silently.
 pub const MAX_COPIED_FRAME: usize = 3400;
 
-/// `FibEntry::writer_link` where any endpoint may send to the name, as its own source, and other
-/// domains as those they may: while what a daemon left that is no more is held, which knew its
-/// writers by links that are being made anew.
+/// `FibEntry::writer_link` of a name that every endpoint may send to, under its own source. Other
+/// domains may send under the sources permitted to them. Used while routes of a previous daemon are
+/// retained: its permits refer to links that are being re-established.
 pub const ANY_WRITER: u32 = u32::MAX;
 
-/// Who is at the other end of a link. Stored as its number in [`LinkEntry::role`]; 0 is a free
+/// The role of the neighbour on a link. Stored as its number in [`LinkEntry::role`]; 0 marks a free
 /// entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum LinkRole {
-    /// A proxy or another writer and reader: names are looked up on what it sends.
+    /// A proxy or another writer and reader. The switch looks up the names of its frames.
     Endpoint = 1,
-    /// A switch of the same domain: it stamped the egress bits.
+    /// A switch of the same domain. Its frames already have egress bits.
     Switch = 2,
-    /// A switch of another domain: names are looked up on what it sends, and none of that goes on
-    /// to a third domain, unless the link's entry says [`LinkEntry::TRANSIT`].
+    /// A switch of another domain. The switch looks up the names of its frames, and does not
+    /// forward them to a third domain unless the link has [`LinkEntry::TRANSIT`].
     Border = 3,
 }
 
-/// One link: an authenticated adjacency with a neighbour. Its `Debug` form leaves the keys out.
+/// One link: an authenticated adjacency with a neighbour. Its `Debug` form omits the keys.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct LinkEntry {
-    /// The id this switch gave the link; frames arrive with it. Never 0 for a live link.
+    /// The id that this switch assigned to the link; arriving frames carry it. Never 0 for a live
+    /// link.
     pub id: u32,
-    /// The id the neighbour gave it; frames leave with it.
+    /// The id that the neighbour assigned to the link; leaving frames carry it.
     pub peer_id: u32,
     /// [`LinkRole`] of the neighbour; 0 for a free entry.
     pub role: u32,
-    /// Key in the device map of the interface the neighbour is behind, [`PORT_ROUTED`] or
-    /// [`PORT_USERSPACE`]. Over UDP an interface is given only for an endpoint on the switch's own
-    /// host.
+    /// Key of the neighbour's interface in the device map, or [`PORT_ROUTED`] or
+    /// [`PORT_USERSPACE`]. A link over UDP has an interface only for an endpoint on the switch's
+    /// own host.
     pub port: u32,
-    /// SipHash keys of frames that arrive, by the key phase in their flags. Both are always keys of
-    /// the link: the one in use and the one that follows it.
+    /// SipHash keys of arriving frames, by the key phase in their flags. Both are always keys of
+    /// the link: the current one and its successor.
     pub rx_keys: [[u64; 2]; 2],
-    /// SipHash keys of frames that leave, by key phase.
+    /// SipHash keys of leaving frames, by key phase.
     pub tx_keys: [[u64; 2]; 2],
-    /// Egress switches this neighbour leads to; 0 for an endpoint.
+    /// Egress switches reachable through this neighbour; 0 for an endpoint.
     pub reach: u64,
-    /// The neighbour's name. An endpoint's frames must have it as their source.
+    /// The neighbour's name, which is the required source of an endpoint's frames.
     pub peer: Name,
-    /// Largest GDP frame (header and payload, without what carries it) the link takes, in bytes.
+    /// Largest GDP frame on the link in bytes: header and payload, without the carrier.
     pub mtu: u32,
-    /// Key phase of frames that leave: 0 or 1.
+    /// Key phase of leaving frames: 0 or 1.
     pub tx_phase: u32,
-    /// What carries frames to the neighbour.
+    /// The carrier of frames to the neighbour.
     pub carrier: Carrier,
-    /// Which of the links of an endpoint it is. For the daemon after the present one; data planes
-    /// do not look at it.
+    /// Number of the link among the links of an endpoint. For the successor of the running daemon;
+    /// data planes ignore it.
     pub lane: u16,
     /// [`LinkEntry::TRANSIT`].
     pub flags: u16,
 }
 
 impl LinkEntry {
-    /// Flag of a border link: what comes by it may go on to a third domain.
+    /// Flag of a border link: frames from this link may go on to a third domain.
     pub const TRANSIT: u16 = 1;
 
-    /// Who is at the other end; none: the entry is free.
+    /// Returns the role of the neighbour, or `None` if the entry is free.
     pub fn role(&self) -> Option<LinkRole> {
         [LinkRole::Endpoint, LinkRole::Switch, LinkRole::Border].into_iter().find(|role| *role as u32 == self.role)
     }
@@ -129,7 +130,7 @@ impl fmt::Debug for LinkEntry {
     }
 }
 
-/// What carries the frames that leave by a link: Ethernet, or UDP on it.
+/// The carrier of the frames on a link: Ethernet, or UDP over Ethernet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct Carrier {
@@ -139,18 +140,18 @@ pub struct Carrier {
     pub flags: u8,
     /// IEEE 802.1Q tag control information, in host order; 0: no tag. On Ethernet only.
     pub vlan: u16,
-    /// The neighbour's MAC address. On Ethernet, and over UDP where [`LinkEntry::port`] is an
+    /// The neighbour's MAC address. Valid on Ethernet, and over UDP if [`LinkEntry::port`] is an
     /// interface.
     pub peer_mac: [u16; 3],
-    /// Ours, likewise.
+    /// The switch's MAC address, under the same condition.
     pub local_mac: [u16; 3],
     /// UDP port of the neighbour, in network order.
     pub peer_port: u16,
-    /// Ours, in network order.
+    /// UDP port of the switch, in network order.
     pub local_port: u16,
     /// IP address of the neighbour, in network order; an IPv4 address is in the first word.
     pub peer_ip: [u32; 4],
-    /// Ours, likewise.
+    /// IP address of the switch, in the same format.
     pub local_ip: [u32; 4],
 }
 
@@ -162,19 +163,19 @@ impl Carrier {
     /// Frames are payload of UDP over IPv6.
     pub const UDP6: u8 = 2;
 
-    /// Flag: over IPv6, the neighbour takes datagrams whose UDP checksum is 0 (RFC 6936).
+    /// Flag: over IPv6, the neighbour accepts datagrams with a UDP checksum of 0 (RFC 6936).
     pub const ZERO_CHECKSUM: u8 = 1;
-    /// Flag: the neighbour's kernel joins datagrams that have a UDP checksum (UDP GRO), which saves
-    /// it more than the sum costs.
+    /// Flag: the neighbour's kernel coalesces datagrams that have a UDP checksum (UDP GRO). This
+    /// saves the neighbour more than the checksum costs the sender.
     pub const CHECKSUM: u8 = 2;
 
-    /// Untagged Ethernet between two stations.
+    /// Returns untagged Ethernet between two MAC addresses.
     pub fn ethernet(peer_mac: [u8; 6], local_mac: [u8; 6]) -> Self {
         Self { peer_mac: mac_words(peer_mac), local_mac: mac_words(local_mac), ..Self::default() }
     }
 }
 
-/// An address that UDP datagrams with frames arrive at.
+/// An address where the switch receives UDP datagrams with frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub struct LocalAddress {
@@ -187,14 +188,15 @@ pub struct LocalAddress {
 }
 
 impl LocalAddress {
-    /// Of an IP address, which is not an IPv6-mapped IPv4 address, and a port in host order.
+    /// Returns the key of an IP address and a port in host order. `ip` must not be an IPv6-mapped
+    /// IPv4 address.
     pub fn new(ip: IpAddr, port: u16) -> Self {
         let (kind, ip) = ip_words(ip);
         Self { ip, port: port.to_be(), kind: kind.into() }
     }
 }
 
-/// The kind of carrier and the words of an IP address, as [`Carrier`] has them.
+/// Returns the kind of carrier and the words of an IP address, in the format of [`Carrier`].
 pub fn ip_words(ip: IpAddr) -> (u8, [u32; 4]) {
     match ip {
         IpAddr::V4(ip) => (Carrier::UDP4, [u32::from_ne_bytes(ip.octets()), 0, 0, 0]),
@@ -206,7 +208,7 @@ pub fn ip_words(ip: IpAddr) -> (u8, [u32; 4]) {
     }
 }
 
-/// The IP address that a carrier of this kind has in these words.
+/// Returns the IP address that a carrier of this kind stores in these words.
 pub fn ip_of(kind: u8, words: [u32; 4]) -> IpAddr {
     if kind == Carrier::UDP4 {
         return IpAddr::from(words[0].to_ne_bytes());
@@ -226,22 +228,22 @@ pub struct Vlan {
     pub id: u32,
 }
 
-/// A MAC address as words that have the same bytes in memory.
+/// Returns the words with the same bytes in memory as a MAC address.
 pub const fn mac_words([a, b, c, d, e, f]: [u8; 6]) -> [u16; 3] {
     [u16::from_ne_bytes([a, b]), u16::from_ne_bytes([c, d]), u16::from_ne_bytes([e, f])]
 }
 
-/// The bytes of a MAC address.
+/// Returns the bytes of a MAC address.
 pub fn mac_bytes(words: [u16; 3]) -> [u8; 6] {
     let [a, b, c] = words.map(u16::to_ne_bytes);
     [a[0], a[1], b[0], b[1], c[0], c[1]]
 }
 
-/// Where a name leads from this switch.
+/// The route of a name on this switch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct FibEntry {
-    /// Egress switches that want a copy, stamped at the ingress switch.
+    /// Egress switches that need a copy, stamped at the ingress switch.
     pub egress_bits: u64,
     /// Link id of the local reader, if there is exactly one; otherwise 0.
     pub local_link: u32,
@@ -250,16 +252,16 @@ pub struct FibEntry {
     pub group: u32,
     /// Link id of a local endpoint that may send to the name, or 0, or [`ANY_WRITER`].
     pub writer_link: u32,
-    /// The egress set that `egress_bits` speaks of.
+    /// The egress set that `egress_bits` refers to.
     pub egress_set: u8,
-    /// Not 0 if other local endpoints may send to the name, too: each has a [`Permit`].
+    /// Not 0 if other local endpoints may also send to the name. Each of them has a [`Permit`].
     pub more_writers: u8,
     /// Zero.
     pub reserved: u16,
 }
 
-/// That frames of a link may have a name in their header, where neither the link nor the name's
-/// [`FibEntry`] says so.
+/// Allows frames of a link to have a name in their header that neither the link nor the name's
+/// [`FibEntry`] allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub struct Permit {
@@ -271,13 +273,13 @@ pub struct Permit {
 }
 
 impl Permit {
-    /// As their destination.
+    /// The name may be the destination.
     pub const DESTINATION: u32 = 0;
-    /// As their source.
+    /// The name may be the source.
     pub const SOURCE: u32 = 1;
 }
 
-/// A place in a group: which link gets the copy with this index, of those that leave by one
+/// A slot of a group, which maps to the link of one copy. Several copies may leave by one
 /// interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(C)]
@@ -289,19 +291,19 @@ pub struct GroupSlot {
     pub index: u32,
 }
 
-/// Copies of one frame that have left by an interface, on one CPU.
+/// The copies of one frame that have left by an interface, on one CPU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct CopyCount {
-    /// Number of the frame, the low 48 bits.
+    /// The low 48 bits of the sequence number of the frame.
     pub sequence: u64,
     pub copies: u32,
-    /// Copies that nobody needed, of all frames, since the kernel last told how many frames of a
-    /// batch left.
+    /// Superfluous copies of all frames, since the kernel last reported how many frames of a batch
+    /// it sent.
     pub superfluous: u32,
 }
 
-/// What a switch knows of itself.
+/// The configuration of a switch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct SwitchConfig {
@@ -309,22 +311,22 @@ pub struct SwitchConfig {
     pub own_bit: u64,
     /// Ethertype of GDP frames, in host order.
     pub ethertype: u32,
-    /// The interface by which endpoints on the switch's own host reach it; 0: there is none.
+    /// Index of the interface that connects endpoints on the switch's own host; 0: none.
     pub host_pair: u32,
 }
 
-/// Index of the entry of link `id`.
+/// Returns the index of the entry of link `id`.
 #[inline(always)]
 pub const fn link_index(id: u32) -> u32 {
     id & (MAX_LINKS - 1)
 }
 
 const _: () = {
-    // What arrives is checked with the first two cache lines; the third is for what leaves.
+    // The checks of arriving frames use the first two cache lines; the third is for leaving frames.
     assert!(size_of::<LinkEntry>() == 184 && align_of::<LinkEntry>() == 8);
     assert!(core::mem::offset_of!(LinkEntry, carrier) == 128);
     assert!(size_of::<Carrier>() == 52 && align_of::<Carrier>() == 4);
-    // With its name and a generation, one.
+    // With its name and a generation, an entry fills one cache line.
     assert!(size_of::<FibEntry>() == 24 && align_of::<FibEntry>() == 8);
     assert!(size_of::<Permit>() == 40 && align_of::<Permit>() == 8);
     assert!(size_of::<GroupSlot>() == 12 && align_of::<GroupSlot>() == 4);
@@ -337,8 +339,8 @@ const _: () = {
 
 #[cfg(feature = "aya")]
 mod pod {
-    // SAFETY: plain integers in `repr(C)` without padding (the sizes above are the sums of the
-    // fields').
+    // SAFETY: plain integers in `repr(C)` without padding (the asserted sizes are the sums of the
+    // field sizes).
     unsafe impl aya::Pod for super::LinkEntry {}
     // SAFETY: as above.
     unsafe impl aya::Pod for super::FibEntry {}

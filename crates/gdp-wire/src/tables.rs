@@ -1,76 +1,76 @@
-//! The tables of a data plane, as the forwarding decision reads them.
+//! The tables of a data plane, as seen by the forwarding decision.
 
 use crate::table::{FibEntry, LinkEntry, Permit};
 use crate::{Header, Name, hop, replay};
 
-/// What [`crate::forward::decide`] asks of a data plane. Lookups must be bounded and must not
+/// The lookups of [`crate::forward::decide`] in a data plane. They must be bounded and must not
 /// block.
 pub trait Tables {
-    /// Whether there is no other plane to leave a frame to.
+    /// Whether no other plane follows this one.
     const LAST: bool;
 
-    /// Where a frame leaves, as far as that is not known from its link.
+    /// The next hop of a frame, as far as its link does not determine it.
     type NextHop: Copy + Default;
 
-    /// The link with this id, if it is live.
+    /// Returns the link with this id, if it is live.
     fn link(&self, id: u32) -> Option<&LinkEntry>;
 
-    /// Where this name leads.
+    /// Returns the route of a name.
     fn route(&self, name: &Name) -> Option<FibEntry>;
 
-    /// Link id of the neighbour on the path to egress switch `bit` (0 … 63); 0 if there is none.
+    /// Returns the link id of the neighbour on the path to egress switch `bit` (0 … 63); 0 if there
+    /// is none.
     fn next_hop(&self, bit: u32) -> u32;
 
-    /// This switch's own egress bit.
+    /// Returns this switch's own egress bit.
     fn own_bit(&self) -> u64;
 
-    /// Whether there is such a [`Permit`].
+    /// Returns whether this [`Permit`] exists.
     fn is_permitted(&self, permit: &Permit) -> bool;
 
-    /// What frames have arrived on this link, shared by all planes that take frames from it.
+    /// Returns the replay window of a link, shared by all planes that receive its frames.
     fn window(&self, link: &LinkEntry) -> Option<impl replay::Words>;
 
-    /// The count for a frame that leaves by this link: 1 for the first.
+    /// Returns the count of the next frame that leaves by this link, starting with 1.
     fn next_count(&self, link: &LinkEntry) -> u64;
 
-    /// Whether a frame has the hop tag that its header and its whole `count` on the link make under
-    /// `key`. For planes that check the tags of many frames at once.
+    /// Returns whether the hop tag of a frame is right for its header and its whole `count` on the
+    /// link under `key`. Overridden by planes that check many tags at once.
     #[inline(always)]
     fn has_tag(&self, header: &Header, key: [u64; 2], count: u64) -> bool {
         header.tag_for(key, count) == header.tag()
     }
 
-    /// Writes what belongs to `link` into the header of the next frame that leaves by it, or sees
-    /// to it that this is done before the frame leaves. For planes that make the tags of many
-    /// frames at once.
+    /// Writes the fields of `link` into the header of the next frame that leaves by it, or
+    /// schedules this before the frame leaves. Overridden by planes that compute many tags at once.
     #[inline(always)]
     fn stamp(&self, header: &mut Header, link: &LinkEntry) {
         hop::stamp(header, link, self.next_count(link));
     }
 
-    /// Whether this plane can send by the link now, with `hop` as where to. Asked only of a plane
-    /// that is not the last.
+    /// Returns whether this plane can send on the link now, and writes the next hop to `hop`.
+    /// Called only on a plane that is not the last.
     fn resolve(&self, link: &LinkEntry, hop: &mut Self::NextHop) -> bool;
 
-    /// Whether this plane can copy a frame of `length` bytes to those links of a group that `bits`
-    /// lead to. Asked only of a plane that is not the last.
+    /// Returns whether this plane can copy a frame of `length` bytes to the links of a group that
+    /// lead to `bits`. Called only on a plane that is not the last.
     fn can_copy(&self, group: u32, bits: u64, length: usize) -> bool;
 
-    /// Whether frames wait long in this plane before they leave by the link: then those that take
-    /// marks are marked.
+    /// Returns whether this plane has a long queue for the link. Frames that support marks are then
+    /// marked.
     fn has_queue(&self, link: &LinkEntry) -> bool;
 
-    /// Whether an error may go to the neighbour on this link now: [`COMPLAINT_INTERVAL_NS`] after
-    /// the last.
+    /// Returns whether an error may go to the neighbour on this link now. The minimum interval is
+    /// [`COMPLAINT_INTERVAL_NS`](crate::table::COMPLAINT_INTERVAL_NS).
     fn may_send_error(&self, link: &LinkEntry) -> bool;
 
-    /// Says that an error goes to the neighbour on this link now.
+    /// Records that an error goes to the neighbour on this link now.
     fn send_error(&self, link: &LinkEntry);
 
-    /// Whether the daemon may be given a probe from the neighbour on this link now:
-    /// [`PUNT_INTERVAL_NS`] after the last.
+    /// Returns whether the daemon may receive a probe from the neighbour on this link now. The
+    /// minimum interval is [`PUNT_INTERVAL_NS`](crate::table::PUNT_INTERVAL_NS).
     fn may_punt(&self, link: &LinkEntry) -> bool;
 
-    /// Says that the daemon is given one now.
+    /// Records that the daemon receives a probe from this link now.
     fn punt(&self, link: &LinkEntry);
 }

@@ -1,9 +1,8 @@
-//! The forwarding cases of `tests/fixtures/frames.json`, through the decision in plain Rust.
+//! Runs the forwarding cases of `tests/fixtures/frames.json` through the decision in plain Rust.
 //!
-//! [`cases`] is where they are written, with the frame builder of the other tests; the JSON file is
-//! made from it with `GDP_BLESS=1 cargo test -p gdp-wire`, and is what the other data planes and
-//! implementations read. What is expected is written here by hand, never taken from the code under
-//! test.
+//! [`cases`] defines them with the frame builder of the other tests. `GDP_BLESS=1 cargo test -p
+//! gdp-wire` writes the JSON file, which other data planes and implementations read. Expectations
+//! are written by hand, never taken from the code under test.
 
 #[path = "../../../tests/src/frames/mod.rs"]
 mod frames;
@@ -78,7 +77,7 @@ fn a_daemon_is_given_no_probe_right_after_another() {
 #[test]
 fn every_counter_has_a_case() {
     let cases = fixtures::read().cases;
-    // What a redirect loses is known only after it, and each case is the first of its kind.
+    // A redirect loss is known only after the redirect. A punt limit needs a preceding probe.
     let others = [Counter::RedirectLost, Counter::PuntLimit];
     for counter in Counter::ALL.iter().filter(|counter| !others.contains(counter)) {
         let counts = |expected: &Expected| expected.counter == counter.as_str();
@@ -133,7 +132,7 @@ const UNROUTED: u32 = 0xa1b2_0412;
 const CHECKSUM: u32 = 0xa1b2_0413;
 const CHILD: u32 = 0xa1b2_0414;
 
-/// The switch's own.
+/// The switch's own addresses.
 const V4: &str = "10.0.0.1:31415";
 const V6: &str = "[2001:db8::1]:31415";
 
@@ -152,12 +151,17 @@ const OWN: u64 = 1 << OWN_BIT;
 ///               JUMBO — bit 5   NARROW — bit 6   UNPLUGGED — bit 7
 /// ```
 ///
-/// `old` is a switch whose link has seen more than 2³² frames; `rekeyed` one to which frames leave
-/// under the second key. `blank` is one that is being written or removed, and has no keys.
-/// `abroad`, `overseas` and `child` are switches of other domains, and what comes from the last may
-/// cross this one. `tagged` is on VLAN 5; `inet` and `inet6` are over UDP, each behind a gateway;
-/// so is `behind nat`, an endpoint. Of `unresolved` the kernel does not know the MAC address, to
-/// `unrouted` it has no route, and `with checksum` wants one.
+/// - `old`: a switch whose link has carried more than 2³² frames.
+/// - `rekeyed`: a switch whose frames leave under the second key.
+/// - `blank`: a switch that is being written or removed, and has no keys.
+/// - `abroad`, `overseas` and `child`: switches of other domains. Frames from `child` may cross
+///   this domain.
+/// - `tagged`: a switch on VLAN 5.
+/// - `inet` and `inet6`: switches over UDP, each behind a gateway.
+/// - `behind nat`: an endpoint over UDP, behind a gateway.
+/// - `unresolved`: the kernel does not know its MAC address.
+/// - `unrouted`: the kernel has no route to it.
+/// - `with checksum`: requires a UDP checksum.
 fn switch() -> Switch {
     Switch {
         ethertype: 0x88b5,
@@ -381,7 +385,7 @@ fn refusals() -> Vec<Case> {
     ]
 }
 
-/// An endpoint sends in its own name, and to what it publishes.
+/// An endpoint sends under its own name, to the names it publishes.
 fn permission() -> Vec<Case> {
     let own = |id| name(&link(id).label);
     let second = from(UDP).to("far");
@@ -410,7 +414,7 @@ fn permission() -> Vec<Case> {
     cases
 }
 
-/// Other domains: names are looked up on what they send, and none of it goes on to a third.
+/// Frames from other domains: their names are looked up, and they do not go on to a third domain.
 fn borders() -> Vec<Case> {
     let foreign = |sent: &Sent, by, bits| sends(sent, by, bits).with(|f| f.flags |= 0x40);
     let abroad = |to| from(ABROAD).to(to);
@@ -447,7 +451,7 @@ fn borders() -> Vec<Case> {
     ]
 }
 
-/// What has arrived on the link [`OLD`]: around its 2³²nd frame.
+/// The counts recorded on the link [`OLD`], around its 2³²nd frame.
 const OLD_TAKEN: [u64; 7] =
     [(1 << 32) - 16, (1 << 32) - 2, (1 << 32) - 1, 1 << 32, (1 << 32) + 1, (1 << 32) + 3, (1 << 32) + 20];
 
@@ -483,7 +487,7 @@ fn replays() -> Vec<Case> {
     ]
 }
 
-/// Two keys are valid in each direction, told apart by a flag.
+/// Two keys are valid in each direction, distinguished by a flag.
 fn keys_in_turn() -> Vec<Case> {
     let second = from(WEST).bits(1 << 3).with(|f| (f.flags, f.key) = (0x80, fixtures::key(&link(WEST).rx_keys[1])));
     let confused = second.clone().with(|f| f.flags = 0);
@@ -541,11 +545,11 @@ fn sizes() -> Vec<Case> {
     cases
 }
 
-/// One bit of each field is flipped under way; the tag of the original stays.
+/// One bit of each field is flipped in transit; the tag of the original stays.
 fn tags() -> Vec<Case> {
     let original = from(ROBOT).to("far").with(|f| f.payload = vec![0x5a; 600]);
     // The bits are chosen so that the length stays within the frame, and the low half of the id
-    // meets a free entry.
+    // selects a free entry.
     let flips: [(&str, usize, u8, &str); 15] = [
         ("type", 0, 0x08, "drop_unknown"),
         ("flags", 1, 0x01, "drop_bad_tag"),
@@ -619,8 +623,8 @@ fn echoes_and_errors() -> Vec<Case> {
     ]
 }
 
-/// Probes go as data for one egress switch does, and end where their hop limit does; nobody is told
-/// of one that is dropped.
+/// Probes take the route of data for one egress switch, and end where their hop limit does. A
+/// dropped probe draws no error.
 fn probes() -> Vec<Case> {
     let hops = |sent: Sent, hop_limit| sent.with(|f| f.hop_limit = hop_limit);
     let ends = |sent: Sent, name: &str| Case { userspace: Some(pass("notice")), ..sent.case(name, pass("slow")) };
@@ -686,7 +690,7 @@ fn other_frames() -> Vec<Case> {
     ]
 }
 
-/// From every carrier to every other, and to itself.
+/// From every carrier to every other, and back by the same one.
 fn crossings() -> Vec<Case> {
     let bit = |id: u32| 1u64 << link(id).reach[0];
     let ways = [WEST, JUMBO, TAGGED, INET, INET6, EAST];
@@ -694,7 +698,7 @@ fn crossings() -> Vec<Case> {
     for by in ways {
         for to in ways.into_iter().filter(|to| *to != by) {
             let (from_label, to_label) = (link(by).label, link(to).label);
-            // Traffic class 5, of a writer that takes marks.
+            // Traffic class 5, from a writer that supports marks.
             let sent = from(by).bits(bit(to)).with(|f| (f.flags, f.payload) = (5 << 2 | 0b10, vec![0x5a; 333]));
             cases.push(sent.case(&format!("from {from_label} to {to_label}"), sends(&sent, to, bit(to))));
         }
@@ -738,8 +742,8 @@ fn crossings() -> Vec<Case> {
     cases
 }
 
-/// Marks of routers in what carries frames (RFC 3168): they go on in the frame's header, and from
-/// there into what carries it next.
+/// Congestion marks of routers on the outer packet (RFC 3168). They go into the frame's header, and
+/// from there into the next outer packet.
 fn congestion() -> Vec<Case> {
     let bit = |id: u32| 1u64 << link(id).reach[0];
     let mut cases = Vec::new();
@@ -801,7 +805,7 @@ fn congestion() -> Vec<Case> {
             ),
         ]);
     }
-    // Priority 7, and that it may be dropped first.
+    // Priority 7 with the drop eligible bit.
     let tagged = from(TAGGED).bits(bit(EAST)).with(|f| (f.carrier, f.flags) = (Carrier::Vlan(0xf005), 0b10));
     cases.push(tagged.case("what a VLAN says of priority is no mark", sends(&tagged, EAST, bit(EAST))));
     let in_header = from(WEST).bits(bit(INET6)).with(|f| f.flags = 0b11);
@@ -809,7 +813,7 @@ fn congestion() -> Vec<Case> {
     cases
 }
 
-/// Links that the kernel takes frames from, and cannot send on now.
+/// Links that the kernel receives frames from but cannot send on.
 fn slow_carriers() -> Vec<Case> {
     let mut cases = Vec::new();
     for id in [UNRESOLVED, UNROUTED, CHECKSUM] {
@@ -823,7 +827,7 @@ fn slow_carriers() -> Vec<Case> {
     cases
 }
 
-/// What only looks like a frame over UDP, or on a VLAN.
+/// Packets that only resemble a frame over UDP or on a VLAN.
 fn other_datagrams() -> Vec<Case> {
     let (v4, v6) = (from(INET).bits(1 << 3), from(INET6).bits(1 << 3));
     let (v4_bytes, v6_bytes) = (v4.frame.bytes(), v6.frame.bytes());
@@ -861,13 +865,13 @@ fn other_datagrams() -> Vec<Case> {
         cases.push(raw(&format!("a long header of QUIC over {name}"), &with(0xc3), pass("control")));
         cases.push(raw(&format!("another version over {name}"), &with(0x30), drop("drop_unknown")));
     }
-    // Ethernet pads what is short, behind the datagram.
+    // Ethernet pads short packets after the datagram.
     let padded = |bytes: &[u8]| [bytes, &[0xee; 20]].concat();
     let expected: Expected = sends(&v4, EAST, 1 << 3).into();
     cases.push(raw("padding behind a datagram", &padded(&v4_bytes), expected));
     let expected: Expected = sends(&v6, EAST, 1 << 3).into();
     cases.push(raw("padding behind a datagram over IPv6", &padded(&v6_bytes), expected));
-    // The datagram ends before the frame does, though the packet goes on.
+    // The datagram ends before the frame does, although the packet continues.
     let short = v4.with(|f| f.payload_len = Some(7)).frame.bytes();
     cases.push(raw("padding is not taken for payload", &padded(&short), drop("drop_truncated")));
     let carrier = link(INET).arrives_in();
@@ -897,7 +901,7 @@ fn from(id: u32) -> Sent {
     Sent { frame: Frame { carrier, link_id: id, link_counter: 7, key, destination, source, ..Frame::default() } }
 }
 
-/// A probe as a switch sends it on.
+/// Returns a probe as a switch forwards it.
 fn probe(id: u32, bits: u64) -> Sent {
     from(id).bits(bits).with(|f| (f.version_type, f.payload) = (0x13, vec![0x77; 8]))
 }
@@ -918,7 +922,7 @@ impl Sent {
         self
     }
 
-    /// As it arrives over UDP: with this byte of IP, whatever the frame's header says.
+    /// Sets the DSCP and ECN byte of the outer IP header, regardless of the frame's header.
     fn in_datagram(mut self, traffic: u8) -> Self {
         if let Carrier::Udp { class, .. } = &mut self.frame.carrier {
             *class = traffic;
@@ -930,7 +934,7 @@ impl Sent {
         raw(name, &self.frame.bytes(), expected.into())
     }
 
-    /// Dropped, and the neighbour told why.
+    /// Returns a case where the frame is dropped and the neighbour gets an error.
     fn refused(&self, name: &str, counter: &str) -> Case {
         let code = match counter {
             "drop_no_route" | "drop_no_egress" => 1,
@@ -958,7 +962,7 @@ fn raw(name: &str, frame: &[u8], kernel: Expected) -> Case {
     Case { name: name.into(), frame: Bytes::new(frame), kernel, userspace: None }
 }
 
-/// The frame that a sent one becomes when it is forwarded.
+/// A sent frame after forwarding.
 struct Forwarded(Frame);
 
 fn sends(sent: &Sent, by: u32, bits: u64) -> Forwarded {
@@ -1010,7 +1014,7 @@ fn copied(mut copies: Vec<CopyOut>) -> Expected {
     Expected { verdict: Verdict::Copy, copies, ..drop("replicated") }
 }
 
-/// The first receive and transmit key of a link.
+/// Returns the first receive and transmit keys of a link.
 fn keys(id: u32) -> ([u64; 2], [u64; 2]) {
     let link = link(id);
     (fixtures::key(&link.rx_keys[0]), fixtures::key(&link.tx_keys[0]))
@@ -1042,8 +1046,8 @@ fn neighbour(label: &str, id: u32, port: u32, reach: &[u32], mtu: u32) -> Link {
         mtu,
         peer_mac: format!("02:00:00:00:{index:02x}:01"),
         local_mac: format!("02:00:00:00:{index:02x}:02"),
-        // One of them wraps around.
         peer: fixtures::hex(&name(label)),
+        // The counter of `EAST` wraps around.
         tx_counter: if id == EAST { u32::MAX.into() } else { 0x0102_0300 + u64::from(index) },
         taken: vec![],
         vlan: 0,
@@ -1051,7 +1055,7 @@ fn neighbour(label: &str, id: u32, port: u32, reach: &[u32], mtu: u32) -> Link {
     }
 }
 
-/// A neighbour over UDP, behind the gateway of its family.
+/// Returns a neighbour over UDP, behind the gateway of its address family.
 fn remote(label: &str, id: u32, local: &str, peer: &str, reach: &[u32]) -> Link {
     let peer: SocketAddr = peer.parse().expect("an address");
     let gateway = if peer.is_ipv4() { 4 } else { 6 };
@@ -1081,7 +1085,7 @@ fn route(label: &str, egress: &[u32], readers: &[u32]) -> Route {
     }
 }
 
-/// Any 32 bytes that differ for each label.
+/// Returns 32 bytes that differ for each label.
 fn name(label: &str) -> [u8; 32] {
     let mut name = [0; 32];
     for (part, chunk) in name.chunks_exact_mut(8).enumerate() {

@@ -1,5 +1,5 @@
-//! The flat table beside a map of the standard library, under threads that race, and after a writer
-//! that died.
+//! Tests of the flat table: against a map of the standard library, with racing threads, and after
+//! the death of a writer.
 
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -55,7 +55,7 @@ fn a_table_takes_the_names_it_is_meant_for() {
     }
 }
 
-/// Whatever owners choose: all these begin in the same line.
+/// The worst case of chosen names: all start in the same line.
 #[test]
 fn names_that_share_a_path_fill_it_and_no_more() {
     let mut table = Table::begin(memory(1024), KEY).unwrap();
@@ -95,13 +95,13 @@ fn a_name_that_is_not_there_costs_little() {
     assert_eq!(touched.words.get(), 2000, "one word each, read twice: removals leave no marks behind");
 }
 
-/// A route that is found is this name's, and held at some time during the lookup; a name that is
-/// never removed is found. The table is half as large as it should be, so that names move and lie
-/// in their second bucket.
+/// A lookup finds only routes of its name that were valid during the lookup, and always finds names
+/// that are never removed. The table has half its regular size, so that names move and use their
+/// second bucket.
 #[test]
 fn readers_that_race_with_the_writer_find_what_was_or_what_is() {
     const NAMES: usize = 96;
-    // Nothing happens to these; the others come and go around them.
+    // These names are never removed. The writer adds and removes the others around them.
     const KEPT: usize = 32;
     const CHANGES: u64 = 3_000_000;
     let memory = memory(NAMES as u32 / 2);
@@ -156,8 +156,8 @@ fn readers_that_race_with_the_writer_find_what_was_or_what_is() {
     });
 }
 
-/// A writer that dies between any two of its accesses leaves a table that the next one takes over,
-/// in which at most the name it was at is old or new. Here, too, the table is small.
+/// A writer may die between any two of its accesses. Its successor can adopt the table; only the
+/// name in progress may be old or new. The table has half its regular size here, too.
 #[test]
 fn a_table_is_adopted_wherever_its_writer_died() {
     const NAMES: usize = 48;
@@ -224,24 +224,24 @@ fn same(table: &Table<Box<[AtomicU64]>>, map: &HashMap<usize, FibEntry>) {
     assert_eq!(listed, map.iter().map(|(i, entry)| (name(*i), *entry)).collect());
 }
 
-/// Where no name is, no line is marked.
+/// Returns whether no line is live or marked.
 fn table_is_clean(memory: &[AtomicU64]) -> bool {
     const LIVE_OR_PASSED: u64 = 3;
     memory[BUCKET..].iter().step_by(8).all(|state| state.load(Ordering::Relaxed) & LIVE_OR_PASSED == 0)
 }
 
-/// The first names, as they are after a change.
+/// Returns the first `names` names with their routes after a change.
 fn routes(names: usize, change: u64) -> Vec<(Name, FibEntry)> {
     (0..names).map(|i| (name(i), entry(i, change))).collect()
 }
 
-/// The `i`-th name.
+/// Returns the `i`-th name.
 fn name(i: usize) -> Name {
     let mut random = Random(i as u64 ^ 0x9e37_79b9_7f4a_7c15);
     Name::from_bytes(std::array::from_fn(|_| random.next() as u8))
 }
 
-/// An entry that says whose it is and after which change, in every word.
+/// Returns an entry that contains its name's number and change in its words.
 fn entry(i: usize, change: u64) -> FibEntry {
     from_words([change, i as u64, !change])
 }
@@ -254,7 +254,7 @@ fn zeros(words: usize) -> Box<[AtomicU64]> {
     (0..words).map(|_| AtomicU64::new(0)).collect()
 }
 
-/// Memory whose owner dies after so many accesses.
+/// Memory whose owner dies after `left` accesses.
 struct Mortal<'m> {
     memory: &'m [AtomicU64],
     left: Cell<u32>,
@@ -267,7 +267,7 @@ impl AsRef<[AtomicU64]> for Mortal<'_> {
     }
 }
 
-/// Memory that counts the words that are read of it, beyond the header.
+/// Memory that counts the words read from it, without the header.
 struct Touched<'m> {
     memory: &'m [AtomicU64],
     words: Cell<usize>,

@@ -1,6 +1,6 @@
 //! `docs/vectors/header.json`: headers field by field and byte by byte, for other implementations.
-//! Checked here against [`Header`] and [`forward::accept`]; written with `GDP_BLESS=1 cargo test -p
-//! gdp-wire` by the frame builder of the tests, which knows nothing of [`Header`].
+//! This test checks them against [`Header`] and [`forward::accept`]. `GDP_BLESS=1 cargo test -p
+//! gdp-wire` writes the file with the frame builder of the tests, which does not use [`Header`].
 
 #[path = "../../../tests/src/frames/mod.rs"]
 mod frames;

@@ -1,5 +1,4 @@
-//! The FIB as a flat table: where a name leads, found with one cache miss while a writer changes
-//! the table.
+//! The FIB as a flat table. A lookup costs one cache miss, also while a writer changes the table.
 //!
 //! ```text
 //!  word of a bucket   0       1 … 4   5 … 7   8 …
@@ -7,31 +6,30 @@
 //!  bucket 1 … n       state   name    entry   state … (8 lines of one cache line each)
 //! ```
 //!
-//! A name has two buckets and a line to begin with, from a hash of it. It is in the first free line
-//! from there on, around the first bucket and then around the second. [`lookup`] is the reader, for
-//! the kernel as well as for user space; [`Table`] is the only writer, in user space, on the same
-//! memory. Sized by [`buckets_for`], half of the lines are free: 128 B a name when the table is
-//! full.
+//! A hash of the name selects two buckets and a start line. The name is in the first free line from
+//! the start line on, around the first bucket and then around the second. [`lookup`] is the reader,
+//! for the kernel and for user space. [`Table`] is the only writer, in user space on the same
+//! memory. In a full table of size [`buckets_for`], half of the lines are free: 128 B per name.
 //!
-//! **A line is written once.** Its *state* says whether it is live, whether names that begin before
-//! it may lie behind it (*passed*), and how often the line was used. What is in a live line does
-//! not change: to change a route, the writer fills another line and then takes the old one back. A
-//! reader takes an entry only if the line's number of uses is the same before and after: the words
-//! between are those of one route of this name, which held during the lookup.
+//! **A line is written once.** Its *state* contains three things: whether the line is live, whether
+//! names that start before it may be behind it (*passed*), and its use count. The contents of a
+//! live line do not change. To change a route, the writer fills another line and then frees the old
+//! one. A reader accepts an entry only if the use count of the line is the same before and after
+//! the read. The words read between belong to one route of this name, which was valid during the
+//! lookup.
 //!
-//! **A route that changes is never missed.** When a name moves to another line, the state of the
-//! line it begins with changes before the old line goes. A reader that finds nothing looks at that
-//! state again; if it changed, the reader looks again. A reader that does so [`TRIES`] times in
-//! vain finds nothing: the same name, or its neighbours, must change each time within nanoseconds.
+//! **A changing route is never missed.** When a name moves to another line, the state of its start
+//! line changes before the old line is freed. A reader that finds nothing checks that state again,
+//! and repeats the lookup if the state has changed. After [`TRIES`] attempts the reader finds
+//! nothing. For this, the name or its neighbours must change within nanoseconds each time.
 //!
-//! **A removal leaves no gaps**, because what ends a search is a line that nobody passed, not a
-//! free one; the writer takes a *passed* back once nobody needs it. So a search for a name that is
-//! not there ends at its first line as a rule.
+//! **A removal leaves no gaps.** A search ends at a line that no name has passed, not at a free
+//! line. The writer clears *passed* when no name needs it any more. A search for a missing name
+//! therefore usually ends at its start line.
 //!
-//! **The hash is keyed**, by a number that nobody outside learns: an owner of many names cannot
-//! pick such that share a bucket, because which do is another matter in every table. One word of a
-//! name is enough: to find 17 names that agree in 64 bits, one more than two buckets hold, is some
-//! 2⁶⁰ hashes of work.
+//! **The hash has a secret key.** An owner of many names cannot choose names that share a bucket,
+//! because every table distributes them differently. One word of a name suffices for the hash. Two
+//! buckets have 16 lines, and 17 names that agree in 64 bits cost some 2⁶⁰ hashes to find.
 
 mod table;
 
@@ -49,51 +47,52 @@ const LINE: usize = 8;
 /// Words in a bucket, which is an element of a BPF array.
 pub const BUCKET: usize = LINES * LINE;
 
-/// How often a reader looks for a name that moves.
+/// Maximum number of lookups of a reader for a name that moves.
 pub const TRIES: u32 = 4;
 
-/// Lines a name may be in.
+/// Number of lines that a name may be in.
 const PATH: usize = 2 * LINES;
 
-/// Words of the header: the first bucket of the memory.
+/// Words of the header, which is the first bucket of the memory.
 const MASK: usize = 0;
 const KEY: usize = 1;
 
-/// Parts of a state. In the high 32 bits it counts how often the line was used; the writer keeps
-/// counts of its own between.
+/// Parts of a state. The high 32 bits are the use count of the line. The bits between contain
+/// counts of the writer.
 const LIVE: u64 = 1;
 const PASSED: u64 = 2;
 const USED: u32 = 32;
 
-/// The words of a bucket, which a writer may change at any moment.
+/// The words of a bucket, which a writer may change at any time.
 pub trait Words: Copy {
-    /// The word at `index`, below [`BUCKET`].
+    /// Returns the word at `index`, below [`BUCKET`].
     fn load(self, index: usize) -> u64;
 
-    /// The same words, as they are after `loaded` was.
+    /// Returns the same words, for loads that happen after `loaded` was loaded.
     fn after(self, loaded: u64) -> Self;
 }
 
-/// The memory of a table, as its readers see it.
+/// The memory of a table, as seen by readers.
 pub trait Memory {
     type Bucket: Words;
 
-    /// Bucket 0 is the header.
+    /// Returns a bucket. Bucket 0 is the header.
     fn bucket(&self, index: u32) -> Option<Self::Bucket>;
 }
 
-/// Buckets, the header included, of a table for so many names.
+/// Returns the number of buckets of a table for `names` names, including the header.
 pub const fn buckets_for(names: u32) -> u32 {
     let buckets = (names as usize * 2).div_ceil(LINES).next_power_of_two();
     1 + if buckets < 2 { 2 } else { buckets as u32 }
 }
 
-/// Names that a table of so many buckets, the header included, is meant for.
+/// Returns the number of names that a table of `buckets` buckets, including the header, is designed
+/// for.
 pub const fn names_in(buckets: u32) -> u32 {
     (buckets - 1) * (LINES / 2) as u32
 }
 
-/// Where a name leads.
+/// Returns the route of a name.
 #[inline(always)]
 pub fn lookup(table: &impl Memory, name: &Name) -> Option<FibEntry> {
     let header = table.bucket(0)?;
@@ -103,7 +102,7 @@ pub fn lookup(table: &impl Memory, name: &Name) -> Option<FibEntry> {
     while tries < TRIES {
         let begin = first.load(probes.slot * LINE);
         let mut words = first.after(begin);
-        // Of everything that was loaded, so that what comes after can be made to do so.
+        // Combines all loaded words, so that later loads can be made to depend on them.
         let mut seen = 0;
         let mut step = 0;
         while step < PATH {
@@ -139,24 +138,24 @@ pub fn lookup(table: &impl Memory, name: &Name) -> Option<FibEntry> {
     None
 }
 
-/// Zero if the name in a line is this one.
+/// Returns zero if the name in a line is `name`.
 #[inline(always)]
 fn difference(words: impl Words, line: usize, name: &Name) -> u64 {
     let [a, b, c, d] = *name.words();
     (words.load(line + 1) ^ a) | (words.load(line + 2) ^ b) | (words.load(line + 3) ^ c) | (words.load(line + 4) ^ d)
 }
 
-/// Where the lookup of a name probes: two buckets, and the line at which it begins in both.
+/// The lines of a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct ProbeSequence {
     first: u32,
     second: u32,
-    /// First line in both buckets.
+    /// The start line, in both buckets.
     slot: usize,
 }
 
 impl ProbeSequence {
-    /// `mask`: one less than the number of buckets, which is a power of two and not 1.
+    /// `mask` is one less than the number of buckets, which is a power of two and not 1.
     #[inline(always)]
     fn of(name: &Name, key: [u64; 2], mask: u32) -> Self {
         let factor = key[1] | 1;
@@ -170,15 +169,15 @@ impl ProbeSequence {
     }
 }
 
-/// The entry of which these are the words.
+/// Returns the entry with these words.
 #[inline(always)]
 pub const fn from_words(words: [u64; 3]) -> FibEntry {
-    // SAFETY: an entry is 24 bytes of plain integers (`table` asserts the size), any of which are
-    // one.
+    // SAFETY: an entry is 24 bytes of plain integers (`table` asserts the size), for which any
+    // bytes are valid.
     unsafe { core::mem::transmute::<[u64; 3], FibEntry>(words) }
 }
 
-/// The words of an entry, as they lie in memory: what a table holds.
+/// Returns the words of an entry as in memory, which is the format of the table.
 #[inline(always)]
 pub const fn to_words(entry: FibEntry) -> [u64; 3] {
     // SAFETY: as above; without padding.

@@ -1,40 +1,40 @@
-//! The writer of a flat table. There is one at a time, so it reads its own memory as it left it;
-//! what it writes is ordered for the readers in the parent module, and for whoever takes the table
-//! over if the writer dies between any two stores.
+//! The writer of a flat table. Only one writer exists at a time, so it reads its own memory without
+//! synchronisation. Its stores are ordered for the readers in the parent module. The order also
+//! allows a successor to adopt the table after a death between any two stores.
 #![cfg(target_has_atomic = "64")]
 
 use core::fmt;
 use core::sync::atomic::{AtomicU64, Ordering, fence};
 
 use super::{
-    BUCKET, KEY, LINE, LINES, LIVE, MASK, Memory, PASSED, PATH, ProbeSequence, USED, Words, from_words, lookup,
-    names_in, to_words,
+    BUCKET, KEY, LINE, LINES, LIVE, MASK, Memory, PASSED, PATH, ProbeSequence, USED, Words, from_words, lookup, names_in,
+    to_words,
 };
 use crate::fetch::fetch;
 use crate::{FibEntry, Name};
 
-/// Names whose first lines are fetched at once.
+/// Number of names whose first lines are fetched at once.
 const BATCH: usize = 16;
 
-/// Lines of its bucket that the name in this one passes.
+/// Number of lines of its bucket that the name in this line passes.
 const STEPS: Count = Count { shift: 2, max: LINES as u64 - 1 };
 
-/// Names that begin in this bucket and lie in their second one; in the state of a bucket's first
-/// line only.
+/// Number of names that start in this bucket and are in their second one. Only in the state of a
+/// bucket's first line.
 const SPILLED: Count = Count { shift: 5, max: (1 << 12) - 1 };
 
-/// How often a name moved that begins in this line.
+/// Number of moves of names that start in this line.
 const MOVED: Count = Count { shift: 17, max: (1 << 15) - 1 };
 
-/// There is no room for a name: the table is too small for what it holds.
+/// The table has no room for the name: it is too small for its contents.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Full;
 
-/// The memory does not hold a table of its size.
+/// The memory does not contain a table of its size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotATable;
 
-/// A table in memory that readers share: `1 + 2ⁿ` buckets of [`BUCKET`] words, n > 0.
+/// A table in memory shared with readers: `1 + 2ⁿ` buckets of [`BUCKET`] words, n > 0.
 pub struct Table<M> {
     memory: M,
     key: [u64; 2],
@@ -43,7 +43,7 @@ pub struct Table<M> {
 }
 
 impl<M: AsRef<[AtomicU64]>> Table<M> {
-    /// An empty table in memory that is zero. `key`: random, and nobody's business.
+    /// Creates an empty table in zeroed memory. `key` must be random and secret.
     pub fn begin(memory: M, key: [u64; 2]) -> Result<Self, NotATable> {
         let mask = mask_for(memory.as_ref())?;
         let header = memory.as_ref();
@@ -53,7 +53,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         Ok(Self { memory, key, mask, names: 0 })
     }
 
-    /// Takes over a table whose writer is no more, wherever it stopped. Readers may be at work.
+    /// Takes over a table whose writer has died at any point. Readers may be active.
     pub fn adopt(memory: M) -> Result<Self, NotATable> {
         let mask = mask_for(memory.as_ref())?;
         let header = memory.as_ref();
@@ -70,7 +70,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         &self.memory
     }
 
-    /// Names in the table.
+    /// Returns the number of names in the table.
     pub fn len(&self) -> u32 {
         self.names
     }
@@ -79,7 +79,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         self.names == 0
     }
 
-    /// Names the table is meant for. It takes more, but not for sure.
+    /// Returns the number of names that the table is designed for. Further names may or may not
+    /// fit.
     pub fn capacity(&self) -> u32 {
         names_in(self.mask + 2)
     }
@@ -88,7 +89,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         lookup(&self.memory.as_ref(), name)
     }
 
-    /// All names, in no order.
+    /// Returns all names, in no particular order.
     pub fn iter(&self) -> impl Iterator<Item = (Name, FibEntry)> {
         (BUCKET..self.words().len())
             .step_by(LINE)
@@ -96,8 +97,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
             .map(|at| (self.name(at), self.entry(at)))
     }
 
-    /// Adds a name, or changes where it leads. Whoever looks it up meanwhile finds what was or what
-    /// is.
+    /// Adds a name, or changes its route. Concurrent lookups find the old or the new route.
     pub fn insert(&mut self, name: &Name, entry: FibEntry) -> Result<(), Full> {
         let probes = self.probes(name);
         let held = self.find(&probes, name);
@@ -116,8 +116,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         Ok(())
     }
 
-    /// [`Self::insert`] for many, whose cache misses overlap. Those before the one that found no
-    /// room are in.
+    /// Calls [`Self::insert`] for many routes, with overlapping cache misses. On an error, the
+    /// routes before the one that did not fit are in the table.
     pub fn insert_all(&mut self, routes: &[(Name, FibEntry)]) -> Result<(), Full> {
         for batch in routes.chunks(BATCH) {
             self.fetch(batch.iter().map(|(name, _)| name));
@@ -126,7 +126,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         Ok(())
     }
 
-    /// Brings the lines that names are in, or will be, into the caches, all at once.
+    /// Loads the lines where the names are, or will be, into the caches, all at once.
     fn fetch<'n>(&self, names: impl Iterator<Item = &'n Name> + Clone) {
         let begins = |name| self.probes(name).at(0);
         let first = names.clone().fold(0, |all, name| all | self.state(begins(name)));
@@ -136,7 +136,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         core::hint::black_box(first | rest);
     }
 
-    /// Whether the name was there.
+    /// Removes a name. Returns whether the name was in the table.
     pub fn remove(&mut self, name: &Name) -> bool {
         let probes = self.probes(name);
         let Some(step) = self.find(&probes, name) else { return false };
@@ -145,7 +145,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         true
     }
 
-    /// Fills a free line of a name's path and lets readers find it.
+    /// Fills a free line of a name's path and makes it visible to readers.
     fn put(&mut self, probes: &ProbeSequence, free: usize, name: &Name, entry: FibEntry) -> Result<(), Full> {
         if free >= LINES {
             self.spill(probes, 1)?;
@@ -154,7 +154,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
             self.set_state(at, self.state(at) | PASSED);
         }
         let at = probes.at(free);
-        // Readers of what was here before must notice before any of it changes.
+        // Readers of the previous contents must see the new use count before any word changes.
         let used = STEPS.put(self.state(at).wrapping_add(1 << USED), (free % LINES) as u64);
         self.words()[at].store(used, Ordering::Relaxed);
         fence(Ordering::Release);
@@ -165,7 +165,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         Ok(())
     }
 
-    /// Frees the line that a name has at `step` of its path; now it is at step `to`, if anywhere.
+    /// Frees the line of a name at `step` of its path. The name is now at step `to`, or removed.
     fn take_back(&mut self, probes: &ProbeSequence, step: usize, to: Option<usize>) {
         if to.is_some() {
             let (at, begin) = (probes.at(0), self.state(probes.at(0)));
@@ -174,18 +174,18 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         let at = probes.at(step);
         self.set_state(at, self.state(at) & !LIVE);
         if step >= LINES {
-            // It was counted, so this is no overflow.
+            // The name was counted, so this cannot overflow.
             let _ = self.spill(probes, -1);
             self.settle(probes.second);
         }
-        // If it went on, it passes what it passed before.
+        // A name that moved further along still passes the lines it passed before.
         if to.unwrap_or(0) < step {
             self.settle(probes.first);
         }
     }
 
-    /// Frees a line on a path that has none, by moving the name in it along its own path. The step
-    /// that is free then.
+    /// Frees a line on a full path by moving its name along that name's own path. Returns the step
+    /// that is now free.
     fn make_room(&mut self, probes: &ProbeSequence) -> Result<usize, Full> {
         for step in 0..PATH {
             let at = probes.at(step);
@@ -201,7 +201,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         Err(Full)
     }
 
-    /// Counts the names that begin in the first bucket and lie in the second.
+    /// Counts the names that start in the first bucket and are in the second.
     fn spill(&mut self, probes: &ProbeSequence, change: i64) -> Result<(), Full> {
         let at = probes.first as usize * BUCKET;
         let state = self.state(at);
@@ -211,13 +211,13 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         Ok(())
     }
 
-    /// Takes the marks back from lines of a bucket that no name passes any more.
+    /// Clears *passed* on the lines of a bucket that no name passes any more.
     fn settle(&mut self, bucket: u32) {
         let start = bucket as usize * BUCKET;
         if SPILLED.get(self.state(start)) > 0 {
             return;
         }
-        // Lines are bits, so that there are no branches that nobody can foresee.
+        // One bit per line avoids unpredictable branches.
         let (mut marked, mut passed) = (0u8, 0u8);
         for line in 0..LINES as u32 {
             let state = self.state(start + line as usize * LINE);
@@ -233,8 +233,8 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         }
     }
 
-    /// Puts right what a writer that died left half done. Whatever it did, there are marks and
-    /// counts too many, never too few; a name that was moving is there twice.
+    /// Completes the last change of a writer that died. At any point of a change, marks and counts
+    /// may be too high, but never too low. A name that was moving is in the table twice.
     fn repair(&mut self) {
         for bucket in 1..=self.mask + 1 {
             let at = bucket as usize * BUCKET;
@@ -249,7 +249,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
             let found = self.find(&probes, &name);
             let counted = match found {
                 Some(step) if probes.at(step) == at => step < LINES || self.spill(&probes, 1).is_ok(),
-                // Readers take the other, or none at all.
+                // Readers find the other copy, or none.
                 _ => false,
             };
             if counted {
@@ -261,7 +261,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         (1..=self.mask + 1).for_each(|bucket| self.settle(bucket));
     }
 
-    /// The step of its path that a name is at.
+    /// Returns the step of a name on its path.
     fn find(&self, probes: &ProbeSequence, name: &Name) -> Option<usize> {
         for step in 0..PATH {
             let at = probes.at(step);
@@ -315,7 +315,7 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
         self.words()[at].load(Ordering::Relaxed)
     }
 
-    /// After everything that was written before.
+    /// Stores a state after all earlier writes.
     fn set_state(&self, at: usize, state: u64) {
         self.words()[at].store(state, Ordering::Release);
     }
@@ -325,14 +325,14 @@ impl<M: AsRef<[AtomicU64]>> Table<M> {
     }
 }
 
-/// Names in the memory of a table that somebody else writes; one that moves meanwhile may count
-/// twice.
+/// Returns the number of names in a table that another writer may change. A name that moves
+/// concurrently may count twice.
 pub fn count(memory: &[AtomicU64]) -> usize {
     memory.iter().skip(BUCKET).step_by(LINE).filter(|state| state.load(Ordering::Relaxed) & LIVE != 0).count()
 }
 
-/// Brings the lines that a lookup of the name begins with into the caches, without waiting for
-/// them: two, because every third name or so is in the second.
+/// Prefetches the first two lines of a lookup without waiting: about every third name is in the
+/// second.
 #[inline]
 pub fn prefetch(memory: &[AtomicU64], name: &Name) {
     let word = |index: usize| memory.get(index).map_or(0, |word| word.load(Ordering::Relaxed));
@@ -356,7 +356,7 @@ impl Count {
         (state >> self.shift) & self.max
     }
 
-    /// Wraps.
+    /// Returns `state` with this count, which wraps.
     fn put(&self, state: u64, count: u64) -> u64 {
         (state & !(self.max << self.shift)) | ((count & self.max) << self.shift)
     }
@@ -369,14 +369,14 @@ const _: () = {
 };
 
 impl ProbeSequence {
-    /// Index of the first word of the line at a step of the path.
+    /// Returns the index of the first word of the line at a step of the path.
     fn at(&self, step: usize) -> usize {
         let bucket = if step < LINES { self.first } else { self.second };
         bucket as usize * BUCKET + (self.slot + step) % LINES * LINE
     }
 }
 
-/// As long as the writer's process maps the memory.
+/// Valid while the writer's process maps the memory.
 impl<'m> Memory for &'m [AtomicU64] {
     type Bucket = &'m [AtomicU64; BUCKET];
 

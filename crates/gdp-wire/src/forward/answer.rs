@@ -1,4 +1,4 @@
-//! Frames that go back to the neighbour they came from: errors and the answers to echoes.
+//! Frames that return to the neighbour that sent them: errors and answers to echoes.
 
 use super::route::Refusal;
 use crate::forward::verdict::Verdict;
@@ -18,8 +18,8 @@ pub fn echo<'t, T: Tables>(
     Verdict::Answer(ingress, hop, Counter::Echoed)
 }
 
-/// A refusal, with a code only if an error goes to the neighbour: not about frames for several
-/// egress switches, and not faster than the link's rate.
+/// Removes the code from a refusal unless an error goes to the neighbour. No error is sent for
+/// frames to several egress switches, or above the error rate of the link.
 #[inline(always)]
 pub fn as_disclosed<T: Tables>(refusal: Refusal, header: &Header, ingress: &LinkEntry, tables: &T) -> Refusal {
     let bits = header.egress_bits();
@@ -28,7 +28,7 @@ pub fn as_disclosed<T: Tables>(refusal: Refusal, header: &Header, ingress: &Link
     Refusal { code: if is_disclosed { refusal.code } else { None }, ..refusal }
 }
 
-/// Drops a data frame, and tells the neighbour why if the refusal has a code.
+/// Drops a data frame, and sends an error to the neighbour if the refusal has a code.
 #[inline(always)]
 pub fn send_error<'t, T: Tables>(
     header: &mut Header,

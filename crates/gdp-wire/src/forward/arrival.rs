@@ -1,5 +1,4 @@
-//! What must be true of a frame before anything is looked up for it: its form, its link, its
-//! tag, and that it is new.
+//! The checks of a frame before any lookup: form, link, hop tag, and replay window.
 
 use super::FrameType;
 use super::frame_type::frame_type;
@@ -7,7 +6,7 @@ use crate::replay::{self, Words};
 use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry};
 
-/// A frame that an authenticated neighbour sent.
+/// A frame from an authenticated neighbour.
 pub struct Arrival<'t, W> {
     pub link: &'t LinkEntry,
     pub window: W,
@@ -15,8 +14,8 @@ pub struct Arrival<'t, W> {
     pub count: u64,
 }
 
-/// The link a frame came in on, its replay window and the frame's count, if it is well-formed,
-/// authentic and not known.
+/// Returns the link of a frame, its replay window and the frame's count, if the frame is
+/// well-formed, authentic and fresh.
 #[inline(always)]
 pub fn arrival<'t, T: Tables>(
     header: &Header,
@@ -30,8 +29,8 @@ pub fn arrival<'t, T: Tables>(
     if replay::is_fresh(&window, count) { Ok(Arrival { link, window, count }) } else { Err(Counter::Replayed) }
 }
 
-/// Takes a frame as an endpoint receives it on `link`: checks its form, that the neighbour sent it,
-/// and that it was not taken before. What it is: anything but a control frame.
+/// Accepts a frame that an endpoint receives on `link`. Checks that the frame is well-formed,
+/// authentic and fresh. Returns its type, which is never a control frame.
 pub fn accept(header: &Header, available: usize, link: &LinkEntry, window: &impl Words) -> Result<FrameType, Counter> {
     let frame_type = well_formed(header, available)?;
     if header.link_id() != link.id {
@@ -47,7 +46,7 @@ fn well_formed(header: &Header, available: usize) -> Result<FrameType, Counter> 
         Some(FrameType::Control) | None => return Err(Counter::Unknown),
         Some(frame_type) => frame_type,
     };
-    // First, because in a datagram with padding behind it part of the header may be what is behind.
+    // Checked first: in a padded datagram, part of the header may be padding.
     if header.frame_len() > available {
         return Err(Counter::Truncated);
     }
@@ -57,7 +56,7 @@ fn well_formed(header: &Header, available: usize) -> Result<FrameType, Counter> 
     Ok(frame_type)
 }
 
-/// The frame's count on its link, if the neighbour made the tag.
+/// Returns the frame's count on its link, if the neighbour made the tag.
 #[inline(always)]
 fn authentic(
     header: &Header,
@@ -66,15 +65,14 @@ fn authentic(
     has_tag: impl FnOnce([u64; 2], u64) -> bool,
 ) -> Result<u64, Counter> {
     let (key, count) = keyed(header, link, window);
-    // An entry that is being written or removed may have no key yet, or no longer; everybody knows
-    // that one.
+    // An entry that is being written or removed may have no key. The zero key is public.
     if key == [0; 2] {
         return Err(Counter::BadTag);
     }
     if has_tag(key, count) { Ok(count) } else { Err(Counter::BadTag) }
 }
 
-/// The key of a frame's tag, and the frame's whole count on its link, if it is authentic.
+/// Returns the key of a frame's tag, and the frame's whole count on its link if it is authentic.
 #[inline(always)]
 pub fn keyed(header: &Header, link: &LinkEntry, window: &impl Words) -> ([u64; 2], u64) {
     let count = replay::whole(window, header.link_counter());

@@ -1,24 +1,24 @@
-//! What becomes of a frame at each link of a group.
+//! The decision for each link of a group.
 
 use super::is_foreign;
 use crate::forward::rewrite::wait;
 use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
-/// What a link of a group gets.
+/// The copy for a link of a group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Copy {
-    /// The frame, with its header as it is now and what [`Tables::stamp`] has left for later.
+    /// Send the frame with its present header, after the deferred part of [`Tables::stamp`].
     Send(Counter),
-    /// Nothing: it is none of the frame's links.
+    /// No copy: the frame is not for this link.
     None,
-    /// Nothing, and that is counted.
+    /// No copy, and the drop is counted.
     Drop(Counter),
 }
 
-/// Makes the header of a frame that [`super::decide`] wants copied the one for `link`. `length`:
-/// bytes of the frame; `ingress`: where the frame came in. Bits partition: each neighbour gets
-/// those that it leads to, so nothing multiplies.
+/// Rewrites the header of a frame for `link`, after [`super::decide`] returned copies. `length` is
+/// that of the frame in bytes, `ingress` the link it arrived on. Each neighbour gets only the
+/// egress bits that it leads to, so frames never multiply.
 #[inline(always)]
 pub fn copy<T: Tables>(header: &mut Header, length: usize, link: &LinkEntry, ingress: &LinkEntry, tables: &T) -> Copy {
     if link.id == ingress.id {

@@ -1,10 +1,10 @@
-//! The forwarding decision. "Names at the edge, bits inside": the ingress switch looks the
-//! destination up and stamps the egress switches as bits (after BIER, RFC 8279); a switch in
-//! transit only looks at bits; the egress switch finds its own bit and looks the name up for its
-//! local links.
+//! The forwarding decision: "Names at the edge, bits inside". The ingress switch looks up the
+//! destination and stamps the egress switches as bits (after BIER, RFC 8279). A transit switch
+//! looks at the bits only. The egress switch finds its own bit and looks up the name for its local
+//! links.
 //!
-//! [`decide`] is the order of things; [`arrival`], [`route`], [`probe`] and [`answer`] are its
-//! parts, and [`copy()`] is what it leaves to be done for each link of a group.
+//! [`decide`] calls the parts `arrival`, `route`, `probe` and `answer` in order. [`copy()`] is the
+//! decision that remains for each link of a group.
 
 mod answer;
 mod arrival;
@@ -28,7 +28,7 @@ use crate::{Counter, Header, LinkEntry, LinkRole, replay};
 use arrival::{Arrival, arrival};
 use route::{Egress, Refusal, is_foreign, route};
 
-/// Tells frames apart by the first byte.
+/// Classifies a frame by its first byte.
 #[inline(always)]
 pub fn classify(first_byte: u8) -> Kind {
     match frame_type(first_byte) {
@@ -38,12 +38,12 @@ pub fn classify(first_byte: u8) -> Kind {
     }
 }
 
-/// Decides what happens to a frame of which `available` bytes are there, header included, and
-/// rewrites its header accordingly. `traffic`: the byte that IP has for DSCP and ECN in what
-/// carried it, of which only a router's mark counts (CE, RFC 3168); 0 on Ethernet. What lies
-/// behind the payload, as Ethernet pads short frames, is no part of the frame: whoever carries the
-/// verdict out leaves it behind. If the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or
-/// [`Verdict::Drop`], the header is unchanged.
+/// Decides the verdict for a frame of `available` bytes, including the header, and rewrites its
+/// header accordingly. `traffic` is the DSCP and ECN byte of the IP header that carried the frame,
+/// or 0 on Ethernet. Of `traffic`, only a router's mark counts (CE, RFC 3168). Bytes after the
+/// payload, such as Ethernet padding, are not part of the frame; the caller removes them. The
+/// header is unchanged if the verdict is [`Verdict::Notice`], [`Verdict::Slow`] or
+/// [`Verdict::Drop`].
 #[inline(always)]
 pub fn decide<'t, T: Tables>(
     header: &mut Header,
@@ -57,8 +57,8 @@ pub fn decide<'t, T: Tables>(
     };
     let decision = classify_action(header, ingress, tables);
     let mut hop = T::NextHop::default();
-    // What is left to another plane is left as it came. Its window is the same: taken here,
-    // it would be refused there.
+    // A frame for another plane stays unchanged. That plane shares the window, so it would refuse a
+    // count recorded here.
     if !T::LAST && !is_for_this_plane(&decision, header.frame_len(), tables, &mut hop) {
         return Verdict::Slow;
     }
@@ -92,14 +92,13 @@ pub fn decide<'t, T: Tables>(
     }
 }
 
-/// What is to be done with a frame, before this plane knows whether it is the one to do it.
+/// The decision for a frame, before this plane checks whether it can carry the decision out.
 ///
-/// Every field always holds something. Where an enum leaves one out, the compiler spills a register
-/// that nothing was written to when a plane's answer is a call, and the kernel's verifier refuses
-/// that.
+/// Every field is always initialised. With an enum that omits fields, the compiler spills an
+/// uninitialised register around calls into a plane, which the kernel's verifier rejects.
 struct Decision<'t> {
     what: ActionKind,
-    /// Where it leaves; the one it came by, if it leaves by none.
+    /// The egress link, or the ingress link if the frame does not leave.
     link: &'t LinkEntry,
     group: u32,
     bits: u64,
@@ -115,7 +114,7 @@ enum ActionKind {
     Refuse,
     Echo,
     Notice,
-    /// As a notice, but not more often than may be.
+    /// A notice with a rate limit.
     Punt,
 }
 
@@ -154,7 +153,7 @@ fn classify_action<'t, T: Tables>(header: &Header, ingress: &'t LinkEntry, table
     } else if header.version_type == FrameType::Echo.first_byte() && header.egress_set == Header::ASKS {
         Decision { what: ActionKind::Echo, ..none }
     } else if header.version_type == FrameType::Error.first_byte() && ingress.role == LinkRole::Endpoint as u32 {
-        // Nothing is sent to an endpoint that it could refuse.
+        // Nothing is sent to an endpoint that it could refuse, so its errors are invalid.
         Decision { what: ActionKind::Refuse, ..none }
     } else {
         none

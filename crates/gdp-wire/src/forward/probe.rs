@@ -1,14 +1,13 @@
-//! The way of a probe: as that of a data frame for one egress switch, as far as the switches lead;
-//! no name is looked up, nothing is copied, and nobody is told of one that is dropped. Changes
-//! nothing.
+//! The route of a probe. A probe follows the path of a data frame to one egress switch. No name is
+//! looked up, nothing is copied, and a drop draws no error. Changes nothing.
 
 use super::route::lowest_bit;
 use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole};
 
-/// The link that a probe leaves by; `None` if it ends here and the daemon may be given it: its hop
-/// limit is used up, this is the egress switch, or it comes from another domain, to which the
-/// inside of this one is hidden.
+/// Returns the egress link of a probe, or `None` if the probe ends here and the daemon may receive
+/// it. A probe ends if its hop limit is used up or this is the egress switch. A probe from another
+/// domain also ends here, because the topology of this domain is hidden.
 #[inline(always)]
 pub fn next<'t, T: Tables>(
     header: &Header,

@@ -1,16 +1,17 @@
-//! What changes in the header of a frame that a switch forwards.
+//! The header changes of a forwarded frame.
 
 use crate::forward::route::is_foreign;
 use crate::tables::Tables;
 use crate::{Header, LinkEntry, LinkRole};
 
-/// Copies a router's congestion mark into the header, which goes all the way to the reader.
+/// Copies a router's congestion mark into the header, which carries the mark to the reader.
 ///
-/// Returns `false` if the outer packet was marked and the frame's writer takes no marks: only a
-/// loss can tell such a writer (RFC 6040, section 4.2). `traffic` is the byte of the outer packet.
+/// Returns `false` if the outer packet was marked and the frame's writer does not support marks.
+/// Only a loss can signal congestion to such a writer (RFC 6040, section 4.2). `traffic` is the
+/// byte of the outer packet.
 ///
-/// By arithmetic: with a branch for the mark and one for who takes it, the kernel's verifier would
-/// look at half as many states again.
+/// Uses arithmetic: with branches for the mark and the writer's support, the kernel's verifier
+/// would explore one and a half times as many states.
 #[inline(always)]
 pub fn carry_mark(header: &mut Header, traffic: u8) -> bool {
     let (marked, takes_marks) = (traffic & traffic >> 1 & 1, header.flags | header.flags >> 1);
@@ -21,7 +22,7 @@ pub fn carry_mark(header: &mut Header, traffic: u8) -> bool {
     true
 }
 
-/// Marks a frame that waits long before it leaves by `link`, if it takes marks.
+/// Marks a frame that waits in a queue of `link`, if its writer supports marks.
 #[inline(always)]
 pub fn wait<T: Tables>(header: &mut Header, link: &LinkEntry, tables: &T) {
     if tables.has_queue(link) && header.flags & Header::ECN != 0 {
@@ -29,7 +30,7 @@ pub fn wait<T: Tables>(header: &mut Header, link: &LinkEntry, tables: &T) {
     }
 }
 
-/// What changes in a frame on its way through a switch, whatever link it leaves by.
+/// Applies the header changes that do not depend on the egress link.
 #[inline(always)]
 pub fn rewrite_hop(header: &mut Header, ingress: &LinkEntry, bits: u64, set: u8) {
     header.hop_limit -= 1;

@@ -1,21 +1,21 @@
-//! Where a data frame goes: one link, or the links of a group. Changes nothing.
+//! The route of a data frame: one link, or the links of a group. Changes nothing.
 
 use crate::header::ErrorCode;
 use crate::table::{ANY_WRITER, EGRESS_SET_SIZE, NEIGHBOURS};
 use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry, LinkRole, Permit};
 
-/// Where a frame leaves.
+/// The egress of a frame.
 pub enum Egress<'t> {
     One { link: &'t LinkEntry, bits: u64, set: u8, counter: Counter },
     Many { group: u32, bits: u64, set: u8 },
 }
 
-/// Why a frame goes nowhere, and the error that its neighbour gets.
+/// The reason that a frame is dropped, and the error for its neighbour.
 pub struct Refusal {
     pub counter: Counter,
     pub code: Option<ErrorCode>,
-    /// Of the link that the frame did not fit; otherwise 0.
+    /// MTU of the link that the frame did not fit; otherwise 0.
     pub mtu: u32,
 }
 
@@ -68,7 +68,7 @@ pub fn route<'t, T: Tables>(
             Some(link) if rest == 0 => {
                 checked(Egress::One { link, bits: 0, set, counter: Counter::Delivered }, header, length, ingress)
             }
-            // Nobody here takes the name; or the one who does is just gone.
+            // The name has no local reader, or its reader has just left.
             None if rest == 0 && (entry.group == NEIGHBOURS || entry.local_link != 0) => {
                 Err(Refusal::disclosed(Counter::NoRoute, ErrorCode::NoRoute))
             }
@@ -79,7 +79,8 @@ pub fn route<'t, T: Tables>(
     }
 }
 
-/// The egress bits and set of the frame's name, if its link may send to that, as this source.
+/// Returns the egress bits and set of the frame's name, if the link may send to this name from this
+/// source.
 #[inline(always)]
 fn looked_up<T: Tables>(header: &Header, ingress: &LinkEntry, tables: &T) -> Result<(u64, u8), Refusal> {
     let may_be_source = if ingress.role == LinkRole::Endpoint as u32 {
@@ -99,7 +100,7 @@ fn looked_up<T: Tables>(header: &Header, ingress: &LinkEntry, tables: &T) -> Res
     Ok((entry.egress_bits, entry.egress_set))
 }
 
-/// Whether the frame may and can leave by the one link.
+/// Checks that the frame may and can leave by the one link.
 #[inline(always)]
 fn checked<'t>(egress: Egress<'t>, header: &Header, length: usize, ingress: &LinkEntry) -> Result<Egress<'t>, Refusal> {
     let Egress::One { link, .. } = &egress else { return Ok(egress) };
@@ -115,15 +116,15 @@ fn checked<'t>(egress: Egress<'t>, header: &Header, length: usize, ingress: &Lin
     Ok(egress)
 }
 
-/// Whether a frame came from another domain, here or at another switch of this one, and may not go
-/// on to a third.
+/// Returns whether a frame came from another domain, at this or another switch of this domain, and
+/// must not go on to a third.
 #[inline(always)]
 pub fn is_foreign(header: &Header, ingress: &LinkEntry) -> bool {
     ingress.role == LinkRole::Border as u32 && ingress.flags & LinkEntry::TRANSIT == 0
         || ingress.role == LinkRole::Switch as u32 && header.flags & Header::FOREIGN != 0
 }
 
-/// Index of the lowest set bit of a value that is not zero.
+/// Returns the index of the lowest set bit. `bits` must not be zero.
 #[inline(always)]
 pub fn lowest_bit(bits: u64) -> u32 {
     bits.trailing_zeros() & (EGRESS_SET_SIZE - 1)

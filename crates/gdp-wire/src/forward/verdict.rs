@@ -1,32 +1,32 @@
-//! What a data plane must do with a frame.
+//! The verdict for a frame, which a data plane carries out.
 
 use crate::{Counter, LinkEntry};
 
-/// What a data plane must do with a frame.
+/// The verdict for a frame, which a data plane carries out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict<'t, H> {
-    /// Send it by this link to this next hop; the header has been rewritten for it, but for what
-    /// [`Tables::stamp`] has left for later.
+    /// Send the frame by this link to this next hop. The header is rewritten, except for the
+    /// deferred part of [`Tables::stamp`](crate::tables::Tables::stamp).
     Send(&'t LinkEntry, H, Counter),
-    /// For each link of this group that [`copy()`] says so, send what that makes of it; count it as
-    /// [`Counter::Replicated`].
+    /// Call [`copy()`](super::copy()) for each link of this group, and send the copies. Count the
+    /// frame as [`Counter::Replicated`].
     Copies(u32),
-    /// The header has become an answer to the neighbour: send it by this link to this next hop,
+    /// The header has become an answer to the neighbour. Send it by this link to this next hop,
     /// without a payload.
     Answer(&'t LinkEntry, H, Counter),
-    /// It is for this node itself, unchanged: an error, the answer to an echo, or a probe that ends
-    /// here; counted as [`Counter::Notice`].
+    /// The unchanged frame is for this node: an error, the answer to an echo, or a probe that ends
+    /// here. Counted as [`Counter::Notice`].
     Notice(&'t LinkEntry),
-    /// Leave it, untouched, to the next plane; counted as [`Counter::Slow`].
+    /// Leave the unchanged frame to the next plane. Counted as [`Counter::Slow`].
     Slow,
-    /// Drop it and count why.
+    /// Drop the frame and count the reason.
     Drop(Counter),
 }
 
-/// What the first bytes of a frame say it is, before its header is read whole.
+/// The kind of a frame by its first byte, before its header is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Has a [`Header`]: for [`decide`], or [`accept`].
+    /// Has a [`Header`](crate::Header): for [`decide`](super::decide) or [`accept`](super::accept).
     Headed,
     Control,
     Unknown,

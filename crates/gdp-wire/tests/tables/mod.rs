@@ -1,4 +1,4 @@
-//! A data plane of plain collections: what a frame becomes according to `decide` and nothing else.
+//! A data plane of plain collections, which applies `decide` and nothing else.
 
 use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
@@ -16,7 +16,7 @@ use crate::frames::fixtures::{Switch, Verdict};
 
 pub use crate::frames::fixtures::Fate;
 
-/// `KERNEL`: leaves to another plane what it cannot send.
+/// The tables. With `KERNEL`, the plane leaves frames that it cannot send to another plane.
 pub struct PlainTables<const KERNEL: bool> {
     links: HashMap<u32, LinkEntry>,
     routes: HashMap<Name, FibEntry>,
@@ -28,16 +28,16 @@ pub struct PlainTables<const KERNEL: bool> {
     switch: Switch,
     sent: RefCell<HashMap<u32, u64>>,
     windows: HashMap<u32, Window>,
-    /// Egress bits that the kernel copies for, by group.
+    /// Egress bits of each group that the kernel copies frames for.
     served: HashMap<u32, u64>,
-    /// Bytes of the longest frame that it copies.
+    /// Length of the longest frame that the plane copies, in bytes.
     longest_copy: usize,
     makes_copies: bool,
-    /// It leaves to the next plane what is for this port, which is none of its own.
+    /// Port that the plane does not serve. Frames for it go to the next plane.
     without_port: Option<u32>,
-    /// Links that frames wait for.
+    /// Links with a queue.
     queues: HashSet<u32>,
-    /// The daemon was given a probe just now.
+    /// Whether the daemon has just received a probe.
     punted: bool,
 }
 
@@ -65,13 +65,14 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
         }
     }
 
-    /// Of a kernel under a test run: copies would be made later.
+    /// Returns the tables of a kernel under a test run, which makes its copies later.
     #[allow(dead_code, reason = "each test that includes this uses a part of it")]
     pub fn without_copies(self) -> Self {
         Self { makes_copies: false, ..self }
     }
 
-    /// Of a plane that copies whatever it can send, by all ports but this one.
+    /// Returns the tables of a plane that copies every frame it can send, on all ports but this
+    /// one.
     #[allow(dead_code, reason = "each test that includes this uses a part of it")]
     pub fn with_all_copies_but_by(self, port: u32) -> Self {
         let without = Self { without_port: Some(port), longest_copy: usize::MAX, ..self };
@@ -86,19 +87,19 @@ impl<const KERNEL: bool> PlainTables<KERNEL> {
         Self { served, ..without }
     }
 
-    /// Of a switch where frames wait before they leave by these links.
+    /// Returns the tables of a switch with queues on these links.
     #[allow(dead_code, reason = "each test that includes this uses a part of it")]
     pub fn with_queues(self, links: &[u32]) -> Self {
         Self { queues: links.iter().copied().collect(), ..self }
     }
 
-    /// Of a switch whose daemon was given a probe just now.
+    /// Returns the tables of a switch whose daemon has just received a probe.
     #[allow(dead_code, reason = "each test that includes this uses a part of it")]
     pub fn punted(self) -> Self {
         Self { punted: true, ..self }
     }
 
-    /// What becomes of an Ethernet frame.
+    /// Returns the fate of an Ethernet frame.
     pub fn run(&self, frame: &[u8]) -> Fate {
         let Some(Place { at, length, over_udp, class }) = self.switch.find(frame) else {
             return Fate::new(Verdict::Pass, Counter::Foreign);

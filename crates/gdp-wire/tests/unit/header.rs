@@ -21,7 +21,7 @@ fn fields_are_where_the_wire_format_says() {
 
 #[test]
 fn class_and_ecn_are_where_ip_has_them() {
-    // Flags that IP does not know: none of the three.
+    // None of these flags belongs to the three parts that IP has.
     for flags in [0, 0x20, 0x40, 0x80, 0xe0] {
         assert_eq!(Header::ip_traffic(flags), 0);
         assert_eq!(Header::ip_traffic(flags | 5 << 2 | 0b10), 0b1010_0010);

@@ -13,7 +13,7 @@ fn it_agrees_with_a_set_while_counts_move_on() {
         let base = if round < 100_000 { 0 } else { (1 << 32) - 100_000 };
         let count = (base + round).saturating_sub(random(TOLERANCE));
         highest = highest.max(count);
-        // Inference is tested below.
+        // The inference of high bits is tested below.
         let expected = taken.insert(count);
         assert_eq!(is_fresh(&window, count), expected, "{count} of {highest}");
         assert_eq!(take(&window, count), expected, "{count} of {highest}");
@@ -43,7 +43,7 @@ fn the_high_bits_follow_from_the_window() {
             let late = count.saturating_sub(random(TOLERANCE));
             assert_eq!(whole(&window, late as u32), late, "after {count}");
             assert_eq!(whole(&window, count as u32), count);
-            // One in ten is lost.
+            // One frame in ten is lost.
             assert!(random(10) == 0 || take(&window, count));
         }
     }
@@ -66,12 +66,11 @@ fn threads_that_share_a_window_take_each_count_once() {
             });
         }
     });
-    // A thread may have been overtaken by a whole ring, but then another has taken what it came too
-    // late for.
+    // A thread may be late by a whole ring, but then another thread has taken the missed counts.
     assert!(taken.iter().all(|taken| taken.load(Ordering::Relaxed) == 1));
 }
 
-/// Bounded random numbers, the same in every run.
+/// Returns a generator of bounded random numbers, the same in every run.
 fn random(mut state: u64) -> impl FnMut(u64) -> u64 {
     move |bound| {
         state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
