@@ -5,8 +5,8 @@
 /// Sampling ratio of names: one in this many frames that leave is counted for its name.
 pub const SAMPLING: u64 = 64;
 
-/// Maximum number of names that each plane counts frames for. A switch evicts the least recently
-/// seen names.
+/// Maximum number of names that each plane counts frames for. When full, the kernel evicts the
+/// least recently seen name, and the userspace plane the least counted one.
 pub const BUSIEST_NAMES: u32 = 1024;
 
 /// Returns whether a frame that arrived with this hop tag is counted for its name. Tags are as good

@@ -160,9 +160,9 @@ impl Header {
         }
     }
 
-    /// Returns a probe without the fields of a link. `source` is the sending switch, and `bit` (0 …
-    /// 63) the egress switch of the name that the probe is for. The probe ends at that switch, or
-    /// at the switch where it arrives with `hop_limit` 1.
+    /// Returns a probe without the fields of a link. `source` is the sending switch, and `bit` (0
+    /// … 63) the egress switch of the name that the probe is for. The probe ends at that switch,
+    /// or at the switch where it arrives with `hop_limit` 1.
     pub fn probe(destination: Name, source: Name, bit: u8, hop_limit: u8) -> Self {
         Self {
             version_type: FrameType::Probe.first_byte(),

@@ -19,8 +19,9 @@
 //!
 //! **Wrapping.** Frames carry the low 32 bits of their count. The receiver derives the high bits
 //! from the window ([`whole`]) and includes them in the hop tag, like the extended sequence numbers
-//! of RFC 4303. A link can therefore carry more than 2³² frames, and recorded frames do not become
-//! fresh after the wrap. The count has 52 bits, which last 71 years at 2 million frames a second.
+//! of RFC 4303. A link can therefore carry more than 2³² frames, and recorded frames do not
+//! become fresh after the wrap. The count has 52 bits, which last 71 years at 2 million frames a
+//! second.
 
 #[cfg(target_has_atomic = "64")]
 use core::sync::atomic::{AtomicU64, Ordering};

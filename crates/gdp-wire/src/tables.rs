@@ -18,8 +18,8 @@ pub trait Tables {
     /// Returns the route of a name.
     fn route(&self, name: &Name) -> Option<FibEntry>;
 
-    /// Returns the link id of the neighbour on the path to egress switch `bit` (0 … 63); 0 if there
-    /// is none.
+    /// Returns the link id of the neighbour on the path to egress switch `bit` (0 … 63); 0 if
+    /// there is none.
     fn next_hop(&self, bit: u32) -> u32;
 
     /// Returns this switch's own egress bit.
