@@ -1,12 +1,12 @@
-//! What the reader and the writer of a name tell each other: the bytes of one [`Feedback`] message,
-//! specified in `docs/wire-format.md`, "Feedback". It travels sealed between the two
-//! ([`crate::keys`]), in a frame to the other's own name. When each is sent, and what follows from
-//! it, is the transport's; nothing is decided here.
+//! The encoding of [`Feedback`] messages between the reader and the writer of a name.
+//! `docs/wire-format.md`, "Feedback", specifies it. A message travels sealed between the two
+//! ([`crate::keys`]), in a frame to the name of the receiver. The transport decides when to send
+//! each message and how to react to it.
 
 use gdp_wire::Name;
 
-/// Ranges that one [`Feedback::Nack`] may ask for: as many as fit, sealed, a frame of 1200 bytes,
-/// which every link takes.
+/// Maximum number of ranges in a [`Feedback::Nack`]. Sealed, they fit a frame of 1200 bytes, which
+/// every link supports.
 pub const MAX_MISSING: usize = 63;
 
 /// The largest encoding, in bytes: a Nack with all its ranges.
@@ -22,7 +22,7 @@ const NACK_LEN: usize = 1 + 32 + 16 + 1;
 const MISSING_LEN: usize = 6 + 2 + 4 + 4;
 const UNAVAILABLE_LEN: usize = 1 + 32 + 16 + 8;
 
-/// What a reader asks of a writer.
+/// The messages that a reader requests from a writer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wants {
     /// The newest message.
@@ -36,43 +36,43 @@ pub enum Wants {
 /// One message between a reader and a writer of `name`. Sequences are at most [`MAX_SEQUENCE`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Feedback {
-    /// Reader → writer: which session is yours now?
+    /// Reader → writer: requests the writer's current session.
     Hello { name: Name, challenge: [u8; 16], wants: Wants },
-    /// Writer → reader, with the challenge of its Hello: this session, and in it what comes from
-    /// this sequence on. `reliable`: every message is kept to be asked for again.
+    /// Writer → reader, with the challenge of its Hello: the current session, and the first
+    /// sequence for the reader. `reliable`: the writer retains every message for retransmission.
     Welcome { name: Name, challenge: [u8; 16], session: [u8; 16], sequence: u64, reliable: bool },
-    /// Reader → writer: what has come of the writer's session so far.
+    /// Reader → writer: the reception state of the writer's session.
     Report {
         name: Name,
         session: [u8; 16],
-        /// The highest sequence of which any segment has come; 0 before there is one.
+        /// The highest sequence with a received segment; 0 before the first.
         highest: u64,
-        /// This sequence and all before it are done with: delivered, or given up.
+        /// The last sequence up to which all messages are settled: delivered or given up.
         acknowledged: u64,
-        /// Segments that have come, each counted once.
+        /// Received segments, each counted once.
         received_segments: u64,
-        /// Their bytes, as in frames.
+        /// Their bytes, including frame headers.
         received_bytes: u64,
-        /// Frames that came with a congestion mark.
+        /// Frames received with a congestion mark.
         ce: u32,
-        /// The sequence of the segment that came last, for the round-trip time; 0: none since the
+        /// The sequence of the last received segment, for the round-trip time. 0: none since the
         /// last report.
         echo: u64,
-        /// Its index.
+        /// The index of that segment.
         echo_index: u32,
-        /// Microseconds between its arrival and this report.
+        /// Microseconds between the arrival of that segment and this report.
         delay_us: u32,
     },
-    /// Reader → writer: these did not come.
+    /// Reader → writer: requests missing segments.
     Nack {
         name: Name,
         session: [u8; 16],
-        /// 1 to [`MAX_MISSING`], in ascending order of sequence and first index, none of a message
-        /// overlapping another.
+        /// 1 to [`MAX_MISSING`] ranges, in ascending order of sequence and first index. Ranges of
+        /// one message do not overlap.
         missing: Vec<Missing>,
     },
-    /// Writer → reader, in answer to a Nack: what came before this sequence cannot be repaired any
-    /// more.
+    /// Writer → reader, in answer to a Nack: messages before this sequence can no longer be
+    /// repaired.
     Unavailable { name: Name, session: [u8; 16], oldest: u64 },
 }
 
@@ -80,7 +80,7 @@ pub enum Feedback {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Missing {
     pub sequence: u64,
-    /// Which cut of the message the indices are of.
+    /// The cut of the message that the indices refer to.
     pub cut: u16,
     /// Index of the first segment.
     pub first: u32,
@@ -89,18 +89,18 @@ pub struct Missing {
 }
 
 impl Missing {
-    /// All of a message of which nothing has come, however it was cut.
+    /// Returns the range of a whole message without any received segment, for every cut.
     pub const fn whole(sequence: u64) -> Self {
         Self { sequence, cut: 0, first: 0, count: u32::MAX }
     }
 
-    /// Index of the last segment.
+    /// Returns the index of the last segment.
     pub fn last(&self) -> Option<u32> {
         self.first.checked_add(self.count.checked_sub(1)?)
     }
 }
 
-/// Why bytes are no feedback, or feedback has no bytes.
+/// The reason that bytes are not valid feedback, or that feedback cannot be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FeedbackError {
     #[error("feedback of kind {0}, which this version does not know")]
@@ -118,7 +118,7 @@ pub enum FeedbackError {
 }
 
 impl Feedback {
-    /// What it is about.
+    /// Returns the name that the message is about.
     pub fn name(&self) -> Name {
         match self {
             Self::Hello { name, .. }
@@ -129,7 +129,7 @@ impl Feedback {
         }
     }
 
-    /// Appends its encoding to `out`; nothing if it is not within the bounds.
+    /// Appends the encoding to `out`. Appends nothing if a field is out of bounds.
     pub fn encode(&self, out: &mut Vec<u8>) -> Result<(), FeedbackError> {
         self.check()?;
         match self {
@@ -171,7 +171,7 @@ impl Feedback {
         Ok(())
     }
 
-    /// The message whose only encoding `bytes` are.
+    /// Returns the message that `bytes` encode. Every message has exactly one encoding.
     pub fn decode(bytes: &[u8]) -> Result<Self, FeedbackError> {
         let too_short = FeedbackError::Length { got: 0, expected: HELLO_LEN };
         let (&kind, rest) = bytes.split_first().ok_or(too_short)?;
@@ -194,7 +194,7 @@ impl Feedback {
         if let (kind::HELLO, Some(&flag @ 3..)) | (kind::WELCOME, Some(&flag @ 2..)) = (kind, bytes.last()) {
             return Err(FeedbackError::Flag(flag));
         }
-        // The length was that of the kind, so no field is cut off.
+        // The length matches the kind, so no field is truncated.
         let feedback = Self::decode_fields(kind, &mut Fields(rest)).ok_or(wrong_length)?;
         feedback.check()?;
         Ok(feedback)
@@ -246,7 +246,7 @@ impl Feedback {
                     return Err(FeedbackError::Ranges(missing.len()));
                 }
                 missing.iter().try_for_each(|range| sequence(range.sequence))?;
-                // So nobody makes a writer send one segment twice by one message.
+                // Prevents a Nack from requesting the same segment twice.
                 let follows =
                     |pair: &[Missing]| (pair[0].sequence, pair[0].last()) < (pair[1].sequence, Some(pair[1].first));
                 let in_order = missing.windows(2).all(follows);

@@ -1,9 +1,9 @@
-//! Messages end to end, sans-IO: sealing, segmentation, retransmission, congestion control.
+//! End-to-end messages, sans-IO: sealing, segmentation, retransmission, congestion control.
 //!
-//! Callers bring the time and carry the frames. Keys of epochs and pairs are in [`keys`], sealed
-//! segments in [`seal`], what readers report in [`feedback_wire`], and the scheduling of frames in
-//! [`transport`].
-// They panic where stdout or stderr cannot be written.
+//! Callers provide the time and transmit the frames. [`keys`] contains the keys of epochs and
+//! pairs, and [`seal`] the sealed segments. [`feedback_wire`] contains the reports of readers, and
+//! [`transport`] the scheduling of frames.
+// `print!` and `eprint!` panic when stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod feedback_wire;

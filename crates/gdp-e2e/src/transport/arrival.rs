@@ -1,28 +1,28 @@
-//! What an inbound topic is told, and what it reports.
+//! The inputs and reports of an inbound topic.
 
 use crate::feedback_wire::Feedback;
 use crate::seal::SegmentId;
 use crate::transport::{MS, Position};
 use serde::Serialize;
 
-/// In which order a reader wants messages.
+/// The delivery order that a reader requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// Each as soon as it is complete, if it is newer than those before: for topics that are best
-    /// effort.
+    /// Delivers each message when it is complete, if it is newer than the previous ones. For
+    /// best-effort topics.
     Newest,
-    /// All, one after another: for topics that are reliable.
+    /// Delivers all messages in sequence. For reliable topics.
     Every,
 }
 
 #[derive(Clone, Copy, Debug)]
 pub struct InboundOptions {
     pub order: Order,
-    /// A message that is not complete so many nanoseconds after it became known is given up.
+    /// A message that is incomplete this many nanoseconds after its first sign is given up.
     pub deadline: u64,
-    /// Messages that may be incomplete, or wait for one before them.
+    /// Maximum number of messages that are incomplete or wait for an earlier one.
     pub messages: usize,
-    /// Bytes of messages that wait for one before them, and of what is known of incomplete ones.
+    /// Maximum bytes of messages that wait for an earlier one, and of the state of incomplete ones.
     pub bytes: usize,
 }
 
@@ -41,41 +41,41 @@ impl InboundOptions {
 pub struct Segment {
     pub position: Position,
     pub cut: u16,
-    /// Segments of the message, its proof included.
+    /// Number of segments of the message, including its proof.
     pub total: u32,
-    /// In the frame, its header included.
+    /// Bytes of the segment in the frame, including its header.
     pub bytes: usize,
 }
 
 impl From<&SegmentId> for Segment {
     fn from(id: &SegmentId) -> Self {
         let position = Position { sequence: id.sequence, index: id.index };
-        // No message has as many segments; if one does, its last is refused.
+        // No message has that many segments. If one claims to, its last segment is refused.
         Self { position, cut: id.cut, total: id.count.saturating_add(1), bytes: id.len }
     }
 }
 
-/// What comes of it.
+/// An output of an inbound topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Arrival<M> {
     Message(M),
-    /// For the writer.
+    /// Feedback to send to the writer.
     Feedback(Feedback),
 }
 
-/// What became of a session's messages here. `delivered` and the three after it are all that there
-/// are up to the last one dealt with.
+/// The outcomes of a session's messages. `delivered` and the next three counters cover all messages
+/// up to the last settled one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct InboundCounters {
     pub delivered: u64,
-    /// Best effort: incomplete when a newer one was complete.
+    /// Best effort: incomplete when a newer message was complete.
     pub overtaken: u64,
-    /// Not complete at the deadline.
+    /// Incomplete at the deadline.
     pub expired: u64,
-    /// Reliable: the writer has it no more, or there was no room to wait for it.
+    /// Reliable: the writer no longer has the message, or there was no room to wait for it.
     pub abandoned: u64,
-    /// Segments that were there, or belong to a message that is dealt with.
+    /// Segments that were already received, or belong to a settled message.
     pub duplicates: u64,
-    /// Segments beyond what may be outstanding. They come again.
+    /// Segments beyond the limit of outstanding messages. The writer sends them again.
     pub beyond: u64,
 }

@@ -1,6 +1,7 @@
-//! A way that swallows large frames without a word, as when a tunnel on it takes less than its ends
-//! know: what a reader asks for comes never, while what is small does. Such a topic sends small
-//! frames for a while, and then tries large ones again (after RFC 8899, §4.3).
+//! Detection of paths that silently drop large frames, such as a tunnel with a smaller MTU than its
+//! ends assume. On such a path, repairs of large frames never arrive, but small frames do. The
+//! topic then sends small frames for a while, and tries large ones again later (after RFC 8899,
+//! §4.3).
 
 use gdp_wire::Header;
 
@@ -8,21 +9,22 @@ use super::{MS, Position};
 use crate::feedback_wire::Missing;
 use gdp_wire::SMALLEST_PATH;
 
-/// What every way takes, in bytes of a frame's payload.
+/// The payload of a frame that every path supports, in bytes.
 pub const LEAST_PAYLOAD: usize = SMALLEST_PATH as usize - Header::LEN;
 
-/// A reader that asks so often for the same is thought to be behind such a way, if nothing large
-/// has come meanwhile.
+/// Number of requests for the same segment that indicate such a path, if no large frame arrives in
+/// between.
 const ASKED: u32 = 5;
 
-/// How long only small frames go, at first; twice as long each time.
+/// Duration of the first period with small frames only. The duration doubles each time, up to
+/// [`LONGEST_SMALL_TIME`].
 const SMALL_TIME: u64 = 30_000 * MS;
 const LONGEST_SMALL_TIME: u64 = 600_000 * MS;
 
-/// What is not asked for again for so long has come, or was given up.
+/// A segment without a new request for this time has arrived or was given up.
 const FORGOTTEN: u64 = 3_000 * MS;
 
-/// What one reader asks for again and again.
+/// The segment that one reader requests repeatedly.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Suspicion {
     missing: Option<Position>,
@@ -31,8 +33,8 @@ pub struct Suspicion {
 }
 
 impl Suspicion {
-    /// The reader asks for these; what was repaired later than `too_early` may still be on its way.
-    /// True if something is asked for once too often.
+    /// Processes a request of the reader. Repairs sent after `too_early` may still be in flight.
+    /// Returns true if the reader has requested a segment too often.
     pub fn asked(&mut self, now: u64, missing: &[Missing], too_early: u64) -> bool {
         let covers = |range: &Missing, at: Position| {
             range.sequence == at.sequence && range.first <= at.index && range.last().is_none_or(|last| at.index <= last)
@@ -51,7 +53,7 @@ impl Suspicion {
         found
     }
 
-    /// A frame with a payload of so many bytes has come.
+    /// Processes the arrival of a frame with a payload of `bytes` bytes.
     pub fn on_received(&mut self, bytes: usize) {
         if bytes > LEAST_PAYLOAD {
             *self = Self::default();
@@ -59,7 +61,7 @@ impl Suspicion {
     }
 }
 
-/// How large the frames of a topic may be on account of its readers.
+/// The limit on the frame size of a topic, caused by its readers.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FrameLimit {
     until: u64,
@@ -71,7 +73,7 @@ impl FrameLimit {
         if now < self.until { LEAST_PAYLOAD } else { usize::MAX }
     }
 
-    /// Large frames vanish on the way to a reader.
+    /// Limits the frame size, because large frames are lost on the path to a reader.
     pub fn set(&mut self, now: u64) {
         if now >= self.until {
             self.time = (2 * self.time).clamp(SMALL_TIME, LONGEST_SMALL_TIME);

@@ -1,65 +1,66 @@
-//! How fast a path to one reader may be used: a model of it after BBR (Cardwell et al., "BBR:
-//! Congestion-Based Congestion Control", 2016; draft-ietf-ccwg-bbr), fed by reports. Delivery rate
-//! and round-trip time make the model, so that single losses, which radio links have at all times,
-//! do not slow it down; many losses, or marks, in a round do. Why no existing controller:
-//! `docs/decisions.md`.
+//! Congestion control for the path to one reader: a model after BBR, fed by reports. See Cardwell
+//! et al., "BBR: Congestion-Based Congestion Control", 2016, and draft-ietf-ccwg-bbr. The model
+//! consists of delivery rate and round-trip time. Single losses, which radio links always have, do
+//! not slow the path down. Many losses in a round do, and so do marks. `docs/decisions.md` explains
+//! why no existing controller is used.
 
 use super::{FRAME_HEADER, MS};
 
-/// A full frame, for what is counted in frames.
+/// A full frame in bytes, for limits in frames.
 const FRAME: u64 = 1400 + FRAME_HEADER;
 
-/// Bytes that may go before anything is known. RFC 6928 says 10 frames; large senders use as many
-/// as this today.
+/// Initial window in bytes. RFC 6928 recommends 10 frames; large senders use up to this many today.
 pub const INITIAL_WINDOW: u64 = 32 * FRAME;
-/// A path is never held below this.
+/// Minimum window of a path.
 pub const MIN_WINDOW: u64 = 4 * FRAME;
 
-/// What may go at once after a pause, in time at the rate that the path is known to take. A topic
-/// whose messages are few and short shows little of its path, and would be held to that little.
+/// Burst after a pause, as time at the known rate of the path. A topic with few and short messages
+/// measures only a small part of the path's capacity. Without the burst, it would be limited to
+/// that part.
 const BURST_TIME: u64 = 20 * MS;
 
-/// Taken for the round trip until one is measured.
+/// Assumed round-trip time before the first measurement.
 const INITIAL_RTT: u64 = 20 * MS;
-/// The shortest round trip counts for this long; then the queue is let run dry, to see it again.
+/// Lifetime of the shortest round-trip time. Afterwards the queue is drained to measure it again.
 const RTT_WINDOW: u64 = 10_000 * MS;
 const DRY_TIME: u64 = 200 * MS;
 
-/// Doubles the rate each round (2/ln 2).
+/// Doubles the rate each round (2/ln 2), in percent.
 const STARTUP_GAIN: u64 = 289;
-/// What the rate is multiplied with in the phases of steady state, in percent.
+/// Gains of the rate in the phases of steady state, in percent.
 const CYCLE: [u64; 8] = [125, 75, 100, 100, 100, 100, 100, 100];
 const SHORTEST_ATTEMPT: u64 = 2 * MS;
-/// Rounds that a measured rate counts for.
+/// Number of rounds that a measured rate is valid for.
 const RATE_ROUNDS: u64 = 10;
-/// Startup ends when as many rounds brought less than a quarter more.
+/// Number of rounds with less than a quarter of growth that end the startup.
 const FULL_ROUNDS: u32 = 3;
 
-/// No path is faster, in bytes per second: products with it fit 64 bits.
+/// Upper limit of a path's rate in bytes per second; products with it fit 64 bits.
 const MAX_RATE: u128 = 1 << 40;
 
-/// Losses of a round beyond this share are congestion, in percent. Radio links lose up to a tenth
-/// without any.
+/// Share of losses in a round that indicates congestion, in percent. Radio links lose up to a tenth
+/// without congestion.
 const LOSS_LIMIT: u64 = 15;
-/// Of the rate, in percent, after a round with congestion.
+/// Reduction of the rate after a round with congestion, in percent of the rate.
 const BACK_OFF: u64 = 80;
 
-/// What a report tells of a path.
+/// The measurements of a report.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sample {
-    /// Of the frame that the report echoes; `None` if it went more than once.
+    /// Round-trip time of the frame that the report echoes. `None` if the frame was sent more than
+    /// once.
     pub rtt: Option<u64>,
-    /// Bytes that came since the report before.
+    /// Bytes received since the previous report.
     pub delivered: u64,
-    /// Nanoseconds in which they went, or in which they came if that is longer.
+    /// Nanoseconds in which they were sent or received, whichever is longer.
     pub interval: u64,
-    /// The topic had nothing to send in between, so this says little about the path.
+    /// The topic had nothing to send in between, so the sample says little about the path.
     pub paused: bool,
-    /// Bytes that were asked for again.
+    /// Bytes that were requested again.
     pub lost: u64,
-    /// Frames that came with a mark.
+    /// Frames received with a mark.
     pub marks: u64,
-    /// Of the topic's bytes sent: which the report is about, and all.
+    /// Bytes of the topic that the report covers, and all bytes sent.
     pub acknowledged: u64,
     pub sent: u64,
 }
@@ -67,14 +68,14 @@ pub struct Sample {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     Startup,
-    /// What startup has queued goes.
+    /// Drains the queue of the startup.
     Drain,
-    /// By [`CYCLE`], and since when.
+    /// Follows [`CYCLE`]; `since` is the start of the step.
     Steady {
         step: usize,
         since: u64,
     },
-    /// Half the window, to see the shortest round trip, until then.
+    /// Halves the window until `until`, to measure the shortest round-trip time.
     Dry {
         until: u64,
     },
@@ -86,23 +87,24 @@ pub struct Path {
     smoothed_rtt: Option<u64>,
     min_rtt: Option<u64>,
     min_rtt_at: u64,
-    /// Between reports, smoothed.
+    /// Smoothed interval between reports.
     report_interval: u64,
     last_report: Option<u64>,
     rates: MaxRate,
-    /// Rounds are as long as what was under way at their beginning takes to be reported.
+    /// Number of the round. A round lasts until the bytes in flight at its start have been
+    /// reported.
     round: u64,
     round_ends: u64,
     round_delivered: u64,
     round_lost: u64,
     round_marks: u64,
-    /// The shortest of the round.
+    /// The shortest round-trip time of the round.
     round_rtt: u64,
     full_rate: u64,
     full_rounds: u32,
-    /// The rate is held below this after congestion, until the next attempt at more.
+    /// Upper limit of the rate after congestion, until the next probe for bandwidth.
     ceiling: Option<u64>,
-    /// Nothing was heard of what went last.
+    /// No report about the last frames has arrived.
     silent: bool,
 }
 
@@ -129,7 +131,7 @@ impl Path {
         }
     }
 
-    /// Until the next report only a little goes, to see whether the path is there.
+    /// Reduces the window until the next report, to test whether the path still exists.
     pub fn on_silence(&mut self) {
         self.silent = true;
     }
@@ -138,7 +140,8 @@ impl Path {
         self.silent
     }
 
-    /// Returns whether it takes this for congestion. What went before then is to be blamed once.
+    /// Processes a report. Returns whether the report indicates congestion. Losses of frames sent
+    /// before then must count only once.
     pub fn on_report(&mut self, now: u64, sample: &Sample) -> bool {
         if let Some(last) = self.last_report {
             let interval = (now - last).min(100 * MS);
@@ -146,7 +149,7 @@ impl Path {
         }
         self.last_report = Some(now);
         if self.silent {
-            // The path may be another one now.
+            // The path may have changed.
             *self = Self {
                 smoothed_rtt: self.smoothed_rtt,
                 last_report: Some(now),
@@ -177,10 +180,10 @@ impl Path {
         congested
     }
 
-    /// Bytes per second at which frames may go.
+    /// Returns the send rate in bytes per second.
     pub fn rate(&self, now: u64) -> u64 {
         let gain = match self.phase {
-            // An attempt at more makes a queue, so it ends on time, even if the next report is
+            // A probe for bandwidth builds a queue, so it ends on time even if the next report is
             // late.
             Phase::Steady { step: 0, since } if now - since > self.min_rtt.unwrap_or(0).max(SHORTEST_ATTEMPT) => 100,
             Phase::Startup => STARTUP_GAIN,
@@ -192,7 +195,7 @@ impl Path {
         (self.bandwidth() * gain / 100).max(least)
     }
 
-    /// Bytes that may be under way.
+    /// Returns the maximum number of bytes in flight.
     pub fn window(&self) -> u64 {
         if self.rates.get() == 0 || self.silent {
             return INITIAL_WINDOW;
@@ -205,28 +208,28 @@ impl Path {
         }
     }
 
-    /// Bytes that may go at once when nothing is under way, and nothing has gone for a round trip.
+    /// Returns the burst in bytes when nothing is in flight and nothing was sent for a round trip.
     pub fn burst(&self) -> u64 {
         let is_known = self.rates.get() > 0 && !self.silent;
         if is_known { bytes_in(self.bandwidth(), BURST_TIME).min(INITIAL_WINDOW) } else { 0 }
     }
 
-    /// The round trip, smoothed.
+    /// Returns the smoothed round-trip time.
     pub fn rtt(&self) -> u64 {
         self.smoothed_rtt.unwrap_or(INITIAL_RTT)
     }
 
-    /// How long repairing something takes at most, if the path does not grow slower than it was.
+    /// Returns the maximum time of a repair, if the path does not become slower.
     pub fn repair_time(&self) -> u64 {
         (4 * self.min_rtt.unwrap_or(INITIAL_RTT) + 4 * self.report_interval).clamp(200 * MS, 1_000 * MS)
     }
 
-    /// By when a report about what went now is overdue.
+    /// Returns the time until a report about a frame sent now is overdue.
     pub fn timeout_factor(&self) -> u64 {
         (2 * self.rtt() + 3 * self.report_interval).max(100 * MS)
     }
 
-    /// Bytes per second that the path was seen to take.
+    /// Returns the measured capacity of the path in bytes per second.
     fn bandwidth(&self) -> u64 {
         let rate = self.rates.get();
         if self.phase == Phase::Startup {
@@ -235,12 +238,12 @@ impl Path {
         rate.min(self.ceiling.unwrap_or(u64::MAX))
     }
 
-    /// Bytes that are not reported when the path is full and has no queue.
+    /// Returns the unreported bytes of a path that is full and has no queue.
     fn in_flight(&self, rtt: u64) -> u64 {
         bytes_in(self.bandwidth(), rtt + self.report_interval) + 2 * FRAME
     }
 
-    /// The same when a report has just come.
+    /// Returns the same directly after a report.
     fn queueless(&self, rtt: u64) -> u64 {
         bytes_in(self.bandwidth(), rtt + rtt / 8) + 2 * FRAME
     }
@@ -273,7 +276,7 @@ impl Path {
             } else {
                 self.full_rounds += 1;
             }
-            // A queue that stood for all of the round says the same.
+            // A queue during the whole round also indicates a full path.
             let empty = self.min_rtt.unwrap_or(INITIAL_RTT);
             let stands = self.round_rtt < u64::MAX && self.round_rtt > empty + empty / 2 + 2 * MS;
             self.full_rounds += u32::from(stands);
@@ -290,7 +293,7 @@ impl Path {
         let rtt = self.min_rtt.unwrap_or(INITIAL_RTT);
         match self.phase {
             Phase::Drain if under_way <= self.queueless(rtt) => self.begin_steady(now),
-            // The queue that an attempt at more has made goes first.
+            // The queue of a probe for bandwidth is drained first.
             Phase::Steady { step, since }
                 if now - since >= rtt.max(self.report_interval)
                     && (CYCLE[step] >= 100 || under_way <= self.queueless(rtt)) =>
@@ -309,14 +312,14 @@ impl Path {
         }
         let stale = now.saturating_sub(self.min_rtt_at) > RTT_WINDOW;
         if stale && sample.paused {
-            // The queue has run dry by itself.
+            // The queue has drained by itself.
             (self.min_rtt, self.min_rtt_at) = (sample.rtt.or(self.min_rtt), now);
         } else if stale && matches!(self.phase, Phase::Steady { .. }) && self.min_rtt.is_some() {
             self.phase = Phase::Dry { until: now + DRY_TIME.max(rtt + self.report_interval) };
         }
     }
 
-    /// At a step that differs from flow to flow, so that they do not all try for more at once.
+    /// Starts at a step that differs between flows, so that they do not probe at the same time.
     fn begin_steady(&mut self, now: u64) {
         let step = 2 + (now / 1000 % 6) as usize;
         self.phase = Phase::Steady { step, since: now };
@@ -326,7 +329,7 @@ impl Path {
 /// The highest rate of the last rounds.
 #[derive(Clone, Copy, Debug, Default)]
 struct MaxRate {
-    /// Of the rounds `RATE_ROUNDS / 2 * n` on, newest first.
+    /// Maxima of the rounds from `RATE_ROUNDS / 2 * n` on, newest first.
     buckets: [(u64, u64); 3],
 }
 

@@ -1,5 +1,5 @@
-//! What one session of a writer sends, at a reader: which segments are missing, what is asked for
-//! again, what is delivered in which order, what is given up, and what the writer is told of it.
+//! The reader's state of one session of a writer: missing segments, requests, delivery order,
+//! messages given up, and feedback to the writer.
 
 pub use crate::transport::arrival::{Arrival, InboundCounters, InboundOptions, Order, Segment};
 use std::collections::VecDeque;
@@ -10,47 +10,48 @@ use super::slot::{Body, Slot};
 use super::{MS, Position};
 use crate::feedback_wire::{Feedback, MAX_MISSING, MAX_SEQUENCE};
 
-/// Segments that overtake others by less than this are waited for, at least. With more than a few
-/// milliseconds to the writer and back, an eighth of that; so gaps are asked for when they are
-/// between one and two of these times old.
+/// Minimum tolerance for reordered segments. The tolerance is an eighth of the round-trip time, if
+/// that is longer. A gap is requested at an age of one to two tolerances.
 const LEAST_PATIENCE: u64 = 2 * MS;
 
-/// Between reports while something comes: half a round trip, within these.
+/// Minimum interval between reports while segments arrive. The interval is half a round trip, up to
+/// [`SLOWEST_REPORT`].
 const FASTEST_REPORT: u64 = 10 * MS;
 const SLOWEST_REPORT: u64 = 100 * MS;
 
-/// So many bytes are worth a report sooner, on short ways: half a round trip after the last, and
-/// this at least.
+/// Number of bytes that cause an earlier report on short paths: half a round trip after the last
+/// one, but at least [`FASTEST_OF_MANY`].
 const MANY_BYTES: u64 = 64 << 10;
 const FASTEST_OF_MANY: u64 = 2 * MS;
 
-/// What was asked for in vain is asked for again, in the end so seldom.
+/// Maximum interval between repeated requests.
 const SLOWEST_ASKING: u64 = 1_000 * MS;
 
 const LONGEST_RTT: u64 = 1_000 * MS;
 
-/// `M`: a message as it is delivered.
+/// The state of a session. `M` is a message as delivered.
 #[derive(Debug)]
 pub struct Inbound<M> {
     name: Name,
     session: [u8; 16],
     options: InboundOptions,
-    /// The first message that is not dealt with.
+    /// The first sequence that is not settled, that is, neither delivered nor given up.
     next: u64,
-    /// From `next` on, as far as messages are known.
+    /// Slots of the known messages from `next` on.
     slots: VecDeque<Slot<M>>,
-    /// All before this exist: what is signed says so.
+    /// Signed data proves that all messages before this one exist.
     exists: u64,
-    /// The last segment that came, in the order of sending.
+    /// The last received segment, in the order of sending.
     highest: Position,
     /// Bytes charged to the slots.
     bytes: usize,
     rtt: u64,
-    /// From asking to getting: a round trip, and what the writer's budget and queues add.
+    /// Time from a request to its repair: a round trip plus the delay of the writer's budget and
+    /// queues.
     repair_time: u64,
-    /// What is missing up to here when this time has come is asked for.
+    /// At this time, segments missing up to this position are due for a request.
     mark: Option<(u64, Position)>,
-    /// What is missing up to here is asked for.
+    /// Segments missing up to this position are requested.
     due: Position,
     received_at: u64,
     ask_at: u64,
@@ -60,14 +61,15 @@ pub struct Inbound<M> {
     reported_bytes: u64,
     segment_bytes: u64,
     ce: u32,
-    /// The last new segment since the last report, and when it came.
+    /// The last new segment since the last report, and its arrival time.
     echo: Option<(Position, u64)>,
     ready: VecDeque<M>,
     counters: InboundCounters,
 }
 
 impl<M> Inbound<M> {
-    /// `from`: the sequence that the writer said to begin with. `rtt`: how long it took to answer.
+    /// Starts a session. `from` is the first sequence according to the writer, `rtt` the time until
+    /// the writer's answer.
     pub fn new(name: Name, session: [u8; 16], from: u64, rtt: u64, options: InboundOptions) -> Self {
         let from = from.clamp(1, MAX_SEQUENCE);
         Self {
@@ -97,13 +99,13 @@ impl<M> Inbound<M> {
         }
     }
 
-    /// A frame of this session came with a congestion mark.
+    /// Counts a frame of this session with a congestion mark.
     pub fn congested(&mut self) {
         self.ce = self.ce.wrapping_add(1);
     }
 
-    /// A segment came. False if it is of no use: its message is dealt with, it is there already, or
-    /// there is no room for it now. Then no memory is to be spent on it.
+    /// Processes a segment. Returns false if the segment is useless: its message is settled, it was
+    /// already received, or there is no room for it. The caller must then spend no memory on it.
     pub fn segment(&mut self, now: u64, segment: &Segment) -> bool {
         let Segment { position, cut, total, bytes } = *segment;
         if position.sequence > MAX_SEQUENCE || total < 2 || position.index >= total {
@@ -111,7 +113,7 @@ impl<M> Inbound<M> {
         }
         if position.sequence < self.next {
             self.counters.duplicates += 1;
-            // If a report was lost, the writer has to hear that this is here.
+            // If a report was lost, the writer must learn that the segment has arrived.
             self.plan_report(now);
             return false;
         }
@@ -147,8 +149,8 @@ impl<M> Inbound<M> {
         true
     }
 
-    /// A message is complete and verified: it alone moves on what is dealt with, as holders of the
-    /// session's key can make up segments. `bytes`: of its body.
+    /// Processes a complete and verified message of `bytes` bytes of body. Only verified messages
+    /// advance the settled sequence, because any holder of the session's key can forge segments.
     pub fn complete(&mut self, now: u64, sequence: u64, bytes: usize, message: M) {
         if sequence < self.next || sequence > MAX_SEQUENCE {
             return;
@@ -184,7 +186,7 @@ impl<M> Inbound<M> {
         self.plan_report(now);
     }
 
-    /// What came of this message is lost here, without its being dealt with: all of it is needed
+    /// Discards the received segments of a message without settling it. All its segments are needed
     /// again.
     pub fn forget(&mut self, now: u64, sequence: u64) {
         let index = sequence.wrapping_sub(self.next);
@@ -196,8 +198,8 @@ impl<M> Inbound<M> {
         }
     }
 
-    /// The writer says, signed, that the next message will be `next`, and what comes before
-    /// `oldest` cannot be repaired.
+    /// Processes a signed heartbeat of the writer. `next` is the sequence of the next message, and
+    /// messages before `oldest` cannot be repaired.
     pub fn heartbeat(&mut self, now: u64, next: u64, oldest: u64) {
         let next = next.min(MAX_SEQUENCE);
         if self.options.order == Order::Every {
@@ -206,14 +208,14 @@ impl<M> Inbound<M> {
         self.exists = self.exists.max(next);
         if self.options.order == Order::Every && next > self.next {
             self.slot_for(now, next - 1);
-            // All of it has gone, so nothing is on its way any more.
+            // All of these messages were sent, so nothing is in flight any more.
             self.due = self.due.max(Position { sequence: next - 1, index: u32::MAX });
             self.plan_ask(now);
         }
         self.plan_report(now);
     }
 
-    /// What the writer says to this reader alone.
+    /// Processes feedback of the writer to this reader.
     pub fn feedback(&mut self, now: u64, feedback: &Feedback) {
         if let Feedback::Unavailable { session, oldest, .. } = feedback
             && *session == self.session
@@ -223,8 +225,8 @@ impl<M> Inbound<M> {
         }
     }
 
-    /// The next thing that comes of it. To be called until there is none, after anything else was
-    /// called and at [`Self::next_wake`].
+    /// Returns the next output. The caller must poll until `None`, after every other call and at
+    /// [`Self::next_wake`].
     pub fn poll(&mut self, now: u64) -> Option<Arrival<M>> {
         self.expire(now);
         if let Some(message) = self.ready.pop_front() {
@@ -237,7 +239,7 @@ impl<M> Inbound<M> {
             self.mark = (self.highest > position).then(|| (now + self.timeout_factor(), self.highest));
             self.plan_ask(now);
         }
-        // A writer that stopped in the middle of a message, or whose last segments were lost.
+        // The writer stopped in the middle of a message, or its last segments were lost.
         if !self.slots.is_empty() && now >= self.idle_at() && self.due < self.highest_known() {
             self.due = self.highest_known();
             self.plan_ask(now);
@@ -254,17 +256,18 @@ impl<M> Inbound<M> {
         None
     }
 
-    /// When [`Self::poll`] will have something, if nothing else is called before.
+    /// Returns the time when [`Self::poll`] will return an output, if no other call precedes it.
     pub fn next_wake(&self) -> Option<u64> {
         let ready = (!self.ready.is_empty()).then_some(0);
-        // If all is dealt with of which anything came, the next segment is soon enough.
+        // If all messages with received segments are settled, the mark can wait for the next
+        // segment.
         let mark = self.mark.filter(|_| !self.slots.is_empty()).map(|(at, _)| at);
         let idle = (!self.slots.is_empty() && self.due < self.highest_known()).then(|| self.idle_at());
         let timers = [self.ask_at, self.report_at].into_iter().filter(|at| *at < u64::MAX);
         [ready, mark, idle, self.deadline()].into_iter().flatten().chain(timers).min()
     }
 
-    /// For a round trip that was measured in another way.
+    /// Sets a round-trip time that was measured otherwise.
     pub fn set_rtt(&mut self, rtt: u64) {
         self.rtt = rtt.clamp(MS, LONGEST_RTT);
         self.repair_time = self.repair_time.max(self.rtt);
@@ -274,17 +277,17 @@ impl<M> Inbound<M> {
         &self.counters
     }
 
-    /// The first sequence that is not dealt with.
+    /// Returns the first sequence that is not settled.
     pub fn next_sequence(&self) -> u64 {
         self.next
     }
 
-    /// Whether the rest of the newest message is to come.
+    /// Returns whether the newest message is partially received.
     pub fn is_amid(&self) -> bool {
         self.slots.back().is_some_and(|slot| slot.is_open() && slot.total() > 0)
     }
 
-    /// Bytes of what waits, and of what is known of incomplete messages.
+    /// Returns the bytes of waiting messages and of the state of incomplete ones.
     pub fn memory(&self) -> usize {
         self.bytes
     }
@@ -300,8 +303,8 @@ impl<M> Inbound<M> {
         (self.rtt / 8).max(LEAST_PATIENCE)
     }
 
-    /// When nothing is on its way any more, even if the writer waited for a report before it went
-    /// on.
+    /// Returns the time when nothing is in flight any more, even if the writer had to wait for a
+    /// report.
     fn idle_at(&self) -> u64 {
         self.received_at + self.rtt + self.rtt / 2 + self.report_interval()
     }
@@ -310,14 +313,14 @@ impl<M> Inbound<M> {
         (self.rtt / 2).clamp(FASTEST_REPORT, SLOWEST_REPORT)
     }
 
-    /// The end of the newest message of which anything came.
+    /// Returns the end of the newest message with a received segment.
     fn highest_known(&self) -> Position {
         Position { sequence: self.highest.sequence, index: u32::MAX }
     }
 
-    /// When the first message that is not dealt with is given up.
+    /// Returns the time when the first unsettled message is given up.
     fn deadline(&self) -> Option<u64> {
-        // What only unverified segments tell of may not exist.
+        // A message known only from unverified segments may not exist.
         let slot = self.slots.front().filter(|slot| slot.is_open() && self.next < self.exists)?;
         Some(slot.known_at.saturating_add(self.options.deadline))
     }
@@ -330,7 +333,8 @@ impl<M> Inbound<M> {
         }
     }
 
-    /// The slot of a message from `next` on, if it is not beyond what may be outstanding.
+    /// Creates the slots up to a message from `next` on. Returns `None` if the message is beyond
+    /// the limit of outstanding ones.
     fn slot_for(&mut self, now: u64, sequence: u64) -> Option<()> {
         let index = sequence - self.next;
         let most = self.options.messages.max(1) as u64;
@@ -342,14 +346,14 @@ impl<M> Inbound<M> {
         (index < most).then_some(())
     }
 
-    /// Whether what has to be known of a message of so many segments finds room.
+    /// Returns whether the state of a message of `total` segments has room.
     fn make_room(&mut self, sequence: u64, total: u32) -> bool {
         let index = (sequence - self.next) as usize;
         let slot = &self.slots[index];
         slot.total() == total || self.bytes + Slot::<M>::cost(total) <= self.options.bytes
     }
 
-    /// All up to this sequence are dealt with; those that are not here are counted as `given`.
+    /// Settles all messages up to this sequence. Counts missing ones under `why`.
     fn deal_with(&mut self, sequence: u64, why: Skipped) {
         while self.next <= sequence {
             let Some(slot) = self.slots.pop_front() else {
@@ -378,7 +382,7 @@ impl<M> Inbound<M> {
         }
     }
 
-    /// Those that are complete and have none missing before them.
+    /// Delivers the complete messages without a gap before them.
     fn deliver(&mut self) {
         let complete = self.slots.iter().take_while(|slot| !slot.is_open()).count() as u64;
         if complete > 0 {
@@ -394,7 +398,7 @@ impl<M> Inbound<M> {
         self.deliver();
     }
 
-    /// What is asked for now, in one message of bounded size.
+    /// Returns the requests that are due, in one message of bounded size.
     fn ask(&mut self, now: u64) -> Option<Feedback> {
         self.slot_up_to_existing(now);
         let mut missing = Vec::new();
@@ -417,14 +421,14 @@ impl<M> Inbound<M> {
         (!missing.is_empty()).then_some(Feedback::Nack { name, session, missing })
     }
 
-    /// Messages of which nothing has come exist too.
+    /// Creates slots for messages that exist but have no received segment.
     fn slot_up_to_existing(&mut self, now: u64) {
         if self.options.order == Order::Every && self.exists > self.next {
             self.slot_for(now, self.exists - 1);
         }
     }
 
-    /// When something is to be asked for, not before `from`.
+    /// Schedules the next request, not before `from`.
     fn plan_ask(&mut self, from: u64) {
         let (wait, due) = (self.repair_time + self.repair_time / 4, self.due);
         let fresh = |slot: &Slot<M>| slot.is_open() && slot.known_at.saturating_add(self.options.deadline) > from;
@@ -470,7 +474,7 @@ impl<M> Inbound<M> {
     }
 }
 
-/// Why a message is dealt with that is not here.
+/// The reason that a message is settled without delivery.
 #[derive(Clone, Copy)]
 enum Skipped {
     Overtaken,

@@ -1,6 +1,6 @@
-//! A token bucket, kept as the time until which what went is paid for.
+//! A token bucket, stored as the time when the sent bytes are paid for.
 
-/// So many bytes a second, with a burst.
+/// A token bucket with a rate in bytes per second and a burst.
 #[derive(Clone, Copy, Debug)]
 pub struct Meter {
     paid_until: u64,
@@ -11,27 +11,28 @@ impl Meter {
         Self { paid_until: now }
     }
 
-    /// When bytes may go again, if they may go up to `burst` nanoseconds before they are paid for.
+    /// Returns the time of the next send, at most `burst` nanoseconds before earlier bytes are paid
+    /// for.
     pub fn ready_at(&self, burst: u64) -> u64 {
         self.paid_until.saturating_sub(burst)
     }
 
-    /// `bytes` go now, at `rate` bytes a second. What was not used before is lost.
+    /// Charges `bytes` sent now, at `rate` bytes a second. Unused earlier credit expires.
     pub fn take(&mut self, now: u64, bytes: u64, rate: u64) {
         self.paid_until = self.paid_until.max(now).saturating_add(nanoseconds(bytes, rate));
     }
 }
 
-/// How many bytes a second something was, over the last second or so.
+/// A measurement of bytes per second over about the last second.
 #[derive(Clone, Copy, Debug)]
 pub struct Speed {
     since: u64,
     bytes: u64,
-    /// In the step before.
+    /// Bytes in the previous step.
     before: u64,
 }
 
-/// Of [`Speed`].
+/// Length of a step of [`Speed`], in nanoseconds.
 const STEP: u64 = 500_000_000;
 
 impl Speed {
@@ -44,7 +45,7 @@ impl Speed {
         self.bytes += bytes;
     }
 
-    /// Bytes per second.
+    /// Returns the bytes per second.
     pub fn get(&mut self, now: u64) -> u64 {
         self.advance(now);
         let over = STEP + (now - self.since);
@@ -60,7 +61,7 @@ impl Speed {
     }
 }
 
-/// How long `bytes` take at `rate` bytes a second.
+/// Returns the time for `bytes` at `rate` bytes a second.
 pub fn nanoseconds(bytes: u64, rate: u64) -> u64 {
     (u128::from(bytes) * 1_000_000_000 / u128::from(rate.max(1))).min(u128::from(u64::MAX)) as u64
 }

@@ -1,8 +1,8 @@
 //! Schedules and repairs sealed messages (`docs/architecture.md`, "A message").
 //!
-//! It decides the order and rate of sending, what is sent again and what is given up. State
-//! machines only: no sockets, no clocks, no keys. Time is nanoseconds of any clock that never goes
-//! back.
+//! The transport decides the order and rate of frames, retransmissions, and when to give up a
+//! message. It consists of state machines without sockets, clocks or keys. Time is in nanoseconds
+//! of any monotonic clock.
 //!
 //! ```text
 //!  Publisher ── seal ── push(Sealed) ─►┌ Uplink ──────────────────────────────┐
@@ -22,15 +22,15 @@
 //!                                                  └───────────────────────────────────────┘
 //! ```
 //!
-//! - [`Uplink`]: one for each link to a switch, behind one lock: publishers push, one task polls,
-//!   the receiving thread brings feedback.
-//! - [`Inbound`]: one for each session of a writer, owned by the receiving thread. It is told of a
-//!   segment once that was opened under the session's key, and of a message once its signature was
-//!   verified.
+//! - [`Uplink`]: one for each link to a switch, behind one lock. Publishers push, one task polls,
+//!   and the receiving thread passes feedback.
+//! - [`Inbound`]: one for each session of a writer, owned by the receiving thread. The thread
+//!   reports a segment after opening it under the session's key, and a message after verifying its
+//!   signature.
 //!
-//! Readers are never trusted with more than their own share: the speed of a topic follows the best
-//! of its readers that report; what one of them asks for again has a budget; and none can make the
-//! writer hold more than its history.
+//! No reader can use more than its share. The speed of a topic follows the fastest reader that
+//! reports. The retransmissions for each reader have a budget. No reader can make the writer retain
+//! more than its history.
 
 mod arrival;
 mod black_hole;
@@ -55,7 +55,7 @@ pub use uplink::{Full, Output, TopicId, Transmit, Uplink, UplinkOptions};
 /// Nanoseconds in a millisecond.
 const MS: u64 = 1_000_000;
 
-/// Bytes of the header in front of a frame's payload, as they count toward rates and budgets.
+/// Bytes of the header before a frame's payload, which count towards rates and budgets.
 const FRAME_HEADER: u64 = size_of::<gdp_wire::Header>() as u64;
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! The messages of one topic at the writer: those that wait, the one that goes, and those that went
-//! and may be asked for again.
+//! The messages of one topic at the writer: waiting, in progress, and sent ones that may be
+//! requested again.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -9,58 +9,56 @@ use serde::Serialize;
 use super::{Position, Sealed};
 use crate::feedback_wire::Missing;
 
-/// What a topic promises.
+/// The delivery guarantee of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reliability {
-    /// Of messages that wait, the newest; and of a message, nothing more once it is `lifetime`
-    /// nanoseconds old.
+    /// Of waiting messages, sends the newest. Sends no frame of a message that is more than
+    /// `lifetime` nanoseconds old.
     BestEffort { lifetime: u64 },
-    /// Every message, as long as the history has it.
+    /// Delivers every message, as long as the history has it.
     Reliable { overflow: Overflow },
 }
 
-/// What a reliable topic does when its history is full of messages that a reader still lacks.
+/// The reaction of a reliable topic to a history full of messages that a reader still lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overflow {
-    /// The publisher waits. A reader that falls behind is waited for once, for a while, and no
-    /// longer.
+    /// The publisher waits. For a reader that falls behind, it waits once and for a limited time.
     Block,
-    /// The oldest message goes, and is counted.
+    /// The oldest message is dropped and counted.
     DropOldest,
 }
 
-/// How much a topic keeps. A message that is larger than all of it is taken if nothing else is
-/// there.
+/// The capacity of a topic. A message larger than the capacity is accepted if the history is empty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct History {
-    /// Best effort: of messages that have not begun to go; those under one signature count as one.
-    /// Reliable: of all.
+    /// Best effort: messages that are not yet in progress, where those under one signature count as
+    /// one. Reliable: all messages.
     pub messages: usize,
     pub bytes: usize,
 }
 
-/// What became of a topic's messages and frames.
+/// The outcomes of a topic's messages and frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct TopicCounters {
     pub messages: u64,
-    /// Messages that newer ones replaced before all their frames had gone.
+    /// Messages that newer ones replaced before all their frames were sent.
     pub replaced: u64,
-    /// Messages whose lifetime ended before all their frames had gone.
+    /// Messages whose lifetime ended before all their frames were sent.
     pub expired: u64,
-    /// Messages of a reliable topic that went from the history before every live reader had them.
+    /// Messages that left the history of a reliable topic before every live reader had them.
     pub evicted: u64,
-    /// Frame payloads sent, those sent again included; several that share a frame count one each.
+    /// Frame payloads sent, including repairs. Payloads that share a frame count separately.
     pub frames: u64,
     pub repeated: u64,
-    /// Asked for by a reader beyond its budget.
+    /// Frames that a reader requested beyond its budget.
     pub over_budget: u64,
-    /// Frames that readers say came with a congestion mark.
+    /// Frames that readers received with a congestion mark.
     pub marked: u64,
-    /// Times that a path was taken to be congested, and less was sent.
+    /// Number of times that a path became congested and its rate was reduced.
     pub slowed: u64,
 }
 
-/// A frame payload that goes.
+/// A frame payload to send.
 #[derive(Clone, Debug)]
 pub struct Chosen {
     pub message: Arc<Sealed>,
@@ -68,19 +66,19 @@ pub struct Chosen {
     pub repair: bool,
 }
 
-/// Ranges that are remembered of what never went; readers that lack older ones give them up with
-/// what can be repaired no more.
+/// Maximum number of remembered ranges that were never sent. Readers that lack older ones give them
+/// up together with messages that can no longer be repaired.
 const MOST_SKIPPED: usize = 256;
 
-/// Frames that wait to go again, of all readers together.
+/// Maximum number of waiting repairs, of all readers together.
 const MOST_REPAIRS: usize = 1 << 14;
 
-/// When a frame went again.
+/// The last retransmission of a frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Repeated {
     /// 0: never.
     pub at: u64,
-    /// Bytes of the topic that had gone by then.
+    /// Bytes of the topic sent up to then.
     pub total: u64,
     queued: bool,
 }
@@ -89,11 +87,11 @@ pub struct Repeated {
 struct QueuedMessage {
     message: Arc<Sealed>,
     pushed: u64,
-    /// Frames that went, or will not any more.
+    /// Frames that were sent or skipped.
     sent: usize,
-    /// By frame, once one is asked for again.
+    /// Retransmissions by frame, from the first request on.
     repeated: Vec<Repeated>,
-    /// Its frames are too large; smaller ones are being made.
+    /// Whether its frames are too large and are being resealed.
     resealing: bool,
 }
 
@@ -111,20 +109,20 @@ impl QueuedMessage {
 pub struct Outbox {
     reliability: Reliability,
     history: History,
-    /// In the order of sequences.
+    /// Entries in the order of sequences.
     entries: VecDeque<QueuedMessage>,
     bytes: usize,
-    /// Messages in the entries.
+    /// Number of messages in the entries.
     messages: u64,
     last: u64,
-    /// Entries before this one have all been sent.
+    /// All entries before this index have been sent.
     cursor: usize,
-    /// First sequence of the entry, and frame.
+    /// Repairs: the first sequence of the entry, and the frame.
     repairs: VecDeque<(u64, u32)>,
-    /// Whose turn it is if both have something.
+    /// Whether a repair is next, if both a repair and a new frame wait.
     repair_next: bool,
     to_reseal: VecDeque<Arc<Sealed>>,
-    /// Ranges of sequences that never went, the latest ones.
+    /// The latest ranges of sequences that were never sent.
     skipped: VecDeque<(u64, u64)>,
     counters: TopicCounters,
 }
@@ -160,12 +158,12 @@ impl Outbox {
         matches!(self.reliability, Reliability::Reliable { .. })
     }
 
-    /// The last sequence ever pushed; 0 before there is one.
+    /// Returns the last pushed sequence; 0 before the first.
     pub fn last(&self) -> u64 {
         self.last
     }
 
-    /// All messages up to this sequence have gone, as far as they will.
+    /// Returns the last sequence up to which all messages were sent or skipped.
     pub fn sent_through(&self) -> u64 {
         self.entries
             .iter()
@@ -174,23 +172,24 @@ impl Outbox {
             .map_or(self.last, |entry| entry.message.first() - 1)
     }
 
-    /// Messages that wait to go, or have not gone whole.
+    /// Returns the number of messages that were not sent completely.
     pub fn unsent(&self) -> u64 {
         self.entries.iter().skip(self.cursor).filter(|entry| !entry.is_sent()).map(QueuedMessage::messages).sum()
     }
 
-    /// The first sequence that can still be repaired.
+    /// Returns the first sequence that can still be repaired.
     pub fn oldest(&self) -> u64 {
         self.entries.front().map_or(self.last + 1, |entry| entry.message.first())
     }
 
-    /// If nothing of this sequence ever goes: the first one after it of which that is not so.
+    /// If this sequence will never be sent, returns the first later sequence outside the skipped
+    /// range.
     pub fn skips(&self, sequence: u64) -> Option<u64> {
         let (_, last) = self.skipped.iter().find(|(first, last)| (first..=last).contains(&&sequence))?;
         Some(last + 1)
     }
 
-    /// Nothing has gone of this entry, and nothing will.
+    /// Records that this entry was never sent and never will be.
     fn skip(&mut self, index: usize) {
         let message = &self.entries[index].message;
         match self.skipped.back_mut() {
@@ -202,25 +201,26 @@ impl Outbox {
         }
     }
 
-    /// Whether so many messages, of so many bytes, find room, or the oldest may go for them.
+    /// Returns whether `messages` messages of `bytes` bytes have room, possibly after removing the
+    /// oldest entry.
     pub fn has_room(&self, messages: u64, bytes: usize, acknowledged: u64) -> bool {
         let oldest_may_go = |entry: &QueuedMessage| entry.is_sent() && entry.message.last() <= acknowledged;
         let full = self.messages + messages > self.history.messages as u64 || self.bytes + bytes > self.history.bytes;
         !full || self.entries.is_empty() || self.entries.front().is_some_and(oldest_may_go)
     }
 
-    /// Whether messages wait that have not begun to go.
+    /// Returns whether messages wait that are not yet in progress.
     pub fn has_waiting(&self) -> bool {
         self.begun() < self.entries.len()
     }
 
-    /// The last sequence of the oldest message, if that has gone.
+    /// Returns the last sequence of the oldest entry, if it was sent.
     pub fn oldest_sent(&self) -> Option<u64> {
         self.entries.front().filter(|oldest| oldest.is_sent()).map(|oldest| oldest.message.last())
     }
 
-    /// `acknowledged`: what every reader that is waited for has; `by_all`: what every live one has.
-    /// Gives the message back if the caller has to wait.
+    /// Adds a message. `acknowledged` is the last sequence of all awaited readers, `by_all` that of
+    /// all live readers. Returns the message if the caller must wait.
     pub fn push(&mut self, now: u64, message: Sealed, acknowledged: u64, by_all: u64) -> Result<(), Sealed> {
         debug_assert!(message.first() > self.last);
         let count = message.last() - message.first() + 1;
@@ -233,7 +233,7 @@ impl Outbox {
                     self.drop_entry(self.begun());
                 }
                 while !fits(self) {
-                    // What has gone goes first; what goes at the moment, last.
+                    // Drops sent entries first, then waiting ones, and the one in progress last.
                     let begun = self.begun();
                     let next = if self.cursor == 0 && begun < self.entries.len() { begun } else { 0 };
                     self.drop_entry(next);
@@ -246,8 +246,8 @@ impl Outbox {
                     if !may_go && overflow == Overflow::Block {
                         return Err(message);
                     }
-                    // What goes at the moment is of use only whole: what waits behind it gives way
-                    // first.
+                    // An entry in progress is useful only as a whole, so waiting entries are
+                    // dropped first.
                     let goes = oldest.sent > 0 && !oldest.is_sent();
                     let index = usize::from(goes && self.entries.len() > 1);
                     let gives_way = &self.entries[index];
@@ -270,14 +270,14 @@ impl Outbox {
         Ok(())
     }
 
-    /// Nobody is there to send to: what waits counts as sent.
+    /// Marks all waiting messages as sent, because there are no readers.
     pub fn skip_all(&mut self) {
         self.entries.iter_mut().for_each(|entry| entry.sent = entry.message.frames());
         self.repairs.clear();
         self.cursor = self.entries.len();
     }
 
-    /// What goes next, in frames of at most `max_payload` bytes.
+    /// Returns the next frame payload, in frames of at most `max_payload` bytes.
     pub fn choose(&mut self, now: u64, max_payload: usize) -> Option<Chosen> {
         if let Reliability::BestEffort { lifetime } = self.reliability {
             self.expire(now, lifetime);
@@ -291,7 +291,8 @@ impl Outbox {
         fresh
     }
 
-    /// What was chosen goes. `total`: bytes of the topic that have gone, these included.
+    /// Records the transmission of the chosen payload. `total` is the number of bytes of the topic
+    /// sent, including this payload.
     pub fn take(&mut self, now: u64, chosen: &Chosen, total: u64) {
         self.counters.frames += 1;
         let Some(index) = self.find(chosen.message.first()) else { return };
@@ -309,13 +310,13 @@ impl Outbox {
         self.repair_next = !chosen.repair;
     }
 
-    /// A message that must be sealed for smaller frames, once.
+    /// Returns the next message that must be sealed for smaller frames. Returns each message once.
     pub fn next_to_reseal(&mut self) -> Option<Arc<Sealed>> {
         self.to_reseal.pop_front()
     }
 
-    /// The same messages in smaller frames; they are sent from their beginning. Nothing happens if
-    /// they are gone by now.
+    /// Replaces messages by the same ones in smaller frames, which are sent from the start. Does
+    /// nothing if the messages have left the history.
     pub fn resealed(&mut self, message: Sealed) {
         let Some(index) = self.find(message.first()) else { return };
         let entry = &mut self.entries[index];
@@ -335,7 +336,7 @@ impl Outbox {
         self.cursor = self.cursor.min(index);
     }
 
-    /// Messages that cannot be sealed again are lost.
+    /// Drops messages that cannot be sealed again.
     pub fn abandon(&mut self, first: u64) {
         if let Some(index) = self.find(first) {
             self.counters.evicted += self.entries[index].messages();
@@ -343,9 +344,9 @@ impl Outbox {
         }
     }
 
-    /// Queues what a reader lacks. `too_early`: what went again later than this is on its way to
-    /// the reader already. `pay` is asked with the bytes of each frame whether the reader may have
-    /// it. Returns the bytes queued for this reader.
+    /// Queues the segments that a reader lacks. Repairs sent after `too_early` are still in flight
+    /// to the reader. `pay` returns whether a frame of its length is within the reader's budget.
+    /// Returns the bytes queued for this reader.
     pub fn ask(&mut self, range: &Missing, too_early: u64, mut pay: impl FnMut(u64) -> bool) -> u64 {
         let Some(index) = self.find(range.sequence) else { return 0 };
         let entry = &mut self.entries[index];
@@ -358,7 +359,7 @@ impl Outbox {
             entry.repeated.resize(message.frames(), Repeated::default());
         }
         let mut queued = 0;
-        // What has not gone yet is on its way anyway.
+        // Frames that are not yet sent will be sent anyway.
         for frame in frames.start..frames.end.min(entry.sent) {
             let repeated = &mut entry.repeated[frame];
             if repeated.queued || (repeated.at > 0 && repeated.at > too_early) {
@@ -376,20 +377,20 @@ impl Outbox {
         queued
     }
 
-    /// Bytes of the frame payload with this segment, if it is here and went.
+    /// Returns the length of the frame payload with this segment, if it is available and was sent.
     pub fn len_of(&self, position: Position) -> Option<usize> {
         let entry = &self.entries[self.find(position.sequence)?];
         let frame = entry.message.frame_of(position);
         (frame < entry.sent).then(|| entry.message.len(frame))
     }
 
-    /// When the frame with this segment went again, if ever.
+    /// Returns the last retransmission of the frame with this segment.
     pub fn repeated(&self, position: Position) -> Option<Repeated> {
         let entry = &self.entries[self.find(position.sequence)?];
         entry.repeated.get(entry.message.frame_of(position)).copied().filter(|repeated| repeated.at > 0)
     }
 
-    /// The first entry that has not begun to go.
+    /// Returns the index of the first entry that is not yet in progress.
     fn begun(&self) -> usize {
         let going = self.entries.get(self.cursor).is_some_and(|entry| entry.sent > 0);
         self.cursor + usize::from(going)
@@ -427,7 +428,7 @@ impl Outbox {
         None
     }
 
-    /// The entry with this sequence.
+    /// Returns the index of the entry with this sequence.
     fn find(&self, sequence: u64) -> Option<usize> {
         let index = self.entries.partition_point(|entry| entry.message.last() < sequence);
         self.entries.get(index).filter(|entry| entry.message.first() <= sequence).map(|_| index)

@@ -1,5 +1,4 @@
-//! The readers of a topic as its writer knows them: what each has, and how fast the path to it may
-//! be used.
+//! The writer's state of a topic's readers: the messages that each has, and the speed of its path.
 
 use std::collections::BTreeMap;
 
@@ -12,29 +11,29 @@ use super::outbox::Outbox;
 use super::sent_log::{Sent, SentLog};
 use super::{MS, Position};
 
-/// Readers of one topic that are kept account of; the others get what the rest gets, without
+/// Maximum number of tracked readers of a topic. Further readers get the same frames without
 /// repair.
 pub const MOST_PEERS: usize = 1024;
 
-/// How often it is looked for readers that fell silent, and after how many such looks one is left
-/// out.
+/// Interval of the checks for silent readers. A reader is ignored after [`SILENT`] checks without a
+/// report.
 pub const SILENCE_STEP: u64 = 500 * MS;
 const SILENT: u32 = 6;
 
-/// A reader that fell behind a full history is not waited for this long; twice as long the next
+/// Time for which publishers do not wait for a reader that fell behind a full history. Doubles each
 /// time.
 const LAG: u64 = 4_000 * MS;
 
-/// A reader may have its repairs at a quarter of the speed at which the topic sends what is new,
-/// one that lags at a sixteenth, but at this many bytes a second at least, and so many nanoseconds'
-/// worth of them at once.
+/// Minimum repair rate of a reader, in bytes per second. The regular rate is a quarter of the
+/// topic's rate of first transmissions, or a sixteenth for a lagging reader. [`REPAIR_BURST`] is
+/// the burst in nanoseconds.
 const LEAST_REPAIR_RATE: u64 = 256 << 10;
 const REPAIR_BURST: u64 = 500 * MS;
 
-/// What is looked at for a range of a Nack costs, too.
+/// Cost in bytes of each frame that a Nack requests, in addition to its repair.
 const LOOK: u64 = 16;
 
-/// A report, as far as it concerns the sender.
+/// The parts of a report that concern the sender.
 #[derive(Clone, Copy, Debug)]
 pub struct Report {
     pub acknowledged: u64,
@@ -47,34 +46,35 @@ pub struct Report {
 #[derive(Debug)]
 pub struct ReaderState {
     path: Path,
-    /// Every message up to this sequence.
+    /// All messages up to this sequence are acknowledged.
     acknowledged: u64,
-    /// It fell behind the history, so nobody waits for it until it has caught up.
+    /// The reader fell behind the history. Publishers do not wait for it until it has caught up.
     lagging: bool,
     lagging_until: u64,
     lags: u32,
-    /// Since when a publisher waits for it, on and off.
+    /// Start of the time that a publisher has waited for the reader, with interruptions.
     waited_since: Option<u64>,
-    /// Looks since it last reported.
+    /// Number of checks since the last report.
     silent: u32,
-    /// The latest that it told of what had gone.
+    /// The latest sent frame that the reader has reported.
     echo: Option<Sent>,
     reported_at: u64,
     received_bytes: u64,
     ce: u32,
-    /// Bytes of the topic that are not under way to it any more.
+    /// Bytes of the topic that are no longer in flight to the reader.
     arrived: u64,
-    /// When `arrived` last moved.
+    /// Time of the last increase of `arrived`.
     progress_at: u64,
     repairs: Meter,
     pub suspicion: Suspicion,
-    /// What was lost before this is dealt with, or says nothing of the path as it is.
+    /// Start of the time that losses count for. Earlier losses are handled, or say nothing about
+    /// the present path.
     reported_since: u64,
     lost: u64,
 }
 
 impl ReaderState {
-    /// From a time on, when so many bytes had gone.
+    /// Returns the state of a reader that joins at `now`, after `sent` bytes of the topic.
     pub fn new(now: u64, acknowledged: u64, sent: u64) -> Self {
         Self {
             path: Path::new(),
@@ -113,30 +113,31 @@ impl ReaderState {
         self.acknowledged
     }
 
-    /// Whether room in the history is made only when it has what goes.
+    /// Returns whether the history retains messages until this reader has them.
     pub fn is_waited_for(&self) -> bool {
         self.is_live() && !self.lagging
     }
 
-    /// Bytes under way to it, of so many that have gone.
+    /// Returns the bytes in flight to the reader, of `sent` bytes in total.
     pub fn under_way(&self, sent: u64) -> u64 {
         sent - self.arrived
     }
 
-    /// When what is under way counts as lost, the last of which went at `last`.
+    /// Returns the time when bytes in flight count as lost. `last` is the time of the last
+    /// transmission.
     pub fn overdue_at(&self, last: u64) -> u64 {
         self.progress_at.max(last).saturating_add(self.path.timeout_factor())
     }
 
-    /// Nothing was heard of what is under way: it is lost, and the path may be gone.
+    /// Counts all bytes in flight as lost, because no report arrived. The path may be gone.
     pub fn forget_under_way(&mut self, now: u64, sent: u64) {
         self.arrived = sent;
         self.progress_at = now;
         self.path.on_silence();
     }
 
-    /// Returns how many frames came with a mark since the report before, and whether the path is
-    /// now taken to be congested.
+    /// Processes a report. Returns the number of frames with a mark since the previous report, and
+    /// whether the path now counts as congested.
     pub fn on_report(&mut self, now: u64, report: &Report, log: &SentLog, outbox: &Outbox, sent: u64) -> (u64, bool) {
         if self.path.is_silent() {
             self.reported_since = now;
@@ -155,7 +156,7 @@ impl ReaderState {
         if arrived > self.arrived {
             (self.arrived, self.progress_at) = (arrived.min(sent), now);
         }
-        // What the reader says it got beyond what went is not believed.
+        // A reader's claim to have received more than was sent is ignored.
         let most = sent.saturating_sub(self.echo.map_or(0, |echo| echo.total).min(before));
         let delivered = report.received_bytes.saturating_sub(self.received_bytes).min(most);
         let sent_in = self.echo.map_or(0, |before| echo.at.saturating_sub(before.at));
@@ -182,8 +183,8 @@ impl ReaderState {
         (sample.marks, congested)
     }
 
-    /// Whether so many bytes of repairs are within its budget; `rate`: of what the topic sends for
-    /// the first time.
+    /// Returns whether a repair of `bytes` bytes is within the reader's budget. `rate` is the
+    /// topic's rate of first transmissions.
     pub fn pay(&mut self, now: u64, bytes: u64, rate: u64) -> bool {
         let allowed = self.repairs.ready_at(REPAIR_BURST) <= now;
         let cost = if allowed { bytes + LOOK } else { LOOK };
@@ -192,7 +193,7 @@ impl ReaderState {
         allowed
     }
 
-    /// It asked for so many bytes that had gone at this time.
+    /// Records that the reader requested `bytes` bytes, which were sent at `sent_at`.
     pub fn on_lost(&mut self, bytes: u64, sent_at: u64) {
         if sent_at >= self.reported_since {
             self.lost += bytes;
@@ -217,7 +218,7 @@ impl Peers {
         self.0.get_mut(reader)
     }
 
-    /// False if there are too many.
+    /// Adds a reader. Returns false if there are too many.
     pub fn join(&mut self, reader: Name, peer: ReaderState) -> bool {
         if self.0.len() >= MOST_PEERS && !self.0.contains_key(&reader) {
             return false;
@@ -230,7 +231,7 @@ impl Peers {
         self.0.remove(reader);
     }
 
-    /// Of the live ones with room under way, the one with the fastest path.
+    /// Returns the live reader with room in flight that has the fastest path.
     pub fn leader(&self, now: u64, sent: u64) -> Option<Name> {
         let open = self.0.iter().filter(|(_, peer)| peer.is_live() && peer.has_room(sent));
         open.max_by_key(|(_, peer)| peer.path.rate(now)).map(|(name, _)| *name)
@@ -244,35 +245,35 @@ impl Peers {
         self.0.values_mut().filter(|peer| peer.is_live())
     }
 
-    /// The last sequence that all who are waited for have; of readers that all lag, the first of
-    /// them is waited for.
+    /// Returns the last sequence that all awaited readers have. If all readers lag, the most
+    /// advanced of them counts.
     pub fn acknowledged(&self) -> u64 {
         let waited_for = self.0.values().filter(|peer| peer.is_waited_for()).map(ReaderState::acknowledged).min();
         waited_for.unwrap_or_else(|| self.first_acknowledged())
     }
 
-    /// The last sequence that any live reader has.
+    /// Returns the last sequence that any live reader has.
     pub fn first_acknowledged(&self) -> u64 {
         self.0.values().filter(|peer| peer.is_live()).map(ReaderState::acknowledged).max().unwrap_or(u64::MAX)
     }
 
-    /// The live ones that lack a message up to this sequence, and how many they lack.
+    /// Returns the live readers that lack messages up to this sequence, and how many.
     pub fn lacking(&self, sequence: u64) -> impl Iterator<Item = (Name, u64)> {
         let live = self.0.iter().filter(|(_, peer)| peer.is_live());
         let lacks = move |(name, peer): (&Name, &ReaderState)| (*name, sequence.saturating_sub(peer.acknowledged));
         live.map(lacks).filter(|(_, count)| *count > 0)
     }
 
-    /// Whether any reader, live or not, lacks a message up to this sequence.
+    /// Returns whether any reader, live or not, lacks a message up to this sequence.
     pub fn lacks(&self, sequence: u64) -> bool {
         self.0.values().any(|peer| peer.acknowledged < sequence)
     }
 
-    /// A publisher waits because some of those that are waited for lack this sequence. Those for
-    /// which one has waited too long are not waited for any more, for longer each time. Returns
-    /// when that will be so of the next.
+    /// Waits for the readers that lack this sequence, on behalf of a publisher. A reader that has
+    /// been awaited too long becomes lagging, for longer each time. Returns the time when the next
+    /// reader becomes lagging.
     pub fn wait(&mut self, now: u64, sequence: u64) -> u64 {
-        // If nobody has it, it is no single reader that is slow.
+        // If no reader has the sequence, the cause is not a single slow reader.
         if self.first_acknowledged() < sequence {
             return u64::MAX;
         }
@@ -291,12 +292,12 @@ impl Peers {
         next
     }
 
-    /// The last sequence that all live readers have.
+    /// Returns the last sequence that all live readers have.
     pub fn acknowledged_by_all(&self) -> u64 {
         self.0.values().filter(|peer| peer.is_live()).map(ReaderState::acknowledged).min().unwrap_or(u64::MAX)
     }
 
-    /// One look for those that fell silent, while something went.
+    /// Performs one check for silent readers, while frames are being sent.
     pub fn look(&mut self) {
         self.0.values_mut().for_each(|peer| peer.silent = peer.silent.saturating_add(1));
     }

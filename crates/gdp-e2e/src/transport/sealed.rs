@@ -1,17 +1,16 @@
-//! A sealed message as the transport sees it: frame payloads, and which segments each of them
-//! carries.
+//! A sealed message as seen by the transport: frame payloads, and the segments in each.
 
 use crate::seal::Segments;
 
-/// The place of a segment in its session. A message's proof is behind its last body segment, so
-/// places are in the order of sending.
+/// The position of a segment in its session. A message's proof follows its last body segment, so
+/// the order of positions is the order of sending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Position {
     pub sequence: u64,
     pub index: u32,
 }
 
-/// A message, or several under one signature, cut into frame payloads.
+/// A message, or several under one signature, divided into frame payloads.
 #[derive(Debug)]
 pub struct Sealed {
     bytes: Vec<u8>,
@@ -24,14 +23,15 @@ pub struct Sealed {
 /// A frame payload.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame {
-    /// Its first segment; it carries those up to the next frame's first.
+    /// Position of the first segment. The frame carries all segments up to the first one of the
+    /// next frame.
     pub first: Position,
-    /// Where it ends in the buffer.
+    /// End offset in the buffer.
     pub end: usize,
 }
 
 impl Sealed {
-    /// What [`crate::seal::Writer`] made of messages. `None` if that is nothing.
+    /// Takes the segments from [`crate::seal::Writer`]. Returns `None` if there are none.
     pub fn new(segments: Segments) -> Option<Self> {
         let mut frames = Vec::with_capacity(segments.len());
         let (mut start, mut at, mut last, mut cut) = (0, 0, 0, 0);
@@ -48,7 +48,7 @@ impl Sealed {
         (at > 0).then(|| Self::from_frames(segments.into_bytes(), frames, last, cut))
     }
 
-    /// For simulations, in which a payload is its length.
+    /// For simulations, where a payload consists of its length only.
     #[cfg(test)]
     pub(super) fn without_bytes(frames: Vec<Frame>, last: u64, cut: u16) -> Self {
         Self::from_frames(Vec::new(), frames, last, cut)
@@ -61,37 +61,37 @@ impl Sealed {
         Self { bytes, frames, last, cut, largest }
     }
 
-    /// The sequence of the first message in it.
+    /// Returns the sequence of the first message.
     pub fn first(&self) -> u64 {
         self.frames[0].first.sequence
     }
 
-    /// The sequence of the last message in it.
+    /// Returns the sequence of the last message.
     pub fn last(&self) -> u64 {
         self.last
     }
 
-    /// How often these messages were cut before.
+    /// Returns how often these messages were cut before.
     pub fn cut(&self) -> u16 {
         self.cut
     }
 
-    /// All payloads, one after another.
+    /// Returns all payloads, concatenated.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// Number of frames: at least 1.
+    /// Returns the number of frames, at least 1.
     pub fn frames(&self) -> usize {
         self.frames.len()
     }
 
-    /// Bytes of all payloads.
+    /// Returns the total length of all payloads.
     pub fn total_bytes(&self) -> usize {
         self.frames.last().map_or(0, |frame| frame.end)
     }
 
-    /// The bytes of a frame's payload.
+    /// Returns the payload of a frame.
     ///
     /// # Panics
     ///
@@ -100,7 +100,7 @@ impl Sealed {
         &self.bytes[self.start(frame)..self.frames[frame].end]
     }
 
-    /// Bytes of the largest payload.
+    /// Returns the length of the largest payload.
     pub(super) fn largest(&self) -> usize {
         self.largest
     }
@@ -113,7 +113,8 @@ impl Sealed {
         self.frames[frame].first
     }
 
-    /// The frame that carries the segment at this position, if it is one of these messages.
+    /// Returns the frame that carries the segment at this position, if it is in one of these
+    /// messages.
     pub(super) fn frame_of(&self, position: Position) -> usize {
         self.frames.partition_point(|frame| frame.first <= position).saturating_sub(1)
     }

@@ -1,34 +1,35 @@
-//! A message that a reader knows of: which of its segments are there, which were asked for.
+//! The reader's state of a message: received and requested segments.
 
 use crate::feedback_wire::Missing;
 
-/// What is kept per message besides its bits, in bytes.
+/// Bytes of state per message, without its bits.
 const FIXED: usize = size_of::<Slot<()>>();
 
-/// What was asked for as often in vain is asked for half as often from then on.
+/// Number of requests at the normal interval. The interval doubles with every further unanswered
+/// request.
 const PROMPT_TRIES: u32 = 3;
 
 #[derive(Debug)]
 pub enum Body<M> {
     /// Not complete.
     Open,
-    /// Complete, and waits for those before it.
+    /// Complete, and waiting for earlier messages.
     Complete(M, usize),
 }
 
-/// `M`: the message as it is delivered.
+/// The state of a message. `M` is the message as delivered.
 #[derive(Debug)]
 pub struct Slot<M> {
     pub body: Body<M>,
     pub cut: u16,
-    /// When it became known.
+    /// Time of the first sign of the message.
     pub known_at: u64,
-    /// Segments, the proof included; 0: none has come.
+    /// Number of segments, including the proof; 0: none received.
     total: u32,
     missing: u32,
     received: Bits,
     asked: Bits,
-    /// Whether anything was asked for since the last time all was to be asked again.
+    /// Time of the first request since the requests were last reset.
     asked_at: Option<u64>,
     tries: u32,
 }
@@ -48,7 +49,7 @@ impl<M> Slot<M> {
         }
     }
 
-    /// Bytes that a message of so many segments costs.
+    /// Returns the memory cost in bytes of a message of `total` segments.
     pub fn cost(total: u32) -> usize {
         FIXED + 2 * (total as usize).div_ceil(8)
     }
@@ -61,7 +62,7 @@ impl<M> Slot<M> {
         matches!(self.body, Body::Open)
     }
 
-    /// A segment came. False if it was there.
+    /// Records a segment. Returns false if the segment was already received.
     pub fn add(&mut self, cut: u16, index: u32, total: u32) -> bool {
         if self.total == 0 || cut > self.cut {
             self.restart(cut, total);
@@ -74,13 +75,13 @@ impl<M> Slot<M> {
         true
     }
 
-    /// All that came is lost again.
+    /// Discards all received segments.
     pub fn clear(&mut self) {
         self.restart(0, 0);
         (self.asked_at, self.tries) = (None, 0);
     }
 
-    /// When what was asked for is asked for again; `None` if nothing was.
+    /// Returns the time of the next repeated request, or `None` if nothing was requested.
     pub fn ask_again_at(&self, wait: u64, slowest: u64) -> Option<u64> {
         let wait = (wait << self.tries.saturating_sub(PROMPT_TRIES).min(6)).min(slowest.max(wait));
         self.asked_at.map(|at| at + wait)
@@ -91,7 +92,7 @@ impl<M> Slot<M> {
         self.asked.clear();
     }
 
-    /// Whether segments before `end` are missing that were not asked for.
+    /// Returns whether segments before `end` are missing and not requested.
     pub fn has_wanted(&self, end: u32) -> bool {
         if self.total == 0 {
             return self.asked_at.is_none();
@@ -99,8 +100,8 @@ impl<M> Slot<M> {
         self.missing > 0 && self.wanted(0, end).is_some()
     }
 
-    /// Appends ranges of missing segments before `end` that were not asked for, as long as there
-    /// are fewer than `most`.
+    /// Appends ranges of segments before `end` that are missing and not requested, up to `most`
+    /// ranges in total.
     pub fn ask(&mut self, now: u64, sequence: u64, end: u32, most: usize, out: &mut Vec<Missing>) {
         let before = out.len();
         if self.total == 0 {
@@ -129,7 +130,7 @@ impl<M> Slot<M> {
         }
     }
 
-    /// How long ago this was asked for, if it was asked for once.
+    /// Returns the age of the request for this segment, if it was requested once.
     pub fn answered_in(&self, now: u64, index: u32) -> Option<u64> {
         let asked = self.tries == 1 && (self.total == 0 || self.asked.get(index));
         self.asked_at.filter(|_| asked).map(|at| now - at)
@@ -141,7 +142,7 @@ impl<M> Slot<M> {
         self.asked.clear();
     }
 
-    /// The first segment from `from` on and before `end` that is missing and was not asked for.
+    /// Returns the first segment from `from` to `end` that is missing and not requested.
     fn wanted(&self, from: u32, end: u32) -> Option<u32> {
         let end = end.min(self.total);
         let mut index = from;
@@ -158,7 +159,7 @@ impl<M> Slot<M> {
     }
 }
 
-/// A bitmap that takes no memory of its own up to 64 bits.
+/// A bitmap without heap memory up to 64 bits.
 #[derive(Debug, Default)]
 struct Bits {
     first: u64,
@@ -177,7 +178,7 @@ impl Bits {
         self.word(index) >> (index % 64) & 1 == 1
     }
 
-    /// One of `total` bits.
+    /// Sets one of `total` bits.
     fn set(&mut self, index: u32, total: u32) {
         match index / 64 {
             0 => self.first |= 1 << index,

@@ -1,4 +1,4 @@
-//! A topic at its writer: what goes next and when, and what its readers say of it.
+//! The writer's state of a topic: the next frame and its time, and the feedback of readers.
 
 use gdp_wire::Name;
 
@@ -10,48 +10,48 @@ use super::sent_log::{Sent, SentLog};
 use super::{MS, Position, Sealed};
 use crate::feedback_wire::{Feedback, MAX_MISSING, Missing};
 
-/// Heartbeats begin so long after the last frame, and come less often up to the second.
+/// Heartbeats start this long after the last frame. The interval doubles up to
+/// [`SLOWEST_HEARTBEAT`].
 const FIRST_HEARTBEAT: u64 = 100 * MS;
 const SLOWEST_HEARTBEAT: u64 = 1_000 * MS;
 
-/// So much may go at once: what timers and threads are late by.
+/// Burst that compensates for late timers and threads.
 const BURST: u64 = MS / 4;
 const BURST_BYTES: u64 = 2 * 1500;
 
-/// A topic that was held up longer by others of the uplink learns nothing of the path from it.
+/// If other topics of the uplink delay a topic for longer, its samples say nothing about the path.
 const HELD_UP: u64 = 20 * MS;
 
-/// What a publisher asks of its topic.
+/// The options of a publisher for its topic.
 #[derive(Clone, Copy, Debug)]
 pub struct TopicOptions {
     pub reliability: Reliability,
     pub history: History,
     /// 0 to 7; higher ones go first.
     pub class: u8,
-    /// Its frames go by a second uplink as well.
+    /// Whether frames are also sent on a second uplink.
     pub doubled: bool,
 }
 
 impl TopicOptions {
-    /// The newest message, for 200 ms.
+    /// Returns options for the newest message, with a lifetime of 200 ms.
     pub fn best_effort() -> Self {
         let history = History { messages: 8, bytes: 64 << 20 };
         Self { reliability: Reliability::BestEffort { lifetime: 200 * MS }, history, class: 3, doubled: false }
     }
 
-    /// The last 1024 messages; the publisher waits when they are not enough.
+    /// Returns options for the last 1024 messages. The publisher waits when the history is full.
     pub fn reliable() -> Self {
         let history = History { messages: 1024, bytes: 64 << 20 };
         Self { reliability: Reliability::Reliable { overflow: Overflow::Block }, history, class: 3, doubled: false }
     }
 }
 
-/// When a topic wants its turn.
+/// The time of a topic's next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TopicTurn {
     pub may_send: bool,
-    /// When it is to be asked again, or its timers are due; `u64::MAX`: only when it is told
-    /// something.
+    /// Time of the next poll or timer. `u64::MAX`: only after another input.
     pub at: u64,
 }
 
@@ -62,46 +62,46 @@ pub struct TopicState {
     pub options: TopicOptions,
     pub outbox: Outbox,
     peers: Peers,
-    /// Stands for the readers while none of them is live.
+    /// Represents the readers while none of them is live.
     nobody: ReaderState,
     log: SentLog,
-    /// Bytes of payload that have gone.
+    /// Bytes of payload sent.
     sent: u64,
     sent_at: u64,
     pauses: u64,
     paused: bool,
     pace: Meter,
-    /// Bytes that go without being paced, after a pause.
+    /// Bytes to send without pacing after a pause.
     at_once: u64,
-    /// Of what goes for the first time.
+    /// Rate of first transmissions.
     fresh: Speed,
-    /// Whose path sets the pace.
+    /// The reader whose path determines the pace.
     leader: Option<Name>,
     heartbeat_at: u64,
     heartbeat_interval: u64,
     look_at: u64,
     waiting: Option<Waiting>,
-    /// A publisher wants to know when what it sends would replace nothing.
+    /// A publisher waits until its next message would not replace another.
     wants_turn: bool,
     limit: FrameLimit,
-    /// Large frames went since a reader last told of what came.
+    /// Large frames were sent since the last report of a reception.
     large_unheard: bool,
 }
 
-/// A publisher waits for room.
+/// The request of a publisher that waits for room.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
-    /// For so many messages, of so many bytes.
+    /// Number of messages that need room; `bytes` is their size.
     messages: u64,
     bytes: usize,
-    /// When a reader that is waited for will have been for too long.
+    /// When the publisher stops waiting for the next slow reader.
     again_at: u64,
 }
 
-/// What a topic's timers bring.
+/// The results of a topic's timers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Due {
-    /// The sequence that the next message will have, and the oldest that can be repaired.
+    /// The sequence of the next message, and the oldest sequence that can be repaired.
     pub heartbeat: Option<(u64, u64)>,
     pub room: bool,
 }
@@ -134,7 +134,7 @@ impl TopicState {
         }
     }
 
-    /// What frames of this topic may carry, on a link that takes so much.
+    /// Returns the maximum payload of this topic's frames, on a link that supports `of_link` bytes.
     pub fn max_payload(&self, now: u64, of_link: usize) -> usize {
         of_link.min(self.limit.max_payload(now))
     }
@@ -153,19 +153,20 @@ impl TopicState {
         result
     }
 
-    /// Whether a message would go right behind the one that goes now. If not, [`Self::take_turn`]
-    /// says when one would.
+    /// Returns whether a new message would directly follow the current one. If not,
+    /// [`Self::take_turn`] returns true when it would.
     pub fn has_turn(&mut self) -> bool {
         self.wants_turn = self.outbox.has_waiting();
         !self.wants_turn
     }
 
-    /// Whether a publisher that waits for its turn has it now.
+    /// Returns whether a publisher that waits for its turn has it now.
     pub fn take_turn(&mut self) -> bool {
         self.wants_turn && self.has_turn()
     }
 
-    /// Messages that have not gone, and the live readers that have not acknowledged so many of all.
+    /// Returns the number of unsent messages, and the live readers with the number of messages they
+    /// have not acknowledged.
     pub fn unfinished(&self) -> (u64, Vec<(Name, u64)>) {
         (self.outbox.unsent(), self.peers.lacking(self.outbox.last()).collect())
     }
@@ -175,7 +176,7 @@ impl TopicState {
         self.peers.join(reader, ReaderState::new(now, known, self.sent))
     }
 
-    /// True if this makes room for a publisher that waits.
+    /// Removes a reader. Returns true if this makes room for a waiting publisher.
     pub fn leave(&mut self, reader: &Name) -> bool {
         self.peers.leave(reader);
         self.leader = None;
@@ -185,7 +186,7 @@ impl TopicState {
         self.take_room()
     }
 
-    /// When it may send, or has to do something else.
+    /// Returns when the topic may send or needs its timers.
     pub fn turn(&mut self, now: u64, max_payload: usize) -> TopicTurn {
         let timers = self.heartbeat_at.min(self.look_at).min(self.waiting.map_or(u64::MAX, |waiting| waiting.again_at));
         if self.outbox.choose(now, max_payload).is_none() {
@@ -203,8 +204,8 @@ impl TopicState {
         TopicTurn { may_send, at: if may_send { timers } else { timers.min(paced) } }
     }
 
-    /// The frame payload that goes next, if it has at most `room` bytes. `waited`: since it could
-    /// go.
+    /// Returns the next frame payload, if it has at most `room` bytes. `waited` is the time since
+    /// it could be sent.
     pub fn take(&mut self, now: u64, max_payload: usize, room: usize, waited: u64) -> Option<Chosen> {
         let rate = self.find_rate(now)?;
         let chosen = self.outbox.choose(now, max_payload)?;
@@ -241,7 +242,7 @@ impl TopicState {
         Some(chosen)
     }
 
-    /// What is due. To be called when the turn's time has come.
+    /// Processes timers that are due. Must be called at the time in [`TopicTurn`].
     pub fn on_timer(&mut self, now: u64) -> Due {
         let mut due = Due::default();
         if self.look_at <= now {
@@ -269,7 +270,7 @@ impl TopicState {
             let blocked = self.peers.live().chain([&mut self.nobody]);
             let mut unheard = false;
             for peer in blocked.filter(|peer| peer.overdue_at(last) <= now) {
-                // Once may be an accident.
+                // A single silence may be accidental.
                 unheard |= peer.path().is_silent();
                 peer.forget_under_way(now, sent);
             }
@@ -280,8 +281,8 @@ impl TopicState {
         due
     }
 
-    /// What a reader says. Returns the oldest sequence that can be repaired, if the reader asked
-    /// for what is gone; and whether there is room now for a publisher that waits.
+    /// Processes feedback of a reader. Returns the oldest sequence that can be repaired, if the
+    /// reader requested an older one. Also returns whether a waiting publisher now has room.
     pub fn on_feedback(&mut self, now: u64, reader: &Name, feedback: &Feedback) -> (Option<u64>, bool) {
         match feedback {
             Feedback::Report { session, acknowledged, received_bytes, ce, echo, echo_index, delay_us, .. }
@@ -324,12 +325,12 @@ impl TopicState {
         }
         let (first, acknowledged) = (missing.first()?.sequence, peer.acknowledged());
         let oldest = self.outbox.oldest();
-        // What never went is told once nothing before it is awaited any more.
+        // A message that was never sent is reported once no earlier message is outstanding.
         let skipped = self.outbox.skips(first).filter(|_| acknowledged + 1 >= first);
         Some(oldest).filter(|oldest| first < *oldest).or(skipped).filter(|_| self.outbox.is_reliable())
     }
 
-    /// Whether a publisher that waits for room now finds some.
+    /// Returns whether a waiting publisher now has room.
     fn take_room(&mut self) -> bool {
         let Some(Waiting { messages, bytes, .. }) = self.waiting else { return false };
         let room = self.outbox.has_room(messages, bytes, self.peers.acknowledged());
@@ -339,7 +340,7 @@ impl TopicState {
         room
     }
 
-    /// If a publisher waits, looks for whom.
+    /// Updates the time when a waiting publisher stops waiting for a slow reader.
     fn wait(&mut self, now: u64) {
         if let Some(waiting) = &mut self.waiting {
             waiting.again_at = match self.outbox.oldest_sent() {
@@ -354,7 +355,8 @@ impl TopicState {
         self.peers.live().map(|peer| peer.overdue_at(last)).min().unwrap_or_else(|| self.nobody.overdue_at(last))
     }
 
-    /// The rate to the fastest reader with room; when none is live, a little goes all the same.
+    /// Returns the rate to the fastest reader with room. Without live readers, a small amount is
+    /// sent anyway.
     fn find_rate(&mut self, now: u64) -> Option<u64> {
         let sent = self.sent;
         if self.leader().is_none_or(|leader| !leader.has_room(sent)) {
@@ -367,7 +369,7 @@ impl TopicState {
         }
     }
 
-    /// Bytes that may go at once now that there is something to send again.
+    /// Returns the bytes of the burst after a pause.
     fn at_once_after_pause(&self, now: u64) -> u64 {
         let leader = self.leader().unwrap_or(&self.nobody);
         let is_idle = leader.under_way(self.sent) == 0 && now.saturating_sub(self.sent_at) >= leader.path().rtt();

@@ -1,4 +1,5 @@
-//! The turn of all topics on one link: by class, evenly within a class, within the link's budget.
+//! The scheduler of all topics on one link: by class, fairly within a class, and within the link's
+//! budget.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -13,76 +14,76 @@ use crate::feedback_wire::Feedback;
 
 const CLASSES: usize = 8;
 
-/// Each class that waits gets at least so much of what the others send: one part in 32.
+/// Minimum share of each waiting class: one 32nd of the bytes that other classes send.
 const FLOOR_SHARE: u64 = 32;
-/// What a class may save up of it, in bytes.
+/// Maximum share that a class can accumulate, in bytes.
 const MOST_OWED: u64 = 64 << 10;
 
-/// Bytes of copies for this link that may wait, by class.
+/// Maximum bytes of waiting copies for this link, per class.
 const MOST_COPIES: u64 = 256 << 10;
 
-/// What the budget lets go at once: two large frames.
+/// Burst of the budget: two large frames.
 const BURST_BYTES: u64 = 3000;
 
 #[derive(Clone, Copy, Debug)]
 pub struct UplinkOptions {
-    /// Bytes of a frame's payload that the way takes at the moment.
+    /// Payload of a frame that the path currently supports, in bytes.
     pub max_payload: usize,
-    /// Bytes a second, of frames with their header; `None`: as much as the readers' paths take.
+    /// Bytes a second, including frame headers. `None`: limited by the readers' paths only.
     pub budget: Option<u64>,
 }
 
-/// A topic of an uplink. One that is closed is none, also when its place is used again.
+/// Identifies a topic of an uplink. The id of a closed topic stays invalid when its slot is reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicId {
     index: u32,
     generation: u32,
 }
 
-/// Why a message was not taken; it is handed back.
+/// The reason that a message was refused. Returns the message to the caller.
 #[derive(Debug)]
 pub enum Full {
-    /// Until [`Output::Room`] comes for the topic.
+    /// The publisher must wait for [`Output::Room`] of the topic.
     Wait(Sealed),
-    /// The topic is closed, or the message's sequence is not behind those before.
+    /// The topic is closed, or the message's sequence does not follow the previous ones.
     Refused(Sealed),
 }
 
-/// What the caller has to do.
+/// An action for the caller.
 #[derive(Clone, Debug)]
 pub enum Output {
     Send(Transmit),
-    /// Seal these messages again, for [`Uplink::max_payload_of`] the topic, and bring them by
+    /// Seal these messages again, for [`Uplink::max_payload_of`] the topic, and pass them to
     /// [`Uplink::resealed`].
     Reseal {
         topic: TopicId,
         message: Arc<Sealed>,
     },
-    /// Tell all readers, signed, that `next` is the sequence of the next message, and what comes
-    /// before `oldest` cannot be repaired.
+    /// Send a signed message to all readers: `next` is the sequence of the next message, and
+    /// messages before `oldest` cannot be repaired.
     Heartbeat {
         topic: TopicId,
         next: u64,
         oldest: u64,
     },
-    /// Tell this reader that what comes before `oldest` cannot be repaired.
+    /// Inform this reader that messages before `oldest` cannot be repaired.
     Unavailable {
         topic: TopicId,
         reader: Name,
         oldest: u64,
     },
-    /// A publisher that waits for room, or for its turn, may try again.
+    /// A publisher that waits for room or for its turn may retry.
     Room {
         topic: TopicId,
     },
 }
 
-/// A frame: one payload, or small ones of several messages.
+/// A frame: one payload, or several small ones of different messages.
 #[derive(Clone, Debug)]
 pub struct Transmit {
     pub name: Name,
     pub class: u8,
-    /// Give it to [`Uplink::copy`] of the second uplink as well.
+    /// Whether the frame must also be passed to [`Uplink::copy`] of the second uplink.
     pub doubled: bool,
     first: Chosen,
     more: Vec<Chosen>,
@@ -90,12 +91,12 @@ pub struct Transmit {
 }
 
 impl Transmit {
-    /// What the frame's payload is put together from, in this order.
+    /// Returns the parts of the frame's payload, in this order.
     pub fn payloads(&self) -> impl Iterator<Item = &[u8]> {
         self.parts().map(|part| part.message.payload(part.frame))
     }
 
-    /// Bytes of the frame's payload.
+    /// Returns the length of the frame's payload.
     pub fn payload_len(&self) -> usize {
         self.bytes
     }
@@ -109,19 +110,19 @@ impl Transmit {
     }
 }
 
-/// All that leaves by one link.
+/// The frames that leave by one link.
 #[derive(Debug)]
 pub struct Uplink {
     options: UplinkOptions,
     budget: Meter,
     slots: Vec<Slot>,
     free: Vec<u32>,
-    /// Topics that may send, by class, and since when.
+    /// Topics that may send, by class, each with the time since when.
     ready: [VecDeque<(TopicId, u64)>; CLASSES],
-    /// Copies of another uplink's frames, by class, and their bytes.
+    /// Copies of another uplink's frames and their bytes, by class.
     copies: [(VecDeque<Transmit>, u64); CLASSES],
     copies_dropped: u64,
-    /// Bytes that a class may send before its turn.
+    /// Bytes that a class may send before higher classes.
     owed: [u64; CLASSES],
     timers: BTreeSet<(u64, TopicId)>,
     outputs: VecDeque<Output>,
@@ -131,7 +132,7 @@ pub struct Uplink {
 struct Slot {
     generation: u32,
     topic: Option<Box<TopicState>>,
-    /// Its entry in the timers.
+    /// The entry of the topic in the timers.
     timer: Option<u64>,
     is_ready: bool,
 }
@@ -152,8 +153,8 @@ impl Uplink {
         }
     }
 
-    /// A topic for what one writer's session sends to `name`. It has no readers yet: nothing goes
-    /// until one joins.
+    /// Opens a topic for the messages of one writer's session to `name`. Nothing is sent until a
+    /// reader joins.
     pub fn open(&mut self, now: u64, name: Name, session: [u8; 16], options: TopicOptions) -> TopicId {
         let index = self.free.pop().unwrap_or_else(|| {
             self.slots.push(Slot::default());
@@ -164,7 +165,7 @@ impl Uplink {
         TopicId { index, generation: slot.generation }
     }
 
-    /// What waits is dropped.
+    /// Closes a topic and drops its waiting messages.
     pub fn close(&mut self, topic: TopicId) {
         let Some(slot) = self.slot(topic) else { return };
         let timer = slot.timer.take();
@@ -184,7 +185,7 @@ impl Uplink {
         self.free.push(topic.index);
     }
 
-    /// Takes a message. Sequences ascend, over all messages of a topic.
+    /// Accepts a message. Sequences must ascend over all messages of a topic.
     pub fn push(&mut self, now: u64, topic: TopicId, message: Sealed) -> Result<(), Full> {
         let Some(state) = self.topic(topic) else { return Err(Full::Refused(message)) };
         if message.first() <= state.outbox.last() {
@@ -195,15 +196,15 @@ impl Uplink {
         result
     }
 
-    /// Whether a message would go right behind the one that goes now, replacing none and waiting
-    /// for none. If not, [`Output::Room`] comes when one would.
+    /// Returns whether a new message would directly follow the current one, without replacing or
+    /// waiting for another. If not, [`Output::Room`] follows when it would.
     pub fn has_turn(&mut self, topic: TopicId) -> bool {
         self.topic(topic).is_none_or(TopicState::has_turn)
     }
 
-    /// A reader that the certificates allow is there: what is pushed from now on is for it, too.
-    /// Returns the sequence it is to be told to begin with; `None` if the topic has too many
-    /// readers to keep account of this one, or is closed.
+    /// Adds an authorised reader, which gets all messages pushed from now on. Returns the first
+    /// sequence for this reader. Returns `None` if the topic is closed, or has too many readers to
+    /// track this one.
     pub fn join(&mut self, now: u64, topic: TopicId, reader: Name) -> Option<u64> {
         let state = self.topic(topic)?;
         let next = state.outbox.last() + 1;
@@ -212,7 +213,7 @@ impl Uplink {
         joined.then_some(next)
     }
 
-    /// A reader is gone, or may not read any more.
+    /// Removes a reader that has left or is no longer authorised.
     pub fn leave(&mut self, now: u64, topic: TopicId, reader: &Name) {
         let Some(state) = self.topic(topic) else { return };
         if state.leave(reader) {
@@ -221,9 +222,8 @@ impl Uplink {
         self.settle(now, topic);
     }
 
-    /// What a reader of the topic says, opened with the key that it and this writer share. Kinds
-    /// and sessions that do not concern the topic are ignored, and so are readers that did not
-    /// join.
+    /// Processes feedback of a reader, which was opened with the pair key of reader and writer.
+    /// Ignores kinds and sessions that do not concern the topic, and readers that did not join.
     pub fn feedback(&mut self, now: u64, topic: TopicId, reader: Name, feedback: &Feedback) {
         let Some(state) = self.topic(topic) else { return };
         let (gone, room) = state.on_feedback(now, &reader, feedback);
@@ -241,8 +241,8 @@ impl Uplink {
         self.settle(now, topic);
     }
 
-    /// From now on frames carry at most so many bytes. Messages that were cut for more are asked
-    /// for again in their turn.
+    /// Changes the maximum payload of frames. Messages that were cut for larger frames are resealed
+    /// when their turn comes.
     pub fn set_max_payload(&mut self, now: u64, max_payload: usize) {
         self.options.max_payload = max_payload;
         for index in 0..self.slots.len() {
@@ -251,12 +251,12 @@ impl Uplink {
         }
     }
 
-    /// From now on so much goes: the link is another one.
+    /// Changes the budget, because the link has changed.
     pub fn set_budget(&mut self, budget: Option<u64>) {
         self.options.budget = budget;
     }
 
-    /// The answer to [`Output::Reseal`].
+    /// Accepts the answer to [`Output::Reseal`].
     pub fn resealed(&mut self, now: u64, topic: TopicId, message: Sealed) {
         if let Some(state) = self.topic(topic) {
             state.outbox.resealed(message);
@@ -264,7 +264,8 @@ impl Uplink {
         }
     }
 
-    /// The other answer to [`Output::Reseal`]: these messages cannot be sealed again, and are lost.
+    /// Accepts the other answer to [`Output::Reseal`]: these messages cannot be sealed again and
+    /// are lost.
     pub fn abandon(&mut self, now: u64, topic: TopicId, message: &Sealed) {
         if let Some(state) = self.topic(topic) {
             state.outbox.abandon(message.first());
@@ -272,20 +273,20 @@ impl Uplink {
         }
     }
 
-    /// Bytes of a frame's payload that the link takes at the moment.
+    /// Returns the payload of a frame that the link currently supports, in bytes.
     pub fn max_payload(&self) -> usize {
         self.options.max_payload
     }
 
-    /// Bytes of a frame's payload that messages of a topic are to be sealed for: fewer than the
-    /// link takes if large frames vanish on the way to a reader.
+    /// Returns the payload of a frame to seal a topic's messages for, in bytes. It is smaller than
+    /// that of the link if large frames are lost on the path to a reader.
     pub fn max_payload_of(&mut self, now: u64, topic: TopicId) -> usize {
         let of_link = self.options.max_payload;
         self.topic(topic).map_or(of_link, |state| state.max_payload(now, of_link))
     }
 
-    /// A frame that another uplink sends goes by this one as well, if its budget lets it: copies
-    /// wait a little at most.
+    /// Queues a copy of a frame that another uplink sends. Drops the copy if it is too large for
+    /// the link, or if too many copies wait for the budget.
     pub fn copy(&mut self, transmit: Transmit) {
         let (queue, bytes) = &mut self.copies[usize::from(transmit.class)];
         if *bytes + transmit.wire_bytes() > MOST_COPIES || transmit.bytes > self.options.max_payload {
@@ -296,7 +297,7 @@ impl Uplink {
         queue.push_back(transmit);
     }
 
-    /// Copies that wait go nowhere.
+    /// Drops all waiting copies.
     pub fn drop_copies(&mut self) {
         for (queue, bytes) in &mut self.copies {
             self.copies_dropped += queue.len() as u64;
@@ -304,7 +305,7 @@ impl Uplink {
         }
     }
 
-    /// Copies that found no room, or went nowhere.
+    /// Returns the number of copies that were dropped.
     pub fn copies_dropped(&self) -> u64 {
         self.copies_dropped
     }
@@ -314,15 +315,15 @@ impl Uplink {
         slot.topic.as_ref().map(|state| *state.outbox.counters())
     }
 
-    /// Messages that have not gone, and the live readers that have not acknowledged so many of all;
-    /// `None` if the topic is closed.
+    /// Returns the number of unsent messages, and the number of unacknowledged messages for each
+    /// live reader that lacks some. Returns `None` if the topic is closed.
     pub fn unfinished(&self, topic: TopicId) -> Option<(u64, Vec<(Name, u64)>)> {
         let slot = self.slots.get(topic.index as usize).filter(|slot| slot.generation == topic.generation)?;
         slot.topic.as_ref().map(|state| state.unfinished())
     }
 
-    /// The next thing to do now. To be called until there is none, after anything else was called
-    /// and at [`Self::next_wake`].
+    /// Returns the next action. The caller must poll until `None`, after every other call and at
+    /// [`Self::next_wake`].
     pub fn poll(&mut self, now: u64) -> Option<Output> {
         loop {
             if let Some(output) = self.outputs.pop_front() {
@@ -335,7 +336,7 @@ impl Uplink {
         }
     }
 
-    /// When [`Self::poll`] will have something, if nothing else is called before.
+    /// Returns the time when [`Self::poll`] will return an action, if no other call precedes it.
     pub fn next_wake(&self) -> Option<u64> {
         let waiting =
             self.ready.iter().any(|ready| !ready.is_empty()) || self.copies.iter().any(|(queue, _)| !queue.is_empty());
@@ -363,14 +364,14 @@ impl Uplink {
         None
     }
 
-    /// One that is owed, or the highest of those that wait.
+    /// Returns a class with an accumulated share, or else the highest waiting class.
     fn next_class(&self) -> Option<usize> {
         let waits = |class: &usize| !self.ready[*class].is_empty() || !self.copies[*class].0.is_empty();
         let owed = (0..CLASSES).rev().filter(waits).find(|class| self.owed[*class] >= BURST_BYTES / 2);
         owed.or_else(|| (0..CLASSES).rev().find(waits))
     }
 
-    /// A frame of the topic whose turn it is, filled with what else the topic has.
+    /// Returns a frame of the next topic, filled with further payloads of the topic.
     fn next_of(&mut self, now: u64, class: usize) -> Option<Transmit> {
         let (topic, since) = self.ready[class].pop_front()?;
         let max_payload = self.options.max_payload;
@@ -422,7 +423,7 @@ impl Uplink {
         self.settle(now, topic);
     }
 
-    /// Puts a topic where it belongs after anything happened to it.
+    /// Updates the queues and timers of a topic after a change.
     fn settle(&mut self, now: u64, topic: TopicId) {
         let max_payload = self.options.max_payload;
         let Some(slot) = self.slot(topic) else { return };
