@@ -1,9 +1,9 @@
-//! What two entities tell each other alone: feedback, under a key that follows from their box keys
-//! without a message between them. The bytes are specified in `docs/wire-format.md`, "Feedback".
+//! Sealed feedback between two entities. Both derive the key from their box keys without exchanging
+//! a message. `docs/wire-format.md`, "Feedback", specifies the encoding.
 //!
-//! Each side seals in sessions of its own, with random identifiers: so neither a restart nor the
-//! other direction repeats a nonce. An opener takes a session that it has not seen if what came
-//! opens; of those it remembers each message is taken once.
+//! Each side seals in its own sessions with random identifiers. Neither a restart nor the other
+//! direction therefore repeats a nonce. An opener accepts a new session if its first message opens.
+//! It accepts each message of a remembered session once.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -25,17 +25,18 @@ const SESSION_CONTEXT: &[u8] = b"gdp/pair-session/1";
 const VERSION: u8 = 1;
 const HEADER_LEN: usize = 1 + 8 + 8;
 
-/// Messages of a session; then the sealer begins another.
+/// Maximum number of messages of a session; then the sealer starts another.
 const MESSAGES: u64 = 1 << 32;
 
-/// Sessions of the peer whose messages are taken: its own, and what comes late or is repeated of
-/// those before its restarts.
+/// Number of accepted sessions of the peer: the current one, and previous ones for late or repeated
+/// messages from before a restart.
 const SESSIONS: usize = 4;
 
-/// Sessions that were given up and are not taken again.
+/// Number of remembered sessions that were dropped and are no longer accepted.
 const RETIRED: usize = 256;
 
-/// The secret of two entities: clones share nothing, and each is cleared when dropped.
+/// The shared secret of two entities. Each clone is an independent copy and is zeroized when
+/// dropped.
 #[derive(Clone)]
 pub struct PairKey {
     secret: Zeroizing<[u8; 32]>,
@@ -43,7 +44,7 @@ pub struct PairKey {
     peer: Name,
 }
 
-/// Why a payload is no feedback of the peer.
+/// The reason that a payload is not valid feedback of the peer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PairError {
     #[error("{0} bytes are too few or too many for feedback")]
@@ -61,7 +62,7 @@ pub enum PairError {
 }
 
 impl PairKey {
-    /// `HKDF-SHA256(ECDH, info = "gdp/pair/1" ‖ lower name ‖ higher name)`.
+    /// Derives the key: `HKDF-SHA256(ECDH, info = "gdp/pair/1" ‖ lower name ‖ higher name)`.
     pub fn new(own: (Name, &BoxKey), peer: (Name, &[u8; PUBLIC_KEY_LEN])) -> Result<Self, CryptoError> {
         let (own, own_key) = own;
         let (peer, peer_key) = peer;
@@ -71,23 +72,26 @@ impl PairKey {
         Ok(Self { secret: Backend::default().hkdf_sha256(&[], shared.as_slice(), &info)?, own, peer })
     }
 
-    /// A sealer of what goes to the peer.
+    /// Returns a sealer for messages to the peer.
     pub fn sealer(&self) -> Result<PairSealer, CryptoError> {
         self.sealer_in(crypto::random()?)
     }
 
-    /// A session that is used twice repeats nonces.
+    /// Returns a sealer with a given session. Reusing a session repeats nonces.
     pub(super) fn sealer_in(&self, session: [u8; 8]) -> Result<PairSealer, CryptoError> {
         let aead = self.session_aead(session, &self.own, &self.peer)?;
         Ok(PairSealer { key: self.clone(), session, aead, next: 1 })
     }
 
-    /// An opener of what comes from the peer.
+    /// Returns an opener for messages from the peer.
     pub fn opener(&self) -> PairOpener {
         PairOpener { key: self.clone(), sessions: Vec::new(), retired: VecDeque::new() }
     }
 
-    /// `HKDF-SHA256(pair key, salt = session, info = "gdp/pair-session/1" ‖ sender ‖ receiver)`.
+    /// Derives the AEAD of a session:
+    ///
+    /// `HKDF-SHA256(pair key, salt = session, info = "gdp/pair-session/1" ‖ sender ‖
+    /// receiver)`.
     fn session_aead(&self, session: [u8; 8], sender: &Name, receiver: &Name) -> Result<Aead, CryptoError> {
         let backend = Backend::default();
         let info = [SESSION_CONTEXT, sender.as_bytes(), receiver.as_bytes()];
@@ -95,25 +99,25 @@ impl PairKey {
     }
 }
 
-/// Seals what one entity tells the other.
+/// Seals messages from one entity to the other.
 pub struct PairSealer {
     key: PairKey,
     session: [u8; 8],
     aead: Aead,
-    /// The counter of the next message; they begin at 1.
+    /// The counter of the next message; the first is 1.
     next: u64,
 }
 
 impl PairSealer {
-    /// Puts the payload of a frame to the peer into `out`, whose former content is dropped. After
-    /// an error `out` is empty.
+    /// Seals `feedback` into the payload of a frame to the peer. Replaces the contents of `out`;
+    /// after an error `out` is empty.
     pub fn seal(&mut self, feedback: &Feedback, out: &mut Vec<u8>) -> Result<(), PairError> {
         out.clear();
         if self.next > MESSAGES {
             *self = self.key.sealer().map_err(PairError::Crypto)?;
         }
         let header = PairHeader { session: self.session, counter: self.next };
-        // Taken before anything is sealed: whatever fails below, no nonce is used again.
+        // Advanced before sealing, so that no nonce is reused after a failure below.
         self.next += 1;
         let result = self.seal_behind(header, feedback, out);
         if result.is_err() {
@@ -132,10 +136,10 @@ impl PairSealer {
     }
 }
 
-/// Opens what the other entity tells this one.
+/// Opens messages from the other entity.
 pub struct PairOpener {
     key: PairKey,
-    /// The one that was heard last is the last.
+    /// Sessions by last use, the most recent at the end.
     sessions: Vec<PairSession>,
     retired: VecDeque<[u8; 8]>,
 }
@@ -147,7 +151,7 @@ struct PairSession {
 }
 
 impl PairOpener {
-    /// The feedback in the payload of a frame from the peer.
+    /// Returns the feedback in the payload of a frame from the peer.
     pub fn open(&mut self, payload: &[u8]) -> Result<Feedback, PairError> {
         if !(HEADER_LEN + TAG_LEN..=MAX_PAIR_PAYLOAD).contains(&payload.len()) {
             return Err(PairError::Length(payload.len()));
@@ -171,7 +175,7 @@ impl PairOpener {
             session.window.record(header.counter);
         }
         match known {
-            // What is forged does not make a session look alive.
+            // A forged message does not refresh a session.
             Some(at) if opened.is_err() => self.sessions.insert(at, session),
             None if opened.is_err() => {}
             _ => self.keep(session),
@@ -180,7 +184,7 @@ impl PairOpener {
         Ok(Feedback::decode(&plaintext)?)
     }
 
-    /// As the one heard last, in the place of the one not heard for longest.
+    /// Adds a session as the most recent one, and drops the least recent one if there are too many.
     fn keep(&mut self, session: PairSession) {
         if self.sessions.len() == SESSIONS {
             if self.retired.len() == RETIRED {

@@ -1,10 +1,10 @@
-//! A writer's keys for one name: which epoch messages are sealed under, when another begins, and
-//! who gets a box of it.
+//! A writer's keys for one name: the current epoch, the start of the next one, and the key boxes
+//! for readers.
 //!
-//! An epoch ends by age, messages or bytes ([`Rotation`]), and when one who holds a box of it may
-//! not read any more. Its successor has a number of its own from the start, but comes into use only
-//! when all its boxes are stored where readers find them, or [`HANDOVER`] later: so a reader has
-//! the key before the first message, and nobody who is slow or away keeps a revoked reader reading.
+//! An epoch ends by age, messages or bytes ([`Rotation`]), or when a reader with a box of it is
+//! revoked. Its successor has its own number from the start. The writer uses it only when all its
+//! boxes are stored where readers find them, or after [`HANDOVER`]. A reader therefore has the key
+//! before the first message. A slow or absent reader cannot keep a revoked reader reading.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -16,21 +16,22 @@ use gdp_core::identity::{Identity, VerifyKey};
 use gdp_core::keys::{self, EpochKey, KeyBox};
 use gdp_core::name::Name;
 
-/// Readers of a name that one writer wraps keys to.
+/// Maximum number of readers of a name that one writer wraps keys for.
 pub const MAX_READERS: usize = 1024;
 
-/// Boxes handed out at once: together they fit one request of a link, and take some 10 ms to make.
+/// Maximum number of boxes in one batch. They fit one request of a link, and take some 10 ms to
+/// make.
 const MAX_BOXES: usize = 64;
 
-/// How long an epoch may wait for its boxes to be stored before it comes into use.
+/// Maximum time that an epoch waits for its boxes to be stored before it is used.
 const HANDOVER: Duration = Duration::from_secs(2);
 
-/// Between the beginnings of two epochs. As their numbers are Unix seconds and so never outrun the
-/// clock, a writer that was restarted does not repeat one; and whoever revokes readers one by one
-/// does not keep the writer busy with wrapping.
+/// Minimum interval between the starts of two epochs. Epoch numbers are Unix seconds, so they never
+/// run ahead of the clock and a restarted writer does not repeat one. The interval also limits the
+/// wrapping work if readers are revoked one by one.
 const BETWEEN_EPOCHS: Duration = Duration::from_secs(1);
 
-/// When the key of a name is replaced though nobody was revoked.
+/// The limits that replace the key of a name without a revocation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rotation {
     pub age: Duration,
@@ -39,21 +40,21 @@ pub struct Rotation {
 }
 
 impl Default for Rotation {
-    /// An hour; 2²⁶ messages; 2³⁶ bytes, which are 2³² blocks of AES: what GCM leaks by then has a
-    /// probability below 2⁻⁶⁴.
+    /// An hour, 2²⁶ messages, or 2³⁶ bytes, which are 2³² blocks of AES. Up to these
+    /// limits, GCM leaks information with a probability below 2⁻⁶⁴.
     fn default() -> Self {
         Self { age: Duration::from_secs(3600), messages: 1 << 26, bytes: 1 << 36 }
     }
 }
 
-/// Boxes to be stored beside the writer's advertisement, all of one epoch: at most 64.
+/// Boxes to store with the writer's advertisement: at most 64, all of one epoch.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Boxes {
     pub epoch: u32,
     pub boxes: Vec<Signed<KeyBox>>,
 }
 
-/// Why no key is wrapped to somebody.
+/// The reason that no key is wrapped for a reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Omission {
     #[error("its box key is not a point on the curve; it must advertise another")]
@@ -62,7 +63,7 @@ pub enum Omission {
     TooMany,
 }
 
-/// Why a ring has no keys any more. What it has stays in use.
+/// The reason that a ring cannot make new keys. The existing keys remain in use.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RingError {
     #[error("no epoch can follow number {}; check the clock", u32::MAX)]
@@ -78,10 +79,10 @@ pub struct KeyRing {
     name: Name,
     writer: Identity,
     rotation: Rotation,
-    /// Who is to have boxes, with box keys that are points on the curve.
+    /// The readers that need boxes, with box keys that are points on the curve.
     readers: BTreeMap<Name, [u8; PUBLIC_KEY_LEN]>,
     current: Epoch,
-    /// What comes into use when its boxes are stored.
+    /// The next epoch, which is used when its boxes are stored.
     next: Option<Epoch>,
 }
 
@@ -89,11 +90,11 @@ struct Epoch {
     number: u32,
     key: EpochKey,
     began: u64,
-    /// Readers that were given a box.
+    /// Readers with a box.
     holders: BTreeMap<Name, Holder>,
-    /// One that is no reader any more was given a box.
+    /// Whether a reader with a box has been revoked.
     stale: bool,
-    /// Boxes that were handed out and, as far as is known, not stored yet: how often.
+    /// Number of batches of boxes that were returned but not confirmed as stored.
     unstored: usize,
     messages: u64,
     bytes: u64,
@@ -101,24 +102,25 @@ struct Epoch {
 
 struct Holder {
     box_key: [u8; PUBLIC_KEY_LEN],
-    /// The box has to be made again.
+    /// Whether the box must be made again.
     lost: bool,
 }
 
 impl KeyRing {
-    /// Begins an epoch that nobody else knows yet.
+    /// Starts an epoch without any boxes.
     pub fn new(name: Name, writer: &Identity, rotation: Rotation, now: u64) -> Result<Self, RingError> {
         let current = Epoch::begin(0, now)?;
         Ok(Self { name, writer: writer.clone(), rotation, readers: BTreeMap::new(), current, next: None })
     }
 
-    /// Who may read from now on, by name and box key (SEC1 compressed), most important first.
-    /// Returns those that no key is wrapped to, and why. [`Self::poll`] then has what follows.
+    /// Sets the authorised readers by name and box key (SEC1 compressed), most important first.
+    /// Returns the readers without a wrapped key, with the reason. [`Self::poll`] then returns the
+    /// resulting boxes.
     pub fn set_readers(&mut self, readers: &[(Name, [u8; PUBLIC_KEY_LEN])]) -> Vec<(Name, Omission)> {
         let mut omitted = Vec::new();
         let mut kept = BTreeMap::new();
         for &(reader, box_key) in readers {
-            // Most were readers before; looking for the point is the dear part.
+            // Most readers are already known, and validating a point is expensive.
             let known = self.readers.get(&reader) == Some(&box_key);
             if !known && VerifyKey::from_bytes(&box_key).is_err() {
                 omitted.push((reader, Omission::BadBoxKey));
@@ -137,22 +139,22 @@ impl KeyRing {
         omitted
     }
 
-    /// What was sealed under the current epoch's key since the last call: messages, and their bytes
-    /// on the wire.
+    /// Records the messages sealed under the current epoch's key since the last call, and their
+    /// bytes on the wire.
     pub fn used(&mut self, messages: u64, bytes: u64) {
         let current = &mut self.current;
         current.messages = current.messages.saturating_add(messages);
         current.bytes = current.bytes.saturating_add(bytes);
     }
 
-    /// The epoch that messages are sealed under, and its key. Changes in [`Self::poll`] and
-    /// [`Self::boxes_stored`] only.
+    /// Returns the epoch for sealing and its key. Changes only in [`Self::poll`] and
+    /// [`Self::boxes_stored`].
     pub fn current(&self) -> (u32, &EpochKey) {
         (self.current.number, &self.current.key)
     }
 
-    /// Boxes to store, if there are any. To be asked until there are none, and again when
-    /// [`Self::wake_at`] says, or when readers change. The caller offers boxes again until they are
+    /// Returns boxes to store, if there are any. The caller must poll until `None`, again at
+    /// [`Self::wake_at`], and when the readers change. The caller must retry until the boxes are
     /// stored.
     pub fn poll(&mut self, now: u64) -> Result<Option<Boxes>, RingError> {
         self.advance(now)?;
@@ -165,7 +167,7 @@ impl KeyRing {
         Ok(None)
     }
 
-    /// One [`Boxes`] of this epoch is stored. An epoch comes into use with the last of them.
+    /// Records that one [`Boxes`] of this epoch is stored. The last one puts an epoch into use.
     pub fn boxes_stored(&mut self, epoch: u32) {
         for known in self.next.iter_mut().chain([&mut self.current]).filter(|known| known.number == epoch) {
             known.unstored = known.unstored.saturating_sub(1);
@@ -173,7 +175,7 @@ impl KeyRing {
         self.promote_if_stored();
     }
 
-    /// Who stored boxes has lost them: [`Self::poll`] makes them anew.
+    /// Makes [`Self::poll`] return all boxes again, because the place of storage has lost them.
     pub fn republish(&mut self) {
         for epoch in self.next.iter_mut().chain([&mut self.current]) {
             epoch.holders.values_mut().for_each(|holder| holder.lost = true);
@@ -181,7 +183,7 @@ impl KeyRing {
         }
     }
 
-    /// When [`Self::poll`] has something to do, at the latest.
+    /// Returns the latest time for the next [`Self::poll`].
     pub fn wake_at(&self) -> u64 {
         if self.next.iter().chain([&self.current]).any(|epoch| epoch.lacks_boxes(&self.readers)) {
             return 0;
@@ -202,7 +204,8 @@ impl KeyRing {
         }
         if self.is_due(now) && is_over(now, self.latest().began, BETWEEN_EPOCHS) {
             let begun = Epoch::begin(self.latest().number, now)?;
-            // A successor that is stale already keeps out at least those that were revoked before.
+            // A successor that is already stale still excludes the readers that were revoked
+            // earlier.
             if let Some(next) = self.next.take() {
                 self.current = next;
             }
@@ -212,7 +215,7 @@ impl KeyRing {
         Ok(())
     }
 
-    /// Whether the epoch begun last has to have a successor.
+    /// Returns whether the latest epoch needs a successor.
     fn is_due(&self, now: u64) -> bool {
         let Epoch { began, messages, bytes, .. } = self.current;
         let Rotation { age, messages: most_messages, bytes: most_bytes } = self.rotation;
@@ -232,7 +235,8 @@ impl KeyRing {
 }
 
 impl Epoch {
-    /// The one after number `last`: its number is the Unix second, if that has come.
+    /// Starts the epoch after number `last`. Its number is the Unix second, or `last` + 1 if that
+    /// is higher.
     fn begin(last: u32, now: u64) -> Result<Self, RingError> {
         let second = u32::try_from(now / 1_000_000_000).unwrap_or(u32::MAX);
         let number = last.checked_add(1).ok_or(RingError::NoMoreEpochs)?.max(second);
@@ -240,7 +244,7 @@ impl Epoch {
         Ok(Self { number, key, began: now, holders, stale: false, unstored: 0, messages: 0, bytes: 0 })
     }
 
-    /// Boxes for some of those readers that have none.
+    /// Returns boxes for some of the readers that lack one.
     fn wrap(
         &mut self,
         name: Name,
@@ -273,7 +277,8 @@ impl Epoch {
     }
 }
 
-/// Whether `time` has passed since then. It has, if the clock was set back: then nobody knows.
+/// Returns whether `time` has passed since `since`. If the clock was set back, the elapsed time is
+/// unknown and counts as passed.
 fn is_over(now: u64, since: u64, time: Duration) -> bool {
     now.checked_sub(since).is_none_or(|passed| u128::from(passed) >= time.as_nanos())
 }

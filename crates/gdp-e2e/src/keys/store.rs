@@ -1,6 +1,6 @@
-//! A reader's keys for one name: what the writers' boxes hold. Of each writer the newest epoch and
-//! the one before are kept, so that what was sealed before a change still opens, and the older is
-//! wiped [`GRACE`] after the newer came.
+//! A reader's keys for one name, from the boxes of its writers. The store retains the newest and
+//! the previous epoch of each writer, so that messages from before a change still open. It wipes
+//! the previous epoch [`GRACE`] after the newer one arrived.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -12,25 +12,25 @@ use gdp_core::identity::{Identity, VerifyKey};
 use gdp_core::keys::{self, BoxKey, EpochKey, KeyBox};
 use gdp_core::name::Name;
 
-/// Writers of a name that a reader keeps keys of.
+/// Maximum number of writers of a name with keys in the store.
 pub const MAX_WRITERS: usize = 1024;
 
-/// How long the epoch before the newest is kept: longer than the writer takes to use the newest,
-/// and than it repeats anything.
+/// Retention time of the previous epoch. It is longer than a writer takes to use the newest epoch,
+/// and longer than a writer repeats messages.
 const GRACE: Duration = Duration::from_secs(60);
 
 /// A key that is new to the reader.
 #[derive(Clone, Debug)]
 pub struct Opened {
     pub epoch: u32,
-    /// If the epoch was known, with another key, this one counts: the writer was restarted within a
-    /// second.
+    /// The key of the epoch. It replaces a known key of the same epoch, which means that the writer
+    /// restarted within a second.
     pub key: EpochKey,
-    /// The epoch that gave way to it.
+    /// The older epoch that was dropped for it.
     pub dropped: Option<u32>,
 }
 
-/// Why a box was not taken.
+/// The reason that a box was not accepted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StoreError {
     #[error(transparent)]
@@ -41,7 +41,7 @@ pub enum StoreError {
     TooManyWriters,
 }
 
-/// The keys of all writers of one name that wrap them to one reader.
+/// The keys of all writers of one name that wrap them for one reader.
 pub struct KeyStore {
     name: Name,
     reader: Name,
@@ -51,7 +51,7 @@ pub struct KeyStore {
 
 struct CachedKey {
     newest: (u32, EpochKey),
-    /// Since when the newest is.
+    /// Arrival time of the newest key.
     since: u64,
     before: Option<(u32, EpochKey)>,
 }
@@ -61,8 +61,8 @@ impl KeyStore {
         Self { name, reader: reader.name(), box_key: reader.box_key().clone(), writers: HashMap::new() }
     }
 
-    /// Opens a box of `writer`, whose key is `writer_key` and who may write the name. `None`: what
-    /// it holds is known.
+    /// Opens a box of `writer`, which has the key `writer_key` and may write the name. Returns
+    /// `None` if the key is already known.
     pub fn take(
         &mut self,
         now: u64,
@@ -95,8 +95,8 @@ impl KeyStore {
             let dropped = kept.before.replace(before);
             return opened(dropped.map(|(epoch, _)| epoch));
         }
-        // Boxes may come in any order, above all the first. Long after, an older one is repeated by
-        // somebody.
+        // Boxes may arrive in any order, especially the first ones. Much later, an older box is a
+        // replay.
         let is_before = kept.before.as_ref().is_none_or(|(before, _)| *before < epoch);
         if !is_before || is_over(now, kept.since) {
             return Err(StoreError::Over { epoch, newest });
@@ -105,8 +105,8 @@ impl KeyStore {
         opened(dropped.map(|(epoch, _)| epoch))
     }
 
-    /// Wipes keys of epochs that are over. Returns their writers and numbers. To be asked every few
-    /// seconds.
+    /// Wipes keys of expired epochs. Returns their writers and numbers. The caller must call this
+    /// every few seconds.
     pub fn expire(&mut self, now: u64) -> Vec<(Name, u32)> {
         let over = |(writer, kept): (&Name, &mut CachedKey)| {
             let (epoch, _) = kept.before.take_if(|_| is_over(now, kept.since))?;
@@ -115,7 +115,7 @@ impl KeyStore {
         self.writers.iter_mut().filter_map(over).collect()
     }
 
-    /// Wipes the keys of one who writes no more.
+    /// Wipes the keys of a writer that no longer writes.
     pub fn forget(&mut self, writer: &Name) {
         self.writers.remove(writer);
     }

@@ -1,16 +1,16 @@
-//! One message that is being put together. All segments here are authentic (they opened under the
-//! session's key); whether the writer signed the whole is the reader's last check.
+//! The assembly of one message from its segments. All segments here are authentic: they opened
+//! under the session's key. The reader verifies the writer's signature of the whole message last.
 
 use super::DropReason;
 use super::message::MAX_PREAMBLE;
 use super::wire::{Kind, SegmentHeader};
 
-/// What an assembly costs besides its segments: itself, its place in the map, the proof.
+/// Cost of an assembly besides its segments: the assembly itself, its map entry and the proof.
 const FIXED_COST: usize = 1024;
 
 #[derive(Debug)]
 pub struct Assembly {
-    /// Of any of its segments.
+    /// Header of any of its segments.
     header: SegmentHeader,
     /// `count` slots of `size` bytes.
     buffer: Vec<u8>,
@@ -24,8 +24,8 @@ pub struct Assembly {
 }
 
 impl Assembly {
-    /// The memory that a message of this header's shape will be charged, or why it is too large.
-    /// Nothing is allocated.
+    /// Returns the memory charged for a message of this header's shape, or the error that it is too
+    /// large. Allocates nothing.
     pub fn cost(header: &SegmentHeader, max_message: usize) -> Result<usize, DropReason> {
         let (count, size) = (header.count as usize, header.size as usize);
         let least = (count - 1).checked_mul(size).and_then(|n| n.checked_add(1)).ok_or(DropReason::TooLarge)?;
@@ -40,8 +40,8 @@ impl Assembly {
         let count = header.count as usize;
         Self {
             header: *header,
-            // Zeroed by the kernel as it is touched: a message that stays incomplete costs what
-            // arrived of it.
+            // The kernel zeroes the pages on first access, so an incomplete message uses only the
+            // memory of its received segments.
             buffer: vec![0; count * header.size as usize],
             digests: vec![[0; 32]; count],
             received: vec![0; count.div_ceil(64)],
@@ -61,13 +61,12 @@ impl Assembly {
         if header.kind == Kind::Proof { self.proof.is_some() } else { self.received[word(header)] & bit(header) != 0 }
     }
 
-    /// Where a body segment that has not arrived yet belongs; its content there does not count
-    /// until [`Self::mark`].
+    /// Returns the slot of a missing body segment. Its contents do not count until [`Self::mark`].
     pub fn slot(&mut self, header: &SegmentHeader, len: usize) -> &mut [u8] {
         &mut self.buffer[header.index as usize * self.header.size as usize..][..len]
     }
 
-    /// Notes that the slot of this body segment is filled, and what its ciphertext hashes to.
+    /// Records that the slot of this body segment is filled, and the digest of its ciphertext.
     pub fn mark(&mut self, header: &SegmentHeader, len: usize, digest: [u8; 32]) {
         self.received[word(header)] |= bit(header);
         self.digests[header.index as usize] = digest;
@@ -85,7 +84,7 @@ impl Assembly {
         self.missing == 0 && self.proof.is_some()
     }
 
-    /// Of a complete message: plaintext, digests of the segments, proof.
+    /// Returns plaintext, segment digests and proof of a complete message.
     pub fn into_parts(mut self) -> (Vec<u8>, Vec<[u8; 32]>, Vec<u8>) {
         let len = (self.header.count as usize - 1) * self.header.size as usize + self.last_len;
         self.buffer.truncate(len);

@@ -1,19 +1,20 @@
-//! Why a reader did not deliver something. One enum, with the labels that metrics and logs use.
+//! The drop reasons of a reader. One enum, with the labels for metrics and logs.
 
 use std::fmt;
 
 macro_rules! reasons {
     ($($(#[$doc:meta])* $variant:ident = $label:literal,)*) => {
-        /// Why a segment, or a whole message, was not delivered.
+        /// The reason that a segment or a whole message was not delivered.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         #[repr(u8)]
         pub enum DropReason { $($(#[$doc])* $variant,)* }
 
         impl DropReason {
-            /// All reasons, in the order of their numbers.
+            /// All reasons in numerical order.
             pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
-            /// The label of the metric, which tells it from those of frames by its `seal_`.
+            /// Returns the label of the metric. The prefix `seal_` distinguishes it from the drop
+            /// reasons of frames.
             pub const fn label(self) -> &'static str {
                 match self { $(Self::$variant => concat!("seal_", $label),)* }
             }
@@ -24,44 +25,43 @@ macro_rules! reasons {
 reasons! {
     /// The payload ends within a segment.
     Truncated = "truncated",
-    /// Another version, or header fields that do not fit each other.
+    /// Another version, or inconsistent header fields.
     BadHeader = "bad_header",
     /// The message would be larger than the limit.
     TooLarge = "too_large",
-    /// No writer of this name, or not any more.
+    /// The writer of this name is not or no longer authorised.
     UnknownWriter = "unknown_writer",
-    /// Sealed in an epoch of the writer whose key is not here, not yet or not any more.
+    /// Sealed in an epoch of the writer whose key the reader does not have yet or any more.
     NoKey = "no_key",
-    /// Did not open under the session's key: changed, made up, or sealed for another name, writer,
+    /// Did not open under the session's key: modified, forged, or sealed for another name, writer,
     /// session or epoch.
     Forged = "forged",
-    /// Of a session that the writer has not vouched for to this reader: it may be a recording.
+    /// The writer has not confirmed the session to this reader, so the segment may be a recording.
     Unvouched = "unvouched",
-    /// So far behind that nobody remembers whether it was delivered, or signed longer ago than the
-    /// reader accepts.
+    /// Older than the replay window, or signed longer ago than the reader accepts.
     TooOld = "too_old",
-    /// This segment is here already, or its message was delivered.
+    /// The segment was already received, or its message was delivered.
     Duplicate = "duplicate",
-    /// Differs in shape from other segments of its message.
+    /// The segment differs in shape from other segments of its message.
     Inconsistent = "inconsistent",
-    /// No memory left within the limits.
+    /// The memory limits are exhausted.
     MemoryFull = "memory_full",
-    /// An incomplete message gave way to newer ones.
+    /// An incomplete message was evicted in favour of newer ones.
     Evicted = "evicted",
-    /// A message was not complete at its deadline.
+    /// A message was incomplete at its deadline.
     Deadline = "deadline",
-    /// The proof or the message header makes no sense.
+    /// The proof or the message header is malformed.
     BadMessage = "bad_message",
     /// The writer did not sign this message.
     BadSignature = "bad_signature",
-    /// From before the sequence that the writer has vouched for its session from.
+    /// The sequence is before the first one that the writer has confirmed for its session.
     Stale = "stale",
     /// The cryptographic library failed.
     Internal = "internal",
 }
 
 impl DropReason {
-    /// How many reasons there are.
+    /// Number of reasons.
     pub const COUNT: usize = Self::ALL.len();
 }
 

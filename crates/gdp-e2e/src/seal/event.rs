@@ -1,4 +1,4 @@
-//! What a reader of sealed messages reports of them.
+//! The inputs, outputs and limits of a reader of sealed messages.
 
 use crate::seal::DropReason;
 use crate::seal::message::Message;
@@ -7,38 +7,38 @@ use gdp_core::crypto::Backend;
 use gdp_core::name::Name;
 use std::time::Duration;
 
-/// When something happens, on the two clocks that a reader needs.
+/// A time on the two clocks that a reader needs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Timestamps {
-    /// Nanoseconds of any clock that never goes back: for deadlines.
+    /// Nanoseconds of any monotonic clock, for deadlines.
     pub steady_ns: u64,
-    /// Nanoseconds since the Unix epoch: for the age of what was signed.
+    /// Nanoseconds since the Unix epoch, for the age of signatures.
     pub unix_ns: u64,
 }
 
-/// The writer's word on how far its session is.
+/// The writer's signed statement about the progress of its session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
     pub session: [u8; 16],
-    /// The sequence that the next message will have.
+    /// The sequence of the next message.
     pub next: u64,
-    /// Messages before this one cannot be had again.
+    /// Messages before this one are no longer available.
     pub oldest: u64,
     /// Unix time on the writer's clock.
     pub timestamp_ns: u64,
 }
 
-/// A message whose segments came, and are let go of without a delivery.
+/// A message with received segments that was dropped without delivery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lost {
     pub session: [u8; 16],
     pub sequence: u64,
-    /// It may yet be had, if all of it comes once more: these segments gave way to others, or were
-    /// not all the writer's.
+    /// The message can still be delivered if all segments are sent again. Its segments were
+    /// evicted, or some of them were not the writer's.
     pub again: bool,
 }
 
-/// One call of [`Reader::push`], as its writer's state sees it.
+/// One call of [`Reader::push`], for the state of its writer.
 pub struct Push<'a> {
     pub shared: &'a mut ReaderContext,
     pub scratch: &'a mut [u8],
@@ -46,22 +46,21 @@ pub struct Push<'a> {
     pub out: &'a mut Received,
 }
 
-/// How much a reader lets its writers use, and what it refuses.
+/// The resources that a reader grants its writers, and its acceptance limits.
 #[derive(Clone, Copy, Debug)]
 pub struct ReaderLimits {
     /// Bytes of a message body.
     pub max_message: usize,
-    /// Bytes of incomplete messages of one writer, bookkeeping included.
+    /// Bytes of incomplete messages of one writer, including bookkeeping.
     pub max_memory_per_source: usize,
     /// Bytes of incomplete messages of all writers.
     pub max_memory: usize,
-    /// How long after its first segment a message must be complete.
+    /// Maximum time between the first segment of a message and its completion.
     pub deadline: Duration,
-    /// What was signed longer ago is refused. The clocks of writers and readers must not differ by
-    /// more.
+    /// Maximum age of a signature. The clocks of writers and readers must not differ by more.
     pub max_age: Duration,
-    /// Sessions per writer whose replay windows are kept, and as many again that the writer has not
-    /// vouched for.
+    /// Sessions per writer with a replay window. The same number of unconfirmed sessions is
+    /// permitted in addition.
     pub max_sessions: usize,
 }
 
@@ -78,20 +77,21 @@ impl Default for ReaderLimits {
     }
 }
 
-/// What payloads brought. Kept by the caller, who empties it and reuses it.
+/// The output of received payloads. The caller owns it, clears it and reuses it.
 #[derive(Debug, Default)]
 pub struct Received {
-    /// Verified, in the order in which they became complete.
+    /// Verified messages, in the order of completion.
     pub messages: Vec<Message>,
-    /// Verified, and each newer than the one before of its session.
+    /// Verified heartbeats, each newer than the previous one of its session.
     pub heartbeats: Vec<Heartbeat>,
-    /// Segments of messages that opened and were not here before. Any holder of the key may have
-    /// made them: whether the writer did is known once the message is complete.
+    /// Newly received segments of messages that opened under the key. Any holder of the key may
+    /// have made them. The writer is proven only when the message is complete.
     pub segments: Vec<SegmentId>,
-    /// Segments that opened and that nothing needs: they are here already, or their message was
+    /// Segments that opened but are not needed: they were already received, or their message was
     /// delivered.
     pub repeated: Vec<SegmentId>,
-    /// But for those that were not complete in time: [`ReaderLimits::deadline`] is the caller's.
+    /// Lost messages, except those that missed [`ReaderLimits::deadline`], which the caller
+    /// handles.
     pub lost: Vec<Lost>,
 }
 
@@ -105,7 +105,7 @@ impl Received {
     }
 }
 
-/// What the writers of a name have in common here.
+/// The state that all writers of a name share in a reader.
 pub struct ReaderContext {
     pub name: Name,
     pub backend: Backend,
@@ -113,7 +113,7 @@ pub struct ReaderContext {
     /// Bytes charged to all assemblies.
     pub memory: usize,
     pub drops: [u64; DropReason::COUNT],
-    /// No assembly's deadline is before this.
+    /// No assembly has an earlier deadline.
     pub next_deadline: u64,
 }
 

@@ -1,23 +1,22 @@
 //! The hash tree that lets one signature cover a batch of messages. Leaves are padded with zeros to
-//! a power of two, so a leaf's position says at every level on which side its sibling is. Leaves
-//! and inner nodes are hashed with different first bytes (see [`super::wire::leaf`]), so neither
-//! passes for the other, and nobody knows what hashes to zero.
+//! a power of two, so a leaf's position determines the side of its sibling at every level. Leaves
+//! and inner nodes are hashed with different first bytes (see [`super::wire::leaf`]). A leaf
+//! therefore cannot pass for an inner node, and no known input hashes to zero.
 
 use super::wire::MAX_DEPTH;
 use gdp_core::crypto::Backend;
 
 const PADDING: [u8; 32] = [0; 32];
 
-/// A tree over a batch, kept to be reused. One message alone is a tree of depth 0, whose root is
-/// the leaf.
+/// A reusable tree over a batch. A single message is a tree of depth 0, whose root is the leaf.
 #[derive(Debug, Default)]
 pub struct Tree {
-    /// All levels one after another, leaves first.
+    /// All levels concatenated, leaves first.
     nodes: Vec<[u8; 32]>,
     depth: usize,
 }
 
-/// Levels between `count` leaves and their root.
+/// Returns the number of levels between `count` leaves and their root.
 pub fn depth(count: usize) -> usize {
     count.next_power_of_two().trailing_zeros() as usize
 }
@@ -43,7 +42,7 @@ impl Tree {
         self.nodes.last().copied().unwrap_or(PADDING)
     }
 
-    /// The siblings on the way from the leaf at `position` to the root.
+    /// Writes the siblings on the path from the leaf at `position` to the root.
     pub fn path(&self, position: usize, path: &mut Vec<[u8; 32]>) {
         path.clear();
         let mut level_start = 0;
@@ -54,9 +53,9 @@ impl Tree {
     }
 }
 
-/// What is known of a tree whose root was found to be signed: the pairs of nodes on the way up of
-/// the leaf that was verified last. The next leaf of the batch most often meets one of them after
-/// one hash, instead of one for every level.
+/// The verified part of a tree with a signed root: the pairs of nodes on the path of the last
+/// verified leaf. The next leaf of the batch usually meets one of them after one hash, instead of
+/// one hash per level.
 #[derive(Debug)]
 pub struct SignedTree {
     root: Option<[u8; 32]>,
@@ -74,8 +73,8 @@ impl Default for SignedTree {
 }
 
 impl SignedTree {
-    /// Whether `leaf` is in a signed tree, at `position` and with `path` (of at most [`MAX_DEPTH`])
-    /// beside its way up. `is_signed` is asked about the root if that is not the known one.
+    /// Verifies that `leaf` is in a signed tree, at `position` and with the siblings in `path` (at
+    /// most [`MAX_DEPTH`]). Calls `is_signed` for the root unless the root is the known one.
     pub fn verify<E>(
         &mut self,
         backend: Backend,
@@ -92,7 +91,8 @@ impl SignedTree {
             let index = position >> level;
             let is_known_pair = same_shape && (self.position >> level) / 2 == index / 2;
             if is_known_pair && self.pairs[level][index % 2] == hash {
-                // Below here the pairs are those of this leaf now; from here on they are the same.
+                // The pairs below this level are now those of this leaf; from this level on they
+                // are unchanged.
                 self.pairs[..level].copy_from_slice(&pairs[..level]);
                 self.position = position;
                 return Ok(());

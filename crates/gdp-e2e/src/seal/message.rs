@@ -1,5 +1,5 @@
-//! What a message is before it is sealed and after it was verified, and how its plaintext begins:
-//! message header, extensions, then the body. All integers are big-endian.
+//! Messages before sealing and after verification, and the layout of the plaintext: message header,
+//! extensions, then the body. All integers are big-endian.
 
 use bytes::Bytes;
 use gdp_core::name::Name;
@@ -17,7 +17,7 @@ const LATCHED_LEN: usize = 16;
 const SERVICE: u16 = 4;
 const SERVICE_LEN: usize = 32;
 
-/// What is in front of the body at most, by this version.
+/// Maximum length of the data before the body, in this version.
 pub const MAX_PREAMBLE: usize =
     MESSAGE_HEADER_LEN + 4 * EXTENSION_HEADER_LEN + IN_REPLY_TO_LEN + MAX_ORIGIN + LATCHED_LEN + SERVICE_LEN;
 
@@ -33,17 +33,18 @@ pub struct Message {
     pub encoding: Encoding,
     /// The request that this answers.
     pub in_reply_to: Option<MessageId>,
-    /// Where a proxy had it from, as proxies understand it. Empty if the writer did not say.
+    /// The origin of the message at a proxy, in the proxies' own format. Empty if the writer did
+    /// not state one.
     pub origin: Bytes,
-    /// Sent before, and again for readers that came later.
+    /// The message was sent before, and is repeated for readers that joined later.
     pub latched: Option<Latched>,
-    /// The service that this is a request to; such a message is sent to one of its servers by that
-    /// entity's own name.
+    /// The service of a request. Such a message is sent to the name of one of the service's
+    /// servers.
     pub service: Option<Name>,
     pub body: Bytes,
 }
 
-/// What a message was when it was sent first, in the same session.
+/// The identity of a message when it was first sent, in the same session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Latched {
     pub sequence: u64,
@@ -51,14 +52,14 @@ pub struct Latched {
     pub timestamp_ns: u64,
 }
 
-/// A message of some writer, by session and sequence.
+/// Identifies a message of a writer by session and sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct MessageId {
     pub session: [u8; 16],
     pub sequence: u64,
 }
 
-/// A message that is to be sealed.
+/// A message to be sealed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Draft<'a> {
     pub encoding: Encoding,
@@ -71,12 +72,12 @@ pub struct Draft<'a> {
 }
 
 impl<'a> Draft<'a> {
-    /// Without extensions.
+    /// Returns a draft without extensions.
     pub fn new(encoding: Encoding, body: &'a [u8]) -> Self {
         Self { encoding, in_reply_to: None, origin: &[], latched: None, service: None, body }
     }
 
-    /// Bytes of what is in front of the body.
+    /// Returns the length of the data before the body.
     pub fn preamble_len(&self) -> usize {
         MESSAGE_HEADER_LEN + self.extensions_len()
     }
@@ -89,8 +90,8 @@ impl<'a> Draft<'a> {
         in_reply_to + origin + latched + service
     }
 
-    /// What is in front of the body; the first [`Self::preamble_len`] bytes count. The origin has
-    /// been checked.
+    /// Returns the data before the body, in the first [`Self::preamble_len`] bytes. The length of
+    /// the origin must have been checked.
     pub fn preamble(&self, timestamp_ns: u64) -> [u8; MAX_PREAMBLE] {
         let mut bytes = [0u8; MAX_PREAMBLE];
         let mut at = 0;
@@ -128,7 +129,7 @@ impl<'a> Draft<'a> {
     }
 }
 
-/// What is in front of the body, and where things are in the plaintext.
+/// The data before the body, and the offsets in the plaintext.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Preamble {
     pub timestamp_ns: u64,
@@ -141,7 +142,7 @@ pub struct Preamble {
 }
 
 impl Preamble {
-    /// `None` if it makes no sense. Extensions of later versions are skipped.
+    /// Returns `None` if the plaintext is malformed. Skips extensions of later versions.
     pub fn parse(plaintext: &[u8]) -> Option<Self> {
         let (bytes, rest) = plaintext.split_first_chunk::<MESSAGE_HEADER_LEN>()?;
         let [t0, t1, t2, t3, t4, t5, t6, t7, e0, e1, x0, x1, reserved @ ..] = *bytes;
@@ -169,7 +170,7 @@ impl Preamble {
         Some(preamble)
     }
 
-    /// The message again, given the plaintext that this was parsed from.
+    /// Returns the message as a draft, given the plaintext that it was parsed from.
     pub fn draft<'a>(&self, plaintext: &'a [u8]) -> Draft<'a> {
         let Self { encoding, in_reply_to, origin, latched, service, body_at, .. } = self;
         Draft {
@@ -182,7 +183,7 @@ impl Preamble {
         }
     }
 
-    /// One extension; those that are known come once.
+    /// Parses one extension. A known extension must not be repeated.
     fn extension(&mut self, kind: u16, value: &[u8], at: usize) -> Option<()> {
         match kind {
             IN_REPLY_TO if self.in_reply_to.is_none() && value.len() == IN_REPLY_TO_LEN => {
@@ -211,12 +212,12 @@ impl Preamble {
 /// The encoding of a message's body (`docs/wire-format.md`, "Sealed segments").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Encoding {
-    /// Bytes that only the application understands.
+    /// Application-specific bytes.
     Bytes,
     Json,
     Cdr,
     Ros1,
-    /// Of a later version, or private use.
+    /// An encoding of a later version, or for private use.
     Other(u16),
 }
 

@@ -1,11 +1,11 @@
 //! Seals messages end to end (`docs/architecture.md`, "A message").
 //!
 //! A [`Writer`] splits a message into segments, seals each with AES-256-GCM under its session's
-//! key, and signs a Merkle root over all of them. A [`Reader`] opens, reassembles and verifies. The
-//! bytes are specified in `docs/wire-format.md`, "Sealed segments".
+//! key, and signs a Merkle root over all of them. A [`Reader`] opens, reassembles and verifies.
+//! `docs/wire-format.md`, "Sealed segments", specifies the encoding.
 //!
-//! No sockets and no clocks: callers bring the time, carry the frame payloads and decide who may
-//! write. What the body means is theirs, too.
+//! The module has no sockets and no clocks: callers provide the time and transmit the frame
+//! payloads. Callers also authorise writers and interpret the body.
 
 mod assembly;
 mod drop_reason;

@@ -1,10 +1,10 @@
-//! The reading end: frame payloads in, verified messages out. The order of checks is the point:
-//! bounds, known writer and key, GCM, whether the writer vouched for the session, replay window,
-//! memory, and when all is there the signature. A forged segment is refused before it costs memory.
+//! The reader: frame payloads in, verified messages out. The order of checks is essential: bounds,
+//! known writer and key, GCM, confirmed session, replay window, memory. The signature is checked
+//! when the message is complete. A forged segment is refused before it uses memory.
 //!
-//! What readers of a name can do to each other (they share the epoch keys) is limited too: only a
-//! verified signature moves a replay window, and only the writer's word lets a session displace
-//! another.
+//! Readers of a name share the epoch keys, so the damage that they can do to each other is also
+//! limited. Only a verified signature advances a replay window. Only a confirmation of the writer
+//! lets a session replace another.
 
 use super::DropReason;
 use super::segment::Segment;
@@ -19,11 +19,11 @@ use gdp_core::name::Name;
 use std::collections::HashMap;
 use std::fmt;
 
-/// Reads one name, from the writers it was told of.
+/// Reads one name, from the authorised writers.
 pub struct Reader {
     sources: HashMap<Name, WriterState>,
     shared: ReaderContext,
-    /// Where segments are opened that have no place yet: a body, and behind it a proof.
+    /// Buffer for opening segments without a slot: a body, followed by a proof.
     scratch: Box<[u8]>,
 }
 
@@ -36,9 +36,9 @@ impl Reader {
         Self { sources: HashMap::new(), shared, scratch: vec![0; SCRATCH_LEN].into() }
     }
 
-    /// From now on messages of `writer`, signed by `key`, are delivered, once there are the keys to
-    /// open them and the writer has vouched for its session. The caller has verified that it may
-    /// write.
+    /// Authorises `writer`, whose messages are signed by `key`. Messages are delivered once their
+    /// keys are set and the writer has confirmed its session. The caller must have verified that
+    /// the writer may write.
     pub fn authorise(&mut self, writer: Name, key: VerifyKey) -> Result<(), CryptoError> {
         if !self.sources.contains_key(&writer) {
             self.sources.insert(writer, WriterState::new(writer, key.verifier(self.shared.backend)?));
@@ -46,29 +46,30 @@ impl Reader {
         Ok(())
     }
 
-    /// Nothing of `writer` is delivered any more; its keys and what was incomplete are forgotten.
+    /// Stops delivery from `writer`, and discards its keys and incomplete messages.
     pub fn revoke(&mut self, writer: &Name) {
         if let Some(source) = self.sources.remove(writer) {
             self.shared.memory -= source.memory();
         }
     }
 
-    /// What an authorised writer seals with in an epoch. Of more than four epochs the lowest goes.
+    /// Sets the key of an authorised writer for an epoch. With more than four epochs, drops the
+    /// lowest.
     pub fn set_key(&mut self, writer: &Name, epoch: u32, key: EpochKey) -> Result<(), DropReason> {
         self.source(writer).map(|source| source.set_key(epoch, key))
     }
 
-    /// Nothing that the writer sealed in this epoch opens any more. What opened before may still
-    /// become complete.
+    /// Drops the key of an epoch, so that its segments no longer open. Messages with opened
+    /// segments may still become complete.
     pub fn drop_key(&mut self, writer: &Name, epoch: u32) {
         if let Some(source) = self.sources.get_mut(writer) {
             source.drop_key(epoch);
         }
     }
 
-    /// The writer, asked just now, says that it runs this session and that messages from this
-    /// sequence on are to be read: those of other sessions, and those before it, may be recordings.
-    /// Said again, it can only go back.
+    /// Records the writer's answer to a recent challenge: it runs this session, and messages from
+    /// this sequence on are current. Other sessions and earlier messages may be recordings.
+    /// Repeated calls can only lower the sequence.
     pub fn confirm_session(&mut self, writer: &Name, session: [u8; 16], from_sequence: u64) -> Result<(), DropReason> {
         let source = self.sources.get_mut(writer).ok_or(DropReason::UnknownWriter)?;
         source.confirm_session(&mut self.shared, session, from_sequence);
@@ -79,9 +80,9 @@ impl Reader {
         self.sources.keys()
     }
 
-    /// Takes the payload of a frame whose source is `source`, and appends what it brings to `out`.
-    /// If segments of it are dropped, the first reason is returned, and each is counted; other
-    /// segments of the payload are used all the same.
+    /// Processes the payload of a frame from `source` and appends the results to `out`. Counts each
+    /// dropped segment and returns the first drop reason. Other segments of the payload are still
+    /// used.
     pub fn push(
         &mut self,
         now: Timestamps,
@@ -119,8 +120,8 @@ impl Reader {
         }
     }
 
-    /// Gives up the messages whose deadline is before `steady_ns`; returns how many. [`Self::push`]
-    /// does so by itself; without traffic somebody has to.
+    /// Gives up the messages whose deadline is before `steady_ns`, and returns their number.
+    /// [`Self::push`] calls this itself; without traffic, the caller must call it.
     pub fn expire(&mut self, steady_ns: u64) -> usize {
         self.shared.next_deadline = u64::MAX;
         let expired = self.sources.values_mut().map(|source| source.expire(&mut self.shared, steady_ns)).sum();
@@ -128,18 +129,19 @@ impl Reader {
         expired
     }
 
-    /// When [`Self::expire`] may have something to do; `None` while nothing is incomplete.
+    /// Returns the time when [`Self::expire`] may have work, or `None` while no message is
+    /// incomplete.
     pub fn next_deadline(&self) -> Option<u64> {
         (self.shared.memory > 0).then_some(self.shared.next_deadline)
     }
 
-    /// Segments and messages dropped so far, indexed by [`DropReason`] (`as usize`), in the order
-    /// of [`DropReason::ALL`].
+    /// Returns the number of dropped segments and messages, indexed by [`DropReason`] (`as usize`),
+    /// in the order of [`DropReason::ALL`].
     pub fn drops(&self) -> &[u64; DropReason::COUNT] {
         &self.shared.drops
     }
 
-    /// Bytes charged to incomplete messages.
+    /// Returns the bytes charged to incomplete messages.
     pub fn memory(&self) -> usize {
         self.shared.memory
     }
@@ -149,7 +151,8 @@ impl Reader {
     }
 }
 
-/// One segment, with its proof if that is all there is beside it; returns what is behind as well.
+/// Processes one segment, together with its proof if the message has one segment only. Also returns
+/// the rest of the payload.
 fn take<'p>(
     source: Option<&mut WriterState>,
     push: &mut Push<'_>,

@@ -1,25 +1,25 @@
-//! One sealed segment as it stands in a payload.
+//! A sealed segment in a payload.
 
 use super::DropReason;
 use super::wire::{HEADER_LEN, Kind, SegmentHeader};
 use gdp_core::crypto::{Aead, Backend, TAG_LEN};
 
-/// Which segment of which message of a session it is.
+/// Identifies a segment of a message in a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SegmentId {
     pub session: [u8; 16],
     pub sequence: u64,
     pub cut: u16,
-    /// Of the proof, `count`.
+    /// Index of the segment; that of the proof is `count`.
     pub index: u32,
-    /// Body segments of the message, in this cut.
+    /// Number of body segments of the message, in this cut.
     pub count: u32,
-    /// Bytes of it in a payload.
+    /// Length of the segment in a payload.
     pub len: usize,
 }
 
-/// What the segments of a payload say they are, up to the first that makes no sense. Nothing in it
-/// is authentic.
+/// Returns the ids that the segments of a payload claim, up to the first malformed one. The ids are
+/// not authenticated.
 pub fn segment_ids(payload: &[u8]) -> impl Iterator<Item = SegmentId> {
     let mut rest = payload;
     std::iter::from_fn(move || {
@@ -29,7 +29,7 @@ pub fn segment_ids(payload: &[u8]) -> impl Iterator<Item = SegmentId> {
     })
 }
 
-/// A segment whose fields fit each other; nothing in it is authentic yet.
+/// A segment with consistent fields, not yet authenticated.
 pub struct Segment<'a> {
     pub header: SegmentHeader,
     clear: &'a [u8; HEADER_LEN],
@@ -39,7 +39,7 @@ pub struct Segment<'a> {
 }
 
 impl<'a> Segment<'a> {
-    /// The first segment of `payload`, and what is behind it.
+    /// Returns the first segment of `payload`, and the rest.
     pub fn split(payload: &'a [u8]) -> Result<(Self, &'a [u8]), DropReason> {
         let (clear, rest) = payload.split_first_chunk::<HEADER_LEN>().ok_or(DropReason::Truncated)?;
         let header = SegmentHeader::parse(clear).ok_or(DropReason::BadHeader)?;
@@ -53,7 +53,7 @@ impl<'a> Segment<'a> {
         SegmentId { session, sequence, cut, index, count, len: HEADER_LEN + self.sealed.len() }
     }
 
-    /// Whether it is the proof of the message that `body` is a segment of.
+    /// Returns whether this is the proof of the message that `body` belongs to.
     pub fn proves(&self, body: &SegmentHeader) -> bool {
         self.header.kind == Kind::Proof && self.header.is_of_message(body)
     }
@@ -64,7 +64,7 @@ impl<'a> Segment<'a> {
         aead.open(&self.header.nonce(), self.clear, ciphertext, tag, out).map_err(|_| DropReason::Forged)
     }
 
-    /// Of ciphertext and tag.
+    /// Returns the digest of ciphertext and tag.
     pub fn digest(&self, backend: Backend) -> [u8; 32] {
         backend.sha256(&[self.sealed])
     }

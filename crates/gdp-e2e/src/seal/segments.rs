@@ -1,13 +1,13 @@
-//! The frame payloads that a message became, in one buffer that is reused from message to message.
+//! The frame payloads of a message, in one buffer that is reused for every message.
 
 use super::segment::{Segment, SegmentId};
 
-/// Sealed segments, packed into frame payloads of a given size. Reused, it stops allocating after
-/// the largest message.
+/// Sealed segments, packed into frame payloads of a given size. A reused value stops allocating
+/// after the largest message.
 #[derive(Clone, Debug, Default)]
 pub struct Segments {
     buffer: Vec<u8>,
-    /// Where in `buffer` each payload ends.
+    /// End offset of each payload in `buffer`.
     ends: Vec<usize>,
 }
 
@@ -16,7 +16,7 @@ impl Segments {
         Self::default()
     }
 
-    /// The frame payloads, in the order in which they are best sent.
+    /// Returns the frame payloads in the recommended order of sending.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = &[u8]> {
         let mut start = 0;
         self.ends.iter().map(move |&end| {
@@ -26,8 +26,8 @@ impl Segments {
         })
     }
 
-    /// The sealed segments, each with its bytes, in the order in which they are in the payloads:
-    /// for a history from which single ones are sent again.
+    /// Returns the sealed segments with their bytes, in the order of the payloads. For a history
+    /// that repeats single segments.
     pub fn segments(&self) -> impl Iterator<Item = (SegmentId, &[u8])> {
         let mut rest = &self.buffer[..];
         std::iter::from_fn(move || {
@@ -38,12 +38,12 @@ impl Segments {
         })
     }
 
-    /// The bytes of all frame payloads, one after another.
+    /// Returns all frame payloads, concatenated.
     pub fn into_bytes(self) -> Vec<u8> {
         self.buffer
     }
 
-    /// Number of frame payloads.
+    /// Returns the number of frame payloads.
     pub fn len(&self) -> usize {
         self.ends.len()
     }
@@ -52,7 +52,7 @@ impl Segments {
         self.ends.is_empty()
     }
 
-    /// Bytes of all frame payloads together.
+    /// Returns the total length of all frame payloads.
     pub fn total_bytes(&self) -> usize {
         self.buffer.len()
     }
@@ -62,8 +62,8 @@ impl Segments {
         self.ends.clear();
     }
 
-    /// Makes room for a segment of `len` bytes and returns where it begins; opens a new payload if
-    /// the last has no room. The caller appends exactly `len` bytes to [`Self::buffer`].
+    /// Reserves room for a segment of `len` bytes and returns its offset. Starts a new payload if
+    /// the last one has no room. The caller must append exactly `len` bytes to [`Self::buffer`].
     pub(super) fn begin(&mut self, len: usize, max_payload: usize) -> usize {
         let at = self.buffer.len();
         let payload_start = self.ends.len().checked_sub(2).map_or(0, |i| self.ends[i]);

@@ -1,4 +1,4 @@
-//! One session of a writer, as a reader keeps it.
+//! The reader's state of one session of a writer.
 
 use super::DropReason;
 use super::assembly::Assembly;
@@ -6,21 +6,20 @@ use super::window::ReplayWindow;
 use gdp_core::crypto::{Aead, CryptoError};
 use std::collections::BTreeMap;
 
-/// Sequence and cut: a message that is cut anew is put together beside the earlier cut.
+/// Sequence and cut. A message with a new cut is assembled separately from the earlier cut.
 pub type SegmentPosition = (u64, u16);
 
 pub struct Session {
     pub id: [u8; 16],
     pub aeads: Aeads,
-    /// Which messages were delivered, of whatever cut.
+    /// The delivered messages, of any cut.
     pub window: ReplayWindow,
     pub assemblies: BTreeMap<SegmentPosition, Assembly>,
-    /// The first sequence that the writer has vouched for; `None` if it has not vouched for the
-    /// session.
+    /// The first sequence that the writer has confirmed, or `None` if the session is unconfirmed.
     pub from: Option<u64>,
-    /// The number of the newest heartbeat that was verified.
+    /// The number of the newest verified heartbeat.
     pub heartbeat: u32,
-    /// When it last delivered, on the writer's count of deliveries.
+    /// Time of the last delivery, as the writer's count of deliveries.
     pub last_used: u64,
 }
 
@@ -37,8 +36,7 @@ impl Session {
         }
     }
 
-    /// Takes out the assemblies of a message, whatever their cut; returns the memory they were
-    /// charged.
+    /// Removes all assemblies of a message, of any cut. Returns the memory they were charged.
     pub fn give_up(&mut self, sequence: u64) -> usize {
         let mut freed = 0;
         while let Some((&place, _)) = self.assemblies.range((sequence, 0)..=(sequence, u16::MAX)).next() {
@@ -48,12 +46,12 @@ impl Session {
     }
 }
 
-/// What the segments of a session are sealed under, by epoch: no more than the writer has keys.
+/// The AEADs of a session by epoch, at most one per key of the writer.
 #[derive(Default)]
 pub struct Aeads(Vec<(u32, Aead)>);
 
 impl Aeads {
-    /// That of an epoch; `derive` makes it the first time.
+    /// Returns the AEAD of an epoch; `derive` creates it on first use.
     pub fn of(&mut self, epoch: u32, derive: impl FnOnce() -> Result<Aead, CryptoError>) -> Result<&Aead, DropReason> {
         let at = match self.0.iter().position(|(of, _)| *of == epoch) {
             Some(at) => at,

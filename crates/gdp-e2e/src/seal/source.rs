@@ -1,6 +1,5 @@
-//! One writer of a name, as a reader knows it: its keys, its sessions, and what is incomplete of
-//! its messages. All decisions about a segment are taken here; [`super::Reader`] finds the writer
-//! and counts.
+//! The reader's state of one writer of a name: keys, sessions and incomplete messages. This module
+//! makes all decisions about a segment; [`super::Reader`] finds the writer and counts.
 
 use super::DropReason;
 use super::assembly::Assembly;
@@ -16,11 +15,11 @@ use gdp_core::keys::EpochKey;
 use gdp_core::name::Name;
 use std::borrow::Cow;
 
-/// Incomplete messages of one session; when there are more, the oldest is given up.
+/// Maximum number of incomplete messages of one session. Beyond it, the oldest is given up.
 const MAX_IN_FLIGHT: usize = 256;
 
-/// Epochs of one writer whose keys are kept: the present one, the one before, and room for a writer
-/// in a hurry.
+/// Number of epochs of one writer with retained keys: the current one, the previous one, and a
+/// reserve for quick successions.
 pub const MAX_EPOCHS: usize = 4;
 
 pub struct WriterState {
@@ -30,9 +29,9 @@ pub struct WriterState {
     sessions: Vec<Session>,
     /// Bytes charged to its assemblies.
     memory: usize,
-    /// A batch is verified once: that the writer signed this tree stays true.
+    /// The last verified tree, so that the signature of a batch is verified only once.
     signed: SignedTree,
-    /// Counts deliveries; orders the sessions by last use.
+    /// Counts deliveries, to order the sessions by last use.
     clock: u64,
 }
 
@@ -61,8 +60,8 @@ impl WriterState {
         self.sessions.iter_mut().for_each(|session| session.aeads.forget(epoch));
     }
 
-    /// The session counts from now on; if there are too many of those, the one unused longest is
-    /// forgotten.
+    /// Confirms a session. If too many sessions are confirmed, discards the least recently used
+    /// one.
     pub fn confirm_session(&mut self, shared: &mut ReaderContext, id: [u8; 16], from: u64) {
         self.clock += 1;
         let at = self.position(&id).unwrap_or_else(|| {
@@ -80,7 +79,7 @@ impl WriterState {
         }
     }
 
-    /// Gives up messages whose deadline is before `steady_ns`, and says when the next is.
+    /// Gives up messages whose deadline is before `steady_ns`, and updates the next deadline.
     pub fn expire(&mut self, shared: &mut ReaderContext, steady_ns: u64) -> usize {
         let (mut expired, mut freed) = (0, 0);
         for session in &mut self.sessions {
@@ -99,9 +98,9 @@ impl WriterState {
         expired
     }
 
-    /// A message that is one segment, with its proof beside it: the common case of small ones,
-    /// which takes no memory before it is verified. `None` if it has to be taken segment by
-    /// segment.
+    /// Processes a message of one segment together with its proof. This common case of small
+    /// messages uses no memory before verification. Returns `None` if the segments must be
+    /// processed one by one.
     pub fn take_whole(
         &mut self,
         push: &mut Push<'_>,
@@ -145,7 +144,7 @@ impl WriterState {
         Some(self.deliver(push, at, &body.header, Cow::Borrowed(body_place), &[digest], proof_place))
     }
 
-    /// One segment, from header to delivery.
+    /// Processes one segment, from its header to delivery.
     pub fn take(&mut self, push: &mut Push<'_>, segment: &Segment<'_>) -> Result<(), DropReason> {
         let scratch = std::mem::take(&mut push.scratch);
         let result = self.segment(push, &mut scratch[..segment.plaintext_len], segment);
@@ -175,7 +174,8 @@ impl WriterState {
                     && assembly.fits(header)
                     && !assembly.has(header)
                 {
-                    // The common case of a large message: opened in its place, without a copy.
+                    // The common case of a large message: opened directly in its slot, without a
+                    // copy.
                     segment.open(aead, assembly.slot(header, segment.plaintext_len))?;
                     assembly.mark(header, segment.plaintext_len, segment.digest(push.shared.backend));
                     push.out.segments.push(segment.id());
@@ -200,8 +200,7 @@ impl WriterState {
             return self.heartbeat(push, at, header, scratch);
         }
         if let Err(reason) = self.sessions[at].window.check(header.sequence) {
-            // The window has moved past a message that was still incomplete: it cannot be delivered
-            // any more.
+            // The window has moved past an incomplete message, which can no longer be delivered.
             let freed = self.sessions[at].give_up(header.sequence);
             self.free(push.shared, freed);
             return Err(reason);
@@ -230,8 +229,8 @@ impl WriterState {
         self.sessions.iter().position(|session| session.id == *id)
     }
 
-    /// A place for a session that has shown one authentic segment, so that its key is not derived
-    /// again. If too many of them wait for the writer's word, the one that waits longest goes.
+    /// Adds a session with one authentic segment, so that its key is not derived again. If too many
+    /// sessions are unconfirmed, discards the oldest of them.
     fn admit(&mut self, shared: &mut ReaderContext, session: Session) -> usize {
         let waiting = self.sessions.iter().filter(|session| session.from.is_none()).count();
         if waiting >= shared.limits.max_sessions.max(1)
@@ -251,7 +250,7 @@ impl WriterState {
         plaintext: &[u8],
     ) -> Result<(), DropReason> {
         let session = &mut self.sessions[at];
-        // Those that were overtaken say nothing new.
+        // An overtaken heartbeat contains nothing new.
         if header.index <= session.heartbeat {
             return Err(DropReason::Duplicate);
         }
@@ -286,8 +285,8 @@ impl WriterState {
         shared.next_deadline = shared.next_deadline.min(deadline);
     }
 
-    /// Gives up this writer's own oldest incomplete messages until `cost` more bytes are within the
-    /// limits. Never one of another writer, and never a newer one of the same session.
+    /// Gives up this writer's oldest incomplete messages until `cost` more bytes are within the
+    /// limits. Never gives up a message of another writer, or a newer one of the same session.
     fn make_room(
         &mut self,
         push: &mut Push<'_>,
@@ -343,8 +342,7 @@ impl WriterState {
         self.deliver(push, at, header, Cow::Owned(plaintext), &digests, &proof)
     }
 
-    /// All of a message is there and opened; what is left is whether the writer signed it, and
-    /// whether it is wanted.
+    /// Delivers a complete and opened message, if the writer signed it and it is still wanted.
     fn deliver(
         &mut self,
         push: &mut Push<'_>,
@@ -408,7 +406,7 @@ impl WriterState {
         Ok(())
     }
 
-    /// A verified message: marks it as delivered. Other cuts of it are not needed any more.
+    /// Marks a verified message as delivered. Its other cuts are no longer needed.
     fn accept(&mut self, shared: &mut ReaderContext, at: usize, sequence: u64) -> Result<(), DropReason> {
         self.clock += 1;
         let session = &mut self.sessions[at];

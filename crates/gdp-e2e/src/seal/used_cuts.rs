@@ -1,22 +1,21 @@
-//! Which cuts of its messages a writer has used. A cut that came twice would seal twice under one
-//! nonce.
+//! The used cuts of a writer's messages. Sealing under the same cut twice would repeat a nonce.
 
 use std::collections::BTreeMap;
 
-/// Messages that were cut anew and are remembered. Those before them cannot be cut anew any more.
+/// Maximum number of remembered messages with a new cut. Earlier messages cannot be cut again.
 const MAX_MESSAGES: usize = 4096;
 
-/// All messages have used cut 0.
+/// The highest used cut of each message. All messages have used cut 0.
 #[derive(Debug, Default)]
 pub struct UsedCuts {
-    /// By sequence, the highest cut used, if it is not 0.
+    /// The highest used cut by sequence, if it is not 0.
     highest: BTreeMap<u64, u16>,
-    /// What is no higher has been forgotten.
+    /// Sequences up to this one have been forgotten.
     floor: u64,
 }
 
 impl UsedCuts {
-    /// Uses a cut, or says why it cannot be.
+    /// Uses a cut, or returns the reason for a refusal.
     pub fn take(&mut self, sequence: u64, cut: u16) -> Result<(), &'static str> {
         if cut > super::wire::MAX_CUT {
             return Err("there are no cuts beyond 65534");

@@ -1,11 +1,11 @@
-//! Which sequences of a session are done, over the last 1024 of them.
+//! The replay window of a session, over its last 1024 sequences.
 
 use super::DropReason;
 
 const SPAN: u64 = 1024;
 
-/// A sliding bitmap (as in RFC 4303 §3.4.3). Sequences begin at 1. Only what was verified moves it,
-/// so that nobody but the writer can push honest messages out of it.
+/// A sliding bitmap (as in RFC 4303 §3.4.3). Sequences start at 1. Only verified messages advance
+/// it, so only the writer can move honest messages out of the window.
 #[derive(Debug, Default)]
 pub struct ReplayWindow {
     highest: u64,
@@ -13,7 +13,7 @@ pub struct ReplayWindow {
 }
 
 impl ReplayWindow {
-    /// Whether a message of this sequence is still wanted.
+    /// Checks whether a message of this sequence may still be delivered.
     pub fn check(&self, sequence: u64) -> Result<(), DropReason> {
         if sequence > self.highest {
             return Ok(());
@@ -25,12 +25,11 @@ impl ReplayWindow {
         if self.bits[word] & bit == 0 { Ok(()) } else { Err(DropReason::Duplicate) }
     }
 
-    /// Marks a sequence as done, and moves on if it is the highest.
+    /// Records a sequence as delivered, and advances the window if it is the highest.
     pub fn record(&mut self, sequence: u64) {
         if sequence > self.highest {
             for passed in (self.highest + 1..=sequence).take(SPAN as usize) {
-                // When more than the whole window is passed, all of it is cleared, in whatever
-                // order.
+                // If the step exceeds the whole window, all bits are cleared, in any order.
                 let (word, bit) = word_and_bit(passed);
                 self.bits[word] &= !bit;
             }

@@ -1,5 +1,5 @@
 //! The layouts of `docs/wire-format.md`, "Sealed segments": segment header, proof, heartbeat, and
-//! the hashes that bind them. Encoding and bounds only; nothing here keeps state. All integers are
+//! the hashes that bind them. Only encoding and bounds; the module has no state. All integers are
 //! big-endian.
 
 use gdp_core::crypto::{Backend, NONCE_LEN, SIGNATURE_LEN, TAG_LEN};
@@ -13,60 +13,60 @@ pub const VERSION: u8 = 2;
 const FLAG_PROOF: u8 = 1;
 const FLAG_HEARTBEAT: u8 = 2;
 pub const HEADER_LEN: usize = 44;
-/// What a segment costs besides its plaintext.
+/// Overhead of a segment besides its plaintext.
 pub const OVERHEAD: usize = HEADER_LEN + TAG_LEN;
-/// The largest plaintext of a segment: its length with the tag is 16 bits.
+/// The largest plaintext of a segment. Its length including the tag has 16 bits.
 pub const MAX_PLAINTEXT: usize = u16::MAX as usize - TAG_LEN;
 
-/// The last sequence of a session: they have 48 bits.
+/// The last sequence of a session. Sequences have 48 bits.
 pub const MAX_SEQUENCE: u64 = (1 << 48) - 1;
 /// The last cut of a message.
 pub const MAX_CUT: u16 = u16::MAX - 1;
-/// What heartbeats have in the place of the cut, so that no nonce of theirs is one of a message.
+/// The cut of all heartbeats, so that their nonces differ from those of messages.
 const HEARTBEAT_CUT: u16 = u16::MAX;
 
 pub const MAX_DEPTH: usize = 16;
-/// The most messages that one signature may cover.
+/// Maximum number of messages under one signature.
 pub const MAX_BATCH: usize = 1 << MAX_DEPTH;
 
-/// The smallest frame payload a message can be cut for: one that holds the proof of a message
+/// The smallest frame payload that a message can be cut for. It fits the proof of a message that is
 /// signed alone.
 pub const MIN_PAYLOAD: usize = OVERHEAD + proof_len(0);
 
-/// What a segment carries.
+/// The contents of a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A part of a message.
     Body,
-    /// Where the message is in a signed tree.
+    /// The position of the message in a signed tree.
     Proof,
-    /// How far the session is.
+    /// The progress of the session.
     Heartbeat,
 }
 
-/// The clear header in front of every segment's ciphertext; all of it is authenticated.
+/// The clear header before every segment's ciphertext, authenticated as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SegmentHeader {
     pub kind: Kind,
-    /// Of the ciphertext with its tag.
+    /// Length of the ciphertext including its tag.
     pub sealed_len: u16,
-    /// Of a heartbeat, its number in the session.
+    /// Index of the segment; for a heartbeat, its number in the session.
     pub index: u32,
-    /// Of a heartbeat, the sequence of the next message. 48 bits.
+    /// Sequence of the message; for a heartbeat, that of the next message. 48 bits.
     pub sequence: u64,
-    /// How often the message was cut anew before. Heartbeats have one of their own.
+    /// Number of earlier cuts of the message. Heartbeats use a reserved cut.
     pub cut: u16,
     pub session: [u8; 16],
-    /// Body segments of the message, without the proof.
+    /// Number of body segments of the message, without the proof.
     pub count: u32,
-    /// Plaintext bytes of every body segment but the last, which may have fewer.
+    /// Plaintext bytes of every body segment except the last, which may be shorter.
     pub size: u32,
-    /// Of the writer's keys, the one that this is sealed under.
+    /// Epoch of the writer's key that the segment is sealed under.
     pub epoch: u32,
 }
 
 impl SegmentHeader {
-    /// Of the `number`th heartbeat of a session.
+    /// Returns the header of the `number`th heartbeat of a session.
     pub fn heartbeat(session: [u8; 16], number: u32, next: u64, epoch: u32) -> Self {
         Self {
             kind: Kind::Heartbeat,
@@ -99,7 +99,7 @@ impl SegmentHeader {
         bytes
     }
 
-    /// `None` for another version or unknown flags.
+    /// Returns `None` for another version or unknown flags.
     pub fn parse(bytes: &[u8; HEADER_LEN]) -> Option<Self> {
         let word = |at: usize| u32::from_be_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
         let kind = match (bytes[0], bytes[1]) {
@@ -123,7 +123,7 @@ impl SegmentHeader {
         })
     }
 
-    /// Plaintext bytes of this segment, if all fields fit each other.
+    /// Returns the plaintext length of this segment, if all fields are consistent.
     pub fn plaintext_len(&self) -> Option<usize> {
         let len = usize::from(self.sealed_len).checked_sub(TAG_LEN)?;
         let size = self.size as usize;
@@ -139,7 +139,7 @@ impl SegmentHeader {
         (fits && self.sequence > 0).then_some(len)
     }
 
-    /// Whether `other` is a segment of the same message, cut the same way and sealed under the same
+    /// Returns whether `other` is a segment of the same message, in the same cut and under the same
     /// key.
     pub fn is_of_message(&self, other: &Self) -> bool {
         let message =
@@ -161,7 +161,7 @@ impl SegmentHeader {
 
 const PROOF_HEADER_LEN: usize = 4;
 
-/// Plaintext bytes of a proof with a path of `depth` hashes.
+/// Returns the plaintext length of a proof with a path of `depth` hashes.
 pub const fn proof_len(depth: usize) -> usize {
     PROOF_HEADER_LEN + 32 * depth + SIGNATURE_LEN
 }
@@ -170,8 +170,8 @@ fn is_proof_len(len: usize) -> bool {
     len >= proof_len(0) && len <= proof_len(MAX_DEPTH) && (len - proof_len(0)).is_multiple_of(32)
 }
 
-/// Where the message's leaf is in the signed tree, the way to the root, and the signature of the
-/// root.
+/// The position of the message's leaf in the signed tree, the path to the root, and the signature
+/// of the root.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Proof<'a> {
     pub position: u16,
@@ -180,7 +180,7 @@ pub struct Proof<'a> {
 }
 
 impl<'a> Proof<'a> {
-    /// Writes into `out`, which has [`proof_len`] bytes.
+    /// Writes the proof into `out`, which has [`proof_len`] bytes.
     pub fn write(&self, out: &mut [u8]) {
         out[..2].copy_from_slice(&self.position.to_be_bytes());
         out[2] = self.path.len() as u8;
@@ -206,15 +206,15 @@ impl<'a> Proof<'a> {
     }
 }
 
-/// What a message is in the signed tree. `digests` are the SHA-256 of each body segment's
-/// ciphertext with its tag, in order.
+/// Returns the leaf of a message in the signed tree. `digests` are the SHA-256 of each body
+/// segment's ciphertext with its tag, in order.
 pub fn leaf(backend: Backend, name: &Name, writer: &Name, header: &SegmentHeader, digests: &[[u8; 32]]) -> [u8; 32] {
     // Sequence, cut, session, count, size and epoch.
     let message = &header.to_bytes()[8..];
     backend.sha256(&[&[0], MESSAGE_CONTEXT, name.as_bytes(), writer.as_bytes(), message, digests.as_flattened()])
 }
 
-/// What is signed for the tree with this root.
+/// Returns the signed statement for the tree with this root.
 pub fn batch_statement(root: &[u8; 32]) -> [u8; BATCH_CONTEXT.len() + 32] {
     let mut statement = [0u8; BATCH_CONTEXT.len() + 32];
     statement[..BATCH_CONTEXT.len()].copy_from_slice(BATCH_CONTEXT);
@@ -227,16 +227,16 @@ pub const HEARTBEAT_LEN: usize = HEARTBEAT_CLAIMS + SIGNATURE_LEN;
 const HEARTBEAT_CLAIMS: usize = 16;
 const HEARTBEAT_STATEMENT: usize = HEARTBEAT_CONTEXT.len() + 64 + 28 + HEARTBEAT_CLAIMS;
 
-/// What a heartbeat says beside its header.
+/// The contents of a heartbeat in addition to its header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeartbeatBody {
     pub timestamp_ns: u64,
-    /// The sequence of the oldest message that the writer can still send again.
+    /// The sequence of the oldest message that the writer can repeat.
     pub oldest: u64,
 }
 
 impl HeartbeatBody {
-    /// The plaintext, when `signature` is one of the [statement](Self::statement).
+    /// Returns the plaintext. `signature` is that of the [statement](Self::statement).
     pub fn to_bytes(self, signature: &[u8; SIGNATURE_LEN]) -> [u8; HEARTBEAT_LEN] {
         let mut bytes = [0u8; HEARTBEAT_LEN];
         bytes[..HEARTBEAT_CLAIMS].copy_from_slice(&self.claims());
@@ -252,11 +252,11 @@ impl HeartbeatBody {
         Some((Self { timestamp_ns, oldest }, signature.try_into().ok()?))
     }
 
-    /// What the writer signs.
+    /// Returns the statement that the writer signs.
     pub fn statement(&self, name: &Name, writer: &Name, header: &SegmentHeader) -> [u8; HEARTBEAT_STATEMENT] {
         let mut statement = [0u8; HEARTBEAT_STATEMENT];
         let mut rest = &mut statement[..];
-        // Number, next sequence and session, of the header.
+        // Number, next sequence and session from the header.
         let parts: [&[u8]; 5] =
             [HEARTBEAT_CONTEXT, name.as_bytes(), writer.as_bytes(), &header.to_bytes()[4..32], &self.claims()];
         for part in parts {

@@ -1,5 +1,5 @@
-//! The writing end of a session: message in, frame payloads out. Nothing is allocated per frame,
-//! and once the buffers have grown, nothing per message.
+//! The writer of a session: message in, frame payloads out. Allocates nothing per frame, and
+//! nothing per message once the buffers have grown.
 
 use super::MAX_BATCH;
 use super::merkle::{self, Tree};
@@ -16,10 +16,10 @@ use gdp_core::name::Name;
 use std::collections::VecDeque;
 use std::fmt;
 
-/// Epochs before the present one whose messages can be cut anew.
+/// Number of previous epochs whose messages can be cut again.
 const EPOCHS_KEPT: usize = 15;
 
-/// Segments that may be sealed under the key of a session and an epoch.
+/// Maximum number of segments under the key of a session and an epoch.
 pub const MAX_SEGMENTS: u64 = 1 << 32;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -46,19 +46,19 @@ pub enum SealError {
     Crypto(#[from] CryptoError),
 }
 
-/// One session of one writer of a name. Every `Writer` is a new session under a random identifier
-/// of 128 bits, so a restarted or a second writer never seals twice under one key and nonce. The
-/// session goes on from epoch to epoch.
+/// One session of one writer of a name. Every `Writer` is a new session with a random identifier of
+/// 128 bits. A restarted or second writer therefore never repeats a nonce under the same key. The
+/// session continues across epochs.
 pub struct Writer {
     name: Name,
     writer: Name,
     session: [u8; 16],
     epoch: Option<Epoch>,
-    /// Those before, the last of them last, for messages that are cut anew.
+    /// Previous epochs for messages that are cut again, the latest at the end.
     before: VecDeque<Epoch>,
     signer: Signer,
     backend: Backend,
-    /// The sequence number of the next message; they begin at 1.
+    /// The sequence number of the next message; the first is 1.
     next: u64,
     used_cuts: UsedCuts,
     /// The number of the last heartbeat.
@@ -66,15 +66,15 @@ pub struct Writer {
     scratch: Scratch,
 }
 
-/// What is sealed under.
+/// The key of an epoch, for sealing.
 struct Epoch {
     number: u32,
     aead: Aead,
-    /// Segments sealed.
+    /// Number of sealed segments.
     used: u64,
 }
 
-/// Buffers that keep their capacity from message to message.
+/// Buffers that are reused for every message.
 #[derive(Default)]
 struct Scratch {
     digests: Vec<[u8; 32]>,
@@ -84,7 +84,7 @@ struct Scratch {
     path: Vec<[u8; 32]>,
 }
 
-/// What messages that are sealed together have in common; their sequences follow one another.
+/// The parameters that messages sealed together share. Their sequences are consecutive.
 struct SigningRun {
     epoch: u32,
     first: u64,
@@ -92,20 +92,20 @@ struct SigningRun {
     timestamp_ns: u64,
 }
 
-/// A proof segment whose place is reserved, to be filled in when the root is signed.
+/// A proof segment with a reserved slot, which is filled when the root is signed.
 struct PendingProof {
     at: usize,
     header: SegmentHeader,
 }
 
 impl Writer {
-    /// A new session of `writer` (the entity that `key` belongs to) for messages to `name`. It
-    /// needs the key of an epoch before it can seal: [`Self::set_epoch`].
+    /// Creates a new session of `writer` (the entity that owns `key`) for messages to `name`.
+    /// Sealing requires the key of an epoch first: [`Self::set_epoch`].
     pub fn new(name: Name, writer: Name, key: SigningKey, backend: Backend) -> Result<Self, SealError> {
         Self::with_session(name, writer, &key, backend, crypto::random()?)
     }
 
-    /// For test vectors only: a session identifier that is used twice gives the plaintext away.
+    /// For test vectors only: reusing a session identifier reveals the plaintext.
     pub(super) fn with_session(
         name: Name,
         writer: Name,
@@ -130,8 +130,8 @@ impl Writer {
         })
     }
 
-    /// From now on everything is sealed under this key. Numbers only rise, so that no key comes
-    /// back.
+    /// Seals all further segments under this key. Epoch numbers only increase, so that no key is
+    /// reused.
     pub fn set_epoch(&mut self, epoch: u32, key: &EpochKey) -> Result<(), SealError> {
         if let Some(Epoch { number: current, .. }) = self.epoch
             && epoch <= current
@@ -146,7 +146,7 @@ impl Writer {
         Ok(())
     }
 
-    /// The one that is sealed under.
+    /// Returns the current epoch.
     pub fn epoch(&self) -> Option<u32> {
         self.epoch.as_ref().map(|epoch| epoch.number)
     }
@@ -159,13 +159,13 @@ impl Writer {
         self.session
     }
 
-    /// The sequence number that the next message gets.
+    /// Returns the sequence number of the next message.
     pub fn next_sequence(&self) -> u64 {
         self.next
     }
 
-    /// Seals one message into `out`, whose former content is dropped: frame payloads of at most
-    /// `max_payload` bytes. After an error `out` is empty.
+    /// Seals one message into frame payloads of at most `max_payload` bytes. Replaces the contents
+    /// of `out`; after an error `out` is empty.
     pub fn seal(
         &mut self,
         now_unix_ns: u64,
@@ -198,15 +198,15 @@ impl Writer {
             return Err(SealError::SequenceExhausted);
         }
         let epoch = self.spend(messages, max_payload)?;
-        // Taken before anything is sealed: whatever fails below, no nonce is used again.
+        // Advanced before sealing, so that no nonce is reused after a failure below.
         self.next = next;
         let run = SigningRun { epoch, first, cut: 0, timestamp_ns: now_unix_ns };
         self.seal_run(run, messages, max_payload, out).inspect_err(|_| out.clear())
     }
 
-    /// Seals a message of this session again, for smaller or larger frames or under a newer key:
-    /// the same `message` and `timestamp_ns` as the first time, under a `cut` that is higher than
-    /// those before (the first is 0). Readers take whichever cut they have whole first.
+    /// Seals a message of this session again, for another frame size or under a newer key.
+    /// `message` and `timestamp_ns` must be those of the first time. `cut` must be higher than all
+    /// previous cuts; the first is 0. Readers deliver the cut that is complete first.
     pub fn reseal(
         &mut self,
         sequence: u64,
@@ -228,9 +228,9 @@ impl Writer {
         self.seal_run(run, &messages, max_payload, out).inspect_err(|_| out.clear())
     }
 
-    /// Seals again what this session sealed in the last 16 epochs, for frame payloads of another
-    /// size: `sealed` are the segments of whole messages, one after another. As [`Self::reseal`]
-    /// for each of them.
+    /// Seals segments of the last 16 epochs of this session again, for another payload size.
+    /// `sealed` contains all segments of whole messages, concatenated. Equivalent to
+    /// [`Self::reseal`] for each message.
     pub fn recut(&mut self, sealed: &[u8], cut: u16, max_payload: usize, out: &mut Segments) -> Result<(), SealError> {
         out.clear();
         self.recut_into(sealed, cut, max_payload, out).inspect_err(|_| out.clear())
@@ -263,14 +263,14 @@ impl Writer {
         Ok(())
     }
 
-    /// Says that all messages before `next` have gone, for readers that may have missed the last of
-    /// them, and that those before `oldest` cannot be had again. One segment, small enough for any
-    /// link; each costs a signature.
+    /// Seals a heartbeat: all messages before `next` were sent, and those before `oldest` are no
+    /// longer available. For readers that may have missed the last messages. A heartbeat is one
+    /// segment, small enough for any link, and costs a signature.
     pub fn heartbeat(&mut self, now_unix_ns: u64, next: u64, oldest: u64, out: &mut Segments) -> Result<(), SealError> {
         out.clear();
         let next = next.clamp(1, self.next);
         let epoch = self.spend_segments(1)?;
-        // There are fewer of an epoch, but epochs come and go.
+        // One epoch has fewer heartbeats, but a session has many epochs.
         self.heartbeats = self.heartbeats.checked_add(1).ok_or(SealError::SequenceExhausted)?;
         let header = SegmentHeader::heartbeat(self.session, self.heartbeats, next, epoch);
         let body = HeartbeatBody { timestamp_ns: now_unix_ns, oldest };
@@ -283,7 +283,8 @@ impl Writer {
         Ok(())
     }
 
-    /// Checks that the messages can be sealed, and counts their segments. Returns the epoch.
+    /// Checks that the messages can be sealed, and counts their segments towards the limit. Returns
+    /// the epoch.
     fn spend(&mut self, messages: &[Draft<'_>], max_payload: usize) -> Result<u32, SealError> {
         let depth = merkle::depth(messages.len());
         let mut segments = 0;
@@ -343,7 +344,7 @@ impl Writer {
         self.seal_proofs(out)
     }
 
-    /// The body segments of one message; leaves their digests in the scratch.
+    /// Seals the body segments of one message. Leaves their digests in the scratch buffers.
     fn seal_body(
         &mut self,
         mut header: SegmentHeader,
@@ -420,7 +421,7 @@ fn split_off_front<'a>(data: &mut &'a [u8], most: usize) -> &'a [u8] {
     front
 }
 
-/// How a message is cut.
+/// The division of a message into segments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cut {
     count: u32,
