@@ -68,7 +68,7 @@ fn a_nack_asks_for_each_segment_once() {
     encoded(&nack(vec![range(1, 0, 3), range(1, 3, 1), range(2, 0, 1), range(3, u32::MAX, 1)]));
 }
 
-/// What an attacker may write into the bytes, which `encode` would not.
+/// Encodings that only an attacker produces, because `encode` refuses them.
 #[test]
 fn hostile_bytes_are_refused() {
     let two = encoded(&nack(vec![Missing::whole(1), Missing::whole(2)]));

@@ -1,4 +1,4 @@
-//! Writers and readers together, in simulated time.
+//! Tests of writers and readers together, in simulated time.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::time::Duration;
@@ -29,7 +29,7 @@ fn a_revoked_reader_cannot_open_the_next_epoch() {
     world.settle();
     assert!(world.ring.current().0 > before);
     assert_eq!(world.who_opens(), BTreeSet::from([0]));
-    // Nor does it if the boxes of others come to it.
+    // The revoked reader cannot open the boxes of others either.
     for signed in world.published.clone() {
         world.readers[1].offer(world.now, &world.writer, &signed);
     }
@@ -90,7 +90,7 @@ fn epochs_begin_a_second_apart_and_the_ring_says_when() {
     assert_eq!(world.ring.current().0, first);
     world.now = START + SECOND;
     let boxes = world.poll().unwrap();
-    // The other one leaves as well, before the boxes without the first are stored.
+    // The other reader also leaves, before the boxes without the first one are stored.
     world.set_readers(&[]);
     assert_eq!(world.ring.wake_at(), START + 2 * SECOND);
     world.now = START + 2 * SECOND;
@@ -156,7 +156,7 @@ fn a_restarted_writer_repeats_no_number_however_often_it_changed_keys() {
     let mut seen = BTreeSet::new();
     let mut random = Random::new(7);
     for _ in 0..50 {
-        // Readers come and go as fast as they can, and each message ends an epoch.
+        // Readers join and leave as fast as possible, and each message ends an epoch.
         for _ in 0..100 {
             world.set_readers(&[random.below(8) as usize, random.below(8) as usize]);
             world.ring.used(1, 1);
@@ -175,9 +175,9 @@ fn a_restarted_writer_repeats_no_number_however_often_it_changed_keys() {
     }
 }
 
-/// Readers come, go, are revoked and come back; storing takes its time or fails; the writer
-/// restarts; the keeper of boxes loses them. At every moment a message opens for exactly the
-/// readers that hold a box of the current epoch, and soon for exactly those that may read.
+/// Readers join, leave, are revoked and return. Storing takes time or fails, the writer restarts,
+/// and the box storage loses its boxes. A message always opens for exactly the readers with a box
+/// of the current epoch. Soon afterwards, those are exactly the authorised readers.
 #[test]
 fn messages_open_for_those_who_hold_boxes() {
     for seed in 0..20 {
@@ -185,7 +185,7 @@ fn messages_open_for_those_who_hold_boxes() {
         let rotation = Rotation { age: Duration::from_secs(30), messages: 400, bytes: 1 << 30 };
         let mut world = World::new(6, rotation);
         let mut allowed = BTreeSet::new();
-        // Since when each has not been allowed.
+        // Start time of each reader's revocation.
         let mut revoked: BTreeMap<usize, u64> = (0..6).map(|reader| (reader, START)).collect();
         let mut storing: Vec<(u64, Boxes)> = Vec::new();
         for _ in 0..400 {
@@ -211,7 +211,7 @@ fn messages_open_for_those_who_hold_boxes() {
                 _ => world.ring.used(random.below(20), 100),
             }
             while let Some(boxes) = world.poll() {
-                // One in four takes longer than the ring waits.
+                // One store in four takes longer than the ring waits.
                 let delay = if random.below(4) == 0 { 5 * SECOND } else { random.below(500) * MS };
                 storing.push((world.now + delay, boxes));
             }
@@ -226,7 +226,7 @@ fn messages_open_for_those_who_hold_boxes() {
                 let over = world.now >= since + 3 * SECOND + 400 * MS;
                 assert!(!over || !opening.contains(reader), "seed {seed}: {reader} reads on after it was revoked");
             }
-            // Whoever may read is a holder, or its box is on the way.
+            // Every authorised reader has a box, or its box is being stored.
             let epoch = world.ring.current().0;
             for reader in &allowed {
                 let on_the_way = storing.iter().any(|(_, boxes)| boxes.epoch == epoch);
@@ -303,7 +303,7 @@ fn a_reader_keeps_keys_of_so_many_writers() {
             if i < MAX_WRITERS { Ok(true) } else { Err(StoreError::TooManyWriters) }
         );
     }
-    // What is refused takes no place.
+    // A refused box uses no slot.
     let forged = issue(writer.key(), &KeyBox { sealed: vec![0; claims.sealed.len()], ..claims }).unwrap();
     let mut store = KeyStore::new(NAME, &reader);
     assert!(store.take(START, writer.name(), &key, &forged).is_err());
@@ -326,7 +326,7 @@ fn nothing_prints_a_key() {
     }
 }
 
-/// One writer of [`NAME`], those who may come to read it, and where boxes are kept.
+/// One writer of [`NAME`], its possible readers, and the stored boxes.
 struct World {
     now: u64,
     writer: Identity,
@@ -334,14 +334,14 @@ struct World {
     rotation: Rotation,
     readers: Vec<Reader>,
     published: Vec<Signed<KeyBox>>,
-    /// Who was given which epoch.
+    /// The readers that were given a box of each epoch.
     given: BTreeMap<u32, BTreeSet<Name>>,
 }
 
 struct Reader {
     identity: Identity,
     store: KeyStore,
-    /// What it opens messages with.
+    /// The keys for opening messages.
     keys: HashMap<u32, EpochKey>,
 }
 
@@ -366,7 +366,7 @@ impl World {
         self.ring.poll(self.now).unwrap()
     }
 
-    /// Everything is stored and delivered at once.
+    /// Stores and delivers all boxes immediately.
     fn settle(&mut self) {
         while let Some(boxes) = self.poll() {
             self.store(&boxes);
@@ -385,7 +385,7 @@ impl World {
         self.ring.boxes_stored(boxes.epoch);
     }
 
-    /// The readers for which a message sealed now opens.
+    /// Returns the readers that can open a message sealed now.
     fn who_opens(&self) -> BTreeSet<usize> {
         let (epoch, key) = self.ring.current();
         let mut message = *b"a message";

@@ -1,5 +1,5 @@
-//! What must work: any message, any order, both back ends, batches, sessions that come and go. What
-//! must not is in `hostile_tests`.
+//! The cases that must work: any message, any order, both back ends, batches, new and old sessions.
+//! `hostile_tests` contains the cases that must fail.
 
 use super::*;
 use gdp_core::crypto::Backend;
@@ -40,13 +40,13 @@ fn a_small_message_is_one_frame_and_a_full_tail_shares_one_with_the_proof() {
     writer.seal(0, Encoding::Bytes, &[0; 64], 1400, &mut segments).unwrap();
     assert_eq!(segments.len(), 1);
     assert_eq!(segments.total_bytes(), 44 + 16 + 64 + 16 + MIN_PAYLOAD);
-    // One full segment, and a tail that shares its payload with the proof.
+    // One full segment, and a last segment that shares its payload with the proof.
     writer.seal(0, Encoding::Bytes, &[0; 1340 - 16 + 100], 1400, &mut segments).unwrap();
     assert_eq!(segments.iter().map(<[u8]>::len).collect::<Vec<_>>(), [1400, 60 + 100 + MIN_PAYLOAD]);
-    // A tail that leaves no room.
+    // A last segment that leaves no room for the proof.
     writer.seal(0, Encoding::Bytes, &[0; 2 * 1340 - 16], 1400, &mut segments).unwrap();
     assert_eq!(segments.iter().map(<[u8]>::len).collect::<Vec<_>>(), [1400, 1400, MIN_PAYLOAD]);
-    // The buffer is reused, not added to.
+    // The buffer is replaced, not extended.
     writer.seal(0, Encoding::Bytes, b"", 1400, &mut segments).unwrap();
     assert_eq!(segments.len(), 1);
 }
@@ -97,7 +97,7 @@ fn a_batch_has_one_signature_and_each_message_stands_alone() {
         let messages = push_all(&mut reader, f.writer_name(), segments.iter());
         assert_eq!(messages.iter().map(|message| &message.body[..]).collect::<Vec<_>>(), bodies);
 
-        // Without the first frame the messages in the others are still verified.
+        // The messages in the other frames verify without the first frame.
         let mut reader = f.reader();
         let rest = push_all(&mut reader, f.writer_name(), segments.iter().skip(1));
         assert_eq!(rest, messages[messages.len() - rest.len()..]);
@@ -126,7 +126,7 @@ fn a_restarted_writer_is_a_new_session_and_both_are_read() {
         let frames = f.seal(writer, b"hello", 1400);
         assert_eq!(only(push_all(&mut reader, f.writer_name(), &frames)).sequence, 1);
     }
-    // The same plaintext never looks the same.
+    // Two sealings of the same plaintext differ.
     assert_ne!(f.seal(&mut first, b"x", 1400)[0][44..60], f.seal(&mut second, b"x", 1400)[0][44..60]);
 }
 
@@ -146,7 +146,8 @@ fn what_misses_its_deadline_is_dropped_whole_and_newer_messages_pass() {
     assert_eq!(reader.expire(DEADLINE + 1), 1);
     assert_eq!((reader.memory(), reader.next_deadline()), (0, None));
     assert_eq!(reader.drops()[DropReason::Deadline as usize], 1);
-    // The rest alone does not complete it, and `push` expires by itself.
+    // The remaining segments do not complete the message, and `push` expires it without a call of
+    // `expire`.
     for frame in &slow[1..] {
         reader.push(at(DEADLINE + 2), f.writer_name(), frame, &mut messages).unwrap();
     }
@@ -168,7 +169,7 @@ fn when_memory_is_short_the_writers_own_oldest_message_gives_way() {
         assert!(reader.memory() <= 40_000);
     }
     assert_eq!(reader.drops()[DropReason::Evicted as usize], 1);
-    // The oldest does not come back at the cost of newer ones, which complete.
+    // The oldest message does not return at the cost of newer ones, which complete.
     assert_eq!(reader.push(at(9), f.writer_name(), &messages[0][1], &mut out), Err(DropReason::MemoryFull));
     for frame in messages[1][1..].iter().chain(&messages[2][1..]) {
         reader.push(at(9), f.writer_name(), frame, &mut out).unwrap();
@@ -217,7 +218,7 @@ pub const DEADLINE: u64 = 1_000_000_000;
 /// The epoch of the fixture's key.
 pub const EPOCH: u32 = 5;
 
-/// On both clocks.
+/// Returns a time that is the same on both clocks.
 pub fn at(ns: u64) -> Timestamps {
     Timestamps { steady_ns: ns, unix_ns: ns }
 }
@@ -231,7 +232,7 @@ pub fn limits() -> ReaderLimits {
     }
 }
 
-/// One name, two entities that may write it, and readers and writers made to measure.
+/// One name, two entities that may write it, and configurable readers and writers.
 pub struct Fixture {
     pub name: Name,
     pub entity: Identity,
@@ -240,7 +241,7 @@ pub struct Fixture {
     pub writing: Backend,
     pub reading: Backend,
     pub limits: ReaderLimits,
-    /// Writers begun so far.
+    /// Number of writers created so far.
     pub begun: Cell<u8>,
 }
 
@@ -272,13 +273,12 @@ impl Fixture {
         self.with_epoch(Writer::with_session(self.name, entity.name(), entity.key(), self.writing, session).unwrap())
     }
 
-    /// Of the `n`th writer.
+    /// Returns the session of the `n`th writer.
     fn session(n: u8) -> [u8; 16] {
         [n; 16]
     }
 
-    /// A writer in the name of the entity, in a session of the caller's choice, that signs with any
-    /// key.
+    /// Returns a writer in the entity's name, with a given session and any signing key.
     pub fn writer_in(&self, session: [u8; 16], key: &SigningKey) -> Writer {
         self.with_epoch(Writer::with_session(self.name, self.writer_name(), key, self.writing, session).unwrap())
     }
@@ -288,21 +288,21 @@ impl Fixture {
         writer
     }
 
-    /// Knows the entity and its key, and the sessions of the first writers.
+    /// Returns a reader with the entity, its key, and the confirmed sessions of the first writers.
     pub fn reader(&self) -> Reader {
         let mut reader = self.strict_reader();
         self.confirm_session(&mut reader, &self.entity);
         reader
     }
 
-    /// The entity vouches for the sessions of the first writers.
+    /// Confirms the sessions of the first writers of the entity.
     pub fn confirm_session(&self, reader: &mut Reader, entity: &Identity) {
         for n in 1..=self.limits.max_sessions as u8 {
             reader.confirm_session(&entity.name(), Self::session(n), 0).unwrap();
         }
     }
 
-    /// Wants to hear of each session from its writer.
+    /// Returns a reader without confirmed sessions.
     pub fn strict_reader(&self) -> Reader {
         let mut reader = Reader::new(self.name, self.reading, self.limits);
         self.introduce(&mut reader, &self.entity);
@@ -314,7 +314,7 @@ impl Fixture {
         reader.set_key(&entity.name(), EPOCH, self.epoch_key.clone()).unwrap();
     }
 
-    /// The frame payloads of one message, timestamped with its sequence.
+    /// Returns the frame payloads of one message, with its sequence as its timestamp.
     pub fn seal(&self, writer: &mut Writer, body: &[u8], max_payload: usize) -> Vec<Vec<u8>> {
         let mut segments = Segments::new();
         writer.seal(writer.next_sequence(), Encoding::Bytes, body, max_payload, &mut segments).unwrap();

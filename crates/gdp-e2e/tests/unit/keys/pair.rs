@@ -21,7 +21,7 @@ fn two_understand_each_other_and_nobody_else_does() {
         assert_eq!(opener.open(&payload), Err(PairError::Forged), "{who}");
         assert!(opener.sessions.is_empty());
     }
-    // Entities that share a box key are two, and not the same as one with itself.
+    // Two entities with the same box key are distinct from one entity with itself.
     let twin = Identity::new(a.key().clone(), "switch");
     assert_eq!(pair(&twin, &b).opener().open(&payload), Err(PairError::Forged));
 }
@@ -74,7 +74,7 @@ fn memory_is_bounded_and_the_living_session_stays() {
         for _ in 0..SESSIONS - 1 {
             opener.open(&sealed(&mut pair(&a, &b).sealer().unwrap(), 2)).unwrap();
         }
-        // Forgeries in sessions of their own, and in one that is about to go.
+        // Forgeries in their own sessions, and in one that is about to be dropped.
         let mut forged = sealed(&mut pair(&a, &b).sealer().unwrap(), 2);
         forged[HEADER_LEN] ^= 1;
         assert_eq!(opener.open(&forged), Err(PairError::Forged));
@@ -95,7 +95,7 @@ fn hostile_payloads_are_refused_and_change_nothing() {
     }
     assert_eq!(opener.open(&[VERSION; MAX_PAIR_PAYLOAD + 1]), Err(PairError::Length(MAX_PAIR_PAYLOAD + 1)));
     assert_eq!(opener.open(&[9; 60]), Err(PairError::Version(9)));
-    // The number furthest ahead moves no window unless it opens.
+    // Even the highest counter advances no window unless the message opens.
     let mut ahead = payload.clone();
     ahead[9..17].fill(0xff);
     assert_eq!(opener.open(&ahead), Err(PairError::Forged));
@@ -128,7 +128,7 @@ fn the_largest_feedback_fits_the_smallest_link() {
     sealer.seal(&nack, &mut out).unwrap();
     assert_eq!(out.len(), MAX_PAIR_PAYLOAD);
     assert_eq!(opener.open(&out), Ok(nack));
-    // QUIC's smallest packet, 1200 bytes, less the header of a frame.
+    // QUIC's smallest packet, 1200 bytes, minus the header of a frame.
     const { assert!(MAX_PAIR_PAYLOAD <= 1200 - 96) };
 }
 

@@ -1,4 +1,4 @@
-//! `docs/vectors/keys.json`: recomputed and compared with what is published.
+//! Recomputes `docs/vectors/keys.json` and compares it with the published file.
 
 use serde_json::json;
 
@@ -11,7 +11,7 @@ use gdp_core::name::Name;
 const NAME: Name = Name::from_bytes([0x11; 32]);
 const EPOCH: u32 = 1_800_000_000;
 
-/// The key `0707…07`, sealed for the reader: sealing draws randomness, so this one is kept.
+/// The key `0707…07`, sealed for the reader. Sealing is randomised, so the result is fixed here.
 const SEALED: &str = "04e21961152aef035e17dedb495c4c82f9bb574e950690013564a6eea3f66c4560145ca2ada18c194f4ed18a33\
                       623081d53b8f565c1565b8a7a6565ec75251bc8c9af90acaa62a31801bc37128c6b567d86e6a0a226ddbc7655f\
                       ba9975d2398a1cefe78dcae4af6b0af24fb65e4518c77f";

@@ -1,4 +1,4 @@
-//! What must not work, and what it is counted as.
+//! The cases that must fail, and their drop reasons.
 
 use super::tests::{EPOCH, Fixture, at, only, push_all};
 use super::wire::{self, HEADER_LEN, OVERHEAD, Proof, SegmentHeader, VERSION};
@@ -23,12 +23,12 @@ fn no_flipped_bit_is_delivered_or_costs_memory() {
         let error = reader.push(at(0), f.writer_name(), &changed, &mut out).unwrap_err();
         assert!(out.messages.is_empty(), "bit {bit}");
         assert!(reader.drops()[error as usize] > 0);
-        // The segment that was not touched may wait for the other.
+        // The unmodified segment may wait for the other one.
         assert!(reader.memory() < 2000, "bit {bit}");
         if !in_header(bit / 8) {
             assert_eq!(error, DropReason::Forged, "bit {bit}");
         }
-        // The true frame is still accepted afterwards.
+        // The original frame is still accepted afterwards.
         let mut out = Received::default();
         let _ = reader.push(at(0), f.writer_name(), &frame, &mut out);
         assert_eq!(only(out.messages).body, "attack at dawn");
@@ -76,7 +76,7 @@ fn truncated_frames_are_refused_at_every_length() {
             let mut reader = f.reader();
             let mut out = Received::default();
             let result = reader.push(at(0), f.writer_name(), &frame[..len], &mut out);
-            // A cut between two segments leaves a whole one.
+            // A cut between two segments leaves a complete segment.
             let whole = len > 0 && split_ends(frame).contains(&len);
             assert_eq!(result.is_ok(), whole, "length {len}");
             assert!(result.is_ok() || result == Err(DropReason::Truncated), "length {len}: {result:?}");
@@ -127,11 +127,11 @@ fn replays_are_refused_however_they_come() {
     assert_eq!(reader.memory(), 0);
 }
 
-/// Its window has moved on: that it was not delivered before could not be told any more.
+/// The window has moved on, so the reader can no longer tell whether the message was delivered.
 #[test]
 fn a_message_that_completes_behind_the_window_is_too_old() {
     let f = Fixture::new();
-    // Whether the proof is the last to arrive, or a body segment that opens in its place.
+    // The last segment to arrive is the proof, or a body segment that opens in its slot.
     for last in [0, 1] {
         let (mut writer, mut reader) = (f.writer(), f.reader());
         let slow = f.seal(&mut writer, &[1; 2000], 1400);
@@ -158,7 +158,7 @@ fn frames_of_another_name_writer_session_or_epoch_do_not_open() {
         DropReason::Forged
     );
 
-    // Another entity's frame under this writer's name, and this writer's under another's.
+    // A frame of another entity under this writer's name, and the reverse.
     let mut reader = f.reader();
     f.introduce(&mut reader, &f.other);
     let of_other = f.seal(&mut f.writer_of(&f.other), b"x", 1400).remove(0);
@@ -167,7 +167,7 @@ fn frames_of_another_name_writer_session_or_epoch_do_not_open() {
     let nobody = Name::from_bytes([1; 32]);
     assert_eq!(reader.push(at(0), nobody, &frame(&f), &mut Received::default()), Err(DropReason::UnknownWriter));
 
-    // A segment that claims to be of another session of the same writer.
+    // A segment that claims another session of the same writer.
     let (a, b) = (f.writer(), f.writer());
     let mut reader = f.reader();
     let mut moved = f.seal(&mut { a }, b"x", 1400).remove(0);
@@ -175,7 +175,7 @@ fn frames_of_another_name_writer_session_or_epoch_do_not_open() {
     assert_eq!(reader.push(at(0), f.writer_name(), &moved, &mut Received::default()), Err(DropReason::Forged));
 }
 
-/// A reader knows the epoch key, so it can seal; it cannot sign.
+/// A reader has the epoch key and can seal, but cannot sign.
 #[test]
 fn another_reader_cannot_write() {
     let f = Fixture::new();
@@ -191,12 +191,12 @@ fn another_reader_cannot_write() {
     assert!(out.messages.is_empty());
     assert_eq!(reader.drops()[DropReason::BadSignature as usize], 100);
     assert_eq!(reader.memory(), 0);
-    // It did not move anything either.
+    // It did not advance any window either.
     assert_eq!(push_all(&mut reader, f.writer_name(), f.seal(&mut f.writer(), b"honest", 1400)).len(), 1);
 }
 
-/// Segments made by an insider within an honest session, with sequences far ahead, must not make
-/// honest ones too old.
+/// An insider forges segments within an honest session, with sequences far ahead. They must not
+/// make honest segments too old.
 #[test]
 fn an_insider_cannot_move_an_honest_window() {
     let f = Fixture::new();
@@ -236,7 +236,7 @@ fn impossible_sizes_are_refused_before_anything_else() {
     assert_eq!(reader.memory(), 0);
 }
 
-/// An insider that may seal announces many large messages and never completes them.
+/// An insider with the key announces many large messages and never completes them.
 #[test]
 fn authentic_but_endless_messages_stay_within_the_limits() {
     let f = Fixture::new();
@@ -252,7 +252,7 @@ fn authentic_but_endless_messages_stay_within_the_limits() {
         }
     }
     assert!(reader.drops()[DropReason::Evicted as usize] > 700);
-    // Many tiny ones.
+    // Many small messages.
     let mut writer = f.writer();
     reader.confirm_session(&f.writer_name(), writer.session(), 0).unwrap();
     for _ in 0..2000 {
@@ -262,7 +262,7 @@ fn authentic_but_endless_messages_stay_within_the_limits() {
     }
     assert!(reader.memory() <= f.limits.max_memory_per_source);
     assert!(out.messages.is_empty());
-    // An honest message still comes through.
+    // An honest message is still delivered.
     let mut writer = f.writer();
     reader.confirm_session(&f.writer_name(), writer.session(), 0).unwrap();
     assert_eq!(push_all(&mut reader, f.writer_name(), f.seal(&mut writer, &[5; 4000], 1400)).len(), 1);
@@ -281,8 +281,7 @@ fn segments_of_one_message_agree_on_its_shape() {
     );
 }
 
-/// A proof is bound to its message: one from the same batch does not confirm_session for another
-/// message.
+/// A proof is bound to its message: a proof from the same batch does not prove another message.
 #[test]
 fn proofs_cannot_be_exchanged_within_a_batch() {
     let f = Fixture::new();
@@ -297,7 +296,7 @@ fn proofs_cannot_be_exchanged_within_a_batch() {
     let (first_body, first_proof, second_proof) =
         (&payload[..ends[0]], &payload[ends[0]..ends[1]], &payload[ends[2]..ends[3]]);
 
-    // An insider opens the second proof and seals it again as the first one's.
+    // An insider opens the second proof and seals it again as that of the first message.
     let aead = f.epoch_key.session_aead(Backend::default(), &f.name, &f.writer_name(), &session).unwrap();
     let open = |segment: &[u8]| {
         let (clear, sealed) = segment.split_first_chunk::<HEADER_LEN>().unwrap();
@@ -325,7 +324,7 @@ fn proofs_cannot_be_exchanged_within_a_batch() {
     assert_eq!(wire::proof_len(1), stolen.len());
 }
 
-/// Where in a payload each of its segments ends.
+/// Returns the end offsets of a payload's segments.
 fn split_ends(payload: &[u8]) -> Vec<usize> {
     let mut ends = vec![];
     let mut at = 0;

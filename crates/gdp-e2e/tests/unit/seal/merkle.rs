@@ -31,7 +31,7 @@ fn a_lone_leaf_is_the_root() {
     assert_eq!(tree.root(), [7; 32]);
 }
 
-/// In any order, of trees of any size, also mixed: what is remembered never changes the answer.
+/// For any order and any mixture of trees of any size, the cached pairs never change the result.
 #[test]
 fn a_leaf_is_taken_if_its_root_is_signed_whatever_came_before() {
     let mut random = Random::new(4);
@@ -41,7 +41,7 @@ fn a_leaf_is_taken_if_its_root_is_signed_whatever_came_before() {
         let leaves: Vec<[u8; 32]> = (0..1 + random.below(70)).map(|_| random.bytes(32).try_into().unwrap()).collect();
         let mut tree = Tree::default();
         tree.build(BACKEND, &leaves);
-        // Every fourth is signed by nobody.
+        // Every fourth tree is unsigned.
         trees.push((leaves, tree, i % 4 != 0));
     }
     let (mut path, mut at) = (Vec::new(), 0);

@@ -1,7 +1,7 @@
-//! Properties of whole runs: any sequence of sending, cutting anew, changing keys, loss,
-//! reordering, duplication, damage and insiders' forgeries. What is delivered was sealed by the
-//! writer, is unchanged, and comes once; memory stays within the limits; and what arrives whole is
-//! delivered.
+//! Properties of whole runs, with random sequences of messages, new cuts, new keys, loss,
+//! reordering, duplication, damage and forgeries by insiders. A delivered message was sealed by the
+//! writer, is unmodified, and arrives once. Memory stays within the limits, and messages that
+//! arrive completely are delivered.
 
 use super::tests::{EPOCH, Fixture, at, limits};
 use super::*;
@@ -19,12 +19,13 @@ fn whatever_the_network_does_each_message_comes_unchanged_and_once() {
     }
 }
 
-/// No loss, no end to memory: then nothing is missing, whatever the order, the copies and the cuts.
+/// Without loss and memory limits, no message is missing, in any order and with any copies and
+/// cuts.
 #[test]
 fn without_loss_nothing_is_missing() {
     for seed in 0..100 {
         let f = Fixture::new();
-        // The reader keeps the keys of four epochs, whatever is still on its way.
+        // The reader retains the keys of four epochs, regardless of the frames in flight.
         let mut run = Run::new(&f, seed, EPOCH + 3);
         for _ in 0..40 {
             run.seal(&f);
@@ -47,7 +48,7 @@ struct Run {
     reader: Reader,
     epoch: u32,
     last_epoch: u32,
-    /// What the writer has sealed, by sequence, and how often it was cut.
+    /// The sealed messages by sequence, with the number of new cuts.
     sealed: HashMap<u64, (Vec<u8>, u16)>,
     network: Vec<Vec<u8>>,
     delivered: HashSet<u64>,
@@ -100,8 +101,8 @@ impl Run {
         assert!(self.delivered.len() > 10);
     }
 
-    /// Something of the writer, onto the network: a batch, a message cut anew, a heartbeat; under a
-    /// new key, now and then.
+    /// Sends data of the writer to the network: a batch, a message with a new cut, or a heartbeat.
+    /// Sometimes changes the key first.
     fn seal(&mut self, f: &Fixture) {
         let mut segments = Segments::new();
         let max_payload = 400 + self.random.below(1000) as usize;
@@ -136,8 +137,7 @@ impl Run {
         self.network.extend(segments.iter().map(<[u8]>::to_vec));
     }
 
-    /// Something of another reader, who has the key: in the writer's session, at a sequence of its
-    /// choice.
+    /// Forges data as another reader with the key: in the writer's session, at any sequence.
     fn forge(&mut self, f: &Fixture) {
         let mut forger = Writer::with_session(
             f.name,

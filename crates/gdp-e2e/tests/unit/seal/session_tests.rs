@@ -1,5 +1,4 @@
-//! What holds beyond one message: sessions and who vouches for them, epochs, messages that are cut
-//! anew, heartbeats.
+//! Tests beyond a single message: sessions and their confirmation, epochs, new cuts, heartbeats.
 
 use super::tests::{DEADLINE, EPOCH, Fixture, at, limits, only, push_all, push_into};
 use super::wire::{HEADER_LEN, HeartbeatBody, SegmentHeader};
@@ -15,7 +14,7 @@ fn a_session_that_nobody_vouched_for_is_refused_once_it_opened() {
     let f = Fixture::new();
     let (mut writer, mut reader) = (f.writer(), f.strict_reader());
     let frames = f.seal(&mut writer, &[1; 3000], 1400);
-    // Whoever has no key cannot cause it.
+    // An attacker without a key cannot cause this drop reason.
     let mut forged = frames[0].clone();
     forged[HEADER_LEN] ^= 1;
     assert_eq!(refusal(&mut reader, &f, &forged), Some(DropReason::Forged));
@@ -33,14 +32,15 @@ fn a_session_that_nobody_vouched_for_is_refused_once_it_opened() {
 fn what_is_before_the_vouched_sequence_is_stale() {
     let f = Fixture::new();
     let (mut writer, mut reader) = (f.writer(), f.strict_reader());
-    // Small ones in one frame, large ones in several.
+    // Small messages have one frame, large ones several.
     let history: Vec<_> = (0..6).map(|i| f.seal(&mut writer, &vec![i; 900 * usize::from(i % 3)], 1400)).collect();
     reader.confirm_session(&f.writer_name(), writer.session(), 5).unwrap();
     let refused: Vec<_> = history.iter().flatten().map(|frame| refusal(&mut reader, &f, frame)).collect();
     assert_eq!(refused.iter().filter(|reason| **reason == Some(DropReason::Stale)).count(), 5);
     assert_eq!(reader.drops()[DropReason::Stale as usize], 9, "each segment counts");
     assert_eq!(reader.memory(), 0);
-    // Said again, it only goes back: for a reader that may have what is kept.
+    // A repeated confirmation can only lower the sequence, for a reader that may have older
+    // messages.
     reader.confirm_session(&f.writer_name(), writer.session(), 2).unwrap();
     reader.confirm_session(&f.writer_name(), writer.session(), 6).unwrap();
     assert_eq!(push_all(&mut reader, f.writer_name(), history[1..4].iter().flatten()).len(), 3);
@@ -64,7 +64,7 @@ fn a_forgotten_session_cannot_be_replayed() {
     }
 }
 
-/// Other readers know the key, so they can make any number of sessions that open.
+/// Other readers have the key, so they can make any number of sessions that open.
 #[test]
 fn sessions_that_nobody_vouched_for_displace_none_that_somebody_did() {
     let f = Fixture::new();
@@ -96,7 +96,7 @@ fn what_was_signed_too_long_ago_is_too_old() {
     for body in [&[][..], &[1; 3000]] {
         assert_eq!(push(1000, 1100, body), Ok(()));
         assert_eq!(push(1000, 1101, body), Err(DropReason::TooOld));
-        // A clock that is ahead.
+        // The writer's clock is ahead.
         assert_eq!(push(1000, 0, body), Ok(()));
     }
     let mut out = Received::default();
@@ -118,13 +118,13 @@ fn a_session_goes_on_over_epochs() {
     let after = f.seal(&mut writer, &[2; 3000], 1400);
     assert_eq!(refusal(&mut reader, &f, &after[0]), Some(DropReason::NoKey));
     reader.set_key(&f.writer_name(), EPOCH + 1, EpochKey::from_bytes(NEXT_KEY)).unwrap();
-    // Both at once, as they come.
+    // Frames of both epochs, interleaved.
     let mixed = [&before[0], &after[1], &after[0], &before[1], &after[2], &before[2]];
     let messages = push_all(&mut reader, f.writer_name(), mixed);
     assert_eq!(messages.iter().map(|message| message.sequence).collect::<Vec<_>>(), [2, 1]);
     assert_eq!(refusal(&mut reader, &f, &before[0]), Some(DropReason::Duplicate));
 
-    // A key that is gone opens nothing, what was incomplete may still be put right.
+    // A dropped key opens nothing, but an incomplete message can still be completed later.
     let (slow, late) = (f.seal(&mut writer, &[3; 3000], 1400), f.seal(&mut writer, &[4; 3000], 1400));
     assert_eq!(refusal(&mut reader, &f, &slow[0]), None);
     reader.drop_key(&f.writer_name(), EPOCH + 1);
@@ -143,7 +143,7 @@ fn segments_of_one_epoch_do_not_open_in_another() {
     let mut moved = f.seal(&mut writer, b"x", 1400).remove(0);
     moved[40..44].copy_from_slice(&(EPOCH + 1).to_be_bytes());
     assert_eq!(refusal(&mut reader, &f, &moved), Some(DropReason::Forged));
-    // A key that was replaced under its number is not used any more.
+    // A key that was replaced under its epoch number is no longer used.
     let frame = f.seal(&mut writer, b"x", 1400).remove(0);
     reader.set_key(&f.writer_name(), EPOCH, EpochKey::from_bytes(NEXT_KEY)).unwrap();
     assert_eq!(refusal(&mut reader, &f, &frame), Some(DropReason::Forged));
@@ -162,7 +162,7 @@ fn a_reader_keeps_a_few_keys_of_each_writer_the_highest() {
     assert_eq!(refusal(&mut reader, &f, &f.seal(&mut writer, b"x", 1400)[0]), None);
 }
 
-/// Frames of both cuts are in flight; the one that is whole first is delivered, once.
+/// Frames of both cuts are in flight. The cut that is complete first is delivered, once.
 #[test]
 fn a_message_that_is_cut_anew_is_delivered_once() {
     let f = Fixture::new();
@@ -174,7 +174,7 @@ fn a_message_that_is_cut_anew_is_delivered_once() {
         let narrow = cut_anew(&mut writer, 1, &body, 300);
         assert!(narrow.iter().all(|frame| frame.len() <= 300));
         let cuts = [&wide, &narrow];
-        // All but one of the one, all of the other, and the rest.
+        // All frames except one of the first cut, all of the second, and the rest.
         let (winner, loser) = (cuts[first], cuts[1 - first]);
         let mut out = Received::default();
         push_into(&mut reader, f.writer_name(), &loser[1..], &mut out);
@@ -196,7 +196,7 @@ fn a_message_that_is_cut_anew_is_delivered_once() {
     }
 }
 
-/// Another reader spoils one cut; the next is not touched by that.
+/// Another reader spoils one cut, which does not affect the next cut.
 #[test]
 fn a_cut_that_was_spoilt_does_not_spoil_the_next() {
     let f = Fixture::new();
@@ -249,11 +249,11 @@ fn heartbeats_say_how_far_a_session_is() {
     let session = writer.session();
     let heartbeat = |next, oldest| Heartbeat { session, next, oldest, timestamp_ns: 77 };
     assert_eq!(out.heartbeats, [heartbeat(1, 1), heartbeat(2, 2)]);
-    // What was overtaken, and what comes again.
+    // Overtaken and repeated heartbeats.
     for old in [&first, &second, &third] {
         assert_eq!(refusal(&mut reader, &f, old), Some(DropReason::Duplicate));
     }
-    // The message it speaks of is still wanted.
+    // The announced message is still accepted.
     let resealed = cut_anew(&mut writer, 1, b"lost", 1400);
     assert_eq!(push_all(&mut reader, f.writer_name(), resealed).len(), 1);
     assert_eq!(reader.memory(), 0);
@@ -270,8 +270,8 @@ fn a_heartbeat_from_before_the_vouched_sequence_is_stale() {
     assert_eq!(refusal(&mut reader, &f, &beat(&mut writer, 1)), None);
 }
 
-/// Another reader has the epoch key, and can make heartbeats that open: none counts, and none keeps
-/// a true one out.
+/// Another reader has the epoch key and can make heartbeats that open. None of them counts, and
+/// none blocks a genuine one.
 #[test]
 fn another_reader_cannot_forge_a_heartbeat() {
     let f = Fixture::new();
@@ -283,7 +283,7 @@ fn another_reader_cannot_forge_a_heartbeat() {
         f.seal(&mut insider, b"x", 1400);
         assert_eq!(refusal(&mut reader, &f, &beat(&mut insider, 40)), Some(DropReason::BadSignature));
     }
-    // The writer's own signature, under another number, next sequence, age or in another session.
+    // The writer's own signature, with another number, next sequence or age, or in another session.
     let aead = f.epoch_key.session_aead(f.writing, &f.name, &f.writer_name(), &writer.session()).unwrap();
     let clear: [u8; HEADER_LEN] = true_one[..HEADER_LEN].try_into().unwrap();
     let header = SegmentHeader::parse(&clear).unwrap();
@@ -316,7 +316,7 @@ fn replies_and_origins_are_carried() {
     let mut segments = Segments::new();
     let request = MessageId { session: [9; 16], sequence: u64::MAX };
     let full = Draft { in_reply_to: Some(request), origin: &[4; MAX_ORIGIN], ..Draft::new(Encoding::Ros1, b"body") };
-    // In one segment, and cut within the extensions.
+    // In one segment, and with a cut within the extensions.
     for max_payload in [1400, MIN_PAYLOAD] {
         writer.seal_batch(5, &[full], max_payload, &mut segments).unwrap();
         let message = only(push_all(&mut reader, f.writer_name(), segments.iter()));
@@ -350,11 +350,11 @@ fn a_reader_says_which_segments_it_has() {
     let mut out = Received::default();
     push_into(&mut reader, f.writer_name(), segments.iter(), &mut out);
     assert_eq!(out.segments, sealed);
-    // Each by itself is a payload.
+    // Each segment alone is a valid payload.
     let mut reader = f.reader();
     let single = segments.segments().map(|(_, bytes)| bytes);
     assert_eq!(push_all(&mut reader, f.writer_name(), single).len(), 2);
-    // What is refused, or came before, is not among them.
+    // Refused and repeated segments are not in the list.
     out.clear();
     for payload in segments.iter() {
         let _ = reader.push(at(DEADLINE), f.writer_name(), payload, &mut out);

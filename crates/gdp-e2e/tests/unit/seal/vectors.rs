@@ -1,5 +1,5 @@
-//! The published test vectors of names and segments. Signatures in them are those of RFC 6979, so
-//! that the vectors are the same on every run.
+//! The published test vectors of names and segments. Their signatures follow RFC 6979, so the
+//! vectors are the same in every run.
 
 use super::*;
 use crate::vectors::check;
@@ -91,7 +91,7 @@ fn vectors_of_segments() {
         writer.set_epoch(epoch, &EpochKey::from_bytes(epoch_key)).unwrap();
         writer
     };
-    // What readers with either back end make of payloads.
+    // Returns the output of readers with either back end.
     let read = |segments: &Segments| {
         Backend::ALL.map(|backend| {
             let mut reader = Reader::new(name, backend, ReaderLimits::default());

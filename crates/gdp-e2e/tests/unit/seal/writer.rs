@@ -48,7 +48,7 @@ fn an_epoch_ends_before_its_key_has_sealed_too_much() {
     writer.epoch.as_mut().unwrap().used = MAX_SEGMENTS - 4;
     let batch = [Draft::new(Encoding::Bytes, b"x"); 3];
     assert_eq!(writer.seal_batch(0, &batch, 1000, &mut out), Err(SealError::EpochExhausted(7)));
-    // What was refused used up nothing.
+    // A refused batch uses no sequence numbers.
     assert_eq!(writer.next_sequence(), 1);
     writer.seal_batch(0, &batch[..1], 1000, &mut out).unwrap();
     writer.reseal(1, 1, 0, batch[0], 1000, &mut out).unwrap();
@@ -119,7 +119,7 @@ fn messages_are_cut_anew_from_what_was_sealed() {
     assert!(matches!(writer.recut(&sealed, 2, 600, &mut again), Err(SealError::Cut { cut: 2, .. })));
 }
 
-/// In epoch 7.
+/// Returns a writer in epoch 7.
 fn writer() -> Writer {
     let name = Name::from_bytes([1; 32]);
     let mut writer =

@@ -11,7 +11,7 @@ fn only_what_is_asked_for_in_vain_again_and_again_is_suspicious() {
     };
     assert!((0..100).all(|at| !ask(at, &[at], 0)), "always another");
     assert!((4000..4019).all(|at| !ask(at, &[1000], 20)), "within a round trip");
-    // It is among others, and not always.
+    // The request is one of several, and not in every Nack.
     let found = (4020..4060).map(|at| ask(at, if at % 2 == 0 { &[1000, 1001] } else { &[1002] }, 5));
     assert_eq!(found.filter(|found| *found).count(), 1);
 

@@ -1,4 +1,4 @@
-//! The cases of the transport that have names, in simulated time.
+//! Named cases of the transport, in simulated time.
 
 use gdp_faults::{Burst, Faults, Reorder};
 
@@ -9,7 +9,7 @@ use super::*;
 const RTT: u64 = 50 * MS;
 const MBIT: u64 = 1_000_000;
 
-/// Over a link of 200 Mb/s.
+/// Uses a link of 200 Mb/s.
 #[test]
 fn reliable_1_mb_at_10_hz_over_1_percent_loss_and_50_ms() {
     const RATE: u64 = 200 * MBIT;
@@ -60,15 +60,15 @@ fn best_effort_1_mb_at_30_hz_over_2_percent_loss() {
         let stall = times.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
         assert!(stall < 500 * MS, "no stall: {} ms", stall / MS);
         assert!(counters.delivered > 80, "{counters:?}");
-        // Each message is counted once, here or there.
+        // Each message is counted once, in one of the counters.
         let dealt = counters.delivered + counters.overtaken + counters.expired + counters.abandoned;
         assert_eq!(dealt, reading.next() - 1);
         assert!(dealt >= 120 - 1, "{dealt}");
     }
 }
 
-/// With the link's rate as the uplink's budget, and without: then the large topic's path is all
-/// that keeps the queue short. Frames of 9000 bytes, so that ten seconds do not take long.
+/// With the link's rate as the uplink's budget, and without. In the second case, only the large
+/// topic's path limits the queue. Frames of 9000 bytes make the ten seconds fast to simulate.
 #[test]
 fn small_10_mb_at_10_hz_and_64_b_at_100_hz_on_one_500_mbit_link() {
     const RATE: u64 = 500 * MBIT;
@@ -88,7 +88,8 @@ fn small_10_mb_at_10_hz_and_64_b_at_100_hz_on_one_500_mbit_link() {
                 let options = InboundOptions { deadline: LIFETIME, ..InboundOptions::newest() };
                 sim.subscribe(readers[0], large, 2 * delay, options);
                 sim.run(11 * SECOND);
-                // The link takes not quite six of them a second, so about every second one goes.
+                // The link carries almost six of the messages a second, so about every second one
+                // is sent.
                 let counters = sim.topics[large].readers[&readers[0]].counters();
                 assert!(counters.delivered >= 50, "{counters:?}");
             }
@@ -101,7 +102,7 @@ fn small_10_mb_at_10_hz_and_64_b_at_100_hz_on_one_500_mbit_link() {
     }
 }
 
-/// How long the large ones are of use: each takes 171 ms of the link.
+/// Lifetime of the large messages, each of which occupies the link for 171 ms.
 const LIFETIME: u64 = 400 * MS;
 
 fn large_options() -> TopicOptions {
@@ -181,8 +182,8 @@ fn two_bulk_flows_on_one_bottleneck() {
     }
 }
 
-/// A reliable topic of large messages that is three times as fast as its path: what its writer
-/// drops is dropped whole, so that the path carries nothing in vain.
+/// A reliable topic of large messages that is three times as fast as its path. The writer drops
+/// whole messages, so that the path carries no useless frames.
 #[test]
 fn what_is_too_fast_for_its_path_arrives_as_far_as_the_path_goes() {
     let mut sim = Simulation::new(4);
@@ -201,8 +202,8 @@ fn what_is_too_fast_for_its_path_arrives_as_far_as_the_path_goes() {
     assert!(delivered * 500_000 * 8 >= 10 * 40 * MBIT * 7 / 10, "{delivered} messages");
 }
 
-/// Messages of a few frames with pauses between them: none waits for what the ones before have
-/// shown of the path.
+/// Messages of a few frames with pauses between them. None of them waits because earlier messages
+/// have measured little of the path.
 #[test]
 fn short_messages_with_pauses_never_wait_for_a_report() {
     for size in [8_000, 20_000, 40_000] {
@@ -257,15 +258,15 @@ fn a_slow_subscriber_never_slows_the_others() {
         let (alone, alone_p90) = run(overflow, false);
         let (beside, beside_p90) = run(overflow, true);
         assert!(beside * 100 >= alone * 95, "{overflow:?}: {beside} of {alone}");
-        // Who lags is noticed by a publisher that waits; without one, what it asks for goes before
-        // what is new.
+        // A waiting publisher detects a lagging reader. Without one, the requests of that reader
+        // precede new messages.
         let slower = if overflow == Overflow::Block { 2 } else { 20 };
         assert!(beside_p90 <= slower * alone_p90, "{overflow:?}: {beside_p90} instead of {alone_p90}");
     }
 }
 
-/// Messages of some frames, twice as fast as the path, which is long: there is always a gap behind
-/// what goes.
+/// Messages of several frames, twice as fast as a path with a long delay. A gap always exists
+/// behind the current message.
 #[test]
 fn what_a_reader_never_gets_does_not_hold_up_the_rest() {
     let mut sim = Simulation::new(6);
@@ -397,7 +398,7 @@ fn frames_that_became_too_large_are_sealed_again() {
     assert_eq!(sim.topics[topic].readers[&readers[0]].delivered.len(), 40, "{:?}", sim.topic_counters(topic));
 }
 
-/// A burst of loss as long as a message and longer.
+/// Bursts of loss that are as long as a message, or longer.
 #[test]
 fn bursts_of_loss_are_repaired() {
     for seed in 0..4 {

@@ -1,5 +1,5 @@
-//! What holds under any faults: no message twice, order, exact counts and bounded memory are
-//! checked by the simulation at every step.
+//! Properties under any faults. The simulation checks at every step: no duplicate messages, order,
+//! exact counts and bounded memory.
 
 use gdp_faults::{Burst, Faults, Random, Reorder};
 
@@ -7,7 +7,7 @@ use super::outbox::Overflow;
 use super::simulation::*;
 use super::*;
 
-/// Trees of switches, several writers, topics of all kinds, readers that come and go.
+/// Trees of switches, several writers, topics of all kinds, readers that join and leave.
 #[test]
 fn random_worlds() {
     for seed in 0..40 {
@@ -41,7 +41,7 @@ fn random_worlds() {
             }
             sim.run((second + 1) * SECOND);
         }
-        // Faults end, publishers too: what can be repaired is.
+        // Faults and publishers end, so everything that can be repaired is repaired.
         sim.run(120 * SECOND);
         for (topic, reliable) in &topics {
             let sent = sim.topics[*topic].pushed.len() as u64 - 1;
@@ -87,8 +87,8 @@ fn a_reader_that_lies_is_only_a_nuisance() {
     assert!(repeated_bytes < fresh / 4 + 4 * (256 << 10) + (1 << 20), "{repeated_bytes} of {sent_bytes}");
 }
 
-/// Who holds the key can make up segments, but no message: those that the writer signs are
-/// delivered all the same.
+/// A holder of the key can forge segments, but no message. The messages that the writer signs are
+/// still delivered.
 #[test]
 fn made_up_segments_move_nothing() {
     for options in [InboundOptions::newest(), InboundOptions::every()] {
@@ -114,7 +114,7 @@ fn made_up_segments_move_nothing() {
     }
 }
 
-/// A large message that is asked for again does not hold up another topic of the same link.
+/// A large message with repairs does not delay another topic of the same link.
 #[test]
 fn no_topic_waits_for_the_gap_of_another() {
     let faults = Faults { loss: 0.05, rate: Some(50_000_000), queue: Some(1 << 20), ..Faults::delay(25 * MS) };
@@ -134,7 +134,7 @@ fn no_topic_waits_for_the_gap_of_another() {
     );
 }
 
-/// Lower classes get their floor, but not more, beside a topic that takes all there is.
+/// Lower classes get their floor, but not more, while another topic uses the whole link.
 #[test]
 fn every_class_has_a_floor() {
     let (mut sim, writer, readers) = Simulation::star(4, Faults::delay(MS), 1);

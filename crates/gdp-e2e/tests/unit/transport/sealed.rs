@@ -7,7 +7,7 @@ use gdp_core::identity::SigningKey;
 use gdp_core::keys::EpochKey;
 use gdp_core::name::Name;
 
-/// What is sealed is what goes, frame by frame, and every segment is found in its frame.
+/// The sealed payloads are sent frame by frame, and every segment is found in its frame.
 #[test]
 fn frames_are_those_that_were_sealed() {
     let name = Name::from_bytes([1; 32]);

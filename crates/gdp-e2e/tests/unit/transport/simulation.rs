@@ -1,5 +1,5 @@
-//! Writers, switches and readers in simulated time, joined by links with faults. What holds always
-//! is checked here at every step: no message twice, none out of order, memory within its bounds.
+//! Writers, switches and readers in simulated time, joined by links with faults. Every step checks
+//! the invariants: no duplicate message, no message out of order, bounded memory.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::rc::Rc;
@@ -14,18 +14,18 @@ use crate::feedback_wire::Feedback;
 
 pub const SECOND: u64 = 1_000_000_000;
 pub const PAYLOAD: usize = 1400;
-/// What a message has besides its body: segment headers, message header, proof.
+/// Overhead of a message besides its body: segment headers, message header, proof.
 const OVERHEAD: usize = 180;
 
 pub struct Simulation {
     net: Network<Packet>,
     nodes: usize,
-    /// Neighbours of each node, and by which cable.
+    /// Neighbours of each node, with the cable to each.
     cables: BTreeMap<usize, Vec<(usize, Cable)>>,
     uplinks: BTreeMap<(usize, usize), Uplink>,
     pub topics: Vec<TopicSim>,
     pub max_payload: usize,
-    /// Steps so far; there is an end to them.
+    /// Number of steps so far, which is limited.
     events: u64,
 }
 
@@ -38,24 +38,24 @@ pub struct TopicSim {
     app: App,
     next_at: u64,
     next_sequence: u64,
-    /// A message that has to wait.
+    /// A message that waits for room.
     waiting: Option<Sealed>,
     pub pushed: Vec<u64>,
     frames: HashMap<(u64, u16), Vec<Rc<[Segment]>>>,
     pub readers: BTreeMap<usize, Reading>,
     left: Vec<Reading>,
-    /// Payload bytes that left the writer.
+    /// Payload bytes that the writer has sent.
     pub sent_bytes: u64,
     pub repeated_bytes: u64,
     pub heartbeats: u64,
 }
 
-/// What a publisher does.
+/// The behaviour of a publisher.
 #[derive(Clone, Copy, Debug)]
 pub struct App {
     pub size: usize,
     pub period: u64,
-    /// From when until when.
+    /// Start time; `until` is the end time.
     pub from: u64,
     pub until: u64,
 }
@@ -72,7 +72,7 @@ pub struct Reading {
     options: InboundOptions,
     open: HashMap<(u64, u16), Vec<bool>>,
     pub from: u64,
-    /// Sequence, and when it was delivered.
+    /// Sequence and time of each delivery.
     pub delivered: Vec<(u64, u64)>,
     pub reports: u64,
     pub nacks: u64,
@@ -99,10 +99,10 @@ struct Packet {
 
 #[derive(Clone, Debug)]
 enum Content {
-    /// By which uplink it left.
+    /// The uplink that sent the frame, and its segments.
     Data(usize, Vec<Rc<[Segment]>>),
     Heartbeat(u64, u64),
-    /// To this reader.
+    /// Feedback to this reader.
     ToReader(usize, Feedback),
     FromReader(usize, Feedback),
 }
@@ -132,8 +132,8 @@ impl Simulation {
         cable
     }
 
-    /// A writer, a switch and readers; the faults are those of the way from the writer to the
-    /// switch, the delays those of a round trip.
+    /// Returns a writer, a switch and readers. The faults apply to the path from the writer to the
+    /// switch, the delay to both directions.
     pub fn star(seed: u64, there: Faults, readers: usize) -> (Self, usize, Vec<usize>) {
         let mut sim = Self::new(seed);
         let (writer, switch) = (sim.node(), sim.node());
@@ -174,14 +174,14 @@ impl Simulation {
         index
     }
 
-    /// The first uplink of a writer; given a budget if it is not there yet.
+    /// Returns the first uplink of a writer, creating it with this budget if necessary.
     pub fn uplink(&mut self, writer: usize, budget: Option<u64>) -> &mut Uplink {
         let options = UplinkOptions { max_payload: self.max_payload, budget };
         let now = self.net.now();
         self.uplinks.entry((writer, 0)).or_insert_with(|| Uplink::new(now, options))
     }
 
-    /// A second uplink for doubled topics.
+    /// Returns a second uplink for doubled topics.
     pub fn second_uplink(&mut self, writer: usize, budget: u64) -> &mut Uplink {
         let options = UplinkOptions { max_payload: self.max_payload, budget: Some(budget) };
         let now = self.net.now();
@@ -226,7 +226,7 @@ impl Simulation {
         self.uplinks[&(topic.writer, 0)].counters(topic.id).unwrap()
     }
 
-    /// From the time of pushing to the time of delivery, ascending.
+    /// Returns the times from push to delivery, ascending.
     pub fn latencies(&self, topic: usize, reader: usize) -> Vec<u64> {
         let topic = &self.topics[topic];
         let mut all: Vec<u64> = topic.readers[&reader]
@@ -274,7 +274,7 @@ impl Simulation {
         }
     }
 
-    /// Whether all that goes on is a heartbeat now and then.
+    /// Returns whether only occasional heartbeats remain.
     pub fn is_quiet(&self) -> bool {
         self.next_wake() > self.net.now() + 10 * MS
     }
@@ -389,7 +389,7 @@ impl Simulation {
 
     fn arrived(&mut self, node: usize, from: usize, delivery: Delivery<Packet>) {
         let now = self.net.now();
-        // The hop tag or the cipher finds it.
+        // The hop tag or the cipher detects the corruption.
         if delivery.corrupted.is_some() {
             return;
         }
@@ -475,7 +475,7 @@ impl Simulation {
         }
     }
 
-    /// To all for whom it is, but not back.
+    /// Forwards a packet towards all its receivers, but not back.
     fn forward(&mut self, node: usize, from: Option<usize>, packet: Packet, bytes: usize) {
         let topic = &self.topics[packet.topic];
         let (to, which): (Vec<usize>, usize) = match &packet.content {
@@ -484,7 +484,7 @@ impl Simulation {
             Content::ToReader(reader, _) => (vec![*reader], 0),
             Content::FromReader(..) => (vec![topic.writer], 0),
         };
-        // A reader with two ways back uses both.
+        // A reader with two return paths uses both.
         if matches!(packet.content, Content::FromReader(..)) && from.is_none() && topic.options.doubled {
             for (_, cable) in self.cables[&node].clone() {
                 self.net.send(node, cable, packet.clone(), bytes + FRAME_HEADER as usize);
@@ -499,7 +499,7 @@ impl Simulation {
         }
     }
 
-    /// The next node on the shortest way. A writer with two uplinks has two ways.
+    /// Returns the next node on the shortest path. A writer with two uplinks has two paths.
     fn hop(&self, from: usize, to: usize, which: usize) -> Option<(usize, Cable)> {
         let neighbours = &self.cables[&from];
         let is_doubled_writer = self.topics.iter().any(|topic| topic.writer == from && topic.options.doubled);
@@ -531,7 +531,8 @@ impl Simulation {
 }
 
 impl TopicSim {
-    /// A message of the publisher's size: body segments, a frame each, and the proof with the last.
+    /// Seals a message of the publisher's size. Each frame carries one body segment; the last one
+    /// also carries the proof.
     fn seal(&mut self, sequence: u64, cut: u16, max_payload: usize) -> Sealed {
         let all = self.app.size + OVERHEAD;
         let count = all.div_ceil(max_payload).max(1);
@@ -560,8 +561,8 @@ impl TopicSim {
 }
 
 impl Reading {
-    /// What the reader of sealed segments does: puts messages together, of whichever cut is
-    /// complete first.
+    /// Acts as the reader of sealed segments: assembles messages, from the cut that is complete
+    /// first.
     fn take(&mut self, now: u64, segment: &Segment) {
         if !self.inbound.segment(now, segment) {
             return;
@@ -597,7 +598,8 @@ fn size_of_feedback(feedback: &Feedback) -> usize {
     bytes.len() + 60
 }
 
-/// The value that this many percent are not above, of ascending ones.
+/// Returns the percentile of ascending values: the smallest one that at least `percent` percent do
+/// not exceed.
 pub fn percentile(values: &[u64], percent: usize) -> u64 {
     values[(values.len() * percent).div_ceil(100).max(1) - 1]
 }

@@ -1,4 +1,4 @@
-//! Who gives way to whom in a topic of its own, frame by frame.
+//! The order of replacement within a single topic, frame by frame.
 
 use super::sealed::Frame;
 use super::*;
@@ -20,7 +20,7 @@ fn open(options: TopicOptions) -> (Uplink, TopicId) {
     (uplink, topic)
 }
 
-/// Frames and whether there was room, up to a time.
+/// Runs until a time. Returns the number of frames and of [`Output::Room`].
 fn run(uplink: &mut Uplink, now: &mut u64, until: u64) -> (usize, usize) {
     let (mut frames, mut rooms) = (0, 0);
     while *now < until {
