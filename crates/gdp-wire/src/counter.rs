@@ -97,7 +97,7 @@ counters! {
 }
 
 impl Counter {
-    /// How many counters there are.
+    /// Number of counters.
     pub const COUNT: usize = Counter::ALL.len();
 
     /// Returns whether frames counted here were dropped before their link was known.

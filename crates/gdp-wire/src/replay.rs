@@ -2,9 +2,9 @@
 //! count at most once.
 //!
 //! The window is a ring of [`WORDS`] words. A word describes one *block* of 16 consecutive counts.
-//! Its high 48 bits are the block number; below are one bit per accepted count. The block 16 ·
-//! [`WORDS`] counts later replaces it in the same word. The design follows RFC 6479 without its
-//! separate highest count: nothing is ever cleared, and a frame touches one word.
+//! Its high 48 bits are the block number; each of the low 16 bits marks an accepted count. The
+//! block 16 · [`WORDS`] counts later replaces it in the same word. The design follows RFC 6479
+//! without its separate highest count: nothing is ever cleared, and a frame touches one word.
 //!
 //! **Concurrency.** A frame is accepted if and only if its own compare-exchange set its bit. The
 //! block number of a word never decreases, and within a block bits are only set. No count is

@@ -179,9 +179,9 @@ impl Carrier {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[repr(C)]
 pub struct LocalAddress {
-    /// In network order; an IPv4 address is in the first word, and the others are zero.
+    /// IP address in network order; an IPv4 address is in the first word, and the others are zero.
     pub ip: [u32; 4],
-    /// In network order.
+    /// UDP port in network order.
     pub port: u16,
     /// [`Carrier::UDP4`] or [`Carrier::UDP6`].
     pub kind: u16,
