@@ -7,8 +7,8 @@ use core::fmt;
 use core::sync::atomic::{AtomicU64, Ordering, fence};
 
 use super::{
-    BUCKET, KEY, LINE, LINES, LIVE, MASK, Memory, PASSED, PATH, ProbeSequence, USED, Words, from_words, lookup, names_in,
-    to_words,
+    BUCKET, KEY, LINE, LINES, LIVE, MASK, Memory, PASSED, PATH, ProbeSequence, USED, Words, from_words, lookup,
+    names_in, to_words,
 };
 use crate::fetch::fetch;
 use crate::{FibEntry, Name};
