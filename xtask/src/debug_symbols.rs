@@ -22,6 +22,6 @@ pub fn split(executable: &Path) -> Result<()> {
     // Not in place, because Cargo's own copy is a hard link to the same file.
     std::fs::rename(&stripped, executable).with_context(|| format!("cannot replace {}", executable.display()))?;
     let megabytes = executable.metadata()?.len() as f64 / 1e6;
-    println!("{}: {megabytes:.1} MB, its debug symbols beside it", executable.display());
+    eprintln!("{}: {megabytes:.1} MB, its debug symbols beside it", executable.display());
     Ok(())
 }
