@@ -17,34 +17,33 @@ use gdp_util::file_watch::FileWatcher;
 use gdp_util::{log, panics, terminal};
 use tokio::signal::unix::{SignalKind, signal};
 
-/// Carries ROS topics over the Global Data Plane, as a YAML file configures it; without one it
-/// exposes nothing.
+/// Carry the ROS topics, services and actions of a YAML configuration over the Global Data Plane.
 ///
-/// The proxy reads the file again at SIGHUP and when it changes. Entries that did not change go on
-/// without losing a message.
+/// The default configuration exposes nothing. The proxy reloads the file at SIGHUP and when it
+/// changes. Unchanged entries continue without losing a message.
 ///
-/// Exit codes: 0 ended by a signal or checked, 1 failed, 2 wrong usage. RUST_LOG sets what is
-/// logged, on stderr.
+/// Exit status: 0 stopped by a signal or check passed, 1 failure, 2 wrong usage. The environment
+/// variable RUST_LOG selects the log messages on stderr.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
-    /// Configuration: the topics, services and actions to carry, and their keys
+    /// Configuration file: the topics, services and actions to carry, and their keys
     #[arg(long, value_name = "FILE", required_unless_present = "schema")]
     config: Option<PathBuf>,
-    /// Check the configuration and the files it names, then end
+    /// Check the configuration and the files that it names, then exit
     #[arg(long)]
     check: bool,
-    /// Observe the ROS graphs without the fabric, print what would cross under which name, and what
-    /// would not and why, then end
+    /// Observe the ROS graphs without the fabric, 3 seconds by default, then exit. Print what would
+    /// cross under which name, and what would not and why
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "3", conflicts_with = "check")]
     dry_run: Option<NonZeroU16>,
-    /// With --dry-run: print JSON
+    /// Print JSON (only with --dry-run)
     #[arg(short, long, requires = "dry_run")]
     json: bool,
-    /// Print the JSON Schema of the configuration, then end
+    /// Print the JSON Schema of the configuration, then exit
     #[arg(long, exclusive = true)]
     schema: bool,
-    /// Write counters to this file, as one JSON object, every second
+    /// File for counters, rewritten every second as one JSON object
     #[arg(long, value_name = "FILE")]
     stats: Option<PathBuf>,
 }

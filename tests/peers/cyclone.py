@@ -1,4 +1,4 @@
-"""A ROS 2 talker or listener as rmw_cyclonedds would make it (std_msgs/msg/String). See README.md."""
+"""A ROS 2 talker or listener of std_msgs/msg/String, as in rmw_cyclonedds. See README.md."""
 
 import argparse
 import json
@@ -81,7 +81,10 @@ class ParticipantEntitiesInfo_(IdlStruct, typename="rmw_dds_common::msg::dds_::P
 
 
 def announce(participant, readers=(), writers=()):
-    """Says which endpoints are a ROS node's. What is returned says it as long as it lives."""
+    """Announces the endpoints of a ROS node.
+
+    The announcement lasts as long as the returned writer exists.
+    """
     if not args.node:
         return None
     latched = Qos(
@@ -186,7 +189,10 @@ def listen(participant):
 
 
 def report(body, now):
-    """Takes the string out of its CDR itself: the binding would copy a large one several times."""
+    """Reports a message.
+
+    Decodes the CDR string itself, because the binding would copy a large string several times.
+    """
     try:
         (length,) = struct.unpack_from("<I", body, 4)
         data = body[8 : 8 + length - 1]

@@ -1,4 +1,7 @@
-"""A ROS 2 server or client of example_interfaces/srv/AddTwoInts or std_srvs/srv/SetBool as rmw_cyclonedds would make it. See README.md."""
+"""A ROS 2 server or client, as rmw_cyclonedds would create it. See README.md.
+
+The services are example_interfaces/srv/AddTwoInts and std_srvs/srv/SetBool.
+"""
 
 import argparse
 import json
@@ -80,7 +83,7 @@ def is_there(reader, writer):
 
 
 def answer(service, request, response, body):
-    """Says for each request what `body` makes of it."""
+    """Answers each request with the result of `body`."""
     reader, writer = endpoints(service, request, response)
     say(event="ready")
     while True:
@@ -91,7 +94,7 @@ def answer(service, request, response, body):
 
 
 def reply(reader, kind, seq):
-    """That to a request, if it has come."""
+    """Returns the reply to a request, or None if it has not arrived."""
     while True:
         try:
             [sample] = reader.take(N=1) or [None]

@@ -21,7 +21,7 @@ pub struct Options {
     /// Build with overflow checks and debug assertions, as the tests do
     #[arg(long)]
     checked: bool,
-    /// Build as for releases and benchmarks: with link-time optimisation, stripped, and debug
+    /// Build as for releases and benchmarks: with link-time optimisation, stripped, and with debug
     /// symbols in separate files
     #[arg(long, conflicts_with = "checked")]
     dist: bool,

@@ -14,7 +14,7 @@ use crate::{shell, workspace};
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// What to fuzz: an executable of `fuzz`
+    /// Executable of `fuzz` to run
     #[arg(value_parser = ["decide", "control", "cert", "feedback", "key_box", "segments", "msg", "call", "xmlrpc", "ros1_header"])]
     target: String,
     /// Duration in seconds

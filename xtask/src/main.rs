@@ -31,23 +31,23 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Verb {
-    /// Install what is missing on this machine, after announcing what and why
+    /// Install the missing tools and libraries, after printing each with its reason
     Setup(setup::Options),
     /// Build the eBPF programs and the executables
     Build(build::Options),
     /// Build, then start `gdp-ctl serve`
     Run(run::Options),
-    /// Unit tests, kernel tests and network-namespace tests (needs root)
+    /// Run unit tests, kernel tests and network-namespace tests (needs root)
     Test(test::Options),
     /// Send a ROS 2 topic across a network of switches from one DDS vendor to another (needs root)
     Demo(demo::Options),
-    /// Check the rules of the source tree: circles, lengths, words, the facade
+    /// Check the rules of the source tree: import cycles, lengths, words, facade
     Check(check::Options),
     /// Fuzz the parsers of untrusted input
     Fuzz(fuzz::Options),
-    /// Set up, build, start and test on a clean Debian 12 (needs root)
+    /// Set up, build, start and test the project on a clean Debian 12 (needs root)
     Fresh(fresh::Options),
-    /// Measure, and print a table or JSON (needs root)
+    /// Run a benchmark, and print a table or JSON (needs root)
     Bench(bench::Options),
 }
 

@@ -13,7 +13,7 @@ use crate::workspace::Profile;
 pub struct Options {
     #[command(flatten)]
     features: Features,
-    /// Passed on to `gdp-ctl serve`
+    /// Arguments for `gdp-ctl serve`
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     arguments: Vec<String>,
 }

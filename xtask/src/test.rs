@@ -11,18 +11,18 @@ use crate::{build, peers, shell};
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// Only tests whose name contains this
+    /// Run only tests whose name contains this text
     filter: Option<String>,
-    /// Only what needs neither root nor an eBPF toolchain nor DPDK
+    /// Run only tests that need neither root, an eBPF toolchain nor DPDK
     #[arg(long)]
     unit: bool,
-    /// Only compile; with `--unit`
+    /// Compile the tests without running them (only with --unit)
     #[arg(long, requires = "unit")]
     no_run: bool,
-    /// Only what needs root
+    /// Run only tests that need root
     #[arg(long, conflicts_with = "unit")]
     root: bool,
-    /// All but what needs root; also with DPDK
+    /// Run all tests that need no root, including those with DPDK
     #[arg(long, conflicts_with_all = ["unit", "root"])]
     no_root: bool,
 }

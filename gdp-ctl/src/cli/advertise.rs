@@ -30,21 +30,21 @@ const CLOCKS_DIFFER: u64 = 300;
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The name card of what to advertise.
+    /// Card of the name to advertise.
     card: PathBuf,
     #[command(flatten)]
     entity: Entity,
-    /// The owner's certificate for the entity. Not needed if the key is the owner's own.
+    /// Certificate of the owner for the entity. Not needed with the owner's own key.
     #[arg(long, value_name = "FILE")]
     cert: Option<PathBuf>,
-    /// How long the advertisement lives: 90s, 15m, 2h, 7d.
+    /// Lifetime of the advertisement, such as 90s, 15m, 2h or 7d.
     #[arg(long = "for", default_value = "1h", value_parser = parse_seconds, value_name = "TIME")]
     lifetime: u32,
 }
 
 #[derive(Debug, Args)]
 pub struct WithdrawOptions {
-    /// The name card of what to withdraw.
+    /// Card of the name to withdraw.
     card: PathBuf,
     #[command(flatten)]
     entity: Entity,
@@ -52,10 +52,10 @@ pub struct WithdrawOptions {
 
 #[derive(Debug, Args)]
 struct Entity {
-    /// The entity's private key file.
+    /// Private key file of the entity.
     #[arg(long, value_name = "FILE")]
     key: PathBuf,
-    /// What the entity is, as it was when its key was made.
+    /// Kind of the entity, as specified when its key was generated.
     #[arg(long, value_enum, default_value = "proxy")]
     kind: EntityKind,
 }

@@ -13,11 +13,12 @@ use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Show what a certificate says; with a card, whether the owner of that name stands behind it
-    /// now.
+    /// Show the contents of a certificate. With a card, also verify that the card's owner, or the
+    /// domain, certifies it now.
     Show {
+        /// Certificate file.
         file: PathBuf,
-        /// The card of the name, or of the domain. If there is a revocation beside it, that counts.
+        /// Card of the name or of the domain. A revocation file next to the card is applied.
         #[arg(long)]
         card: Option<PathBuf>,
     },

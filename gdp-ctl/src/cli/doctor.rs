@@ -15,13 +15,13 @@ use gdp_daemon::doctor::{Finding, Level};
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The configuration the daemon runs with (YAML).
+    /// Configuration file of the daemon (YAML).
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Look at this interface instead of the configured ones; may be repeated.
+    /// Interface to check instead of the configured ones; may be repeated.
     #[arg(long, value_name = "DEV")]
     interface: Vec<String>,
-    /// The eBPF object, instead of the configured or installed one.
+    /// eBPF object file to check instead of the configured or installed one.
     #[arg(long, value_name = "FILE")]
     ebpf_object: Option<PathBuf>,
 }

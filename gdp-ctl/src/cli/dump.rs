@@ -17,18 +17,18 @@ use gdp_proto::admin::tables::{FibReply, FibRoute, RibReply, RibSwitch};
 
 #[derive(Debug, Subcommand)]
 pub enum FibCommand {
-    /// Print the routes, read back from the kernel where XDP runs.
+    /// Print the routes. With XDP, the daemon reads them back from the kernel.
     Dump {
-        /// Only names that begin so.
+        /// Only names with this prefix.
         prefix: Option<NamePrefix>,
     },
 }
 
 #[derive(Debug, Subcommand)]
 pub enum RibCommand {
-    /// Print switches, and who writes, reads, serves and calls.
+    /// Print the switches, and the publishers, subscribers, servers and callers of names.
     Dump {
-        /// Only names that begin so.
+        /// Only names with this prefix.
         prefix: Option<NamePrefix>,
     },
 }

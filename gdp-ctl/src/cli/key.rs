@@ -13,15 +13,17 @@ use crate::cli::context::Context;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Make a private key (a new file, mode 0600) and print the name of the entity it makes.
+    /// Generate a private key (a new file, mode 0600), and print the name of its entity.
     Generate {
+        /// Private key file.
         file: PathBuf,
-        /// What the key is for; part of the entity's name.
+        /// Kind of the entity that uses the key; part of the entity's name.
         #[arg(long, value_enum)]
         kind: EntityKind,
     },
-    /// Show the public key of a private key, and the names of the entities it makes.
+    /// Show the public key of a private key, and the names of its entities.
     Show {
+        /// Private key file.
         file: PathBuf,
         /// Only the entity of this kind.
         #[arg(long, value_enum)]

@@ -9,8 +9,8 @@ use gdp_proto::admin::words::PeerRelationship;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Print every live link: who is at its other end, how it is reached, and whether the kernel
-    /// sends on it.
+    /// List the live links: peer, transport and address of each, and whether the kernel sends on
+    /// it.
     List,
 }
 

@@ -54,7 +54,7 @@ const VERSION: &str = if object::is_embedded() {
     concat!(env!("CARGO_PKG_VERSION"), " (built without XDP)")
 };
 
-/// Names, certificates and the daemon of the Global Data Plane.
+/// Manage the names, certificates and daemon of the Global Data Plane.
 #[derive(Debug, Parser)]
 #[command(
     name = "gdp-ctl",
@@ -63,13 +63,14 @@ const VERSION: &str = if object::is_embedded() {
     after_help = "Exit status: 0 done, 1 failed or refused, 2 wrong usage, 3 no daemon answers."
 )]
 pub struct Cli {
-    /// Admin socket of the daemon.
+    /// Path of the daemon's admin socket.
     #[arg(long, global = true, env = "GDP_SOCKET", value_name = "PATH")]
     socket: Option<PathBuf>,
-    /// Print JSON: an object with a version `v`, or one a line. Of a failure, `{"v":1,"error":…}`.
+    /// Print JSON: an object with the version `v`, or one object per line. A failure prints
+    /// `{"v":1,"error":…}`.
     #[arg(short, long, global = true)]
     json: bool,
-    /// Print the JSON Schema of what each command prints with `-j`, then end.
+    /// Print the JSON Schema of each command's output with `-j`, then exit.
     #[arg(long)]
     schema: bool,
     #[command(subcommand)]
@@ -78,62 +79,64 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run the daemon: switch, and RIB unless the configuration says that it is elsewhere.
+    /// Run the daemon: the switch, and the RIB unless the configuration names a remote RIB.
     Serve(serve::Options),
-    /// Announce that an entity publishes a name, through the daemon's switch.
+    /// Advertise a name that an entity publishes, through the daemon's switch.
     Advertise(advertise::Options),
-    /// Take back what an entity advertised or subscribed to.
+    /// Withdraw an entity's advertisement of a name, or its subscription to a name.
     Withdraw(advertise::WithdrawOptions),
-    /// Show who publishes and reads names, with every certificate verified here.
+    /// Show the publishers, readers, servers and callers of names, and verify every certificate
+    /// locally.
     Query(query::Options),
     /// Show the daemon's links, data plane and counters.
     Status,
-    /// Make and read name cards.
+    /// Create and show name cards.
     #[command(subcommand)]
     Name(name::Command),
-    /// Make and read keys.
+    /// Generate and show keys.
     #[command(subcommand)]
     Key(key::Command),
-    /// Let others publish and read a name, see who may, and take it back.
+    /// Add, list and revoke grants to publish or read a name.
     #[command(subcommand)]
     Grant(grant::Command),
-    /// Make a trust domain and its members, let domains peer, and take it back.
+    /// Create a trust domain, manage its members and peerings, and revoke them.
     #[command(subcommand)]
     Domain(domain::Command),
-    /// Read certificates.
+    /// Show and verify certificates.
     #[command(subcommand)]
     Cert(cert::Command),
-    /// What the switch forwards by.
+    /// Show the routes of the switch.
     #[command(subcommand)]
     Fib(dump::FibCommand),
-    /// What the RIB knows.
+    /// Show the records of the RIB.
     #[command(subcommand)]
     Rib(dump::RibCommand),
-    /// The daemon's links.
+    /// Show the daemon's links.
     #[command(subcommand)]
     Link(link::Command),
-    /// The switches and domains that the daemon peers with.
+    /// Show the neighbouring switches and domains of the daemon.
     #[command(subcommand)]
     Peer(peer::Command),
     Trace(trace::Options),
     Ping(ping::Options),
-    /// Print what happens at the daemon's switch, until ^C: links, attachments, refusals, routes,
-    /// the topology, the RIB.
+    /// Print events at the daemon's switch until ^C: links, attachments, refusals, routes, topology
+    /// and RIB.
     Monitor,
-    /// Show the domain's switches and the links between them, as this switch knows them.
+    /// Show the domain's switches and the links between them, as known to the daemon's switch.
     Topology(topology::Options),
-    /// Read and publish topics, as `ros2 topic` does in a ROS graph.
+    /// List, measure, read and publish topics of the fabric; the counterpart of `ros2 topic`.
     #[command(subcommand)]
     Topic(topic::Command),
-    /// Services of other places.
+    /// List and call services of the fabric; the counterpart of `ros2 service`.
     #[command(subcommand)]
     Service(service::Command),
-    /// Actions of other places.
+    /// List actions of the fabric; the counterpart of `ros2 action`.
     #[command(subcommand)]
     Action(action::Command),
-    /// Check what the daemon needs from this machine, and name the remedy for what is amiss.
+    /// Check that this machine meets the daemon's requirements, and suggest a remedy for each
+    /// problem.
     Doctor(doctor::Options),
-    /// What forwards in the kernel, with or without a daemon.
+    /// Show or remove the data plane in the kernel, with or without a running daemon.
     #[command(subcommand)]
     Xdp(xdp::Command),
 }

@@ -18,49 +18,52 @@ use crate::cli::context::Context;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Make a name card: a new file for those who should be able to derive the name.
+    /// Create a name card: a new file for everyone that must be able to derive the name.
     Create {
-        /// The owner's private key file, or its public key (66 hex digits).
+        /// Private key file of the owner, or the owner's public key (66 hex digits).
         #[arg(long)]
         owner: String,
-        /// The ROS name, with a leading slash, such as /chatter. Of a catalog: a label of your
-        /// choice, such as the robot's name, which logs show.
+        /// ROS name with a leading slash, such as /chatter. For a catalog: any label, such as the
+        /// robot's name, for logs.
         #[arg(long, value_name = "NAME")]
         topic: String,
-        /// The ROS type, such as std_msgs/msg/String, std_srvs/srv/SetBool or
-        /// nav2_msgs/action/Spin. A catalog has none.
+        /// ROS type, such as std_msgs/msg/String, std_srvs/srv/SetBool or nav2_msgs/action/Spin. A
+        /// catalog has none.
         #[arg(long = "type", value_name = "TYPE")]
         type_name: Option<String>,
-        /// What the name is for. A catalog lists what a gdp-proxy exposes by itself (`expose` in
+        /// Kind of the name. A catalog lists what a gdp-proxy exposes automatically (`expose` in
         /// its configuration).
         #[arg(long, value_enum, default_value = "topic")]
         kind: CardKind,
-        /// A nonce to remember, instead of 128 random bits. Others may then guess what the name
-        /// stands for.
+        /// Nonce of your choice, instead of 128 random bits. With a memorable nonce, others may
+        /// guess what the name refers to.
         #[arg(long)]
         nonce: Option<String>,
-        /// What else the card says; repeat for more. Other metadata makes another name.
+        /// Additional metadata of the card; repeat for more. Different metadata yields a different
+        /// name.
         #[arg(long, value_name = "KEY=VALUE")]
         meta: Vec<String>,
+        /// New file for the card.
         #[arg(short, long, value_name = "CARD")]
         output: PathBuf,
     },
-    /// Print the name that a card, or an owner key and metadata, derive.
+    /// Print the name that derives from a card, or from an owner's key and metadata.
     Derive {
+        /// Name card.
         #[arg(conflicts_with_all = ["owner", "meta"], required_unless_present = "owner")]
         card: Option<PathBuf>,
-        /// The owner's private key file, or its public key (66 hex digits).
+        /// Private key file of the owner, or the owner's public key (66 hex digits).
         #[arg(long, requires = "meta")]
         owner: Option<String>,
-        /// One metadata entry; repeat for all of them.
+        /// Metadata entry; repeat for each entry.
         #[arg(long, value_name = "KEY=VALUE")]
         meta: Vec<String>,
     },
-    /// Show what is in a name card.
+    /// Show the contents of a name card.
     Show { card: PathBuf },
 }
 
-/// What a name can be made for.
+/// Kind of a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum CardKind {
     Topic,

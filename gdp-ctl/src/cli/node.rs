@@ -26,18 +26,18 @@ const TIMEOUT: Duration = Duration::from_secs(3);
 
 #[derive(Debug, Args)]
 pub struct NodeOptions {
-    /// The folder with name cards (*.card), grants (*.grant, *.ad) and the key (id.pem);
-    /// ~/.config/gdp if nothing is said.
+    /// Folder with name cards (*.card), grants (*.grant, *.ad) and the key (id.pem). Default:
+    /// ~/.config/gdp.
     #[arg(long, env = "GDP_KEYRING", value_name = "FOLDER")]
     keyring: Option<PathBuf>,
-    /// The private key, if it is not id.pem of the keyring.
+    /// Private key file, instead of id.pem in the keyring.
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
-    /// What the key's entity is, as it was when its key was made.
+    /// Kind of the key's entity, as specified when the key was generated.
     #[arg(long, value_enum, default_value = "proxy")]
     kind: EntityKind,
-    /// A switch, as udp://HOST[:PORT] or eth://INTERFACE; the one of this machine's daemon if
-    /// nothing is said.
+    /// Switch to attach to: udp://HOST[:PORT] or eth://INTERFACE. Default: the switch of this
+    /// machine's daemon.
     #[arg(long, env = "GDP_SWITCH", value_name = "LINK")]
     switch: Option<LinkTarget>,
 }
@@ -97,8 +97,8 @@ pub async fn unless_interrupted<T>(what: impl Future<Output = anyhow::Result<T>>
 /// Share folders of ROS 2, for types beyond the common ones.
 #[derive(Debug, Args)]
 pub struct Definitions {
-    /// A share folder of ROS 2, such as /opt/ros/jazzy/share, for types that are not among the
-    /// common interfaces; repeat for several.
+    /// Share folder of ROS 2, such as /opt/ros/jazzy/share, for types beyond the common interfaces;
+    /// repeat for several.
     #[arg(long, value_name = "FOLDER")]
     definitions: Vec<PathBuf>,
 }

@@ -10,8 +10,8 @@ use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Print neighbouring switches and domains: what each is, what it may do and until when,
-    /// whether its link is up, and why not.
+    /// List the neighbouring switches and domains: relationship, rights, expiry, link state, and
+    /// the reason if the link is down.
     List,
 }
 

@@ -15,23 +15,24 @@ use crate::client::{Client, ClientError};
 use gdp_proto::admin::Request;
 use gdp_proto::admin::trace::{EchoReply, LocateReply, PathEnd, ProbeReply};
 
-/// Ask whether a name answers, once a second.
+/// Test whether a name answers, once a second.
 ///
-/// What has a link with the daemon's switch, a neighbouring switch or an endpoint, is sent echoes:
-/// the data plane at the other end answers them, in the kernel where it runs there, and no daemon
-/// is asked. Anything else is sent probes, which go in the data plane to each switch where the name
-/// is delivered; that switch's daemon answers, through the daemons on the way. A topic answers so
-/// for each of its switches, and its readers are not asked. Ends after COUNT, or at ^C; the exit
-/// status is 1 if nothing has answered.
+/// If the name is a neighbouring switch or an endpoint with a link to the daemon's switch, the
+/// command sends echoes. The data plane at the other end of the link answers them, in the kernel if
+/// it runs there, without a daemon. For any other name, the command sends probes in the data plane
+/// to each switch that delivers the name. The daemon of that switch answers, through the daemons on
+/// the path. For a topic, each of its switches answers; its readers receive no request.
+///
+/// The command ends after COUNT requests, or at ^C. The exit status is 1 if nothing has answered.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// A name, the first digits of one, or a name card.
+    /// Name, first digits of a name, or name card.
     #[arg(value_name = "NAME|PREFIX|CARD")]
     what: String,
-    /// Stop after so many.
+    /// Number of requests, after which the command ends.
     #[arg(short, long)]
     count: Option<u64>,
-    /// Seconds from one to the next.
+    /// Interval between two requests, in seconds (0.02 to 3600).
     #[arg(short, long, default_value_t = 1.0, value_parser = parse_interval)]
     interval: f64,
 }

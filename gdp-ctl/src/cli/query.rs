@@ -25,7 +25,7 @@ const MOST: usize = 100_000;
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// A name, the first digits of some names, or a name card.
+    /// Name, first digits of several names, or name card.
     #[arg(value_name = "NAME|PREFIX|CARD")]
     what: String,
 }

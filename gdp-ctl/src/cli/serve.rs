@@ -13,34 +13,34 @@ use gdp_daemon::{privileges, serve};
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The configuration (YAML). Without one: a key of its own, RIB and switch, with links over
-    /// UDP.
+    /// Configuration file (YAML). Without it, the daemon uses its own key, and runs a RIB and a
+    /// switch with links over UDP.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The switch's key file, instead of the configured one; made if there is none.
+    /// Key file of the switch, instead of the configured one; generated if it does not exist.
     #[arg(long, value_name = "FILE")]
     identity: Option<PathBuf>,
-    /// Where to take links over UDP, instead of what is configured.
+    /// Address and port for links over UDP, instead of the configured ones.
     #[arg(long, value_name = "ADDRESS:PORT")]
     udp: Option<SocketAddr>,
-    /// Also take links directly on the Ethernet of this interface, and attach XDP there whatever
-    /// that disturbs; may be repeated.
+    /// Interface for links directly on Ethernet, in addition to the configured ones; may be
+    /// repeated. XDP attaches to it even if that disturbs its other users.
     #[arg(long, value_name = "DEV")]
     interface: Vec<String>,
-    /// Name every Ethernet interface that is up.
+    /// All Ethernet interfaces that are up, as if each were an --interface.
     #[arg(long, conflicts_with = "interface")]
     all_interfaces: bool,
-    /// What forwards frames, instead of what is configured.
+    /// Data plane that forwards frames, instead of the configured one.
     #[arg(long, value_name = "PLANE")]
     data_plane: Option<DataPlane>,
-    /// Forward by the userspace plane alone, as `--data-plane userspace` does.
+    /// Forward only in the userspace plane; the same as `--data-plane userspace`.
     #[arg(long, conflicts_with_all = ["data_plane", "ebpf_object"])]
     no_xdp: bool,
-    /// The eBPF object, instead of the configured or installed one.
+    /// eBPF object file, instead of the configured or installed one.
     #[arg(long, value_name = "FILE")]
     ebpf_object: Option<PathBuf>,
-    /// When told to stop, end without a word and leave the kernel forwarding, for a successor to
-    /// take over: for upgrades.
+    /// On a stop signal, exit without notifying the neighbours and leave the kernel forwarding, so
+    /// that a new daemon can take over during an upgrade.
     #[arg(long)]
     keep: bool,
 }

@@ -21,22 +21,24 @@ const TRIES: usize = 3;
 /// Number of consecutive hops without an answer after which the trace ends.
 const SILENT: usize = 4;
 
-/// Show every switch that frames for a name cross from here, and the time to each.
+/// Show every switch on the path of a name's frames from the daemon's switch, and the time to each.
 ///
-/// A probe goes the way of the name's frames in the data plane, first one switch far, then two, and
-/// so on; the switch where it ends answers through the switches' daemons. So a time is that of the
-/// way there in the data plane, and of the way back between daemons. The daemon's switch must know
-/// a way to the name: somebody who sends to it is attached there, or NAME is a switch. Where the
-/// name leaves for another domain, the borders on both sides measure how far it is from one to the
-/// other, and that domain says how the name goes on there, in what time, and into which domains;
-/// its switches only if it wants to (`trace: open` at its border). A domain answers for names that
-/// it takes from this one.
+/// Probes follow the path of the name's frames in the data plane, the first for one hop, the next
+/// for two, and so on. The switch at the last hop answers through the switches' daemons. Each time
+/// therefore includes the outward path in the data plane and the return path between daemons. The
+/// daemon's switch must have a route to the name. It has one if an entity that sends to the name is
+/// attached to this switch, or if NAME is a switch.
+///
+/// Where the path leaves for another domain, the border switches on both sides measure the time
+/// between them. The other domain reports how the path continues, in what time, and into which
+/// domains. It reports its switches only with `trace: open` at its border. A domain answers for
+/// names that it accepts from this one.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// A name, the first digits of one, or a name card.
+    /// Name, first digits of a name, or name card.
     #[arg(value_name = "NAME|PREFIX|CARD")]
     what: String,
-    /// Look no further than so many switches of this domain.
+    /// Maximum number of switches of this domain to probe.
     #[arg(long, default_value_t = 64, value_name = "HOPS", value_parser = clap::value_parser!(u8).range(1..=64))]
     max_hops: u8,
 }

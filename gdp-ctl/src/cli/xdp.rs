@@ -17,20 +17,21 @@ use gdp_dataplane::{host_pair, kernel};
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Print what the XDP programs count and hold.
+    /// Print the counters of the XDP programs, and the contents of their maps.
     Stats(Options),
-    /// Take the XDP programs off and free their maps, where no daemon runs; and in the present
-    /// network namespace remove the interfaces that a daemon made for endpoints on its host. A
-    /// daemon that is stopped does so itself.
+    /// Detach the XDP programs that ended daemons left behind, and free their maps.
+    ///
+    /// In the current network namespace, the command also removes the interfaces that a daemon
+    /// created for endpoints on its host. A daemon does all of this itself when it stops.
     Detach(Options),
 }
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Only the switch whose name begins so.
+    /// Only the switch whose name has this prefix.
     #[arg(value_name = "SWITCH")]
     switch: Option<String>,
-    /// The daemon's BPF file system.
+    /// BPF file system of the daemon.
     #[arg(long, value_name = "PATH", default_value = BPFFS)]
     bpffs: PathBuf,
 }

@@ -39,33 +39,33 @@ use gdp_tests::measure::{self, Row, Wanted};
 struct Options {
     #[command(flatten)]
     bench: Bench,
-    /// Only these rows
+    /// Row to measure; repeat for several. Default: all rows
     #[arg(long)]
     only: Vec<String>,
-    /// One JSON object on stdout instead of tables
+    /// Print one JSON object on stdout instead of tables
     #[arg(long)]
     json: bool,
-    /// A folder to draw plots into
+    /// Folder for the plots
     #[arg(long)]
     plots: Option<PathBuf>,
-    /// What cargo passes to every benchmark
+    /// Argument that cargo passes to every benchmark
     #[arg(long = "bench", hide = true)]
     _cargo: bool,
 }
 
-/// What every row is given.
+/// Parameters of every row.
 #[derive(clap::Args)]
 struct Bench {
-    /// The XDP switch; the daemons find it beside them
+    /// Object file of the XDP switch, which the daemons find next to their executable
     #[arg(long = "ebpf-object")]
     _ebpf_object: PathBuf,
-    /// Whatever is compared is measured this often, in turn
+    /// Number of alternating measurements per alternative
     #[arg(long, default_value_t = 3)]
     rounds: usize,
-    /// How long one measurement takes
+    /// Duration of a measurement, in milliseconds
     #[arg(long, default_value_t = 500)]
     milliseconds: u64,
-    /// Names where there are many
+    /// Number of names in the large tables
     #[arg(long, default_value_t = 1_000_000)]
     names: usize,
 }

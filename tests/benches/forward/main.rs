@@ -54,36 +54,36 @@ use gdp_tests::measure::{self, Row, Wanted};
 struct Options {
     #[command(flatten)]
     bench: Bench,
-    /// Only these rows
+    /// Row to measure; repeat for several. Default: all rows
     #[arg(long)]
     only: Vec<String>,
-    /// One JSON object on stdout instead of tables
+    /// Print one JSON object on stdout instead of tables
     #[arg(long)]
     json: bool,
-    /// A folder to draw plots into
+    /// Folder for the plots
     #[arg(long)]
     plots: Option<PathBuf>,
-    /// What cargo passes to every benchmark
+    /// Argument that cargo passes to every benchmark
     #[arg(long = "bench", hide = true)]
     _cargo: bool,
 }
 
-/// What every row is given.
+/// Parameters of every row.
 #[derive(clap::Args)]
 struct Bench {
-    /// The XDP switch
+    /// Object file of the XDP switch
     #[arg(long)]
     ebpf_object: PathBuf,
-    /// The same with a hop tag that costs nothing
+    /// Object file of the XDP switch with a hop tag without cost
     #[arg(long)]
     untagged_object: PathBuf,
-    /// Generators and sink
+    /// Object file of the generators and the sink
     #[arg(long)]
     bench_object: PathBuf,
-    /// Whatever is compared is measured this often, in turn
+    /// Number of alternating measurements per alternative
     #[arg(long, default_value_t = 7)]
     rounds: usize,
-    /// How long one measurement takes
+    /// Duration of a measurement, in milliseconds
     #[arg(long, default_value_t = 200)]
     milliseconds: u64,
 }

@@ -25,19 +25,19 @@ use way::{Kind, Way};
 
 #[derive(Parser)]
 struct Options {
-    /// The XDP switch
+    /// Object file of the XDP switch
     #[arg(long)]
     ebpf_object: PathBuf,
-    /// Each way is measured this often, in turn
+    /// Number of alternating measurements per path
     #[arg(long, default_value_t = 7)]
     rounds: usize,
-    /// How long one measurement takes
+    /// Duration of a measurement, in milliseconds
     #[arg(long, default_value_t = 300)]
     milliseconds: u64,
-    /// One JSON object on stdout instead of a table
+    /// Print one JSON object on stdout instead of a table
     #[arg(long)]
     json: bool,
-    /// What cargo passes to every benchmark
+    /// Argument that cargo passes to every benchmark
     #[arg(long, hide = true)]
     bench: bool,
 }

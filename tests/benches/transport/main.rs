@@ -45,30 +45,31 @@ use run::Open;
 struct Options {
     #[command(flatten)]
     bench: Bench,
-    /// Only these rows
+    /// Row to measure; repeat for several. Default: all rows
     #[arg(long)]
     only: Vec<String>,
-    /// One JSON object on stdout instead of tables
+    /// Print one JSON object on stdout instead of tables
     #[arg(long)]
     json: bool,
-    /// A folder to draw plots into
+    /// Folder for the plots
     #[arg(long)]
     plots: Option<PathBuf>,
-    /// What cargo passes to every benchmark
+    /// Argument that cargo passes to every benchmark
     #[arg(long = "bench", hide = true)]
     _cargo: bool,
 }
 
-/// What every row is given.
+/// Parameters of every row.
 #[derive(clap::Args)]
 struct Bench {
-    /// The XDP switch
+    /// Object file of the XDP switch
     #[arg(long)]
     ebpf_object: PathBuf,
-    /// Whatever is compared is measured this often, in turn
+    /// Number of alternating measurements per alternative
     #[arg(long, default_value_t = 7)]
     rounds: usize,
-    /// How long one measurement takes; those at a fixed rate take six times as long
+    /// Duration of a measurement, in milliseconds; measurements at a fixed rate take six times as
+    /// long
     #[arg(long, default_value_t = 500)]
     milliseconds: u64,
 }

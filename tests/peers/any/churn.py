@@ -1,9 +1,12 @@
-"""Nodes that come and go, of Cyclone DDS, with std_msgs/msg/String on /churn/t0, /churn/t1, ... See ../README.md.
+"""Runs Cyclone DDS nodes that repeatedly leave and return. See ../README.md.
+
+The topics are /churn/t0, /churn/t1, ..., of std_msgs/msg/String.
 
 churn.py talk|listen TOPICS GATE
 
-Each node has ten of the topics. Several times a second one goes, and comes back within two seconds; once the file GATE exists, all are
-there and stay. A listener says each second of how many topics it has heard in the last three seconds, and how many nodes have come in all.
+Each node has ten of the topics. Several times a second a node leaves, and returns within two
+seconds. Once the file GATE exists, all nodes return and stay. A listener prints every second the
+number of topics that it received in the last three seconds, and the total number of nodes created.
 """
 
 import json

@@ -1,4 +1,6 @@
-"""A ROS 2 node as rmw_cyclonedds would make it that publishes or hears every type of the pairings. See ../README.md.
+"""A ROS 2 node that publishes or receives every type of the pairings. See ../README.md.
+
+The node is as rmw_cyclonedds would create it.
 
 cyclone_any.py talk FOLDER PREFIX
 cyclone_any.py listen FOLDER PREFIX...
@@ -23,7 +25,7 @@ from cyclonedds.util import duration
 
 
 def ros(package, name):
-    """The name that ROS 2's code generators give the type of a DDS topic."""
+    """Returns the DDS type name that ROS 2's code generators use."""
     return {"typename": f"{package}::msg::dds_::{name}_"}
 
 
@@ -181,7 +183,10 @@ def say(**what):
 
 
 def same(body, sample):
-    """After the encapsulation; a middleware may fill the last word up with zeros."""
+    """Compares the data after the encapsulation header.
+
+    A middleware may pad the last word with zeros.
+    """
     body, sample = bytes(body[4:]), sample[4:]
     rest = body[len(sample) :]
     return body[: len(sample)] == sample and len(rest) < 4 and not any(rest)

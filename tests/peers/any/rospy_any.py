@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A rospy node that publishes or hears every type of the pairings. See ../README.md.
+"""A rospy node that publishes or receives every type of the pairings. See ../README.md.
 
 rospy_any.py talk FOLDER PREFIX
 rospy_any.py listen FOLDER PREFIX...
@@ -21,13 +21,16 @@ def say(**what):
 
 
 def class_of(entry):
-    """Of an installed package, or else as tools make it that know a type only by its definition."""
+    """Returns the class of an installed package, otherwise one generated from the definition.
+
+    Tools that lack the package also generate it.
+    """
     installed = roslib.message.get_message_class(entry["ros1"])
     return installed or genpy.dynamic.generate_dynamic(entry["ros1"], entry["definition"])[entry["ros1"]]
 
 
 def without_seq(value):
-    """The number that each publisher counts up by itself, in all headers."""
+    """Clears the sequence number in all headers, because each publisher counts its own."""
     if isinstance(value, (list, tuple)):
         if value and hasattr(value[0], "__slots__"):
             [without_seq(item) for item in value]

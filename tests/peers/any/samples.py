@@ -1,4 +1,6 @@
-"""Makes one message of each type that the pairings exchange, in CDR and in ROS 1's serialization, by rosbags. See ../README.md.
+"""Writes one message of each type that the pairings exchange. See ../README.md.
+
+rosbags encodes the messages in CDR and in ROS 1 serialization.
 
 samples.py FOLDER
 """
@@ -10,7 +12,7 @@ from pathlib import Path
 import numpy
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-# A type of a package that no distribution has.
+# A type of a package that is in no distribution.
 REPORT = """\
 uint8 IDLE=0
 uint8 MOVING=1

@@ -9,18 +9,18 @@ use crate::workspace::Profile;
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// One JSON object on stdout instead of tables
+    /// Print one JSON object on stdout instead of tables
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     rows: super::program::Rows,
-    /// Number of measurements of each alternative, in turn
+    /// Number of alternating measurements per alternative
     #[arg(long, default_value_t = 3)]
     rounds: u32,
-    /// Milliseconds per measurement
+    /// Duration of a measurement, in milliseconds
     #[arg(long, default_value_t = 500)]
     milliseconds: u64,
-    /// Number of names in the large tables; a million take some minutes to sign and verify
+    /// Number of names in the large tables. A million names take some minutes to sign and verify
     #[arg(long, default_value_t = 1_000_000)]
     names: usize,
 }

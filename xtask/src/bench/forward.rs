@@ -8,15 +8,15 @@ use crate::{build, shell, workspace};
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// One JSON object on stdout instead of tables
+    /// Print one JSON object on stdout instead of tables
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     rows: super::program::Rows,
-    /// Number of measurements of each alternative, in turn
+    /// Number of alternating measurements per alternative
     #[arg(long, default_value_t = 7)]
     rounds: u32,
-    /// Milliseconds per measurement
+    /// Duration of a measurement, in milliseconds
     #[arg(long, default_value_t = 200)]
     milliseconds: u64,
 }

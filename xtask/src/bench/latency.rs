@@ -33,16 +33,16 @@ use crate::workspace::{self, Profile};
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// One JSON object on stdout instead of a table
+    /// Print one JSON object on stdout instead of a table
     #[arg(long)]
     json: bool,
-    /// Messages of each size per path and round
+    /// Number of messages of each size, per path and round
     #[arg(long, default_value_t = 300)]
     count: u64,
-    /// Number of measurements of each path, in turn
+    /// Number of alternating measurements per path
     #[arg(long, default_value_t = 2)]
     rounds: u32,
-    /// Only this path (may be repeated)
+    /// Path to measure; repeat for several. Default: all paths
     #[arg(long = "path", value_enum)]
     paths: Vec<LatencyRoute>,
 }

@@ -8,13 +8,13 @@ use crate::shell;
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// One JSON object on stdout instead of a table
+    /// Print one JSON object on stdout instead of a table
     #[arg(long)]
     json: bool,
-    /// Number of measurements of each path, in turn
+    /// Number of alternating measurements per path
     #[arg(long, default_value_t = 7)]
     rounds: u32,
-    /// Milliseconds per measurement
+    /// Duration of a measurement, in milliseconds
     #[arg(long, default_value_t = 300)]
     milliseconds: u64,
 }

@@ -21,21 +21,23 @@ pub struct Options {
 
 #[derive(clap::Subcommand)]
 enum Figure {
-    /// One-way latency, DDS to DDS: over three XDP switches, beside the same programs over three IP
+    /// Measure the one-way latency from DDS to DDS over three XDP switches, compared with three IP
     /// routers
     Latency(latency::Options),
-    /// Cost of forwarding: XDP beside a bare redirect, the kernel's IPv4 routers and a forwarder on
-    /// packet sockets
+    /// Measure the cost of forwarding by XDP, compared with a bare redirect, kernel IPv4 routers
+    /// and a forwarder on packet sockets
     Forward(forward::Options),
-    /// Control plane: statements and queries per second, memory per name, recovery after a cut,
-    /// reconciliation
+    /// Measure the control plane: statements and queries per second, memory per name, recovery
+    /// after a cut, reconciliation
     Control(control::Options),
-    /// Between two endpoints on the switch's host: through the daemon, on packet sockets, past both
+    /// Measure the paths between two endpoints on the switch's host: daemon, packet sockets,
+    /// interface pair
     Local(local::Options),
-    /// ROS 2 messages through two proxies: latency and processor time, beside kernel routers and
-    /// two zenoh bridges
+    /// Measure latency and CPU time of ROS 2 messages through two proxies, compared with kernel
+    /// routers and two zenoh bridges
     Ros(ros::Options),
-    /// Throughput, CPU time and latency of messages: this SDK beside quinn and TLS over TCP
+    /// Measure throughput, CPU time and latency of this SDK's messages, compared with quinn and TLS
+    /// over TCP
     Transport(transport::Options),
 }
 

@@ -17,7 +17,7 @@ pub fn pass(command: &mut Command, rounds: u32, milliseconds: u64, json: bool) {
 /// The rows to measure, and whether to draw them.
 #[derive(clap::Args)]
 pub struct Rows {
-    /// Only this row of the figures (can be given several times); an unknown one lists all
+    /// Row of the figures to measure; repeat for several. An unknown row lists all
     #[arg(long, value_name = "ROW")]
     pub only: Vec<String>,
     /// Redraw the plots in docs/plots

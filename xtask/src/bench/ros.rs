@@ -34,19 +34,19 @@ use crate::workspace::{self, Profile};
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// One JSON object on stdout instead of a table
+    /// Print one JSON object on stdout instead of a table
     #[arg(long)]
     json: bool,
-    /// Seconds of each load, per path and round
+    /// Duration of each load per path and round, in seconds
     #[arg(long, default_value_t = 10)]
     seconds: u32,
-    /// Number of measurements of each path, in turn
+    /// Number of alternating measurements per path
     #[arg(long, default_value_t = 2)]
     rounds: u32,
-    /// Only messages of this size (may be repeated)
+    /// Message size to measure, in bytes; repeat for several. Default: all sizes
     #[arg(long = "bytes")]
     bytes: Vec<usize>,
-    /// Only this path (may be repeated)
+    /// Path to measure; repeat for several. Default: all paths
     #[arg(long = "path", value_enum)]
     paths: Vec<RosRoute>,
 }

@@ -7,15 +7,16 @@ use crate::shell;
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// One JSON object on stdout instead of tables
+    /// Print one JSON object on stdout instead of tables
     #[arg(long)]
     json: bool,
     #[command(flatten)]
     rows: super::program::Rows,
-    /// Number of measurements of each alternative, in turn
+    /// Number of alternating measurements per alternative
     #[arg(long, default_value_t = 7)]
     rounds: u32,
-    /// Milliseconds per measurement; those at a fixed rate take six times as long
+    /// Duration of a measurement, in milliseconds; measurements at a fixed rate take six times as
+    /// long
     #[arg(long, default_value_t = 500)]
     milliseconds: u64,
 }

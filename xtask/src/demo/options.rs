@@ -2,19 +2,19 @@
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// Robot, three switches and cloud in a row, instead of the paper's Figure 4
+    /// Use a chain of robot, three switches and cloud, instead of the paper's Figure 4
     #[arg(long)]
     pub chain: bool,
-    /// Seconds for which messages flow
+    /// Duration of the traffic, in seconds
     #[arg(long, default_value_t = 15)]
     pub seconds: u64,
-    /// One JSON object on stdout instead of a story
+    /// Print one JSON object on stdout instead of the text report
     #[arg(long)]
     pub json: bool,
-    /// Messages per second
+    /// Rate, in messages per second
     #[arg(long, default_value_t = 50.0)]
     pub rate: f64,
-    /// Bytes per message
+    /// Message size, in bytes
     #[arg(long, default_value_t = 64)]
     pub size: usize,
 }

@@ -28,10 +28,10 @@ use crate::workspace;
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// Compile everything, without the compiled files of an earlier run; downloads are still cached
+    /// Compile everything, without compiled files of an earlier run. Downloads remain cached
     #[arg(long)]
     cold: bool,
-    /// End when the switch runs
+    /// Exit as soon as the switch runs
     #[arg(long)]
     switch: bool,
 }

@@ -22,10 +22,10 @@ use crate::{shell, workspace};
 
 #[derive(clap::Args)]
 pub struct Options {
-    /// The purposes of this machine; all if none is given
+    /// Purposes of this machine. Default: all
     #[arg(value_enum)]
     purposes: Vec<Purpose>,
-    /// Only print what is missing and how it would be installed
+    /// Print the missing items and their install commands, and install nothing
     #[arg(long)]
     dry_run: bool,
     /// Look up every external program that tests, benchmarks and `xtask` start, and install nothing

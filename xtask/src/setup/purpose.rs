@@ -15,7 +15,7 @@ pub enum Purpose {
     Unit,
     /// Run all tests
     Test,
-    /// Show the fabric in operation
+    /// Run the demo of the fabric
     Demo,
     /// Run the benchmarks
     Bench,

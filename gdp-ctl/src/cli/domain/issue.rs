@@ -28,17 +28,18 @@ const HOUR: u64 = 3600;
 
 #[derive(Debug, Args)]
 pub struct InitOptions {
-    /// The folder of domain.pem and domain.card.
+    /// Folder for the new files domain.pem and domain.card.
     #[arg(short, long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
 }
 
 #[derive(Debug, Args)]
 pub struct KeyOptions {
-    /// The domain's private key file. What is issued is remembered beside the domain's card.
+    /// Private key file of the domain. The ledger of issued certificates is next to the domain's
+    /// card.
     #[arg(long, value_name = "FILE")]
     pub key: PathBuf,
-    /// The domain's card, unless it is beside the key and called as it is.
+    /// Card of the domain. Default: the key's path with the extension .card.
     #[arg(long, value_name = "FILE")]
     pub card: Option<PathBuf>,
 }
@@ -53,16 +54,16 @@ impl KeyOptions {
 pub struct AdmitOptions {
     #[command(flatten)]
     key: KeyOptions,
-    /// The new member: 64 hex digits, as `gdp-ctl key show` prints them.
+    /// New member: 64 hex digits, as printed by `gdp-ctl key show`.
     entity: Name,
-    /// `switch`, `rib` or `border` for what forwards; any other is for grants to name: 1 to 32 of
+    /// Role: `switch`, `rib` or `border` for forwarders, or any other for use in grants: 1 to 32 of
     /// a-z, 0-9, _ and -.
     #[arg(long)]
     role: String,
-    /// How long it is a member.
+    /// Duration of the membership, in days.
     #[arg(long, value_name = "N", default_value = "365", value_parser = clap::value_parser!(u32).range(1..))]
     days: u32,
-    /// The membership: a new file, to be taken to the member.
+    /// Membership certificate: a new file, which the member needs.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
 }
@@ -71,19 +72,20 @@ pub struct AdmitOptions {
 pub struct InviteOptions {
     #[command(flatten)]
     key: KeyOptions,
-    /// As of `gdp-ctl domain admit`.
+    /// Role of the new member, as for `gdp-ctl domain admit`.
     #[arg(long)]
     role: String,
-    /// Where the new member is to dial: udp://HOST:PORT or eth://INTERFACE (of its own).
+    /// Address that the new member dials: udp://HOST:PORT, or eth://INTERFACE for the member's own
+    /// interface.
     #[arg(long, value_name = "LINK")]
     at: LinkTarget,
-    /// The switch that is there.
+    /// Switch at that address.
     #[arg(long, value_name = "NAME")]
     switch: Option<Name>,
-    /// How long the invitation may be used.
+    /// Validity of the invitation, in hours.
     #[arg(long, value_name = "N", default_value = "24", value_parser = clap::value_parser!(u32).range(1..))]
     hours: u32,
-    /// How long who used it is a member.
+    /// Duration of the resulting membership, in days.
     #[arg(long, value_name = "N", default_value = "365", value_parser = clap::value_parser!(u32).range(1..))]
     days: u32,
 }
@@ -92,15 +94,17 @@ pub struct InviteOptions {
 pub struct PeerOptions {
     #[command(flatten)]
     key: KeyOptions,
-    /// The other domain: 64 hex digits.
+    /// Other domain: 64 hex digits.
     domain: Name,
-    /// What it may do: some of peering (links of border switches), transit (send through this
+    /// Rights of the other domain: peering (links of border switches), transit (sends through this
     /// domain into a third one), visit (its robots attach here).
     #[arg(long, value_name = "RIGHT,…")]
     rights: PeerRights,
+    /// Validity of the certificate, in days.
     #[arg(long, value_name = "N", default_value = "365", value_parser = clap::value_parser!(u32).range(1..))]
     days: u32,
-    /// The certificate: a new file, for `peers:` of this domain's own border switches and robots.
+    /// Certificate: a new file, for `peers:` in the configuration of this domain's own border
+    /// switches and robots.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
 }

@@ -29,13 +29,13 @@ const MAX_LINE: u64 = 16 << 10;
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The invitation; `-` reads it from stdin, so that no list of processes shows it.
+    /// Invitation. `-` reads it from stdin, which keeps it out of process lists.
     token: String,
-    /// The private key of the new member, made if there is none.
+    /// Private key file of the new member, generated if it does not exist.
     #[arg(long, value_name = "FILE")]
     identity: Option<PathBuf>,
-    /// The folder of what is written: domain.card, membership, gdp.yaml, and the key unless
-    /// --identity is given.
+    /// Folder for the new files domain.card, membership and gdp.yaml, and for the key unless
+    /// --identity names its file.
     #[arg(short, long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
 }

@@ -17,31 +17,32 @@ pub use issue::InitOutput;
 pub use join::JoinOutput;
 pub use show::{DomainOutput, InvitationOutput};
 
-const OFF_THE_SWITCHES: &str = "The domain's key is never needed on a switch, a RIB or a robot: run this where the \
-                                key is kept, and \
-                                take the file to the member.";
+const OFF_THE_SWITCHES: &str = "Run this command on the machine that stores the domain's key, and copy the file to the \
+                                member. No switch, RIB or robot needs the domain's key.";
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Make a domain: a private key (mode 0600) and its card, which is for all to have.
+    /// Create a domain: a private key (mode 0600) and a card, which is public.
     Init(issue::InitOptions),
-    /// Make an entity a member, or renew its membership.
+    /// Admit an entity as a member, or renew its membership.
     #[command(after_help = OFF_THE_SWITCHES)]
     Admit(issue::AdmitOptions),
-    /// Let whoever holds the line that this prints become a member, once.
-    #[command(after_help = "The line holds a private key: give it to the one it is for, and to nobody else.")]
+    /// Print an invitation for a new member. It can be used once.
+    #[command(after_help = "The invitation contains a private key. Give it only to the intended member.")]
     Invite(issue::InviteOptions),
-    /// Become a member by an invitation: makes a key if there is none, and writes the membership
+    /// Join a domain with an invitation. Generates a key if none exists, and writes the membership
     /// and a configuration.
     Join(join::Options),
-    /// Take memberships, invitations and peerings back, and tell the fabric if a daemon answers.
+    /// Revoke memberships, invitations and peerings, and publish the revocation if a daemon
+    /// answers.
     #[command(after_help = OFF_THE_SWITCHES)]
     Revoke(revoke::Options),
-    /// Let another domain do something with this one. The two peer when each has done so.
+    /// Grant another domain rights in this one. Two domains peer when each has granted rights to
+    /// the other.
     #[command(after_help = OFF_THE_SWITCHES)]
     Peer(issue::PeerOptions),
-    /// Show a domain's card with what was issued from here, a certificate, or an invitation
-    /// (without its key).
+    /// Show a domain's card with its ledger of issued certificates, a single certificate, or an
+    /// invitation (without its key).
     Show(show::Options),
 }
 

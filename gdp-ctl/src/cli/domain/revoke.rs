@@ -20,17 +20,17 @@ use gdp_util::unix_time::unix_seconds;
 pub struct Options {
     #[command(flatten)]
     key: KeyOptions,
-    /// What to take back: serials, as `gdp-ctl domain show` lists them, files, or `-` for an
-    /// invitation on stdin. With nothing to take back, the newest revocation is published again.
+    /// Certificates to revoke: serials as listed by `gdp-ctl domain show`, files, or `-` for an
+    /// invitation on stdin. Without a selection, the command publishes the newest revocation again.
     #[arg(value_name = "SERIAL|FILE")]
     what: Vec<String>,
-    /// All memberships of this entity that were issued from here.
+    /// All memberships of this entity in the domain's ledger.
     #[arg(long, value_name = "NAME")]
     entity: Vec<Name>,
-    /// All that this other domain was let do.
+    /// All rights granted to this other domain.
     #[arg(long, value_name = "NAME")]
     domain: Vec<Name>,
-    /// All that was issued until now.
+    /// All certificates and invitations issued until now.
     #[arg(long)]
     all: bool,
 }

@@ -21,10 +21,10 @@ use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// A domain's card, a certificate's file, an invitation, or `-` for an invitation on stdin.
+    /// Domain card, certificate file, invitation, or `-` for an invitation on stdin.
     #[arg(value_name = "FILE|TOKEN")]
     what: String,
-    /// Of a certificate: the card of the domain. If there is a revocation beside it, that counts.
+    /// Card of the domain, for a certificate. A revocation file next to the card is applied.
     #[arg(long, value_name = "FILE")]
     card: Option<PathBuf>,
 }

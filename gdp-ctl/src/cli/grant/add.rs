@@ -24,44 +24,43 @@ use gdp_util::unix_time::unix_seconds;
 #[command(group = ArgGroup::new("to").required(true).args(["entity", "role", "delegate"]))]
 #[command(group = ArgGroup::new("right").required(true).multiple(true).args(["publish", "read"]))]
 pub struct Options {
-    /// The name card. What is granted is remembered beside it, in CARD.grants.
+    /// Name card. The ledger of grants is next to it, in CARD.grants.
     card: PathBuf,
-    /// The owner's private key file; with --delegation, the delegate's.
+    /// Private key file of the owner, or of the delegate with --delegation.
     #[arg(long, value_name = "FILE")]
     key: PathBuf,
-    /// What the owner gave the delegate whose key this is.
+    /// Delegation that the owner issued for the delegate's key.
     #[arg(long, value_name = "FILE", conflicts_with = "delegate")]
     delegation: Option<PathBuf>,
-    /// To publish, or to serve requests.
+    /// Right to publish, or to serve requests.
     #[arg(long)]
     publish: bool,
-    /// To subscribe, or to make requests.
+    /// Right to subscribe, or to make requests.
     #[arg(long)]
     read: bool,
-    /// To this entity: 64 hex digits, as `gdp-ctl key show` prints them.
+    /// Entity that receives the grant: 64 hex digits, as printed by `gdp-ctl key show`.
     #[arg(long, value_name = "NAME")]
     entity: Option<Name>,
-    /// To every entity that the domain says has this role (only --read).
+    /// Role whose members in --domain receive the grant (only with --read).
     #[arg(long, requires = "domain", conflicts_with = "publish")]
     role: Option<String>,
-    /// The domain of --role.
+    /// Domain that assigns --role.
     #[arg(long, value_name = "NAME", requires = "role")]
     domain: Option<Name>,
-    /// To another key (66 hex digits, as `gdp-ctl key show` prints them): it may issue such grants
-    /// to others.
+    /// Key that may issue such grants to others: 66 hex digits, as printed by `gdp-ctl key show`.
     #[arg(long, value_name = "KEY")]
     delegate: Option<VerifyKey>,
-    /// How messages are delivered.
+    /// Delivery mode of the messages.
     #[arg(long, value_enum, default_value = "unicast", requires = "publish", conflicts_with = "delegate")]
     mode: DeliveryMode,
-    /// A domain that may know the name; repeat for several. Without any: only the domain it is
-    /// advertised in.
+    /// Domain that may learn the name; repeat for several. Default: only the domain in which the
+    /// name is advertised.
     #[arg(long, value_name = "NAME", requires = "publish", conflicts_with = "delegate")]
     scope: Vec<Name>,
-    /// How long it holds: 90s, 15m, 2h, 7d.
+    /// Validity of the grant, such as 90s, 15m, 2h or 7d.
     #[arg(long = "for", default_value = "365d", value_parser = parse_seconds, value_name = "TIME")]
     lifetime: u32,
-    /// The certificate: a new file, to be taken to the robot.
+    /// Certificate: a new file, which the robot needs.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
 }

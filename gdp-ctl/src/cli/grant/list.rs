@@ -17,7 +17,7 @@ use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The name card. What delegates granted is in their own ledgers.
+    /// Name card. Grants issued by delegates are in the delegates' own ledgers.
     card: PathBuf,
 }
 

@@ -12,19 +12,19 @@ use crate::cli::context::Context;
 
 pub use list::GrantsOutput;
 
-const OFF_THE_ROBOT: &str = "The owner's key is never needed on a robot, nor on any machine that publishes, reads or \
-                             forwards: run this where the key is kept, and take the certificate file and the name card \
-                             to the robot.";
+const OFF_THE_ROBOT: &str = "Run this command on the machine that stores the owner's key, and copy the certificate \
+                             file and the name card to the robot. No robot, and no machine that publishes, reads or \
+                             forwards, needs the owner's key.";
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Let an entity publish or read a name, a domain's role read it, or another key issue such
-    /// grants.
+    /// Grant an entity the right to publish or read a name. A grant can also let a domain's role
+    /// read it, or another key issue such grants.
     #[command(after_help = OFF_THE_ROBOT)]
     Add(add::Options),
-    /// Show what was granted from here, and what of it still holds.
+    /// List the grants in the ledger of a name, and show which are still valid.
     List(list::Options),
-    /// Take grants back, and tell the fabric if a daemon answers.
+    /// Revoke grants, and publish the revocation if a daemon answers.
     #[command(after_help = OFF_THE_ROBOT)]
     Revoke(revoke::Options),
 }

@@ -18,22 +18,22 @@ use gdp_util::unix_time::unix_seconds;
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The name card. The newest revocation is kept beside it, in CARD.revocation.
+    /// Name card. The newest revocation is next to it, in CARD.revocation.
     card: PathBuf,
-    /// What to take back: serials, as `gdp-ctl grant list` shows them, or certificate files. With
-    /// nothing to take back, the newest revocation is published again.
+    /// Grants to revoke: serials as listed by `gdp-ctl grant list`, or certificate files. Without a
+    /// selection, the command publishes the newest revocation again.
     #[arg(value_name = "SERIAL|FILE")]
     serials: Vec<String>,
-    /// All that was granted from here to this entity, such as a stolen robot.
+    /// All grants to this entity in the ledger, for example to a stolen robot.
     #[arg(long, value_name = "NAME")]
     entity: Vec<Name>,
-    /// This delegate, and with it all that it granted.
+    /// This delegate, and all grants that it issued.
     #[arg(long, value_name = "KEY")]
     delegate: Vec<VerifyKey>,
-    /// All that anybody granted until now.
+    /// All grants issued until now, by the owner or by delegates.
     #[arg(long)]
     all: bool,
-    /// The owner's private key file. No delegate can revoke.
+    /// Private key file of the owner. A delegate cannot revoke.
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
 }

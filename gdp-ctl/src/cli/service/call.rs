@@ -34,14 +34,14 @@ const SOON: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The service: its ROS name, its name or first digits of it, or a name card.
+    /// Service: a ROS name, a name, the first digits of a name, or a name card.
     #[arg(value_name = "SERVICE")]
     what: String,
-    /// Its type, such as std_srvs/srv/SetBool.
+    /// Type of the service, such as std_srvs/srv/SetBool.
     #[arg(value_name = "TYPE")]
     type_name: String,
-    /// Values of the request's fields, in YAML or JSON; fields that are left out are as the
-    /// definition says, and else zero or empty.
+    /// Values of the request's fields, in YAML or JSON. Omitted fields have the default of their
+    /// definition, otherwise zero or empty.
     #[arg(default_value = "{}")]
     values: String,
     #[command(flatten)]

@@ -13,7 +13,7 @@ use crate::cli::context::Context;
 pub enum Command {
     /// List the services of the keyring.
     List(ListOptions),
-    /// Call a service, and print what it answers.
+    /// Call a service, and print its response.
     Call(call::Options),
 }
 

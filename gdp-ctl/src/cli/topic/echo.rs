@@ -25,31 +25,31 @@ use crate::ros::{feed::Decoder, feed::Feed, feed::ReceivedMessage, python, view:
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The topic: its ROS name, its name or first digits of it, or a name card.
+    /// Topic: a ROS name, a name, the first digits of a name, or a name card.
     #[arg(value_name = "TOPIC")]
     what: String,
-    /// Print the first message, and end.
+    /// Print the first message, then exit.
     #[arg(long)]
     once: bool,
-    /// Only this field, as pose.position.x.
+    /// Field to print instead of the whole message, such as pose.position.x.
     #[arg(long, value_name = "FIELD", value_parser = parse_path)]
     field: Option<Path>,
-    /// All elements of arrays, and all characters of texts.
+    /// Print all elements of arrays and all characters of strings.
     #[arg(short, long)]
     full_length: bool,
-    /// So many of them.
+    /// Maximum number of array elements and string characters to print.
     #[arg(short = 'l', long, default_value_t = 128, value_name = "LENGTH")]
     truncate_length: usize,
-    /// No elements of arrays.
+    /// Omit the elements of arrays.
     #[arg(long)]
     no_arr: bool,
-    /// No characters of texts.
+    /// Omit the characters of strings.
     #[arg(long)]
     no_str: bool,
-    /// The bytes of messages, as they are encoded in the fabric.
+    /// Print the bytes of messages, as encoded in the fabric.
     #[arg(long, conflicts_with = "field")]
     raw: bool,
-    /// Give up after so many seconds; without any message, with exit status 1.
+    /// Maximum duration, in seconds. The exit status is 1 if no message has arrived by then.
     #[arg(long, value_name = "SECONDS", value_parser = parse_positive)]
     timeout: Option<f64>,
     #[command(flatten)]

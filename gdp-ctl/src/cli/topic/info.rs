@@ -21,10 +21,10 @@ const TIMEOUT: Duration = Duration::from_secs(3);
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The topic: its ROS name, its name or first digits of it, or a name card.
+    /// Topic: a ROS name, a name, the first digits of a name, or a name card.
     #[arg(value_name = "TOPIC")]
     what: String,
-    /// Show each publisher with what it offers.
+    /// Show each publisher with its offered QoS.
     #[arg(short, long)]
     verbose: bool,
     #[command(flatten)]

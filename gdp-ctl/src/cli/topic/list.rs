@@ -14,13 +14,14 @@ use crate::ros::keyring::called;
 
 #[derive(Debug, Args)]
 pub struct ListOptions {
-    /// Print the type, too.
+    /// Print the types as well.
     #[arg(short = 't', long)]
     show_types: bool,
-    /// Print only how many there are.
+    /// Print only the number of entries.
     #[arg(short, long)]
     count: bool,
-    /// Ask the RIB who is there, and print what has somebody.
+    /// Query the RIB, and print only entries with publishers, subscribers, servers or clients, and
+    /// the number of these.
     #[arg(short, long)]
     verbose: bool,
     #[command(flatten)]

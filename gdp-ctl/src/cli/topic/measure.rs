@@ -32,10 +32,10 @@ const SIZES: usize = 100;
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The topic: its ROS name, its name or first digits of it, or a name card.
+    /// Topic: a ROS name, a name, the first digits of a name, or a name card.
     #[arg(value_name = "TOPIC")]
     what: String,
-    /// Of so many of the last messages; 10000 for times, 100 for sizes.
+    /// Number of most recent messages to evaluate. Default: 10000 for times, 100 for sizes.
     #[arg(short, long)]
     window: Option<NonZeroUsize>,
     #[command(flatten)]

@@ -25,14 +25,15 @@ pub enum Command {
     Info(info::Options),
     /// Print a topic's messages.
     Echo(echo::Options),
-    /// Show how often messages come.
+    /// Measure the rate of a topic's messages.
     Hz(measure::Options),
-    /// Show how many bytes come: of what travels compressed, those that it was before.
+    /// Measure the bandwidth of a topic. Compressed messages count with their size before
+    /// compression.
     Bw(measure::Options),
-    /// Show how old messages are when they come, by the stamps of their headers; without these, by
-    /// when they were sent.
+    /// Measure the age of messages on arrival, from the stamps in their headers. Messages without a
+    /// stamp count from their send time.
     Delay(measure::DelayOptions),
-    /// Publish a topic. ROS nodes behind proxies see it like any other publisher.
+    /// Publish a topic. To ROS nodes behind proxies, it appears as any other publisher.
     Pub(publish::Options),
 }
 

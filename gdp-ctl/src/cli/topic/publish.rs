@@ -37,32 +37,36 @@ const LOOK: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// The topic: its ROS name, its name or first digits of it, or a name card.
+    /// Topic: a ROS name, a name, the first digits of a name, or a name card.
     #[arg(value_name = "TOPIC")]
     what: String,
-    /// Its type, such as std_msgs/msg/String.
+    /// Type of the topic, such as std_msgs/msg/String.
     #[arg(value_name = "TYPE")]
     type_name: String,
-    /// Values of fields, in YAML or JSON; fields that are left out are as the definition says, and
-    /// else zero or empty. `now` is a time, `auto` a header.
+    /// Values of fields, in YAML or JSON; `now` is the current time, `auto` a header. Omitted
+    /// fields have the default of their definition, otherwise zero or empty.
     #[arg(default_value = "{}")]
     values: String,
-    /// Messages a second.
+    /// Rate, in messages per second.
     #[arg(short, long, default_value_t = 1.0, value_parser = parse_positive)]
     rate: f64,
-    /// Publish one message, and end.
+    /// Publish one message, then exit.
     #[arg(short = '1', long, conflicts_with = "times")]
     once: bool,
-    /// Publish so many messages, and end.
+    /// Number of messages to publish before exiting. Default: no limit.
     #[arg(short, long)]
     times: Option<u64>,
-    /// Wait for so many readers first; 1 if the number of messages is given, and else none.
+    /// Number of readers to wait for before publishing. Default: 1 with --once or --times,
+    /// otherwise 0.
     #[arg(short, long, value_name = "READERS")]
     wait_matching_subscriptions: Option<usize>,
+    /// Offered reliability.
     #[arg(long, value_enum, default_value = "reliable")]
     qos_reliability: Reliable,
+    /// Offered durability.
     #[arg(long, value_enum, default_value = "volatile")]
     qos_durability: Durable,
+    /// Offered history depth, in messages.
     #[arg(long, default_value_t = 10)]
     qos_depth: u32,
     #[command(flatten)]

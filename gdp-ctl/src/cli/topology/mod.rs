@@ -23,11 +23,11 @@ const MOST_RECORDS: usize = 10_000;
 
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Print a graph in the language of Graphviz: … --dot | dot -Tsvg > topology.svg
+    /// Print a graph for Graphviz: … --dot | dot -Tsvg > topology.svg
     #[arg(long, conflicts_with = "json")]
     dot: bool,
-    /// With --dot: also what entities at each switch publish and read. Asks the RIB, which must be
-    /// this daemon.
+    /// With --dot: also print the names that entities at each switch publish and read. The RIB must
+    /// be in this daemon.
     #[arg(long, requires = "dot")]
     names: bool,
 }
