@@ -75,7 +75,7 @@ impl Domain {
         let (extent, remove) = (Extent::Full { part: 0, last: true }, vec![TierKey::Locator(entity)]);
         let push = TierRequest::Push(Box::new(TierPush { run: 1, generation: 7, extent, set, remove }));
         vec![
-            ("a switch's report", Request::Report { switch: reports, attached: vec![entity], own_bit: None, shown }),
+            ("a switch's report", Request::Report { switch: reports, attached: vec![entity], own_bit: None, membership }),
             ("tier push", Request::Tier(Box::new(TierMessage { leg: TierLeg::Across, request: push }))),
             ("papers", Request::Credentials(Box::new(self.papers.clone()))),
             ("domain revoked", Request::DomainRevoked { proof, revocation }),

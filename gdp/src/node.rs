@@ -274,7 +274,7 @@ impl Node {
         state.home.renew(credentials.clone())?;
         for lane in 0..state.send_path.links.slots().len() {
             if let Connection::Up(attachment) = state.send_path.links.connection(lane) {
-                let request = Request::Papers(Box::new(Credentials::clone(&credentials)));
+                let request = Request::Credentials(Box::new(Credentials::clone(&credentials)));
                 attachment.link.request(&request).await?.accepted()?;
             }
         }

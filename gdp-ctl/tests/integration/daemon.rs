@@ -270,7 +270,7 @@ async fn a_name_has_any_number_of_subscribers_and_all_are_found() {
     expected.sort();
     assert_eq!(records.iter().map(|record| record.entity.name().unwrap()).collect::<Vec<_>>(), expected);
     assert!(!more);
-    let (rest, _) = query(records[1].place().ok()).await;
+    let (rest, _) = query(records[1].key().ok()).await;
     assert_eq!(rest.len(), 1);
     switch.stop().await;
 }
@@ -319,7 +319,7 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
             response => format!("{response:?}"),
         }
     };
-    let report = |of: &Identity| Request::Report { switch: of.proof(), attached: vec![], own_bit: None, shown: None };
+    let report = |of: &Identity| Request::Report { switch: of.proof(), attached: vec![], own_bit: None, membership: None };
     let refused = pass(switch.name(), MAX_HOPS, report(&near)).await;
     assert!(refused.contains("not on the map of switch"), "{refused}");
     let lies = flood(flooded(&near, &claims(&far, &[near.name()]))).await;

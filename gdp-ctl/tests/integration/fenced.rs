@@ -135,9 +135,9 @@ impl Rib {
     }
 
     fn peers(&self, run: u64) -> Request {
-        let (records, gone, boxes) = Default::default();
+        let (records, departed, boxes) = Default::default();
         let extent = PeersExtent::Whole { part: 0, last: true };
-        let peers = Peers { run, settling: false, generation: 1, extent, records, gone, revocation: None, boxes };
+        let peers = Peers { run, settling: false, generation: 1, extent, records, departed, revocation: None, boxes };
         let (entity, name) = (Name::from_bytes([2; 32]), Name::from_bytes([1; 32]));
         Request::Peers(PeersPush { switch: self.switch.name(), entity, name, role: NameRole::Subscriber, peers })
     }

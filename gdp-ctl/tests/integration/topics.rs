@@ -313,9 +313,7 @@ impl Talker {
     }
 
     async fn send_in(&mut self, encoding: Encoding, body: &[u8]) {
-        if let Some(roster::Announcement::Whole(bytes)) = self.roster.poll(Instant::now()).unwrap() {
-            self.publisher.pin(ROSTER, &bytes);
-        }
+        self.roster.announce(Instant::now(), &self.publisher).unwrap();
         let origin = roster::origin(self.roster.number(&()).unwrap());
         self.publisher.send_batch(&[Draft { origin: &origin, ..Draft::new(encoding, body) }]).await.unwrap();
     }

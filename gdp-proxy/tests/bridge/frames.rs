@@ -16,7 +16,7 @@ use bytes::Bytes;
 use gdp_e2e::seal::Encoding;
 use gdp_msg::{Dialect, Mapping, Options, Registry, Schema};
 use gdp_proxy::ros2::{Domain, RawReader, RawSample, TypeName};
-use gdp_ros::roster::{Announcement, Dialect as RosDialect, Kind, Outgoing, ROSTER};
+use gdp_ros::roster::{Dialect as RosDialect, Kind, Outgoing, ROSTER};
 use serde_json::Value;
 
 use super::lives::{domain, received, status, topic};
@@ -116,8 +116,7 @@ async fn frames_of_a_type_that_nobody_knows_do_not_cross_and_the_status_says_why
     let own = Kind { dialect: RosDialect::Ros2, name: own.to_string(), hash: vec![] };
     let mut roster = Outgoing::new(own, None);
     roster.joined('a', RELIABLE);
-    let Some(Announcement::Whole(body)) = roster.poll(Instant::now()).unwrap() else { panic!("it is news") };
-    publisher.pin(ROSTER, &body);
+    roster.announce(Instant::now(), &publisher).unwrap();
     status(&into, expected).await;
     graph.leave().await;
 }

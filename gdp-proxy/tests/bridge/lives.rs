@@ -7,7 +7,7 @@ use bytes::Bytes;
 use gdp::Subscription;
 use gdp_e2e::seal::Message;
 use gdp_proxy::ros2::{Domain, RawReader, RawWriter, TopicName, TypeName};
-use gdp_ros::roster::{Announcement, Dialect, Kind, Offer, Outgoing, ROSTER};
+use gdp_ros::roster::{Dialect, Kind, Offer, Outgoing, ROSTER};
 
 use crate::master::Master;
 use crate::site::{Proxy, Site};
@@ -116,16 +116,14 @@ async fn the_status_says_which_publisher_has_no_counterpart_until_it_has_gone() 
     let int32 = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/Int32".into(), hash: vec![] };
     let mut roster = Outgoing::new(int32.clone(), None);
     roster.joined('a', RELIABLE);
-    let Some(Announcement::Whole(body)) = roster.poll(Instant::now()).unwrap() else { panic!("it is news") };
-    publisher.pin(ROSTER, &body);
+    roster.announce(Instant::now(), &publisher).unwrap();
     status(&proxy, "publishes std_msgs/msg/Int32, and the topic is of std_msgs/msg/String").await;
     publisher.pin(ROSTER, &roster.farewell().unwrap());
     status(&proxy, "up").await;
 
     let mut roster = Outgoing::new(Kind { name: "std_msgs/msg/String".into(), ..int32 }, None);
     roster.joined('a', Offer { reliable: false, ..RELIABLE });
-    let Some(Announcement::Whole(body)) = roster.poll(Instant::now()).unwrap() else { panic!("it is news") };
-    publisher.pin(ROSTER, &body);
+    roster.announce(Instant::now(), &publisher).unwrap();
     let listening = Domain::join(site.domain_id() + 6, "listener").unwrap();
     let reader = listening.reader(&topic("/chatter"), &string(), &RELIABLE).unwrap();
     status(&proxy, "incompatible QoS: a subscriber here asks for more in reliability than publisher 0 of").await;

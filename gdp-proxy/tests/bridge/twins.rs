@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use gdp_proxy::ros2::{Domain, RawReader, RawWriter};
-use gdp_ros::roster::{Announcement, Dialect, Kind, Outgoing, ROSTER};
+use gdp_ros::roster::{Dialect, Kind, Outgoing, ROSTER};
 
 use crate::lives::{domain, string, topic};
 use crate::site::{Proxy, Site};
@@ -54,8 +54,7 @@ async fn a_proxy_that_can_make_no_counterpart_leaves_the_topic_to_one_that_can()
     let kind = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/String".into(), hash: vec![] };
     let mut roster = Outgoing::new(kind, None);
     roster.joined('a', RELIABLE);
-    let Some(Announcement::Whole(body)) = roster.poll(Instant::now()).unwrap() else { panic!("it is news") };
-    publisher.pin(ROSTER, &body);
+    roster.announce(Instant::now(), &publisher).unwrap();
     let says_why = || lower.statuses().iter().any(|status| status.contains("the topic is of std_msgs/msg/Int32"));
     until("the other takes over", || higher.statuses() == ["up"] && says_why()).await;
 

@@ -42,7 +42,7 @@ pub async fn answer(state: Arc<State>, attachment: Arc<Attachment>, request: Req
                 Err(_) => Refusal::new(RefusalCode::Unreachable, "the RIB did not answer").into(),
             }
         }
-        Request::Papers(credentials) => match state.home.take_credentials(&attachment.link, *credentials) {
+        Request::Credentials(credentials) => match state.home.take_credentials(&attachment.link, *credentials) {
             Ok(()) => Response::Done,
             Err(error) => Refusal::new(RefusalCode::NotEntitled, error.to_string()).into(),
         },

@@ -551,7 +551,7 @@ impl Rib {
             generation,
             extent,
             records,
-            gone,
+            departed,
             revocation: self.revocations.get(&name).cloned(),
             boxes,
         }
