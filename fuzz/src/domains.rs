@@ -69,13 +69,16 @@ impl Domain {
     pub fn messages(&self) -> Vec<(&'static str, Request)> {
         let (switch, entity) = (Name::from_bytes([1; 32]), Name::from_bytes([2; 32]));
         let (proof, revocation) = (self.home.proof(), self.revocation.clone());
-        let (reports, shown) = (self.host.proof, Some(Box::new(self.host.clone())));
+        let (reports, membership) = (self.host.proof, Some(Box::new(self.host.clone())));
         let locator = Locator { borders: vec![self.host.clone()] };
         let set = vec![TierEntry::Locator { domain: self.home.name(), locator }];
         let (extent, remove) = (Extent::Full { part: 0, last: true }, vec![TierKey::Locator(entity)]);
         let push = TierRequest::Push(Box::new(TierPush { run: 1, generation: 7, extent, set, remove }));
         vec![
-            ("a switch's report", Request::Report { switch: reports, attached: vec![entity], own_bit: None, membership }),
+            (
+                "a switch's report",
+                Request::Report { switch: reports, attached: vec![entity], own_bit: None, membership },
+            ),
             ("tier push", Request::Tier(Box::new(TierMessage { leg: TierLeg::Across, request: push }))),
             ("papers", Request::Credentials(Box::new(self.papers.clone()))),
             ("domain revoked", Request::DomainRevoked { proof, revocation }),

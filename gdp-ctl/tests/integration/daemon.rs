@@ -319,7 +319,8 @@ async fn only_what_a_switch_states_itself_becomes_topology() {
             response => format!("{response:?}"),
         }
     };
-    let report = |of: &Identity| Request::Report { switch: of.proof(), attached: vec![], own_bit: None, membership: None };
+    let report =
+        |of: &Identity| Request::Report { switch: of.proof(), attached: vec![], own_bit: None, membership: None };
     let refused = pass(switch.name(), MAX_HOPS, report(&near)).await;
     assert!(refused.contains("not on the map of switch"), "{refused}");
     let lies = flood(flooded(&near, &claims(&far, &[near.name()]))).await;

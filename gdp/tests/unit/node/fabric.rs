@@ -539,7 +539,7 @@ impl Rib {
     fn peers(&mut self, name: Name, role: NameRole, entity: Name) -> Peers {
         self.generation += 1;
         let extent = PeersExtent::Whole { part: 0, last: true };
-        let (run, generation, gone) = (self.run, self.generation, Vec::new());
+        let (run, generation, departed) = (self.run, self.generation, Vec::new());
         let records = self.of(name, role.counterpart()).to_vec();
         let boxes = match role {
             NameRole::Subscriber | NameRole::Server => self.boxes.get(&(name, entity)).cloned().unwrap_or_default(),

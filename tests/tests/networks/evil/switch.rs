@@ -195,8 +195,8 @@ impl Switch {
             (state.link_to(entity), state.lies)
         };
         let link = link.ok_or_else(|| anyhow::anyhow!("{entity:#} has no link here"))?;
-        let (run, extent, gone) = (u64::MAX - lies, PeersExtent::Whole { part: 0, last: true }, Vec::new());
-        let peers = Peers { run, settling: false, generation: 1, extent, records, gone, revocation, boxes };
+        let (run, extent, departed) = (u64::MAX - lies, PeersExtent::Whole { part: 0, last: true }, Vec::new());
+        let peers = Peers { run, settling: false, generation: 1, extent, records, departed, revocation, boxes };
         let push = PeersPush { switch: self.name(), entity, name, role, peers };
         Ok(link.request(&Request::Peers(push)).await?)
     }
