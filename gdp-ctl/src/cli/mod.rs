@@ -1,5 +1,5 @@
 //! The command line, with one file for each command. Commands that create files need no daemon. The
-//! others use the admin socket. Data goes to stdout (JSON with `-j`, each object with `"v": 1`),
+//! others use the admin socket. Data goes to stdout (JSON with `-j`, each object with `"v": 2`),
 //! everything else to stderr.
 
 mod action;
@@ -67,7 +67,7 @@ pub struct Cli {
     #[arg(long, global = true, env = "GDP_SOCKET", value_name = "PATH")]
     socket: Option<PathBuf>,
     /// Print JSON: an object with the version `v`, or one object per line. A failure prints
-    /// `{"v":1,"error":…}`.
+    /// `{"v":2,"error":…}`.
     #[arg(short, long, global = true)]
     json: bool,
     /// Print the JSON Schema of each command's output with `-j`, then exit.

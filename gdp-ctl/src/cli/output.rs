@@ -7,8 +7,8 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 use anyhow::Context;
-use gdp_proto::admin::Versioned;
 use gdp_proto::admin::error::{ErrorCode, ErrorReply};
+use gdp_proto::admin::{self, Versioned};
 use gdp_util::escape::Escaped;
 use gdp_util::terminal;
 use gdp_wire::Name;
@@ -28,9 +28,6 @@ pub struct FailureOutput {
     pub error: ErrorReply,
 }
 
-/// Version of the output format of `-j`.
-pub const VERSION: u64 = 1;
-
 pub struct Output {
     pub json: bool,
 }
@@ -44,7 +41,7 @@ impl Output {
         L: IntoIterator<Item = String>,
     {
         let printed = if self.json {
-            terminal::print_json(&serde_json::to_string(&Versioned { v: VERSION, value })?)
+            terminal::print_json(&serde_json::to_string(&Versioned { v: admin::VERSION, value })?)
         } else {
             terminal::print(lines())
         };

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use crate::switch::TIMEOUT;
 use crate::user::User;
+use gdp_proto::admin::VERSION;
 use gdp_tests::process::terminate;
 use serde_json::Value;
 
@@ -17,7 +18,7 @@ fn keys_cards_and_certificates_are_made_without_a_daemon() {
     let user = User::new();
     let owner = user.json(&["key", "generate", "owner.pem", "--kind", "owner"]);
     let robot = user.json(&["key", "generate", "robot.pem", "--kind", "proxy"]);
-    assert_eq!(owner["v"], 1);
+    assert_eq!(owner["v"], VERSION);
     assert_eq!(user.json(&["key", "show", "robot.pem", "--kind", "proxy"])["name"], robot["name"]);
     assert_eq!(user.json(&["key", "show", "robot.pem"])["names"]["proxy"], robot["name"]);
 
@@ -185,7 +186,7 @@ fn a_failure_is_an_object_for_programs() {
 #[test]
 fn the_published_schema_is_printed() {
     let printed: Value = serde_json::from_str(&User::new().text(&["--schema"])).unwrap();
-    assert!(printed["properties"]["topic echo"]["properties"]["v"]["const"] == 1, "{printed:#}");
+    assert!(printed["properties"]["topic echo"]["properties"]["v"]["const"] == VERSION, "{printed:#}");
 }
 
 #[test]

@@ -10,6 +10,7 @@ use crate::user::expect_described;
 use gdp_core::identity::Identity;
 use gdp_daemon::serve::{Running, start};
 use gdp_link::port::{LinkAddr, Port, PortConfig};
+use gdp_proto::admin::VERSION;
 use gdp_proto::control::{Refusal, RefusalCode, Request, Response, Traced};
 use gdp_tests::programs::own;
 use gdp_wire::Name;
@@ -25,7 +26,7 @@ async fn switches_answer_near_and_far() {
 
     let near = chain.lines(0, &["ping", &second.to_string(), "-c", "2", "-i", "0.05"]).await;
     assert_eq!(near.len(), 3, "{near:?}");
-    assert!(near[..2].iter().all(|line| line["rtt_us"].is_u64() && line["v"] == 1), "{near:?}");
+    assert!(near[..2].iter().all(|line| line["rtt_us"].is_u64() && line["v"] == VERSION), "{near:?}");
     assert_eq!((&near[2]["sent"], &near[2]["received"], &near[2]["loss_percent"]), (&2.into(), &2.into(), &0.0.into()));
     let far = chain.lines(0, &["ping", &third.to_string()[..12], "-c", "1"]).await;
     assert_eq!(far[0]["from"], third.to_string(), "a prefix is enough: {far:?}");
@@ -102,7 +103,7 @@ async fn what_happens_is_told_and_peers_say_why_there_is_no_link() {
         chain.all_see_each_other().await;
         while let Ok(Ok(Some(line))) = tokio::time::timeout(Duration::from_millis(300), events.next_line()).await {
             let event: Value = serde_json::from_str(&line).unwrap();
-            assert!(event["v"] == 1 && event["at"].is_u64(), "{event}");
+            assert!(event["v"] == VERSION && event["at"].is_u64(), "{event}");
             expect_described(&["monitor"], &event);
             if event["event"] == "link_down" || event["event"] == "link_up" {
                 assert_eq!(event["peer"], second, "{event}");

@@ -8,7 +8,7 @@ use gdp_proto::admin::status::{HelloReply, StatusReply};
 use gdp_proto::admin::tables::FibReply;
 use gdp_proto::admin::topology::TopologyReply;
 use gdp_proto::admin::trace::{BeyondReply, EchoReply, LocateReply, ProbeReply};
-use gdp_proto::admin::{Reply, Versioned, error::ErrorReply, reply_line};
+use gdp_proto::admin::{Reply, VERSION, Versioned, error::ErrorReply, reply_line};
 use gdp_tests::schema::problems;
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
@@ -103,5 +103,5 @@ where
     assert_eq!(problems(&schema.into(), "", &sample), [""; 0]);
     // Round trip on the line to the command line.
     let read: Versioned<Reply> = serde_json::from_str(&reply_line(&reply.clone().into())).unwrap();
-    assert_eq!((read.v, T::try_from(read.value).ok()), (1, Some(reply)));
+    assert_eq!((read.v, T::try_from(read.value).ok()), (VERSION, Some(reply)));
 }

@@ -96,7 +96,7 @@ fn the_keys_are_those_of_the_version() {
         of_fabric(FabricStats::In(SubscriptionCounters::default())),
         keys(&shown["calls"][0]),
     ];
-    assert_eq!((VERSION, found), (4, KEYS.map(str::to_owned)));
+    assert_eq!((VERSION, found), (5, KEYS.map(str::to_owned)));
 }
 
 #[test]

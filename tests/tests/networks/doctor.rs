@@ -274,7 +274,7 @@ impl Diagnosis {
     fn of(output: &Output, status: i32) -> Result<Self> {
         ensure!(output.status.code() == Some(status), "{output:?}");
         let diagnosis: Value = serde_json::from_slice(&output.stdout).with_context(|| format!("{output:?}"))?;
-        ensure!((diagnosis["ok"] == true) == (status == 0) && diagnosis["v"] == 1, "{diagnosis:#}");
+        ensure!((diagnosis["ok"] == true) == (status == 0) && diagnosis["v"] == 2, "{diagnosis:#}");
         Ok(Self(diagnosis))
     }
 
