@@ -44,9 +44,15 @@ struct SettingsFile {
     file: File,
 }
 
-/// Maximum number of settings of earlier daemons that stay in the file because they could not be
-/// restored: their interfaces may be gone for ever.
-const MAX_LEFT: usize = 256;
+/// Settings that could not be restored.
+#[derive(Default)]
+struct Unrestored {
+    /// The kernel refused the change.
+    refused: Vec<ChangedSetting>,
+    /// Number of settings that cannot be read: their interfaces are gone, or in another network
+    /// namespace.
+    unreadable: usize,
+}
 
 /// A changed setting of an interface, with its previous and new value.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -63,8 +69,7 @@ impl Settings {
     pub fn open(path: Option<PathBuf>) -> Self {
         let open = |path| {
             let (mut file, left) = SettingsFile::open(path)?;
-            let mut changed = put_back(left);
-            changed.drain(..changed.len().saturating_sub(MAX_LEFT));
+            let changed = put_back(left).refused;
             file.file.set_len(0)?;
             file.file.write_all(changed.iter().map(ChangedSetting::line).collect::<String>().as_bytes())?;
             Ok((changed, file))
@@ -119,7 +124,7 @@ impl Settings {
 
 impl Drop for Settings {
     fn drop(&mut self) {
-        if put_back(std::mem::take(&mut self.changed)).is_empty() {
+        if put_back(std::mem::take(&mut self.changed)).refused.is_empty() {
             self.file.iter().for_each(SettingsFile::remove);
         }
     }
@@ -129,7 +134,8 @@ impl Drop for Settings {
 /// not be restored. The next daemon may succeed in another namespace or with more privileges.
 pub fn put_back_left(path: PathBuf) -> io::Result<()> {
     let (file, left) = SettingsFile::open(path)?;
-    if put_back(left).is_empty() {
+    let left = put_back(left);
+    if left.refused.is_empty() && left.unreadable == 0 {
         file.remove();
     }
     Ok(())
@@ -171,24 +177,24 @@ impl ChangedSetting {
 }
 
 /// Restores settings that no other program has changed since, in reverse order, because a setting
-/// may change another. Returns those that could not be read or restored, in the given order.
-fn put_back(all: Vec<ChangedSetting>) -> Vec<ChangedSetting> {
+/// may change another. Returns the rest; the refused ones in the given order.
+fn put_back(all: Vec<ChangedSetting>) -> Unrestored {
     let now: Vec<_> = all.iter().map(|changed| read(&changed.interface, &changed.name)).collect();
-    let mut left = Vec::new();
+    let mut left = Unrestored::default();
     for (changed, now) in all.into_iter().zip(now).rev() {
         let ChangedSetting { interface, name, before, set } = &changed;
         match now {
-            Err(_) => left.push(changed),
+            Err(_) => left.unreadable += 1,
             Ok(now) if now != *set => {}
             Ok(_) => {
                 if let Err(error) = write(interface, name, *before) {
                     tracing::warn!(interface, name, %error, "a setting stays");
-                    left.push(changed);
+                    left.refused.push(changed);
                 }
             }
         }
     }
-    left.reverse();
+    left.refused.reverse();
     left
 }
 
