@@ -101,6 +101,7 @@ impl<K: Ord + Copy, C: Ord> DeltaSync<K, C> {
     ///
     /// The part covers all changes in its range. Changes of earlier parts wait for a delta.
     pub fn part_composed(&mut self, end: Option<K>) -> TransferPart {
+        debug_assert!(matches!(self.phase, Phase::Full { .. }), "no part is pending");
         let (number, after) = match self.phase {
             Phase::Full { part, after } => (part, after),
             Phase::Following | Phase::Failed { .. } => (0, None),

@@ -102,6 +102,7 @@ impl<K: Ord + Copy, V: PartialEq + Clone> Feed<K, V> {
     /// `size` returns the bytes of an entry, or of a removed key if given `None`. A single entry is
     /// always pushed, even if it exceeds `room`.
     pub fn next(&mut self, now: Duration, room: Room, size: impl Fn(Option<&V>) -> usize) -> Option<Push<K, V>> {
+        debug_assert!(room.entries > 0, "a push has room for an entry");
         if self.in_flight.is_some() {
             return None;
         }

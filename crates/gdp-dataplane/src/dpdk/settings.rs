@@ -69,9 +69,13 @@ impl Settings {
     pub fn open(path: Option<PathBuf>) -> Self {
         let open = |path| {
             let (mut file, left) = SettingsFile::open(path)?;
+            let lines = left.len();
             let changed = put_back(left).refused;
-            file.file.set_len(0)?;
-            file.file.write_all(changed.iter().map(ChangedSetting::line).collect::<String>().as_bytes())?;
+            // Not where all stay, so that a full disk loses none.
+            if changed.len() < lines {
+                file.file.set_len(0)?;
+                file.file.write_all(changed.iter().map(ChangedSetting::line).collect::<String>().as_bytes())?;
+            }
             Ok((changed, file))
         };
         let opened = path.map(open).transpose().inspect_err(|error: &io::Error| {
