@@ -71,12 +71,12 @@ fn a_large_reliable_topic_goes_on_where_every_datagram_comes_twice() -> Result<(
     let mut site = Site::build()?;
     let _doubler = Doubler::start(&site.robot)?;
     let mut listener = site.listen(Vendor::FastDds, &site.cloud, 1, TOPIC)?;
-    let options = ["--count", "200", "--rate", "20", "--size", "1000000"];
+    let options = ["--count", "200", "--rate", "10", "--size", "6000000"];
     let mut talker = site.talk(Vendor::FastDds, &site.robot, 0, TOPIC, &options)?;
     fs::write(site.gate(), "")?;
     talker.wait_event("done", TIMEOUT)?;
     let crossed = || site.stats("robot")["topics"][0]["messages"].as_u64().unwrap_or(0);
-    wait_for("all messages", Duration::from_secs(20), || Ok((crossed() >= MESSAGES).then_some(())))
+    wait_for("all messages", Duration::from_secs(40), || Ok((crossed() >= MESSAGES).then_some(())))
         .with_context(|| format!("{} of {MESSAGES}; {}", crossed(), site.stats("robot")["topics"][0]))?;
 
     // The proxy at the other end has written large messages.
