@@ -3,11 +3,12 @@
 
 use std::fmt::Display;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use gdp::{Ended, NodeError};
 use gdp_core::cert::{AdCert, Issued, Reading};
 use gdp_util::backoff::Backoff;
+use gdp_util::line_limit::LineLimit;
 use gdp_wire::Name;
 use parking_lot::{Mutex, MutexGuard};
 use tokio::time::{Interval, MissedTickBehavior};
@@ -21,6 +22,9 @@ use crate::renewal::Renewal;
 
 /// How often a route looks for a renewed certificate and does its other periodic work.
 const LOOK: Duration = Duration::from_secs(1);
+
+/// The log lines of refused requests, of all routes: a RIB that fails refuses every name.
+static RETRIES: LineLimit = LineLimit::new(10, Duration::from_secs(60));
 
 /// Backoff between requests for a name that was refused.
 pub const RETRY: Backoff = Backoff::new(Duration::from_millis(500), Duration::from_secs(30));
@@ -153,7 +157,15 @@ impl RouteStatus {
     /// the owner, RIB or clock may recover.
     pub async fn pause<T: Clone>(&self, error: impl Display, retry: &mut Backoff, right: &mut Right<T>) {
         let (message, delay) = (error.to_string(), retry.next_delay());
-        tracing::warn!(what = %self.title, name = %self.name, "{message}; trying again in {delay:?}");
+        match RETRIES.take(Instant::now()) {
+            Some(0) => tracing::warn!(what = %self.title, name = %self.name, "{message}; trying again in {delay:?}"),
+            Some(more) => tracing::warn!(
+                what = %self.title, name = %self.name,
+                "{message}; trying again in {delay:?}; {more} further requests failed in the last minute",
+            ),
+            // The status of the route has it.
+            None => tracing::debug!(what = %self.title, name = %self.name, "{message}; trying again in {delay:?}"),
+        }
         self.set_status(&message);
         tokio::time::sleep(delay).await;
         if let Some(new) = right.newer() {

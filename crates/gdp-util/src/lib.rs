@@ -1,8 +1,10 @@
 //! Helpers that the daemon, the proxy and the command line share. They do not depend on GDP.
 //!
 //! - [`backoff`]: delays between attempts
+//! - [`descriptors`]: the limit on open file descriptors (feature `program`)
 //! - [`escape`]: untrusted text without terminal control characters
 //! - [`file_watch`]: watches for changed files (feature `watch`)
+//! - [`line_limit`]: a limit on log lines of one kind
 //! - [`log`]: the log of a long-running program, which neither blocks nor panics (feature
 //!   `program`)
 //! - [`panics`]: ends the process when a task or thread panics (feature `program`)
@@ -12,9 +14,12 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod backoff;
+#[cfg(feature = "program")]
+pub mod descriptors;
 pub mod escape;
 #[cfg(feature = "watch")]
 pub mod file_watch;
+pub mod line_limit;
 #[cfg(feature = "program")]
 pub mod log;
 #[cfg(feature = "program")]

@@ -22,6 +22,6 @@ fn a_port_that_is_taken_is_found_with_who_has_it() {
     let address = mine.local_addr().unwrap();
     drop(mine);
     assert!(matches!(udp(address).state, PortState::Free));
-    let elsewhere = udp("192.0.2.1:9".parse().unwrap());
+    let elsewhere = udp("198.51.100.1:9".parse().unwrap());
     assert!(matches!(elsewhere.state, PortState::Refused(_)), "{elsewhere:?}");
 }

@@ -21,14 +21,19 @@ fn lines_are_written_in_order_and_flushed() {
 #[test]
 fn a_writer_that_stands_still_stops_nobody_and_costs_bounded_memory() {
     let (release, released) = channel::<()>();
+    let (writes, first_write) = channel::<()>();
     let released = Mutex::new(released);
     let (queue, output) = start(move |_| {
+        // Nobody waits for the later ones.
+        let _ = writes.send(());
         // Until the sender is dropped.
         let _ = released.lock().unwrap().recv();
         Step::Take(usize::MAX)
     });
     let line = |i: usize| format!("{i:>1023}\n").into_bytes();
-    (0..5000).for_each(|i| queue.push(line(i)));
+    queue.push(line(0));
+    first_write.recv().unwrap();
+    (1..5000).for_each(|i| queue.push(line(i)));
     assert!(queue.state().bytes <= CAPACITY);
     queue.flush(Duration::from_millis(10));
     drop(release);
