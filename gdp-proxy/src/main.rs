@@ -14,7 +14,7 @@ use gdp_proxy::reload::{Loaded, Watch};
 use gdp_proxy::stats::StatsFile;
 use gdp_proxy::{dry_run, proxy};
 use gdp_util::file_watch::FileWatcher;
-use gdp_util::{log, panics, terminal};
+use gdp_util::{descriptors, log, panics, terminal};
 use tokio::signal::unix::{SignalKind, signal};
 
 /// Carry the ROS topics, services and actions of a YAML configuration over the Global Data Plane.
@@ -78,6 +78,9 @@ fn run(arguments: Arguments) -> Result<()> {
     let Some(path) = arguments.config else {
         return Ok(terminal::print_json(&serde_json::to_string_pretty(&schema())?)?);
     };
+    if let Err(error) = descriptors::raise_limit() {
+        tracing::warn!(%error, "the limit on open files stays as it was");
+    }
     // The threads of DDS and of the node do half of the work.
     let workers = std::thread::available_parallelism().map_or(2, |cores| cores.get().div_ceil(2).max(2));
     let runtime = tokio::runtime::Builder::new_multi_thread()

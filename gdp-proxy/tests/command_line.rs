@@ -12,7 +12,7 @@ use gdp_core::identity::{Identity, SigningKey};
 use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 use gdp_ros::roster::Offer;
 use gdp_tests::process::terminate;
-use gdp_tests::programs::own;
+use gdp_tests::programs::{Executable as _, Program, own};
 use gdp_util::escape::is_control;
 
 #[test]
@@ -73,8 +73,15 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
     let _entered = runtime.enter();
     let node = Domain::join(domain as u16, "talker").unwrap();
     let kind = TypeName::parse("std_msgs/msg/String").unwrap();
-    let offer =
-        Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
+    let offer = Offer {
+        reliable: true,
+        transient_local: false,
+        depth: 10,
+        deadline_ns: 0,
+        lifespan_ns: 0,
+        liveliness_ns: 0,
+        manual_liveliness: false,
+    };
     let topics = ["/a/b", "/a/secret", "/c", "/chatter"];
     let _writers = topics.map(|topic| node.writer(&TopicName::parse(topic).unwrap(), &kind, &offer).unwrap());
     let trigger = TypeName::parse("std_srvs/srv/Trigger").unwrap();
@@ -164,6 +171,36 @@ fn it_waits_for_a_switch_and_ends_at_sigterm() {
     }
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{output:?}");
+}
+
+#[test]
+fn the_soft_limit_on_open_files_is_raised() {
+    let files = Files::new();
+    let program = files.command(&[]);
+    let mut child = Program::Sh
+        .command()
+        .args(["-c", "ulimit -Sn 256 && exec \"$0\" \"$@\""])
+        .arg(program.get_program())
+        .args(program.get_args())
+        .envs(program.get_envs().filter_map(|(key, value)| Some((key, value?))))
+        .spawn()
+        .unwrap();
+    let limits = || {
+        let limits = fs::read_to_string(format!("/proc/{}/limits", child.id())).unwrap_or_default();
+        let line = limits.lines().find_map(|line| line.strip_prefix("Max open files")).map(str::to_owned);
+        line.map(|line| line.split_whitespace().map(str::to_owned).collect::<Vec<_>>()).unwrap_or_default()
+    };
+    let deadline = Instant::now() + Duration::from_secs(60);
+    // Before, it is the shell, whose limit may be the hard one until `ulimit` ran.
+    let is_proxy = || fs::read_to_string(format!("/proc/{}/comm", child.id())).is_ok_and(|name| name == "gdp-proxy\n");
+    let is_raised = || is_proxy() && matches!(&limits()[..], [soft, hard, ..] if soft == hard);
+    while !is_raised() && Instant::now() < deadline {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let raised = is_raised();
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(raised, "the soft limit is not the hard one");
 }
 
 /// Bit 14 of the mask of caught signals.

@@ -77,6 +77,9 @@ pub fn run(options: Options, context: &Context) -> anyhow::Result<()> {
     // Drop privileges before other threads start.
     privileges::restrict(&config)?;
     let _log = gdp_util::log::start();
+    if let Err(error) = gdp_util::descriptors::raise_limit() {
+        tracing::warn!(%error, "the limit on open files stays as it was");
+    }
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use gdp_ros::catalog::MAX_ENTRIES;
+use gdp_util::descriptors::raise_limit;
 
 use super::graph;
 use super::master::Master;
@@ -19,7 +20,8 @@ const LIMIT: Duration = Duration::from_secs(300);
 async fn twenty_thousand_topics_of_rospy_are_a_few_lines_of_the_log() {
     const PEERS: usize = 4;
     const TOPICS: usize = 5_000;
-    raise_limit();
+    // A topic that is carried has up to four files open.
+    raise_limit().unwrap();
     let (site, master) = (Site::start().await, Master::start().await);
     let (expose, _) = site.by_pattern("robot", "cloud", "topics: [/**]", "topics: [/**]");
     let _proxy = site.begin("robot", &graph(&master), &expose);
@@ -36,7 +38,7 @@ async fn twenty_thousand_topics_of_rospy_are_a_few_lines_of_the_log() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn five_thousand_topics_of_a_dds_participant_are_a_few_lines_of_the_log() {
-    raise_limit();
+    raise_limit().unwrap();
     let site = Site::start().await;
     let domain = site.domain_id() + 15;
     let (expose, _) = site.by_pattern("robot", "cloud", "topics: [/**]", "topics: [/**]");
@@ -65,16 +67,4 @@ fn is_summary(line: &str) -> bool {
 
 fn warnings(site: &Site) -> Vec<String> {
     site.log("robot").lines().filter(|line| line.contains(" WARN ")).map(str::to_owned).collect()
-}
-
-/// A topic that is carried has up to four files open.
-fn raise_limit() {
-    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
-    // SAFETY: both calls read or write this structure only.
-    let raised = unsafe {
-        libc::getrlimit(libc::RLIMIT_NOFILE, &mut limit);
-        limit.rlim_cur = limit.rlim_max;
-        libc::setrlimit(libc::RLIMIT_NOFILE, &limit)
-    };
-    assert_eq!(raised, 0, "{}", std::io::Error::last_os_error());
 }
