@@ -8,6 +8,9 @@ import time
 import zlib
 
 import rclpy
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 from std_msgs.msg import String
 
 
@@ -15,11 +18,15 @@ def arguments():
     p = argparse.ArgumentParser()
     p.add_argument("verb", choices=["talk", "listen"])
     p.add_argument("--topic", default="/chatter")
+    p.add_argument("--node", help="namespace and name of the node, such as /robot/driver")
     p.add_argument("--count", type=int, default=0, help="0: until killed")
     p.add_argument("--rate", type=float, default=10)
     p.add_argument("--size", type=int, default=64)
     p.add_argument("--text", default="hello from the robot")
     p.add_argument("--gate", required=False, help="send warm-up messages, numbered -1, until this file exists")
+    p.add_argument("--transient-local", action="store_true")
+    p.add_argument("--lease", type=int, help="liveliness lease in milliseconds")
+    p.add_argument("--manual", action="store_true", help="liveliness by topic; the talker asserts it until the gate is there")
     return p.parse_args()
 
 
@@ -28,8 +35,17 @@ def say(**fields):
     sys.stdout.flush()
 
 
+def qos(args):
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if args.transient_local else DurabilityPolicy.VOLATILE
+    profile = QoSProfile(depth=10, durability=durability)
+    if args.lease:
+        profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC if args.manual else LivelinessPolicy.AUTOMATIC
+        profile.liveliness_lease_duration = Duration(nanoseconds=args.lease * 1_000_000)
+    return profile
+
+
 def talk(node, args):
-    publisher = node.create_publisher(String, args.topic, 10)
+    publisher = node.create_publisher(String, args.topic, qos(args))
     room = max(args.size - 43, 0)
     filler = (f"{args.text} " * (room // (len(args.text) + 1) + 1))[:room]
     crc = zlib.crc32(filler.encode())
@@ -40,7 +56,11 @@ def talk(node, args):
 
     say(event="ready")
     while args.gate and not os.path.exists(args.gate):
-        write(-1)
+        if args.manual:
+            publisher.assert_liveliness()
+            time.sleep(args.lease / 3000)
+        else:
+            write(-1)
     sequence = 0
     while args.count == 0 or sequence < args.count:
         write(sequence)
@@ -56,12 +76,17 @@ def listen(node, args):
         latency = now - int(clock)
         say(event="message", seq=int(sequence), latency_ns=latency, bytes=len(message.data), intact=intact, text=filler[:40])
 
-    node.create_subscription(String, args.topic, receive, 10)
+    def liveliness(status):
+        say(event="liveliness", alive=status.alive_count, not_alive=status.not_alive_count)
+
+    callbacks = SubscriptionEventCallbacks(liveliness=liveliness if args.lease else None)
+    node.create_subscription(String, args.topic, receive, qos(args), event_callbacks=callbacks)
     say(event="ready")
 
 
 args = arguments()
 rclpy.init()
-node = rclpy.create_node("rclpy_" + args.verb)
+namespace, _, name = (args.node or "rclpy_" + args.verb).rpartition("/")
+node = rclpy.create_node(name, namespace=namespace or None)
 {"talk": talk, "listen": listen}[args.verb](node, args)
 rclpy.spin(node)

@@ -164,6 +164,49 @@ async fn a_reliable_listener_that_was_killed_or_stopped_takes_nothing_from_the_o
     }
 }
 
+/// A newcomer finds what is there, however much has come and gone before it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn newcomers_find_the_oldest_writer_and_none_of_thousands_that_are_gone() {
+    const GONE: usize = 20_000;
+    let domain = Domain::join(domain(15), "gdp_proxy_test").unwrap();
+    let latched = Offer { transient_local: true, depth: 1, ..Qos::default().into() };
+    let mut oldest = domain.writer(&topic(), &string(), &latched).unwrap();
+    write(&mut oldest, 7, 64).await;
+    for i in 0..GONE {
+        let topic = TopicName::parse(&format!("/gone_{i}")).unwrap();
+        drop(domain.writer(&topic, &string(), &latched).unwrap());
+        tokio::task::yield_now().await;
+    }
+    for vendor in [Vendor::Cyclone, Vendor::FastDds, Vendor::Rclpy] {
+        let mut newcomer = Peer::topic(vendor, "listen", self::domain(15), &["--transient-local"]);
+        assert_eq!(newcomer.message().await["seq"], 7, "{vendor:?}");
+    }
+    // Also the first graph that a tool reads has nothing of what is gone.
+    let mut tool = Peer::graph(self::domain(15), None);
+    within("the oldest writer in rclpy's graph", async {
+        loop {
+            let graph = tool.event("graph").await;
+            let topics = graph["topics"].as_object().unwrap();
+            assert!(!topics.keys().any(|topic| topic.starts_with("/gone_")), "{topics:?}");
+            if topics.contains_key("/chatter") {
+                break;
+            }
+        }
+    })
+    .await;
+    let graph_observer = Domain::join(self::domain(15), "graph_observer").unwrap();
+    let mut graph = graph_observer.graph();
+    within("the oldest writer", async {
+        while !graph.borrow_and_update().topics.contains_key(&topic()) {
+            graph.changed().await.unwrap();
+            assert!(graph.borrow().topics.len() <= 1, "{:?}", graph.borrow().topics.keys());
+        }
+    })
+    .await;
+    domain.leave().await;
+    graph_observer.leave().await;
+}
+
 const LARGE: [usize; 3] = [1_000_000, 3_000_000, 10_000_000];
 
 async fn service_both_ways(vendor: Vendor, id: u16) {
@@ -298,7 +341,7 @@ impl Vendor {
     fn mapping(self) -> Mapping {
         match self {
             Self::Cyclone => Mapping::Cyclone,
-            Self::FastDds => Mapping::Enhanced,
+            Self::FastDds | Self::Rclpy => Mapping::Enhanced,
         }
     }
 }

@@ -15,6 +15,8 @@ pub const SERVICE: &str = "/add_two_ints";
 pub enum Vendor {
     Cyclone,
     FastDds,
+    /// A newer Fast DDS, beneath rclpy.
+    Rclpy,
 }
 
 /// A running program, until it is dropped.
@@ -29,8 +31,20 @@ impl Peer {
         let mut command = match vendor {
             Vendor::Cyclone => python("cyclone.py"),
             Vendor::FastDds => compiled("fastdds-peer"),
+            Vendor::Rclpy => {
+                let mut command = rclpy("rclpy_topic.py", domain);
+                command.arg(verb).args(options);
+                return Self::start(command);
+            }
         };
         command.arg(verb).args(["--domain", &domain.to_string()]).args(options);
+        Self::start(command)
+    }
+
+    /// Shows the graph as rclpy sees it, and before the parameters of a node, if one is named.
+    pub fn graph(domain: u16, node: Option<&str>) -> Self {
+        let mut command = rclpy("rclpy_graph.py", domain);
+        command.args(node);
         Self::start(command)
     }
 
@@ -55,6 +69,7 @@ impl Peer {
                 }
                 command
             }
+            Vendor::Rclpy => unreachable!("its services have other types"),
             Vendor::FastDds => {
                 let mut command = compiled("fastdds-service-peer");
                 command.args([verb, &domain, SERVICE]).args(numbers);
@@ -117,6 +132,15 @@ pub async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
 fn python(script: &str) -> Command {
     let mut command = Command::from(own(existing(target().join("venv/bin/python"), "cargo xtask setup")));
     command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/peers").join(script));
+    command
+}
+
+fn rclpy(script: &str, domain: u16) -> Command {
+    let mut command = python(script);
+    command.env("ROS_DOMAIN_ID", domain.to_string()).env("ROS_LOG_DIR", std::env::temp_dir());
+    // UDP alone: two Fast DDS programs on one machine would otherwise communicate through shared
+    // memory.
+    command.env("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4");
     command
 }
 
