@@ -240,6 +240,12 @@ impl Node {
         self.0.state.identity.name()
     }
 
+    /// Returns a receiver that is notified when interfaces, addresses or routes of this machine
+    /// change. The kernel may report one change several times.
+    pub fn network_changes(&self) -> watch::Receiver<()> {
+        self.0.state.network_changes.subscribe()
+    }
+
     /// Returns the state and counters of the links, in order of preference.
     pub fn links(&self) -> Vec<LinkStatus> {
         self.0.state.send_path.links.status()

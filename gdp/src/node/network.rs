@@ -72,10 +72,11 @@ pub struct Network {
 }
 
 impl Network {
-    /// Starts to listen for notifications. Call within a tokio runtime.
-    pub fn open() -> std::io::Result<Self> {
+    /// Starts to listen for notifications, each of which notifies the receivers of `told`. Call
+    /// within a tokio runtime.
+    pub fn open(told: watch::Sender<()>) -> std::io::Result<Self> {
         let (connection, handle, mut messages) = rtnetlink::new_multicast_connection(&GROUPS)?;
-        let (told, changes) = watch::channel(());
+        let changes = told.subscribe();
         let carriers = Arc::<Mutex<Carriers>>::default();
         let kept = carriers.clone();
         let listening = tokio::spawn(async move {

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use gdp_wire::Name;
 use parking_lot::Mutex;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 use super::command::{Command, Commands, RibUpdate};
 use super::config::LinkConfig;
@@ -69,6 +69,8 @@ pub struct State {
     pub serial: tokio::sync::Mutex<Option<u64>>,
     pub commands: Commands,
     pub rib_updates: mpsc::UnboundedSender<RibUpdate>,
+    /// Notified when interfaces, addresses or routes of this machine change.
+    pub network_changes: watch::Sender<()>,
 }
 
 impl State {
@@ -100,6 +102,7 @@ impl State {
             serial: tokio::sync::Mutex::default(),
             commands: Commands::new(commands, send_path.links.clone()),
             rib_updates,
+            network_changes: watch::Sender::default(),
             send_path,
         }
     }

@@ -55,7 +55,7 @@ pub async fn run(
     mut stop: watch::Receiver<bool>,
 ) {
     let (ending, mut supervisors) = (watch::Sender::new(false), JoinSet::new());
-    let network = Network::open().inspect_err(|error| {
+    let network = Network::open(state.network_changes.clone()).inspect_err(|error| {
         tracing::warn!(%error, "the kernel does not say when the network changes; links that are lost by that are \
                                 made anew after seconds");
     });
