@@ -32,7 +32,7 @@ pub fn seeds() -> Vec<(String, Vec<u8>)> {
     let list = status_array(&[status, Status { status: 6, ..status }]);
     let kind = Kind { dialect: Dialect::Ros1, name: "std_srvs/SetBool".into(), hash: vec![3; 16] };
     let definitions = Definitions { request: "bool data\n".into(), response: "bool success\nstring message\n".into() };
-    let description = Description { kind, definitions: Some(definitions) };
+    let description = Description { kind, node: String::new(), definitions: Some(definitions) };
     let events = vec![Event::Feedback(body.clone()), Event::Status(list.clone())];
     let replies = [
         ("a description", Reply::Description(epoch, description)),

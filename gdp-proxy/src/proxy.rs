@@ -17,6 +17,7 @@ use crate::carries::Carries;
 use crate::config::Config;
 use crate::diagnostics::{self, Diagnostics};
 use crate::graph;
+use crate::interfaces::Interfaces;
 use crate::manager::ChangeCounts;
 use crate::membership::store_credentials;
 use crate::reload::{LoadError, Loaded, Watch};
@@ -87,9 +88,11 @@ async fn carry(
     running.want(&mut automatic, &explicit);
     let mut stats_writer = StatsWriter::new(stats);
     let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await;
+    let mut interfaces = Interfaces::new(node.network_changes());
     let ended = loop {
         tokio::select! {
             () = &mut stop => break Ok(()),
+            () = interfaces.changed() => graphs.values().for_each(|graph| graph.interfaces_changed()),
             error = running.failed() => break Err(error),
             () = automatic.changed() => {
                 running.want(&mut automatic, &explicit);

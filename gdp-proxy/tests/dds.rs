@@ -11,8 +11,15 @@ use gdp_proxy::graph::{self, Arrived, Event, Reader};
 use gdp_proxy::ros2::{Domain, Range, RawReader, RawSample, RawWriter, TopicName, TypeName};
 use gdp_ros::roster::Offer;
 
-const RELIABLE: Offer =
-    Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
+const RELIABLE: Offer = Offer {
+    reliable: true,
+    transient_local: false,
+    depth: 10,
+    deadline_ns: 0,
+    lifespan_ns: 0,
+    liveliness_ns: 0,
+    manual_liveliness: false,
+};
 const LATCHED: Offer = Offer { transient_local: true, ..RELIABLE };
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -33,7 +40,7 @@ async fn publishers_are_told_apart_and_each_is_heard_once() {
             lively.write(sample([0, 1, 0, 0], 16), 0).await.unwrap();
             let Ok(event) = tokio::time::timeout(Duration::from_millis(20), reader.next()).await else { continue };
             match event.unwrap() {
-                Event::Joined { key, kind, offers: of } => {
+                Event::Joined { key, kind, offers: of, .. } => {
                     assert_eq!(kind.name, "some_msgs/msg/Unheard");
                     offers.push((key, of));
                 }
@@ -43,7 +50,7 @@ async fn publishers_are_told_apart_and_each_is_heard_once() {
                 },
                 Event::Message(_) => panic!("of nobody"),
                 Event::Incompatible { policy, .. } => panic!("nothing is asked for: {policy}"),
-                Event::Left(_) | Event::Unreadable(_) => panic!("not yet"),
+                Event::Left(_) | Event::Liveliness { .. } | Event::Unreadable(_) => panic!("not yet"),
             }
         }
     })

@@ -51,6 +51,7 @@ pub fn merged(a: Offer, b: Offer) -> Offer {
         deadline_ns: 0,
         lifespan_ns: 0,
         liveliness_ns: 0,
+        manual_liveliness: false,
     }
 }
 

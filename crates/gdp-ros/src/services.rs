@@ -39,13 +39,13 @@ impl Types {
         let short = texts.filter(|(request, response)| request.len().max(response.len()) <= MAX_DEFINITION);
         let definitions = short.map(|(request, response)| Definitions { request, response });
         let hash = if kind.hash.is_empty() { self.service_hash(&kind).unwrap_or_default() } else { kind.hash };
-        Description { kind: Kind { hash, ..kind }, definitions }
+        Description { kind: Kind { hash, ..kind }, node: String::new(), definitions }
     }
 
     /// Describes an action type of ROS 2 from the local registry.
     pub fn describe_action(&self, name: String) -> Description {
         let hash = self.type_hash(&name).unwrap_or_default();
-        Description { kind: Kind { dialect: Dialect::Ros2, name, hash }, definitions: None }
+        Description { kind: Kind { dialect: Dialect::Ros2, name, hash }, node: String::new(), definitions: None }
     }
 
     /// Describes a remote service in the terms of `dialect`. The definitions come from the local
@@ -67,7 +67,8 @@ impl Types {
             Dialect::Ros2 => self.type_hash(&name).unwrap_or_default(),
         };
         let [request, response] = halves.map(|half| half.text());
-        Ok(Description { kind: Kind { dialect, name, hash }, definitions: Some(Definitions { request, response }) })
+        let definitions = Some(Definitions { request, response });
+        Ok(Description { kind: Kind { dialect, name, hash }, node: there.node.clone(), definitions })
     }
 
     pub fn service_converters(&self, client: &Description, server: &Description) -> Result<Converters, TypeError> {

@@ -22,6 +22,8 @@ const LOOK: Duration = Duration::from_secs(1);
 pub struct RemotePublisher {
     pub kind: Kind,
     pub definition: Option<Arc<str>>,
+    /// The full name of its node, or an empty text.
+    pub node: Arc<str>,
     pub offers: Offer,
 }
 
@@ -121,8 +123,8 @@ impl Feed {
     fn change(&mut self, changes: Vec<Change>) {
         for change in changes {
             match change {
-                Change::Joined { writer, number, kind, definition, offers } => {
-                    self.publishers.insert((writer, number), RemotePublisher { kind, definition, offers });
+                Change::Joined { writer, number, kind, definition, node, offers } => {
+                    self.publishers.insert((writer, number), RemotePublisher { kind, definition, node, offers });
                 }
                 Change::Left { writer, number } | Change::Silent { writer, number } => {
                     drop(self.publishers.remove(&(writer, number)))

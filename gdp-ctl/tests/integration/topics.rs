@@ -20,8 +20,15 @@ use crate::owner::Owner;
 use crate::switch::{TIMEOUT, config, wait};
 use crate::user::{User, expect_described};
 
-const OFFER: Offer =
-    Offer { reliable: true, transient_local: false, depth: 7, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
+const OFFER: Offer = Offer {
+    reliable: true,
+    transient_local: false,
+    depth: 7,
+    deadline_ns: 0,
+    lifespan_ns: 0,
+    liveliness_ns: 0,
+    manual_liveliness: false,
+};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn messages_of_a_publisher_elsewhere_are_shown_in_the_form_of_ros2cli() {
@@ -256,7 +263,7 @@ impl Site {
             node.publish(owner.card.proof(), owner.ad(node.name()).into(), PublishOptions::reliable()).await.unwrap();
         let kind = Kind { dialect: Dialect::Ros2, name: owner.card.get("type").unwrap().into(), hash: vec![] };
         let mut roster = Outgoing::new(kind, Some(definition.into()));
-        roster.joined((), OFFER);
+        roster.joined((), "", OFFER);
         Talker { publisher, roster, _node: node }
     }
 

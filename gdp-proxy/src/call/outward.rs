@@ -110,7 +110,7 @@ impl Route {
 
     async fn offer(&self, graph: &Graph, kind: Option<&TypeName>, peer: Peer) -> Result<Offer, Unfit> {
         let is_action = self.config.what == What::Action;
-        let (backend, description) = Backend::new(graph, &self.types, &self.config.name, &peer, is_action).await?;
+        let (backend, mut description) = Backend::new(graph, &self.types, &self.config.name, &peer, is_action).await?;
         let got = &description.kind.name;
         let wanted = match kind {
             Some(kind) if is_action => kind.to_string(),
@@ -120,6 +120,7 @@ impl Route {
         if wanted != *got {
             return Err(Unfit::OtherType { got: got.clone(), wanted });
         }
+        description.node = peer.node().to_owned();
         let epoch = Epoch(u64::from_be_bytes(gdp_core::crypto::random().map_err(|_| Unfit::Random)?));
         Ok(Offer { peer, backend, epoch, description, lost: Notify::new() })
     }

@@ -46,6 +46,22 @@ impl Stands {
         Ok(Self::Action(Box::new(Action { send_goal, cancel_goal, get_result, feedback, status })))
     }
 
+    /// Shows the server as one of the node with this full name, where the graph can.
+    pub fn assign(&self, node: &str) {
+        match self {
+            Self::Service(service) => service.assign(node),
+            Self::Action(action) => {
+                let Action { send_goal, cancel_goal, get_result, feedback, status } = &**action;
+                [send_goal, cancel_goal, get_result].into_iter().for_each(|stand| stand.assign(node));
+                // Nobody writes yet.
+                [feedback, status]
+                    .into_iter()
+                    .filter_map(|writer| writer.try_lock().ok())
+                    .for_each(|it| it.assign(node));
+            }
+        }
+    }
+
     /// Waits for the next request. An `Err` explains why a request is invalid. Safe to cancel.
     pub async fn next(&self) -> Result<(Part, Asked), String> {
         let action = match self {

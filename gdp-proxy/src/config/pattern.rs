@@ -34,9 +34,15 @@ impl Pattern {
     }
 
     /// Whether the pattern selects the name. [Hidden](is_hidden) names are selected only by a
-    /// pattern that equals the name.
+    /// pattern that equals the name. A service that every node has is also selected by a pattern
+    /// whose last segment names it, such as `/**/list_parameters`.
     pub fn matches(&self, thing: Thing, name: &TopicName) -> bool {
-        if is_hidden(thing, name) { self.0 == name.as_str() } else { self.covers(name) }
+        if !is_hidden(thing, name) {
+            return self.covers(name);
+        }
+        let (pattern, hidden) = (segments(&self.0).last(), segments(name.as_str()).last());
+        let is_named = hidden.is_some_and(is_of_every_node) && thing == Thing::Call(What::Service) && pattern == hidden;
+        self.0 == name.as_str() || (is_named && self.covers(name))
     }
 
     /// Whether the pattern matches the name, hidden or not. Denials use it.

@@ -1,5 +1,7 @@
 //! Events that a ROS graph sends to the routes, and its errors.
 
+use std::sync::Arc;
+
 use crate::ros2::RosError;
 use bytes::Bytes;
 use gdp_ros::roster::{Kind, Offer};
@@ -33,6 +35,8 @@ pub enum Event {
     Joined {
         key: Key,
         kind: Kind,
+        /// The full name of its node, or an empty text.
+        node: Arc<str>,
         offers: Offer,
     },
     /// A publisher is not read, because it offers less in `policy` than the configuration requests.
@@ -41,6 +45,11 @@ pub enum Event {
         policy: &'static str,
     },
     Left(Key),
+    /// The lease of a publisher's liveliness has ended, or the publisher is alive again.
+    Liveliness {
+        key: Key,
+        alive: bool,
+    },
     Message(Arrived),
     /// A message that cannot be carried, with the reason.
     Unreadable(String),

@@ -86,6 +86,13 @@ impl Graph {
         }
     }
 
+    /// Follows changes of this machine's network interfaces. A ROS 1 node listens on all of them.
+    pub fn interfaces_changed(&self) {
+        if let Self::Ros2(domain) = self {
+            domain.interfaces_changed();
+        }
+    }
+
     /// Returns the other proxies of the graph and what they carry.
     pub fn peer_proxies(&self) -> &Arc<PeerProxies> {
         match self {
@@ -184,6 +191,14 @@ impl Writer {
     pub fn vacate(&self) {
         if let Self::Ros1(writer) = self {
             writer.vacate();
+        }
+    }
+
+    /// Shows the writer as one of the node with this full name. In ROS 1 it stays one of the proxy,
+    /// because each node has an API of its own.
+    pub fn assign(&self, node: &str) {
+        if let Self::Ros2(writer) = self {
+            writer.assign(node);
         }
     }
 

@@ -22,8 +22,15 @@ use crate::ros2::TopicName;
 use gdp_ros::roster::{Dialect, Kind, Offer};
 
 /// The offer of a ROS 1 publisher: it waits for no subscriber, and its subscribers queue messages.
-const OFFER: Offer =
-    Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
+const OFFER: Offer = Offer {
+    reliable: true,
+    transient_local: false,
+    depth: 10,
+    deadline_ns: 0,
+    lifespan_ns: 0,
+    liveliness_ns: 0,
+    manual_liveliness: false,
+};
 
 /// The proxy's nodes at one master.
 pub struct Master {
@@ -186,7 +193,8 @@ impl Ros1Reader {
             true => Offer { transient_local: true, depth: 1, ..OFFER },
             false => OFFER,
         };
-        self.events.push_back(Event::Joined { key, kind, offers });
+        let node = publisher.caller_id.as_str().into();
+        self.events.push_back(Event::Joined { key, kind, node, offers });
     }
 }
 

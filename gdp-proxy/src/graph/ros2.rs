@@ -36,10 +36,13 @@ pub struct Ros2Reader<'a> {
 
 struct Known {
     kind: Kind,
+    node: Arc<str>,
     offers: Offer,
     /// The time at which the departure of the publisher is reported, after it has left. Its last
     /// messages may arrive later than the news from discovery.
     left_at: Option<Instant>,
+    /// Whether the lease of its liveliness is in force.
+    alive: bool,
 }
 
 struct Half {
@@ -104,6 +107,14 @@ impl<'a> Ros2Reader<'a> {
                     self.report_left();
                     continue;
                 }
+                (writer, alive) = liveliness(latched) => {
+                    self.report_liveliness(writer, alive);
+                    continue;
+                }
+                (writer, alive) = liveliness(live) => {
+                    self.report_liveliness(writer, alive);
+                    continue;
+                }
                 arrived = recv(latched) => (true, arrived),
                 arrived = recv(live) => (false, arrived),
             };
@@ -111,6 +122,14 @@ impl<'a> Ros2Reader<'a> {
                 Ok(arrived) => self.take(is_latched, arrived),
                 Err(error) => self.events.push_back(Event::Unreadable(error.to_string())),
             }
+        }
+    }
+
+    fn report_liveliness(&mut self, writer: [u8; 16], alive: bool) {
+        let key = Key::from_be_bytes(writer);
+        if let Some(known) = self.known.get_mut(&key).filter(|known| known.alive != alive) {
+            known.alive = alive;
+            self.events.push_back(Event::Liveliness { key, alive });
         }
     }
 
@@ -151,21 +170,28 @@ impl<'a> Ros2Reader<'a> {
     fn look(&mut self) -> Result<(), RosError> {
         let graph = self.graph.borrow_and_update().clone();
         let found = graph.topics.get(&self.topic).map_or(&[][..], |topic| &topic.publishers);
-        let found: BTreeMap<Key, (Kind, Offer)> =
-            found.iter().map(|publisher| (Key::from_be_bytes(publisher.id), described(publisher))).collect();
+        let found: BTreeMap<Key, (Arc<str>, (Kind, Offer))> = found
+            .iter()
+            .map(|publisher| (Key::from_be_bytes(publisher.id), (publisher.node.clone(), described(publisher))))
+            .collect();
         let told = Instant::now() + LATE;
         for (key, known) in &mut self.known {
             let is_gone = !found.contains_key(key);
             known.left_at = is_gone.then(|| known.left_at.unwrap_or(told));
         }
-        for (key, (kind, offers)) in found {
-            if self.known.get(&key).is_none_or(|before| (&before.kind, before.offers) != (&kind, offers)) {
+        for (key, (node, (kind, offers))) in found {
+            let same = |before: &Known| (&before.kind, &before.node, before.offers) == (&kind, &node, offers);
+            if !self.known.get(&key).is_some_and(same) {
                 let asked = self.qos.map(Offer::from);
                 self.events.push_back(match asked.and_then(|asked| lacking(&offers, &asked)) {
                     Some(policy) => Event::Incompatible { key, policy },
-                    None => Event::Joined { key, kind: kind.clone(), offers },
+                    None => Event::Joined { key, kind: kind.clone(), node: node.clone(), offers },
                 });
-                self.known.insert(key, Known { kind, offers, left_at: None });
+                let alive = self.known.get(&key).is_none_or(|before| before.alive);
+                if !alive {
+                    self.events.push_back(Event::Liveliness { key, alive });
+                }
+                self.known.insert(key, Known { kind, node, offers, left_at: None, alive });
             }
         }
         for (_, is_latched, arrived) in std::mem::take(&mut self.early) {
@@ -195,6 +221,9 @@ impl<'a> Ros2Reader<'a> {
         }
         let Some(kind) = &self.kind else { return Ok(()) };
         let name = kind.to_string();
+        let hashes = self.known.values().filter(|known| known.kind.name == name).map(|known| &known.kind.hash);
+        let hash = hashes.max_by_key(|hash| hash.len()).cloned().unwrap_or_default();
+        let kind = Kind { dialect: Dialect::Ros2, name: name.clone(), hash };
         let of = |latches: bool| {
             let offers = self.known.values().filter(|known| known.kind.name == name).map(|known| known.offers);
             let offers: Vec<Offer> = offers.filter(|offers| offers.transient_local == latches).collect();
@@ -206,7 +235,7 @@ impl<'a> Ros2Reader<'a> {
             // received and nobody has read.
             let reliable = offers.iter().all(|offers| offers.reliable) && before.is_none_or(|before| before.reliable);
             let depth = before.map_or(depth, |before| before.depth);
-            Some(Offer { reliable, transient_local: latches, depth, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 })
+            Some(Offer { reliable, transient_local: latches, depth, ..Qos::default().into() })
         };
         let (live, latched) = match self.qos {
             Some(qos) => (Some(Offer::from(qos)), None),
@@ -214,7 +243,7 @@ impl<'a> Ros2Reader<'a> {
         };
         for (half, asks) in [(&mut self.live, live), (&mut self.latched, latched)] {
             if let Some(asks) = asks.filter(|asks| half.as_ref().is_none_or(|half| half.asks != *asks)) {
-                *half = Some(Half { reader: self.domain.reader(&self.topic, kind, &asks)?, asks });
+                *half = Some(Half { reader: self.domain.reader_of(&self.topic, &kind, &asks)?, asks });
             }
         }
         Ok(())
@@ -230,6 +259,7 @@ fn lacking(offers: &Offer, asked: &Offer) -> Option<&'static str> {
         ("durability", asked.transient_local && !offers.transient_local),
         ("deadline", breaks(offers.deadline_ns, asked.deadline_ns)),
         ("liveliness", breaks(offers.liveliness_ns, asked.liveliness_ns)),
+        ("liveliness", asked.manual_liveliness && !offers.manual_liveliness),
     ];
     lacking.into_iter().find(|(_, lacks)| *lacks).map(|(policy, _)| policy)
 }
@@ -237,17 +267,14 @@ fn lacking(offers: &Offer, asked: &Offer) -> Option<&'static str> {
 pub fn misfit(domain: &Domain, topic: &TopicName, offers: &Offer) -> Option<&'static str> {
     let graph = domain.graph().borrow().clone();
     let subscribers = &graph.topics.get(topic)?.subscribers;
-    subscribers.iter().find_map(|subscriber| match subscriber.qos.manual_liveliness {
-        true => Some("liveliness"),
-        false => lacking(offers, &described(subscriber).1),
-    })
+    subscribers.iter().find_map(|subscriber| lacking(offers, &described(subscriber).1))
 }
 
 /// Returns the type and the offer of a discovered endpoint. Discovery does not announce its history
 /// depth. So the depth is 10, the default of ROS 2, or 1 if it is transient local.
 fn described(publisher: &Endpoint) -> (Kind, Offer) {
     let Endpoint { kind, hash, qos, .. } = publisher;
-    let DisplayedQos { reliability, durability, deadline, lifespan, liveliness_lease, .. } = *qos;
+    let DisplayedQos { reliability, durability, deadline, lifespan, liveliness_lease, manual_liveliness } = *qos;
     let hash = hash.as_ref().and_then(|hash| hex::decode(hash.as_str().strip_prefix("RIHS01_")?).ok());
     let ns = |time: Option<Duration>| time.map_or(0, |time| u64::try_from(time.as_nanos()).unwrap_or(0));
     let transient_local = durability == Durability::TransientLocal;
@@ -258,6 +285,7 @@ fn described(publisher: &Endpoint) -> (Kind, Offer) {
         deadline_ns: ns(deadline),
         lifespan_ns: ns(lifespan),
         liveliness_ns: ns(liveliness_lease),
+        manual_liveliness,
     };
     (Kind { dialect: Dialect::Ros2, name: kind.to_string(), hash: hash.unwrap_or_default() }, offers)
 }
@@ -265,6 +293,13 @@ fn described(publisher: &Endpoint) -> (Kind, Offer) {
 async fn sleep_until(when: Option<Instant>) {
     match when {
         Some(when) => tokio::time::sleep_until(when).await,
+        None => std::future::pending().await,
+    }
+}
+
+async fn liveliness(half: &Option<Half>) -> ([u8; 16], bool) {
+    match half {
+        Some(half) => half.reader.liveliness().await,
         None => std::future::pending().await,
     }
 }
@@ -278,7 +313,11 @@ async fn recv(half: &Option<Half>) -> Result<ros2::Arrived, ros2::Unreadable> {
 
 impl Ros2Writer {
     pub fn new(domain: &Domain, topic: &TopicName, kind: &Kind, offers: Offer) -> Result<Self, RosError> {
-        domain.writer(topic, &TypeName::parse(&kind.name)?, &offers).map(Self)
+        domain.writer_of(topic, kind, &offers).map(Self)
+    }
+
+    pub fn assign(&self, node: &str) {
+        self.0.assign(node);
     }
 
     pub fn is_matched(&self) -> bool {

@@ -22,6 +22,9 @@ const PROBE: Duration = Duration::from_secs(5);
 /// Timeout for the endpoints of a ROS 2 server to match the proxy's client.
 const MATCHED: Duration = Duration::from_secs(5);
 
+/// Time to wait until a participant that announces its nodes has announced that of a server.
+const NODE_KNOWN: Duration = Duration::from_secs(3);
+
 /// Bound on concurrent requests of a ROS 1 service. Further ones wait at their connections.
 const CONCURRENT: usize = 256;
 
@@ -40,6 +43,30 @@ pub enum Peer {
     Ros2(ServicePeer),
 }
 
+impl Peer {
+    /// Returns the full name of the server's node, or an empty text if the graph does not tell it.
+    pub fn node(&self) -> &str {
+        match self {
+            Self::Ros1(node) => node,
+            Self::Ros2(peer) => &peer.node,
+        }
+    }
+
+    fn awaits_node(&self) -> bool {
+        matches!(self, Self::Ros2(peer) if peer.awaits_node)
+    }
+
+    /// Whether it is the same server. Its node may be known later than the server.
+    fn is(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Ros2(one), Self::Ros2(other)) => {
+                (one.id, &one.kind, one.mapping) == (other.id, &other.kind, other.mapping)
+            }
+            (one, other) => one == other,
+        }
+    }
+}
+
 impl Servers {
     pub fn new(graph: &Graph, name: &TopicName, what: What) -> Self {
         match graph {
@@ -48,14 +75,20 @@ impl Servers {
         }
     }
 
-    /// Waits until there is a server. Safe to cancel, as [`Self::until_left`].
+    /// Waits until there is a server, and shortly for its node. Safe to cancel, as
+    /// [`Self::until_left`].
     pub async fn until_there(&mut self) -> Result<Peer, GraphError> {
-        self.until(|peers| peers.first().cloned()).await
+        let found = self.until(|peers| peers.first().cloned()).await?;
+        if !found.awaits_node() {
+            return Ok(found);
+        }
+        let with_node = self.until(|peers| peers.into_iter().find(|peer| peer.is(&found) && !peer.awaits_node()));
+        timeout(NODE_KNOWN, with_node).await.unwrap_or(Ok(found))
     }
 
     /// Waits until this server has left.
     pub async fn until_left(&mut self, peer: &Peer) -> Result<(), GraphError> {
-        self.until(|peers| (!peers.contains(peer)).then_some(())).await
+        self.until(|peers| (!peers.iter().any(|there| there.is(peer))).then_some(())).await
     }
 
     async fn until<T>(&mut self, mut is_so: impl FnMut(Vec<Peer>) -> Option<T>) -> Result<T, GraphError> {
@@ -221,6 +254,13 @@ impl Stand {
                 let kind = TypeName::parse(&here.kind.name).map_err(ros2::RosError::from)?;
                 Ok(Self::Ros2(domain.server(name, &kind, None)?.into()))
             }
+        }
+    }
+
+    /// Shows the server as one of the node with this full name, where the graph can.
+    pub fn assign(&self, node: &str) {
+        if let Self::Ros2(server) = self {
+            server.assign(node);
         }
     }
 

@@ -13,8 +13,9 @@ use rustdds::{
 };
 use tokio::sync::watch;
 
-use super::TypeName;
 use super::graph::{Graph, Seen};
+use super::nodes::Nodes;
+use super::{TypeName, raw};
 
 /// Time for which events are gathered before the graph is built again. A new node announces a dozen
 /// endpoints.
@@ -58,7 +59,8 @@ impl Discovery {
 
     /// Follows discovery for as long as the participant exists. A participant has one queue of
     /// events, so nobody else may read it.
-    pub async fn watch(self: Arc<Self>, participant: DomainParticipant) {
+    pub async fn watch(self: Arc<Self>, participant: DomainParticipant, nodes: Arc<Nodes>) {
+        let mut names = nodes.remote();
         let listener = participant.status_listener();
         let mut events = listener.as_async_status_stream();
         let mut due = tokio::time::Instant::now();
@@ -69,15 +71,21 @@ impl Discovery {
                     self.handle(&participant, event);
                     due = due.min(tokio::time::Instant::now() + GATHER);
                 }
+                changed = names.changed() => {
+                    if changed.is_err() {
+                        return;
+                    }
+                    due = due.min(tokio::time::Instant::now() + GATHER);
+                }
                 () = tokio::time::sleep_until(due) => {
                     due += LOOK;
-                    self.look(&participant);
+                    self.look(&participant, &nodes);
                 }
             }
         }
     }
 
-    fn look(&self, participant: &DomainParticipant) {
+    fn look(&self, participant: &DomainParticipant, nodes: &Nodes) {
         let own = participant.guid().prefix;
         let writers = participant.discovered_writers().into_iter().map(|writer| {
             let (data, guid) = (writer.publication_topic_data, writer.writer_proxy.remote_writer_guid);
@@ -90,8 +98,9 @@ impl Discovery {
             Seen { guid, writes: false, topic, kind, qos, user_data: reader.user_data }
         });
         let seen: Vec<Seen> = writers.chain(readers).filter(|seen| seen.guid.prefix != own).collect();
+        nodes.retain(&seen.iter().map(|seen| raw::participant(seen.guid)).collect());
         replace(&self.writers, seen.iter().filter(|seen| seen.writes).map(|seen| seen.guid).collect());
-        replace(&self.graph, Graph::new(seen.into_iter()));
+        replace(&self.graph, Graph::new(seen.into_iter(), &nodes.remote().borrow()));
     }
 
     fn handle(&self, participant: &DomainParticipant, event: Event) {

@@ -5,11 +5,13 @@
 //! never incomplete or stale. It does not contain the proxy's own endpoints.
 
 use std::collections::{BTreeMap, HashSet};
+use std::sync::Arc;
 use std::time::Duration;
 
 use rustdds::{GUID, QosPolicies, policy};
 
 use super::names::Part;
+use super::nodes::{self, NodeNames};
 use super::{Action, Durability, Mapping, Reliability, TopicName, TypeName};
 
 /// The DDS topic on which proxies announce themselves. Their endpoints are in no graph, because
@@ -40,6 +42,8 @@ pub struct Endpoint {
     pub kind: TypeName,
     /// The hash of the type, if the middleware announces it (Iron and later).
     pub hash: Option<TypeHash>,
+    /// The full name of its node, such as `/robot/driver`. It is empty if no node claims it.
+    pub node: Arc<str>,
     pub qos: DisplayedQos,
 }
 
@@ -71,6 +75,10 @@ pub struct ServicePeer {
     /// The type, such as `example_interfaces/srv/AddTwoInts`.
     pub kind: TypeName,
     pub mapping: Mapping,
+    /// The full name of its node, as of an [`Endpoint`].
+    pub node: Arc<str>,
+    /// Whether its participant announces nodes, and has not announced this one yet.
+    pub awaits_node: bool,
 }
 
 /// The servers and clients of an action, which are those of its service `send_goal`.
@@ -121,13 +129,16 @@ struct Pair {
 }
 
 impl Graph {
-    pub(super) fn new(seen: impl Iterator<Item = Seen>) -> Self {
+    pub(super) fn new(seen: impl Iterator<Item = Seen>, names: &NodeNames) -> Self {
         let mut graph = Self::default();
         // The key is the service, the participant, and whether it serves.
         let mut pairs: BTreeMap<(TopicName, [u8; 12], bool), Pair> = BTreeMap::new();
         let seen: Vec<Seen> = seen.collect();
         let is_proxy = |seen: &&Seen| seen.writes && seen.topic == PROXY_TOPIC;
         let proxies: HashSet<[u8; 12]> = seen.iter().filter(is_proxy).map(|seen| participant(seen.guid)).collect();
+        let announces_nodes = |seen: &&Seen| seen.writes && seen.topic == nodes::TOPIC;
+        let with_nodes: HashSet<[u8; 12]> =
+            seen.iter().filter(announces_nodes).map(|seen| participant(seen.guid)).collect();
         for seen in seen.into_iter().filter(|seen| !proxies.contains(&participant(seen.guid))) {
             // Topics and types that are not of ROS are ignored.
             let Some((part, name)) = TopicName::from_dds(&seen.topic) else { continue };
@@ -135,7 +146,7 @@ impl Graph {
             let key = |serves| (name.clone(), participant(seen.guid), serves);
             match part {
                 Part::Topic if Action::part_of(&name).is_some() => {}
-                Part::Topic => graph.add_to_topic(name, kind, &seen),
+                Part::Topic => graph.add_to_topic(name, kind, node(names, seen.guid), &seen),
                 Part::Requests => {
                     if let Some(kind) = kind.without("_Request") {
                         pairs.entry(key(!seen.writes)).or_default().requests = Some((seen.guid, kind));
@@ -147,7 +158,9 @@ impl Graph {
         for ((name, _, serves), pair) in pairs {
             let Pair { requests: Some((guid, kind)), has_replies: true } = pair else { continue };
             let id = guid.to_bytes();
-            graph.add_peer(&name, serves, ServicePeer { id, kind, mapping: Mapping::of(id) });
+            let node = node(names, guid);
+            let awaits_node = node.is_empty() && with_nodes.contains(&participant(guid));
+            graph.add_peer(&name, serves, ServicePeer { id, kind, mapping: Mapping::of(id), node, awaits_node });
         }
         for topic in graph.topics.values_mut() {
             topic.publishers.sort_by_key(|endpoint| endpoint.id);
@@ -156,10 +169,9 @@ impl Graph {
         graph
     }
 
-    fn add_to_topic(&mut self, name: TopicName, kind: TypeName, seen: &Seen) {
-        let hash = TypeHash::from_user_data(&seen.user_data);
-        let endpoint =
-            Endpoint { id: seen.guid.to_bytes(), kind, hash, qos: DisplayedQos::new(&seen.qos, seen.writes) };
+    fn add_to_topic(&mut self, name: TopicName, kind: TypeName, node: Arc<str>, seen: &Seen) {
+        let (id, hash) = (seen.guid.to_bytes(), TypeHash::from_user_data(&seen.user_data));
+        let endpoint = Endpoint { id, kind, hash, node, qos: DisplayedQos::new(&seen.qos, seen.writes) };
         let topic = self.topics.entry(name).or_default();
         if seen.writes { &mut topic.publishers } else { &mut topic.subscribers }.push(endpoint);
     }
@@ -214,6 +226,19 @@ impl DisplayedQos {
             manual_liveliness,
         }
     }
+}
+
+/// Returns the user data by which an endpoint announces the hash of its type, or nothing without a
+/// hash.
+pub(super) fn user_data(hash: &[u8]) -> Vec<u8> {
+    match hash {
+        [] => Vec::new(),
+        hash => format!("typehash=RIHS01_{};", hex::encode(hash)).into_bytes(),
+    }
+}
+
+fn node(names: &NodeNames, endpoint: GUID) -> Arc<str> {
+    names.get(&endpoint.to_bytes()).cloned().unwrap_or_default()
 }
 
 /// Converts a duration, which is untrusted and may be negative.

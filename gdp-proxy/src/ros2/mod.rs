@@ -1,15 +1,17 @@
 //! The ROS 2 half of the proxy: a participant in a DDS domain, with readers and writers of topics
 //! of any type.
 //!
-//! ros2-client provides the node that ROS tools see. Readers and writers of types that are unknown
-//! at compile time are created on the RustDDS participant beneath it. This module does not use the
-//! fabric; `route` connects the two.
+//! Readers and writers of types that are unknown at compile time are created on a RustDDS
+//! participant. [`nodes`] records to which ROS node each belongs, and [`announcer`] tells ROS
+//! tools. This module does not use the fabric; `route` connects the two.
 
 mod action;
+mod announcer;
 mod discovery;
 mod domain_id;
 mod graph;
 mod names;
+mod nodes;
 mod presence;
 mod qos;
 mod range;
@@ -30,15 +32,16 @@ pub use service::{BadRequest, CallError, Client, ClientLife, Headless, Mapping, 
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 
-use ros2_client::{Context, Node, NodeName, NodeOptions};
+use ros2_client::NodeName;
 use rustdds::dds::CreateError;
-use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, TopicKind};
+use rustdds::{DomainParticipant, DomainParticipantBuilder, QosPolicies, RTPSEntity, TopicKind};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
 use discovery::Discovery;
-use gdp_ros::roster::Offer;
+use gdp_ros::roster::{Kind, Offer};
 use graph::PROXY_TOPIC;
+use nodes::Nodes;
 
 use crate::peer_proxies::{self, PeerProxies};
 use presence::Presence;
@@ -49,9 +52,10 @@ pub struct Domain {
     publisher: rustdds::Publisher,
     subscriber: rustdds::Subscriber,
     discovery: Arc<Discovery>,
-    /// Announces the proxy to ROS tools (`ros2 node list`) until it is dropped.
-    node: Node,
-    watch: JoinHandle<()>,
+    /// Announces the proxy and remote nodes to ROS tools (`ros2 node list`).
+    nodes: Arc<Nodes>,
+    /// The tasks that follow discovery and announce the nodes.
+    tasks: Vec<JoinHandle<()>>,
     /// The claims of the other proxies.
     peer_proxies: Arc<PeerProxies>,
     /// The task that announces this proxy to them.
@@ -67,7 +71,7 @@ pub enum RosError {
          the domain the one in ROS_DOMAIN_ID?"
     )]
     Join { domain: u16, source: CreateError },
-    #[error("cannot announce the ROS node /{node}: {reason}")]
+    #[error("{node:?} cannot be the name of a ROS node: {reason}")]
     Node { node: String, reason: String },
     #[error(transparent)]
     Range(#[from] RangeError),
@@ -98,10 +102,25 @@ impl Domain {
         let publisher = participant.create_publisher(&none).map_err(refused)?;
         let subscriber = participant.create_subscriber(&none).map_err(refused)?;
         let discovery = Arc::new(Discovery::default());
-        let node = announce(&participant, node)?;
-        let watch = tokio::spawn(discovery.clone().watch(participant.clone()));
-        let peer_proxies = Arc::default();
-        Ok(Self { participant, publisher, subscriber, discovery, node, watch, peer_proxies, presence: None })
+        let name = NodeName::new("/", node)
+            .map_err(|error| RosError::Node { node: node.to_owned(), reason: error.to_string() })?;
+        let nodes = Arc::new(Nodes::new(participant.guid(), name));
+        let watch = tokio::spawn(discovery.clone().watch(participant.clone(), nodes.clone()));
+        let (peer_proxies, tasks) = (Arc::default(), vec![watch]);
+        let mut joined =
+            Self { participant, publisher, subscriber, discovery, nodes, tasks, peer_proxies, presence: None };
+        joined.announce()?;
+        Ok(joined)
+    }
+
+    /// Starts the task that announces the nodes of this participant and reads those of the others.
+    fn announce(&mut self) -> Result<(), RosError> {
+        let (topic, kind) = (TopicName::parse("/ros_discovery_info")?, TypeName::parse(nodes::TYPE)?);
+        let latched = Offer { transient_local: true, depth: 1, ..Qos::default().into() };
+        let writer = self.raw_writer(&topic, nodes::TOPIC, &kind, &[], &latched)?;
+        let reader = self.raw_reader(&topic, nodes::TOPIC, &kind, &[], &Offer { depth: 0, ..latched })?;
+        self.tasks.push(tokio::spawn(announcer::run(self.nodes.clone(), writer, reader)));
+        Ok(())
     }
 
     /// Joins as [`Self::join`], and announces to other proxies that this is one: they ignore its
@@ -109,11 +128,17 @@ impl Domain {
     pub fn join_as_proxy(domain: u16, node: &str) -> Result<Self, RosError> {
         let mut joined = Self::join(domain, node)?;
         let (topic, kind) = (TopicName::parse("/gdp_proxy")?, TypeName::parse("gdp_proxy/msg/Presence")?);
-        let writer = joined.raw_writer(&topic, PROXY_TOPIC, &kind, &Qos::default().into())?;
-        let reader = joined.raw_reader(&topic, PROXY_TOPIC, &kind, &Qos::default().into())?;
+        let writer = joined.raw_writer(&topic, PROXY_TOPIC, &kind, &[], &Qos::default().into())?;
+        let reader = joined.raw_reader(&topic, PROXY_TOPIC, &kind, &[], &Qos::default().into())?;
         joined.presence =
             Some(tokio::spawn(peer_proxies::beat(joined.peer_proxies.clone(), Presence { writer, reader })));
         Ok(joined)
+    }
+
+    /// Joins the domain on network interfaces that came up after the start.
+    pub fn interfaces_changed(&self) {
+        // It fails only while the participant leaves.
+        _ = self.participant.interfaces_changed();
     }
 
     /// Returns the other proxies in the domain and what they carry.
@@ -127,26 +152,50 @@ impl Domain {
     }
 
     pub fn reader(&self, topic: &TopicName, kind: &TypeName, offers: &Offer) -> Result<RawReader, RosError> {
-        self.raw_reader(topic, &topic.to_dds(), kind, offers)
+        self.raw_reader(topic, &topic.to_dds(), kind, &[], offers)
+    }
+
+    /// Creates a reader that announces the hash of its type.
+    pub fn reader_of(&self, topic: &TopicName, kind: &Kind, offers: &Offer) -> Result<RawReader, RosError> {
+        self.raw_reader(topic, &topic.to_dds(), &TypeName::parse(&kind.name)?, &kind.hash, offers)
     }
 
     pub fn writer(&self, topic: &TopicName, kind: &TypeName, offers: &Offer) -> Result<RawWriter, RosError> {
-        self.raw_writer(topic, &topic.to_dds(), kind, offers)
+        self.raw_writer(topic, &topic.to_dds(), kind, &[], offers)
     }
 
-    /// Creates a reader of the DDS topic of `name`.
-    fn raw_reader(&self, name: &TopicName, dds: &str, kind: &TypeName, offers: &Offer) -> Result<RawReader, RosError> {
+    /// Creates a writer that announces the hash of its type.
+    pub fn writer_of(&self, topic: &TopicName, kind: &Kind, offers: &Offer) -> Result<RawWriter, RosError> {
+        self.raw_writer(topic, &topic.to_dds(), &TypeName::parse(&kind.name)?, &kind.hash, offers)
+    }
+
+    /// Creates a reader of the DDS topic of `name`. `hash` is that of the type, or empty.
+    fn raw_reader(
+        &self,
+        name: &TopicName,
+        dds: &str,
+        kind: &TypeName,
+        hash: &[u8],
+        offers: &Offer,
+    ) -> Result<RawReader, RosError> {
         let refused = |source| RosError::Endpoint { what: "reader", topic: name.clone(), source };
-        let policies = qos::reader(offers);
+        let policies = qos::reader(offers).with_user_data(graph::user_data(hash));
         let (topic, kind) = self.topic(dds, kind, &policies).map_err(refused)?;
-        RawReader::new(&self.subscriber, &topic, kind, policies).map_err(refused)
+        RawReader::new(&self.subscriber, &topic, kind, policies, &self.nodes).map_err(refused)
     }
 
-    fn raw_writer(&self, name: &TopicName, dds: &str, kind: &TypeName, offers: &Offer) -> Result<RawWriter, RosError> {
+    fn raw_writer(
+        &self,
+        name: &TopicName,
+        dds: &str,
+        kind: &TypeName,
+        hash: &[u8],
+        offers: &Offer,
+    ) -> Result<RawWriter, RosError> {
         let refused = |source| RosError::Endpoint { what: "writer", topic: name.clone(), source };
-        let policies = qos::writer(offers);
+        let policies = qos::writer(offers).with_user_data(graph::user_data(hash));
         let (topic, kind) = self.topic(dds, kind, &policies).map_err(refused)?;
-        RawWriter::new(&self.publisher, &topic, kind, policies).map_err(refused)
+        RawWriter::new(&self.publisher, &topic, kind, policies, &self.nodes).map_err(refused)
     }
 
     /// Creates a DDS topic, and registers its type until the endpoint drops it.
@@ -160,21 +209,11 @@ impl Domain {
     pub async fn leave(self) {
         // The tasks own the participant as well. RustDDS leaves when the last owner drops it, and
         // then joins its threads.
-        for task in self.presence.into_iter().chain([self.watch]) {
+        for task in self.presence.into_iter().chain(self.tasks) {
             task.abort();
             let _ = task.await;
         }
-        let rest = (self.node, self.publisher, self.subscriber, self.participant);
+        let rest = (self.publisher, self.subscriber, self.participant);
         let _ = tokio::task::spawn_blocking(move || drop(rest)).await;
     }
-}
-
-/// Announces the proxy's node to ROS tools. The node's spinner of ros2-client must not run. It
-/// would take the participant's events from [`Discovery`], and offer the node's parameters to the
-/// whole domain.
-fn announce(participant: &DomainParticipant, node: &str) -> Result<Node, RosError> {
-    let refused = |reason: String| RosError::Node { node: node.to_owned(), reason };
-    let name = NodeName::new("/", node).map_err(|error| refused(error.to_string()))?;
-    let context = Context::from_domain_participant(participant.clone()).map_err(|error| refused(error.to_string()))?;
-    context.new_node(name, NodeOptions::new().enable_rosout(false)).map_err(|error| refused(error.to_string()))
 }

@@ -87,6 +87,7 @@ impl From<Qos> for Offer {
             deadline_ns: 0,
             lifespan_ns: 0,
             liveliness_ns: 0,
+            manual_liveliness: false,
         }
     }
 }
@@ -108,7 +109,10 @@ pub(super) fn writer(offers: &Offer) -> QosPolicies {
     }
     if offers.liveliness_ns > 0 {
         let lease_duration = duration(offers.liveliness_ns);
-        builder = builder.liveliness(policy::Liveliness::Automatic { lease_duration });
+        builder = builder.liveliness(match offers.manual_liveliness {
+            true => policy::Liveliness::ManualByTopic { lease_duration },
+            false => policy::Liveliness::Automatic { lease_duration },
+        });
     }
     builder.build()
 }

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::convert::Infallible;
 use std::future::poll_fn;
 use std::pin::pin;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::task::Poll;
 use std::time::Duration;
 
@@ -16,12 +16,17 @@ use parking_lot::Mutex;
 use rustdds::dds::adapters::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
 use rustdds::dds::{CreateError, ReadError};
 use rustdds::no_key::{DataWriter, SimpleDataReader};
+use rustdds::policy::Liveliness;
 use rustdds::rpc::SampleIdentity;
 use rustdds::{
     DataReaderStatus, DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, RepresentationIdentifier,
     SequenceNumber, StatusEvented, Timestamp, Topic, WriteOptions, WriteOptionsBuilder,
 };
+use tokio::task::JoinHandle;
 use tokio::task::coop::cooperative;
+use tokio::time::MissedTickBehavior;
+
+use super::nodes::{NodeEntry, Nodes};
 
 /// Bytes of the encapsulation header: representation (2), options (2).
 pub const ENCAPSULATION: usize = 4;
@@ -29,6 +34,9 @@ pub const ENCAPSULATION: usize = 4;
 /// Timeout of a write. RustDDS checks its own maximum blocking time only when something else wakes
 /// the write.
 const WRITE_DEADLINE: Duration = Duration::from_millis(100);
+
+/// Shortest interval at which liveliness is asserted.
+const MIN_ASSERTION: Duration = Duration::from_millis(10);
 
 /// One message in its wire format.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -99,6 +107,7 @@ pub struct RawReader {
     gaps: Mutex<Gaps>,
     /// Registers the expected type at discovery, so that different types of others are logged.
     _kind: Arc<str>,
+    node: NodeEntry,
 }
 
 /// The last sequence number of each writer.
@@ -129,13 +138,20 @@ impl RawReader {
         topic: &Topic,
         kind: Arc<str>,
         qos: QosPolicies,
+        nodes: &Arc<Nodes>,
     ) -> Result<Self, CreateError> {
         let reader = subscriber.create_simple_datareader_no_key::<RawSample, Adapter>(topic, Some(qos))?;
-        Ok(Self { reader, gaps: Mutex::default(), _kind: kind })
+        let node = nodes.add(reader.guid());
+        Ok(Self { reader, gaps: Mutex::default(), _kind: kind, node })
     }
 
     pub(super) fn guid(&self) -> GUID {
         self.reader.guid()
+    }
+
+    /// Moves the reader to the ROS node with this full name, which may be a remote one.
+    pub fn assign(&self, node: &str) {
+        self.node.assign(node);
     }
 
     /// Waits until a writer of this participant matches. Each match is reported once.
@@ -146,6 +162,18 @@ impl RawReader {
                 if participant(writer) == of && current.count_change() > 0)
             {
                 return;
+            }
+        }
+        std::future::pending().await
+    }
+
+    /// Waits until the liveliness of a writer changes. Returns the writer, and whether it is alive
+    /// now. Each change is reported once. It also discards all other changes of the status.
+    pub async fn liveliness(&self) -> ([u8; 16], bool) {
+        let mut events = self.reader.as_async_status_stream();
+        while let Some(event) = events.next().await {
+            if let DataReaderStatus::LivelinessChanged { alive_total, writer, .. } = event {
+                return (writer.to_bytes(), alive_total.count_change() > 0);
             }
         }
         std::future::pending().await
@@ -202,7 +230,9 @@ impl RawReader {
 
 /// A writer of a topic of any type.
 pub struct RawWriter {
-    little_endian: DataWriter<RawSample, Encoder<true>>,
+    little_endian: Arc<DataWriter<RawSample, Encoder<true>>>,
+    /// Asserts the liveliness of a writer with manual liveliness.
+    assertions: Option<JoinHandle<()>>,
     /// A DDS writer has one encoding. This writer is created with the first big-endian message.
     big_endian: Option<DataWriter<RawSample, Encoder<false>>>,
     publisher: Publisher,
@@ -210,6 +240,7 @@ pub struct RawWriter {
     qos: QosPolicies,
     /// Registers the expected type at discovery, so that different types of others are logged.
     _kind: Arc<str>,
+    node: NodeEntry,
 }
 
 /// Reasons for which a message was not written.
@@ -228,15 +259,31 @@ impl RawWriter {
         topic: &Topic,
         kind: Arc<str>,
         qos: QosPolicies,
+        nodes: &Arc<Nodes>,
     ) -> Result<Self, CreateError> {
+        let little_endian = Arc::new(publisher.create_datawriter_no_key(topic, Some(qos.clone()))?);
+        let assertions = match qos.liveliness() {
+            Some(Liveliness::ManualByTopic { lease_duration }) => {
+                Some(tokio::spawn(assert_liveliness(Arc::downgrade(&little_endian), lease_duration.to_std())))
+            }
+            _ => None,
+        };
+        let node = nodes.add(little_endian.guid());
         Ok(Self {
-            little_endian: publisher.create_datawriter_no_key(topic, Some(qos.clone()))?,
+            little_endian,
+            assertions,
+            node,
             big_endian: None,
             publisher: publisher.clone(),
             topic: topic.clone(),
             qos,
             _kind: kind,
         })
+    }
+
+    /// Moves the writer to the ROS node with this full name, which may be a remote one.
+    pub fn assign(&self, node: &str) {
+        self.node.assign(node);
     }
 
     /// Writes one message with the source timestamp `timestamp_ns`, in Unix nanoseconds. It waits a
@@ -324,6 +371,27 @@ impl RawWriter {
                 .map_err(|error| WriteError::Failed(error.to_string()))?,
         };
         Ok(self.big_endian.insert(writer))
+    }
+}
+
+impl Drop for RawWriter {
+    fn drop(&mut self) {
+        if let Some(assertions) = &self.assertions {
+            assertions.abort();
+        }
+    }
+}
+
+/// Asserts the liveliness of a writer for as long as it exists. Its remote publisher is alive until
+/// then.
+async fn assert_liveliness(writer: Weak<DataWriter<RawSample, Encoder<true>>>, lease: Duration) {
+    let mut ticks = tokio::time::interval((lease / 3).max(MIN_ASSERTION));
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        ticks.tick().await;
+        let Some(writer) = writer.upgrade() else { return };
+        // It fails while discovery is busy. The next assertion follows.
+        _ = writer.assert_liveliness();
     }
 }
 

@@ -2,6 +2,7 @@
 //! as long as it exists.
 
 use std::convert::Infallible;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures::FutureExt;
@@ -16,6 +17,7 @@ use super::local::{Local, Made};
 use super::locals::{Locals, Whose};
 use super::{Route, Way};
 use crate::graph::Graph;
+use crate::node_name::local_node;
 use crate::peer_proxies::Candidate;
 use crate::qos_mapping::subscribe_options;
 use crate::ros2::{Qos, TypeName};
@@ -37,6 +39,8 @@ struct In<'a> {
     graph: &'a Graph,
     own: Name,
     candidate: &'a Candidate,
+    /// The topic's name in the publishers' graphs, as the name card states it.
+    listed: Option<&'a str>,
     /// The type, from the name card or the configuration.
     kind: Option<&'a TypeName>,
     incoming: Incoming,
@@ -49,7 +53,8 @@ impl Route {
     pub(super) async fn run_in(&self, way: &Way<'_>, right: &mut Right<Reading>) -> Result<Infallible, RouteError> {
         let Way { graph, node, kind, card, candidate } = *way;
         let (incoming, locals) = (Incoming::default(), Locals::new(Instant::now()));
-        let mut to = In { graph, own: node.name(), candidate, kind, incoming, locals, misfit: None };
+        let listed = card.get("topic");
+        let mut to = In { graph, own: node.name(), candidate, listed, kind, incoming, locals, misfit: None };
         let mut pause = RETRY;
         loop {
             let error = match node.subscribe(card.proof(), right.current(), subscribe_options(&self.config)).await {
@@ -144,7 +149,10 @@ impl Route {
         if changes.is_empty() {
             return;
         }
-        for change in changes {
+        for mut change in changes {
+            if let Change::Joined { node, .. } = &mut change {
+                *node = local_node(&self.config.topic, to.listed, node).into();
+            }
             if !to.locals.change(Instant::now(), change) {
                 tracing::warn!(topic = %self.config.topic, "more publishers elsewhere than have a counterpart here");
             }
@@ -205,6 +213,9 @@ impl Route {
         let offers = self.config.qos.map_or(*offers, Offer::from);
         let writer = graph.writer(&self.types, &self.config.topic, &here, text.as_deref(), offers);
         let writer = writer.await.map_err(|error| error.to_string())?;
+        if !local.node.is_empty() {
+            writer.assign(&local.node);
+        }
         self.route_status.set_kind(&here.name);
         Ok(Made::new(Instant::now(), writer, offers, format))
     }
@@ -266,7 +277,8 @@ impl Route {
 /// Returns the writer for publishers of which only the configuration is known.
 fn plain(kind: Option<&TypeName>) -> Local {
     let name = kind.map_or_else(String::new, ToString::to_string);
-    Local::new(Kind { dialect: Dialect::Ros2, name, hash: vec![] }, None, Qos::default().into())
+    let kind = Kind { dialect: Dialect::Ros2, name, hash: vec![] };
+    Local::new(kind, None, Arc::default(), Qos::default().into())
 }
 
 fn no_counterpart(whose: &Whose, why: &str) -> String {

@@ -29,6 +29,8 @@ const RETRY: Backoff = Backoff::new(Duration::from_secs(1), Duration::from_secs(
 pub struct Local {
     pub kind: Kind,
     pub definition: Option<Arc<str>>,
+    /// The full name of the publisher's node, or an empty text.
+    pub node: Arc<str>,
     pub offers: Offer,
     state: LocalState,
     /// The publisher's transient-local history, for a writer that is created later.
@@ -64,8 +66,20 @@ pub struct Made {
 pub type Refused = (Drop, String);
 
 impl Local {
-    pub fn new(kind: Kind, definition: Option<Arc<str>>, offers: Offer) -> Self {
-        Self { kind, definition, offers, state: LocalState::Wanted, history: VecDeque::new(), history_bytes: 0 }
+    pub fn new(kind: Kind, definition: Option<Arc<str>>, node: Arc<str>, offers: Offer) -> Self {
+        Self { kind, definition, node, offers, state: LocalState::Wanted, history: VecDeque::new(), history_bytes: 0 }
+    }
+
+    pub fn is_of(&self, kind: &Kind, definition: Option<&Arc<str>>, offers: &Offer) -> bool {
+        (&self.kind, self.definition.as_ref(), &self.offers) == (kind, definition, offers)
+    }
+
+    /// Records to which node the publisher belongs. Its graph may tell that later than the rest.
+    pub fn move_to(&mut self, node: Arc<str>) {
+        if let LocalState::Made(made) = &self.state {
+            made.writer.assign(&node);
+        }
+        self.node = node;
     }
 
     /// Whether it is time to create the writer.
@@ -111,11 +125,11 @@ impl Local {
 
     /// Records another type or QoS of the publisher, so that its writer is created anew. Returns
     /// the old writer, if there was one.
-    pub fn renew(&mut self, kind: Kind, definition: Option<Arc<str>>, offers: Offer) -> Option<Made> {
+    pub fn renew(&mut self, kind: Kind, definition: Option<Arc<str>>, node: Arc<str>, offers: Offer) -> Option<Made> {
         if kind != self.kind {
             self.forget();
         }
-        (self.kind, self.definition, self.offers) = (kind, definition, offers);
+        (self.kind, self.definition, self.node, self.offers) = (kind, definition, node, offers);
         match std::mem::replace(&mut self.state, LocalState::Wanted) {
             LocalState::Made(made) => Some(*made),
             _ => None,

@@ -63,13 +63,17 @@ impl Locals {
                 self.by.get_mut(&Some((writer, number))).and_then(Local::silence);
                 None
             }
-            Change::Joined { writer, number, kind, definition, offers } => {
+            Change::Joined { writer, number, kind, definition, node, offers } => {
                 let (whose, is_full) = (Some((writer, number)), self.by.len() >= MAX_LOCALS);
                 match self.by.get_mut(&whose) {
-                    Some(local) => local.renew(kind, definition, offers),
+                    Some(local) if local.is_made() && local.is_of(&kind, definition.as_ref(), &offers) => {
+                        local.move_to(node);
+                        None
+                    }
+                    Some(local) => local.renew(kind, definition, node, offers),
                     None if is_full => return false,
                     None => {
-                        self.by.insert(whose, Local::new(kind, definition, offers));
+                        self.by.insert(whose, Local::new(kind, definition, node, offers));
                         None
                     }
                 }

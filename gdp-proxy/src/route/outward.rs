@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::convert::Infallible;
 use std::pin::pin;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use gdp::{ErrorCode, FrameError, NodeError, Publisher};
@@ -106,14 +107,14 @@ impl Route {
         let mut reader = graph.reader(&self.config.topic, kind, self.config.qos)?;
         let wanted = kind.map(|kind| graph.kind(kind));
         let stated = wanted.clone().filter(|_| self.config.qos.is_some());
-        let (first, kind, offered) = match (stated, self.config.qos) {
+        let (first, kind, offered): (Option<(Key, Arc<str>)>, _, _) = match (stated, self.config.qos) {
             (Some(kind), Some(qos)) => (None, kind, qos.into()),
             _ => loop {
                 self.show_out("waiting for a local publisher", &incompatible_publishers);
                 match reader.next().await? {
-                    Event::Joined { key, kind, offers } if wanted.as_ref().is_none_or(|it| it.agrees(&kind)) => {
+                    Event::Joined { key, kind, node, offers } if wanted.as_ref().is_none_or(|it| it.agrees(&kind)) => {
                         incompatible_publishers.remove(&key);
-                        break (Some(key), kind, offers);
+                        break (Some((key, node)), kind, offers);
                     }
                     Event::Joined { key, kind, .. } => {
                         _ = incompatible_publishers.insert(key, self.of_another_type(&kind, wanted.as_ref()))
@@ -123,7 +124,7 @@ impl Route {
                     }
                     Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
                     Event::Left(key) => _ = incompatible_publishers.remove(&key),
-                    Event::Message(_) => {}
+                    Event::Message(_) | Event::Liveliness { .. } => {}
                 }
             },
         };
@@ -140,7 +141,7 @@ impl Route {
             }
         };
         let mut roster = Outgoing::new(kind.clone(), definition);
-        first.into_iter().for_each(|key| roster.joined(key, offered));
+        first.into_iter().for_each(|(key, node)| roster.joined(key, &node, offered));
         let offers = offers.map_or(offered, |before| merged(before, offered));
         Ok(Out {
             reader,
@@ -186,7 +187,7 @@ impl Route {
                 }
             };
             match event {
-                Event::Joined { key, kind, offers } => {
+                Event::Joined { key, kind, node, offers } => {
                     if !kind.agrees(&out.kind) {
                         out.incompatible_publishers.insert(key, self.of_another_type(&kind, Some(&out.kind)));
                         self.show_out("up", &out.incompatible_publishers);
@@ -196,7 +197,7 @@ impl Route {
                         self.show_out("up", &out.incompatible_publishers);
                     }
                     let offers = self.config.qos.map_or(offers, Offer::from);
-                    out.roster.joined(key, offers);
+                    out.roster.joined(key, &node, offers);
                     if let Some(number) = out.roster.number(&key) {
                         publisher.latch(&roster::origin(number), latched_depth(&offers));
                     }
@@ -223,6 +224,7 @@ impl Route {
                         publisher.forget(&roster::origin(number));
                     }
                 }
+                Event::Liveliness { key, alive } => out.roster.set_alive(&key, alive),
                 Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
                 Event::Message(arrived) => {
                     if let Some(arrived) = self.paced(out, arrived)

@@ -115,7 +115,7 @@ async fn frames_of_a_type_that_nobody_knows_do_not_cross_and_the_status_says_why
     let publisher = site.publish(&topics[0]).await;
     let own = Kind { dialect: RosDialect::Ros2, name: own.to_string(), hash: vec![] };
     let mut roster = Outgoing::new(own, None);
-    roster.joined('a', RELIABLE);
+    roster.joined('a', "", RELIABLE);
     roster.announce(Instant::now(), &publisher).unwrap();
     status(&into, expected).await;
     graph.leave().await;

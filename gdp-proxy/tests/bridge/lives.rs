@@ -115,14 +115,14 @@ async fn the_status_says_which_publisher_has_no_counterpart_until_it_has_gone() 
     let publisher = site.publish(&topics[0]).await;
     let int32 = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/Int32".into(), hash: vec![] };
     let mut roster = Outgoing::new(int32.clone(), None);
-    roster.joined('a', RELIABLE);
+    roster.joined('a', "", RELIABLE);
     roster.announce(Instant::now(), &publisher).unwrap();
     status(&proxy, "publishes std_msgs/msg/Int32, and the topic is of std_msgs/msg/String").await;
     publisher.pin(ROSTER, &roster.farewell().unwrap());
     status(&proxy, "up").await;
 
     let mut roster = Outgoing::new(Kind { name: "std_msgs/msg/String".into(), ..int32 }, None);
-    roster.joined('a', Offer { reliable: false, ..RELIABLE });
+    roster.joined('a', "", Offer { reliable: false, ..RELIABLE });
     roster.announce(Instant::now(), &publisher).unwrap();
     let listening = Domain::join(site.domain_id() + 6, "listener").unwrap();
     let reader = listening.reader(&topic("/chatter"), &string(), &RELIABLE).unwrap();

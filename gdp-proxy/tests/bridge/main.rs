@@ -9,8 +9,10 @@ mod actionlib;
 mod automatic;
 mod floods;
 mod frames;
+mod graph_view;
 #[path = "../hub/mod.rs"]
 mod hub;
+mod liveliness;
 mod lives;
 #[allow(dead_code, reason = "the tests of the ROS 1 node, whose it is, use the rest")]
 #[path = "../../../crates/gdp-ros1/tests/rospy/master.rs"]
@@ -32,8 +34,15 @@ use gdp_ros::roster::Offer;
 use master::{Master, Process};
 use site::Site;
 
-const RELIABLE: Offer =
-    Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
+const RELIABLE: Offer = Offer {
+    reliable: true,
+    transient_local: false,
+    depth: 10,
+    deadline_ns: 0,
+    lifespan_ns: 0,
+    liveliness_ns: 0,
+    manual_liveliness: false,
+};
 const LATCHED: Offer = Offer { transient_local: true, depth: 1, ..RELIABLE };
 
 #[tokio::test(flavor = "multi_thread")]

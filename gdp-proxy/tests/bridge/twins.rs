@@ -53,7 +53,7 @@ async fn a_proxy_that_can_make_no_counterpart_leaves_the_topic_to_one_that_can()
     let publisher = site.publish(&topics[0]).await;
     let kind = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/String".into(), hash: vec![] };
     let mut roster = Outgoing::new(kind, None);
-    roster.joined('a', RELIABLE);
+    roster.joined('a', "", RELIABLE);
     roster.announce(Instant::now(), &publisher).unwrap();
     let says_why = || lower.statuses().iter().any(|status| status.contains("the topic is of std_msgs/msg/Int32"));
     until("the other takes over", || higher.statuses() == ["up"] && says_why()).await;

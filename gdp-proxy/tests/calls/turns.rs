@@ -150,7 +150,7 @@ async fn serve_anew(mut server: Server) -> Vec<Epoch> {
         let reply = match Request::from_bytes(call.body()).unwrap() {
             Request::Describe => {
                 let kind = Kind { dialect: Dialect::Ros2, name: "std_srvs/srv/SetBool".into(), hash: vec![] };
-                Reply::Description(now, Description { kind, definitions: None })
+                Reply::Description(now, Description { kind, node: String::new(), definitions: None })
             }
             Request::Call { epoch, .. } => {
                 called.push(epoch);

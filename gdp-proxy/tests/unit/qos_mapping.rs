@@ -5,8 +5,15 @@ use std::path::Path;
 use super::*;
 use crate::config::Config;
 
-const BEST_EFFORT: Offer =
-    Offer { reliable: false, transient_local: false, depth: 3, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
+const BEST_EFFORT: Offer = Offer {
+    reliable: false,
+    transient_local: false,
+    depth: 3,
+    deadline_ns: 0,
+    lifespan_ns: 0,
+    liveliness_ns: 0,
+    manual_liveliness: false,
+};
 
 #[test]
 fn the_topic_gives_priority_and_what_its_reader_waits_for() {

@@ -16,7 +16,7 @@ use crate::roster::{Kind, MAX_DEFINITION};
 /// Encoding number of a message that is a request or a reply.
 pub const CALL: Encoding = Encoding::Other(0x4753);
 
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
 
 /// Maximum length of a failure's text, in bytes.
 pub const MAX_TEXT: usize = 1024;
@@ -26,7 +26,8 @@ pub const MAX_EVENTS: usize = 256;
 
 const MAX_KIND: usize = 256;
 const MAX_HASH: usize = 32;
-const MAX_DESCRIPTION: usize = 2 * MAX_DEFINITION + MAX_KIND + MAX_HASH + 128;
+const MAX_NODE: usize = 255;
+const MAX_DESCRIPTION: usize = 2 * MAX_DEFINITION + MAX_KIND + MAX_HASH + MAX_NODE + 128;
 
 /// A random number that identifies one offer of a server. The server's proxy draws a new one each
 /// time that it offers the server.
@@ -78,6 +79,9 @@ pub enum Reply {
 pub struct Description {
     /// The type of the service or action, with the hash of the whole type.
     pub kind: Kind,
+    /// The full name of the server's node, such as `/robot/driver`. It is empty if the graph does
+    /// not tell it.
+    pub node: String,
     /// The definitions of a service, if the server's proxy knows them. They are `None` for an
     /// action.
     pub definitions: Option<Definitions>,
@@ -276,6 +280,7 @@ impl Description {
     fn check(&self) -> Result<(), CallError> {
         bounded("bytes of a type's name", self.kind.name.len(), MAX_KIND)?;
         bounded("bytes of a type's hash", self.kind.hash.len(), MAX_HASH)?;
+        bounded("bytes of a node's name", self.node.len(), MAX_NODE)?;
         let texts = self.definitions.iter().flat_map(|Definitions { request, response }| [request, response]);
         texts.map(String::len).try_for_each(|length| bounded("bytes of a definition", length, MAX_DEFINITION))
     }

@@ -8,7 +8,7 @@ use std::time::Instant;
 use gdp_e2e::seal::Message;
 use gdp_wire::Name;
 
-use super::{Kind, LEASE, Offer, ROSTER, Roster, RosterError, number};
+use super::{Kind, LEASE, Offer, ROSTER, Roster, RosterError, Writer, number};
 
 /// Maximum number of writers of a name.
 const MAX_PEERS: usize = 256;
@@ -36,10 +36,10 @@ struct RosterPeer {
     last_seen: Instant,
 }
 
-#[derive(Clone, Copy)]
 struct Listed {
+    node: Arc<str>,
     offers: Offer,
-    /// Whether nothing arrived within the lease.
+    /// Whether nothing arrived within the lease, or the publisher is not alive.
     is_silent: bool,
 }
 
@@ -53,10 +53,12 @@ pub enum Change {
         number: u32,
         kind: Kind,
         definition: Option<Arc<str>>,
+        /// The full name of the publisher's node, or an empty text.
+        node: Arc<str>,
         offers: Offer,
     },
-    /// Nothing arrived from the publisher within its lease. It may have left, or may join again as
-    /// the same.
+    /// Nothing arrived from the publisher within its lease, or its graph says that it is not alive.
+    /// It may have left, or may join again as the same.
     Silent {
         writer: Name,
         number: u32,
@@ -129,24 +131,30 @@ impl Incoming {
         // A brief roster leaves the definition unchanged.
         let definition_is_new = definition.is_some() && definition.as_deref() != known.as_deref();
         let definition = definition.map(Arc::from).or(known);
-        let listed = |offers| Listed { offers, is_silent: false };
-        let writers: BTreeMap<u32, Listed> =
-            writers.iter().map(|writer| (writer.number, listed(writer.offers))).collect();
+        let listed = |writer: Writer| {
+            let Writer { number, node, alive, offers } = writer;
+            (number, Listed { node: node.into(), offers, is_silent: !alive })
+        };
+        let writers: BTreeMap<u32, Listed> = writers.into_iter().map(listed).collect();
         let empty = BTreeMap::new();
         let there = before.map_or(&empty, |peer| &peer.writers);
         // Another session numbers its publishers anew.
         let stays = |number: &u32| same_session && writers.contains_key(number);
         let left = there.keys().filter(|number| !stays(number)).map(|number| Change::Left { writer, number: *number });
         let stands = same_kind && !definition_is_new;
-        let is_as_before = |number: &u32, offers: &Offer| {
-            stands && there.get(number).is_some_and(|before| !before.is_silent && before.offers == *offers)
+        let was_heard = |number: &u32| there.get(number).is_some_and(|before| !before.is_silent);
+        let silent = writers.iter().filter(|(number, now)| now.is_silent && was_heard(number) && stays(number));
+        let silent = silent.map(|(number, _)| Change::Silent { writer, number: *number });
+        let is_as_before = |number: &u32, now: &Listed| {
+            let same = |before: &Listed| (&before.node, before.offers) == (&now.node, now.offers);
+            stands && was_heard(number) && there.get(number).is_some_and(same)
         };
-        let joined = writers.iter().filter(|(number, now)| !is_as_before(number, &now.offers));
+        let joined = writers.iter().filter(|(number, now)| !now.is_silent && !is_as_before(number, now));
         let joined = joined.map(|(number, now)| {
-            let (kind, definition) = (kind.clone(), definition.clone());
-            Change::Joined { writer, number: *number, kind, definition, offers: now.offers }
+            let (kind, definition, node) = (kind.clone(), definition.clone(), now.node.clone());
+            Change::Joined { writer, number: *number, kind, definition, node, offers: now.offers }
         });
-        changes.extend(left.chain(joined));
+        changes.extend(left.chain(silent).chain(joined));
         self.peers.insert(writer, RosterPeer { kind, definition, writers, said, last_seen: now });
         Ok((changes, self.release(writer)))
     }

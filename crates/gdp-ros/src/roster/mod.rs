@@ -39,10 +39,12 @@ pub const MAX_WRITERS: usize = 512;
 /// Maximum size of a definition with all nested types, in bytes.
 pub const MAX_DEFINITION: usize = 256 << 10;
 
-const MAX_ROSTER: usize = MAX_DEFINITION + MAX_WRITERS * 256;
+const MAX_ROSTER: usize = MAX_DEFINITION + MAX_WRITERS * 512;
 const MAX_KIND: usize = 256;
 const MAX_HASH: usize = 32;
-const VERSION: u8 = 2;
+/// Maximum size of a node's full name in bytes.
+const MAX_NODE: usize = 255;
+const VERSION: u8 = 3;
 
 /// The type and the publishers of a topic.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -91,6 +93,11 @@ pub enum Dialect {
 pub struct Writer {
     /// The number of the publisher. It is never reused within one session of the name.
     pub number: u32,
+    /// The full name of the publisher's node, such as `/robot/driver`. It is empty if the graph
+    /// does not tell it.
+    pub node: String,
+    /// Whether its lease of liveliness is in force. Publishers without a lease are always alive.
+    pub alive: bool,
     pub offers: Offer,
 }
 
@@ -108,6 +115,8 @@ pub struct Offer {
     pub lifespan_ns: u64,
     /// Liveliness lease in nanoseconds; 0 for none.
     pub liveliness_ns: u64,
+    /// Whether the publisher itself asserts its liveliness, by topic.
+    pub manual_liveliness: bool,
 }
 
 impl Offer {
@@ -150,6 +159,11 @@ impl Roster {
             ("bytes of a type's hash", roster.kind.hash.len(), MAX_HASH),
             ("bytes of a definition", definition, MAX_DEFINITION),
             ("publishers", roster.writers.len(), MAX_WRITERS),
+            (
+                "bytes of a node's name",
+                roster.writers.iter().map(|writer| writer.node.len()).max().unwrap_or(0),
+                MAX_NODE,
+            ),
         ];
         if let Some((what, got, most)) = bounds.into_iter().find(|(_, got, most)| got > most) {
             return Err(RosterError::TooMuch { what, got, most });

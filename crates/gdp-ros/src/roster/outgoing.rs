@@ -14,7 +14,7 @@ pub struct Outgoing<K> {
     kind: Kind,
     definition: Option<String>,
     numbers: HashMap<K, u32>,
-    writers: BTreeMap<u32, Offer>,
+    writers: BTreeMap<u32, Writer>,
     /// The number of the next publisher that joins.
     next: u32,
     changed: bool,
@@ -43,7 +43,7 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
     }
 
     /// Adds a publisher, or changes its QoS. Ignores new publishers beyond [`MAX_WRITERS`].
-    pub fn joined(&mut self, key: K, offers: Offer) {
+    pub fn joined(&mut self, key: K, node: &str, offers: Offer) {
         let number = match self.numbers.get(&key) {
             Some(number) => *number,
             None if self.numbers.len() >= MAX_WRITERS => return,
@@ -54,7 +54,17 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
                 number
             }
         };
-        self.changed |= self.writers.insert(number, offers) != Some(offers);
+        let writer = Writer { number, node: node.to_owned(), alive: true, offers };
+        self.changed |= self.writers.insert(number, writer.clone()) != Some(writer);
+    }
+
+    /// Records whether the lease of a publisher's liveliness is in force.
+    pub fn set_alive(&mut self, key: &K, alive: bool) {
+        let writer = self.numbers.get(key).and_then(|number| self.writers.get_mut(number));
+        if let Some(writer) = writer.filter(|writer| writer.alive != alive) {
+            writer.alive = alive;
+            self.changed = true;
+        }
     }
 
     /// Removes a publisher and returns its number.
@@ -78,13 +88,13 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
 
     /// Returns number and QoS of all publishers.
     pub fn offers(&self) -> impl Iterator<Item = (u32, Offer)> {
-        self.writers.iter().map(|(number, offers)| (*number, *offers))
+        self.writers.iter().map(|(number, writer)| (*number, writer.offers))
     }
 
     /// Returns the interval between two rosters: [`REFRESH`], or a quarter of the shortest lease if
     /// that is less. So three rosters in a row may be lost before a lease expires.
     fn refresh(&self) -> Duration {
-        let lease = self.writers.values().map(Offer::lease).min().unwrap_or(LEASE);
+        let lease = self.writers.values().map(|writer| writer.offers.lease()).min().unwrap_or(LEASE);
         REFRESH.min(lease / 4)
     }
 
@@ -117,7 +127,7 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         let whole = std::mem::take(&mut self.changed) || self.briefs >= BRIEFS;
         self.briefs = if whole { 0 } else { self.briefs + 1 };
         self.due = Some(now + self.refresh());
-        let writers = self.writers.iter().map(|(number, offers)| Writer { number: *number, offers: *offers }).collect();
+        let writers = self.writers.values().cloned().collect();
         let definition = self.definition.clone().filter(|_| whole);
         let bytes = Roster { version: VERSION, kind: self.kind.clone(), definition, writers }.to_bytes()?;
         Ok(Some(if whole { Announcement::Whole(bytes) } else { Announcement::Brief(bytes) }))

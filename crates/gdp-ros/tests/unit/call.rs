@@ -4,7 +4,7 @@ use crate::roster::Dialect;
 fn description() -> Description {
     let kind = Kind { dialect: Dialect::Ros1, name: "std_srvs/SetBool".into(), hash: vec![7; 16] };
     let definitions = Definitions { request: "bool data\n".into(), response: "bool success\nstring message\n".into() };
-    Description { kind, definitions: Some(definitions) }
+    Description { kind, node: "/robot7/driver".into(), definitions: Some(definitions) }
 }
 
 fn requests() -> Vec<Request> {

@@ -2,8 +2,15 @@
 
 use super::*;
 
-const BEST_EFFORT: Offer =
-    Offer { reliable: false, transient_local: false, depth: 3, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
+const BEST_EFFORT: Offer = Offer {
+    reliable: false,
+    transient_local: false,
+    depth: 3,
+    deadline_ns: 0,
+    lifespan_ns: 0,
+    liveliness_ns: 0,
+    manual_liveliness: false,
+};
 
 #[test]
 fn best_effort_keeps_the_depth() {

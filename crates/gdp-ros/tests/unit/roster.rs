@@ -8,8 +8,18 @@ use gdp_wire::Name;
 use super::outgoing::Announcement;
 use super::*;
 
-const RELIABLE: Offer =
-    Offer { reliable: true, transient_local: false, depth: 10, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
+const RELIABLE: Offer = Offer {
+    reliable: true,
+    transient_local: false,
+    depth: 10,
+    deadline_ns: 0,
+    lifespan_ns: 0,
+    liveliness_ns: 0,
+    manual_liveliness: false,
+};
+/// The full name of the publishers' node.
+const NODE: &str = "/robot7/driver";
+
 const LATCHED: Offer = Offer { transient_local: true, depth: 1, ..RELIABLE };
 
 fn kind() -> Kind {
@@ -44,15 +54,16 @@ fn body(announcement: Option<Announcement>) -> Vec<u8> {
 }
 
 fn joined(number: u32, offers: Offer, definition: Option<&str>) -> Change {
-    Change::Joined { writer: name(1), number, kind: kind(), definition: definition.map(Arc::from), offers }
+    let definition = definition.map(Arc::from);
+    Change::Joined { writer: name(1), number, kind: kind(), definition, node: NODE.into(), offers }
 }
 
 #[test]
 fn publishers_come_and_go_at_the_other_end() {
     let now = Instant::now();
     let (mut out, mut into) = (Outgoing::new(kind(), Some("string data".into())), Incoming::default());
-    out.joined('a', RELIABLE);
-    out.joined('b', LATCHED);
+    out.joined('a', NODE, RELIABLE);
+    out.joined('b', NODE, LATCHED);
     let first = body(out.poll(now).unwrap());
     let (changes, _) = into.roster(now, &message(1, 1, b"", first)).unwrap();
     let definition = Some("string data");
@@ -60,7 +71,7 @@ fn publishers_come_and_go_at_the_other_end() {
 
     assert_eq!(out.poll(now).unwrap(), None);
     let Some(Announcement::Brief(brief)) = out.poll(now + REFRESH).unwrap() else { panic!("nothing has changed") };
-    assert!(brief.len() < 300, "{}", brief.len());
+    assert!(brief.len() < 450, "{}", brief.len());
     assert_eq!(into.roster(now, &message(1, 2, b"", brief)), Ok((vec![], vec![])), "the definition is known");
 
     let is_whole = |announcement| matches!(announcement, Some(Announcement::Whole(_)));
@@ -68,8 +79,8 @@ fn publishers_come_and_go_at_the_other_end() {
     assert_eq!(whole, [11, 22], "it may have been lost");
 
     assert_eq!(out.left(&'a'), Some(0));
-    out.joined('b', RELIABLE);
-    out.joined('c', RELIABLE);
+    out.joined('b', NODE, RELIABLE);
+    out.joined('c', NODE, RELIABLE);
     let changed = body(out.poll(now).unwrap());
     let (changes, _) = into.roster(now, &message(1, 4, b"", changed.clone())).unwrap();
     let left = |number| Change::Left { writer: name(1), number };
@@ -87,6 +98,33 @@ fn publishers_come_and_go_at_the_other_end() {
     assert_eq!(into.clear(), [left(1), left(2)]);
 }
 
+#[test]
+fn the_end_of_a_lease_and_the_node_of_a_publisher_are_told() {
+    let now = Instant::now();
+    let (mut out, mut into) = (Outgoing::new(kind(), None), Incoming::default());
+    out.joined('a', NODE, RELIABLE);
+    out.joined('b', NODE, RELIABLE);
+    let mut sequence = 0;
+    let mut told = |out: &mut Outgoing<char>, into: &mut Incoming| {
+        sequence += 1;
+        let roster = body(out.poll(now).unwrap());
+        into.roster(now, &message(1, sequence, b"", roster)).unwrap().0
+    };
+    assert_eq!(told(&mut out, &mut into), [joined(0, RELIABLE, None), joined(1, RELIABLE, None)]);
+    out.set_alive(&'a', false);
+    assert_eq!(told(&mut out, &mut into), [Change::Silent { writer: name(1), number: 0 }]);
+    assert_eq!(into.message(now, message(1, 9, &origin(0), "waits")), None);
+    out.set_alive(&'a', true);
+    assert_eq!(told(&mut out, &mut into), [joined(0, RELIABLE, None)]);
+    out.set_alive(&'a', true);
+    assert_eq!(out.poll(now), Ok(None), "nothing has changed");
+
+    out.joined('b', "/other", RELIABLE);
+    let Change::Joined { writer, number, kind, definition, offers, .. } = joined(1, RELIABLE, None) else { panic!() };
+    let moved = Change::Joined { writer, number, kind, definition, node: "/other".into(), offers };
+    assert_eq!(told(&mut out, &mut into), [moved]);
+}
+
 /// One that lists nobody.
 fn brief_of(roster: &[u8]) -> Vec<u8> {
     let roster = Roster::from_bytes(roster).unwrap();
@@ -98,10 +136,10 @@ fn who_promises_more_is_missed_sooner_and_spoken_of_more_often() {
     let now = Instant::now();
     let (mut out, mut into) = (Outgoing::new(kind(), None), Incoming::default());
     let lively = Offer { liveliness_ns: 2_000_000_000, deadline_ns: 9_000_000_000, ..RELIABLE };
-    out.joined(0, RELIABLE);
+    out.joined(0, NODE, RELIABLE);
     assert_eq!((RELIABLE.lease(), lively.lease()), (LEASE, Duration::from_secs(2)));
     assert_eq!(Offer { deadline_ns: 1, ..RELIABLE }.lease(), MIN_LEASE);
-    out.joined(1, lively);
+    out.joined(1, NODE, lively);
     let roster = body(out.poll(now).unwrap());
     into.roster(now, &message(1, 1, b"", roster)).unwrap();
     assert_eq!(out.due(), Some(now + Duration::from_millis(500)));
@@ -127,8 +165,8 @@ fn messages_wait_for_the_roster_that_tells_of_their_publisher() {
         assert_eq!(into.message(now, message(1, 2 + u64::from(i), &origin(i), "held")), None);
     }
     assert_eq!(into.message(now, message(2, 1, &origin(0), "another's")), None);
-    out.joined(0, RELIABLE);
-    out.joined(1, RELIABLE);
+    out.joined(0, NODE, RELIABLE);
+    out.joined(1, NODE, RELIABLE);
     let (_, released) = into.roster(now, &message(1, 5, b"", body(out.poll(now).unwrap()))).unwrap();
     assert_eq!(released.iter().map(|message| message.sequence).collect::<Vec<_>>(), [2, 3]);
     assert!(matches!(into.message(now, message(1, 6, &origin(1), "x")), Some(RosterEvent::Message(1, _))));
@@ -144,7 +182,7 @@ fn messages_wait_for_the_roster_that_tells_of_their_publisher() {
 fn a_new_session_has_other_publishers() {
     let now = Instant::now();
     let (mut out, mut into) = (Outgoing::new(kind(), None), Incoming::default());
-    out.joined(0, RELIABLE);
+    out.joined(0, NODE, RELIABLE);
     let roster = body(out.poll(now).unwrap());
     into.roster(now, &message(1, 9, b"", roster.clone())).unwrap();
     let mut anew = message(1, 1, b"", roster);
@@ -179,19 +217,21 @@ fn what_is_no_roster_is_refused_and_named() {
     assert!(refused(&Roster { kind: long, ..good.clone() }).contains("name: 257 where at most 256"));
     let definition = Some("x".repeat(MAX_DEFINITION + 1));
     assert!(refused(&Roster { definition, ..good.clone() }).contains("definition"));
-    let writer = Writer { number: 1, offers: RELIABLE };
+    let writer = Writer { number: 1, node: NODE.into(), alive: true, offers: RELIABLE };
+    let unnamed = Writer { node: "x".repeat(256), ..writer.clone() };
+    assert!(refused(&Roster { writers: vec![unnamed], ..good.clone() }).contains("node's name: 256"));
     assert!(refused(&Roster { writers: vec![writer.clone(), writer.clone()], ..good.clone() }).contains("order"));
-    let many = (0..=MAX_WRITERS as u32).map(|number| Writer { number, offers: RELIABLE }).collect();
+    let many = (0..=MAX_WRITERS as u32).map(|number| Writer { number, ..writer.clone() }).collect();
     assert!(refused(&Roster { writers: many, ..good }).contains("publishers: 513"));
 }
 
 #[test]
 fn of_too_many_publishers_the_last_have_no_number() {
     let mut out = Outgoing::new(kind(), None);
-    (0..MAX_WRITERS + 5).for_each(|key| out.joined(key, RELIABLE));
+    (0..MAX_WRITERS + 5).for_each(|key| out.joined(key, NODE, RELIABLE));
     assert_eq!((out.number(&0), out.number(&MAX_WRITERS)), (Some(0), None));
     out.left(&0);
-    out.joined(MAX_WRITERS, RELIABLE);
+    out.joined(MAX_WRITERS, NODE, RELIABLE);
     assert_eq!(out.number(&MAX_WRITERS), Some(MAX_WRITERS as u32), "never one that was another's");
     let roster = body(out.poll(Instant::now()).unwrap());
     assert_eq!(Roster::from_bytes(&roster).unwrap().writers.len(), MAX_WRITERS);

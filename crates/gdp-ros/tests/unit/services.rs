@@ -30,7 +30,7 @@ fn a_type_that_only_the_server_knows_is_made_from_its_definitions() {
     let types = Types::load([]).unwrap();
     let definitions = Definitions { request: "int64 a\nint64 b\n".into(), response: "int64 sum\n".into() };
     let kind = Kind { dialect: Dialect::Ros2, name: "my_robot/srv/AddTwoInts".into(), hash: vec![] };
-    let server = Description { kind, definitions: Some(definitions) };
+    let server = Description { kind, node: "/robot7/driver".into(), definitions: Some(definitions) };
     let client = types.service_counterpart(&server, Dialect::Ros1).unwrap();
     assert_eq!(client.kind.name, "my_robot/AddTwoInts");
     // As genpy computes it of rospy_tutorials/AddTwoInts.

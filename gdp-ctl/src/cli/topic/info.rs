@@ -52,6 +52,8 @@ struct PublisherOutput {
     writer: Name,
     /// Number of the publisher at its writer.
     number: u32,
+    /// The full name of the publisher's node, or an empty text.
+    node: String,
     r#type: String,
     type_hash: String,
     #[schemars(with = "String")]
@@ -63,6 +65,7 @@ struct PublisherOutput {
     deadline_ns: u64,
     lifespan_ns: u64,
     liveliness_lease_ns: u64,
+    liveliness: &'static str,
 }
 
 /// Known state of a topic.
@@ -129,10 +132,12 @@ impl InfoOutput {
 
 impl PublisherOutput {
     fn new(((writer, number), publisher): &((Name, u32), RemotePublisher)) -> Self {
-        let Offer { reliable, transient_local, depth, deadline_ns, lifespan_ns, liveliness_ns } = publisher.offers;
+        let Offer { reliable, transient_local, depth, deadline_ns, lifespan_ns, liveliness_ns, manual_liveliness } =
+            publisher.offers;
         Self {
             writer: *writer,
             number: *number,
+            node: publisher.node.to_string(),
             r#type: publisher.kind.name.clone(),
             type_hash: hash(&publisher.kind),
             dialect: publisher.kind.dialect,
@@ -143,12 +148,13 @@ impl PublisherOutput {
             deadline_ns,
             lifespan_ns,
             liveliness_lease_ns: liveliness_ns,
+            liveliness: if manual_liveliness { "manual_by_topic" } else { "automatic" },
         }
     }
 }
 
-/// Formats the output as ros2cli does. Node names are not known outside their graphs. The GID is
-/// the writer's name followed by the publisher's number at the writer.
+/// Formats the output as ros2cli does. The GID is the writer's name followed by the
+/// publisher's number at the writer.
 fn lines(card: &NameCard, info: &Info, verbose: bool) -> Vec<String> {
     let mut publishers = Vec::new();
     for ((writer, number), publisher) in &info.publishers {
@@ -175,9 +181,15 @@ fn endpoint(what: &str, gid: &[u8], publisher: Option<&RemotePublisher>, card: &
         Some(publisher) => (publisher.kind.name.clone(), hash(&publisher.kind)),
         None => (card.get("type").unwrap_or_default().to_owned(), "INVALID".into()),
     };
+    let node = publisher.and_then(|publisher| publisher.node.rsplit_once('/'));
+    let (namespace, node) = match node {
+        Some(("", node)) => ("/", node),
+        Some(full) => full,
+        None => ("_NODE_NAMESPACE_UNKNOWN_", "_NODE_NAME_UNKNOWN_"),
+    };
     let mut lines = vec![
-        "Node name: _NODE_NAME_UNKNOWN_".to_owned(),
-        "Node namespace: _NODE_NAMESPACE_UNKNOWN_".to_owned(),
+        format!("Node name: {node}"),
+        format!("Node namespace: {namespace}"),
         format!("Topic type: {kind}"),
         format!("Topic type hash: {hash}"),
         format!("Endpoint type: {what}"),
@@ -202,7 +214,7 @@ fn qos(offers: &Offer) -> [String; 7] {
         format!("  Durability: {}", if offers.transient_local { "TRANSIENT_LOCAL" } else { "VOLATILE" }),
         format!("  Lifespan: {}", time(offers.lifespan_ns)),
         format!("  Deadline: {}", time(offers.deadline_ns)),
-        "  Liveliness: AUTOMATIC".to_owned(),
+        format!("  Liveliness: {}", if offers.manual_liveliness { "MANUAL_BY_TOPIC" } else { "AUTOMATIC" }),
         format!("  Liveliness lease duration: {}", time(offers.liveliness_ns)),
     ]
 }

@@ -132,6 +132,7 @@ fn offer(options: &Options) -> Offer {
         deadline_ns: 0,
         lifespan_ns: 0,
         liveliness_ns: 0,
+        manual_liveliness: false,
     }
 }
 
@@ -188,7 +189,7 @@ impl Source {
     fn new(publisher: Publisher, maker: &Maker, offers: Offer) -> Self {
         let text = Some(maker.schema.text()).filter(|text| text.len() <= roster::MAX_DEFINITION);
         let mut roster = Outgoing::new(maker.kind.clone(), text);
-        roster.joined((), offers);
+        roster.joined((), "", offers);
         let origin = roster::origin(roster.number(&()).unwrap_or_default());
         Self { publisher, roster, origin }
     }

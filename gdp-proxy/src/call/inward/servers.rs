@@ -20,6 +20,7 @@ use crate::call::inward::events::{Doing, Done, Remote};
 use crate::call::inward::state::In;
 use crate::config::What;
 use crate::graph::GraphError;
+use crate::node_name::local_node;
 use crate::route_status::RouteError;
 
 /// Bound on the remote servers of a name; only the nearest are used.
@@ -169,7 +170,11 @@ impl Route {
         if to.local.is_none() {
             let name = here.kind.name.clone();
             match Stands::new(to.way.graph, &self.config.name, self.config.what, &here) {
-                Ok(stands) => to.local = Some((Arc::new(stands), here)),
+                Ok(stands) => {
+                    let listed = to.way.card.get("topic");
+                    stands.assign(&local_node(&self.config.name, listed, &here.node));
+                    to.local = Some((Arc::new(stands), here));
+                }
                 Err(error @ GraphError::Left) => return Err(error.into()),
                 // An earlier local server may still be answering.
                 Err(error) => return Ok(Err(error.to_string())),

@@ -20,8 +20,8 @@ impl Domain {
     /// dropped. Without `mapping`, each client is answered in the mapping of its vendor.
     pub fn server(&self, name: &TopicName, kind: &TypeName, mapping: Option<Mapping>) -> Result<Server, RosError> {
         let ([requests, replies], [request, response]) = (name.to_dds_service(), kind.of_service());
-        let reader = self.raw_reader(name, &requests, &request, &Qos::default().into())?;
-        let writer = self.raw_writer(name, &replies, &response, &Qos::default().into())?;
+        let reader = self.raw_reader(name, &requests, &request, &[], &Qos::default().into())?;
+        let writer = self.raw_writer(name, &replies, &response, &[], &Qos::default().into())?;
         Ok(Server::new(reader, writer, mapping, self.discovery.writers()))
     }
 
@@ -29,8 +29,8 @@ impl Domain {
     /// tokio runtime.
     pub fn client(&self, name: &TopicName, kind: &TypeName, mapping: Mapping) -> Result<Client, RosError> {
         let ([requests, replies], [request, response]) = (name.to_dds_service(), kind.of_service());
-        let reader = self.raw_reader(name, &replies, &response, &Qos::default().into())?;
-        let writer = self.raw_writer(name, &requests, &request, &Qos::default().into())?;
+        let reader = self.raw_reader(name, &replies, &response, &[], &Qos::default().into())?;
+        let writer = self.raw_writer(name, &requests, &request, &[], &Qos::default().into())?;
         Ok(Client::new(reader, writer, mapping))
     }
 }

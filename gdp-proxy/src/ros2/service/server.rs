@@ -72,6 +72,15 @@ pub enum BadRequest {
 }
 
 impl Server {
+    /// Moves both endpoints to the ROS node with this full name, which may be a remote one.
+    pub fn assign(&self, node: &str) {
+        self.requests.assign(node);
+        // Nobody answers yet.
+        if let Ok(replies) = self.replies.try_lock() {
+            replies.writer.assign(node);
+        }
+    }
+
     pub(super) fn new(
         requests: RawReader,
         replies: RawWriter,

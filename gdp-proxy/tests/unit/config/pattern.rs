@@ -63,6 +63,7 @@ fn services_that_every_node_has_are_meant_only_by_their_names() {
             assert!(!is_meant(service, pattern, &name), "{pattern} {name}");
         }
         assert!(is_meant(service, &name, &name), "{name}");
+        assert_eq!(is_meant(service, &format!("/**/{last}"), &name), !last.contains('/'), "{name}");
     }
     assert!(is_meant(service, "/**", "/a/get_plan") && is_meant(service, "/**", "/get_parameters/now"));
     assert!(is_meant(action, "/**", "/a/get_parameters") && matches("/**", "/a/get_parameters"));

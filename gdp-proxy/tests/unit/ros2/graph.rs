@@ -19,15 +19,18 @@ fn endpoints_become_topics_services_and_actions() {
             seen(3, 11, false, "rq/halfRequest", "pkg::srv::dds_::Add_Request_"),
         ]
         .into_iter(),
+        &NodeNames::from([(guid(1, 1).to_bytes(), "/robot/driver".into()), (guid(1, 3).to_bytes(), "/adder".into())]),
     );
     assert_eq!(graph.topics.len(), 1, "{graph:?}");
     let chatter = &graph.topics[&TopicName::parse("/chatter").unwrap()];
     assert_eq!((chatter.publishers.len(), chatter.subscribers.len()), (1, 1));
     assert_eq!(chatter.publishers[0].hash.as_ref().map(TypeHash::as_str), Some(HASH));
+    assert_eq!((&*chatter.publishers[0].node, &*chatter.subscribers[0].node), ("/robot/driver", ""));
     assert_eq!(graph.services.len(), 1, "one half of a service is none");
     let add = &graph.services[&TopicName::parse("/add").unwrap()];
     assert_eq!(add.servers[0].kind, TypeName::parse("pkg/srv/Add").unwrap());
     assert_eq!((add.servers[0].id[0], add.clients[0].id[0]), (1, 2));
+    assert_eq!(&*add.servers[0].node, "/adder");
     let fib = &graph.actions[&TopicName::parse("/fib").unwrap()];
     assert_eq!(fib.kind, TypeName::parse("pkg/action/Fib").unwrap());
     assert_eq!((fib.servers.len(), fib.clients.len()), (1, 0));
@@ -44,6 +47,14 @@ fn only_a_well_formed_hash_is_believed() {
 }
 
 #[test]
+fn the_hash_that_an_endpoint_announces_is_read_by_others() {
+    let announced = user_data(&[0; 32]);
+    let as_received = [&(announced.len() as u32).to_le_bytes(), &announced[..]].concat();
+    assert_eq!(TypeHash::from_user_data(&as_received).map(|hash| hash.0), Some(HASH.to_owned()));
+    assert!(user_data(&[]).is_empty());
+}
+
+#[test]
 fn durations_without_end_are_none() {
     assert_eq!(finite(rustdds::Duration::INFINITE), None);
     assert_eq!(finite(rustdds::Duration::from_secs(-1)), None);
@@ -52,11 +63,15 @@ fn durations_without_end_are_none() {
 
 const HASH: &str = "RIHS01_0000000000000000000000000000000000000000000000000000000000000000";
 
-fn seen(participant: u8, endpoint: u8, writes: bool, topic: &str, kind: &str) -> Seen {
+fn guid(participant: u8, endpoint: u8) -> GUID {
     let mut guid = [participant; 16];
     guid[15] = endpoint;
+    GUID::from_bytes(guid)
+}
+
+fn seen(participant: u8, endpoint: u8, writes: bool, topic: &str, kind: &str) -> Seen {
     Seen {
-        guid: GUID::from_bytes(guid),
+        guid: guid(participant, endpoint),
         writes,
         topic: topic.into(),
         kind: kind.into(),

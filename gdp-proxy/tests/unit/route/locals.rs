@@ -56,12 +56,19 @@ fn it_is_hopeless_while_no_counterpart_can_be_made() {
 
 const WRITER: Name = Name::from_bytes([1; 32]);
 
-const OFFER: Offer =
-    Offer { reliable: true, transient_local: false, depth: 1, deadline_ns: 0, lifespan_ns: 0, liveliness_ns: 0 };
+const OFFER: Offer = Offer {
+    reliable: true,
+    transient_local: false,
+    depth: 1,
+    deadline_ns: 0,
+    lifespan_ns: 0,
+    liveliness_ns: 0,
+    manual_liveliness: false,
+};
 
 fn joined(number: u32, offers: Offer) -> Change {
     let kind = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/String".into(), hash: vec![] };
-    Change::Joined { writer: WRITER, number, kind, definition: None, offers }
+    Change::Joined { writer: WRITER, number, kind, definition: None, node: std::sync::Arc::default(), offers }
 }
 
 fn message(body: bytes::Bytes) -> Message {
