@@ -49,7 +49,7 @@ async fn publishers_are_told_apart_and_each_is_heard_once() {
                     _ => from_lively = Some(key),
                 },
                 Event::Message(_) => panic!("of nobody"),
-                Event::Incompatible { policy, .. } => panic!("nothing is asked for: {policy}"),
+                Event::Incompatible { why, .. } => panic!("nothing is asked for: {why}"),
                 Event::Left(_) | Event::Liveliness { .. } | Event::Unreadable(_) => panic!("not yet"),
             }
         }

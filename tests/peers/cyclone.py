@@ -27,6 +27,7 @@ def arguments():
     p.add_argument("--gate", help="send warm-up messages, numbered -1, until this file exists")
     p.add_argument("--more-topics", type=int, default=0, help="as many writers of other topics, which write nothing")
     p.add_argument("--node", help="announce a ROS node of this name, as rmw_cyclonedds does")
+    p.add_argument("--keyed", action="store_true", help="a type whose only field is its key")
     p.add_argument("--no-wait", action="store_true", help="talk without a listener")
     return p.parse_args()
 
@@ -44,7 +45,7 @@ from cyclonedds._clayer import ddspy_take
 from cyclonedds.core import Listener, Policy, Qos, ReadCondition, ViewState, InstanceState, SampleState, WaitSet
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.annotations import final
+from cyclonedds.idl.annotations import final, key
 from cyclonedds.idl.types import array, sequence, uint8
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
@@ -56,6 +57,13 @@ from cyclonedds.util import duration
 @final
 class String_(IdlStruct, typename="std_msgs::msg::dds_::String_"):
     data: str
+
+
+@dataclass
+@final
+class Keyed_(IdlStruct, typename="std_msgs::msg::dds_::String_"):
+    data: str
+    key("data")
 
 
 @dataclass
@@ -123,7 +131,8 @@ def qos():
 
 
 def talk(participant):
-    writer = DataWriter(participant, Topic(participant, args.topic, String_, qos=qos()), qos=qos())
+    kind = Keyed_ if args.keyed else String_
+    writer = DataWriter(participant, Topic(participant, args.topic, kind, qos=qos()), qos=qos())
     node = announce(participant, writers=[writer])
     topics = [Topic(participant, f"{args.topic}{n}", String_, qos=qos()) for n in range(args.more_topics)]
     more = [DataWriter(participant, topic, qos=qos()) for topic in topics]
@@ -139,7 +148,7 @@ def talk(participant):
     crc = zlib.crc32(filler.encode())
 
     def write(sequence):
-        writer.write(String_(f"{sequence:010d} {time.monotonic_ns():020d} {crc:010d} {filler}"))
+        writer.write(kind(f"{sequence:010d} {time.monotonic_ns():020d} {crc:010d} {filler}"))
 
     while args.gate and not os.path.exists(args.gate):
         write(-1)

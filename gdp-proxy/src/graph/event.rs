@@ -39,10 +39,10 @@ pub enum Event {
         node: Arc<str>,
         offers: Offer,
     },
-    /// A publisher is not read, because it offers less in `policy` than the configuration requests.
+    /// A publisher is not read.
     Incompatible {
         key: Key,
-        policy: &'static str,
+        why: Incompatibility,
     },
     Left(Key),
     /// The lease of a publisher's liveliness has ended, or the publisher is alive again.
@@ -53,6 +53,16 @@ pub enum Event {
     Message(Arrived),
     /// A message that cannot be carried, with the reason.
     Unreadable(String),
+}
+
+/// The reason why a publisher is not read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Incompatibility {
+    #[error("incompatible QoS: `qos` asks for more than it offers in {0}")]
+    Qos(&'static str),
+    /// DDS does not match it with a reader of a topic without keys.
+    #[error("its type has key fields (`@key`), and topics with keys are not carried")]
+    Keyed,
 }
 
 /// A message of a publisher that has joined. `from` is `None` if its publisher is unknown.

@@ -8,7 +8,7 @@ mod ros1;
 mod ros2;
 mod services;
 
-pub use crate::graph::event::{Arrived, Event, GraphError, Key, NODE, WriteError};
+pub use crate::graph::event::{Arrived, Event, GraphError, Incompatibility, Key, NODE, WriteError};
 pub use services::{Asked, Asker, Caller, CallerError, Peer, Servers, Stand};
 
 use std::collections::BTreeMap;

@@ -8,7 +8,7 @@ use bytes::Bytes;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::graph::event::{Event, Key, WriteError};
+use crate::graph::event::{Event, Incompatibility, Key, WriteError};
 use crate::ros2::{
     self, DisplayedQos, Domain, Durability, Endpoint, Graph, Qos, RawReader, RawSample, RawWriter, Reliability,
     RosError, TopicName, TypeName,
@@ -183,8 +183,9 @@ impl<'a> Ros2Reader<'a> {
             let same = |before: &Known| (&before.kind, &before.node, before.offers) == (&kind, &node, offers);
             if !self.known.get(&key).is_some_and(same) {
                 let asked = self.qos.map(Offer::from);
-                self.events.push_back(match asked.and_then(|asked| lacking(&offers, &asked)) {
-                    Some(policy) => Event::Incompatible { key, policy },
+                let lacking = asked.and_then(|asked| lacking(&offers, &asked)).map(Incompatibility::Qos);
+                self.events.push_back(match lacking.or(is_keyed(key).then_some(Incompatibility::Keyed)) {
+                    Some(why) => Event::Incompatible { key, why },
                     None => Event::Joined { key, kind: kind.clone(), node: node.clone(), offers },
                 });
                 let alive = self.known.get(&key).is_none_or(|before| before.alive);
@@ -248,6 +249,13 @@ impl<'a> Ros2Reader<'a> {
         }
         Ok(())
     }
+}
+
+/// Whether a DDS writer has a topic with keys: the last byte of its GUID is its kind (RTPS 2.5
+/// §9.3.1.2).
+fn is_keyed(writer: Key) -> bool {
+    const WRITER_WITH_KEY: u8 = 0x02;
+    writer.to_be_bytes()[15] == WRITER_WITH_KEY
 }
 
 /// Returns the policy in which a publisher offers less than is requested.

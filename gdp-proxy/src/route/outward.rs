@@ -119,8 +119,8 @@ impl Route {
                     Event::Joined { key, kind, .. } => {
                         _ = incompatible_publishers.insert(key, self.of_another_type(&kind, wanted.as_ref()))
                     }
-                    Event::Incompatible { key, policy } => {
-                        _ = incompatible_publishers.insert(key, self.incompatible(policy))
+                    Event::Incompatible { key, why } => {
+                        _ = incompatible_publishers.insert(key, self.not_carried(why.to_string()))
                     }
                     Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
                     Event::Left(key) => _ = incompatible_publishers.remove(&key),
@@ -207,8 +207,8 @@ impl Route {
                         return Ok(Turn::More);
                     }
                 }
-                Event::Incompatible { key, policy } => {
-                    out.incompatible_publishers.insert(key, self.incompatible(policy));
+                Event::Incompatible { key, why } => {
+                    out.incompatible_publishers.insert(key, self.not_carried(why.to_string()));
                     self.show_out("up", &out.incompatible_publishers);
                 }
                 Event::Left(key) => {
@@ -302,10 +302,6 @@ impl Route {
     fn of_another_type(&self, kind: &Kind, wanted: Option<&Kind>) -> String {
         let wanted = wanted.map_or("another type", |wanted| &wanted.name);
         self.not_carried(format!("it publishes {}, and the topic is of {wanted}", kind.name))
-    }
-
-    fn incompatible(&self, policy: &str) -> String {
-        self.not_carried(format!("incompatible QoS: `qos` asks for more than it offers in {policy}"))
     }
 
     fn not_carried(&self, why: String) -> String {

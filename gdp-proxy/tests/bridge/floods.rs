@@ -13,6 +13,9 @@ use super::site::Site;
 /// Warnings that a log may have, however many topics there are.
 const MOST_WARNINGS: usize = 20;
 
+/// Of a proxy in one DDS domain, however many topics it carries.
+const MOST_DESCRIPTORS: usize = 100;
+
 /// Time to make and to find thousands of topics on a busy machine.
 const LIMIT: Duration = Duration::from_secs(300);
 
@@ -38,14 +41,16 @@ async fn twenty_thousand_topics_of_rospy_are_a_few_lines_of_the_log() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn five_thousand_topics_of_a_dds_participant_are_a_few_lines_of_the_log() {
-    raise_limit().unwrap();
     let site = Site::start().await;
     let domain = site.domain_id() + 15;
     let (expose, _) = site.by_pattern("robot", "cloud", "topics: [/**]", "topics: [/**]");
-    let _proxy = site.begin("robot", &format!("{{domain_id: {domain}}}"), &expose);
+    let proxy = site.begin("robot", &format!("{{domain_id: {domain}}}"), &expose);
     let mut peer = Peer::topic(Vendor::Cyclone, "talk", domain, &["--no-wait", "--more-topics", "5000"]);
     peer.event("ready").await;
     shown_in_a_few_lines(&site).await;
+    // All endpoints of a participant share its sockets.
+    let open = proxy.descriptors();
+    assert!(open < MOST_DESCRIPTORS, "{open} open files for {MAX_ENTRIES} topics");
 }
 
 /// Waits until the proxy carries all it can and says that there are more.

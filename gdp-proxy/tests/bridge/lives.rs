@@ -10,6 +10,7 @@ use gdp_proxy::ros2::{Domain, RawReader, RawWriter, TopicName, TypeName};
 use gdp_ros::roster::{Dialect, Kind, Offer, Outgoing, ROSTER};
 
 use crate::master::Master;
+use crate::peer::{Peer, Vendor};
 use crate::site::{Proxy, Site};
 use crate::{LATCHED, RELIABLE, cdr, graph, text, texts, until, within};
 
@@ -130,6 +131,17 @@ async fn the_status_says_which_publisher_has_no_counterpart_until_it_has_gone() 
     drop(reader);
     status(&proxy, "up").await;
     listening.leave().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_status_says_that_a_topic_has_keys() {
+    let site = Site::start().await;
+    let id = site.domain_id() + 28;
+    let topics = [site.topic("/chatter", "std_msgs/msg/String")];
+    let proxy = site.proxy("robot", &domain(id), &topics, "direction: out");
+    let keyed = Peer::topic(Vendor::Cyclone, "talk", id, &["--keyed", "--no-wait"]);
+    status(&proxy, "its type has key fields (`@key`), and topics with keys are not carried").await;
+    keyed.kill().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -62,6 +62,11 @@ impl Proxy {
         stats[key].as_array().cloned().unwrap_or_default()
     }
 
+    /// How many files it has open.
+    pub fn descriptors(&self) -> usize {
+        fs::read_dir(format!("/proc/{}/fd", self.child.id())).unwrap().count()
+    }
+
     pub fn signal(&self, signal: i32) {
         // SAFETY: no memory is involved; the child is not reaped yet, so this is its number.
         assert_eq!(unsafe { libc::kill(self.child.id() as i32, signal) }, 0);

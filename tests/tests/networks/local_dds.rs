@@ -89,6 +89,25 @@ fn a_large_reliable_topic_goes_on_where_every_datagram_comes_twice() -> Result<(
     Ok(())
 }
 
+/// A robot's proxy starts at boot, before the cable to its second computer is plugged in.
+#[test]
+fn an_interface_that_comes_up_later_is_joined() -> Result<()> {
+    let mut site = Site::build()?;
+    let mut listener = site.listen(Vendor::Cyclone, &site.cloud, 1, TOPIC)?;
+    for proxy in &mut site.proxies {
+        proxy.wait_until("the graphs", TIMEOUT, |proxy| proxy.stderr().contains("in the ROS graphs").then_some(()))?;
+    }
+    let lidar = Namespace::create("lidar")?;
+    let mac = |end| [2, 0, 0, 5, end, 9];
+    let near = End { namespace: &site.robot, interface: "in1", mac: mac(0) };
+    veth(&near, &End { namespace: &lidar, interface: "e0", mac: mac(1) }, 1500)?;
+    site.robot.ip(&["addr", "add", "10.77.9.2/24", "dev", "in1"])?;
+    lidar.ip(&["addr", "add", "10.77.9.3/24", "dev", "e0"])?;
+    let _talker = site.talk(Vendor::Rclpy, &lidar, 0, TOPIC, &[])?;
+    listener.wait_event("message", TIMEOUT).with_context(|| site.report())?;
+    Ok(())
+}
+
 /// As the history policy KEEP_LAST requires: a writer replaces its oldest sample and waits for no
 /// reader.
 #[test]
