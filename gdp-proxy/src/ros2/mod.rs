@@ -90,7 +90,8 @@ impl Domain {
 
     pub fn join_within(range: Range, domain: u16, node: &str) -> Result<Self, RosError> {
         let refused = |source| RosError::Join { domain, source };
-        let builder = DomainParticipantBuilder::new(domain);
+        let peers = range::static_peers(range, |variable| std::env::var(variable).ok())?;
+        let builder = DomainParticipantBuilder::new(domain).with_initial_peers(peers);
         let builder = match range {
             // The participant announces no other address, and sends multicast on no other
             // interface.

@@ -108,6 +108,21 @@ fn an_interface_that_comes_up_later_is_joined() -> Result<()> {
     Ok(())
 }
 
+/// The access point of a robot may drop multicast.
+#[test]
+fn a_static_peer_is_found_without_multicast() -> Result<()> {
+    let mut site = Site::build()?;
+    let mut listener = site.listen(Vendor::Cyclone, &site.cloud, 1, TOPIC)?;
+    // Without multicast, and told of no other host.
+    let _talker = site.talk(Vendor::Cyclone, &site.arm, 0, TOPIC, &["--peer", "10.77.1.3"])?;
+    ensure!(site.proxies[0].stop(TIMEOUT)?.success(), "{}", site.report());
+    let mut command = site.robot.command(site.tools.gdp_proxy()?)?;
+    command.arg("--config").arg(site.folder.path().join("robot/proxy.yaml")).env("ROS_STATIC_PEERS", "10.77.1.3");
+    site.proxies[0] = Process::spawn("robot-proxy", command, site.folder.path())?;
+    listener.wait_event("message", TIMEOUT).with_context(|| site.report())?;
+    Ok(())
+}
+
 /// As the history policy KEEP_LAST requires: a writer replaces its oldest sample and waits for no
 /// reader.
 #[test]
