@@ -85,6 +85,7 @@
 // These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+mod action;
 mod definition;
 mod dialect;
 mod embedded;
@@ -98,6 +99,7 @@ mod share;
 mod translate;
 
 pub use crate::dialect::Dialect;
+pub use action::{Action, ActionError, ActionPart};
 pub use definition::{
     Base, Constant, Count, Definition, DefinitionError, Field, MAX_ARRAY, MAX_FIELDS, MAX_TEXT, Problem, Scalar,
 };

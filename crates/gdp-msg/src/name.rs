@@ -139,6 +139,14 @@ impl TypeName {
         Self { package: self.package.clone(), kind, name: format!("{}{suffix}", self.name).into() }
     }
 
+    /// Returns whether both dialects mean the same type by these names. ROS 1 writes `DoGoal` where
+    /// ROS 2 writes `Do_Goal`.
+    pub(crate) fn is_counterpart(&self, other: &Self) -> bool {
+        let is_action = [self, other].iter().any(|name| name.kind == InterfaceKind::Action);
+        let letters = |name: &Self| name.name.replace('_', "");
+        self.package == other.package && (self.name == other.name || is_action && letters(self) == letters(other))
+    }
+
     /// Returns whether this is the message `package/Name`.
     pub(crate) fn is_message(&self, package: &str, name: &str) -> bool {
         self.kind == InterfaceKind::Message && &*self.package == package && &*self.name == name

@@ -74,7 +74,8 @@ fn service(name: &TypeName) -> [Definition; 2] {
     [message(of("_Event"), event), message(name.clone(), whole)]
 }
 
-fn action(name: &TypeName) -> Vec<Definition> {
+/// Returns the messages of a ROS 2 action that contain its parts.
+pub(crate) fn action(name: &TypeName) -> Vec<Definition> {
     let of = |suffix| name.with(InterfaceKind::Action, suffix);
     let goal_id = || named("goal_id", TypeName::message("unique_identifier_msgs", "UUID"));
     let scalar = |scalar, field| Field::new(Base::Scalar(scalar), Count::One, field);
@@ -100,7 +101,8 @@ fn action(name: &TypeName) -> Vec<Definition> {
     all
 }
 
-fn ros1_action(name: &TypeName) -> Vec<Definition> {
+/// Returns the messages of a ROS 1 action that contain its parts.
+pub(crate) fn ros1_action(name: &TypeName) -> Vec<Definition> {
     let of = |suffix: &str| name.with(InterfaceKind::Message, suffix);
     let header = || named("header", TypeName::message("std_msgs", "Header"));
     let part = |field: &str, part: &str| named(field, TypeName::message("actionlib_msgs", part));

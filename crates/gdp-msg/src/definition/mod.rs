@@ -1,6 +1,6 @@
 //! Parses interface definitions of both dialects: `.msg`, `.srv` and `.action`.
 
-mod interface;
+pub(crate) mod interface;
 mod line;
 mod literal;
 mod print;

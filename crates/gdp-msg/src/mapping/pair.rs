@@ -42,7 +42,7 @@ pub(super) fn pair(from: (Dialect, &Definition), to: (Dialect, &Definition)) -> 
         }
         left.drain(..).zip(left_to).for_each(|(a, b)| of[b] = Some(a));
     }
-    if from.1.name.package() != to.1.name.package() || from.1.name.name() != to.1.name.name() {
+    if !from.1.name.is_counterpart(&to.1.name) {
         let left_to: Vec<usize> = (0..t.len()).filter(|index| of[*index].is_none()).collect();
         if !left.is_empty() || !left_to.is_empty() {
             return Err(Unpaired::Left(left, left_to));
