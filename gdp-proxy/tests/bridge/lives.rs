@@ -49,6 +49,40 @@ async fn a_publisher_of_a_single_message_is_heard() {
     listening.leave().await;
 }
 
+/// `rosnode list` shows no node for each topic.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_proxy_has_as_many_nodes_as_a_topic_has_latching_publishers() {
+    let site = Site::start().await;
+    let (here, there) = (Master::start().await, Master::start().await);
+    let single = ["/a", "/b", "/c", "/d"].map(|topic| site.topic(topic, "std_msgs/msg/String"));
+    let several = ["/e", "/f"].map(|topic| site.topic(topic, "std_msgs/msg/String"));
+    let topics: Vec<_> = single.into_iter().chain(several).collect();
+    let _out = site.proxy("robot", &graph(&here), &topics, "direction: out");
+    let _in = site.proxy("cloud", &graph(&there), &topics, "direction: in");
+    let mut publishers = Vec::new();
+    for topic in ["/a", "/b", "/c", "/d", "/e", "/f"] {
+        publishers.push(here.begin(&format!("first{}", &topic[1..]), &["latch", topic, "one"]));
+    }
+    for topic in ["/a", "/b", "/c", "/d", "/e", "/f"] {
+        let mut listener = there.begin(&format!("early{}", &topic[1..]), &["listen", topic]);
+        assert_eq!(texts(&mut listener, 1).await, ["one"]);
+    }
+    let of_proxies = async |name: &str| {
+        let shown = there.begin(name, &["nodes"]).event("nodes").await;
+        let names = shown["names"].as_array().unwrap().iter().map(|name| name.as_str().unwrap());
+        names.filter(|name| name.starts_with("/gdp_proxy_")).count()
+    };
+    assert_eq!(of_proxies("before").await, 1);
+    for topic in ["/e", "/f"] {
+        for text in ["two", "three"] {
+            publishers.push(here.begin(&format!("{text}{}", &topic[1..]), &["latch", topic, text]));
+        }
+        let mut listener = there.begin(&format!("late{}", &topic[1..]), &["listen", topic]);
+        assert_eq!(texts(&mut listener, 3).await, ["one", "three", "two"]);
+    }
+    assert_eq!(of_proxies("after").await, 3, "for both topics together");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_publisher_beside_one_that_latches_does_not_latch_and_the_last_of_a_burst_is_not_lost() {
     let site = Site::start().await;

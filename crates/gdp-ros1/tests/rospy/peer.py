@@ -12,6 +12,10 @@ peer.py NAME serve SERVICE          std_srvs/SetBool: says what it was set to, a
 peer.py NAME hang-up SERVICE        std_srvs/SetBool: hangs up on the first call, and answers the others
 peer.py NAME act ACTION             actionlib/TestAction: counts to the goal, and the result is twice the goal
 peer.py NAME ask ACTION GOAL        actionlib/TestAction: waits for the server as applications do, and sends a goal
+peer.py NAME compute ACTION PACKAGE SECONDS  PACKAGE/FibonacciAction: so many seconds for each number, with feedback; may be
+                                    cancelled, and rejects what is negative; several goals at once
+peer.py NAME send ACTION PACKAGE ORDER [N [HOW]]  the same; after the N-th feedback cancels its `goal`, `all` or what is `before` now
+peer.py NAME nodes                  names of all nodes at the master
 peer.py NAME call SERVICE true|false[,…]  std_srvs/SetBool, once or several times over one connection
 """
 
@@ -20,11 +24,14 @@ import json
 import socket
 import struct
 import sys
+import threading
 from io import BytesIO
 
 import actionlib
+import genpy.dynamic
 import rosgraph
 import rospy
+from actionlib_msgs.msg import GoalStatus
 from actionlib.msg import TestAction, TestFeedback, TestGoal, TestResult
 from rosgraph.network import read_ros_handshake_header, write_ros_handshake_header
 from sensor_msgs.msg import Image
@@ -154,6 +161,113 @@ def ask(action, goal):
     client.send_goal(TestGoal(goal=int(goal)), feedback_cb=lambda feedback: say("feedback", n=feedback.feedback))
     finished = client.wait_for_result(rospy.Duration(30))
     say("result", finished=finished, state=client.get_state(), result=getattr(client.get_result(), "result", None))
+
+
+# As genaction makes them of an `.action` file.
+FIBONACCI = """FibonacciActionGoal action_goal
+FibonacciActionResult action_result
+FibonacciActionFeedback action_feedback
+MSG: {package}/FibonacciActionGoal
+Header header
+actionlib_msgs/GoalID goal_id
+FibonacciGoal goal
+MSG: {package}/FibonacciActionResult
+Header header
+actionlib_msgs/GoalStatus status
+FibonacciResult result
+MSG: {package}/FibonacciActionFeedback
+Header header
+actionlib_msgs/GoalStatus status
+FibonacciFeedback feedback
+MSG: {package}/FibonacciGoal
+int32 order
+MSG: {package}/FibonacciResult
+int32[] sequence
+MSG: {package}/FibonacciFeedback
+int32[] sequence
+MSG: actionlib_msgs/GoalID
+time stamp
+string id
+MSG: actionlib_msgs/GoalStatus
+GoalID goal_id
+uint8 status
+uint8 PENDING=0
+uint8 ACTIVE=1
+uint8 PREEMPTED=2
+uint8 SUCCEEDED=3
+uint8 ABORTED=4
+uint8 REJECTED=5
+uint8 PREEMPTING=6
+uint8 RECALLING=7
+uint8 RECALLED=8
+uint8 LOST=9
+string text
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+"""
+
+
+def fibonacci(package):
+    """The classes of PACKAGE/FibonacciAction and of what it consists of, by their names behind `Fibonacci`."""
+    text = FIBONACCI.format(package=package).replace("MSG: ", "=" * 80 + "\nMSG: ")
+    classes = genpy.dynamic.generate_dynamic(f"{package}/FibonacciAction", text)
+    return {part: classes[f"{package}/Fibonacci{part}"] for part in ["Action", "Goal", "Result", "Feedback"]}
+
+
+def compute(action, package, seconds):
+    classes = fibonacci(package)
+
+    def run(goal):
+        order, sequence = goal.get_goal().order, [0, 1]
+        say("goal", order=order)
+        while len(sequence) < order and not rospy.is_shutdown():
+            if goal.get_goal_status().status == GoalStatus.PREEMPTING:
+                say("canceled")
+                return goal.set_canceled(classes["Result"](sequence=sequence))
+            sequence.append(sequence[-1] + sequence[-2] & 0x7FFFFFFF)
+            goal.publish_feedback(classes["Feedback"](sequence=sequence))
+            rospy.sleep(float(seconds))
+        goal.set_succeeded(classes["Result"](sequence=sequence), "it is long enough")
+
+    def take(goal):
+        if goal.get_goal().order < 0:
+            return goal.set_rejected(None, "it counts upwards")
+        goal.set_accepted()
+        threading.Thread(target=run, args=[goal], daemon=True).start()
+
+    server = actionlib.ActionServer(action, classes["Action"], take, auto_start=False)
+    server.start()
+    say("ready")
+    rospy.spin()
+
+
+def send(action, package, order, cancel_after="0", how="goal"):
+    classes, heard = fibonacci(package), []
+    client = actionlib.SimpleActionClient(action, classes["Action"])
+    cancel = {
+        "goal": client.cancel_goal,
+        "all": client.cancel_all_goals,
+        "before": lambda: client.cancel_goals_at_and_before_time(rospy.Time.now()),
+    }
+
+    def feedback(message):
+        heard.append(len(message.sequence))
+        say("feedback", length=heard[-1])
+        if len(heard) == int(cancel_after):
+            cancel[how]()
+
+    say("server", found=client.wait_for_server(rospy.Duration(30)))
+    client.send_goal(classes["Goal"](order=int(order)), feedback_cb=feedback)
+    finished = client.wait_for_result(rospy.Duration(60))
+    length = len(getattr(client.get_result(), "sequence", []))
+    say("result", finished=finished, state=client.get_state(), length=length, text=client.get_goal_status_text())
+
+
+def nodes():
+    state = rosgraph.Master(rospy.get_name()).getSystemState()
+    say("nodes", names=sorted({node for kind in state for _, names in kind for node in names}))
 
 
 def call(service, values):

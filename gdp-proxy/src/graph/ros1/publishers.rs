@@ -1,9 +1,12 @@
-//! Chooses the node that publishes a topic: the proxy's main node if it can, otherwise a node that
-//! is created for it.
+//! Chooses the node that publishes a topic: the proxy's main node if it can, otherwise a further
+//! node.
 //!
 //! A ROS 1 node publishes a topic once and latches one message of it. So all writers that do not
-//! latch share one publisher, and each latching writer has one of its own. The first latching one
-//! is at the main node. The reason is actionlib: its clients require that the node that latches
+//! latch share one publisher, and each latching writer has one of its own. The second latching one
+//! of every topic is at the same further node, and so on. So the topic with the most latching
+//! writers determines the number of nodes, and not the number of topics.
+//!
+//! The first latching one is at the main node. The reason is actionlib: its clients require that the node that latches
 //! `status` also subscribes to `goal` and `cancel`.
 
 use std::collections::HashMap;
@@ -11,7 +14,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Weak};
 
 use bytes::Bytes;
-use gdp_ros1::{MessageType, Node, NodeConfig, PublishOptions};
+use gdp_ros1::{MessageType, Node, NodeConfig, NodeError, PublishOptions};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::task::JoinSet;
 
@@ -21,9 +24,10 @@ use crate::graph::event::{GraphError, WriteError};
 pub struct Publishers {
     config: NodeConfig,
     topics: Mutex<HashMap<String, PublishedTopic>>,
-    /// Number of nodes that were created for one publisher each.
+    further: tokio::sync::Mutex<Vec<Weak<FurtherNode>>>,
+    /// Number of further nodes that were created.
     made: AtomicU32,
-    /// Such nodes that are unregistering from the master.
+    /// Further nodes that are unregistering from the master.
     leaving: Leaving,
 }
 
@@ -44,14 +48,21 @@ pub struct Publisher {
     /// True if its remote publisher has left, and it only delivers its last messages.
     is_vacant: AtomicBool,
     publisher: gdp_ros1::Publisher,
-    /// The node that was created for it; `None` at the main node.
-    own_node: Option<(Node, Leaving)>,
+    /// The further node that it is at; `None` at the main node. It is dropped last.
+    _further: Option<Arc<FurtherNode>>,
+}
+
+/// A node besides the main one. It leaves with its last publisher.
+struct FurtherNode {
+    node: Option<Node>,
+    leaving: Leaving,
 }
 
 impl Publishers {
     /// `config` is that of the main node, from which the other nodes derive their names.
     pub fn new(config: NodeConfig) -> Self {
-        Self { config, topics: Mutex::default(), made: AtomicU32::new(0), leaving: Leaving::default() }
+        let (topics, further) = (Mutex::default(), tokio::sync::Mutex::default());
+        Self { config, topics, further, made: AtomicU32::new(0), leaving: Leaving::default() }
     }
 
     /// Returns a publisher for one more writer. `main` is the proxy's main node.
@@ -65,19 +76,40 @@ impl Publishers {
         if let Some(publisher) = self.share_or_publish_at(main, topic, &kind, options)? {
             return Ok(publisher);
         }
-        let number = self.made.fetch_add(1, Ordering::Relaxed);
-        let name = format!("{}_at_{number}", self.config.name);
-        let node = Node::start(NodeConfig { name, ..self.config.clone() }).await?;
-        let publisher = node.publish(topic, kind.clone(), options)?;
-        let own_node = Some((node, self.leaving.clone()));
-        let publisher = Arc::new(Publisher::new(publisher, kind, options.latch, own_node));
+        let (publisher, node) = self.publish_further(topic, &kind, options).await?;
+        let publisher = Arc::new(Publisher::new(publisher, kind, options.latch, Some(node)));
         if !options.latch {
             self.topics().entry(topic.to_owned()).or_default().unlatched = Arc::downgrade(&publisher);
         }
         Ok(publisher)
     }
 
-    /// Returns `None` if the writer needs a node of its own.
+    /// Publishes at the first further node that does not publish the topic yet.
+    async fn publish_further(
+        &self,
+        topic: &str,
+        kind: &MessageType,
+        options: PublishOptions,
+    ) -> Result<(gdp_ros1::Publisher, Arc<FurtherNode>), GraphError> {
+        let mut further = self.further.lock().await;
+        further.retain(|node| node.strong_count() > 0);
+        for at in further.iter().filter_map(Weak::upgrade) {
+            let Some(node) = &at.node else { continue };
+            match node.publish(topic, kind.clone(), options) {
+                Err(NodeError::Published(_)) => {}
+                published => return Ok((published?, at)),
+            }
+        }
+        let number = self.made.fetch_add(1, Ordering::Relaxed);
+        let name = format!("{}_at_{number}", self.config.name);
+        let node = Node::start(NodeConfig { name, ..self.config.clone() }).await?;
+        let publisher = node.publish(topic, kind.clone(), options)?;
+        let at = Arc::new(FurtherNode { node: Some(node), leaving: self.leaving.clone() });
+        further.push(Arc::downgrade(&at));
+        Ok((publisher, at))
+    }
+
+    /// Returns `None` if the writer needs a further node.
     fn share_or_publish_at(
         &self,
         main: &Node,
@@ -122,9 +154,9 @@ impl Publisher {
         publisher: gdp_ros1::Publisher,
         kind: MessageType,
         latches: bool,
-        own_node: Option<(Node, Leaving)>,
+        further: Option<Arc<FurtherNode>>,
     ) -> Self {
-        Self { kind, latches, is_vacant: AtomicBool::new(false), publisher, own_node }
+        Self { kind, latches, is_vacant: AtomicBool::new(false), publisher, _further: further }
     }
 
     fn is_of(&self, kind: &MessageType) -> bool {
@@ -158,10 +190,10 @@ impl Publisher {
     }
 }
 
-impl Drop for Publisher {
+impl Drop for FurtherNode {
     fn drop(&mut self) {
-        let Some((node, leaving)) = self.own_node.take() else { return };
-        let mut leaving = leaving.lock();
+        let Some(node) = self.node.take() else { return };
+        let mut leaving = self.leaving.lock();
         while leaving.try_join_next().is_some() {}
         leaving.spawn(node.leave());
     }

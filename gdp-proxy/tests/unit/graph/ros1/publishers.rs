@@ -18,14 +18,35 @@ async fn what_latches_nothing_shares_a_publisher_that_goes_with_the_last_who_has
 }
 
 #[tokio::test]
+async fn topics_share_the_further_nodes() {
+    let site = Site::start().await;
+    let mut publishers = Vec::new();
+    for topic in ["/a", "/b", "/c"] {
+        for _ in 0..3 {
+            publishers.push(site.publish(topic, true).await);
+        }
+    }
+    assert_eq!(site.publishers.made.load(Ordering::Relaxed), 2);
+    let at = |index: usize| publishers[index]._further.as_ref();
+    assert!(at(0).is_none() && at(3).is_none());
+    assert!(Arc::ptr_eq(at(1).unwrap(), at(4).unwrap()) && !Arc::ptr_eq(at(1).unwrap(), at(2).unwrap()));
+    publishers.clear();
+    let (first, again) = (site.publish("/a", true).await, site.publish("/a", true).await);
+    assert_eq!(
+        (first._further.is_none(), again._further.is_some(), site.publishers.made.load(Ordering::Relaxed)),
+        (true, true, 3)
+    );
+}
+
+#[tokio::test]
 async fn the_first_that_latches_is_at_the_main_node_and_the_others_have_their_own() {
     let site = Site::start().await;
     let (first, second) = (site.publish("/status", true).await, site.publish("/status", true).await);
-    assert!(first.own_node.is_none() && second.own_node.is_some());
+    assert!(first._further.is_none() && second._further.is_some());
     let plain = [site.publish("/status", false).await, site.publish("/status", false).await];
-    assert!(plain[0].own_node.is_some() && Arc::ptr_eq(&plain[0], &plain[1]), "they share another one");
+    assert!(plain[0]._further.is_some() && Arc::ptr_eq(&plain[0], &plain[1]), "they share another one");
     drop((first, second, plain));
-    assert!(site.publish("/status", true).await.own_node.is_none());
+    assert!(site.publish("/status", true).await._further.is_none());
     site.publishers.leave().await;
 }
 
@@ -36,7 +57,7 @@ async fn who_comes_after_one_that_leaves_has_its_place_at_the_main_node() {
     leaving.vacate();
     let next = site.publish("/status", true).await;
     assert!(Arc::ptr_eq(&leaving, &next));
-    assert!(site.publish("/status", true).await.own_node.is_some(), "nobody leaves any more");
+    assert!(site.publish("/status", true).await._further.is_some(), "nobody leaves any more");
 }
 
 struct Site {
