@@ -42,12 +42,6 @@ impl Types {
         Description { kind: Kind { hash, ..kind }, node: String::new(), definitions }
     }
 
-    /// Describes an action type of ROS 2 from the local registry.
-    pub fn describe_action(&self, name: String) -> Description {
-        let hash = self.type_hash(&name).unwrap_or_default();
-        Description { kind: Kind { dialect: Dialect::Ros2, name, hash }, node: String::new(), definitions: None }
-    }
-
     /// Describes a remote service in the terms of `dialect`. The definitions come from the local
     /// registry, or else are made from the description `there`.
     pub fn service_counterpart(&self, there: &Description, dialect: Dialect) -> Result<Description, TypeError> {
@@ -125,7 +119,7 @@ impl Types {
 }
 
 /// Decodes a hash that this program computed, which is hexadecimal.
-fn digits(hash: &str) -> Vec<u8> {
+pub(crate) fn digits(hash: &str) -> Vec<u8> {
     hex::decode(hash).unwrap_or_default()
 }
 

@@ -33,6 +33,8 @@ pub enum TypeError {
     Schema(#[from] SchemaError),
     #[error(transparent)]
     Map(#[from] MapError),
+    #[error(transparent)]
+    Action(#[from] gdp_msg::ActionError),
     #[error("messages in an encoding of number {0}, which this release does not know")]
     Encoding(u16),
     #[error(transparent)]

@@ -58,6 +58,21 @@ pub fn goal_of(message: &[u8]) -> Result<GoalId, Malformed> {
     read(message)
 }
 
+/// Writes a request of `get_result`.
+pub fn result_request(goal: &GoalId) -> Bytes {
+    write(goal)
+}
+
+/// Writes a request of `cancel_goal` for a goal, or for [`ANY_GOAL`].
+pub fn cancel_request(goal: &GoalId) -> Bytes {
+    write(&(*goal, Stamp::default()))
+}
+
+/// Reads a request of `cancel_goal`: a goal, and the time up to which goals are canceled.
+pub fn cancel_of(request: &[u8]) -> Result<(GoalId, Stamp), Malformed> {
+    read(request)
+}
+
 /// Returns whether a response of `send_goal` accepts the goal.
 pub fn is_accepted(response: &[u8]) -> Result<bool, Malformed> {
     Ok(read::<u8>(response)? != 0)
@@ -110,6 +125,11 @@ pub fn rejected() -> Bytes {
     write(&(false, Stamp::default()))
 }
 
+/// Returns a response of `send_goal` that accepts the goal.
+pub fn accepted(stamp: Stamp) -> Bytes {
+    write(&(true, stamp))
+}
+
 /// Returns a response of `cancel_goal` that rejects the request.
 pub fn not_canceling() -> Bytes {
     const REJECTED: i8 = 1;
@@ -120,8 +140,17 @@ pub fn not_canceling() -> Bytes {
 /// is zeros, because the result's type depends on the action. Readers decode zero numbers and empty
 /// strings and lists; a result of more bytes does not decode.
 pub fn aborted() -> Bytes {
+    without_result(ABORTED)
+}
+
+/// Returns a response of `get_result` for an unknown goal, as [`aborted`].
+pub fn unknown() -> Bytes {
+    without_result(UNKNOWN)
+}
+
+fn without_result(status: i8) -> Bytes {
     const RESULT: usize = 4096;
-    let mut message = write(&ABORTED).to_vec();
+    let mut message = write(&status).to_vec();
     message.resize(size_of::<[u8; 4]>() + RESULT, 0);
     message.into()
 }
