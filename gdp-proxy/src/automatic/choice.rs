@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::time::{Duration, Instant};
 
-use crate::config::{ExposeConfig, RuleOptions, Thing, is_hidden, remapped};
+use crate::config::{ExposeConfig, RuleOptions, Thing, What, action_of_topic, is_hidden, remapped};
 use crate::graph::{Found, Offered};
 use crate::ros2::{TopicName, TypeName};
 
@@ -28,6 +28,8 @@ pub enum NotExposed {
     Hidden(Thing),
     NoPattern(Thing),
     OtherType,
+    /// A topic of an action of ROS 1, which is exposed as an action.
+    OfAction(TopicName),
     /// Its name after `remap` would be too long.
     NoName,
 }
@@ -42,6 +44,7 @@ impl fmt::Display for NotExposed {
             }
             Self::NoPattern(thing) => write!(f, "no pattern under {} matches", thing.list()),
             Self::OtherType => f.write_str("its type is not one of types"),
+            Self::OfAction(action) => write!(f, "the action {action} has it, and actions has a pattern for that"),
             Self::NoName => f.write_str("its name after remap would be too long"),
         }
     }
@@ -56,6 +59,15 @@ pub fn check_exposed(
 ) -> Result<Exposed, NotExposed> {
     if let Some(pattern) = config.deny.iter().find(|pattern| pattern.covers(name)) {
         return Err(NotExposed::Denied(pattern.to_string()));
+    }
+    // A goal that arrives twice is executed twice.
+    let action = if thing == Thing::Topic { action_of_topic(name, kind) } else { None };
+    let is_exposed = |action: &TopicName| {
+        let is_denied = config.deny.iter().any(|pattern| pattern.covers(action));
+        !is_denied && config.rule_options(Thing::Call(What::Action), action).is_some()
+    };
+    if let Some(action) = action.filter(is_exposed) {
+        return Err(NotExposed::OfAction(action));
     }
     let why_not = if is_hidden(thing, name) { NotExposed::Hidden } else { NotExposed::NoPattern };
     let rule_options = config.rule_options(thing, name).ok_or(why_not(thing))?;

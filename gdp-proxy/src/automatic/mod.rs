@@ -34,11 +34,12 @@ use self::issuer::{IssuedCredentials, Issuer};
 use self::link::{CatalogPlan, End};
 use self::listed::{Listed, chosen};
 use self::omissions::Reason;
-use crate::config::{ExposeConfig, ImportConfig, Thing};
+use crate::config::{ExposeConfig, ImportConfig, Thing, What, action_of_topic};
 use crate::graph::{self, Found, Graph, GraphObserver};
 use crate::material::ImportMaterial;
 use crate::permission::Permission;
 use crate::reload::Loaded;
+use crate::ros2::TopicName;
 use crate::route_material::RouteMaterial;
 use crate::routes::{CallPlan, RoutePlan};
 
@@ -169,8 +170,11 @@ impl Automatic {
     pub fn plan(&mut self, topics: &[Arc<RoutePlan>], calls: &[Arc<CallPlan>]) -> Plans {
         let Self { expose, imports, planner_state, .. } = self;
         let mut gathering = Gathering::new(planner_state, topics, calls);
-        let mut catalogs: Vec<CatalogPlan> =
-            expose.iter_mut().filter_map(|expose| expose.plan(&mut gathering)).collect();
+        let exposed = expose.as_mut().and_then(|expose| {
+            let actions = carried_actions(&expose.placed_in.1, calls, imports);
+            expose.plan(&mut gathering, &actions)
+        });
+        let mut catalogs: Vec<CatalogPlan> = exposed.into_iter().collect();
         catalogs.extend(imports.iter_mut().map(|import| import.plan(&mut gathering)));
         let (routes, calls) = gathering.finish();
         Plans { routes, calls, catalogs }
@@ -186,7 +190,9 @@ impl Expose {
         Self { config, ..self }
     }
 
-    fn plan(&mut self, gathering: &mut Gathering) -> Option<CatalogPlan> {
+    /// `actions` are carried as such. In ROS 1 they also have topics, which must not cross as well:
+    /// a goal that arrives twice is executed twice.
+    fn plan(&mut self, gathering: &mut Gathering, actions: &BTreeSet<TopicName>) -> Option<CatalogPlan> {
         self.choice.update(&self.config, &self.graph_observer.found(), Instant::now());
         let now = unix_nanos();
         let catalog = self.catalog.clone();
@@ -195,6 +201,10 @@ impl Expose {
         let (mut entries, mut bytes, mut names) = (BTreeMap::new(), 0, BTreeSet::from([catalog.name()]));
         let mut is_full = None;
         for (thing, called, kind, exposed) in self.choice.iter() {
+            let action = if thing == Thing::Topic { action_of_topic(called, kind) } else { None };
+            if action.is_some_and(|action| actions.contains(&action)) {
+                continue;
+            }
             if entries.len() >= MAX_ENTRIES {
                 is_full = is_full.or(Some(Reason::CatalogHasAllNames));
             }
@@ -255,6 +265,18 @@ impl Expose {
         }
         Some(CatalogPlan { card: catalog, renewal, end: End::Writes(own.cert, self.list.subscribe()) })
     }
+}
+
+/// Returns the names of the actions that the proxy carries in a graph, apart from exposed ones.
+fn carried_actions(graph: &Arc<Graph>, calls: &[Arc<CallPlan>], imports: &[Import]) -> BTreeSet<TopicName> {
+    let listed = calls.iter().filter(|plan| plan.config.what == What::Action && Arc::ptr_eq(&plan.graph, graph));
+    let mut actions: BTreeSet<TopicName> = listed.map(|plan| plan.config.name.clone()).collect();
+    for import in imports.iter().filter(|import| Arc::ptr_eq(&import.placed_in.1, graph)) {
+        let listed = import.listed.borrow();
+        let chosen = chosen(&import.config, &listed).into_keys();
+        actions.extend(chosen.filter_map(|(thing, name)| (thing == Thing::Call(What::Action)).then_some(name)));
+    }
+    actions
 }
 
 /// Returns the known certificates, or issues new ones if they are old.

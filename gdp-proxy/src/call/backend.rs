@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use gdp::Call;
 use gdp_ros::action::{Goals, Log, cdr};
-use gdp_ros::call::{Description, Events, Failure, FailureCode, Part};
+use gdp_ros::call::{Description, Event, Events, Failure, FailureCode, Part};
 use gdp_ros::types::Types;
 use gdp_wire::Name;
 use parking_lot::Mutex;
 
-use crate::graph::{Caller, CallerError, Graph, GraphError, Peer};
-use crate::ros2::{self, RawReader, RosError};
+use crate::graph::{ActionCaller, Caller, CallerError, Graph, Peer};
+use crate::ros2;
 
 /// Time for which a request for events stays open without events. A link may have lost the answer,
 /// or the client may be gone.
@@ -24,11 +24,7 @@ pub enum Backend {
 }
 
 pub struct Action {
-    send_goal: Caller,
-    cancel_goal: Caller,
-    get_result: Caller,
-    feedback: RawReader,
-    status: RawReader,
+    server: ActionCaller,
     goals: Mutex<Goals<Name>>,
     log: Mutex<Log>,
     /// Open requests for events by client, each with the last event that the client has and the
@@ -53,17 +49,9 @@ impl Backend {
             let (caller, kind) = Caller::new(graph, name, peer).await?;
             return Ok((Self::Service(caller), types.describe_service(kind)));
         }
-        let (Graph::Ros2(domain), Peer::Ros2(peer)) = (graph, peer) else { return Err(GraphError::Left.into()) };
-        let of = |error: ros2::NameError| GraphError::from(RosError::from(error));
-        let parts = ros2::Action::new(name, &peer.kind).map_err(of)?;
-        let reader = |(topic, kind): &(_, _), qos: ros2::Qos| domain.reader(topic, kind, &qos.into());
-        let feedback = reader(&parts.feedback, ros2::Action::feedback_qos()).map_err(GraphError::from)?;
-        let status = reader(&parts.status, ros2::Action::status_qos()).map_err(GraphError::from)?;
-        let services = [&parts.send_goal, &parts.cancel_goal, &parts.get_result].map(|(name, kind)| (name, kind));
-        let [send_goal, cancel_goal, get_result] = Caller::several(domain, services, peer).await?;
+        let (server, description) = ActionCaller::new(graph, types, name, peer).await?;
         let (goals, log, questions) = Default::default();
-        let action = Action { send_goal, cancel_goal, get_result, feedback, status, goals, log, questions };
-        Ok((Self::Action(action.into()), types.describe_action(peer.kind.to_string())))
+        Ok((Self::Action(Action { server, goals, log, questions }.into()), description))
     }
 
     /// Calls the local server and waits for the answer without a timeout.
@@ -71,18 +59,15 @@ impl Backend {
         match (self, part) {
             (Self::Service(service), Part::Service) => service.call(body).await,
             (Self::Action(action), Part::SendGoal) => action.send_goal(caller, body).await,
-            (Self::Action(action), Part::CancelGoal) => action.cancel_goal.call(body).await,
             (Self::Action(action), Part::GetResult) => action.get_result(body).await,
+            (Self::Action(action), part) => action.server.call(part, body).await,
             (Self::Service(_), _) => {
                 Err(Failure::new(FailureCode::Malformed, "the name is of a service, and not of an action"))
-            }
-            (Self::Action(_), _) => {
-                Err(Failure::new(FailureCode::Malformed, "the name is of an action, and not of a service"))
             }
         }
     }
 
-    /// See [`Caller::has_lost_server`]. Actions of ROS 2 return false.
+    /// See [`Caller::has_lost_server`]. Actions return false; see [`Self::until_lost`].
     pub async fn has_lost_server(&self) -> bool {
         match self {
             Self::Service(service) => service.has_lost_server().await,
@@ -90,19 +75,21 @@ impl Backend {
         }
     }
 
+    /// See [`ActionCaller::until_lost`]. For services it waits forever.
+    pub async fn until_lost(&self) {
+        match self {
+            Self::Service(_) => std::future::pending().await,
+            Self::Action(action) => action.server.until_lost().await,
+        }
+    }
+
     /// Waits for feedback or status of the action. Returns the answers to open requests for events,
     /// and the number of dropped feedback messages. Safe to cancel.
     pub async fn next_events(&self) -> Result<(Vec<CallEvents>, u64), String> {
         let Self::Action(action) = self else { return std::future::pending().await };
-        tokio::select! {
-            message = action.feedback.recv() => {
-                let message = message.map_err(|error| error.to_string())?;
-                Ok(action.take_feedback(message.sample.bytes))
-            }
-            message = action.status.recv() => {
-                let message = message.map_err(|error| error.to_string())?;
-                Ok((action.take_status(&message.sample.bytes)?, 0))
-            }
+        match action.server.next_event().await? {
+            Event::Feedback(message) => Ok(action.take_feedback(message)),
+            Event::Status(message) => Ok((action.take_status(&message)?, 0)),
         }
     }
 
@@ -152,7 +139,7 @@ impl Action {
             goals.begin(goal, caller).map_err(|error| Failure::new(FailureCode::Busy, error))?;
             is_new
         };
-        let answer = self.send_goal.call(body).await;
+        let answer = self.server.call(Part::SendGoal, body).await;
         if is_new && !answer.as_ref().is_ok_and(|answer| cdr::is_accepted(answer).unwrap_or_default()) {
             self.goals.lock().forget(&goal);
         }
@@ -161,7 +148,7 @@ impl Action {
 
     async fn get_result(&self, body: Bytes) -> Result<Bytes, Failure> {
         let goal = cdr::goal_of(&body).map_err(|error| Failure::new(FailureCode::Malformed, error))?;
-        let answer = self.get_result.call(body).await?;
+        let answer = self.server.call(Part::GetResult, body).await?;
         self.goals.lock().end(Instant::now(), &goal);
         Ok(answer)
     }

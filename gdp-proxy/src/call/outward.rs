@@ -152,6 +152,7 @@ impl Route {
                     Err(error) => self.failed(Reason::Malformed, error),
                 },
                 left = servers.until_left(&offer.peer) => break left.map(|()| Turn::ServerLeft).map_err(Into::into),
+                () = offer.backend.until_lost() => break Ok(Turn::ServerLeft),
                 () = offer.lost.notified() => break Ok(Turn::ServerLeft),
                 () = &mut *over => break Ok(Turn::Over),
                 why = &mut ended => break ended_because(why).map(Turn::Ended),

@@ -1,6 +1,5 @@
 //! Whether a call is a service or an action.
 
-use crate::config::GraphConfig;
 use crate::ros2::TypeName;
 use serde::Serialize;
 
@@ -38,17 +37,5 @@ impl What {
     /// Whether the type is a type of this kind.
     pub fn fits(self, kind: &TypeName) -> bool {
         kind.as_str().split('/').nth(1) == Some(self.folder())
-    }
-
-    /// Checks that the graph's ROS version has this kind.
-    pub fn check_graph(self, graph: &GraphConfig) -> Result<(), String> {
-        match (self, graph) {
-            (Self::Action, GraphConfig::Ros1(_)) => {
-                Err("actions of ROS 1 are topics: list NAME/goal, NAME/cancel, NAME/status, NAME/feedback and \
-                 NAME/result under topics"
-                    .into())
-            }
-            _ => Ok(()),
-        }
     }
 }

@@ -4,6 +4,7 @@
 //!
 //! This module reads only this file. [`crate::material`] reads the files that it names.
 
+mod action_topic;
 mod automatic;
 mod call_kind;
 mod calls;
@@ -30,6 +31,7 @@ use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, de};
 
+pub use self::action_topic::{action_of_topic, action_type};
 pub use self::automatic::{ExposeConfig, ImportConfig, ReaderConfig, Remap, Rule, RuleOptions, remapped};
 pub use self::calls::CallConfig;
 pub use self::frames::FramePrefix;
@@ -100,7 +102,7 @@ pub struct Config {
     #[serde(default, deserialize_with = "calls::list::<_, calls::Service>")]
     #[schemars(with = "Vec<calls::Service>")]
     pub services: Vec<CallConfig>,
-    /// The actions of ROS 2 to carry, with their files.
+    /// The actions to carry, with their files.
     #[serde(default, deserialize_with = "calls::list::<_, calls::Action>")]
     #[schemars(with = "Vec<calls::Action>")]
     pub actions: Vec<CallConfig>,

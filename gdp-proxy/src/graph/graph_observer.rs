@@ -7,7 +7,7 @@ use std::sync::Arc;
 use tokio::sync::watch;
 
 use super::Graph;
-use super::ros1::is_proxy;
+use super::ros1::{actions, is_proxy};
 use crate::config::{Thing, What};
 use crate::ros2::{self, DisplayedQos, ServicePeer, TopicName, TypeName};
 
@@ -64,8 +64,10 @@ fn of_ros1(there: &gdp_ros1::Snapshot) -> Found {
         Some((Thing::Topic, name, Some(kind)))
     });
     let services = there.services.iter().filter(|(_, nodes)| nodes.iter().any(|node| !is_proxy(node)));
-    let services = services.map(|(name, _)| (Thing::Call(What::Service), name, None));
-    let all = topics.chain(services).filter_map(|(thing, name, kind)| {
+    let actions = actions::all(there).map(|(name, kind)| (Thing::Call(What::Action), name, Some(kind)));
+    let topics = topics.map(|(thing, name, kind)| (thing, name.as_str(), kind));
+    let services = services.map(|(name, _)| (Thing::Call(What::Service), name.as_str(), None));
+    let all = topics.chain(services).chain(actions).filter_map(|(thing, name, kind)| {
         Some(((thing, TopicName::parse(name).ok()?), vec![Offered { kind, qos: None }]))
     });
     all.collect()

@@ -2,6 +2,7 @@
 //! and writers on behalf of remote publishers. A message is in the graph's own encoding, and this
 //! module does not parse it.
 
+mod actions;
 mod event;
 mod graph_observer;
 mod ros1;
@@ -9,6 +10,7 @@ mod ros2;
 mod services;
 
 pub use crate::graph::event::{Arrived, Event, GraphError, Incompatibility, Key, NODE, WriteError};
+pub use actions::{ActionCaller, ActionStand};
 pub use services::{Asked, Asker, Caller, CallerError, Peer, Servers, Stand};
 
 use std::collections::BTreeMap;

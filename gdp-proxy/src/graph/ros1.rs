@@ -1,6 +1,12 @@
 //! A topic at a ROS 1 master.
 
+mod action_client;
+mod action_server;
+pub mod actions;
 mod publishers;
+
+pub use action_client::ActionClient;
+pub use action_server::ActionServer;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;

@@ -9,18 +9,21 @@ use gdp_ros1::{CallError, ServiceServer, ServiceType};
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::time::timeout;
 
-use super::Graph;
+use super::{Graph, ros1};
 use crate::config::What;
-use crate::graph::event::{GraphError, NODE};
+use crate::graph::event::GraphError;
 use crate::ros2::{self, ClientLife, RawSample, RequestId, ServicePeer, TopicName, TypeName};
+use gdp_ros::action::GoalId;
 use gdp_ros::call::{Description, Failure, FailureCode};
 use gdp_ros::roster::{Dialect, Kind};
+use gdp_ros::types::TypeError;
 
 /// Timeout for a ROS 1 server to announce its type.
 const PROBE: Duration = Duration::from_secs(5);
 
-/// Timeout for the endpoints of a ROS 2 server to match the proxy's client.
-const MATCHED: Duration = Duration::from_secs(5);
+/// Timeout for the endpoints of a ROS 2 server, or an action server of ROS 1, to match the proxy's
+/// client.
+pub(super) const MATCHED: Duration = Duration::from_secs(5);
 
 /// Time to wait until a participant that announces its nodes has announced that of a server.
 const NODE_KNOWN: Duration = Duration::from_secs(3);
@@ -31,7 +34,7 @@ const CONCURRENT: usize = 256;
 /// An observer of the local servers of one service or action. It ignores those of proxies, because
 /// they stand for remote servers.
 pub enum Servers {
-    Ros1 { graph: gdp_ros1::Graph, service: String },
+    Ros1 { graph: gdp_ros1::Graph, name: String, what: What },
     Ros2 { graph: watch::Receiver<std::sync::Arc<ros2::Graph>>, name: TopicName, what: What },
 }
 
@@ -70,7 +73,7 @@ impl Peer {
 impl Servers {
     pub fn new(graph: &Graph, name: &TopicName, what: What) -> Self {
         match graph {
-            Graph::Ros1(master) => Self::Ros1 { graph: master.node().graph(), service: name.as_str().into() },
+            Graph::Ros1(master) => Self::Ros1 { graph: master.node().graph(), name: name.as_str().into(), what },
             Graph::Ros2(domain) => Self::Ros2 { graph: domain.graph(), name: name.clone(), what },
         }
     }
@@ -93,9 +96,13 @@ impl Servers {
 
     async fn until<T>(&mut self, mut is_so: impl FnMut(Vec<Peer>) -> Option<T>) -> Result<T, GraphError> {
         match self {
-            Self::Ros1 { graph, service } => loop {
-                let nodes = graph.snapshot().services.get(service).into_iter().flatten();
-                let peers = nodes.filter(|node| !is_proxy(node)).cloned().map(Peer::Ros1);
+            Self::Ros1 { graph, name, what } => loop {
+                let there = graph.snapshot();
+                let nodes: Vec<&String> = match what {
+                    What::Service => there.services.get(name).into_iter().flatten().collect(),
+                    What::Action => ros1::actions::servers(there, name).collect(),
+                };
+                let peers = nodes.into_iter().filter(|node| !ros1::is_proxy(node)).cloned().map(Peer::Ros1);
                 if let Some(found) = is_so(peers.collect()) {
                     return Ok(found);
                 }
@@ -117,10 +124,6 @@ impl Servers {
             },
         }
     }
-}
-
-fn is_proxy(node: &str) -> bool {
-    node.strip_prefix('/').is_some_and(|name| name.starts_with(NODE))
 }
 
 /// A client of the local servers of a service.
@@ -211,6 +214,17 @@ pub enum CallerError {
         "the local server does not match the proxy's client in {MATCHED:?}: are its types and its QoS those of ROS?"
     )]
     Unmatched,
+    /// Another route of the proxy may use a topic of the action.
+    #[error(transparent)]
+    Node(#[from] gdp_ros1::NodeError),
+    #[error("the type of the action's goals is no type of an action")]
+    NoActionType,
+    #[error("the action cannot be converted: {0}")]
+    ActionType(#[from] TypeError),
+    #[error(
+        "{name} has the MD5 sum {theirs} at the server, and {ours} here: bring the definitions to the same version"
+    )]
+    OtherAction { name: String, theirs: String, ours: String },
 }
 
 /// A server in the local graph, which exists until it is dropped.
@@ -229,6 +243,8 @@ pub struct Asked {
 pub enum Asker {
     Ros1(oneshot::Sender<Result<Bytes, String>>),
     Ros2(RequestId, ClientLife),
+    /// The client of a goal of ROS 1. It learns the outcome from the action's topics.
+    Goal(GoalId),
 }
 
 impl Stand {
@@ -291,7 +307,7 @@ impl Stand {
                 _ = asker.send(Ok(response));
                 Ok(())
             }
-            (Self::Ros1 { .. }, Asker::Ros2(..)) => Err("a request of another server".into()),
+            (Self::Ros1 { .. }, Asker::Ros2(..)) | (_, Asker::Goal(_)) => Err("a request of another server".into()),
         }
     }
 
@@ -317,6 +333,7 @@ impl Asker {
         match self {
             Self::Ros1(asker) => asker.closed().await,
             Self::Ros2(_, client) => client.ends().await,
+            Self::Goal(_) => std::future::pending().await,
         }
     }
 }

@@ -5,6 +5,7 @@
 //!    rclpy, rospy ── proxy ── switch, RIB ── proxy ── rclpy, rospy
 //! ```
 
+mod actionlib;
 #[path = "../hub/mod.rs"]
 mod hub;
 #[allow(dead_code, reason = "the tests of the ROS 1 node, whose it is, use the rest")]

@@ -6,7 +6,7 @@ peer.py NAME call SERVICE A B [N]    the same, N times at once
 peer.py NAME watch SERVICE           the same: says whenever it is there or gone
 peer.py NAME switch SERVICE          std_srvs/SetBool: says what it was set to; at false it does not answer
 peer.py NAME set SERVICE true|false  the same
-peer.py NAME compute ACTION SECONDS  test_msgs/Fibonacci: so many seconds for each number, with feedback; may be cancelled
+peer.py NAME compute ACTION SECONDS  test_msgs/Fibonacci: so many seconds for each number, with feedback; may be cancelled, and rejects what is negative
 peer.py NAME send ACTION ORDER [N]   the same; cancels after the N-th feedback
 """
 
@@ -23,7 +23,7 @@ signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import rclpy
 from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from std_srvs.srv import SetBool
@@ -122,7 +122,9 @@ def compute(node, action, seconds):
 
     group = ReentrantCallbackGroup()
     cancel = lambda goal: CancelResponse.ACCEPT
-    node.server = ActionServer(node, Fibonacci, action, run, callback_group=group, cancel_callback=cancel)
+    take = lambda goal: GoalResponse.REJECT if goal.order < 0 else GoalResponse.ACCEPT
+    callbacks = {"callback_group": group, "goal_callback": take, "cancel_callback": cancel}
+    node.server = ActionServer(node, Fibonacci, action, run, **callbacks)
     say("ready")
 
 

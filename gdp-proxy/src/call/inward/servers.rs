@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use gdp::Client;
 use gdp_ros::call::{Description, Epoch};
+use gdp_ros::roster::Dialect;
 use gdp_ros::services::service_name;
 use gdp_wire::Name;
 use parking_lot::Mutex;
@@ -138,10 +139,11 @@ impl Route {
         there: Description,
     ) -> Result<Result<Arc<Known>, String>, RouteError> {
         let dialect = to.way.graph.dialect();
-        let here = match (self.config.what, there.kind.dialect == dialect) {
+        let here = match (self.config.what, there.kind.dialect) {
             (What::Service, _) => self.types.service_counterpart(&there, dialect),
-            (What::Action, true) => Ok(there.clone()),
-            (What::Action, false) => return Ok(Err("it is an action of ROS 1, which are topics".into())),
+            // The proxies at ROS 1 masters convert.
+            (What::Action, Dialect::Ros2) => Ok(there.clone()),
+            (What::Action, Dialect::Ros1) => return Ok(Err("it is not described in the terms of ROS 2".into())),
         };
         let here = match here {
             Ok(here) => here,
@@ -169,7 +171,7 @@ impl Route {
         };
         if to.local.is_none() {
             let name = here.kind.name.clone();
-            match Stands::new(to.way.graph, &self.config.name, self.config.what, &here) {
+            match Stands::new(to.way.graph, &self.types, &self.config.name, self.config.what, &here) {
                 Ok(stands) => {
                     let listed = to.way.card.get("topic");
                     stands.assign(&local_node(&self.config.name, listed, &here.node));

@@ -53,6 +53,20 @@ fn what_is_called_is_exposed_by_its_own_patterns_and_none_that_nodes_have_for_th
 }
 
 #[test]
+fn the_topics_of_an_exposed_action_are_not_exposed() {
+    let config = config("topics: [/**], actions: [/dock, /arm/*], deny: [/arm/secret]");
+    let check = |topic: &str, kind: &str| {
+        check_exposed(&config, Thing::Topic, &name(topic), TypeName::parse(kind).ok().as_ref()).map(|_| ())
+    };
+    let (goal, status) = ("a/msg/DockActionGoal", "actionlib_msgs/msg/GoalStatusArray");
+    assert_eq!(check("/dock/goal", goal), Err(NotExposed::OfAction(name("/dock"))));
+    assert_eq!(check("/arm/lift/status", status), Err(NotExposed::OfAction(name("/arm/lift"))));
+    for (topic, kind) in [("/other/goal", goal), ("/arm/secret/goal", goal), ("/dock/goal", "a/msg/Goal")] {
+        assert_eq!(check(topic, kind), Ok(()), "{topic} of {kind}");
+    }
+}
+
+#[test]
 fn where_types_are_named_what_has_none_is_not_exposed() {
     let config = config("services: [/**], types: [a/srv/B]");
     let check_exposed = |kind: Option<&str>| {
