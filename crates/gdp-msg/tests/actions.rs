@@ -19,10 +19,10 @@ fn either_dialect_makes_the_other() {
         // The same whatever it was made of.
         let both = Action::resolve(&both(), &name()).unwrap();
         for part in [ActionPart::Goal, ActionPart::Result, ActionPart::Feedback] {
-            let md5sum = |action: &Action| hash::md5sum(&*action.ros1(part).unwrap());
+            let md5sum = |action: &Action| hash::md5sum(&action.ros1(part).unwrap());
             assert_eq!(md5sum(&action), md5sum(&both));
         }
-        let rihs = |action: &Action| hash::type_hash(&*action.ros2().unwrap());
+        let rihs = |action: &Action| hash::type_hash(&action.ros2().unwrap());
         assert_eq!(rihs(&action), rihs(&both));
         // Its text is enough for a peer.
         let mut peer = Registry::default();

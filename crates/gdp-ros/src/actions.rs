@@ -87,7 +87,7 @@ impl Types {
 /// Describes an action for other proxies. The definition of the whole type takes the place of a
 /// service's request.
 fn describe(name: String, schema: Option<&Schema>) -> Description {
-    let hash = schema.map(|schema| hash::type_hash(schema));
+    let hash = schema.map(hash::type_hash);
     let hash = hash.map(|hash| digits(hash.rsplit('_').next().unwrap_or_default())).unwrap_or_default();
     let text = schema.map(Schema::text).filter(|text| text.len() <= MAX_DEFINITION);
     let definitions = text.map(|request| Definitions { request, response: String::new() });

@@ -24,15 +24,15 @@ const LOST: Duration = Duration::from_secs(10);
 const LISTED: Duration = Duration::from_secs(10);
 
 /// The goals that were sent to one server.
-pub struct Client {
+pub struct GoalClient {
     /// The start of the goals' IDs in ROS 1. The rest is the ID in ROS 2.
     prefix: String,
-    goals: HashMap<GoalId, Sent>,
+    goals: HashMap<GoalId, SentGoal>,
     result_bytes: usize,
 }
 
-struct Sent {
-    /// The stamp of the goal's ID.
+struct SentGoal {
+    /// The time of arrival on the server's clock, from its first status list with the goal.
     stamp: Stamp,
     status: u8,
     /// Whether the server has named the goal.
@@ -40,7 +40,7 @@ struct Sent {
     /// The last time that the server named the goal, or that it was sent.
     named: Instant,
     ended: Option<Instant>,
-    outcome: Option<Outcome>,
+    outcome: Option<GoalOutcome>,
 }
 
 /// Whether a server has accepted a goal.
@@ -54,7 +54,7 @@ pub enum Accepted {
 
 /// The end of a goal.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Outcome {
+pub enum GoalOutcome {
     /// The status of ROS 1, and the result in the form that the caller stored.
     Result(u8, Bytes),
     /// The server has ended the goal without a result, or has lost it.
@@ -63,14 +63,24 @@ pub enum Outcome {
     Unknown,
 }
 
-impl Client {
+impl SentGoal {
+    fn take_stamp(&mut self, status: &GoalStatus) {
+        if !self.is_known {
+            let (seconds, nanoseconds) = status.goal.stamp;
+            self.stamp = (seconds.try_into().unwrap_or(i32::MAX), nanoseconds);
+        }
+    }
+}
+
+impl GoalClient {
     /// `node` is the name of the proxy's node.
     pub fn new(node: &str) -> Self {
         Self { prefix: format!("{node}-"), goals: HashMap::new(), result_bytes: 0 }
     }
 
-    /// Stores a goal that is about to be sent. Returns its ID in ROS 1.
-    pub fn begin(&mut self, now: Instant, goal: GoalId, stamp: Stamp) -> Result<message::GoalId, GoalsError> {
+    /// Stores a goal that is about to be sent. Returns its ID in ROS 1. It has no stamp, so that the
+    /// server sets one: its clock may differ, or be that of a simulation.
+    pub fn begin(&mut self, now: Instant, goal: GoalId) -> Result<message::GoalId, GoalsError> {
         if self.goals.contains_key(&goal) {
             return Err(GoalsError::Taken);
         }
@@ -79,9 +89,9 @@ impl Client {
             let (_, oldest) = ended.min().ok_or(GoalsError::Full)?;
             self.remove(&oldest);
         }
-        let (status, is_known, ended, outcome) = (status::PENDING, false, None, None);
-        self.goals.insert(goal, Sent { stamp, status, is_known, named: now, ended, outcome });
-        Ok(message::GoalId { stamp: to_time(stamp), id: self.id(&goal) })
+        let (stamp, status, is_known, ended, outcome) = (Stamp::default(), status::PENDING, false, None, None);
+        self.goals.insert(goal, SentGoal { stamp, status, is_known, named: now, ended, outcome });
+        Ok(message::GoalId { stamp: Time::default(), id: self.id(&goal) })
     }
 
     fn id(&self, goal: &GoalId) -> String {
@@ -99,21 +109,23 @@ impl Client {
     pub fn take_statuses(&mut self, now: Instant, statuses: &[GoalStatus]) -> bool {
         let mut has_changed = false;
         for status in statuses {
-            has_changed |= self.goal(&status.goal.id).is_some_and(|goal| self.take_status(now, &goal, status.status));
+            has_changed |= self.goal(&status.goal.id).is_some_and(|goal| self.take_status(now, &goal, status));
         }
         for sent in self.goals.values_mut().filter(|sent| sent.outcome.is_none()) {
             if now.saturating_duration_since(sent.named) >= LOST {
                 sent.ended.get_or_insert(now);
-                (sent.outcome, has_changed) = (Some(Outcome::Lost), true);
+                (sent.outcome, has_changed) = (Some(GoalOutcome::Lost), true);
                 sent.status = if status::is_final(sent.status) { sent.status } else { status::LOST };
             }
         }
         has_changed
     }
 
-    fn take_status(&mut self, now: Instant, goal: &GoalId, status: u8) -> bool {
+    fn take_status(&mut self, now: Instant, goal: &GoalId, status: &GoalStatus) -> bool {
         let Some(sent) = self.goals.get_mut(goal) else { return false };
         sent.named = now;
+        sent.take_stamp(status);
+        let status = status.status;
         // The lists and the results come over several connections, so a list may be old.
         if sent.ended.is_some() || (sent.is_known && sent.status == status) || status > status::LOST {
             return false;
@@ -129,7 +141,7 @@ impl Client {
     pub fn lose(&mut self, now: Instant, goal: &GoalId) {
         let Some(sent) = self.goals.get_mut(goal).filter(|sent| sent.outcome.is_none()) else { return };
         sent.ended.get_or_insert(now);
-        (sent.status, sent.outcome) = (status::LOST, Some(Outcome::Lost));
+        (sent.status, sent.outcome) = (status::LOST, Some(GoalOutcome::Lost));
     }
 
     /// Removes a goal that could not be sent.
@@ -138,14 +150,15 @@ impl Client {
     }
 
     /// Stores a result. Further results of a goal are ignored.
-    pub fn take_result(&mut self, now: Instant, goal: &GoalId, status: u8, result: Bytes) {
+    pub fn take_result(&mut self, now: Instant, goal: &GoalId, status: &GoalStatus, result: Bytes) {
         let Some(sent) = self.goals.get_mut(goal).filter(|sent| sent.outcome.is_none()) else { return };
-        let status = if status::is_final(status) { status } else { status::ABORTED };
+        sent.take_stamp(status);
+        let status = if status::is_final(status.status) { status.status } else { status::ABORTED };
         self.result_bytes += result.len();
         sent.ended.get_or_insert(now);
-        (sent.is_known, sent.status, sent.outcome) = (true, status, Some(Outcome::Result(status, result)));
+        (sent.is_known, sent.status, sent.outcome) = (true, status, Some(GoalOutcome::Result(status, result)));
         while self.result_bytes > MAX_RESULTS {
-            let stored = self.goals.iter().filter(|(_, sent)| matches!(sent.outcome, Some(Outcome::Result(..))));
+            let stored = self.goals.iter().filter(|(_, sent)| matches!(sent.outcome, Some(GoalOutcome::Result(..))));
             let Some((_, oldest)) = stored.map(|(goal, sent)| (sent.ended, *goal)).min() else { break };
             self.remove(&oldest);
         }
@@ -163,8 +176,8 @@ impl Client {
     }
 
     /// Returns the end of a goal, or `None` while it has not ended.
-    pub fn outcome(&self, goal: &GoalId) -> Option<Outcome> {
-        self.goals.get(goal).map_or(Some(Outcome::Unknown), |sent| sent.outcome.clone())
+    pub fn outcome(&self, goal: &GoalId) -> Option<GoalOutcome> {
+        self.goals.get(goal).map_or(Some(GoalOutcome::Unknown), |sent| sent.outcome.clone())
     }
 
     /// Translates a request to cancel goals. Returns what to publish on `cancel`, and the response.
@@ -181,7 +194,7 @@ impl Client {
         if let Some(code) = refused {
             return (None, Canceling { code, goals: vec![] });
         }
-        let is_meant = |id: &GoalId, sent: &Sent| match (is_any, has_stamp) {
+        let is_meant = |id: &GoalId, sent: &SentGoal| match (is_any, has_stamp) {
             (true, false) => true,
             (_, true) if sent.stamp <= stamp => true,
             _ => *id == goal,
@@ -194,7 +207,7 @@ impl Client {
 
     /// Returns the statuses of all accepted goals, in the terms of ROS 2.
     pub fn statuses(&self, now: Instant) -> Vec<Status> {
-        let is_listed = |sent: &Sent| {
+        let is_listed = |sent: &SentGoal| {
             let is_over = sent.ended.is_some_and(|ended| now.saturating_duration_since(ended) >= LISTED);
             sent.is_known && sent.status != status::REJECTED && !is_over
         };
@@ -209,13 +222,13 @@ impl Client {
 
     /// Removes goals that ended [`LINGER`] ago.
     pub fn sweep(&mut self, now: Instant) {
-        let is_over = |sent: &Sent| sent.ended.is_some_and(|ended| now.saturating_duration_since(ended) >= LINGER);
+        let is_over = |sent: &SentGoal| sent.ended.is_some_and(|ended| now.saturating_duration_since(ended) >= LINGER);
         let over: Vec<GoalId> = self.goals.iter().filter(|(_, sent)| is_over(sent)).map(|(goal, _)| *goal).collect();
         over.iter().for_each(|goal| self.remove(goal));
     }
 
     fn remove(&mut self, goal: &GoalId) {
-        if let Some(Sent { outcome: Some(Outcome::Result(_, result)), .. }) = self.goals.remove(goal) {
+        if let Some(SentGoal { outcome: Some(GoalOutcome::Result(_, result)), .. }) = self.goals.remove(goal) {
             self.result_bytes -= result.len();
         }
     }

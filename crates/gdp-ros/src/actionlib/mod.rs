@@ -1,15 +1,15 @@
 //! The protocol of actions in ROS 1 (wiki.ros.org/actionlib/DetailedDescription), without I/O.
 //!
-//! A proxy is a client of a real server ([`Client`]), or a server for real clients ([`Server`]).
-//! Both translate the goals to those of ROS 2, which is the form in which proxies exchange them.
+//! A proxy is a client of a real server ([`GoalClient`]), or a server for real clients
+//! ([`GoalServer`]). Both translate the goals to those of ROS 2, because proxies exchange these.
 //! [`message`] reads and writes the parts of messages that all actions share.
 
 mod client;
 pub mod message;
 mod server;
 
-pub use client::{Accepted, Client, Outcome};
-pub use server::{Ask, Ended, Server, Taken};
+pub use client::{Accepted, GoalClient, GoalOutcome};
+pub use server::{Ask, Ended, GoalServer, Taken};
 
 /// The statuses of `actionlib_msgs/GoalStatus`.
 pub mod status {

@@ -22,11 +22,11 @@ const MAX_RECALLED: usize = 64;
 const LISTED: Duration = Duration::from_secs(5);
 
 /// Time for which a result waits for the feedback before it.
-const HELD: Duration = Duration::from_secs(1);
+const WAIT: Duration = Duration::from_secs(1);
 
 /// The goals of local clients.
 #[derive(Default)]
-pub struct Server {
+pub struct GoalServer {
     /// The goals by their IDs in ROS 1.
     goals: BTreeMap<String, Served>,
     ids: HashMap<GoalId, String>,
@@ -48,7 +48,7 @@ struct Served {
     /// Whether the status list of the server elsewhere has shown the end of the goal.
     is_over: bool,
     /// The end of the goal, which waits for the feedback before it.
-    held: Option<(u8, Bytes, Instant)>,
+    waiting: Option<(u8, Bytes, Instant)>,
     ended: Option<Instant>,
 }
 
@@ -71,14 +71,14 @@ pub struct Ended {
 /// What becomes of a goal that has arrived.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Taken {
-    /// It is to be sent to the server elsewhere; see [`Server::send`].
+    /// It is to be sent to the server elsewhere; see [`GoalServer::send`].
     New,
     /// It is known already.
     Known,
     Ended(Ended),
 }
 
-impl Server {
+impl GoalServer {
     /// Takes a goal of a local client. `goal` is a new random ID for it.
     pub fn take_goal(&mut self, id: message::GoalId, goal: GoalId) -> Taken {
         let message::GoalId { stamp, id } = id;
@@ -102,9 +102,9 @@ impl Server {
             self.remove(&oldest);
         }
         let (status, text) = (status::PENDING, String::new());
-        let (is_accepted, is_canceled, is_over, held, ended) = (false, false, false, None, None);
+        let (is_accepted, is_canceled, is_over, waiting, ended) = (false, false, false, None, None);
         self.ids.insert(goal, id.clone());
-        self.goals.insert(id, Served { goal, stamp, status, text, is_accepted, is_canceled, is_over, held, ended });
+        self.goals.insert(id, Served { goal, stamp, status, text, is_accepted, is_canceled, is_over, waiting, ended });
         Taken::New
     }
 
@@ -150,7 +150,7 @@ impl Server {
         let served = self.served(goal).filter(|served| served.ended.is_none())?;
         let status = status::of_ros2(status);
         let status = if status::is_final(status) { status } else { status::ABORTED };
-        served.held = Some((status, result, now + HELD));
+        served.waiting = Some((status, result, now + WAIT));
         if served.is_over { self.release(now, goal) } else { None }
     }
 
@@ -177,19 +177,19 @@ impl Server {
 
     /// Returns the goals whose results have waited long enough.
     pub fn due(&mut self, now: Instant) -> Vec<Ended> {
-        let is_due = |served: &&Served| served.held.as_ref().is_some_and(|(.., until)| *until <= now);
+        let is_due = |served: &&Served| served.waiting.as_ref().is_some_and(|(.., until)| *until <= now);
         let due: Vec<GoalId> = self.goals.values().filter(is_due).map(|served| served.goal).collect();
         due.iter().filter_map(|goal| self.release(now, goal)).collect()
     }
 
     fn release(&mut self, now: Instant, goal: &GoalId) -> Option<Ended> {
-        let (status, result, _) = self.served(goal)?.held.take()?;
+        let (status, result, _) = self.served(goal)?.waiting.take()?;
         self.finish(now, goal, status, Some(result))
     }
 
     fn finish(&mut self, now: Instant, goal: &GoalId, status: u8, result: Option<Bytes>) -> Option<Ended> {
         let served = self.served(goal)?;
-        (served.status, served.ended, served.held) = (status, Some(now), None);
+        (served.status, served.ended, served.waiting) = (status, Some(now), None);
         let status = self.status_of(goal)?;
         Some(Ended { status, result })
     }

@@ -3,8 +3,9 @@
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use gdp_ros::action::cdr;
-use gdp_ros::actionlib::{Accepted, Client, Outcome, message, status};
+use gdp_ros::action::{GoalId, cdr};
+use gdp_ros::actionlib::message::GoalStatus;
+use gdp_ros::actionlib::{Accepted, GoalClient, GoalOutcome, message, status};
 use gdp_ros::actions::{ActionTypes, Ros1Message};
 use gdp_ros::call::{Event, Failure, FailureCode};
 use gdp_ros::types::Types;
@@ -39,7 +40,7 @@ pub struct ActionClient {
     result: tokio::sync::Mutex<Subscription>,
     /// The publishers of the topics `status`, `feedback` and `result`.
     sources: [watch::Receiver<SourceStates>; 3],
-    goals: Mutex<Client>,
+    goals: Mutex<GoalClient>,
     /// Notified when the state of any goal has changed.
     changes: watch::Sender<()>,
     sweep: Ticks,
@@ -73,7 +74,7 @@ impl ActionClient {
         let (status, feedback, result) = (subscribe("status")?, subscribe("feedback")?, subscribe("result")?);
         let sources = [status.sources(), feedback.sources(), result.sources()];
         let [status, feedback, result] = [status, feedback, result].map(tokio::sync::Mutex::new);
-        let (goals, changes) = (Mutex::new(Client::new(node.name())), watch::channel(()).0);
+        let (goals, changes) = (Mutex::new(GoalClient::new(node.name())), watch::channel(()).0);
         let (server, sweep) = (server.to_owned(), Ticks::every(SWEEP));
         Ok(Self { server, types, goal, cancel, status, feedback, result, sources, goals, changes, sweep })
     }
@@ -106,11 +107,9 @@ impl ActionClient {
     pub async fn send_goal(&self, request: &[u8]) -> Result<Bytes, Failure> {
         let goal = cdr::goal_of(request).map_err(malformed)?;
         let body = run_blocking_if_large(request.len(), || self.types.goal_to_ros1(request)).map_err(malformed)?;
-        let (seconds, nanoseconds) = now();
-        let stamp = (seconds as i32, nanoseconds);
-        let id = self.goals.lock().begin(Instant::now(), goal, stamp);
+        let id = self.goals.lock().begin(Instant::now(), goal);
         let id = id.map_err(|error| Failure::new(FailureCode::Busy, error))?;
-        let message = message::write_goal((seconds, nanoseconds), &id, &body);
+        let message = message::write_goal(now(), &id, &body);
         if let Err(error) = self.goal.publish(message) {
             self.goals.lock().forget(&goal);
             return Err(malformed(error));
@@ -137,13 +136,13 @@ impl ActionClient {
     pub async fn get_result(&self, request: &[u8]) -> Result<Bytes, Failure> {
         let goal = cdr::goal_of(request).map_err(malformed)?;
         match self.until(|goals| goals.outcome(&goal)).await {
-            Outcome::Result(_, response) => Ok(response),
-            Outcome::Unknown => Ok(cdr::unknown()),
-            Outcome::Lost => Err(Failure::new(FailureCode::Refused, "it has ended the goal without a result")),
+            GoalOutcome::Result(_, response) => Ok(response),
+            GoalOutcome::Unknown => Ok(cdr::unknown()),
+            GoalOutcome::Lost => Err(Failure::new(FailureCode::Refused, "it has ended the goal without a result")),
         }
     }
 
-    async fn until<T>(&self, mut condition: impl FnMut(&Client) -> Option<T>) -> T {
+    async fn until<T>(&self, mut condition: impl FnMut(&GoalClient) -> Option<T>) -> T {
         let mut changes = self.changes.subscribe();
         loop {
             if let Some(value) = condition(&self.goals.lock()) {
@@ -190,9 +189,9 @@ impl ActionClient {
 
     fn take_result(&self, message: &Message) -> Result<Option<Event>, String> {
         let Some((goal, status, result)) = self.update(message, &self.types.result)? else { return Ok(None) };
-        let convert = || self.types.result_to_ros2(status::to_ros2(status), &result);
+        let convert = || self.types.result_to_ros2(status::to_ros2(status.status), &result);
         match run_blocking_if_large(result.len(), convert) {
-            Ok(result) => self.goals.lock().take_result(Instant::now(), &goal, status, result),
+            Ok(result) => self.goals.lock().take_result(Instant::now(), &goal, &status, result),
             Err(error) => {
                 self.goals.lock().lose(Instant::now(), &goal);
                 self.changed();
@@ -203,11 +202,7 @@ impl ActionClient {
     }
 
     /// Reads a message about a goal of this client: the goal, its status, and the rest.
-    fn update(
-        &self,
-        message: &Message,
-        kind: &Ros1Message,
-    ) -> Result<Option<(gdp_ros::action::GoalId, u8, Bytes)>, String> {
+    fn update(&self, message: &Message, kind: &Ros1Message) -> Result<Option<(GoalId, GoalStatus, Bytes)>, String> {
         let publisher = &message.publisher;
         if publisher.caller_id != self.server {
             return Ok(None);
@@ -217,7 +212,7 @@ impl ActionClient {
         }
         let (status, rest) = message::read_update(&message.data).map_err(|error| error.to_string())?;
         let goal = self.goals.lock().goal(&status.goal.id);
-        Ok(goal.map(|goal| (goal, status.status, rest)))
+        Ok(goal.map(|goal| (goal, status, rest)))
     }
 
     /// Notifies those who wait for goals. Returns the statuses as an event.

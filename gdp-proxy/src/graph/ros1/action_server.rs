@@ -6,7 +6,7 @@ use bytes::Bytes;
 use gdp_core::crypto::random;
 use gdp_ros::action::{GoalId, cdr};
 use gdp_ros::actionlib::message::{self, GoalStatus, Time};
-use gdp_ros::actionlib::{Ask, Ended, Server, Taken, status};
+use gdp_ros::actionlib::{Ask, Ended, GoalServer, Taken, status};
 use gdp_ros::actions::{ActionTypes, Ros1Message};
 use gdp_ros::call::Part;
 use gdp_ros1::{Message, Node, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscription};
@@ -33,7 +33,7 @@ pub struct ActionServer {
     goal: tokio::sync::Mutex<Subscription>,
     cancel: tokio::sync::Mutex<Subscription>,
     publishers: Option<Publishers>,
-    goals: Mutex<Server>,
+    goals: Mutex<GoalServer>,
     /// Notified when there is a request to send.
     asks: Notify,
     ticks: Ticks,

@@ -6,8 +6,8 @@
 //! of every topic is at the same further node, and so on. So the topic with the most latching
 //! writers determines the number of nodes, and not the number of topics.
 //!
-//! The first latching one is at the main node. The reason is actionlib: its clients require that the node that latches
-//! `status` also subscribes to `goal` and `cancel`.
+//! The first latching one is at the main node. The reason is actionlib: its clients require that
+//! the node that latches `status` also subscribes to `goal` and `cancel`.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};

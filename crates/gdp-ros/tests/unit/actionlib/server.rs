@@ -11,8 +11,8 @@ fn id(text: &str, seconds: u32) -> message::GoalId {
 }
 
 /// A server with these goals, all sent; with the time of them.
-fn with(goals: &[(&str, u8)]) -> (Server, Instant) {
-    let (mut server, now) = (Server::default(), Instant::now());
+fn with(goals: &[(&str, u8)]) -> (GoalServer, Instant) {
+    let (mut server, now) = (GoalServer::default(), Instant::now());
     for (text, number) in goals {
         assert_eq!(server.take_goal(id(text, u32::from(*number)), goal(*number)), Taken::New);
         server.send(goal(*number), Bytes::new());
@@ -21,7 +21,7 @@ fn with(goals: &[(&str, u8)]) -> (Server, Instant) {
     (server, now)
 }
 
-fn asked(server: &mut Server) -> Vec<(Part, u8)> {
+fn asked(server: &mut GoalServer) -> Vec<(Part, u8)> {
     std::iter::from_fn(|| server.next_ask()).map(|ask| (ask.part, ask.goal[0])).collect()
 }
 
@@ -32,7 +32,7 @@ fn said(number: u8, status: i8) -> Status {
 #[test]
 fn a_goal_passes_through_the_statuses_of_actionlib() {
     let (mut server, now) = with(&[("a", 1)]);
-    let shown = |server: &Server| server.list().iter().map(|status| status.status).collect::<Vec<_>>();
+    let shown = |server: &GoalServer| server.list().iter().map(|status| status.status).collect::<Vec<_>>();
     assert_eq!(server.take_goal(id("a", 1), goal(2)), Taken::Known);
     assert_eq!(shown(&server), [status::PENDING]);
     server.accepted(&goal(1));
@@ -55,7 +55,7 @@ fn a_goal_passes_through_the_statuses_of_actionlib() {
 fn a_result_does_not_wait_for_ever_and_not_for_a_list_that_came_before() {
     let (mut server, now) = with(&[("a", 1), ("b", 2)]);
     server.take_result(now, &goal(1), 5, Bytes::new());
-    let ended = server.due(now + HELD);
+    let ended = server.due(now + WAIT);
     assert_eq!((ended.len(), ended[0].status.status), (1, status::PREEMPTED));
     assert!(server.take_statuses(now, &[said(2, 6)]).0.is_empty());
     assert_eq!(server.take_result(now, &goal(2), 0, Bytes::new()).unwrap().status.status, status::ABORTED);
