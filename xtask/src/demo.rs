@@ -28,7 +28,7 @@ pub fn run(options: Options) -> Result<()> {
     }
     setup::ensure(Purpose::Demo)?;
     build::executables(Executables::All, Profile::Release, Features::default())?;
-    peer_programs::build()?;
+    peer_programs::build_dds()?;
     wait::catch_interrupts();
     netns::sweep()?;
     let story = Story { silent: options.json };

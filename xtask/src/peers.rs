@@ -1,5 +1,5 @@
-//! Compiles the foreign DDS programs (sources in `tests/peers`). Only those of Fast DDS need it;
-//! Cyclone DDS is Python.
+//! Compiles the foreign programs (sources in `tests/peers`). Only those of Fast DDS and roscpp need
+//! it; the others are Python.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -7,13 +7,66 @@ use std::time::SystemTime;
 use anyhow::{Context, Result};
 use gdp_tests::programs::{Executable as _, Program};
 
+use crate::setup::GENCPP;
 use crate::{shell, workspace};
 
-/// Compiles the Fast DDS peers to `target/peers` if their sources are newer.
+/// Compiles the peers to `target/peers` if their sources are newer.
 pub fn build() -> Result<()> {
+    build_dds()?;
+    build_actionlib()
+}
+
+/// Compiles the Fast DDS peers.
+pub fn build_dds() -> Result<()> {
     compile("fastdds-peer", Some("String"), "fastdds.cpp")?;
     compile("fastdds-service-peer", Some("AddTwoInts"), "fastdds_service.cpp")?;
     compile("fastdds-any", None, "any/fastdds_any.cpp")
+}
+
+/// Libraries of roscpp and actionlib, as pkg-config names them.
+const ROSCPP: [&str; 8] = [
+    "-lactionlib",
+    "-lroscpp",
+    "-lrosconsole",
+    "-lroscpp_serialization",
+    "-lrostime",
+    "-lcpp_common",
+    "-lboost_thread",
+    "-lboost_system",
+];
+
+/// Compiles the peer of roscpp and actionlib, with generated headers for its action.
+fn build_actionlib() -> Result<()> {
+    const PACKAGE: &str = "test_msgs";
+    let (sources, out) = (workspace::root().join("tests/peers"), workspace::target().join("peers"));
+    let (source, action, program) =
+        (sources.join("actionlib.cpp"), sources.join("Fibonacci.action"), out.join("actionlib-peer"));
+    if is_newer(&program, &[&source, &action]) {
+        return Ok(());
+    }
+    let (messages, include) = (out.join("actionlib/msg"), out.join("actionlib/include"));
+    std::fs::create_dir_all(&messages).with_context(|| format!("cannot create {}", messages.display()))?;
+    let python = |script: &str| {
+        let mut command = Program::Python3.command();
+        command.arg(script);
+        command
+    };
+    shell::say_and_run(python("/usr/lib/actionlib_msgs/genaction.py").arg(&action).arg("-o").arg(&messages))?;
+    for part in ["Action", "ActionGoal", "ActionResult", "ActionFeedback", "Goal", "Result", "Feedback"] {
+        let mut generator = python(GENCPP);
+        generator.arg(messages.join(format!("Fibonacci{part}.msg"))).args(["-p", PACKAGE, "-e", "/usr/share/gencpp"]);
+        generator.arg("-o").arg(include.join(PACKAGE)).arg("-I").arg(format!("{PACKAGE}:{}", messages.display()));
+        for package in ["std_msgs", "actionlib_msgs"] {
+            generator.arg("-I").arg(format!("{package}:/usr/share/{package}/msg"));
+        }
+        shell::say_and_run(&mut generator)?;
+    }
+    let partial = out.join("actionlib-peer.new");
+    let mut compiler = Program::Cxx.command();
+    compiler.args(["-std=c++17", "-O1", "-Wall", "-Wno-deprecated-declarations", "-I"]).arg(&include);
+    compiler.arg("-o").arg(&partial).arg(&source);
+    shell::say_and_run(compiler.args(ROSCPP))?;
+    std::fs::rename(&partial, &program).with_context(|| format!("cannot rename {}", partial.display()))
 }
 
 /// Compiles the zenoh bridge, which has its own workspace, and returns its path.

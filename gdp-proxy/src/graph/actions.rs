@@ -194,8 +194,7 @@ impl ActionStand {
     /// published messages.
     pub async fn settle(&self) {
         match self {
-            // Its publishers outlive it until they have sent everything.
-            Self::Ros1(server) => server.abort_all(),
+            Self::Ros1(server) => server.settle().await,
             Self::Ros2(stand) => {
                 let Ros2Stand { send_goal, cancel_goal, get_result, feedback: _, status } = &**stand;
                 let status = async { status.lock().await.settle().await };

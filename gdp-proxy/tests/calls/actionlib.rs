@@ -6,8 +6,10 @@
 
 use std::fs;
 
+use gdp_tests::programs::own;
+
 use crate::master::{Master, Process};
-use crate::ros2::Ros2;
+use crate::ros2::{Ros2, target};
 use crate::site::{Proxy, Site, Topic};
 use crate::{FIBONACCI, IN, OUT, graph};
 
@@ -62,7 +64,7 @@ async fn a_client_of_ros_1_has_its_server_in_ros_2() {
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     // The other proxy learns the definition from this one.
     let _out = knowing(&site, "ros2", "robot", &robot.graph(), &actions, OUT);
-    let _in = site.proxy("cloud", &graph(&cloud), &actions, IN);
+    let proxy = site.proxy("cloud", &graph(&cloud), &actions, IN);
     let mut server = robot.peer("server", &["compute", "/fibonacci", "0.25"]).await;
     let send =
         |name: &str, rest: &[&str]| cloud.begin(name, &[&["send", "/fibonacci", "test_msgs"][..], rest].concat());
@@ -95,6 +97,53 @@ async fn a_client_of_ros_1_has_its_server_in_ros_2() {
     let _server = robot.peer("server", &["compute", "/fibonacci", "0.1"]).await;
     let result = send("lucky", &["5"]).event("result").await;
     assert_eq!((&result["state"], &result["length"]), (&SUCCEEDED.into(), &5.into()), "{result}");
+
+    let mut last = send("last", &["1000"]);
+    last.event("feedback").await;
+    proxy.stop();
+    let result = last.event("result").await;
+    assert_eq!((&result["finished"], &result["state"]), (&true.into(), &ABORTED.into()), "{result}");
+}
+
+/// The same with applications in C++, whose server executes one goal at a time.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_of_ros_2_has_its_server_in_roscpp_which_prefers_the_later_goal() {
+    let site = Site::start().await;
+    let (robot, cloud) = (Master::start().await, Ros2::new(20));
+    let actions = [site.name("action", "/fibonacci", FIBONACCI)];
+    let _out = knowing(&site, "ros1", "robot", &graph(&robot), &actions, OUT);
+    let _in = site.proxy("cloud", &cloud.graph(), &actions, IN);
+    let mut server = roscpp(&robot, "server", &["compute", "/fibonacci", "0.25"]);
+    server.event("ready").await;
+    let mut first = cloud.begin("first", &["send", "/fibonacci", "1000"]);
+    first.event("feedback").await;
+    let mut second = cloud.begin("second", &["send", "/fibonacci", "7"]);
+    let result = first.event("result").await;
+    assert_eq!((&result["status"], &result["shown"]), (&"canceled".into(), &"canceled".into()));
+    let result = second.event("result").await;
+    assert_eq!((&result["status"], &result["length"]), (&"succeeded".into(), &7.into()));
+    let result = cloud.begin("hasty", &["send", "/fibonacci", "1000", "3"]).event("result").await;
+    assert_eq!(result["status"], "canceled");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_in_roscpp_has_its_server_in_ros_2() {
+    let site = Site::start().await;
+    let (robot, cloud) = (Ros2::new(21), Master::start().await);
+    let actions = [site.name("action", "/fibonacci", FIBONACCI)];
+    let _out = knowing(&site, "ros2", "robot", &robot.graph(), &actions, OUT);
+    let _in = site.proxy("cloud", &graph(&cloud), &actions, IN);
+    let _server = robot.peer("server", &["compute", "/fibonacci", "0.2"]).await;
+    let mut patient = roscpp(&cloud, "patient", &["send", "/fibonacci", "10"]);
+    assert_eq!(patient.event("server").await["found"], true);
+    let first = length(&mut patient).await;
+    for next in first + 1..8 {
+        assert_eq!(length(&mut patient).await, next, "each, in order");
+    }
+    let result = patient.event("result").await;
+    assert_eq!((&result["state"], &result["length"]), (&"SUCCEEDED".into(), &10.into()), "{result}");
+    let result = roscpp(&cloud, "hasty", &["send", "/fibonacci", "1000", "3"]).event("result").await;
+    assert_eq!((&result["finished"], &result["state"]), (&true.into(), &"PREEMPTED".into()), "{result}");
 }
 
 /// The same action is also topics, which both sides would carry.
@@ -136,6 +185,15 @@ fn share(site: &Site, version: &str, label: &str) -> String {
     fs::create_dir_all(&folder).unwrap();
     fs::write(folder.join("Fibonacci.action"), DEFINITION).unwrap();
     format!("definitions: {{{version}: [share]}}\n")
+}
+
+/// A node of roscpp.
+fn roscpp(master: &Master, name: &str, arguments: &[&str]) -> Process {
+    let program = target().join("peers/actionlib-peer");
+    assert!(program.is_file(), "{} does not exist: run `cargo xtask test`", program.display());
+    let mut command = own(program);
+    command.arg(name).args(arguments);
+    master.spawn(name, command)
 }
 
 async fn length(client: &mut Process) -> u64 {

@@ -42,6 +42,6 @@ impl Ros2 {
 }
 
 /// Cargo's target folder: this test is in `target/PROFILE/deps`.
-fn target() -> PathBuf {
+pub fn target() -> PathBuf {
     std::env::current_exe().unwrap().ancestors().nth(3).unwrap().into()
 }

@@ -102,7 +102,7 @@ pub fn run(options: Options) -> Result<()> {
     if routes.contains(&LatencyRoute::Gdp) {
         build::executables(Executables::All, Profile::Dist, Features::default())?;
     }
-    peer_programs::build()?;
+    peer_programs::build_dds()?;
     wait::catch_interrupts();
     netns::sweep()?;
     let tools = workspace::tools(Profile::Dist);

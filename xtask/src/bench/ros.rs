@@ -126,7 +126,7 @@ pub fn run(options: Options) -> Result<()> {
     if routes.contains(&RosRoute::Gdp) {
         build::executables(Executables::All, Profile::Dist, Features::default())?;
     }
-    peer_programs::build()?;
+    peer_programs::build_dds()?;
     let bridge = if routes.iter().any(|route| matches!(route, RosRoute::Zenoh | RosRoute::ZenohTls)) {
         Some(peer_programs::build_zenoh()?)
     } else {

@@ -17,6 +17,7 @@ use clap::ValueEnum;
 use gdp_tests::programs::{Executable as _, Program};
 
 pub use self::ebpf::{EbpfCompiler, bpf_linker};
+pub use self::steps::GENCPP;
 use self::steps::{STEPS, SetupStep};
 use crate::{shell, workspace};
 

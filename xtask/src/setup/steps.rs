@@ -218,6 +218,16 @@ pub const STEPS: &[SetupStep] = &[
         ..NOTHING
     },
     SetupStep {
+        part: SetupPart::Ros1,
+        what: "roscpp and actionlib for C++, and a C++ compiler",
+        why: "applications of ROS 1 in C++ that tests run; the package also has the generators of their messages",
+        programs: &[Program::Cxx, Program::Python3],
+        present: || Path::new("/usr/include/actionlib/client").is_dir() && Path::new(GENCPP).is_file(),
+        packages: &["g++", "libactionlib-dev"],
+        elsewhere: "install g++ and the headers of ROS 1 Noetic's roscpp and actionlib, with genaction and gencpp",
+        ..NOTHING
+    },
+    SetupStep {
         part: SetupPart::Ros2,
         what: "ROS 2 Kilted's rclpy on Fast DDS",
         why: "applications of ROS 2 that tests run; its other middlewares are no wheels",
@@ -250,6 +260,9 @@ pub const STEPS: &[SetupStep] = &[
         ..NOTHING
     },
 ];
+
+/// Generates C++ headers of messages in ROS 1.
+pub const GENCPP: &str = "/usr/lib/gencpp/gen_cpp.py";
 
 /// Defaults of the steps that install Python wheels.
 const WHEELS: SetupStep = SetupStep {

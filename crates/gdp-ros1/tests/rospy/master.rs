@@ -83,6 +83,11 @@ impl Master {
         let peer = above.map(|folder| folder.join("crates/gdp-ros1/tests/rospy/peer.py")).find(|file| file.is_file());
         let mut command = Program::Python3.command();
         command.arg(peer.expect("peer.py lies in the working copy")).arg(name).args(arguments);
+        self.spawn(name, command)
+    }
+
+    /// Another program that is a node.
+    pub fn spawn(&self, name: &str, command: Command) -> Process {
         Process::spawn(name, command, self.port, self.folder.path())
     }
 }

@@ -208,7 +208,7 @@ impl ActionClient {
             return Ok(None);
         }
         if publisher.md5sum != kind.md5sum {
-            return Err(format!("{} by another definition of {}", publisher.caller_id, kind.name));
+            return Err(format!("{} has another definition of {}", publisher.caller_id, kind.name));
         }
         let (status, rest) = message::read_update(&message.data).map_err(|error| error.to_string())?;
         let goal = self.goals.lock().goal(&status.goal.id);

@@ -2,7 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-use bytes::Bytes;
 use gdp_core::crypto::random;
 use gdp_ros::action::{GoalId, cdr};
 use gdp_ros::actionlib::message::{self, GoalStatus, Time};
@@ -22,8 +21,8 @@ use crate::ros2::TopicName;
 /// Interval in which the statuses of all goals are published, as actionlib does it.
 const STATUS: Duration = Duration::from_millis(200);
 
-/// Time for which the publishers outlive the server, because a publisher that is dropped discards
-/// what it has queued.
+/// Time for the last messages to be sent, because a publisher that is dropped discards what it has
+/// queued.
 const FLUSH: Duration = Duration::from_millis(300);
 
 /// An action server, which exists until it is dropped.
@@ -32,17 +31,13 @@ pub struct ActionServer {
     types: ActionTypes,
     goal: tokio::sync::Mutex<Subscription>,
     cancel: tokio::sync::Mutex<Subscription>,
-    publishers: Option<Publishers>,
+    status: Publisher,
+    feedback: Publisher,
+    result: Publisher,
     goals: Mutex<GoalServer>,
     /// Notified when there is a request to send.
     asks: Notify,
     ticks: Ticks,
-}
-
-struct Publishers {
-    status: Publisher,
-    feedback: Publisher,
-    result: Publisher,
 }
 
 impl ActionServer {
@@ -57,18 +52,18 @@ impl ActionServer {
             node.publish(&format!("{name}/{part}"), message_type(kind), options)
         };
         let (goal, cancel) = (subscribe("goal", &types.goal)?, subscribe("cancel", &types.cancel)?);
-        let publishers = Publishers {
-            feedback: publish("feedback", &types.feedback, false)?,
-            result: publish("result", &types.result, false)?,
-            status: publish("status", &types.status, true)?,
-        };
+        let (feedback, result) =
+            (publish("feedback", &types.feedback, false)?, publish("result", &types.result, false)?);
+        let status = publish("status", &types.status, true)?;
         let [goal, cancel] = [goal, cancel].map(tokio::sync::Mutex::new);
         Ok(Self {
             node: node.name().to_owned(),
             types,
             goal,
             cancel,
-            publishers: Some(publishers),
+            status,
+            feedback,
+            result,
             goals: Mutex::default(),
             asks: Notify::new(),
             ticks: Ticks::every(STATUS),
@@ -173,12 +168,13 @@ impl ActionServer {
         }
     }
 
-    /// Aborts all goals, because the remote server has left.
-    pub fn abort_all(&self) {
+    /// Aborts all goals, because the remote server has left. Waits until clients know it.
+    pub async fn settle(&self) {
         let ended = self.goals.lock().end_all(Instant::now(), status::ABORTED, "the server has gone");
         for ended in ended {
             self.publish_ended(Some(ended));
         }
+        tokio::time::sleep(FLUSH).await;
     }
 
     /// Publishes a feedback message of ROS 2, if its goal is of a local client.
@@ -187,7 +183,8 @@ impl ActionServer {
         let Some(status) = self.goals.lock().live(&goal) else { return Ok(()) };
         let feedback = run_blocking_if_large(message.len(), || self.types.feedback_to_ros1(message));
         let feedback = feedback.map_err(|error| error.to_string())?;
-        self.publish(|publishers| &publishers.feedback, message::write_update(now(), &status, &feedback))
+        let message = message::write_update(now(), &status, &feedback);
+        self.feedback.publish(message).map_err(|error| error.to_string())
     }
 
     /// Takes a status list of ROS 2, and publishes what has changed.
@@ -213,7 +210,7 @@ impl ActionServer {
         let Some(Ended { status, result }) = ended else { return };
         let result = result.unwrap_or_else(|| self.types.empty_result());
         let message = message::write_update(now(), &status, &result);
-        if let Err(error) = self.publish(|publishers| &publishers.result, message) {
+        if let Err(error) = self.result.publish(message) {
             tracing::warn!(goal = status.goal.id, "the result was not published: {error}");
         }
         self.publish_list();
@@ -222,25 +219,8 @@ impl ActionServer {
     fn publish_list(&self) {
         let list: Vec<GoalStatus> = self.goals.lock().list();
         let message = message::write_statuses(now(), &list);
-        if let Err(error) = self.publish(|publishers| &publishers.status, message) {
+        if let Err(error) = self.status.publish(message) {
             tracing::warn!("the statuses of goals were not published: {error}");
-        }
-    }
-
-    fn publish(&self, topic: impl FnOnce(&Publishers) -> &Publisher, message: Bytes) -> Result<(), String> {
-        let publishers = self.publishers.as_ref().ok_or("the server has left")?;
-        topic(publishers).publish(message).map_err(|error| error.to_string())
-    }
-}
-
-impl Drop for ActionServer {
-    fn drop(&mut self) {
-        let (publishers, runtime) = (self.publishers.take(), tokio::runtime::Handle::try_current());
-        if let (Some(publishers), Ok(runtime)) = (publishers, runtime) {
-            runtime.spawn(async move {
-                tokio::time::sleep(FLUSH).await;
-                drop(publishers);
-            });
         }
     }
 }

@@ -14,7 +14,8 @@ fn named(client: &GoalClient, number: u8, status: u8) -> GoalStatus {
 fn begun(numbers: &[u8], now: Instant) -> GoalClient {
     let mut client = GoalClient::new("/gdp_proxy_a");
     for number in numbers {
-        client.begin(now, goal(*number)).unwrap();
+        let sent = client.begin(now, goal(*number)).unwrap();
+        assert_eq!(sent, message::GoalId { stamp: (0, 0), id: client.id(&goal(*number)) });
     }
     client
 }
