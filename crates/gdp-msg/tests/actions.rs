@@ -52,6 +52,22 @@ fn goals_results_and_feedback_map_both_ways() {
 }
 
 #[test]
+fn an_action_of_both_distributions_maps_and_has_the_sums_of_genpy() {
+    let name = TypeName::parse("tf2_msgs/action/LookupTransform").unwrap();
+    let action = Action::resolve(&Registry::embedded(), &name).unwrap();
+    for (part, md5sum) in [
+        (ActionPart::Goal, "f2e7bcdb75c847978d0351a13e699da5"),
+        (ActionPart::Result, "ac26ce75a41384fa8bb4dc10f491ab90"),
+        (ActionPart::Feedback, "aae20e09065c3809e8a8e87c4c8953fd"),
+    ] {
+        assert_eq!(hash::md5sum(&action.ros1(part).unwrap()), md5sum);
+        for from in [Ros1, Ros2] {
+            assert!(action.mapping(part, from).unwrap().notes().is_empty(), "{part:?}");
+        }
+    }
+}
+
+#[test]
 fn one_version_of_a_part_may_have_more_fields() {
     let mut registry = registry(Ros1);
     registry.add_file(Ros2, &name(), &TEXT.replace("float64 x", "float64 x\nfloat64 speed")).unwrap();

@@ -78,8 +78,8 @@ impl GoalClient {
         Self { prefix: format!("{node}-"), goals: HashMap::new(), result_bytes: 0 }
     }
 
-    /// Stores a goal that is about to be sent. Returns its ID in ROS 1. It has no stamp, so that the
-    /// server sets one: its clock may differ, or be that of a simulation.
+    /// Stores a goal that is about to be sent. Returns its ID in ROS 1. It has no stamp, so that
+    /// the server sets one: its clock may differ, or be that of a simulation.
     pub fn begin(&mut self, now: Instant, goal: GoalId) -> Result<message::GoalId, GoalsError> {
         if self.goals.contains_key(&goal) {
             return Err(GoalsError::Taken);

@@ -156,7 +156,10 @@ impl Route {
         if let Some(wanted) = wanted.filter(|wanted| *wanted != here.kind.name) {
             return Ok(Err(format!("it is of {}, and the name is of {wanted}", here.kind.name)));
         }
-        if let Some(own) = self.own_hash(&here).filter(|own| !there.kind.hash.is_empty() && *own != here.kind.hash) {
+        // A proxy at a ROS 1 master converts by the announced definitions, and not by its own.
+        let converts = self.config.what == What::Action && dialect == Dialect::Ros1 && there.definitions.is_some();
+        let own = if converts { None } else { self.own_hash(&here) };
+        if let Some(own) = own.filter(|own| !there.kind.hash.is_empty() && *own != here.kind.hash) {
             let own = hex::encode(own);
             return Ok(Err(format!("its {} is another than the one known here, of hash {own}", here.kind.name)));
         }
