@@ -154,7 +154,9 @@ impl Cursor {
 
     fn status(&mut self) -> Result<GoalStatus, Malformed> {
         let (goal, status, text) = (self.goal()?, self.take(1)?[0], self.text()?);
-        let text = String::from_utf8_lossy(&text[..text.len().min(MAX_TEXT)]).into_owned();
+        let mut text = String::from_utf8_lossy(&text[..text.len().min(MAX_TEXT)]).into_owned();
+        // What stands for invalid bytes is longer than they are.
+        text.truncate(text.floor_char_boundary(MAX_TEXT));
         Ok(GoalStatus { goal, status, text })
     }
 }

@@ -34,5 +34,8 @@ fn what_is_cut_or_too_long_is_refused() {
     long.id.push('x');
     assert!(read_cancel(&write_cancel(&long)).is_err());
     let text = GoalStatus { text: "y".repeat(2 * MAX_TEXT), ..status() };
-    assert_eq!(read_update(&write_update((0, 0), &text, &[])).unwrap().0.text.len(), MAX_TEXT);
+    let cut = write_update((0, 0), &text, &[]);
+    assert_eq!(read_update(&cut).unwrap().0.text.len(), MAX_TEXT);
+    let invalid = Bytes::from_iter(cut.iter().map(|byte| if *byte == b'y' { 0xff } else { *byte }));
+    assert!(read_update(&invalid).unwrap().0.text.len() <= MAX_TEXT);
 }
