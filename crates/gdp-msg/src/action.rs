@@ -55,10 +55,13 @@ impl Action {
     ///
     /// # Errors
     /// If neither dialect defines the action, or as [`Schema::resolve`].
-    pub fn resolve(registry: &Registry, name: &TypeName) -> Result<Self, SchemaError> {
+    pub fn resolve(registry: &Registry, name: &TypeName) -> Result<Self, ActionError> {
         let is_known =
             |dialect| ActionPart::ALL.iter().all(|part| registry.get(dialect, &part.name(dialect, name)).is_some());
         let (ros1, ros2) = (is_known(Dialect::Ros1), is_known(Dialect::Ros2));
+        if !ros1 && !ros2 {
+            return Err(ActionError::Unknown(name.with(InterfaceKind::Action, "")));
+        }
         let mut action = Self { registry: registry.clone(), name: name.with(InterfaceKind::Action, "") };
         if !ros1 {
             action.make(Dialect::Ros2, Dialect::Ros1)?;
@@ -161,6 +164,8 @@ const MAX_EMPTY: usize = 1 << 20;
 /// The reason why messages of an action cannot be mapped.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 pub enum ActionError {
+    #[error("there is no definition of {0} of either ROS version: give the share folder of its package")]
+    Unknown(TypeName),
     #[error(transparent)]
     Schema(#[from] SchemaError),
     #[error(transparent)]

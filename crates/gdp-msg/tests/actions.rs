@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Ros1, Ros2, transcode};
-use gdp_msg::{Action, ActionPart, Dialect, InterfaceKind, Registry, SchemaError, TypeName, hash};
+use gdp_msg::{Action, ActionError, ActionPart, Dialect, InterfaceKind, Registry, TypeName, hash};
 
 const TEXT: &str = "int8 kind\nfloat64 x\n---\nint8 code\nfloat64[] path\nstring text\n---\n";
 
@@ -30,7 +30,7 @@ fn either_dialect_makes_the_other() {
         assert_eq!(rihs(&Action::resolve(&with_common(peer), &name()).unwrap()), rihs(&both));
     }
     let unknown = Action::resolve(&Registry::embedded(), &name()).unwrap_err();
-    assert!(matches!(unknown, SchemaError::Unknown { .. }), "{unknown}");
+    assert_eq!(unknown, ActionError::Unknown(name()));
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::fs;
 
 use gdp_tests::programs::own;
 
-use crate::master::{Master, Process};
+use crate::master::{Master, Process, until};
 use crate::ros2::{Ros2, target};
 use crate::site::{Proxy, Site, Topic};
 use crate::{FIBONACCI, IN, OUT, graph};
@@ -171,6 +171,26 @@ async fn between_two_masters_a_goal_is_executed_once() {
         let of_action: Vec<_> = site.carried(label).into_iter().filter(|topic| topic.contains("fibonacci")).collect();
         assert!(of_action.is_empty(), "{label}: {of_action:?}");
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_status_says_which_definition_is_missing_or_differs() {
+    let site = Site::start().await;
+    let robot = Master::start().await;
+    let (_server, _) = robot.peer("server", &["compute", "/fibonacci", "test_msgs", "1"]).await;
+    let says = async |proxy: &Proxy, text: &str| {
+        let status = || Some(proxy.calls().first()?["status"].as_str()?.to_owned());
+        until(text, async || status().filter(|status| status.contains(text))).await
+    };
+    let actions = [site.name("action", "/fibonacci", FIBONACCI)];
+    let proxy = site.proxy("unaware", &graph(&robot), &actions, OUT);
+    says(&proxy, "there is no definition of test_msgs/action/Fibonacci").await;
+    drop(proxy);
+    let share = share(&site, "ros1", "mistaken");
+    let file = site.folder("mistaken").join("share/test_msgs/action/Fibonacci.action");
+    fs::write(file, DEFINITION.replace("sequence\n---", "numbers\n---")).unwrap();
+    let proxy = site.proxy_of("mistaken", &graph(&robot), &actions, OUT, &share);
+    says(&proxy, "test_msgs/FibonacciActionResult has the MD5 sum").await;
 }
 
 /// A proxy with the definition of the action.

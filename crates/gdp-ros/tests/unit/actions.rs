@@ -38,7 +38,7 @@ fn the_servers_proxy_announces_the_definitions() {
     assert_eq!(known.kind.hash.len(), 32);
     let mut definitions = known.definitions.unwrap();
     let unknown = "my_robot/action/Fibonacci";
-    assert!(matches!(types().action(unknown, None), Err(TypeError::Schema(_))));
+    assert!(matches!(types().action(unknown, None), Err(TypeError::Action(_))));
     definitions.request = definitions.request.replace("example_interfaces", "my_robot");
     let made = types().action(unknown, Some(&definitions)).unwrap();
     assert_eq!(made.description.definitions, Some(definitions));

@@ -81,3 +81,15 @@ fn lengths_that_nothing_follows_are_refused() {
         assert_eq!(statuses(&message), Err(Malformed), "{count}");
     }
 }
+
+#[test]
+fn requests_about_goals_are_laid_out_as_ros_does_it() {
+    let goal = [7; 16];
+    assert_eq!(result_request(&goal), [&[0, 1, 0, 0][..], &goal].concat());
+    let request = cancel_request(&goal);
+    assert_eq!(request, [&[0, 1, 0, 0][..], &goal, &[0; 8]].concat());
+    assert_eq!(cancel_of(&request), Ok((goal, (0, 0))));
+    assert_eq!(cancel_of(&request[..27]), Err(Malformed));
+    assert_eq!(accepted((3, 4)), [0, 1, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0, 4, 0, 0, 0][..]);
+    assert_eq!((is_accepted(&accepted((3, 4))), result_status(&unknown())), (Ok(true), Ok(UNKNOWN)));
+}
