@@ -82,12 +82,12 @@ pub struct Description {
     /// The full name of the server's node, such as `/robot/driver`. It is empty if the graph does
     /// not tell it.
     pub node: String,
-    /// The definitions of a service, if the server's proxy knows them. They are `None` for an
-    /// action.
+    /// The definitions, if the server's proxy knows them.
     pub definitions: Option<Definitions>,
 }
 
-/// The definitions of a service's request and response, each with all nested types.
+/// The definitions of a service's request and response, each with all nested types. Of an action,
+/// `request` is the definition of the whole type, and `response` is empty.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Definitions {
