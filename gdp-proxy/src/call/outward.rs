@@ -1,6 +1,8 @@
 //! Local servers for remote clients. The proxy serves the name only while there is a local server.
 
+use std::fmt::Display;
 use std::pin::{Pin, pin};
+use std::time::Duration;
 
 use bytes::Bytes;
 use futures::StreamExt;
@@ -17,9 +19,13 @@ use super::counters::Reason;
 use super::{LAST_WORDS, MAX_PENDING, Route, Way};
 use crate::config::What;
 use crate::graph::{CallerError, Graph, Peer, Servers};
+use crate::peer_proxies::Candidate;
 use crate::ros2::TypeName;
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
+
+/// Pause before a server whose type does not fit is asked again.
+const ASK_AGAIN: Duration = Duration::from_secs(60);
 
 /// A local server and its description for remote clients.
 struct Offer {
@@ -71,6 +77,13 @@ impl Route {
                         }
                     },
                     Err(Unfit::Call(CallerError::Graph(error))) => return Err(error.into()),
+                    Err(Unfit::Call(error)) if error.is_of_type() => {
+                        self.refuse(candidate, &error);
+                        // A restarted server may have the same node, and other definitions.
+                        if let Ok(left) = tokio::time::timeout(ASK_AGAIN, servers.until_left(&peer)).await {
+                            left?;
+                        }
+                    }
                     // Another proxy of the graph may be able to serve.
                     Err(error @ (Unfit::Call(_) | Unfit::Random)) => {
                         candidate.set_permitted(false);
@@ -78,9 +91,7 @@ impl Route {
                         self.route_status.pause(error, &mut retry, right).await;
                     }
                     Err(error @ Unfit::OtherType { .. }) => {
-                        candidate.set_permitted(false);
-                        tracing::warn!(service = %self.config.name, "not carried: {error}");
-                        self.route_status.set_status(&error.to_string());
+                        self.refuse(candidate, &error);
                         servers.until_left(&peer).await?;
                     }
                 }
@@ -106,6 +117,13 @@ impl Route {
                 }
             }
         }
+    }
+
+    /// Records why the local server is not offered. Another proxy may be able to.
+    fn refuse(&self, candidate: &Candidate, error: &dyn Display) {
+        candidate.set_permitted(false);
+        tracing::warn!(service = %self.config.name, "not carried: {error}");
+        self.route_status.set_status(&error.to_string());
     }
 
     async fn offer(&self, graph: &Graph, kind: Option<&TypeName>, peer: Peer) -> Result<Offer, Unfit> {

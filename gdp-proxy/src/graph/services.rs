@@ -227,6 +227,13 @@ pub enum CallerError {
     OtherAction { name: String, theirs: String, ours: String },
 }
 
+impl CallerError {
+    /// Whether the reason is the server's type, which seldom changes.
+    pub fn is_of_type(&self) -> bool {
+        matches!(self, Self::NoActionType | Self::ActionType(_) | Self::OtherAction { .. })
+    }
+}
+
 /// A server in the local graph, which exists until it is dropped.
 pub enum Stand {
     Ros1 { requests: Mutex<mpsc::Receiver<Asked>>, _server: ServiceServer },

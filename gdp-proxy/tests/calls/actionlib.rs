@@ -5,6 +5,7 @@
 //! ```
 
 use std::fs;
+use std::time::Duration;
 
 use gdp_tests::programs::own;
 
@@ -182,9 +183,22 @@ async fn the_status_says_which_definition_is_missing_or_differs() {
         let status = || Some(proxy.calls().first()?["status"].as_str()?.to_owned());
         until(text, async || status().filter(|status| status.contains(text))).await
     };
+    let unknown = "there is no definition of test_msgs/action/Fibonacci";
+    // Nor does the proxy of a server in ROS 2 know it.
+    let (other, cloud) = (Ros2::new(22), Master::start().await);
+    let elsewhere = [site.name("action", "/elsewhere", FIBONACCI)];
+    let _out = site.proxy("other", &other.graph(), &elsewhere, OUT);
+    let _server_elsewhere = other.peer("server", &["compute", "/elsewhere", "1"]).await;
+    let client = site.proxy("cloud", &graph(&cloud), &elsewhere, IN);
+    says(&client, unknown).await;
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     let proxy = site.proxy("unaware", &graph(&robot), &actions, OUT);
-    says(&proxy, "there is no definition of test_msgs/action/Fibonacci").await;
+    says(&proxy, unknown).await;
+    // Both ask again by then.
+    tokio::time::sleep(Duration::from_secs(6)).await;
+    for label in ["unaware", "cloud"] {
+        assert_eq!(site.log(label).matches(unknown).count(), 1, "{label}: not again and again");
+    }
     drop(proxy);
     let share = share(&site, "ros1", "mistaken");
     let file = site.folder("mistaken").join("share/test_msgs/action/Fibonacci.action");

@@ -118,7 +118,10 @@ impl Route {
                 }
             }
             Err(error) => {
-                tracing::warn!(service = %self.config.name, server = %name, "not called: {error}");
+                // The server is asked again and again.
+                if self.route_status.status() != error {
+                    tracing::warn!(service = %self.config.name, server = %name, "not called: {error}");
+                }
                 if to.local.is_none() {
                     self.route_status.set_status(&error);
                 }
