@@ -242,10 +242,18 @@ impl<'a> Ros2Reader<'a> {
             Some(qos) => (Some(Offer::from(qos)), None),
             None => (of(false), of(true)),
         };
+        let mut is_new = false;
         for (half, asks) in [(&mut self.live, live), (&mut self.latched, latched)] {
             if let Some(asks) = asks.filter(|asks| half.as_ref().is_none_or(|half| half.asks != *asks)) {
                 *half = Some(Half { reader: self.domain.reader_of(&self.topic, &kind, &asks)?, asks });
+                is_new = true;
             }
+        }
+        if is_new {
+            // A new reader takes every writer for alive, and reports the end of each lease again.
+            let silent = self.known.iter().filter(|(_, known)| !known.alive).map(|(key, _)| key.to_be_bytes());
+            let silent: Vec<_> = silent.collect();
+            silent.into_iter().for_each(|writer| self.report_liveliness(writer, true));
         }
         Ok(())
     }
