@@ -5,8 +5,8 @@ use std::pin::{Pin, pin};
 use std::time::Duration;
 
 use bytes::Bytes;
-use futures::StreamExt;
 use futures::stream::FuturesUnordered;
+use futures::{FutureExt, StreamExt};
 use gdp::{Call, NodeError, Server};
 use gdp_core::cert::{AdCert, Issued};
 use gdp_ros::call::{CALL, Description, Epoch, Failure, FailureCode, Part, Reply, Request};
@@ -58,11 +58,16 @@ impl Route {
     ) -> Result<(), RouteError> {
         let Way { graph, node, kind, card, candidate } = *way;
         let mut servers = Servers::new(graph, &self.config.name, self.config.what);
-        let mut pause = RETRY;
+        let (mut pause, mut last) = (RETRY, String::new());
         loop {
-            self.route_status.set_status("waiting for a local server");
             let found = async {
-                let peer = servers.until_there().await?;
+                let peer = match servers.until_there().now_or_never() {
+                    Some(peer) => peer?,
+                    None => {
+                        self.route_status.set_status("waiting for a local server");
+                        servers.until_there().await?
+                    }
+                };
                 Ok::<_, RouteError>((peer.clone(), self.offer(graph, kind, peer).await))
             };
             let Some(found) = unless(&mut over, found).await else { return Ok(()) };
@@ -87,8 +92,14 @@ impl Route {
                     // Another proxy of the graph may be able to serve.
                     Err(error @ (Unfit::Call(_) | Unfit::Random)) => {
                         candidate.set_permitted(false);
-                        let mut retry = RETRY;
-                        self.route_status.pause(error, &mut retry, right).await;
+                        let (error, mut retry) = (error.to_string(), RETRY);
+                        if error == last {
+                            // A ROS 1 master lists a server that was killed for ever.
+                            tokio::time::sleep(retry.next_delay()).await;
+                        } else {
+                            self.route_status.pause(&error, &mut retry, right).await;
+                            last = error;
+                        }
                     }
                     Err(error @ Unfit::OtherType { .. }) => {
                         self.refuse(candidate, &error);
@@ -99,7 +110,7 @@ impl Route {
             };
             let Some(served) = unless(&mut over, again).await else { return Ok(()) };
             let Some((offer, mut server)) = served? else { continue };
-            pause = RETRY;
+            (pause, last) = (RETRY, String::new());
             candidate.set_permitted(true);
             self.is_up(&offer.description.kind.name);
             self.counters.servers(1);

@@ -183,6 +183,14 @@ async fn the_status_says_which_definition_is_missing_or_differs() {
         let status = || Some(proxy.calls().first()?["status"].as_str()?.to_owned());
         until(text, async || status().filter(|status| status.contains(text))).await
     };
+    // The master still lists one that was killed.
+    let (third, crashed) = (Master::start().await, [site.name("action", "/crashed", FIBONACCI)]);
+    let aware = knowing(&site, "ros1", "aware", &graph(&third), &crashed, OUT);
+    let (mut victim, _) = third.peer("victim", &["compute", "/crashed", "test_msgs", "1"]).await;
+    says(&aware, "up").await;
+    victim.kill();
+    let unmatched = "does not match the proxy's client";
+    says(&aware, unmatched).await;
     let unknown = "there is no definition of test_msgs/action/Fibonacci";
     // Nor does the proxy of a server in ROS 2 know it.
     let (other, cloud) = (Ros2::new(22), Master::start().await);
@@ -200,6 +208,8 @@ async fn the_status_says_which_definition_is_missing_or_differs() {
         assert_eq!(site.log(label).matches(unknown).count(), 1, "{label}: not again and again");
     }
     drop(proxy);
+    assert_eq!(site.log("aware").matches(unmatched).count(), 1, "not again and again");
+    says(&aware, unmatched).await;
     let share = share(&site, "ros1", "mistaken");
     let file = site.folder("mistaken").join("share/test_msgs/action/Fibonacci.action");
     fs::write(file, DEFINITION.replace("sequence\n---", "numbers\n---")).unwrap();
