@@ -43,12 +43,12 @@ fn what_is_said_is_understood() {
 fn the_bytes_are_those_of_the_documentation() {
     let (epoch, body) = (Epoch(0x0102_0304_0506_0708), Bytes::from_static(b"goal"));
     let request = Request::Call { epoch, part: Part::GetResult, body };
-    assert_eq!(request.to_bytes(), b"\x01\x01\x03\x01\x02\x03\x04\x05\x06\x07\x08goal");
+    assert_eq!(request.to_bytes(), b"\x02\x01\x03\x01\x02\x03\x04\x05\x06\x07\x08goal");
     let failure = Reply::failure(FailureCode::Refused, "no");
-    assert_eq!(failure.to_bytes().unwrap(), b"\x01\x02\x01no");
+    assert_eq!(failure.to_bytes().unwrap(), b"\x02\x02\x01no");
     let events = vec![Event::Feedback(Bytes::from_static(b"f")), Event::Status(Bytes::from_static(b"st"))];
     let events = Reply::Events(Events { last: 258, dropped: 0, events });
-    let bytes = b"\x01\x03\0\0\0\0\0\0\x01\x02\0\0\0\0\0\0\0\0\0\0\0\0\x01f\x01\0\0\0\x02st";
+    let bytes = b"\x02\x03\0\0\0\0\0\0\x01\x02\0\0\0\0\0\0\0\0\0\0\0\0\x01f\x01\0\0\0\x02st";
     assert_eq!(events.to_bytes().unwrap(), bytes);
 }
 
@@ -61,7 +61,7 @@ fn what_ends_too_early_or_too_late_is_refused() {
         }
         assert!(Request::from_bytes(&[&bytes[..], b"x"].concat().into()).is_err(), "{request:?}");
     }
-    let epoch_alone = Bytes::from_static(b"\x01\x01\0\0\0\0\0\0\0\0");
+    let epoch_alone = Bytes::from_static(b"\x02\x01\0\0\0\0\0\0\0\0");
     assert_eq!(Request::from_bytes(&epoch_alone), Err(CallError::Malformed));
     let events = replies().swap_remove(4).to_bytes().unwrap();
     assert_eq!(Reply::from_bytes(&events[..events.len() - 1].to_vec().into()), Err(CallError::Malformed));
@@ -69,15 +69,15 @@ fn what_ends_too_early_or_too_late_is_refused() {
 
 #[test]
 fn what_is_unknown_or_too_much_is_refused() {
-    assert_eq!(Request::from_bytes(&Bytes::from_static(b"\x02\0")), Err(CallError::Version(2)));
-    for bytes in [&b""[..], b"\x01", b"\x01\x03", b"\x01\x01\x04\0\0\0\0\0\0\0\0"] {
+    assert_eq!(Request::from_bytes(&Bytes::from_static(b"\x01\0")), Err(CallError::Version(1)));
+    for bytes in [&b""[..], b"\x02", b"\x02\x03", b"\x02\x01\x04\0\0\0\0\0\0\0\0"] {
         assert_eq!(Request::from_bytes(&Bytes::from_static(bytes)), Err(CallError::Malformed), "{bytes:?}");
     }
-    for bytes in [&b"\x01\x04"[..], b"\x01\x02", b"\x01\x02\x05", b"\x01\x02\0\xff"] {
+    for bytes in [&b"\x02\x04"[..], b"\x02\x02", b"\x02\x02\x05", b"\x02\x02\0\xff"] {
         assert_eq!(Reply::from_bytes(&Bytes::from_static(bytes)), Err(CallError::Malformed), "{bytes:?}");
     }
     // Lengths that nothing follows cost no memory.
-    let claimed = [&b"\x01\x03"[..], &[0; 16], b"\0\xff\xff\xff\xff"].concat();
+    let claimed = [&b"\x02\x03"[..], &[0; 16], b"\0\xff\xff\xff\xff"].concat();
     assert_eq!(Reply::from_bytes(&claimed.into()), Err(CallError::Malformed));
     let many = Events { events: vec![Event::Status(Bytes::new()); MAX_EVENTS + 1], ..Events::default() };
     let many = Reply::Events(many).to_bytes().unwrap();
