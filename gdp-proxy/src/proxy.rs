@@ -70,6 +70,8 @@ async fn carry(
     };
     let ros_node = format!("{}{}", graph::NODE, &node.name().to_string()[..8]);
     let types = Arc::new(Types::load(loaded.config.definitions.folders()).context("definitions")?);
+    // From before the graphs look at the interfaces.
+    let mut interfaces = Interfaces::new(node.network_changes());
     let mut graphs = graph::All::new();
     graph::join(&mut graphs, &loaded.config.graphs, &ros_node).await?;
     tracing::info!(entity = %node.name(), graphs = ?graphs.keys(), "attached to the switch and in the ROS graphs");
@@ -88,7 +90,6 @@ async fn carry(
     running.want(&mut automatic, &explicit);
     let mut stats_writer = StatsWriter::new(stats);
     let mut diagnostics = Diagnostics::wanted(&loaded.config, node.name(), &graphs, &types).await;
-    let mut interfaces = Interfaces::new(node.network_changes());
     let ended = loop {
         tokio::select! {
             () = &mut stop => break Ok(()),

@@ -161,7 +161,7 @@ impl RouteStatus {
             Some(0) => tracing::warn!(what = %self.title, name = %self.name, "{message}; trying again in {delay:?}"),
             Some(more) => tracing::warn!(
                 what = %self.title, name = %self.name,
-                "{message}; trying again in {delay:?}; {more} further requests failed in the last minute",
+                "{message}; trying again in {delay:?}; {more} such lines were not logged since the last one",
             ),
             // The status of the route has it.
             None => tracing::debug!(what = %self.title, name = %self.name, "{message}; trying again in {delay:?}"),

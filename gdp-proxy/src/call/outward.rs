@@ -10,6 +10,7 @@ use futures::{FutureExt, StreamExt};
 use gdp::{Call, NodeError, Server};
 use gdp_core::cert::{AdCert, Issued};
 use gdp_ros::call::{CALL, Description, Epoch, Failure, FailureCode, Part, Reply, Request};
+use gdp_ros::roster::node_name;
 use gdp_ros::services::service_name;
 use gdp_wire::Name;
 use tokio::sync::{Notify, watch};
@@ -149,7 +150,7 @@ impl Route {
         if wanted != *got {
             return Err(Unfit::OtherType { got: got.clone(), wanted });
         }
-        description.node = peer.node().to_owned();
+        description.node = node_name(peer.node()).to_owned();
         let epoch = Epoch(u64::from_be_bytes(gdp_core::crypto::random().map_err(|_| Unfit::Random)?));
         Ok(Offer { peer, backend, epoch, description, lost: Notify::new() })
     }

@@ -141,7 +141,7 @@ impl ActionStand {
         [send_goal, cancel_goal, get_result].into_iter().for_each(|stand| stand.assign(node));
         // Nobody writes yet.
         let writers = [feedback, status].into_iter().filter_map(|writer| writer.try_lock().ok());
-        writers.for_each(|writer| writer.assign(node));
+        writers.for_each(|mut writer| writer.assign(node));
     }
 
     /// Waits for the next request. An `Err` explains why a request is invalid. Safe to cancel.

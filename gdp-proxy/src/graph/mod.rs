@@ -198,7 +198,7 @@ impl Writer {
 
     /// Shows the writer as one of the node with this full name. In ROS 1 it stays one of the proxy,
     /// because each node has an API of its own.
-    pub fn assign(&self, node: &str) {
+    pub fn assign(&mut self, node: &str) {
         if let Self::Ros2(writer) = self {
             writer.assign(node);
         }

@@ -332,7 +332,7 @@ impl Ros2Writer {
         domain.writer_of(topic, kind, &offers).map(Self)
     }
 
-    pub fn assign(&self, node: &str) {
+    pub fn assign(&mut self, node: &str) {
         self.0.assign(node);
     }
 

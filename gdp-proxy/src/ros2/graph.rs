@@ -159,7 +159,8 @@ impl Graph {
             let Pair { requests: Some((guid, kind)), has_replies: true } = pair else { continue };
             let id = guid.to_bytes();
             let node = node(names, guid);
-            let awaits_node = node.is_empty() && with_nodes.contains(&participant(guid));
+            let owner = participant(guid);
+            let awaits_node = node.is_empty() && with_nodes.contains(&owner) && !names.has_none(&owner);
             graph.add_peer(&name, serves, ServicePeer { id, kind, mapping: Mapping::of(id), node, awaits_node });
         }
         for topic in graph.topics.values_mut() {
@@ -238,7 +239,7 @@ pub(super) fn user_data(hash: &[u8]) -> Vec<u8> {
 }
 
 fn node(names: &NodeNames, endpoint: GUID) -> Arc<str> {
-    names.get(&endpoint.to_bytes()).cloned().unwrap_or_default()
+    names.node(endpoint.to_bytes())
 }
 
 /// Converts a duration, which is untrusted and may be negative.

@@ -17,14 +17,44 @@ use tokio::sync::{Notify, watch};
 pub(super) const TOPIC: &str = "ros_discovery_info";
 pub(super) const TYPE: &str = "rmw_dds_common/msg/ParticipantEntitiesInfo";
 
-/// Bound on the endpoints of all other participants whose node is known.
-const MAX_REMOTE: usize = 1 << 17;
+/// Bound on the participants whose nodes are known. Beyond it, those that have left are forgotten.
+const MAX_PARTICIPANTS: usize = 1024;
+
+/// Bound on the endpoints of one participant whose node is known.
+const MAX_ENDPOINTS: usize = 8192;
 
 /// The GUID prefix of all endpoints of a participant.
 type Participant = [u8; 12];
 
-/// The full name of the node of each endpoint of the other participants.
-pub(super) type NodeNames = HashMap<[u8; 16], Arc<str>>;
+/// What the other participants announce: the full name of the node of each endpoint. A participant
+/// without an entry has announced nothing that can be read yet.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct NodeNames(HashMap<Participant, Arc<Endpoints>>);
+
+/// The node of each endpoint of a participant.
+type Endpoints = HashMap<[u8; 16], Arc<str>>;
+
+impl NodeNames {
+    /// Returns the node of an endpoint, or an empty text.
+    pub fn node(&self, endpoint: [u8; 16]) -> Arc<str> {
+        let names = self.0.get(&prefix(&endpoint));
+        names.and_then(|names| names.get(&endpoint)).cloned().unwrap_or_default()
+    }
+
+    #[cfg(test)]
+    pub fn of<const N: usize>(endpoints: [([u8; 16], &str); N]) -> Self {
+        let mut names: HashMap<_, Endpoints> = HashMap::new();
+        for (endpoint, node) in endpoints {
+            names.entry(prefix(&endpoint)).or_default().insert(endpoint, node.into());
+        }
+        Self(names.into_iter().map(|(participant, names)| (participant, names.into())).collect())
+    }
+
+    /// Whether the participant has announced that it has no nodes, or in a form that is unknown.
+    pub fn has_none(&self, participant: &Participant) -> bool {
+        self.0.get(participant).is_some_and(|names| names.is_empty())
+    }
+}
 
 /// The nodes of this participant, and those of the others.
 pub(super) struct Nodes {
@@ -83,12 +113,12 @@ impl Nodes {
         self.remote.subscribe()
     }
 
-    /// Forgets the nodes of participants that have left.
+    /// Forgets participants that are not present, if there are too many. Otherwise they stay: one
+    /// that returns after an outage does not announce its nodes again.
     pub fn retain(&self, present: &HashSet<Participant>) {
         self.remote.send_if_modified(|names| {
-            let is_left = |endpoint: &[u8; 16]| !present.contains(&prefix(endpoint));
-            if names.keys().any(is_left) {
-                Arc::make_mut(names).retain(|endpoint, _| !is_left(endpoint));
+            if names.0.len() >= MAX_PARTICIPANTS {
+                Arc::make_mut(names).0.retain(|participant, _| present.contains(participant));
             }
             // Graphs without these endpoints are the same.
             false
@@ -132,21 +162,24 @@ impl Nodes {
     /// Replaces what is known of the participant `from` by its announcement, a CDR encapsulation.
     /// Another participant cannot announce its endpoints.
     pub fn take(&self, from: Participant, announcement: &[u8]) {
-        let Some(entities) = decode(announcement) else { return };
+        let entities = decode(announcement).map_or_else(Vec::new, |entities| entities.nodes);
+        let mut new = Endpoints::new();
+        for NodeEntities { namespace, name, readers, writers } in entities {
+            let Ok(name) = NodeName::new(&namespace, &name) else { continue };
+            let name: Arc<str> = name.fully_qualified_name().into();
+            let endpoints = readers.into_iter().chain(writers).filter(|endpoint| prefix(endpoint) == from);
+            new.extend(
+                endpoints.take(MAX_ENDPOINTS.saturating_sub(new.len())).map(|endpoint| (endpoint, name.clone())),
+            );
+        }
         self.remote.send_if_modified(|names| {
-            let mut new = NodeNames::clone(names);
-            new.retain(|endpoint, _| prefix(endpoint) != from);
-            for NodeEntities { namespace, name, readers, writers } in entities.nodes {
-                let Ok(name) = NodeName::new(&namespace, &name) else { continue };
-                let name: Arc<str> = name.fully_qualified_name().into();
-                let endpoints = readers.into_iter().chain(writers).filter(|endpoint| prefix(endpoint) == from);
-                new.extend(endpoints.map(|endpoint| (endpoint, name.clone())));
+            let before = names.0.get(&from);
+            let is_news = before.is_none_or(|before| **before != new);
+            let has_room = before.is_some() || names.0.len() < MAX_PARTICIPANTS;
+            if is_news && has_room {
+                Arc::make_mut(names).0.insert(from, new.into());
             }
-            let is_news = new.len() <= MAX_REMOTE && new != **names;
-            if is_news {
-                *names = new.into();
-            }
-            is_news
+            is_news && has_room
         });
     }
 }

@@ -97,7 +97,11 @@ pub(super) fn reader(offers: &Offer) -> QosPolicies {
     builder(offers, READER_SAMPLES).build()
 }
 
-/// Returns the QoS of a DDS writer with this offer.
+/// Shortest lease of liveliness that a writer offers, in nanoseconds. A remote publisher could
+/// otherwise make this participant assert its liveliness all the time.
+const MIN_LEASE_NS: u64 = 100_000_000;
+
+/// Returns the QoS of a DDS writer with this offer. A lease is at least [`MIN_LEASE_NS`].
 pub(super) fn writer(offers: &Offer) -> QosPolicies {
     let duration = |ns: u64| rustdds::Duration::from_nanos(i64::try_from(ns).unwrap_or(i64::MAX));
     let mut builder = builder(offers, WRITER_SAMPLES);
@@ -108,7 +112,7 @@ pub(super) fn writer(offers: &Offer) -> QosPolicies {
         builder = builder.lifespan(policy::Lifespan { duration: duration(offers.lifespan_ns) });
     }
     if offers.liveliness_ns > 0 {
-        let lease_duration = duration(offers.liveliness_ns);
+        let lease_duration = duration(offers.liveliness_ns.max(MIN_LEASE_NS));
         builder = builder.liveliness(match offers.manual_liveliness {
             true => policy::Liveliness::ManualByTopic { lease_duration },
             false => policy::Liveliness::Automatic { lease_duration },

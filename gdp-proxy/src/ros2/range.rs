@@ -1,9 +1,14 @@
 //! The range of ROS 2 discovery, from the environment.
 
-use std::net::{IpAddr, ToSocketAddrs};
+use std::net::{IpAddr, SocketAddr, ToSocketAddrs};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
 
 /// Bound on the static peers.
 const MAX_PEERS: usize = 64;
+
+/// Timeout of looking up all of them.
+const LOOKUP: Duration = Duration::from_secs(3);
 
 /// The range of discovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,33 +29,51 @@ pub enum RangeError {
          graph out of the configuration"
     )]
     Off,
-    #[error("ROS_STATIC_PEERS: {0:?} has no IPv4 address; write addresses or host names, separated by semicolons")]
-    Peer(String),
-    #[error("ROS_STATIC_PEERS names {0} hosts where at most {MAX_PEERS} are allowed")]
-    TooManyPeers(usize),
-    #[error(
-        "ROS_STATIC_PEERS is set, and the range of discovery is LOCALHOST: a proxy then announces no address that \
-         other hosts reach; set ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET, or unset ROS_STATIC_PEERS"
-    )]
-    PeersBeyond,
 }
 
 /// Returns the IPv4 addresses of the hosts in ROS_STATIC_PEERS, to which the participant announces
-/// itself by unicast. Looks host names up, which may take seconds.
-pub fn static_peers(range: Range, variable: impl Fn(&str) -> Option<String>) -> Result<Vec<IpAddr>, RangeError> {
+/// itself by unicast. Logs hosts that it leaves out: those whose name has no address yet, those
+/// beyond [`MAX_PEERS`], and all if the range is this host. Takes at most [`LOOKUP`].
+pub fn static_peers(range: Range, variable: impl Fn(&str) -> Option<String>) -> Vec<IpAddr> {
     let peers = variable("ROS_STATIC_PEERS").unwrap_or_default();
     let peers: Vec<&str> = peers.split(';').map(str::trim).filter(|peer| !peer.is_empty()).collect();
-    match peers.len() {
-        0 => return Ok(vec![]),
-        1..=MAX_PEERS if range == Range::Localhost => return Err(RangeError::PeersBeyond),
-        1..=MAX_PEERS => {}
-        more => return Err(RangeError::TooManyPeers(more)),
+    if range == Range::Localhost && !peers.is_empty() {
+        tracing::warn!(
+            "ROS_STATIC_PEERS is not used: with the range LOCALHOST this participant announces no address that other \
+             hosts reach; set ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET"
+        );
+        return vec![];
     }
-    let address = |peer: &str| {
-        let mut found = (peer, 0).to_socket_addrs().ok()?.map(|address| address.ip());
-        found.find(IpAddr::is_ipv4)
-    };
-    peers.into_iter().map(|peer| address(peer).ok_or_else(|| RangeError::Peer(peer.to_owned()))).collect()
+    if peers.len() > MAX_PEERS {
+        tracing::warn!("of the {} hosts in ROS_STATIC_PEERS, the first {MAX_PEERS} are used", peers.len());
+    }
+    let (found, looked_up) = mpsc::channel();
+    for peer in peers.iter().take(MAX_PEERS) {
+        let (peer, found) = ((*peer).to_owned(), found.clone());
+        // A resolver may take longer than anybody waits for it.
+        std::thread::spawn(move || {
+            let address = (peer.as_str(), 0).to_socket_addrs().ok();
+            let address = address.and_then(|mut all| all.find(SocketAddr::is_ipv4)).map(|address| address.ip());
+            // Nobody listens any more after the timeout.
+            _ = found.send((peer, address));
+        });
+    }
+    drop(found);
+    let (deadline, mut missing) = (Instant::now() + LOOKUP, peers);
+    missing.truncate(MAX_PEERS);
+    let mut addresses = Vec::new();
+    while let Ok((peer, address)) = looked_up.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+        if let Some(address) = address {
+            addresses.push(address);
+            missing.retain(|other| *other != peer);
+        }
+    }
+    for peer in missing {
+        tracing::warn!("ROS_STATIC_PEERS: {peer:?} has no IPv4 address now, and is not announced to until a restart");
+    }
+    addresses.sort_unstable();
+    addresses.dedup();
+    addresses
 }
 
 impl Range {

@@ -2,7 +2,6 @@
 //! encapsulation, carried unchanged: a four-byte header with the encoding (RTPS 2.5 §10.2), and the
 //! encoded body.
 
-use std::collections::HashMap;
 use std::convert::Infallible;
 use std::future::poll_fn;
 use std::pin::pin;
@@ -26,6 +25,7 @@ use tokio::task::JoinHandle;
 use tokio::task::coop::cooperative;
 use tokio::time::MissedTickBehavior;
 
+use super::gaps::Gaps;
 use super::nodes::{NodeEntry, Nodes};
 
 /// Bytes of the encapsulation header: representation (2), options (2).
@@ -34,9 +34,6 @@ pub const ENCAPSULATION: usize = 4;
 /// Timeout of a write. RustDDS checks its own maximum blocking time only when something else wakes
 /// the write.
 const WRITE_DEADLINE: Duration = Duration::from_millis(100);
-
-/// Shortest interval at which liveliness is asserted.
-const MIN_ASSERTION: Duration = Duration::from_millis(10);
 
 /// One message in its wire format.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -108,27 +105,6 @@ pub struct RawReader {
     /// Registers the expected type at discovery, so that different types of others are logged.
     _kind: Arc<str>,
     node: NodeEntry,
-}
-
-/// The last sequence number of each writer.
-#[derive(Default)]
-struct Gaps(HashMap<GUID, SequenceNumber>);
-
-/// Bound on the writers whose gaps are counted. Beyond it all are forgotten, and the next gap of
-/// each is missed.
-const MAX_WRITERS: usize = 4096;
-
-impl Gaps {
-    /// Returns the number of messages between this one and the last of the same writer.
-    fn before(&mut self, writer: GUID, sequence: SequenceNumber) -> u64 {
-        if self.0.len() >= MAX_WRITERS && !self.0.contains_key(&writer) {
-            self.0.clear();
-        }
-        let last = self.0.entry(writer).or_insert(sequence);
-        let ahead = i64::from(sequence).saturating_sub(i64::from(*last));
-        *last = sequence.max(*last);
-        ahead.saturating_sub(1).try_into().unwrap_or(0)
-    }
 }
 
 impl RawReader {
@@ -230,17 +206,25 @@ impl RawReader {
 
 /// A writer of a topic of any type.
 pub struct RawWriter {
-    little_endian: Arc<DataWriter<RawSample, Encoder<true>>>,
-    /// Asserts the liveliness of a writer with manual liveliness.
-    assertions: Option<JoinHandle<()>>,
+    little_endian: EncodedWriter<true>,
     /// A DDS writer has one encoding. This writer is created with the first big-endian message.
-    big_endian: Option<DataWriter<RawSample, Encoder<false>>>,
+    big_endian: Option<EncodedWriter<false>>,
     publisher: Publisher,
     topic: Topic,
     qos: QosPolicies,
+    nodes: Arc<Nodes>,
+    /// The full name of the ROS node, or `None` for that of the proxy.
+    node: Option<String>,
     /// Registers the expected type at discovery, so that different types of others are logged.
     _kind: Arc<str>,
+}
+
+/// A DDS writer of one encoding.
+struct EncodedWriter<const LITTLE_ENDIAN: bool> {
+    writer: Arc<DataWriter<RawSample, Encoder<LITTLE_ENDIAN>>>,
     node: NodeEntry,
+    /// Asserts the liveliness of a writer with manual liveliness.
+    assertions: Option<JoinHandle<()>>,
 }
 
 /// Reasons for which a message was not written.
@@ -261,29 +245,25 @@ impl RawWriter {
         qos: QosPolicies,
         nodes: &Arc<Nodes>,
     ) -> Result<Self, CreateError> {
-        let little_endian = Arc::new(publisher.create_datawriter_no_key(topic, Some(qos.clone()))?);
-        let assertions = match qos.liveliness() {
-            Some(Liveliness::ManualByTopic { lease_duration }) => {
-                Some(tokio::spawn(assert_liveliness(Arc::downgrade(&little_endian), lease_duration.to_std())))
-            }
-            _ => None,
-        };
-        let node = nodes.add(little_endian.guid());
         Ok(Self {
-            little_endian,
-            assertions,
-            node,
+            little_endian: EncodedWriter::new(publisher, topic, &qos, nodes)?,
             big_endian: None,
             publisher: publisher.clone(),
             topic: topic.clone(),
             qos,
+            nodes: nodes.clone(),
+            node: None,
             _kind: kind,
         })
     }
 
     /// Moves the writer to the ROS node with this full name, which may be a remote one.
-    pub fn assign(&self, node: &str) {
-        self.node.assign(node);
+    pub fn assign(&mut self, node: &str) {
+        self.little_endian.node.assign(node);
+        if let Some(writer) = &self.big_endian {
+            writer.node.assign(node);
+        }
+        self.node = Some(node.to_owned());
     }
 
     /// Writes one message with the source timestamp `timestamp_ns`, in Unix nanoseconds. It waits a
@@ -303,7 +283,7 @@ impl RawWriter {
     ) -> Result<SampleIdentity, WriteError> {
         let write = async {
             match sample.representation {
-                Representation::CdrLe => self.little_endian.async_write_with_options(sample, options).await,
+                Representation::CdrLe => self.little_endian.writer.async_write_with_options(sample, options).await,
                 Representation::CdrBe => self.big_endian()?.async_write_with_options(sample, options).await,
             }
             .map_err(|error| match error {
@@ -324,13 +304,13 @@ impl RawWriter {
     pub fn has_matched(&self) -> bool {
         let is_match =
             |status| matches!(status, DataWriterStatus::PublicationMatched { current, .. } if current.count() > 0);
-        std::iter::from_fn(|| self.little_endian.try_recv_status()).any(is_match)
+        std::iter::from_fn(|| self.little_endian.writer.try_recv_status()).any(is_match)
     }
 
     /// Waits until a reader is matched or unmatched. Returns the reader, and whether it is matched
     /// now. Each change is reported once.
     pub(super) async fn matching(&self) -> (GUID, bool) {
-        let mut events = self.little_endian.as_async_status_stream();
+        let mut events = self.little_endian.writer.as_async_status_stream();
         while let Some(event) = events.next().await {
             if let DataWriterStatus::PublicationMatched { reader, current, .. } = event {
                 return (reader, current.count_change() > 0);
@@ -351,30 +331,46 @@ impl RawWriter {
     /// Waits without a timeout until reliable readers have acknowledged all messages.
     pub async fn settle(&self) {
         // An error only means that there is nothing to wait for.
-        _ = self.little_endian.async_wait_for_acknowledgments().await;
+        _ = self.little_endian.writer.async_wait_for_acknowledgments().await;
         if let Some(writer) = &self.big_endian {
-            _ = writer.async_wait_for_acknowledgments().await;
+            _ = writer.writer.async_wait_for_acknowledgments().await;
         }
     }
 
     /// Returns the GUID of the little-endian writer.
     pub(super) fn guid(&self) -> GUID {
-        self.little_endian.guid()
+        self.little_endian.writer.guid()
     }
 
     fn big_endian(&mut self) -> Result<&DataWriter<RawSample, Encoder<false>>, WriteError> {
         let writer = match self.big_endian.take() {
             Some(writer) => writer,
-            None => self
-                .publisher
-                .create_datawriter_no_key(&self.topic, Some(self.qos.clone()))
-                .map_err(|error| WriteError::Failed(error.to_string()))?,
+            None => {
+                let writer = EncodedWriter::new(&self.publisher, &self.topic, &self.qos, &self.nodes)
+                    .map_err(|error| WriteError::Failed(error.to_string()))?;
+                self.node.iter().for_each(|node| writer.node.assign(node));
+                writer
+            }
         };
-        Ok(self.big_endian.insert(writer))
+        Ok(&self.big_endian.insert(writer).writer)
     }
 }
 
-impl Drop for RawWriter {
+impl<const LITTLE_ENDIAN: bool> EncodedWriter<LITTLE_ENDIAN> {
+    fn new(publisher: &Publisher, topic: &Topic, qos: &QosPolicies, nodes: &Arc<Nodes>) -> Result<Self, CreateError> {
+        let writer = Arc::new(publisher.create_datawriter_no_key(topic, Some(qos.clone()))?);
+        let node = nodes.add(writer.guid());
+        let assertions = match qos.liveliness() {
+            Some(Liveliness::ManualByTopic { lease_duration }) => {
+                Some(tokio::spawn(assert_liveliness(Arc::downgrade(&writer), lease_duration.to_std() / 3)))
+            }
+            _ => None,
+        };
+        Ok(Self { writer, node, assertions })
+    }
+}
+
+impl<const LITTLE_ENDIAN: bool> Drop for EncodedWriter<LITTLE_ENDIAN> {
     fn drop(&mut self) {
         if let Some(assertions) = &self.assertions {
             assertions.abort();
@@ -384,8 +380,11 @@ impl Drop for RawWriter {
 
 /// Asserts the liveliness of a writer for as long as it exists. Its remote publisher is alive until
 /// then.
-async fn assert_liveliness(writer: Weak<DataWriter<RawSample, Encoder<true>>>, lease: Duration) {
-    let mut ticks = tokio::time::interval((lease / 3).max(MIN_ASSERTION));
+async fn assert_liveliness<const LITTLE_ENDIAN: bool>(
+    writer: Weak<DataWriter<RawSample, Encoder<LITTLE_ENDIAN>>>,
+    period: Duration,
+) {
+    let mut ticks = tokio::time::interval(period);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         ticks.tick().await;

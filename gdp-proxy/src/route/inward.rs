@@ -212,7 +212,7 @@ impl Route {
         let format = format.map_err(|error| error.to_string())?;
         let offers = self.config.qos.map_or(*offers, Offer::from);
         let writer = graph.writer(&self.types, &self.config.topic, &here, text.as_deref(), offers);
-        let writer = writer.await.map_err(|error| error.to_string())?;
+        let mut writer = writer.await.map_err(|error| error.to_string())?;
         if !local.node.is_empty() {
             writer.assign(&local.node);
         }

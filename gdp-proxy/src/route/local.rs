@@ -76,7 +76,7 @@ impl Local {
 
     /// Records to which node the publisher belongs. Its graph may tell that later than the rest.
     pub fn move_to(&mut self, node: Arc<str>) {
-        if let LocalState::Made(made) = &self.state {
+        if let LocalState::Made(made) = &mut self.state {
             made.writer.assign(&node);
         }
         self.node = node;

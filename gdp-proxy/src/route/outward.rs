@@ -117,10 +117,10 @@ impl Route {
                         break (Some((key, node)), kind, offers);
                     }
                     Event::Joined { key, kind, .. } => {
-                        _ = incompatible_publishers.insert(key, self.of_another_type(&kind, wanted.as_ref()))
+                        self.not_carried(&mut incompatible_publishers, key, of_another_type(&kind, wanted.as_ref()));
                     }
                     Event::Incompatible { key, why } => {
-                        _ = incompatible_publishers.insert(key, self.not_carried(why.to_string()))
+                        self.not_carried(&mut incompatible_publishers, key, why.to_string());
                     }
                     Event::Unreadable(why) => self.drop(Drop::Unreadable, why),
                     Event::Left(key) => _ = incompatible_publishers.remove(&key),
@@ -189,7 +189,8 @@ impl Route {
             match event {
                 Event::Joined { key, kind, node, offers } => {
                     if !kind.agrees(&out.kind) {
-                        out.incompatible_publishers.insert(key, self.of_another_type(&kind, Some(&out.kind)));
+                        let why = of_another_type(&kind, Some(&out.kind));
+                        self.not_carried(&mut out.incompatible_publishers, key, why);
                         self.show_out("up", &out.incompatible_publishers);
                         continue;
                     }
@@ -208,7 +209,7 @@ impl Route {
                     }
                 }
                 Event::Incompatible { key, why } => {
-                    out.incompatible_publishers.insert(key, self.not_carried(why.to_string()));
+                    self.not_carried(&mut out.incompatible_publishers, key, why.to_string());
                     self.show_out("up", &out.incompatible_publishers);
                 }
                 Event::Left(key) => {
@@ -299,14 +300,12 @@ impl Route {
         }
     }
 
-    fn of_another_type(&self, kind: &Kind, wanted: Option<&Kind>) -> String {
-        let wanted = wanted.map_or("another type", |wanted| &wanted.name);
-        self.not_carried(format!("it publishes {}, and the topic is of {wanted}", kind.name))
-    }
-
-    fn not_carried(&self, why: String) -> String {
-        tracing::warn!(topic = %self.config.topic, "a publisher here is not carried: {why}");
-        why
+    /// Records why a publisher is not carried, and logs a new reason.
+    fn not_carried(&self, publishers: &mut BTreeMap<Key, String>, key: Key, why: String) {
+        if publishers.get(&key) != Some(&why) {
+            tracing::warn!(topic = %self.config.topic, "a publisher here is not carried: {why}");
+            publishers.insert(key, why);
+        }
     }
 
     /// Shows in the status which publishers are not carried.
@@ -369,4 +368,9 @@ async fn until(when: Option<Instant>) {
         Some(when) => tokio::time::sleep_until(when.into()).await,
         None => std::future::pending().await,
     }
+}
+
+fn of_another_type(kind: &Kind, wanted: Option<&Kind>) -> String {
+    let wanted = wanted.map_or("another type", |wanted| &wanted.name);
+    format!("it publishes {}, and the topic is of {wanted}", kind.name)
 }

@@ -9,9 +9,9 @@ use crate::site::Site;
 /// The lease of the publishers.
 const LEASE: Duration = Duration::from_secs(1);
 
-/// Bound on how much later than the lease its end may be seen elsewhere. On a quiet machine it is
-/// a tenth of it.
-const LATE: Duration = Duration::from_secs(1);
+/// Bound on how much later than the lease its end may be seen elsewhere. Without watching the lease
+/// it is the lease of the participant, 20 s.
+const LATE: Duration = Duration::from_secs(8);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_end_of_a_killed_publisher_is_seen_elsewhere_when_its_lease_ends() {

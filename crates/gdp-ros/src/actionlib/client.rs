@@ -153,12 +153,14 @@ impl GoalClient {
     pub fn take_result(&mut self, now: Instant, goal: &GoalId, status: &GoalStatus, result: Bytes) {
         let Some(sent) = self.goals.get_mut(goal).filter(|sent| sent.outcome.is_none()) else { return };
         sent.take_stamp(status);
-        let status = if status::is_final(status.status) { status.status } else { status::ABORTED };
+        let status = status::of_result(status.status);
         self.result_bytes += result.len();
         sent.ended.get_or_insert(now);
         (sent.is_known, sent.status, sent.outcome) = (true, status, Some(GoalOutcome::Result(status, result)));
         while self.result_bytes > MAX_RESULTS {
-            let stored = self.goals.iter().filter(|(_, sent)| matches!(sent.outcome, Some(GoalOutcome::Result(..))));
+            // Whoever waits for this result has not read it yet.
+            let others = self.goals.iter().filter(|(other, _)| *other != goal);
+            let stored = others.filter(|(_, sent)| matches!(sent.outcome, Some(GoalOutcome::Result(..))));
             let Some((_, oldest)) = stored.map(|(goal, sent)| (sent.ended, *goal)).min() else { break };
             self.remove(&oldest);
         }
@@ -202,7 +204,9 @@ impl GoalClient {
         let goals = self.goals.iter().filter(|(id, sent)| sent.ended.is_none() && is_meant(id, sent));
         let goals = goals.map(|(id, sent)| (*id, sent.stamp)).collect();
         let id = if is_any { String::new() } else { self.id(&goal) };
-        (Some(message::GoalId { stamp: to_time(stamp), id }), Canceling { code: 0, goals })
+        // No goal is older than 1970. Without a time and an ID, actionlib would cancel all goals.
+        let message = (!is_any || stamp.0 >= 0).then(|| message::GoalId { stamp: to_time(stamp), id });
+        (message, Canceling { code: 0, goals })
     }
 
     /// Returns the statuses of all accepted goals, in the terms of ROS 2.
@@ -236,7 +240,7 @@ impl GoalClient {
 
 /// Times before 1970 have no form in ROS 1.
 fn to_time((seconds, nanoseconds): Stamp) -> Time {
-    (seconds.try_into().unwrap_or(0), nanoseconds)
+    seconds.try_into().map_or((0, 0), |seconds| (seconds, nanoseconds))
 }
 
 #[cfg(test)]

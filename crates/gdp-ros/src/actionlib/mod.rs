@@ -24,6 +24,12 @@ pub mod status {
     pub const RECALLED: u8 = 8;
     pub const LOST: u8 = 9;
 
+    /// Returns the status with which a goal ends by its result. A server that sends a result with
+    /// another status has aborted the goal, as far as clients can know.
+    pub fn of_result(status: u8) -> u8 {
+        if is_final(status) { status } else { ABORTED }
+    }
+
     /// Returns whether the goal has ended.
     pub fn is_final(status: u8) -> bool {
         matches!(status, PREEMPTED | SUCCEEDED | ABORTED | REJECTED | RECALLED | LOST)

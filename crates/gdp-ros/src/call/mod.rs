@@ -11,7 +11,7 @@ use gdp_core::cbor::CborError;
 use gdp_e2e::seal::Encoding;
 use serde::{Deserialize, Serialize};
 
-use crate::roster::{Kind, MAX_DEFINITION};
+use crate::roster::{Kind, MAX_DEFINITION, MAX_NODE};
 
 /// Encoding number of a message that is a request or a reply.
 pub const CALL: Encoding = Encoding::Other(0x4753);
@@ -26,7 +26,6 @@ pub const MAX_EVENTS: usize = 256;
 
 const MAX_KIND: usize = 256;
 const MAX_HASH: usize = 32;
-const MAX_NODE: usize = 255;
 const MAX_DESCRIPTION: usize = 2 * MAX_DEFINITION + MAX_KIND + MAX_HASH + MAX_NODE + 128;
 
 /// A random number that identifies one offer of a server. The server's proxy draws a new one each

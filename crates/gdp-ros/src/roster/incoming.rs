@@ -232,7 +232,9 @@ impl Incoming {
         let is_known = |(_, message): &(Instant, Message)| {
             message.writer == writer
                 && message.session == peer.said.0
-                && number(&message.origin).is_some_and(|number| peer.writers.contains_key(&number))
+                && number(&message.origin)
+                    .and_then(|number| peer.writers.get(&number))
+                    .is_some_and(|from| !from.is_silent)
         };
         let (released, pending) = std::mem::take(&mut self.pending).into_iter().partition::<VecDeque<_>, _>(is_known);
         self.pending = pending;

@@ -43,7 +43,7 @@ const MAX_ROSTER: usize = MAX_DEFINITION + MAX_WRITERS * 512;
 const MAX_KIND: usize = 256;
 const MAX_HASH: usize = 32;
 /// Maximum size of a node's full name in bytes.
-const MAX_NODE: usize = 255;
+pub const MAX_NODE: usize = 255;
 const VERSION: u8 = 3;
 
 /// The type and the publishers of a topic.
@@ -94,7 +94,7 @@ pub struct Writer {
     /// The number of the publisher. It is never reused within one session of the name.
     pub number: u32,
     /// The full name of the publisher's node, such as `/robot/driver`. It is empty if the graph
-    /// does not tell it.
+    /// does not tell it, or if it is longer than [`MAX_NODE`].
     pub node: String,
     /// Whether its lease of liveliness is in force. Publishers without a lease are always alive.
     pub alive: bool,
@@ -173,6 +173,12 @@ impl Roster {
         }
         Ok(roster)
     }
+}
+
+/// Returns the name of a node if it may be in a roster, or an empty text. Readers refuse longer
+/// ones.
+pub fn node_name(name: &str) -> &str {
+    if name.len() > MAX_NODE { "" } else { name }
 }
 
 /// Returns the origin that a message of the publisher `number` carries.

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use gdp::Publisher;
 use gdp_core::cbor::CborError;
 
-use super::{Kind, LEASE, MAX_WRITERS, Offer, REFRESH, ROSTER, Roster, VERSION, Writer};
+use super::{Kind, LEASE, MAX_WRITERS, Offer, REFRESH, ROSTER, Roster, VERSION, Writer, node_name};
 
 /// The roster of a topic that this proxy publishes. `K` identifies a publisher in the ROS graph.
 pub struct Outgoing<K> {
@@ -44,6 +44,7 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
 
     /// Adds a publisher, or changes its QoS. Ignores new publishers beyond [`MAX_WRITERS`].
     pub fn joined(&mut self, key: K, node: &str, offers: Offer) {
+        let node = node_name(node);
         let number = match self.numbers.get(&key) {
             Some(number) => *number,
             None if self.numbers.len() >= MAX_WRITERS => return,

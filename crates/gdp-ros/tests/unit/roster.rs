@@ -113,9 +113,14 @@ fn the_end_of_a_lease_and_the_node_of_a_publisher_are_told() {
     assert_eq!(told(&mut out, &mut into), [joined(0, RELIABLE, None), joined(1, RELIABLE, None)]);
     out.set_alive(&'a', false);
     assert_eq!(told(&mut out, &mut into), [Change::Silent { writer: name(1), number: 0 }]);
+    // What waits for a publisher that is not alive gets no younger by further lists.
     assert_eq!(into.message(now, message(1, 9, &origin(0), "waits")), None);
+    out.again();
+    assert_eq!(told(&mut out, &mut into), []);
+    assert_eq!(into.poll(now + LEASE).last(), Some(&RosterEvent::Unannounced(1)));
     out.set_alive(&'a', true);
-    assert_eq!(told(&mut out, &mut into), [joined(0, RELIABLE, None)]);
+    // The other one was silent for as long.
+    assert_eq!(told(&mut out, &mut into), [joined(0, RELIABLE, None), joined(1, RELIABLE, None)]);
     out.set_alive(&'a', true);
     assert_eq!(out.poll(now), Ok(None), "nothing has changed");
 

@@ -189,7 +189,7 @@ impl ActionClient {
 
     fn take_result(&self, message: &Message) -> Result<Option<Event>, String> {
         let Some((goal, status, result)) = self.update(message, &self.types.result)? else { return Ok(None) };
-        let convert = || self.types.result_to_ros2(status::to_ros2(status.status), &result);
+        let convert = || self.types.result_to_ros2(status::to_ros2(status::of_result(status.status)), &result);
         match run_blocking_if_large(result.len(), convert) {
             Ok(result) => self.goals.lock().take_result(Instant::now(), &goal, &status, result),
             Err(error) => {

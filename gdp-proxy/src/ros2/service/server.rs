@@ -76,7 +76,7 @@ impl Server {
     pub fn assign(&self, node: &str) {
         self.requests.assign(node);
         // Nobody answers yet.
-        if let Ok(replies) = self.replies.try_lock() {
+        if let Ok(mut replies) = self.replies.try_lock() {
             replies.writer.assign(node);
         }
     }

@@ -19,7 +19,7 @@ fn endpoints_become_topics_services_and_actions() {
             seen(3, 11, false, "rq/halfRequest", "pkg::srv::dds_::Add_Request_"),
         ]
         .into_iter(),
-        &NodeNames::from([(guid(1, 1).to_bytes(), "/robot/driver".into()), (guid(1, 3).to_bytes(), "/adder".into())]),
+        &NodeNames::of([(guid(1, 1).to_bytes(), "/robot/driver"), (guid(1, 3).to_bytes(), "/adder")]),
     );
     assert_eq!(graph.topics.len(), 1, "{graph:?}");
     let chatter = &graph.topics[&TopicName::parse("/chatter").unwrap()];

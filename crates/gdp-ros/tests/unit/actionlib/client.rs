@@ -92,6 +92,9 @@ fn a_cancellation_names_goals_as_in_ros_1() {
     assert_eq!(all(goal(2), (1, 0)), (Some(((1, 0), id(2))), 0, vec![1, 2]));
     assert_eq!(all(goal(3), (0, 0)), (None, 3, vec![]));
     assert_eq!(all(goal(9), (0, 0)), (None, 2, vec![]));
+    // In ROS 1 an empty ID without a time means all goals.
+    assert_eq!(all(ANY_GOAL, (-1, 5)), (None, 0, vec![]));
+    assert_eq!(all(goal(2), (-1, 5)), (Some(((0, 0), id(2))), 0, vec![2]));
 }
 
 #[test]
@@ -111,6 +114,9 @@ fn goals_and_results_are_bounded() {
     assert_eq!(client.outcome(&id(0)), Some(GoalOutcome::Unknown));
     assert!(client.outcome(&id(1)).is_some() && client.result_bytes == MAX_RESULTS);
     client.begin(now, id(MAX_SENT)).unwrap();
+    let large = Bytes::from(vec![0; MAX_RESULTS + 1]);
+    client.take_result(now, &id(3), &GoalStatus::default(), large);
+    assert!(matches!(client.outcome(&id(3)), Some(GoalOutcome::Result(status::ABORTED, _))), "it is not final");
     client.begin(now, id(MAX_SENT + 1)).unwrap();
     assert_eq!(client.outcome(&id(1)), Some(GoalOutcome::Unknown));
 }
