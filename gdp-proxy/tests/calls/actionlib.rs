@@ -57,7 +57,7 @@ async fn a_client_of_ros_2_has_its_server_in_ros_1() {
     // A goal to the server that is just going has no answer, as in ROS 2 alone.
     let mut answer = None;
     for attempt in 0..5 {
-        let mut lucky = cloud.begin(&format!("lucky {attempt}"), &["send", "/fibonacci", "5"]);
+        let mut lucky = cloud.begin(&format!("lucky_{attempt}"), &["send", "/fibonacci", "5"]);
         answer = tokio::time::timeout(Duration::from_secs(10), lucky.event("result")).await.ok();
         if answer.is_some() {
             break;
