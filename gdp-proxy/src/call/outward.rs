@@ -12,6 +12,7 @@ use gdp_core::cert::{AdCert, Issued};
 use gdp_ros::call::{CALL, Description, Epoch, Failure, FailureCode, Part, Reply, Request};
 use gdp_ros::roster::node_name;
 use gdp_ros::services::service_name;
+use gdp_util::backoff::Backoff;
 use gdp_wire::Name;
 use tokio::sync::{Notify, watch};
 
@@ -25,8 +26,9 @@ use crate::ros2::TypeName;
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
 use crate::turns::unless;
 
-/// Pause before a server whose type does not fit is asked again.
-const ASK_AGAIN: Duration = Duration::from_secs(60);
+/// Backoff before a server whose type does not fit is asked again. A new one may not have announced
+/// all of it yet.
+const ASK_AGAIN: Backoff = Backoff::new(Duration::from_millis(500), Duration::from_secs(60));
 
 /// A local server and its description for remote clients.
 struct Offer {
@@ -59,7 +61,7 @@ impl Route {
     ) -> Result<(), RouteError> {
         let Way { graph, node, kind, card, candidate } = *way;
         let mut servers = Servers::new(graph, &self.config.name, self.config.what);
-        let (mut pause, mut last) = (RETRY, String::new());
+        let (mut pause, mut ask_again, mut last) = (RETRY, ASK_AGAIN, String::new());
         loop {
             let found = async {
                 let peer = match servers.until_there().now_or_never() {
@@ -84,9 +86,10 @@ impl Route {
                     },
                     Err(Unfit::Call(CallerError::Graph(error))) => return Err(error.into()),
                     Err(Unfit::Call(error)) if error.is_of_type() => {
-                        self.refuse(candidate, &error);
+                        self.refuse(candidate, &error, &mut last);
                         // A restarted server may have the same node, and other definitions.
-                        if let Ok(left) = tokio::time::timeout(ASK_AGAIN, servers.until_left(&peer)).await {
+                        let delay = ask_again.next_delay();
+                        if let Ok(left) = tokio::time::timeout(delay, servers.until_left(&peer)).await {
                             left?;
                         }
                     }
@@ -103,7 +106,7 @@ impl Route {
                         }
                     }
                     Err(error @ Unfit::OtherType { .. }) => {
-                        self.refuse(candidate, &error);
+                        self.refuse(candidate, &error, &mut last);
                         servers.until_left(&peer).await?;
                     }
                 }
@@ -111,7 +114,7 @@ impl Route {
             };
             let Some(served) = unless(&mut over, again).await else { return Ok(()) };
             let Some((offer, mut server)) = served? else { continue };
-            (pause, last) = (RETRY, String::new());
+            (pause, ask_again, last) = (RETRY, ASK_AGAIN, String::new());
             candidate.set_permitted(true);
             self.is_up(&offer.description.kind.name);
             self.counters.servers(1);
@@ -131,11 +134,16 @@ impl Route {
         }
     }
 
-    /// Records why the local server is not offered. Another proxy may be able to.
-    fn refuse(&self, candidate: &Candidate, error: &dyn Display) {
+    /// Records why the local server is not offered, and logs it if it is not the `last` reason.
+    /// Another proxy may be able to offer it.
+    fn refuse(&self, candidate: &Candidate, error: &dyn Display, last: &mut String) {
         candidate.set_permitted(false);
-        tracing::warn!(service = %self.config.name, "not carried: {error}");
-        self.route_status.set_status(&error.to_string());
+        let error = error.to_string();
+        if error != *last {
+            tracing::warn!(service = %self.config.name, "not carried: {error}");
+        }
+        self.route_status.set_status(&error);
+        *last = error;
     }
 
     async fn offer(&self, graph: &Graph, kind: Option<&TypeName>, peer: Peer) -> Result<Offer, Unfit> {

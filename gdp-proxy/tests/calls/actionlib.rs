@@ -211,7 +211,7 @@ async fn the_status_says_which_definition_is_missing_or_differs() {
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     let proxy = site.proxy("unaware", &graph(&robot), &actions, OUT);
     says(&proxy, unknown).await;
-    // The client's proxy asks again by then.
+    // Both ask again by then.
     tokio::time::sleep(Duration::from_secs(6)).await;
     for label in ["unaware", "cloud"] {
         assert_eq!(site.log(label).matches(unknown).count(), 1, "{label}: not again and again");
