@@ -42,7 +42,7 @@ async fn twenty_thousand_topics_of_rospy_are_a_few_lines_of_the_log() {
 #[tokio::test(flavor = "multi_thread")]
 async fn five_thousand_topics_of_a_dds_participant_are_a_few_lines_of_the_log() {
     let site = Site::start().await;
-    let domain = site.domain_id() + 15;
+    let domain = site.domain_id() + 32;
     let (expose, _) = site.by_pattern("robot", "cloud", "topics: [/**]", "topics: [/**]");
     let proxy = site.begin("robot", &format!("{{domain_id: {domain}}}"), &expose);
     let mut peer = Peer::topic(Vendor::Cyclone, "talk", domain, &["--no-wait", "--more-topics", "5000"]);

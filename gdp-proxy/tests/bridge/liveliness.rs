@@ -17,7 +17,7 @@ const LATE: Duration = Duration::from_secs(8);
 async fn the_end_of_a_killed_publisher_is_seen_elsewhere_when_its_lease_ends() {
     for (i, vendor) in [Vendor::Rclpy, Vendor::Cyclone].into_iter().enumerate() {
         let site = Site::start().await;
-        let (near, far) = (site.domain_id() + 20 + i as u16, site.domain_id() + 22 + i as u16);
+        let (near, far) = (site.domain_id() + 21 + i as u16, site.domain_id() + 23 + i as u16);
         let topics = [site.topic("/chatter", "std_msgs/msg/String")];
         let _out = site.proxy("robot", &domain(near), &topics, "direction: out");
         let _in = site.proxy("cloud", &domain(far), &topics, "direction: in");
@@ -37,7 +37,7 @@ async fn the_end_of_a_killed_publisher_is_seen_elsewhere_when_its_lease_ends() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_publisher_that_asserts_its_liveliness_by_itself_is_alive_while_it_does() {
     let site = Site::start().await;
-    let (near, far) = (site.domain_id() + 24, site.domain_id() + 25);
+    let (near, far) = (site.domain_id() + 29, site.domain_id() + 31);
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let _out = site.proxy("robot", &domain(near), &topics, "direction: out");
     let _in = site.proxy("cloud", &domain(far), &topics, "direction: in");
