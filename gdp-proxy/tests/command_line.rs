@@ -73,15 +73,7 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
     let _entered = runtime.enter();
     let node = Domain::join(domain as u16, "talker").unwrap();
     let kind = TypeName::parse("std_msgs/msg/String").unwrap();
-    let offer = Offer {
-        reliable: true,
-        transient_local: false,
-        depth: 10,
-        deadline_ns: 0,
-        lifespan_ns: 0,
-        liveliness_ns: 0,
-        manual_liveliness: false,
-    };
+    let offer = Offer::DEFAULT;
     let topics = ["/a/b", "/a/secret", "/c", "/chatter"];
     let _writers = topics.map(|topic| node.writer(&TopicName::parse(topic).unwrap(), &kind, &offer).unwrap());
     let trigger = TypeName::parse("std_srvs/srv/Trigger").unwrap();

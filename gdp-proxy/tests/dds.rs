@@ -11,15 +11,7 @@ use gdp_proxy::graph::{self, Arrived, Event, Reader};
 use gdp_proxy::ros2::{Domain, Range, RawReader, RawSample, RawWriter, TopicName, TypeName};
 use gdp_ros::roster::Offer;
 
-const RELIABLE: Offer = Offer {
-    reliable: true,
-    transient_local: false,
-    depth: 10,
-    deadline_ns: 0,
-    lifespan_ns: 0,
-    liveliness_ns: 0,
-    manual_liveliness: false,
-};
+const RELIABLE: Offer = Offer::DEFAULT;
 const LATCHED: Offer = Offer { transient_local: true, ..RELIABLE };
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

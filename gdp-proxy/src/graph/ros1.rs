@@ -28,15 +28,7 @@ use crate::ros2::TopicName;
 use gdp_ros::roster::{Dialect, Kind, Offer};
 
 /// The offer of a ROS 1 publisher: it waits for no subscriber, and its subscribers queue messages.
-const OFFER: Offer = Offer {
-    reliable: true,
-    transient_local: false,
-    depth: 10,
-    deadline_ns: 0,
-    lifespan_ns: 0,
-    liveliness_ns: 0,
-    manual_liveliness: false,
-};
+const OFFER: Offer = Offer::DEFAULT;
 
 /// The proxy's nodes at one master.
 pub struct Master {

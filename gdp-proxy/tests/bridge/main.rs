@@ -34,15 +34,7 @@ use gdp_ros::roster::Offer;
 use master::{Master, Process};
 use site::Site;
 
-const RELIABLE: Offer = Offer {
-    reliable: true,
-    transient_local: false,
-    depth: 10,
-    deadline_ns: 0,
-    lifespan_ns: 0,
-    liveliness_ns: 0,
-    manual_liveliness: false,
-};
+const RELIABLE: Offer = Offer::DEFAULT;
 const LATCHED: Offer = Offer { transient_local: true, depth: 1, ..RELIABLE };
 
 #[tokio::test(flavor = "multi_thread")]

@@ -148,8 +148,7 @@ impl GoalServer {
     /// feedback arrives before that.
     pub fn take_result(&mut self, now: Instant, goal: &GoalId, status: i8, result: Bytes) -> Option<Ended> {
         let served = self.served(goal).filter(|served| served.ended.is_none())?;
-        let status = status::of_ros2(status);
-        let status = if status::is_final(status) { status } else { status::ABORTED };
+        let status = status::of_result(status::of_ros2(status));
         served.waiting = Some((status, result, now + WAIT));
         if served.is_over { self.release(now, goal) } else { None }
     }

@@ -120,6 +120,17 @@ pub struct Offer {
 }
 
 impl Offer {
+    /// The default QoS of a publisher in ROS 2.
+    pub const DEFAULT: Self = Self {
+        reliable: true,
+        transient_local: false,
+        depth: 10,
+        deadline_ns: 0,
+        lifespan_ns: 0,
+        liveliness_ns: 0,
+        manual_liveliness: false,
+    };
+
     /// Returns how long a reader keeps a publisher with this QoS while its proxy is silent. That is
     /// the shorter of its deadline and its liveliness lease, but at least [`MIN_LEASE`] and at most
     /// [`LEASE`]; without either it is [`LEASE`].

@@ -8,15 +8,7 @@ use gdp_wire::Name;
 use super::outgoing::Announcement;
 use super::*;
 
-const RELIABLE: Offer = Offer {
-    reliable: true,
-    transient_local: false,
-    depth: 10,
-    deadline_ns: 0,
-    lifespan_ns: 0,
-    liveliness_ns: 0,
-    manual_liveliness: false,
-};
+const RELIABLE: Offer = Offer::DEFAULT;
 /// The full name of the publishers' node.
 const NODE: &str = "/robot7/driver";
 
@@ -99,7 +91,7 @@ fn publishers_come_and_go_at_the_other_end() {
 }
 
 #[test]
-fn the_end_of_a_lease_and_the_node_of_a_publisher_are_told() {
+fn a_roster_carries_the_liveliness_and_the_node_of_a_publisher() {
     let now = Instant::now();
     let (mut out, mut into) = (Outgoing::new(kind(), None), Incoming::default());
     out.joined('a', NODE, RELIABLE);
