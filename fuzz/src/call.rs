@@ -4,6 +4,7 @@
 use std::sync::LazyLock;
 
 use bytes::Bytes;
+use gdp_e2e::seal::MessageId;
 use gdp_ros::action::cdr::{
     Canceling, Status, aborted, cancel_of, goal_of, is_accepted, result_status, status_array, statuses,
 };
@@ -91,6 +92,7 @@ pub fn seeds() -> Vec<(String, Vec<u8>)> {
         ("describe", Request::Describe.to_bytes()),
         ("a goal", Request::Call { epoch, part: Part::SendGoal, body }.to_bytes()),
         ("what is new", Request::Events { epoch, after: 2 }.to_bytes()),
+        ("no longer needed", Request::Cancel(MessageId { session: [7; 16], sequence: 2 }).to_bytes()),
         ("statuses", list.to_vec()),
         ("what is cancelled", canceling.write().to_vec()),
     ];

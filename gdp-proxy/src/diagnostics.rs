@@ -12,7 +12,7 @@ use serde::Serialize;
 use tokio::time::{Interval, MissedTickBehavior};
 
 use crate::config::{Config, Side};
-use crate::graph::{All, GraphError, Writer};
+use crate::graph::{All, Graph, GraphError, Writer};
 use crate::ros2::{NameError, Qos, TopicName};
 use crate::stats::RouteStats;
 use gdp_ros::roster::{Dialect, Kind};
@@ -47,12 +47,14 @@ pub enum DiagnosticsError {
 pub struct Diagnostics {
     entity: Name,
     outlets: Vec<(Writer, Converter)>,
+    /// Graphs that have no publisher yet, because their Zenoh router is not reached.
+    pending: Vec<String>,
     ticks: Interval,
     before: Before,
 }
 
-/// Messages and drops of each route at the last report.
-type Before = HashMap<(String, String, Side), (u64, u64)>;
+/// Messages and drops of each route at the last report. Merged routes have one topic.
+type Before = HashMap<(Name, String, Side), (u64, u64)>;
 
 #[derive(Serialize)]
 struct Array {
@@ -89,21 +91,25 @@ struct Value {
 
 impl Diagnostics {
     async fn new(entity: Name, graphs: &All, types: &Types) -> Result<Self, DiagnosticsError> {
-        let (topic, ros2) =
-            (TopicName::parse(TOPIC)?, Kind { dialect: Dialect::Ros2, name: KIND.into(), hash: vec![] });
-        let told = Form { kind: &ros2, definition: None, encoding: Encoding::Json };
-        let mut outlets = Vec::new();
-        for graph in graphs.values() {
-            let (kind, _) = types.counterpart(&told, graph.dialect())?;
-            let definition = types.definition(&kind);
-            let written = Form { kind: &kind, definition: None, encoding: kind.dialect.native() };
-            let converter = types.converter(&told, &written)?;
-            let writer = graph.writer(types, &topic, &kind, definition.as_deref(), Qos::default().into()).await?;
-            outlets.push((writer, converter));
-        }
         let mut ticks = tokio::time::interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        Ok(Self { entity, outlets, ticks, before: HashMap::new() })
+        let pending = graphs.keys().cloned().collect();
+        let mut new = Self { entity, outlets: vec![], pending, ticks, before: HashMap::new() };
+        new.open(graphs, types).await?;
+        Ok(new)
+    }
+
+    /// Creates the publishers that are missing.
+    async fn open(&mut self, graphs: &All, types: &Types) -> Result<(), DiagnosticsError> {
+        for name in std::mem::take(&mut self.pending) {
+            let Some(graph) = graphs.get(&name) else { continue };
+            match publisher(graph, types).await {
+                Ok(publisher) => self.outlets.push(publisher),
+                Err(DiagnosticsError::Graph(GraphError::Zenoh(_))) => self.pending.push(name),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
     }
 
     /// Creates the publishers, if the configuration enables them. An error is logged and disables
@@ -117,8 +123,11 @@ impl Diagnostics {
     }
 
     /// Publishes the status of all routes. It is called once a second.
-    pub async fn tell(&mut self, routes: &[RouteStats]) {
+    pub async fn tell(&mut self, routes: &[RouteStats], graphs: &All, types: &Types) {
         let now = unix_time();
+        if let Err(error) = self.open(graphs, types).await {
+            tracing::warn!("no diagnostics in a graph: {error}");
+        }
         if let Err(error) = self.tell_once(now, routes).await {
             tracing::warn!("no diagnostics: {error}");
         }
@@ -140,7 +149,7 @@ impl Diagnostics {
     fn status(&mut self, route: &RouteStats, before: &Before) -> DiagnosticStatus {
         let RouteStats { topic, graph, status, direction, name, counted, kind, .. } = route;
         let drops = counted.drops.values().sum();
-        let key = (topic.clone(), graph.clone(), *direction);
+        let key = (*name, graph.clone(), *direction);
         let (messages_before, drops_before) = before.get(&key).copied().unwrap_or_default();
         self.before.insert(key, (counted.messages, drops));
         let level = level(status, drops > drops_before);
@@ -167,6 +176,17 @@ impl Diagnostics {
             values,
         }
     }
+}
+
+async fn publisher(graph: &Graph, types: &Types) -> Result<(Writer, Converter), DiagnosticsError> {
+    let (topic, ros2) = (TopicName::parse(TOPIC)?, Kind { dialect: Dialect::Ros2, name: KIND.into(), hash: vec![] });
+    let told = Form { kind: &ros2, definition: None, encoding: Encoding::Json };
+    let (kind, _) = types.counterpart(&told, graph.dialect())?;
+    let definition = types.definition(&kind);
+    let written = Form { kind: &kind, definition: None, encoding: kind.dialect.native() };
+    let converter = types.converter(&told, &written)?;
+    let writer = graph.writer(types, &topic, &kind, definition.as_deref(), Qos::default().into()).await?;
+    Ok((writer, converter))
 }
 
 /// Waits for the next second, or forever if there are no diagnostics. Safe to cancel.

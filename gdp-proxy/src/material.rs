@@ -19,6 +19,7 @@ use gdp_wire::Name;
 use crate::call;
 use crate::cert_file::CertFile;
 use crate::config::{Config, ExposeConfig, ImportConfig, Side, TopicConfig};
+use crate::graph;
 use crate::relay::Relay;
 use crate::renewal::Renewal;
 
@@ -68,6 +69,8 @@ impl Material {
         let credentials =
             config.domain.as_ref().map(|domain| load_credentials(&domain.into(), identity.name(), watcher));
         let credentials = credentials.transpose()?;
+        graph::check(&config.graphs)
+            .map_err(|(name, reason)| MaterialError { key: format!("graphs.{name}"), reason })?;
         let relay = Relay::load(config)?;
         let expose = config.expose.as_ref().map(load_expose).transpose()?;
         let imports = config.import.iter().enumerate();

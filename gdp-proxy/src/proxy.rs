@@ -101,7 +101,7 @@ async fn carry(
             () = stats_writer.due() => stats_writer.show(&node, running.stats()),
             () = diagnostics::due(&mut diagnostics) => {
                 if let Some(diagnostics) = &mut diagnostics {
-                    diagnostics.tell(&running.routes.stats()).await;
+                    diagnostics.tell(&running.routes.stats(), &graphs, &types).await;
                 }
             }
             () = watch.changed() => match load_again(&loaded, &watch, &mut graphs, &ros_node).await {

@@ -22,7 +22,7 @@ pub use gdp_core::cert::{AdCert, Grantee, Issued, Membership, Mode, ReadGrant, R
 pub use gdp_core::identity::{Identity, SigningKey, VerifyKey};
 pub use gdp_core::link_target::{LinkTarget, LinkTargetError};
 pub use gdp_core::name::{Name, NamePrefix, NameProof};
-pub use gdp_e2e::seal::Encoding;
+pub use gdp_e2e::seal::{Encoding, MessageId};
 pub use gdp_wire::ErrorCode;
 pub use node::{
     Call, Client, Ended, Feedback, FrameError, Instance, LinkConfig, LinkState, LinkStatus, Meter, Node, NodeConfig,

@@ -19,6 +19,7 @@ def arguments():
     p.add_argument("--transient-local", action="store_true")
     p.add_argument("--depth", type=int, default=10)
     p.add_argument("--lease", type=int, help="ask for liveliness and a message in so many milliseconds, and say what comes of it")
+    p.add_argument("--no-deadline", action="store_true", help="with --lease: ask for liveliness alone")
     p.add_argument("--peer", help="discover this address by unicast, nothing by multicast")
     p.add_argument("--count", type=int, default=0, help="0: until killed")
     p.add_argument("--rate", type=float, default=10)
@@ -119,12 +120,16 @@ def qos():
     promises = []
     if args.lease:
         lease = duration(milliseconds=args.lease)
-        promises = [Policy.Liveliness.Automatic(lease), Policy.Deadline(lease)]
+        promises = [Policy.Liveliness.Automatic(lease)]
+        if not args.no_deadline:
+            promises.append(Policy.Deadline(lease))
     return Qos(
         *promises,
         Policy.Reliability.BestEffort if args.best_effort else reliable,
         Policy.Durability.TransientLocal if args.transient_local else Policy.Durability.Volatile,
         Policy.History.KeepLast(args.depth),
+        # What a latched writer keeps for late joiners; rmw_cyclonedds sets the same.
+        Policy.DurabilityService(0, Policy.History.KeepLast(args.depth), -1, -1, -1),
         # ROS 2 uses XCDR1 only.
         Policy.DataRepresentation(use_cdrv0_representation=True),
     )

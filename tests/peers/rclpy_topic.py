@@ -24,7 +24,9 @@ def arguments():
     p.add_argument("--size", type=int, default=64)
     p.add_argument("--text", default="hello from the robot")
     p.add_argument("--gate", required=False, help="send warm-up messages, numbered -1, until this file exists")
+    p.add_argument("--no-wait", action="store_true", help="a talker of rclpy never waits")
     p.add_argument("--transient-local", action="store_true")
+    p.add_argument("--depth", type=int, default=10)
     p.add_argument("--lease", type=int, help="liveliness lease in milliseconds")
     p.add_argument("--manual", action="store_true", help="liveliness by topic; the talker asserts it until the gate is there")
     return p.parse_args()
@@ -37,7 +39,7 @@ def say(**fields):
 
 def qos(args):
     durability = DurabilityPolicy.TRANSIENT_LOCAL if args.transient_local else DurabilityPolicy.VOLATILE
-    profile = QoSProfile(depth=10, durability=durability)
+    profile = QoSProfile(depth=args.depth, durability=durability)
     if args.lease:
         profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC if args.manual else LivelinessPolicy.AUTOMATIC
         profile.liveliness_lease_duration = Duration(nanoseconds=args.lease * 1_000_000)
@@ -88,5 +90,6 @@ args = arguments()
 rclpy.init()
 namespace, _, name = (args.node or "rclpy_" + args.verb).rpartition("/")
 node = rclpy.create_node(name, namespace=namespace or None)
+node.get_logger().info(f"{args.node or args.verb} is ready")
 {"talk": talk, "listen": listen}[args.verb](node, args)
 rclpy.spin(node)

@@ -10,10 +10,12 @@ mod debug_symbols;
 mod demo;
 mod fresh;
 mod fuzz;
+mod pairings;
 mod peers;
 mod run;
 mod setup;
 mod shell;
+mod soak;
 mod test;
 mod workspace;
 
@@ -43,8 +45,12 @@ enum Verb {
     Demo(demo::Options),
     /// Check the rules of the source tree: import cycles, lengths, words, facade
     Check(check::Options),
+    /// Try each ROS software with rclpy through two proxies, and print the table of docs/ros.md
+    Pairings(pairings::Options),
     /// Fuzz the parsers of untrusted input
     Fuzz(fuzz::Options),
+    /// Run proxies and a switch under churn and kills, and check what they use (needs root)
+    Soak(soak::Options),
     /// Set up, build, start and test the project on a clean Debian 12 (needs root)
     Fresh(fresh::Options),
     /// Run a benchmark, and print a table or JSON (needs root)
@@ -59,7 +65,9 @@ fn main() -> ExitCode {
         Verb::Test(options) => test::run(options),
         Verb::Demo(options) => demo::run(options),
         Verb::Check(options) => check::run(options),
+        Verb::Pairings(options) => pairings::run(options),
         Verb::Fuzz(options) => fuzz::run(options),
+        Verb::Soak(options) => soak::run(options),
         Verb::Fresh(options) => fresh::run(options),
         Verb::Bench(options) => bench::run(options),
     };

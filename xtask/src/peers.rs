@@ -2,6 +2,7 @@
 //! it; the others are Python.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::SystemTime;
 
 use anyhow::{Context, Result};
@@ -13,7 +14,8 @@ use crate::{shell, workspace};
 /// Compiles the peers to `target/peers` if their sources are newer.
 pub fn build() -> Result<()> {
     build_dds()?;
-    build_actionlib()
+    build_actionlib()?;
+    build_roscpp()
 }
 
 /// Compiles the Fast DDS peers.
@@ -46,11 +48,6 @@ fn build_actionlib() -> Result<()> {
     }
     let (messages, include) = (out.join("actionlib/msg"), out.join("actionlib/include"));
     std::fs::create_dir_all(&messages).with_context(|| format!("cannot create {}", messages.display()))?;
-    let python = |script: &str| {
-        let mut command = Program::Python3.command();
-        command.arg(script);
-        command
-    };
     shell::say_and_run(python("/usr/lib/actionlib_msgs/genaction.py").arg(&action).arg("-o").arg(&messages))?;
     for part in ["Action", "ActionGoal", "ActionResult", "ActionFeedback", "Goal", "Result", "Feedback"] {
         let mut generator = python(GENCPP);
@@ -61,12 +58,36 @@ fn build_actionlib() -> Result<()> {
         }
         shell::say_and_run(&mut generator)?;
     }
-    let partial = out.join("actionlib-peer.new");
+    compile_roscpp(&include, &source, &program)
+}
+
+/// Compiles the peer of roscpp alone, with generated headers for its service.
+fn build_roscpp() -> Result<()> {
+    let out = workspace::target().join("peers");
+    let (source, program) = (workspace::root().join("tests/peers/roscpp.cpp"), out.join("roscpp-peer"));
+    if is_newer(&program, &[&source]) {
+        return Ok(());
+    }
+    let include = out.join("roscpp/include");
+    let mut generator = python(GENCPP);
+    generator.args(["/usr/share/std_srvs/srv/SetBool.srv", "-p", "std_srvs", "-e", "/usr/share/gencpp", "-o"]);
+    shell::say_and_run(generator.arg(include.join("std_srvs")))?;
+    compile_roscpp(&include, &source, &program)
+}
+
+fn compile_roscpp(include: &Path, source: &Path, program: &Path) -> Result<()> {
+    let partial = program.with_extension("new");
     let mut compiler = Program::Cxx.command();
-    compiler.args(["-std=c++17", "-O1", "-Wall", "-Wno-deprecated-declarations", "-I"]).arg(&include);
-    compiler.arg("-o").arg(&partial).arg(&source);
+    compiler.args(["-std=c++17", "-O1", "-Wall", "-Wno-deprecated-declarations", "-I"]).arg(include);
+    compiler.arg("-o").arg(&partial).arg(source);
     shell::say_and_run(compiler.args(ROSCPP))?;
-    std::fs::rename(&partial, &program).with_context(|| format!("cannot rename {}", partial.display()))
+    std::fs::rename(&partial, program).with_context(|| format!("cannot rename {}", partial.display()))
+}
+
+fn python(script: &str) -> Command {
+    let mut command = Program::Python3.command();
+    command.arg(script);
+    command
 }
 
 /// Compiles the zenoh bridge, which has its own workspace, and returns its path.

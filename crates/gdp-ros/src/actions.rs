@@ -9,7 +9,7 @@ use crate::action::GoalId;
 use crate::action::cdr::ANY_GOAL;
 use crate::call::{Definitions, Description};
 use crate::roster::{Dialect, Kind, MAX_DEFINITION};
-use crate::services::digits;
+use crate::services::rihs01;
 use crate::types::{TypeError, Types};
 
 /// Length of the encapsulation header of CDR.
@@ -84,11 +84,32 @@ impl Types {
     }
 }
 
+impl Types {
+    /// Returns the RIHS01 hashes of types that belong to an action of ROS 2, such as
+    /// `pkg/action/Do_SendGoal`. Uses the announced definitions, or else the local registry.
+    pub fn part_hashes<const N: usize>(
+        &self,
+        action: &Description,
+        parts: [&str; N],
+    ) -> Result<[Vec<u8>; N], TypeError> {
+        let mut registry: Registry = self.0.clone();
+        if let Some(definitions) = &action.definitions {
+            let name = TypeName::parse(&action.kind.name)?;
+            let text = &definitions.request;
+            registry.add_text(gdp_msg::Dialect::Ros2, &name, text).map_err(gdp_msg::SchemaError::from)?;
+        }
+        let mut hashes = [const { Vec::new() }; N];
+        for (hash, part) in hashes.iter_mut().zip(parts) {
+            *hash = rihs01(&*Schema::resolve(&registry, gdp_msg::Dialect::Ros2, &TypeName::parse(part)?)?);
+        }
+        Ok(hashes)
+    }
+}
+
 /// Describes an action for other proxies. The definition of the whole type takes the place of a
 /// service's request.
 fn describe(name: String, schema: Option<&Schema>) -> Description {
-    let hash = schema.map(hash::type_hash);
-    let hash = hash.map(|hash| digits(hash.rsplit('_').next().unwrap_or_default())).unwrap_or_default();
+    let hash = schema.map(rihs01).unwrap_or_default();
     let text = schema.map(Schema::text).filter(|text| text.len() <= MAX_DEFINITION);
     let definitions = text.map(|request| Definitions { request, response: String::new() });
     Description { kind: Kind { dialect: Dialect::Ros2, name, hash }, node: String::new(), definitions }

@@ -35,10 +35,12 @@ pub fn latched_depth(offers: &Offer) -> usize {
     if offers.transient_local { depth(offers) } else { 0 }
 }
 
-/// Returns whether `offers` needs more than a name that was published for `published` has.
+/// Returns whether `offers` needs more than a name that was published for `published` has. How much
+/// a publisher latches can change while the name is published.
 pub fn exceeds(offers: &Offer, published: &Offer) -> bool {
     let history = |offers: &Offer| if offers.reliable { depth(offers).max(REPAIRABLE) } else { depth(offers) };
-    (offers.reliable && !published.reliable) || history(offers) > history(published)
+    let is_deeper = !offers.transient_local && history(offers) > history(published);
+    (offers.reliable && !published.reliable) || is_deeper
 }
 
 /// Returns the weakest offer that is at least as strong as both.

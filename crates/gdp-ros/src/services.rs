@@ -3,11 +3,22 @@
 
 use std::sync::Arc;
 
+use gdp_core::card::NameCard;
 use gdp_msg::{Mapping, Options, Schema, TypeName, hash};
 
 use crate::call::{Definitions, Description};
 use crate::roster::{Dialect, Kind, MAX_DEFINITION};
 use crate::types::{Converter, TypeError, Types};
+
+/// The key of a name card's metadata with which the owner marks a service as idempotent. Its value
+/// is `true`.
+pub const IDEMPOTENT: &str = "idempotent";
+
+/// Whether the owner allows that several servers execute the same call of this service. The name
+/// depends on the mark, so only its owner can set it.
+pub fn is_idempotent(card: &NameCard) -> bool {
+    card.get("kind") == Some("service") && card.get(IDEMPOTENT) == Some("true")
+}
 
 /// Converters between a client in one ROS graph and a server in another.
 pub struct Converters {
@@ -110,16 +121,28 @@ impl Types {
         }
     }
 
+    /// Returns the RIHS01 hash of a type of ROS 2: the announced one, or else that of `definition`,
+    /// which the sender announced, or else that of the local registry.
+    pub fn rihs01(&self, kind: &Kind, definition: Option<&str>) -> Result<Vec<u8>, TypeError> {
+        if !kind.hash.is_empty() {
+            return Ok(kind.hash.clone());
+        }
+        Ok(rihs01(&*self.schema(kind, definition)?))
+    }
+
     /// Returns the RIHS01 hash of the type that stands for a whole service or action of ROS 2.
     fn type_hash(&self, name: &str) -> Result<Vec<u8>, TypeError> {
-        let schema = Schema::resolve(&self.0, gdp_msg::Dialect::Ros2, &TypeName::parse(name)?)?;
-        let hash = hash::type_hash(&schema);
-        Ok(digits(hash.rsplit('_').next().unwrap_or_default()))
+        Ok(rihs01(&*Schema::resolve(&self.0, gdp_msg::Dialect::Ros2, &TypeName::parse(name)?)?))
     }
 }
 
+/// Returns the RIHS01 hash of a type of ROS 2, without its prefix.
+pub(crate) fn rihs01(schema: &Schema) -> Vec<u8> {
+    digits(hash::type_hash(schema).rsplit('_').next().unwrap_or_default())
+}
+
 /// Decodes a hash that this program computed, which is hexadecimal.
-pub(crate) fn digits(hash: &str) -> Vec<u8> {
+fn digits(hash: &str) -> Vec<u8> {
     hex::decode(hash).unwrap_or_default()
 }
 

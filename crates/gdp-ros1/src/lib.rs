@@ -80,9 +80,9 @@
 // These macros panic if stdout or stderr cannot be written.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
-mod accept;
 mod api;
 mod config;
+mod connections;
 mod graph;
 mod names;
 mod node;

@@ -1,7 +1,7 @@
 //! Helpers that the daemon, the proxy and the command line share. They do not depend on GDP.
 //!
 //! - [`backoff`]: delays between attempts
-//! - [`descriptors`]: the limit on open file descriptors (feature `program`)
+//! - [`descriptors`]: the limit on open file descriptors (feature `descriptors`)
 //! - [`escape`]: untrusted text without terminal control characters
 //! - [`file_watch`]: watches for changed files (feature `watch`)
 //! - [`line_limit`]: a limit on log lines of one kind
@@ -14,7 +14,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod backoff;
-#[cfg(feature = "program")]
+#[cfg(feature = "descriptors")]
 pub mod descriptors;
 pub mod escape;
 #[cfg(feature = "watch")]

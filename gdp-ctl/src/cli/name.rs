@@ -9,6 +9,7 @@ use gdp_core::identity::{SigningKey, VerifyKey};
 use gdp_core::name;
 use gdp_core::name::{Metadata, Name};
 use gdp_ros::names::{check_topic, check_type};
+use gdp_ros::services::IDEMPOTENT;
 use gdp_util::escape::is_control;
 use gdp_util::terminal::note;
 use schemars::JsonSchema;
@@ -39,6 +40,10 @@ pub enum Command {
         /// guess what the name refers to.
         #[arg(long)]
         nonce: Option<String>,
+        /// Mark the service as idempotent: several servers may execute the same call. Proxies may
+        /// then send each call to several servers at once (`replicate` in their configuration).
+        #[arg(long)]
+        idempotent: bool,
         /// Additional metadata of the card; repeat for more. Different metadata yields a different
         /// name.
         #[arg(long, value_name = "KEY=VALUE")]
@@ -135,11 +140,20 @@ pub struct CardOutput {
 
 pub fn run(command: Command, context: &Context) -> anyhow::Result<()> {
     match command {
-        Command::Create { owner, topic, type_name, kind, nonce, meta, output } => {
+        Command::Create { owner, topic, type_name, kind, nonce, idempotent, mut meta, output } => {
             if nonce.is_some() {
                 note("gdp-ctl: warning: with a nonce that can be guessed, so can the topic behind the name");
             }
             let type_name = kind.check(&topic, type_name.as_deref())?;
+            if idempotent {
+                if kind != CardKind::Service {
+                    bail!(
+                        "--idempotent: only a service can be idempotent, and this is a {}; leave it out",
+                        kind.as_str()
+                    );
+                }
+                meta.push(format!("{IDEMPOTENT}=true"));
+            }
             if let Some(entry) = meta.iter().find(|entry| entry.contains(is_control)) {
                 bail!("--meta {entry}: a card has no control characters; leave them out");
             }

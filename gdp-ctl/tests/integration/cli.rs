@@ -38,6 +38,10 @@ fn keys_cards_and_certificates_are_made_without_a_daemon() {
     assert_eq!((&more["metadata"]["site"], &more["metadata"]["floor"]), (&"hall".into(), &"2".into()));
     assert_eq!(user.text(&["name", "derive", "scan.card"]).trim(), more["name"]);
 
+    let create = ["name", "create", "--owner", "owner.pem", "--topic", "/plan", "--type", "a/srv/A", "-o", "plan.card"];
+    let plan = user.json(&[&create[..], &["--kind", "service", "--idempotent"]].concat());
+    assert_eq!(plan["metadata"]["idempotent"], "true");
+
     let create = ["name", "create", "--owner", "owner.pem", "--kind", "catalog", "--topic", "robot1", "-o", "all.card"];
     let catalog = user.json(&create);
     assert_eq!((&catalog["metadata"]["kind"], &catalog["metadata"]["type"]), (&"catalog".into(), &"".into()));
@@ -67,8 +71,10 @@ fn what_goes_wrong_is_named_with_its_remedy() {
         ["name", "create", "--owner", "owner.pem", "-o", "new.card", "--topic", topic, "--kind", kind, "--type", of]
     };
     let meta = [&create("/a", "topic", "a/msg/A")[..], &["--meta", "site=\u{202e}"]].concat();
+    let idempotent = [&create("/a", "action", "a/action/A")[..], &["--idempotent"]].concat();
     for (arguments, status, needles) in [
         (&["key", "generate", "owner.pem", "--kind", "owner"][..], 1, &["owner.pem"][..]),
+        (&idempotent, 1, &["--idempotent", "only a service", "leave it out"]),
         (&["key", "show", "none.pem"], 1, &["none.pem"]),
         (&create("chatter", "topic", "std_msgs/msg/String"), 1, &["--topic", "`chatter`", "leading slash", "/chatter"]),
         (&create("/x\u{1b}[2J", "topic", "std_msgs/msg/String"), 1, &["--topic", "`/x\\u{1b}[2J`"]),

@@ -5,12 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Instant;
 
+use gdp_ros::services::is_idempotent;
 use gdp_wire::Name;
 use tokio::sync::watch;
 
 use super::omissions::{Omissions, Omitted, Reason};
 use crate::carries::Carries;
-use crate::config::{CallConfig, MAX_CALLS, MAX_ROUTES, RuleOptions, Side, Thing};
+use crate::config::{CallConfig, MAX_CALLS, MAX_ROUTES, RuleOptions, Side, Thing, What};
 use crate::graph::Graph;
 use crate::manager::Plan;
 use crate::permission::Permission;
@@ -75,24 +76,28 @@ impl<'a> Gathering<'a> {
         (permission, Renewal::Notified(Notified::new(sender.subscribe())))
     }
 
-    /// Plans a route for an entity of a graph. Returns false if another plan has its key, or if it
-    /// is omitted.
+    /// Plans a route for an entity of a graph. A topic that `is_merged` may have the local name of
+    /// others. Returns false if another plan has its key, or if it is omitted.
     pub fn add(
         &mut self,
         thing: Thing,
         name: &TopicName,
         rule_options: &RuleOptions,
+        is_merged: bool,
         key: &(String, Arc<Graph>),
         material: RouteMaterial,
     ) -> bool {
         let ((label, graph), kind, side) = (key.clone(), material.kind.clone(), material.permission.side());
         let added = match thing {
             Thing::Topic => {
-                let config = rule_options.topic(name, &label, kind, side.into());
+                let mut config = rule_options.topic(name, &label, kind, side.into());
+                config.merged = is_merged.then(|| material.card.name());
                 self.topics.add(Planned { config, label, graph, material }, &mut self.names)
             }
             Thing::Call(what) => {
-                let config = CallConfig::without_files(what, name, &label, kind, side);
+                let may_replicate = what == What::Service && is_idempotent(&material.card);
+                let replicate = rule_options.replicate.filter(|_| may_replicate);
+                let config = CallConfig { replicate, ..CallConfig::without_files(what, name, &label, kind, side) };
                 self.calls.add(Planned { config, label, graph, material }, &mut self.names)
             }
         };

@@ -143,7 +143,7 @@ impl Catalogs {
 pub fn chosen<'a>(config: &ImportConfig, listed: &'a [Listed]) -> BTreeMap<(Thing, TopicName), &'a Listed> {
     let mut chosen = BTreeMap::new();
     for listed in listed.iter().filter(|listed| config.wants(listed.thing, &listed.name)) {
-        if let Some(name) = config.local_name(&listed.name) {
+        if let Some(name) = config.local_name(listed.thing, &listed.name) {
             chosen.entry((listed.thing, name)).or_insert(listed);
         }
     }

@@ -243,7 +243,7 @@ impl Expose {
             }
             let (permission, file) = gathering.right(name, Permission::Publish(issued.cert));
             let material = RouteMaterial { card, kind: kind.cloned(), permission, file };
-            if gathering.add(thing, called, &exposed.rule_options, &self.placed_in, material) {
+            if gathering.add(thing, called, &exposed.rule_options, false, &self.placed_in, material) {
                 entries.insert(name, entry);
                 bytes += size;
             }
@@ -308,7 +308,7 @@ impl Import {
         let listed = self.listed.borrow_and_update().clone();
         let rule_options = self.config.rule_options();
         let here = if self.config.wants_calls() { self.graph_observer.found() } else { Found::new() };
-        for ((thing, called), Listed { card, kind, right, .. }) in chosen(&self.config, &listed) {
+        for ((thing, called), Listed { card, name, kind, right, .. }) in chosen(&self.config, &listed) {
             // Two servers would both execute each call.
             if thing != Thing::Topic && here.contains_key(&(thing, called.clone())) {
                 gathering.omit(thing, &called, Reason::ServedHere);
@@ -316,7 +316,8 @@ impl Import {
             }
             let (permission, file) = gathering.right(card.name(), Permission::Read(right.clone()));
             let material = RouteMaterial { card: card.clone(), kind: kind.clone(), permission, file };
-            gathering.add(thing, &called, &rule_options, &self.placed_in, material);
+            let is_merged = self.config.merges(thing, name);
+            gathering.add(thing, &called, &rule_options, is_merged, &self.placed_in, material);
         }
         let ImportMaterial { catalog, grant, file } = self.material.clone();
         let end = End::Reads(grant, self.tell.clone(), self.files.clone());

@@ -7,13 +7,14 @@ use bytes::Bytes;
 use futures::StreamExt;
 use futures::future::join_all;
 use futures::stream::FuturesUnordered;
-use gdp::{Client, NodeError};
+use gdp::{Client, MessageId, NodeError};
 use gdp_ros::action::cdr;
 use gdp_ros::call::{CALL, Description, Epoch, Events, Failure, FailureCode, Part, Reply, Request};
 use gdp_ros::services::Converters;
 use gdp_wire::Name;
 use parking_lot::Mutex;
 
+use super::copies::Copies;
 use super::counters::Reason;
 use crate::offload::run_blocking_if_large;
 
@@ -42,7 +43,8 @@ pub type Described = Result<(Epoch, Description), String>;
 /// A server that announced itself that it differs from the known one.
 pub struct Changed {
     pub known: Arc<Known>,
-    pub now: Described,
+    /// Its new description, or `None` if that was not awaited.
+    pub now: Option<Described>,
 }
 
 /// A call that failed, with the reason.
@@ -62,7 +64,17 @@ pub fn no_server() -> Failed {
 }
 
 async fn ask(client: &Client, instance: Name, request: &Request) -> Result<Reply, NodeError> {
-    let message = client.call_at(instance, CALL, &request.to_bytes()).await?;
+    ask_with(client, instance, request, |_| {}).await
+}
+
+/// Sends a request. Passes its ID to `begun` when it is sent.
+async fn ask_with(
+    client: &Client,
+    instance: Name,
+    request: &Request,
+    begun: impl FnOnce(MessageId) + Send,
+) -> Result<Reply, NodeError> {
+    let message = client.call_at_with(instance, CALL, &request.to_bytes(), begun).await?;
     let reply = if message.encoding == CALL { Reply::from_bytes(&message.body).ok() } else { None };
     reply.ok_or(NodeError::Protocol("a reply that no proxy of this release sends"))
 }
@@ -108,7 +120,7 @@ pub async fn events(client: &Client, known: &Arc<Known>, after: u64, has_failed:
         Ok(Ok(Reply::Failure(failure))) if failure.code == FailureCode::Changed => {
             // A server that reports a change repeatedly does not cause constant requests.
             tokio::time::sleep(SOON).await;
-            News::Changed(Changed { known: known.clone(), now: describe(client, known.instance).await })
+            News::Changed(Changed { known: known.clone(), now: Some(describe(client, known.instance).await) })
         }
         Ok(Ok(Reply::Failure(failure))) => News::None(failure.to_string()),
         Ok(Ok(Reply::Answer(_) | Reply::Description(..))) => News::None("it answered another question".into()),
@@ -122,17 +134,22 @@ pub struct Asking<'a> {
     request: Bytes,
     part: Part,
     changed: Mutex<Vec<Changed>>,
+    /// Servers that have changed, and whose new description is awaited.
+    stale: Mutex<Vec<Arc<Known>>>,
+    pub copies: Copies,
 }
 
 impl<'a> Asking<'a> {
     pub fn new(client: &'a Client, part: Part, request: Bytes) -> Self {
-        Self { client, request, part, changed: Mutex::default() }
+        let (changed, stale, copies) = Default::default();
+        Self { client, request, part, changed, stale, copies }
     }
 
     /// Sends the request and waits for the answer without a timeout.
     pub async fn answer(&self, servers: &[Arc<Known>]) -> Result<Bytes, Failed> {
         match (self.part, servers) {
             (_, []) => Err(no_server()),
+            (Part::Service, [_, _, ..]) => self.first_answer(servers).await,
             (Part::CancelGoal, [_, _, ..]) => self.cancel(servers).await,
             (Part::GetResult, [_, _, ..]) => self.first_result(servers).await,
             (_, [nearest, ..]) => self.call(nearest).await,
@@ -141,7 +158,8 @@ impl<'a> Asking<'a> {
 
     /// Returns the servers that were found to have changed meanwhile.
     pub fn changed(self) -> Vec<Changed> {
-        self.changed.into_inner()
+        let stale = self.stale.into_inner().into_iter().map(|known| Changed { known, now: None });
+        self.changed.into_inner().into_iter().chain(stale).collect()
     }
 
     /// Calls one server. A server that has changed since its description has not executed the
@@ -153,11 +171,13 @@ impl<'a> Asking<'a> {
             Err(failed) if failed.reason == Reason::Changed => failed,
             answered => return answered,
         };
+        self.stale.lock().push(known.clone());
         let now = describe(self.client, known.instance).await;
+        self.stale.lock().retain(|stale| !Arc::ptr_eq(stale, known));
         // An equal description means equal conversion.
         let again = now.as_ref().ok().filter(|(epoch, there)| *epoch != known.epoch && *there == known.there);
         let again = again.map(|(epoch, _)| *epoch);
-        self.changed.lock().push(Changed { known: known.clone(), now });
+        self.changed.lock().push(Changed { known: known.clone(), now: Some(now) });
         match again {
             Some(epoch) => self.exchange(known, epoch, body).await,
             None => Err(failed),
@@ -166,7 +186,10 @@ impl<'a> Asking<'a> {
 
     async fn exchange(&self, known: &Known, epoch: Epoch, body: Bytes) -> Result<Bytes, Failed> {
         let failed = |reason, code, why: &dyn ToString| Failed { failure: Failure::new(code, why.to_string()), reason };
-        match ask(self.client, known.instance, &Request::Call { epoch, part: self.part, body }).await {
+        let request = Request::Call { epoch, part: self.part, body };
+        let replied = ask_with(self.client, known.instance, &request, |id| self.copies.begin(known.instance, id)).await;
+        self.copies.end(known.instance);
+        match replied {
             Ok(Reply::Answer(body)) => {
                 run_blocking_if_large(body.len(), || known.converters.lock().response.convert(body))
                     .map_err(unconvertible)
@@ -185,6 +208,25 @@ impl<'a> Asking<'a> {
                 Err(failed(reason, FailureCode::ServerLeft, &error))
             }
         }
+    }
+
+    /// Sends the request to all these servers, nearest first, and returns the first answer. A
+    /// failure is returned only if all fail.
+    async fn first_answer(&self, servers: &[Arc<Known>]) -> Result<Bytes, Failed> {
+        self.copies.record();
+        let copy = |(rank, known)| async move { (rank, self.call(known).await) };
+        let mut copies: FuturesUnordered<_> = servers.iter().enumerate().map(copy).collect();
+        let mut failure = None;
+        while let Some((rank, answer)) = copies.next().await {
+            match answer {
+                Ok(answer) => {
+                    self.copies.win(rank);
+                    return Ok(answer);
+                }
+                Err(failed) => failure = Some(more_useful(failure, failed)),
+            }
+        }
+        Err(failure.unwrap_or_else(no_server))
     }
 
     /// Sends a cancellation to all servers and merges their answers.
@@ -218,3 +260,25 @@ impl<'a> Asking<'a> {
 fn unconvertible(error: impl ToString) -> Failed {
     Failed { failure: Failure::new(FailureCode::Malformed, error), reason: Reason::Unconvertible }
 }
+
+/// Returns the failure that tells the client more. The server's own error comes first. The absence
+/// of a server comes last. Of equal ones, the earlier counts.
+fn more_useful(one: Option<Failed>, other: Failed) -> Failed {
+    let rank = |failed: &Failed| match failed.reason {
+        Reason::Refused => 0,
+        Reason::Unconvertible => 1,
+        Reason::Malformed => 2,
+        Reason::Busy => 3,
+        Reason::Changed => 4,
+        Reason::SendFailed => 5,
+        Reason::Left | Reason::Unanswered => 6,
+    };
+    match one {
+        Some(one) if rank(&one) <= rank(&other) => one,
+        _ => other,
+    }
+}
+
+#[cfg(test)]
+#[path = "../../tests/unit/call/asking.rs"]
+mod tests;

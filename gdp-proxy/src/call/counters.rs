@@ -38,6 +38,9 @@ pub struct CallCounters {
     answers: AtomicU64,
     pending: AtomicU64,
     servers: AtomicU64,
+    calls_replicated: AtomicU64,
+    copies_cancelled: AtomicU64,
+    answers_by_other: AtomicU64,
     events: AtomicU64,
     events_dropped: AtomicU64,
     failures: Tally<Reason>,
@@ -73,6 +76,20 @@ impl CallCounters {
         self.servers.store(now as u64, Relaxed);
     }
 
+    /// Counts a call that goes to several servers at once.
+    pub fn replicated(&self) {
+        self.calls_replicated.fetch_add(1, Relaxed);
+    }
+
+    pub fn copies_cancelled(&self, count: usize) {
+        self.copies_cancelled.fetch_add(count as u64, Relaxed);
+    }
+
+    /// Counts an answer to a replicated call by another server than the nearest.
+    pub fn answered_by_other(&self) {
+        self.answers_by_other.fetch_add(1, Relaxed);
+    }
+
     pub fn events(&self, passed: u64, dropped: u64) {
         self.events.fetch_add(passed, Relaxed);
         self.events_dropped.fetch_add(dropped, Relaxed);
@@ -85,6 +102,9 @@ impl CallCounters {
             answers: of(&self.answers),
             pending: of(&self.pending),
             servers: of(&self.servers),
+            calls_replicated: of(&self.calls_replicated),
+            copies_cancelled: of(&self.copies_cancelled),
+            answers_by_other: of(&self.answers_by_other),
             events: of(&self.events),
             events_dropped: of(&self.events_dropped),
             failures: self.failures.read(),
@@ -122,6 +142,13 @@ pub struct CallsCounted {
     /// Servers that can be called at this moment. `out`: 1 if there is a local server; `in`: the
     /// number of proxies that have one.
     pub servers: u64,
+    /// `in`: calls that went to several servers at once (`replicate`).
+    pub calls_replicated: u64,
+    /// Calls whose answer was no longer needed. `in`: copies that this proxy cancelled; `out`:
+    /// calls that a client cancelled before the local server answered.
+    pub copies_cancelled: u64,
+    /// `in`: replicated calls that another server than the nearest answered first.
+    pub answers_by_other: u64,
     /// Feedback and status messages of actions that were carried.
     pub events: u64,
     /// Feedback messages that were dropped because they found no room or came too late.

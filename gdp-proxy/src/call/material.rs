@@ -1,7 +1,10 @@
 //! Loads the files that the configuration names for a service or an action. [`crate::material`]
 //! loads those of topics.
 
+use std::path::Path;
+
 use gdp_core::card::NameCard;
+use gdp_ros::services::is_idempotent;
 use gdp_util::file_watch::FileWatcher;
 use gdp_wire::Name;
 
@@ -30,12 +33,23 @@ fn load_one(call: &CallConfig, entity: Name, watcher: &FileWatcher) -> Result<Ro
     if let Some(kind) = card.get("kind").filter(|kind| *kind != what) {
         return Err(("card", format!("{} is of a {kind}; make one of kind {what}", call.card.display())));
     }
+    if call.replicate.is_some() && !is_idempotent(&card) {
+        return Err(("replicate", not_idempotent(&call.card)));
+    }
     let kind = carded_type(call.kind.as_ref(), &card, &call.card, what).map_err(|reason| ("type", reason))?;
     let (key, path) = call.right();
     let path = path.ok_or((key, "missing".to_owned()))?;
     let opened = CertFile::open(path, call.side, call.name.as_str(), &card, entity, watcher);
     let (file, permission) = opened.map_err(|error| (key, with_path(error, path)))?;
     Ok(RouteMaterial { card, kind, permission, file: Renewal::File(file.into()) })
+}
+
+fn not_idempotent(card: &Path) -> String {
+    format!(
+        "the owner has not marked the service of {} as idempotent, so a call must not go to several servers: remove it, \
+         or ask the owner for a name made with gdp-ctl name create --idempotent",
+        card.display()
+    )
 }
 
 #[cfg(test)]

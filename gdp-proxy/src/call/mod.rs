@@ -8,11 +8,13 @@
 
 mod asking;
 mod backend;
+mod copies;
 mod counters;
 mod inward;
 pub mod material;
 mod outbox;
 mod outward;
+mod running;
 mod stand;
 
 use std::fmt::Display;

@@ -18,6 +18,7 @@ use tokio::sync::{Notify, watch};
 
 use super::backend::{Backend, CallEvents};
 use super::counters::Reason;
+use super::running::{Cancellable, RunningCalls};
 use super::{LAST_WORDS, MAX_PENDING, Route, Way};
 use crate::config::What;
 use crate::graph::{CallerError, Graph, Peer, Servers};
@@ -36,6 +37,7 @@ struct Offer {
     backend: Backend,
     epoch: Epoch,
     description: Description,
+    running: RunningCalls,
     /// Notified when the server is lost although the graph still lists it: a ROS 1 master does not
     /// notice.
     lost: Notify,
@@ -160,7 +162,7 @@ impl Route {
         }
         description.node = node_name(peer.node()).to_owned();
         let epoch = Epoch(u64::from_be_bytes(gdp_core::crypto::random().map_err(|_| Unfit::Random)?));
-        Ok(Offer { peer, backend, epoch, description, lost: Notify::new() })
+        Ok(Offer { peer, backend, epoch, description, running: RunningCalls::default(), lost: Notify::new() })
     }
 
     async fn serve(
@@ -226,6 +228,7 @@ impl Route {
                 self.failed(Reason::Malformed, "a request that no proxy of this release sends");
                 failure(FailureCode::Malformed, "not a request of this release")
             }
+            Some(Request::Cancel(id)) => return offer.running.cancel(call.client(), id),
             Some(Request::Describe) => Reply::Description(offer.epoch, offer.description.clone()),
             Some(Request::Call { epoch, .. } | Request::Events { epoch, .. }) if epoch != offer.epoch => {
                 failure(FailureCode::Changed, "")
@@ -244,9 +247,12 @@ impl Route {
             }
             Some(Request::Call { part, body, .. }) => {
                 let mut is_gone = is_gone.clone();
+                // Parts of actions change the state of goals, so they run to the end.
+                let mut cancellable = (part == Part::Service).then(|| offer.running.begin(call.client(), call.id()));
                 let answer = async move {
                     let _pending = self.counters.begun();
                     let answer = tokio::select! {
+                        () = cancelled(&mut cancellable) => return self.counters.copies_cancelled(1),
                         answer = self.ask(offer, part, call.client(), body) => answer,
                         _ = is_gone.wait_for(|gone| *gone) => Err(Failure::new(FailureCode::ServerLeft, "")),
                     };
@@ -308,6 +314,13 @@ impl From<FailureCode> for Reason {
             FailureCode::Malformed => Self::Malformed,
             FailureCode::Changed => Self::Changed,
         }
+    }
+}
+
+async fn cancelled(call: &mut Option<Cancellable<'_>>) {
+    match call {
+        Some(call) => call.cancelled().await,
+        None => std::future::pending().await,
     }
 }
 

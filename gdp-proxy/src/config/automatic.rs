@@ -8,12 +8,14 @@ use std::path::PathBuf;
 
 use gdp_core::cert::Grantee;
 use gdp_ros::catalog::MAX_GRANTS;
+use gdp_ros::services::IDEMPOTENT;
 use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{self, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
+use super::calls::check_copies;
 use super::topics::Priority;
 use super::{Compression, Conversion, Direction, FramePrefix, Graphs, Pattern, Thing, TopicConfig, What, schema};
 use crate::ros2::{Qos, TopicName, TypeName};
@@ -39,6 +41,10 @@ pub struct ExposeConfig {
     /// Patterns of the exposed services.
     #[serde(default)]
     pub services: Vec<Pattern>,
+    /// Patterns of the exposed services that several servers may execute for one call. Their name
+    /// cards state it, so that clients may `replicate` their calls.
+    #[serde(default)]
+    pub idempotent: Vec<Pattern>,
     /// Patterns of the exposed actions. The topics of such an action in ROS 1 are not exposed.
     #[serde(default)]
     pub actions: Vec<Pattern>,
@@ -94,6 +100,10 @@ pub struct ImportConfig {
     /// A namespace that is put in front of all names, after `remap`.
     #[serde(default)]
     pub prefix: Option<TopicName>,
+    /// Patterns of imported topics, with their names in the catalog, that get no `prefix` and merge
+    /// with other imports of the same name, such as `/tf`.
+    #[serde(default)]
+    pub merge: Vec<Pattern>,
     /// Prefix of the frame names in all topics; see `topics`.
     #[serde(default)]
     pub frame_prefix: Option<FramePrefix>,
@@ -103,6 +113,11 @@ pub struct ImportConfig {
     /// Receives each topic over two links at once.
     #[serde(default)]
     pub duplicate: bool,
+    /// The number of servers, the nearest ones, to which each call of an idempotent service goes at
+    /// once. The first answer counts. Calls of other services go to one server.
+    #[serde(default)]
+    #[schemars(range(min = 2, max = 8))]
+    pub replicate: Option<u8>,
 }
 
 /// A pattern of topics with their options.
@@ -128,6 +143,9 @@ pub struct RuleOptions {
     pub duplicate: Option<bool>,
     /// Further metadata of the name cards. Another value makes another name.
     pub meta: BTreeMap<String, String>,
+    /// Of idempotent services that are imported: see `import`.
+    #[serde(skip)]
+    pub replicate: Option<u8>,
 }
 
 /// A pattern of topics with their options, as written in the file.
@@ -186,6 +204,7 @@ impl RuleOptions {
             max_hz: self.max_hz.or(defaults.max_hz),
             priority: self.priority.or(defaults.priority),
             duplicate: self.duplicate.or(defaults.duplicate),
+            replicate: self.replicate.or(defaults.replicate),
             meta,
         }
     }
@@ -233,7 +252,13 @@ impl ExposeConfig {
                 let rule = self.topics.iter().find(|rule| rule.topic.matches(thing, name))?;
                 Some(rule.rule_options.or(&self.defaults))
             }
-            Thing::Call(What::Service) => called(&self.services),
+            Thing::Call(What::Service) => {
+                let mut rule_options = called(&self.services)?;
+                if self.idempotent.iter().any(|pattern| pattern.matches(thing, name)) {
+                    rule_options.meta.insert(IDEMPOTENT.into(), "true".into());
+                }
+                Some(rule_options)
+            }
             Thing::Call(What::Action) => called(&self.actions),
         }
     }
@@ -253,10 +278,16 @@ impl ExposeConfig {
         if self.readers.len() > MAX_GRANTS {
             return Err(("readers", format!("more than {MAX_GRANTS}; give them a role in a domain")));
         }
+        if self.services.is_empty() && !self.idempotent.is_empty() {
+            return Err(("idempotent", "is for services, and services has no pattern; add one, or remove it".into()));
+        }
         let manners = self.manners();
         for key in manners.flat_map(|rule_options| rule_options.meta.keys()) {
             if matches!(key.as_str(), "kind" | "topic" | "type" | "nonce") {
                 return Err(("meta", format!("{key} is said by the proxy itself; remove it")));
+            }
+            if key == IDEMPOTENT {
+                return Err(("meta", format!("{key} is for single services; list their patterns under {key}")));
             }
         }
         Ok(())
@@ -266,7 +297,14 @@ impl ExposeConfig {
 impl ImportConfig {
     /// Checks the section. Errors come with the key inside the import.
     pub(super) fn check(&self, graphs: &Graphs) -> Result<(), (&'static str, String)> {
-        check_patterns(!self.topics.is_empty(), &self.services, &self.actions, self.graph.as_deref(), graphs)
+        check_patterns(!self.topics.is_empty(), &self.services, &self.actions, self.graph.as_deref(), graphs)?;
+        match self.replicate {
+            None => Ok(()),
+            Some(_) if self.services.is_empty() => {
+                Err(("replicate", "is for services, and services has no pattern; add one, or remove it".into()))
+            }
+            Some(copies) => check_copies(copies).map_err(|reason| ("replicate", reason)),
+        }
     }
 
     /// Whether the import selects the entity.
@@ -285,19 +323,25 @@ impl ImportConfig {
         !self.services.is_empty() || !self.actions.is_empty()
     }
 
+    /// Whether an imported entity merges with others of the same name.
+    pub fn merges(&self, thing: Thing, name: &TopicName) -> bool {
+        thing == Thing::Topic && self.merge.iter().any(|pattern| pattern.covers(name))
+    }
+
     /// Returns the name of an imported entity in this graph. `None` if the name is invalid, for
     /// example too long.
-    pub fn local_name(&self, topic: &TopicName) -> Option<TopicName> {
-        let topic = remapped(topic, &self.remap)?;
+    pub fn local_name(&self, thing: Thing, name: &TopicName) -> Option<TopicName> {
+        let topic = remapped(name, &self.remap)?;
         match &self.prefix {
-            Some(prefix) => TopicName::parse(&format!("{prefix}{topic}")).ok(),
-            None => Some(topic),
+            Some(prefix) if !self.merges(thing, name) => TopicName::parse(&format!("{prefix}{topic}")).ok(),
+            _ => Some(topic),
         }
     }
 
     pub fn rule_options(&self) -> RuleOptions {
         let frame_prefix = self.frame_prefix.clone();
-        RuleOptions { qos: self.qos, duplicate: Some(self.duplicate), frame_prefix, ..RuleOptions::default() }
+        let (qos, duplicate, replicate) = (self.qos, Some(self.duplicate), self.replicate);
+        RuleOptions { qos, duplicate, frame_prefix, replicate, ..RuleOptions::default() }
     }
 }
 
@@ -320,7 +364,17 @@ impl From<RuleSaid> for Rule {
         let RuleSaid { topic, qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, meta } = said;
         Self {
             topic,
-            rule_options: RuleOptions { qos, encoding, compression, frame_prefix, max_hz, priority, duplicate, meta },
+            rule_options: RuleOptions {
+                qos,
+                encoding,
+                compression,
+                frame_prefix,
+                max_hz,
+                priority,
+                duplicate,
+                meta,
+                replicate: None,
+            },
         }
     }
 }

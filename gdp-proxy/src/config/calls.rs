@@ -1,6 +1,7 @@
 //! The configuration of one service or action.
 
 pub use crate::config::call_kind::What;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use schemars::JsonSchema;
@@ -28,11 +29,17 @@ pub struct CallConfig {
     pub cert: Option<PathBuf>,
     /// `in`: the owner's grant to call (`gdp-ctl grant add --read`).
     pub grant: Option<PathBuf>,
+    /// `in`, services only: the number of servers to which each call goes at once.
+    pub replicate: Option<u8>,
 }
 
-/// Defines an entry of `services` or `actions`. They differ only in the key of the name.
+/// Bounds of `replicate`.
+pub const COPIES: RangeInclusive<u8> = 2..=8;
+
+/// Defines an entry of `services` or `actions`. They differ in the key of the name, and in whether
+/// the schema has `replicate`.
 macro_rules! entry {
-    ($Entry:ident, $name:ident) => {
+    ($Entry:ident, $name:ident, $replicate:meta) => {
         #[derive(Deserialize, JsonSchema)]
         #[serde(deny_unknown_fields)]
         pub struct $Entry {
@@ -53,19 +60,25 @@ macro_rules! entry {
             cert: Option<PathBuf>,
             /// `in`: the owner's grant to call (`gdp-ctl grant add --read`).
             grant: Option<PathBuf>,
+            /// `in`: the number of servers, the nearest ones, to which each call goes at once. The
+            /// first answer counts. The name card must be of an idempotent service (`gdp-ctl name
+            /// create --idempotent`).
+            #[$replicate]
+            replicate: Option<u8>,
         }
 
         impl From<$Entry> for CallConfig {
             fn from(entry: $Entry) -> Self {
-                let $Entry { $name: name, graph, kind, direction: side, card, cert, grant } = entry;
-                Self { what: What::$Entry, name, graph, kind, side, card, cert, grant }
+                let $Entry { $name: name, graph, kind, direction: side, card, cert, grant, replicate } = entry;
+                Self { what: What::$Entry, name, graph, kind, side, card, cert, grant, replicate }
             }
         }
     };
 }
 
-entry!(Service, service);
-entry!(Action, action);
+entry!(Service, service, schemars(range(min = 2, max = 8)));
+// The key is read to refuse it with a reason.
+entry!(Action, action, schemars(skip));
 
 /// Deserializes a list of entries of one kind.
 pub fn list<'de, D: Deserializer<'de>, E: Deserialize<'de> + Into<CallConfig>>(
@@ -78,7 +91,12 @@ impl CallConfig {
     /// Returns an entry of `graph` without files, for a service or action that matches a pattern.
     pub fn without_files(what: What, name: &TopicName, graph: &str, kind: Option<TypeName>, side: Side) -> Self {
         let (name, graph) = (name.clone(), Some(graph.into()));
-        Self { what, name, graph, kind, side, card: PathBuf::new(), cert: None, grant: None }
+        Self { what, name, graph, kind, side, card: PathBuf::new(), cert: None, grant: None, replicate: None }
+    }
+
+    /// Returns the number of servers to which a call goes.
+    pub fn copies(&self) -> usize {
+        self.replicate.map_or(1, usize::from)
     }
 
     /// Returns the key and the path of its certificate file.
@@ -96,6 +114,7 @@ impl CallConfig {
             let (what, folder) = (self.what.as_str(), self.what.folder());
             return Err(("type", format!("{kind} is no type of a {what}: write it as package/{folder}/Name")));
         }
+        self.check_replicate().map_err(|reason| ("replicate", reason))?;
         let unused = match self.side {
             Side::Out => ("grant", self.grant.is_some()),
             Side::In => ("cert", self.cert.is_some()),
@@ -112,11 +131,31 @@ impl CallConfig {
         }
     }
 
+    fn check_replicate(&self) -> Result<(), String> {
+        match (self.replicate, self.what, self.side) {
+            (None, ..) => Ok(()),
+            (Some(_), What::Action, _) => {
+                Err("is for services only, because each server would execute the goal; remove it".into())
+            }
+            (Some(_), _, Side::Out) => Err("is for direction: in, where the clients are; remove it".into()),
+            (Some(copies), ..) => check_copies(copies),
+        }
+    }
+
     /// Whether both are the same service or action of the same graph.
     pub(super) fn is_same(&self, other: &Self, graphs: &Graphs) -> bool {
         let graph = |of: &Self| graphs.get(of.graph.as_deref()).ok().map(|(name, _)| name.to_owned());
         (self.what, &self.name, graph(self)) == (other.what, &other.name, graph(other))
     }
+}
+
+/// Checks the number of servers of `replicate`.
+pub(super) fn check_copies(copies: u8) -> Result<(), String> {
+    let (least, most) = (COPIES.start(), COPIES.end());
+    if COPIES.contains(&copies) {
+        return Ok(());
+    }
+    Err(format!("a call goes to {least} to {most} servers at once, and not to {copies}; leave it out for one server"))
 }
 
 #[cfg(test)]

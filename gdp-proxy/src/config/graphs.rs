@@ -1,4 +1,5 @@
-//! The ROS graphs that a proxy is in: DDS domains of ROS 2, and masters of ROS 1.
+//! The ROS graphs that a proxy is in: DDS domains of ROS 2, routers of rmw_zenoh, and masters of
+//! ROS 1.
 
 use std::collections::BTreeMap;
 
@@ -21,15 +22,17 @@ pub struct Graphs(BTreeMap<String, GraphConfig>);
 pub enum GraphConfig {
     Ros1(Ros1Config),
     Ros2(Ros2Config),
+    Zenoh(ZenohConfig),
 }
 
-/// The keys of a graph of either ROS version.
+/// The keys of a graph of any kind.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct Said {
     domain_id: Option<DomainId>,
     master: Option<String>,
     host: Option<String>,
+    zenoh: Option<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, JsonSchema)]
@@ -46,26 +49,58 @@ pub struct Ros1Config {
     pub host: Option<String>,
 }
 
+/// A graph of ROS 2 nodes with rmw_zenoh.
+#[derive(Clone, Debug, PartialEq, Eq, JsonSchema)]
+pub struct ZenohConfig {
+    /// Locator of the router: `tcp/HOST:PORT`.
+    pub router: String,
+    /// The domain of the nodes (ROS_DOMAIN_ID).
+    pub domain_id: DomainId,
+}
+
 impl TryFrom<Said> for GraphConfig {
     type Error = &'static str;
 
     fn try_from(said: Said) -> Result<Self, Self::Error> {
         match said {
-            Said { domain_id: Some(domain_id), master: None, host: None } => Ok(Self::Ros2(Ros2Config { domain_id })),
-            Said { domain_id: None, master: Some(master), host } => Ok(Self::Ros1(Ros1Config { master, host })),
-            _ => Err(
-                "a graph is one of ROS 2, {domain_id: 0}, or of ROS 1, {master: 'http://HOST:11311', host: ADDRESS}",
-            ),
+            Said { domain_id: Some(domain_id), master: None, host: None, zenoh: None } => {
+                Ok(Self::Ros2(Ros2Config { domain_id }))
+            }
+            Said { domain_id: None, master: Some(master), host, zenoh: None } => {
+                Ok(Self::Ros1(Ros1Config { master, host }))
+            }
+            Said { domain_id, master: None, host: None, zenoh: Some(router) } => match is_locator(&router) {
+                true => Ok(Self::Zenoh(ZenohConfig { router, domain_id: domain_id.unwrap_or_else(of_environment) })),
+                false => Err("zenoh is the address of a router, tcp/HOST:7447"),
+            },
+            _ => Err("a graph is one of ROS 2, {domain_id: 0}, or of rmw_zenoh, {zenoh: tcp/HOST:7447}, \
+                 or of ROS 1, {master: 'http://HOST:11311', host: ADDRESS}"),
         }
     }
 }
 
 impl Default for Graphs {
     fn default() -> Self {
-        let domain_id = std::env::var("ROS_DOMAIN_ID").ok().and_then(|id| id.parse::<u64>().ok()?.try_into().ok());
-        let graph = GraphConfig::Ros2(Ros2Config { domain_id: domain_id.unwrap_or_default() });
+        let graph = GraphConfig::Ros2(Ros2Config { domain_id: of_environment() });
         Self(BTreeMap::from([("ros2".into(), graph)]))
     }
+}
+
+/// Returns ROS_DOMAIN_ID, or 0.
+fn of_environment() -> DomainId {
+    let id = std::env::var("ROS_DOMAIN_ID").ok().and_then(|id| id.parse::<u64>().ok()?.try_into().ok());
+    id.unwrap_or_default()
+}
+
+/// Whether a text is the address of a router. Whether a host of that name exists shows later.
+fn is_locator(text: &str) -> bool {
+    let address = text.strip_prefix("tcp/").and_then(|address| address.rsplit_once(':'));
+    address.is_some_and(|(host, port)| is_host(host) && port.parse::<u16>().is_ok_and(|port| port > 0))
+}
+
+fn is_host(host: &str) -> bool {
+    let is_good = |c: u8| c.is_ascii_alphanumeric() || matches!(c, b'.' | b'-' | b'_' | b':' | b'[' | b']' | b'%');
+    !host.is_empty() && host.bytes().all(is_good)
 }
 
 impl TryFrom<BTreeMap<String, GraphConfig>> for Graphs {

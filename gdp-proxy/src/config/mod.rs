@@ -35,7 +35,7 @@ pub use self::action_topic::{action_of_topic, action_type};
 pub use self::automatic::{ExposeConfig, ImportConfig, ReaderConfig, Remap, Rule, RuleOptions, remapped};
 pub use self::calls::CallConfig;
 pub use self::frames::FramePrefix;
-pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config};
+pub use self::graphs::{DomainId, GraphConfig, Graphs, Ros1Config, Ros2Config, ZenohConfig};
 pub use self::pattern::{Pattern, is_hidden};
 pub use self::relay::RelayConfig;
 pub use self::schema::schema;

@@ -58,11 +58,12 @@ impl Pattern {
 }
 
 /// Whether a name is one that ROS or proxies use internally. These are `/rosout`, `/rosout_agg`,
-/// `/parameter_events`, `/gdp_proxy…`, and names with a segment that begins with an underscore.
+/// `/parameter_events`, `/clock` (the time of all nodes), `/gdp_proxy…`, and names with a segment
+/// that begins with an underscore.
 /// Also the services by which every node reads and sets its parameters and log levels.
 pub fn is_hidden(thing: Thing, name: &TopicName) -> bool {
     let name = name.as_str();
-    matches!(name, "/rosout" | "/rosout_agg" | "/parameter_events")
+    matches!(name, "/rosout" | "/rosout_agg" | "/parameter_events" | "/clock")
         || name.starts_with("/gdp_proxy")
         || segments(name).any(|segment| segment.starts_with('_'))
         || thing == Thing::Call(What::Service) && segments(name).last().is_some_and(is_of_every_node)

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use gdp_msg::Encoding;
 use gdp_ros::roster::Dialect;
+use gdp_wire::Name;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, de};
 
@@ -59,6 +60,10 @@ pub struct TopicConfig {
     /// the second link gets a copy of each frame; `in`: messages arrive over both.
     #[serde(default)]
     pub duplicate: bool,
+    /// The name of an imported topic that merges with others of the same local name.
+    #[serde(skip)]
+    #[schemars(skip)]
+    pub merged: Option<Name>,
     /// Refused with the remedy, because earlier versions shared a secret file here.
     #[serde(default, rename = "key", deserialize_with = "no_key")]
     #[schemars(skip)]
@@ -189,6 +194,7 @@ impl TopicConfig {
             max_hz: None,
             priority: Priority::default(),
             duplicate: false,
+            merged: None,
             _key: (),
             _readers: (),
             _meta: (),

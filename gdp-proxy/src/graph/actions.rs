@@ -4,13 +4,14 @@
 use bytes::Bytes;
 use gdp_ros::action::cdr;
 use gdp_ros::call::{Description, Event, Failure, FailureCode, Part};
+use gdp_ros::roster::{Dialect, Kind};
 use gdp_ros::types::Types;
 use gdp_util::unix_time::unix_nanos;
 use tokio::sync::Mutex;
 
 use super::ros1::{ActionClient, ActionServer};
 use super::services::{Asked, Asker, Caller, CallerError, Peer, Stand};
-use super::{Graph, GraphError};
+use super::{Graph, GraphError, zenoh};
 use crate::ros2::{self, Qos, RawReader, RawSample, RawWriter, RosError, TopicName, TypeName};
 
 /// A client of a local action server.
@@ -23,8 +24,14 @@ pub struct Ros2Caller {
     send_goal: Caller,
     cancel_goal: Caller,
     get_result: Caller,
-    feedback: RawReader,
-    status: RawReader,
+    feedback: PartReader,
+    status: PartReader,
+}
+
+/// A reader of a topic of an action.
+enum PartReader {
+    Dds(Box<RawReader>),
+    Zenoh(Box<zenoh::ZenohFeed>),
 }
 
 /// An action server in the local graph, which exists until it is dropped.
@@ -37,8 +44,14 @@ pub struct Ros2Stand {
     send_goal: Stand,
     cancel_goal: Stand,
     get_result: Stand,
-    feedback: Mutex<RawWriter>,
-    status: Mutex<RawWriter>,
+    feedback: PartWriter,
+    status: PartWriter,
+}
+
+/// A writer of a topic of an action.
+enum PartWriter {
+    Dds(Box<Mutex<RawWriter>>),
+    Zenoh(Box<zenoh::ZenohWriter>),
 }
 
 impl ActionCaller {
@@ -65,6 +78,21 @@ impl ActionCaller {
                 let services =
                     [&parts.send_goal, &parts.cancel_goal, &parts.get_result].map(|(name, kind)| (name, kind));
                 let [send_goal, cancel_goal, get_result] = Caller::several(domain, services, peer).await?;
+                let (feedback, status) = (PartReader::Dds(feedback.into()), PartReader::Dds(status.into()));
+                let caller = Ros2Caller { send_goal, cancel_goal, get_result, feedback, status };
+                Ok((Self::Ros2(caller.into()), types.describe_action(peer.kind.to_string())))
+            }
+            (Graph::Zenoh(graph), Peer::Ros2(peer)) => {
+                let of = |error: ros2::NameError| GraphError::from(RosError::from(error));
+                let parts = ros2::Action::new(name, &peer.kind).map_err(of)?;
+                let feedback = graph.feed(&parts.feedback, ros2::Action::feedback_qos(), peer).await?;
+                let status = graph.feed(&parts.status, ros2::Action::status_qos(), peer).await?;
+                let (feedback, status) = (PartReader::Zenoh(feedback.into()), PartReader::Zenoh(status.into()));
+                let client = async |(name, kind): &(_, _)| -> Result<Caller, CallerError> {
+                    Ok(Caller::Zenoh(graph.client(name, kind, peer).await?.0.into()))
+                };
+                let send_goal = client(&parts.send_goal).await?;
+                let (cancel_goal, get_result) = (client(&parts.cancel_goal).await?, client(&parts.get_result).await?);
                 let caller = Ros2Caller { send_goal, cancel_goal, get_result, feedback, status };
                 Ok((Self::Ros2(caller.into()), types.describe_action(peer.kind.to_string())))
             }
@@ -93,11 +121,10 @@ impl ActionCaller {
             Self::Ros1(client) => return client.next_event().await,
             Self::Ros2(caller) => caller,
         };
-        let event = tokio::select! {
-            message = caller.feedback.recv() => message.map(|message| Event::Feedback(message.sample.bytes)),
-            message = caller.status.recv() => message.map(|message| Event::Status(message.sample.bytes)),
-        };
-        event.map_err(|error| error.to_string())
+        tokio::select! {
+            message = caller.feedback.next() => message.map(Event::Feedback),
+            message = caller.status.next() => message.map(Event::Status),
+        }
     }
 
     /// Waits until the server is lost although the graph may still show it. In ROS 2 the graph
@@ -115,6 +142,7 @@ impl ActionStand {
     pub fn new(graph: &Graph, types: &Types, name: &TopicName, here: &Description) -> Result<Self, GraphError> {
         let domain = match graph {
             Graph::Ros2(domain) => domain,
+            Graph::Zenoh(graph) => return Self::of_zenoh(graph, types, name, here),
             Graph::Ros1(master) => {
                 let types = types.action(&here.kind.name, here.definitions.as_ref())?;
                 return Ok(Self::Ros1(ActionServer::new(master.node(), types, name)?.into()));
@@ -123,7 +151,9 @@ impl ActionStand {
         let kind = TypeName::parse(&here.kind.name).map_err(RosError::from)?;
         let parts = ros2::Action::new(name, &kind).map_err(RosError::from)?;
         let server = |(name, kind): &(_, _)| domain.server(name, kind, None).map(|server| Stand::Ros2(server.into()));
-        let writer = |(name, kind): &(_, _), qos: Qos| domain.writer(name, kind, &qos.into()).map(Mutex::new);
+        let writer = |(name, kind): &(_, _), qos: Qos| {
+            domain.writer(name, kind, &qos.into()).map(|writer| PartWriter::Dds(Mutex::new(writer).into()))
+        };
         // The topics come first, because clients that see the services expect them.
         let (feedback, status) = (
             writer(&parts.feedback, ros2::Action::feedback_qos())?,
@@ -134,14 +164,40 @@ impl ActionStand {
         Ok(Self::Ros2(Box::new(Ros2Stand { send_goal, cancel_goal, get_result, feedback, status })))
     }
 
+    fn of_zenoh(
+        graph: &zenoh::ZenohGraph,
+        types: &Types,
+        name: &TopicName,
+        here: &Description,
+    ) -> Result<Self, GraphError> {
+        let kind = TypeName::parse(&here.kind.name).map_err(RosError::from)?;
+        let parts = ros2::Action::new(name, &kind).map_err(RosError::from)?;
+        let of = [&parts.send_goal, &parts.cancel_goal, &parts.get_result, &parts.feedback, &parts.status];
+        let hashes = types.part_hashes(here, of.map(|(_, kind)| kind.as_str()));
+        let [send_goal, cancel_goal, get_result, feedback, status] =
+            hashes.map_err(|_| GraphError::NoHash(here.kind.name.clone()))?;
+        let writer = |(name, kind): &(TopicName, TypeName), hash: &[u8], qos: Qos| {
+            let kind = Kind { dialect: Dialect::Ros2, name: kind.to_string(), hash: vec![] };
+            graph.writer(name, &kind, hash, qos.into()).map(|writer| PartWriter::Zenoh(writer.into()))
+        };
+        let server = |(name, kind): &(_, _), hash: &[u8]| {
+            graph.server(name, kind, hash).map(|server| Stand::Zenoh(server.into()))
+        };
+        Ok(Self::Ros2(Box::new(Ros2Stand {
+            feedback: writer(&parts.feedback, &feedback, ros2::Action::feedback_qos())?,
+            status: writer(&parts.status, &status, ros2::Action::status_qos())?,
+            send_goal: server(&parts.send_goal, &send_goal)?,
+            cancel_goal: server(&parts.cancel_goal, &cancel_goal)?,
+            get_result: server(&parts.get_result, &get_result)?,
+        })))
+    }
+
     /// Shows the server as one of the node with this full name. In ROS 1 it stays one of the proxy.
     pub fn assign(&self, node: &str) {
         let Self::Ros2(stand) = self else { return };
         let Ros2Stand { send_goal, cancel_goal, get_result, feedback, status } = &**stand;
         [send_goal, cancel_goal, get_result].into_iter().for_each(|stand| stand.assign(node));
-        // Nobody writes yet.
-        let writers = [feedback, status].into_iter().filter_map(|writer| writer.try_lock().ok());
-        writers.for_each(|mut writer| writer.assign(node));
+        [feedback, status].into_iter().for_each(|sink| sink.assign(node));
     }
 
     /// Waits for the next request. An `Err` explains why a request is invalid. Safe to cancel.
@@ -197,8 +253,7 @@ impl ActionStand {
             Self::Ros1(server) => server.settle().await,
             Self::Ros2(stand) => {
                 let Ros2Stand { send_goal, cancel_goal, get_result, feedback: _, status } = &**stand;
-                let status = async { status.lock().await.settle().await };
-                tokio::join!(send_goal.settle(), cancel_goal.settle(), get_result.settle(), status);
+                tokio::join!(send_goal.settle(), cancel_goal.settle(), get_result.settle(), status.settle());
             }
         }
     }
@@ -206,20 +261,57 @@ impl ActionStand {
     pub async fn publish_feedback(&self, message: Bytes) -> Result<(), String> {
         match self {
             Self::Ros1(server) => server.publish_feedback(&message),
-            Self::Ros2(stand) => publish(&stand.feedback, message).await,
+            Self::Ros2(stand) => stand.feedback.publish(message).await,
         }
     }
 
     pub async fn publish_status(&self, message: Bytes) -> Result<(), String> {
         match self {
             Self::Ros1(server) => server.publish_status(&message),
-            Self::Ros2(stand) => publish(&stand.status, message).await,
+            Self::Ros2(stand) => stand.status.publish(message).await,
         }
     }
 }
 
-async fn publish(writer: &Mutex<RawWriter>, message: Bytes) -> Result<(), String> {
-    let sample = RawSample::parse(message).ok_or("not a CDR encapsulation that ROS 2 uses")?;
-    let now = unix_nanos();
-    writer.lock().await.write(sample, now).await.map_err(|error| error.to_string())
+impl PartReader {
+    /// Waits for the next message. Safe to cancel.
+    async fn next(&self) -> Result<Bytes, String> {
+        match self {
+            Self::Dds(reader) => {
+                reader.recv().await.map(|message| message.sample.bytes).map_err(|error| error.to_string())
+            }
+            Self::Zenoh(feed) => feed.next().await,
+        }
+    }
+}
+
+impl PartWriter {
+    fn assign(&self, node: &str) {
+        match self {
+            // Nobody writes yet.
+            Self::Dds(writer) => {
+                if let Ok(mut writer) = writer.try_lock() {
+                    writer.assign(node);
+                }
+            }
+            Self::Zenoh(writer) => writer.assign(node),
+        }
+    }
+
+    async fn publish(&self, message: Bytes) -> Result<(), String> {
+        let now = unix_nanos();
+        match self {
+            Self::Dds(writer) => {
+                let sample = RawSample::parse(message).ok_or("not a CDR encapsulation that ROS 2 uses")?;
+                writer.lock().await.write(sample, now).await.map_err(|error| error.to_string())
+            }
+            Self::Zenoh(writer) => writer.write(message, now).await.map_err(|error| error.to_string()),
+        }
+    }
+
+    async fn settle(&self) {
+        if let Self::Dds(writer) = self {
+            writer.lock().await.settle().await;
+        }
+    }
 }

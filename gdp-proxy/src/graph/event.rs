@@ -18,6 +18,14 @@ pub enum GraphError {
     Type(#[from] TypeError),
     #[error("the proxy publishes {topic} as {published} by now, and a node of ROS 1 has one type for a topic")]
     OtherType { topic: String, published: String },
+    #[error("Zenoh: {0}")]
+    Zenoh(String),
+    #[error(
+        "the hash of {0} is not known, and nodes with rmw_zenoh compare it; give the proxy its definition (`definitions`)"
+    )]
+    NoHash(String),
+    #[error("this gdp-proxy was built without graphs of rmw_zenoh; build it with `--features zenoh`")]
+    WithoutZenoh,
     #[error("the ROS graph was left")]
     Left,
 }

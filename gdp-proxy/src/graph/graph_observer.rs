@@ -34,6 +34,7 @@ impl GraphObserver {
         match graph {
             Graph::Ros1(master) => Self::Ros1(master.graph()),
             Graph::Ros2(domain) => Self::Ros2(domain.graph()),
+            Graph::Zenoh(graph) => Self::Ros2(graph.graph()),
         }
     }
 

@@ -1,4 +1,4 @@
-//! A ROS graph as the routes see it, of either ROS version: publishers of a topic, their messages,
+//! A ROS graph as the routes see it, of any kind: publishers of a topic, their messages,
 //! and writers on behalf of remote publishers. A message is in the graph's own encoding, and this
 //! module does not parse it.
 
@@ -8,6 +8,7 @@ mod graph_observer;
 mod ros1;
 mod ros2;
 mod services;
+mod zenoh;
 
 pub use crate::graph::event::{Arrived, Event, GraphError, Incompatibility, Key, NODE, WriteError};
 pub use actions::{ActionCaller, ActionStand};
@@ -30,18 +31,21 @@ pub use graph_observer::{Found, GraphObserver, Offered};
 pub enum Graph {
     Ros1(Box<ros1::Master>),
     Ros2(Box<Domain>),
+    Zenoh(Box<zenoh::ZenohGraph>),
 }
 
 /// A reader of a topic, which ignores what this proxy itself writes.
 pub enum Reader<'a> {
     Ros1(ros1::Ros1Reader),
     Ros2(Box<ros2::Ros2Reader<'a>>),
+    Zenoh(Box<zenoh::ZenohReader<'a>>),
 }
 
 /// A writer on behalf of one remote publisher. Subscribers see it leave when it is dropped.
 pub enum Writer {
     Ros1(ros1::Ros1Writer),
     Ros2(Box<ros2::Ros2Writer>),
+    Zenoh(Box<zenoh::ZenohWriter>),
 }
 
 /// All graphs of the proxy, by their names in the configuration.
@@ -73,22 +77,34 @@ pub async fn leave(graphs: All) {
     }
 }
 
+/// Checks that this program can join the graphs. Returns the first that it cannot join, with the
+/// reason.
+pub fn check(graphs: &Graphs) -> Result<(), (String, String)> {
+    let mut zenoh = graphs.iter().filter_map(|(name, graph)| match graph {
+        GraphConfig::Zenoh(config) => Some((name, config)),
+        _ => None,
+    });
+    zenoh.try_for_each(|(name, config)| zenoh::check(config).map_err(|error| (name.to_owned(), error.to_string())))
+}
+
 impl Graph {
     async fn join(config: &GraphConfig, node: &str) -> Result<Self, GraphError> {
         match config {
             GraphConfig::Ros1(config) => Ok(Self::Ros1(ros1::Master::join(config, node).await?.into())),
             GraphConfig::Ros2(config) => Ok(Self::Ros2(Domain::join_as_proxy(config.domain_id.get(), node)?.into())),
+            GraphConfig::Zenoh(config) => Ok(Self::Zenoh(zenoh::ZenohGraph::join(config, node)?.into())),
         }
     }
 
     pub fn dialect(&self) -> Dialect {
         match self {
             Self::Ros1(_) => Dialect::Ros1,
-            Self::Ros2(_) => Dialect::Ros2,
+            Self::Ros2(_) | Self::Zenoh(_) => Dialect::Ros2,
         }
     }
 
-    /// Follows changes of this machine's network interfaces. A ROS 1 node listens on all of them.
+    /// Follows changes of this machine's network interfaces. A ROS 1 node listens on all of them,
+    /// and Zenoh connects again by itself.
     pub fn interfaces_changed(&self) {
         if let Self::Ros2(domain) = self {
             domain.interfaces_changed();
@@ -100,6 +116,7 @@ impl Graph {
         match self {
             Self::Ros1(master) => master.peer_proxies(),
             Self::Ros2(domain) => domain.peer_proxies(),
+            Self::Zenoh(graph) => graph.peer_proxies(),
         }
     }
 
@@ -107,7 +124,8 @@ impl Graph {
     /// Such a subscriber receives nothing from a publisher with `offers`.
     pub fn misfit(&self, topic: &TopicName, offers: &Offer) -> Option<&'static str> {
         match self {
-            Self::Ros1(_) => None,
+            // rmw_zenoh does not compare QoS.
+            Self::Ros1(_) | Self::Zenoh(_) => None,
             Self::Ros2(domain) => ros2::misfit(domain, topic, offers),
         }
     }
@@ -132,10 +150,12 @@ impl Graph {
         match self {
             Self::Ros1(master) => Ok(Reader::Ros1(ros1::Ros1Reader::new(master, topic)?)),
             Self::Ros2(domain) => Ok(Reader::Ros2(ros2::Ros2Reader::new(domain, topic, kind, qos).into())),
+            Self::Zenoh(graph) => Ok(Reader::Zenoh(graph.reader(topic, kind, qos).into())),
         }
     }
 
-    /// Creates a writer. `definition` is that of the type, which ROS 1 announces to subscribers.
+    /// Creates a writer. `definition` is that of the type: ROS 1 announces it to subscribers, and
+    /// rmw_zenoh needs its hash.
     pub async fn writer(
         &self,
         types: &Types,
@@ -150,6 +170,10 @@ impl Graph {
                 Ok(Writer::Ros1(ros1::Ros1Writer::new(master, topic, kind, definition, md5sum, offers).await?))
             }
             Self::Ros2(domain) => Ok(Writer::Ros2(ros2::Ros2Writer::new(domain, topic, kind, offers)?.into())),
+            Self::Zenoh(graph) => {
+                let hash = types.rihs01(kind, definition).map_err(|_| GraphError::NoHash(kind.name.clone()))?;
+                Ok(Writer::Zenoh(graph.writer(topic, kind, &hash, offers)?.into()))
+            }
         }
     }
 
@@ -157,6 +181,7 @@ impl Graph {
         match self {
             Self::Ros1(master) => master.leave().await,
             Self::Ros2(domain) => domain.leave().await,
+            Self::Zenoh(graph) => graph.leave().await,
         }
     }
 }
@@ -167,6 +192,7 @@ impl Reader<'_> {
         match self {
             Self::Ros1(reader) => reader.next().await.ok_or(GraphError::Left),
             Self::Ros2(reader) => Ok(reader.next().await?),
+            Self::Zenoh(reader) => reader.next().await,
         }
     }
 
@@ -176,6 +202,7 @@ impl Reader<'_> {
             // All ROS 1 publishers offer the same QoS, so this is never needed.
             Self::Ros1(_) => Ok(()),
             Self::Ros2(reader) => Ok(reader.again()?),
+            Self::Zenoh(reader) => reader.again(),
         }
     }
 
@@ -183,7 +210,7 @@ impl Reader<'_> {
     pub fn definition(&self) -> Option<&str> {
         match self {
             Self::Ros1(reader) => reader.definition(),
-            Self::Ros2(_) => None,
+            Self::Ros2(_) | Self::Zenoh(_) => None,
         }
     }
 }
@@ -199,8 +226,18 @@ impl Writer {
     /// Shows the writer as one of the node with this full name. In ROS 1 it stays one of the proxy,
     /// because each node has an API of its own.
     pub fn assign(&mut self, node: &str) {
+        match self {
+            Self::Ros1(_) => {}
+            Self::Ros2(writer) => writer.assign(node),
+            Self::Zenoh(writer) => writer.assign(node),
+        }
+    }
+
+    /// Changes the history depth in messages, 0 for as much as possible. In ROS 1 a latching
+    /// publisher always keeps one.
+    pub fn set_depth(&mut self, depth: u32) {
         if let Self::Ros2(writer) = self {
-            writer.assign(node);
+            writer.set_depth(depth);
         }
     }
 
@@ -209,6 +246,7 @@ impl Writer {
         match self {
             Self::Ros1(writer) => writer.is_matched(),
             Self::Ros2(writer) => writer.is_matched(),
+            Self::Zenoh(writer) => writer.is_matched(),
         }
     }
 
@@ -217,6 +255,7 @@ impl Writer {
         match self {
             Self::Ros1(writer) => writer.write(bytes),
             Self::Ros2(writer) => writer.write(bytes, timestamp_ns).await,
+            Self::Zenoh(writer) => writer.write(bytes, timestamp_ns).await,
         }
     }
 }

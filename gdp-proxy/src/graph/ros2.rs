@@ -10,8 +10,8 @@ use tokio::time::Instant;
 
 use crate::graph::event::{Event, Incompatibility, Key, WriteError};
 use crate::ros2::{
-    self, DisplayedQos, Domain, Durability, Endpoint, Graph, Qos, RawReader, RawSample, RawWriter, Reliability,
-    RosError, TopicName, TypeName,
+    self, Depth, DisplayedQos, Domain, Durability, Endpoint, Graph, Qos, RawReader, RawSample, RawWriter, Reliability,
+    RosError, TopicName, TypeName, WriterChange,
 };
 use gdp_ros::roster::{Dialect, Kind, Offer};
 
@@ -26,6 +26,8 @@ pub struct Ros2Reader<'a> {
     qos: Option<Qos>,
     graph: watch::Receiver<Arc<Graph>>,
     known: BTreeMap<Key, Known>,
+    /// Number of messages that transient-local publishers keep. They may not be discovered yet.
+    histories: BTreeMap<Key, u32>,
     live: Option<Half>,
     latched: Option<Half>,
     events: VecDeque<Event>,
@@ -57,6 +59,18 @@ const MAX_EARLY: usize = 256;
 /// Bound on their bytes.
 const MAX_EARLY_BYTES: usize = 32 << 20;
 
+/// Number of recorded histories at which those of unknown publishers are forgotten.
+const MAX_HISTORIES: usize = 1024;
+
+/// The vendor ID of RustDDS, with which GUIDs begin (RTPS 2.5 §9.3.1.5).
+const RUSTDDS: [u8; 2] = [0x01, 0x12];
+
+/// A depth that has grown by less than this part is not announced again.
+const SLACK: u32 = 8;
+
+/// Greatest depth that a publisher is taken to have.
+const MAX_DEPTH: u32 = Depth::MAX as u32;
+
 /// Time to wait for the last messages of a publisher that has left.
 const LATE: Duration = Duration::from_millis(200);
 
@@ -74,6 +88,7 @@ impl<'a> Ros2Reader<'a> {
             qos,
             graph,
             known: BTreeMap::new(),
+            histories: BTreeMap::new(),
             live: None,
             latched: None,
             events: VecDeque::new(),
@@ -107,12 +122,12 @@ impl<'a> Ros2Reader<'a> {
                     self.report_left();
                     continue;
                 }
-                (writer, alive) = liveliness(latched) => {
-                    self.report_liveliness(writer, alive);
+                change = writer_change(latched) => {
+                    self.report_change(change);
                     continue;
                 }
-                (writer, alive) = liveliness(live) => {
-                    self.report_liveliness(writer, alive);
+                change = writer_change(live) => {
+                    self.report_change(change);
                     continue;
                 }
                 arrived = recv(latched) => (true, arrived),
@@ -121,6 +136,38 @@ impl<'a> Ros2Reader<'a> {
             match arrived {
                 Ok(arrived) => self.take(is_latched, arrived),
                 Err(error) => self.events.push_back(Event::Unreadable(error.to_string())),
+            }
+        }
+    }
+
+    fn report_change(&mut self, change: WriterChange) {
+        match change {
+            WriterChange::Liveliness(writer, alive) => self.report_liveliness(writer, alive),
+            WriterChange::History(writer, samples) => self.report_history(Key::from_be_bytes(writer), samples),
+        }
+    }
+
+    /// Takes what a writer keeps for late joiners as its depth. It may not be discovered yet.
+    /// Writers of RustDDS keep more for repairs.
+    fn report_history(&mut self, key: Key, samples: usize) {
+        if key.to_be_bytes().starts_with(&RUSTDDS) {
+            return;
+        }
+        let samples = u32::try_from(samples).map_or(MAX_DEPTH, |samples| samples.clamp(1, MAX_DEPTH));
+        if self.histories.len() >= MAX_HISTORIES {
+            self.histories.retain(|key, _| self.known.contains_key(key));
+        }
+        self.histories.insert(key, samples);
+        let is_by_publisher = self.qos.is_none();
+        let known = self.known.get_mut(&key).filter(|known| is_by_publisher && known.offers.transient_local);
+        // A publisher whose messages expire keeps more at times.
+        let is_deeper = |known: &Known| samples > known.offers.depth + known.offers.depth / SLACK;
+        if let Some(known) = known.filter(|known| is_deeper(known)) {
+            known.offers.depth = samples;
+            let (kind, node, offers) = (known.kind.clone(), known.node.clone(), known.offers);
+            self.events.push_back(Event::Joined { key, kind, node, offers });
+            if !known.alive {
+                self.events.push_back(Event::Liveliness { key, alive: false });
             }
         }
     }
@@ -170,10 +217,14 @@ impl<'a> Ros2Reader<'a> {
     fn look(&mut self) -> Result<(), RosError> {
         let graph = self.graph.borrow_and_update().clone();
         let found = graph.topics.get(&self.topic).map_or(&[][..], |topic| &topic.publishers);
-        let found: BTreeMap<Key, (Arc<str>, (Kind, Offer))> = found
-            .iter()
-            .map(|publisher| (Key::from_be_bytes(publisher.id), (publisher.node.clone(), described(publisher))))
-            .collect();
+        let described = |publisher: &Endpoint| {
+            let (key, (kind, mut offers)) = (Key::from_be_bytes(publisher.id), described(publisher));
+            if let Some(depth) = self.histories.get(&key).filter(|_| offers.transient_local) {
+                offers.depth = *depth;
+            }
+            (key, (publisher.node.clone(), (kind, offers)))
+        };
+        let found: BTreeMap<Key, (Arc<str>, (Kind, Offer))> = found.iter().map(described).collect();
         let told = Instant::now() + LATE;
         for (key, known) in &mut self.known {
             let is_gone = !found.contains_key(key);
@@ -204,7 +255,10 @@ impl<'a> Ros2Reader<'a> {
     fn report_left(&mut self) {
         let now = Instant::now();
         let left_at = self.known.extract_if(.., |_, known| known.left_at.is_some_and(|told| told <= now));
-        self.events.extend(left_at.map(|(key, _)| Event::Left(key)));
+        for (key, _) in left_at {
+            self.histories.remove(&key);
+            self.events.push_back(Event::Left(key));
+        }
     }
 
     /// Reads the transient-local history once more.
@@ -287,7 +341,8 @@ pub fn misfit(domain: &Domain, topic: &TopicName, offers: &Offer) -> Option<&'st
 }
 
 /// Returns the type and the offer of a discovered endpoint. Discovery does not announce its history
-/// depth. So the depth is 10, the default of ROS 2, or 1 if it is transient local.
+/// depth. So the depth is 10, the default of ROS 2. If it is transient local, the depth is 1 until
+/// the endpoint tells what it keeps.
 fn described(publisher: &Endpoint) -> (Kind, Offer) {
     let Endpoint { kind, hash, qos, .. } = publisher;
     let DisplayedQos { reliability, durability, deadline, lifespan, liveliness_lease, manual_liveliness } = *qos;
@@ -313,9 +368,9 @@ async fn sleep_until(when: Option<Instant>) {
     }
 }
 
-async fn liveliness(half: &Option<Half>) -> ([u8; 16], bool) {
+async fn writer_change(half: &Option<Half>) -> WriterChange {
     match half {
-        Some(half) => half.reader.liveliness().await,
+        Some(half) => half.reader.writer_change().await,
         None => std::future::pending().await,
     }
 }
@@ -334,6 +389,10 @@ impl Ros2Writer {
 
     pub fn assign(&mut self, node: &str) {
         self.0.assign(node);
+    }
+
+    pub fn set_depth(&mut self, depth: u32) {
+        self.0.set_depth(depth);
     }
 
     pub fn is_matched(&self) -> bool {

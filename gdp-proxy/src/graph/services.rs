@@ -9,7 +9,7 @@ use gdp_ros1::{CallError, ServiceServer, ServiceType};
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::time::timeout;
 
-use super::{Graph, ros1};
+use super::{Graph, ros1, zenoh};
 use crate::config::What;
 use crate::graph::event::GraphError;
 use crate::ros2::{self, ClientLife, RawSample, RequestId, ServicePeer, TopicName, TypeName};
@@ -75,6 +75,7 @@ impl Servers {
         match graph {
             Graph::Ros1(master) => Self::Ros1 { graph: master.node().graph(), name: name.as_str().into(), what },
             Graph::Ros2(domain) => Self::Ros2 { graph: domain.graph(), name: name.clone(), what },
+            Graph::Zenoh(zenoh) => Self::Ros2 { graph: zenoh.graph(), name: name.clone(), what },
         }
     }
 
@@ -130,6 +131,7 @@ impl Servers {
 pub enum Caller {
     Ros1 { client: gdp_ros1::ServiceClient, md5sum: String },
     Ros2(Box<ros2::Client>),
+    Zenoh(Box<zenoh::ZenohClient>),
 }
 
 impl Caller {
@@ -147,6 +149,11 @@ impl Caller {
                 let kind = Kind { dialect: Dialect::Ros2, name: peer.kind.to_string(), hash: vec![] };
                 let [caller] = Self::several(domain, [(name, &peer.kind)], peer).await?;
                 Ok((caller, kind))
+            }
+            (Graph::Zenoh(graph), Peer::Ros2(peer)) => {
+                let (client, hash) = graph.client(name, &peer.kind, peer).await?;
+                let kind = Kind { dialect: Dialect::Ros2, name: peer.kind.to_string(), hash };
+                Ok((Self::Zenoh(client.into()), kind))
             }
             _ => Err(GraphError::Left.into()),
         }
@@ -175,7 +182,7 @@ impl Caller {
                 Ok(_) | Err(CallError::Master(_) | CallError::Timeout { .. }) => false,
                 Err(_) => true,
             },
-            Self::Ros2(_) => false,
+            Self::Ros2(_) | Self::Zenoh(_) => false,
         }
     }
 
@@ -198,6 +205,7 @@ impl Caller {
                 })?;
                 Ok(answer.bytes)
             }
+            Self::Zenoh(client) => client.call(request).await,
         }
     }
 }
@@ -238,6 +246,7 @@ impl CallerError {
 pub enum Stand {
     Ros1 { requests: Mutex<mpsc::Receiver<Asked>>, _server: ServiceServer },
     Ros2(Box<ros2::Server>),
+    Zenoh(Box<zenoh::ZenohServer>),
 }
 
 /// A request of a local client.
@@ -250,6 +259,7 @@ pub struct Asked {
 pub enum Asker {
     Ros1(oneshot::Sender<Result<Bytes, String>>),
     Ros2(RequestId, ClientLife),
+    Zenoh(Box<zenoh::ZenohReply>),
     /// The client of a goal of ROS 1. It learns the outcome from the action's topics.
     Goal(GoalId),
 }
@@ -277,13 +287,19 @@ impl Stand {
                 let kind = TypeName::parse(&here.kind.name).map_err(ros2::RosError::from)?;
                 Ok(Self::Ros2(domain.server(name, &kind, None)?.into()))
             }
+            Graph::Zenoh(graph) => {
+                let kind = TypeName::parse(&here.kind.name).map_err(ros2::RosError::from)?;
+                Ok(Self::Zenoh(graph.server(name, &kind, &here.kind.hash)?.into()))
+            }
         }
     }
 
     /// Shows the server as one of the node with this full name, where the graph can.
     pub fn assign(&self, node: &str) {
-        if let Self::Ros2(server) = self {
-            server.assign(node);
+        match self {
+            Self::Ros1 { .. } => {}
+            Self::Ros2(server) => server.assign(node),
+            Self::Zenoh(server) => server.assign(node),
         }
     }
 
@@ -299,6 +315,10 @@ impl Stand {
                 let request = server.recv().await.map_err(|error| error.to_string())?;
                 Ok(Asked { request: request.sample.bytes, asker: Asker::Ros2(request.id, request.client) })
             }
+            Self::Zenoh(server) => {
+                let (request, reply) = server.next().await;
+                Ok(Asked { request, asker: Asker::Zenoh(reply.into()) })
+            }
         }
     }
 
@@ -309,12 +329,13 @@ impl Stand {
                 let sample = RawSample::parse(response).ok_or("the response is no CDR that ROS 2 uses")?;
                 server.respond(&id, &client, sample).await.map_err(|error| error.to_string())
             }
+            (Self::Zenoh(_), Asker::Zenoh(reply)) => reply.send(response).await,
             (_, Asker::Ros1(asker)) => {
                 // A client that hung up meanwhile needs no response.
                 _ = asker.send(Ok(response));
                 Ok(())
             }
-            (Self::Ros1 { .. }, Asker::Ros2(..)) | (_, Asker::Goal(_)) => Err("a request of another server".into()),
+            (_, Asker::Ros2(..) | Asker::Zenoh(_) | Asker::Goal(_)) => Err("a request of another server".into()),
         }
     }
 
@@ -340,7 +361,8 @@ impl Asker {
         match self {
             Self::Ros1(asker) => asker.closed().await,
             Self::Ros2(_, client) => client.ends().await,
-            Self::Goal(_) => std::future::pending().await,
+            // Zenoh does not tell.
+            Self::Zenoh(_) | Self::Goal(_) => std::future::pending().await,
         }
     }
 }

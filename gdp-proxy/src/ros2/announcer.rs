@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::nodes::Nodes;
-use super::raw::{RawReader, RawSample, RawWriter, participant};
+use super::raw::{RawReader, RawWriter, participant};
+use super::sample::RawSample;
 
 /// Time for which changes are gathered before this participant is announced again.
 const GATHER: Duration = Duration::from_millis(20);

@@ -104,7 +104,11 @@ impl TypeHash {
     /// length of four bytes in front of it.
     fn from_user_data(user_data: &[u8]) -> Option<Self> {
         let text = String::from_utf8_lossy(user_data.get(4..)?);
-        let hash = text.split(';').find_map(|entry| entry.strip_prefix("typehash="))?;
+        Self::parse(text.split(';').find_map(|entry| entry.strip_prefix("typehash="))?)
+    }
+
+    /// Reads a hash, or returns `None` if it is of another form.
+    pub fn parse(hash: &str) -> Option<Self> {
         let digits = hash.strip_prefix("RIHS01_")?;
         let good = digits.len() == 64 && digits.bytes().all(|c| matches!(c, b'0'..=b'9' | b'a'..=b'f'));
         good.then(|| Self(hash.to_owned()))
@@ -145,7 +149,6 @@ impl Graph {
             let Ok(kind) = TypeName::from_dds(&seen.kind) else { continue };
             let key = |serves| (name.clone(), participant(seen.guid), serves);
             match part {
-                Part::Topic if Action::part_of(&name).is_some() => {}
                 Part::Topic => graph.add_to_topic(name, kind, node(names, seen.guid), &seen),
                 Part::Requests => {
                     if let Some(kind) = kind.without("_Request") {
@@ -173,11 +176,19 @@ impl Graph {
     fn add_to_topic(&mut self, name: TopicName, kind: TypeName, node: Arc<str>, seen: &Seen) {
         let (id, hash) = (seen.guid.to_bytes(), TypeHash::from_user_data(&seen.user_data));
         let endpoint = Endpoint { id, kind, hash, node, qos: DisplayedQos::new(&seen.qos, seen.writes) };
-        let topic = self.topics.entry(name).or_default();
-        if seen.writes { &mut topic.publishers } else { &mut topic.subscribers }.push(endpoint);
+        self.add_endpoint(name, endpoint, seen.writes);
     }
 
-    fn add_peer(&mut self, name: &TopicName, serves: bool, mut peer: ServicePeer) {
+    /// Adds a publisher or subscriber. Those of actions are left out.
+    pub(crate) fn add_endpoint(&mut self, name: TopicName, endpoint: Endpoint, writes: bool) {
+        if Action::part_of(&name).is_none() {
+            let topic = self.topics.entry(name).or_default();
+            if writes { &mut topic.publishers } else { &mut topic.subscribers }.push(endpoint);
+        }
+    }
+
+    /// Adds a server or client of a service. That of `send_goal` stands for its action.
+    pub(crate) fn add_peer(&mut self, name: &TopicName, serves: bool, mut peer: ServicePeer) {
         let (servers, clients) = match Action::part_of(name) {
             Some((action, "send_goal")) => {
                 let Some(kind) = Action::kind_of(&peer.kind) else { return };

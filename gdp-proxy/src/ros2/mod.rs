@@ -17,6 +17,7 @@ mod presence;
 mod qos;
 mod range;
 mod raw;
+mod sample;
 mod service;
 
 pub use crate::ros2::domain_id::MAX_DOMAIN_ID;
@@ -26,7 +27,8 @@ pub use graph::{ActionInfo, DisplayedQos, Endpoint, Graph, ServiceInfo, ServiceP
 pub use names::{Part, TopicName, TypeName};
 pub use qos::{Depth, Durability, Qos, Reliability};
 pub use range::{Range, RangeError};
-pub use raw::{Arrived, ENCAPSULATION, RawReader, RawSample, RawWriter, Representation, Unreadable, WriteError};
+pub use raw::{Arrived, RawReader, RawWriter, Unreadable, WriteError, WriterChange};
+pub use sample::{ENCAPSULATION, RawSample, Representation};
 
 pub use service::{BadRequest, CallError, Client, ClientLife, Headless, Mapping, ReceivedRequest, RequestId, Server};
 

@@ -121,6 +121,12 @@ pub(super) fn writer(offers: &Offer) -> QosPolicies {
     builder.build()
 }
 
+/// Returns a history depth in messages: at most [`Depth::MAX`], which 0 stands for.
+pub(super) fn depth(offered: u32) -> usize {
+    let most = usize::from(Depth::MAX);
+    if offered == 0 { most } else { most.min(offered as usize) }
+}
+
 /// Builds the common policies. ROS 2 sets no resource limits, but RustDDS would then store up to
 /// 8192 messages that a reliable reader has not acknowledged.
 fn builder(offers: &Offer, samples: u16) -> QosPolicyBuilder {
@@ -132,10 +138,7 @@ fn builder(offers: &Offer, samples: u16) -> QosPolicyBuilder {
         true => policy::Durability::TransientLocal,
         false => policy::Durability::Volatile,
     };
-    let depth = match offers.depth {
-        0 => Depth::MAX.into(),
-        depth => depth.min(Depth::MAX.into()) as i32,
-    };
+    let depth = depth(offers.depth) as i32;
     let max_samples = depth.max(samples.into());
     let limits = policy::ResourceLimits { max_samples, max_instances: 1, max_samples_per_instance: max_samples };
     QosPolicyBuilder::new()

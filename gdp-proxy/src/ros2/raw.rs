@@ -2,24 +2,21 @@
 //! encapsulation, carried unchanged: a four-byte header with the encoding (RTPS 2.5 §10.2), and the
 //! encoded body.
 
-use std::convert::Infallible;
 use std::future::poll_fn;
 use std::pin::pin;
 use std::sync::{Arc, Weak};
 use std::task::Poll;
 use std::time::Duration;
 
-use bytes::Bytes;
 use futures::StreamExt;
 use parking_lot::Mutex;
-use rustdds::dds::adapters::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
 use rustdds::dds::{CreateError, ReadError};
 use rustdds::no_key::{DataWriter, SimpleDataReader};
 use rustdds::policy::Liveliness;
 use rustdds::rpc::SampleIdentity;
 use rustdds::{
-    DataReaderStatus, DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, RepresentationIdentifier,
-    SequenceNumber, StatusEvented, Timestamp, Topic, WriteOptions, WriteOptionsBuilder,
+    DataReaderStatus, DataWriterStatus, GUID, Publisher, QosPolicies, RTPSEntity, SequenceNumber, StatusEvented,
+    Timestamp, Topic, WriteOptions, WriteOptionsBuilder,
 };
 use tokio::task::JoinHandle;
 use tokio::task::coop::cooperative;
@@ -27,21 +24,12 @@ use tokio::time::MissedTickBehavior;
 
 use super::gaps::Gaps;
 use super::nodes::{NodeEntry, Nodes};
-
-/// Bytes of the encapsulation header: representation (2), options (2).
-pub const ENCAPSULATION: usize = 4;
+use super::qos;
+use super::sample::{Adapter, Encoder, RawSample, Representation};
 
 /// Timeout of a write. RustDDS checks its own maximum blocking time only when something else wakes
 /// the write.
 const WRITE_DEADLINE: Duration = Duration::from_millis(100);
-
-/// One message in its wire format.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RawSample {
-    pub representation: Representation,
-    /// Encapsulation header and body. DDS vendors pad the body to a multiple of four.
-    pub bytes: Bytes,
-}
 
 /// A message that DDS delivered.
 pub struct Arrived {
@@ -54,6 +42,15 @@ pub struct Arrived {
     pub lost: u64,
 }
 
+/// A change of a matched writer, with its GUID.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WriterChange {
+    /// Whether the writer is alive now.
+    Liveliness([u8; 16], bool),
+    /// Number of messages that a transient-local writer keeps for late joiners. It has grown.
+    History([u8; 16], usize),
+}
+
 /// A message with the identity that services need.
 pub(super) struct SampleChange {
     pub sample: RawSample,
@@ -62,35 +59,6 @@ pub(super) struct SampleChange {
     /// The identity of the request that the message answers, as its writer announces it.
     pub related: Option<SampleIdentity>,
     written_ns: Option<u64>,
-}
-
-/// The encodings that ROS 2 uses: XCDR version 1, either byte order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Representation {
-    CdrBe,
-    CdrLe,
-}
-
-impl Representation {
-    const fn header(self) -> [u8; ENCAPSULATION] {
-        match self {
-            Self::CdrBe => [0, 0, 0, 0],
-            Self::CdrLe => [0, 1, 0, 0],
-        }
-    }
-}
-
-impl RawSample {
-    /// Parses a message of another proxy. Returns `None` if the bytes are not a CDR encapsulation
-    /// that DDS could write.
-    pub fn parse(bytes: Bytes) -> Option<Self> {
-        let representation = match bytes.get(..ENCAPSULATION)? {
-            [0, 0, ..] => Representation::CdrBe,
-            [0, 1, ..] => Representation::CdrLe,
-            _ => return None,
-        };
-        Some(Self { representation, bytes })
-    }
 }
 
 /// A message that is not in XCDR version 1. The text is for the log.
@@ -143,13 +111,19 @@ impl RawReader {
         std::future::pending().await
     }
 
-    /// Waits until the liveliness of a writer changes. Returns the writer, and whether it is alive
-    /// now. Each change is reported once. It also discards all other changes of the status.
-    pub async fn liveliness(&self) -> ([u8; 16], bool) {
+    /// Waits for a change of a matched writer. Each change is reported once. It also discards all
+    /// other changes of the status.
+    pub async fn writer_change(&self) -> WriterChange {
         let mut events = self.reader.as_async_status_stream();
         while let Some(event) = events.next().await {
-            if let DataReaderStatus::LivelinessChanged { alive_total, writer, .. } = event {
-                return (writer.to_bytes(), alive_total.count_change() > 0);
+            match event {
+                DataReaderStatus::LivelinessChanged { alive_total, writer, .. } => {
+                    return WriterChange::Liveliness(writer.to_bytes(), alive_total.count_change() > 0);
+                }
+                DataReaderStatus::WriterHistoryGrown { writer, samples } => {
+                    return WriterChange::History(writer.to_bytes(), samples);
+                }
+                _ => {}
             }
         }
         std::future::pending().await
@@ -215,6 +189,8 @@ pub struct RawWriter {
     nodes: Arc<Nodes>,
     /// The full name of the ROS node, or `None` for that of the proxy.
     node: Option<String>,
+    /// The depth of the history, if it was changed.
+    depth: Option<usize>,
     /// Registers the expected type at discovery, so that different types of others are logged.
     _kind: Arc<str>,
 }
@@ -253,6 +229,7 @@ impl RawWriter {
             qos,
             nodes: nodes.clone(),
             node: None,
+            depth: None,
             _kind: kind,
         })
     }
@@ -264,6 +241,17 @@ impl RawWriter {
             writer.node.assign(node);
         }
         self.node = Some(node.to_owned());
+    }
+
+    /// Changes the depth of the history: 0 keeps as much as
+    /// [`Depth::MAX`](super::Depth::MAX) allows.
+    pub fn set_depth(&mut self, depth: u32) {
+        let depth = qos::depth(depth);
+        self.depth = Some(depth);
+        self.little_endian.writer.set_history_depth(depth);
+        if let Some(writer) = &self.big_endian {
+            writer.writer.set_history_depth(depth);
+        }
     }
 
     /// Writes one message with the source timestamp `timestamp_ns`, in Unix nanoseconds. It waits a
@@ -349,6 +337,7 @@ impl RawWriter {
                 let writer = EncodedWriter::new(&self.publisher, &self.topic, &self.qos, &self.nodes)
                     .map_err(|error| WriteError::Failed(error.to_string()))?;
                 self.node.iter().for_each(|node| writer.node.assign(node));
+                self.depth.iter().for_each(|depth| writer.writer.set_history_depth(*depth));
                 writer
             }
         };
@@ -416,64 +405,6 @@ fn timestamp(ns: u64) -> Timestamp {
 fn nanoseconds(timestamp: Timestamp) -> u64 {
     let ticks = timestamp.to_ticks();
     (ticks >> 32) * 1_000_000_000 + (((ticks & 0xffff_ffff) * 1_000_000_000) >> 32)
-}
-
-/// Receives bytes from RustDDS, which removes their encapsulation header.
-struct Adapter;
-
-#[derive(Clone)]
-struct Decoder;
-
-impl DeserializerAdapter<RawSample> for Adapter {
-    type Error = Infallible;
-    type Decoded = RawSample;
-
-    fn supported_encodings() -> &'static [RepresentationIdentifier] {
-        &[RepresentationIdentifier::CDR_LE, RepresentationIdentifier::CDR_BE]
-    }
-
-    fn transform_decoded(decoded: RawSample) -> RawSample {
-        decoded
-    }
-}
-
-impl DefaultDecoder<RawSample> for Adapter {
-    type Decoder = Decoder;
-    const DECODER: Decoder = Decoder;
-}
-
-impl Decode<'_, RawSample> for Decoder {
-    type Error = Infallible;
-
-    fn decode_bytes(self, body: &[u8], encoding: RepresentationIdentifier) -> Result<RawSample, Infallible> {
-        let representation = match encoding {
-            RepresentationIdentifier::CDR_BE => Representation::CdrBe,
-            _ => Representation::CdrLe,
-        };
-        let mut bytes = Vec::with_capacity(ENCAPSULATION + body.len());
-        bytes.extend(representation.header());
-        bytes.extend(body);
-        Ok(RawSample { representation, bytes: bytes.into() })
-    }
-}
-
-/// Gives bytes to RustDDS, which writes the encapsulation header itself, depending on the type of
-/// the writer.
-struct Encoder<const LITTLE_ENDIAN: bool>;
-
-impl<const LITTLE_ENDIAN: bool> SerializerAdapter<RawSample> for Encoder<LITTLE_ENDIAN> {
-    type Error = Infallible;
-
-    fn output_encoding() -> RepresentationIdentifier {
-        match LITTLE_ENDIAN {
-            true => RepresentationIdentifier::CDR_LE,
-            false => RepresentationIdentifier::CDR_BE,
-        }
-    }
-
-    fn to_bytes(sample: &RawSample) -> Result<Bytes, Infallible> {
-        Ok(sample.bytes.slice(ENCAPSULATION..))
-    }
 }
 
 #[cfg(test)]

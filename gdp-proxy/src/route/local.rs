@@ -70,16 +70,25 @@ impl Local {
         Self { kind, definition, node, offers, state: LocalState::Wanted, history: VecDeque::new(), history_bytes: 0 }
     }
 
+    /// Whether a writer with this type and QoS can stay. Its depth may change.
     pub fn is_of(&self, kind: &Kind, definition: Option<&Arc<str>>, offers: &Offer) -> bool {
-        (&self.kind, self.definition.as_ref(), &self.offers) == (kind, definition, offers)
+        let offers = Offer { depth: self.offers.depth, ..*offers };
+        (&self.kind, self.definition.as_ref(), self.offers) == (kind, definition, offers)
     }
 
-    /// Records to which node the publisher belongs. Its graph may tell that later than the rest.
-    pub fn move_to(&mut self, node: Arc<str>) {
+    /// Records to which node the publisher belongs and how much it keeps. Its graph may tell that
+    /// later than the rest.
+    pub fn update(&mut self, node: Arc<str>, depth: u32) {
         if let LocalState::Made(made) = &mut self.state {
-            made.writer.assign(&node);
+            if self.node != node {
+                made.writer.assign(&node);
+            }
+            if self.offers.depth != depth {
+                made.writer.set_depth(depth);
+                made.offers.depth = depth;
+            }
         }
-        self.node = node;
+        (self.node, self.offers.depth) = (node, depth);
     }
 
     /// Whether it is time to create the writer.

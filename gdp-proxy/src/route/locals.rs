@@ -67,7 +67,7 @@ impl Locals {
                 let (whose, is_full) = (Some((writer, number)), self.by.len() >= MAX_LOCALS);
                 match self.by.get_mut(&whose) {
                     Some(local) if local.is_made() && local.is_of(&kind, definition.as_ref(), &offers) => {
-                        local.move_to(node);
+                        local.update(node, offers.depth);
                         None
                     }
                     Some(local) => local.renew(kind, definition, node, offers),

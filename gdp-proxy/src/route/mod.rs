@@ -33,6 +33,7 @@ use crate::turns::Turns;
 use gdp_ros::roster::ROSTER;
 use gdp_ros::types::Types;
 use gdp_util::backoff::Backoff;
+use gdp_wire::Name;
 
 /// Time for which an ending route waits for the delivery of its last messages.
 const FLUSH: Duration = Duration::from_secs(3);
@@ -57,11 +58,12 @@ struct Published {
 
 impl Carries for Route {
     type Config = TopicConfig;
-    type Key = TopicName;
+    /// The local topic, and the name if it merges with others.
+    type Key = (TopicName, Option<Name>);
     type Stats = RouteStats;
 
-    fn key(config: &TopicConfig) -> TopicName {
-        config.topic.clone()
+    fn key(config: &TopicConfig) -> Self::Key {
+        (config.topic.clone(), config.merged)
     }
 
     fn title(config: &TopicConfig) -> String {

@@ -68,3 +68,22 @@ async fn until(seen: &mut Peer, is_so: impl Fn(&Value) -> bool) -> Value {
         assert!(Instant::now() < deadline, "{graph:#}");
     }
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_life_cycle_of_a_far_node_is_read_and_changed() {
+    let site = Site::start().await;
+    let (near, far) = (site.domain_id() + 8, site.domain_id() + 9);
+    let services = "services: [/camera/**]";
+    let (expose, import) = site.by_pattern("robot", "cloud", services, &format!("{services}, prefix: /robot7"));
+    let _robot = site.begin("robot", &format!("{{domain_id: {near}}}"), &expose);
+    let _cloud = site.begin("cloud", &format!("{{domain_id: {far}}}"), &import);
+    let lifecycle = |domain, arguments: &[&str]| Peer::rclpy("rclpy_lifecycle.py", domain, arguments);
+    let mut driver = lifecycle(near, &["serve", "/camera/driver"]);
+    driver.event("ready").await;
+    let mut operator = lifecycle(far, &["drive", "/robot7/camera/driver", "configure"]);
+    assert_eq!(operator.event("found").await["types"][0], "lifecycle_msgs/srv/GetState");
+    assert_eq!(operator.event("state").await["label"], "unconfigured");
+    assert_eq!(operator.event("changed").await["success"], true);
+    driver.event("configured").await;
+    assert_eq!(operator.event("state").await["label"], "inactive");
+}

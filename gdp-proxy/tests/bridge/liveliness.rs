@@ -9,9 +9,15 @@ use crate::site::Site;
 /// The lease of the publishers.
 const LEASE: Duration = Duration::from_secs(1);
 
-/// Bound on how much later than the lease its end may be seen elsewhere. Without watching the lease
-/// it is the lease of the participant, 20 s.
-const LATE: Duration = Duration::from_secs(8);
+/// How much later than the lease its end may be seen elsewhere.
+const LATE: Duration = Duration::from_millis(100);
+
+/// Attempts to see it in time: other tests may keep the processors busy meanwhile.
+const ATTEMPTS: usize = 5;
+
+/// Bound on that on a busy machine. Without watching the lease it is the lease of the participant,
+/// 20 s.
+const BUSY: Duration = Duration::from_secs(8);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_end_of_a_killed_publisher_is_seen_elsewhere_when_its_lease_ends() {
@@ -23,14 +29,18 @@ async fn the_end_of_a_killed_publisher_is_seen_elsewhere_when_its_lease_ends() {
         let _in = site.proxy("cloud", &domain(far), &topics, "direction: in");
         let lease = LEASE.as_millis().to_string();
         let mut listener = Peer::topic(Vendor::Rclpy, "listen", far, &["--lease", &lease]);
-        let talker = Peer::topic(vendor, "talk", near, &["--lease", &lease, "--rate", "20"]);
-        assert_eq!(alive(&mut listener).await, 1, "{vendor:?}");
-        listener.event("message").await;
-        let killed = Instant::now();
-        talker.kill().await;
-        while alive(&mut listener).await != 0 {}
-        let seen = killed.elapsed();
-        assert!(seen < LEASE + LATE, "{vendor:?}: {seen:?}");
+        let mut seen = Vec::new();
+        while seen.iter().all(|seen| *seen > LEASE + LATE) {
+            assert!(seen.len() < ATTEMPTS, "{vendor:?}: {seen:?}");
+            let talker = Peer::topic(vendor, "talk", near, &["--lease", &lease, "--rate", "20"]);
+            assert_eq!(alive(&mut listener).await, 1, "{vendor:?}");
+            listener.event("message").await;
+            let killed = Instant::now();
+            talker.kill().await;
+            while alive(&mut listener).await != 0 {}
+            seen.push(killed.elapsed());
+            assert!(seen.iter().all(|seen| *seen < LEASE + BUSY), "{vendor:?}: {seen:?}");
+        }
     }
 }
 
@@ -58,7 +68,7 @@ async fn a_publisher_that_asserts_its_liveliness_by_itself_is_alive_while_it_doe
     talker.event("done").await;
     let last = Instant::now();
     assert_eq!(alive(&mut listener).await, 0);
-    assert!(last.elapsed() < LEASE + LATE, "{:?}", last.elapsed());
+    assert!(last.elapsed() < LEASE + BUSY, "{:?}", last.elapsed());
 }
 
 /// The next number of publishers that are alive, as the listener says it.

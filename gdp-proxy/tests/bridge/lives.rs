@@ -80,7 +80,12 @@ async fn the_proxy_has_as_many_nodes_as_a_topic_has_latching_publishers() {
         let mut listener = there.begin(&format!("late{}", &topic[1..]), &["listen", topic]);
         assert_eq!(texts(&mut listener, 3).await, ["one", "three", "two"]);
     }
-    assert_eq!(of_proxies("after").await, 3, "for both topics together");
+    // For both topics together. A node that was needed for a moment leaves again.
+    let mut shown = Vec::new();
+    while shown.last() != Some(&3) {
+        assert!(shown.len() < 20, "{shown:?}");
+        shown.push(of_proxies(&format!("after{}", shown.len())).await);
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -12,11 +12,13 @@ mod frames;
 mod graph_view;
 #[path = "../hub/mod.rs"]
 mod hub;
+mod latched;
 mod liveliness;
 mod lives;
 #[allow(dead_code, reason = "the tests of the ROS 1 node, whose it is, use the rest")]
 #[path = "../../../crates/gdp-ros1/tests/rospy/master.rs"]
 mod master;
+mod merging;
 #[allow(dead_code, reason = "the tests of vendors, whose it is, use the rest")]
 #[path = "../vendors/peer.rs"]
 mod peer;

@@ -51,6 +51,11 @@ impl Proxy {
         routes.iter().map(|route| route["status"].as_str().unwrap().to_owned()).collect()
     }
 
+    /// Of its topics, all that the statistics say.
+    pub fn topics(&self) -> Vec<Value> {
+        self.shown("topics")
+    }
+
     /// Of its services and actions, all that the statistics say.
     pub fn calls(&self) -> Vec<Value> {
         self.shown("calls")
@@ -103,6 +108,15 @@ impl Site {
         Topic { what, topic: topic.into(), owner, card }
     }
 
+    /// Of a service that its owner has marked as idempotent.
+    pub fn idempotent(&self, service: &str, kind: &str) -> Topic {
+        let Topic { what, topic, owner, card } = self.name("service", service, kind);
+        let mut metadata = card.metadata().clone();
+        metadata.insert("idempotent".into(), "true".into());
+        let card = NameCard::new(owner.verify_key(), metadata).unwrap();
+        Topic { what, topic, owner, card }
+    }
+
     /// In this graph, with these, those of a kind together, of each of which `says` is said.
     pub fn proxy(&self, label: &str, graph: &str, topics: &[Topic], says: &str) -> Proxy {
         self.proxy_of(label, graph, topics, says, "")
@@ -144,13 +158,13 @@ impl Site {
         let catalog = NameCard::create(owner.verify_key(), "catalog", from, "", None).unwrap();
         let (name, grantee) = (catalog.name(), Grantee::Entity(reader));
         let grant = ReadGrant { name, to: grantee, serial: 1, not_before: 0, not_after: u64::MAX };
-        fs::write(self.folder(to).join("catalog.grant"), issue(&owner, &grant).unwrap().to_pem()).unwrap();
+        fs::write(self.folder(to).join(format!("{from}.grant")), issue(&owner, &grant).unwrap().to_pem()).unwrap();
         for label in [from, to] {
             catalog.save_new(&self.folder(label).join(format!("{from}.card"))).unwrap();
         }
         (
             format!("expose: {{owner: owner.pem, catalog: {from}.card, readers: [{reader}], {expose}}}\n"),
-            format!("import: [{{catalog: {from}.card, grant: catalog.grant, {import}}}]\n"),
+            format!("import: [{{catalog: {from}.card, grant: {from}.grant, {import}}}]\n"),
         )
     }
 

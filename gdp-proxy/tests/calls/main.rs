@@ -12,6 +12,7 @@ mod hub;
 #[path = "../../../crates/gdp-ros1/tests/rospy/master.rs"]
 mod master;
 mod patterns;
+mod replicas;
 mod ros2;
 #[allow(dead_code, reason = "the tests of topics, whose it is, use the rest")]
 #[path = "../bridge/site.rs"]

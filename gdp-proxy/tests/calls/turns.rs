@@ -162,7 +162,7 @@ async fn serve_anew(mut server: Server) -> Vec<Epoch> {
                     _ => Reply::Answer((&b"\0\x01\0\0\x01\0\0\0\x09\0\0\0it is on\0"[..]).into()),
                 }
             }
-            Request::Events { .. } => panic!("of a service"),
+            Request::Events { .. } | Request::Cancel(_) => panic!("of a service that one server has"),
         };
         let is_answer = matches!(reply, Reply::Answer(_));
         call.reply(CALL, &reply.to_bytes().unwrap()).await.unwrap();

@@ -21,7 +21,7 @@ fn a_route_is_as_well_as_its_status_says() {
 async fn what_was_counted_is_known_of_the_routes_that_are_there() {
     let entity = Name::from_bytes([7; 32]);
     let ticks = tokio::time::interval(PERIOD);
-    let mut diagnostics = Diagnostics { entity, outlets: vec![], ticks, before: Before::new() };
+    let mut diagnostics = Diagnostics { entity, outlets: vec![], pending: vec![], ticks, before: Before::new() };
     let route = |topic: &str, messages| RouteStats {
         topic: topic.into(),
         graph: "ros2".into(),
@@ -32,10 +32,11 @@ async fn what_was_counted_is_known_of_the_routes_that_are_there() {
         fabric: FabricStats::None,
         counted: Counted { messages, ..Counted::default() },
     };
-    diagnostics.tell(&[route("/a", 3), route("/b", 0)]).await;
-    diagnostics.tell(&[route("/a", 5)]).await;
+    let (graphs, types) = (All::new(), Types::load([]).unwrap());
+    diagnostics.tell(&[route("/a", 3), route("/b", 0)], &graphs, &types).await;
+    diagnostics.tell(&[route("/a", 5)], &graphs, &types).await;
     let before: Vec<_> = diagnostics.before.into_iter().collect();
-    assert_eq!(before, [(("/a".into(), "ros2".into(), Side::Out), (5, 0))]);
+    assert_eq!(before, [((entity, "ros2".into(), Side::Out), (5, 0))]);
 }
 
 /// The definitions are among those that the proxy brings.

@@ -22,7 +22,8 @@ const KEYS: [&str; 10] = [
      repeated replaced slowed",
     "abandoned beyond delivered drops duplicates expired incompatible_writers overtaken \
      queue_full repeats",
-    "answers calls direction events events_dropped failures graph name pending servers service status type what",
+    "answers answers_by_other calls calls_replicated copies_cancelled direction events events_dropped failures graph \
+     name pending servers service status type what",
 ];
 
 #[test]

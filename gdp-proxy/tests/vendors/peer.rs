@@ -10,13 +10,22 @@ use tokio::io::{AsyncBufReadExt, BufReader, Lines};
 use tokio::process::{Child, ChildStdout, Command};
 
 pub const SERVICE: &str = "/add_two_ints";
+pub const LAMP: &str = "/lamp";
 
 #[derive(Clone, Copy, Debug)]
 pub enum Vendor {
     Cyclone,
     FastDds,
-    /// A newer Fast DDS, beneath rclpy.
+    /// Fast DDS 3, beneath Kilted's rclpy.
     Rclpy,
+    /// Fast DDS 2.14, beneath Jazzy's rclpy.
+    Jazzy,
+    /// Has no services.
+    Dust,
+}
+
+impl Vendor {
+    pub const ALL: [Self; 5] = [Self::Cyclone, Self::FastDds, Self::Rclpy, Self::Jazzy, Self::Dust];
 }
 
 /// A running program, until it is dropped.
@@ -30,9 +39,10 @@ impl Peer {
     pub fn topic(vendor: Vendor, verb: &str, domain: u16, options: &[&str]) -> Self {
         let mut command = match vendor {
             Vendor::Cyclone => python("cyclone.py"),
+            Vendor::Dust => python("dust.py"),
             Vendor::FastDds => compiled("fastdds-peer"),
-            Vendor::Rclpy => {
-                let mut command = rclpy("rclpy_topic.py", domain);
+            Vendor::Rclpy | Vendor::Jazzy => {
+                let mut command = rclpy(vendor, "rclpy_topic.py", domain);
                 command.arg(verb).args(options);
                 return Self::start(command);
             }
@@ -43,8 +53,34 @@ impl Peer {
 
     /// Shows the graph as rclpy sees it, and before the parameters of a node, if one is named.
     pub fn graph(domain: u16, node: Option<&str>) -> Self {
-        let mut command = rclpy("rclpy_graph.py", domain);
-        command.args(node);
+        Self::rclpy("rclpy_graph.py", domain, node.as_slice())
+    }
+
+    /// A program with rclpy.
+    pub fn rclpy(script: &str, domain: u16, arguments: &[&str]) -> Self {
+        let mut command = rclpy(Vendor::Rclpy, script, domain);
+        command.args(arguments);
+        Self::start(command)
+    }
+
+    /// A program of `tests/peers` in Python.
+    pub fn python(script: &str, arguments: &[&str]) -> Self {
+        let mut command = python(script);
+        command.args(arguments);
+        Self::start(command)
+    }
+
+    /// A server or client of `std_srvs/srv/SetBool`, of rclpy.
+    pub fn rclpy_service(verb: &str, domain: u16, service: &str) -> Self {
+        let mut command = rclpy(Vendor::Rclpy, "rclpy_service.py", domain);
+        command.args([verb, "--service", service]);
+        Self::start(command)
+    }
+
+    /// A node of the tests of services and actions, of rclpy.
+    pub fn rclpy_action(domain: u16, arguments: &[&str]) -> Self {
+        let mut command = rclpy(Vendor::Rclpy, "../../gdp-proxy/tests/calls/peer.py", domain);
+        command.args(arguments);
         Self::start(command)
     }
 
@@ -58,6 +94,13 @@ impl Peer {
         Self::service(vendor, "call", domain, &[a, b])
     }
 
+    /// A node of rclpy that serves (`switch`) or calls (`set`) a `std_srvs/srv/SetBool`.
+    pub fn lamp(vendor: Vendor, verb: &str, domain: u16) -> Self {
+        let mut command = rclpy(vendor, "rclpy_service.py", domain);
+        command.args([verb, "--service", LAMP]);
+        Self::start(command)
+    }
+
     fn service(vendor: Vendor, verb: &str, domain: u16, numbers: &[i64]) -> Self {
         let (domain, numbers) = (domain.to_string(), numbers.iter().map(i64::to_string));
         let command = match vendor {
@@ -69,7 +112,7 @@ impl Peer {
                 }
                 command
             }
-            Vendor::Rclpy => unreachable!("its services have other types"),
+            Vendor::Rclpy | Vendor::Jazzy | Vendor::Dust => unreachable!("it has no service of this type"),
             Vendor::FastDds => {
                 let mut command = compiled("fastdds-service-peer");
                 command.args([verb, &domain, SERVICE]).args(numbers);
@@ -130,13 +173,19 @@ pub async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
 }
 
 fn python(script: &str) -> Command {
-    let mut command = Command::from(own(existing(target().join("venv/bin/python"), "cargo xtask setup")));
+    python_in("venv", script)
+}
+
+/// A script, run by the Python of an environment.
+fn python_in(environment: &str, script: &str) -> Command {
+    let python = target().join(environment).join("bin/python");
+    let mut command = Command::from(own(existing(python, "cargo xtask setup")));
     command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/peers").join(script));
     command
 }
 
-fn rclpy(script: &str, domain: u16) -> Command {
-    let mut command = python(script);
+fn rclpy(vendor: Vendor, script: &str, domain: u16) -> Command {
+    let mut command = python_in(if matches!(vendor, Vendor::Jazzy) { "venv-jazzy" } else { "venv" }, script);
     command.env("ROS_DOMAIN_ID", domain.to_string()).env("ROS_LOG_DIR", std::env::temp_dir());
     // UDP alone: two Fast DDS programs on one machine would otherwise communicate through shared
     // memory.
@@ -149,7 +198,7 @@ fn compiled(program: &str) -> Command {
 }
 
 /// Cargo's target folder: this test is in `target/PROFILE/deps`.
-fn target() -> PathBuf {
+pub fn target() -> PathBuf {
     std::env::current_exe().unwrap().ancestors().nth(3).unwrap().into()
 }
 

@@ -199,6 +199,7 @@ impl State {
                     return tracing::error!(name = %publication.name, %error, "no keys for readers");
                 }
             };
+            let statements = publication.sealer.statements();
             let request = EntityRequest::KeyBoxes { boxes: boxes.boxes.clone() };
             let error = match ask(attachment, request).await {
                 Ok(Response::Done) => {
@@ -210,7 +211,7 @@ impl State {
             };
             if !error.may_pass() {
                 tracing::warn!(name = %publication.name, %error, "the RIB does not take keys for readers");
-                publication.sealer.boxes_refused();
+                publication.sealer.boxes_refused(statements);
             } else {
                 tracing::debug!(name = %publication.name, %error, "key boxes could not be stored");
                 let no_room = matches!(&error, NodeError::Refused(refusal) if refusal.code == RefusalCode::Limit);

@@ -2,7 +2,7 @@
 //!
 //! It checks the hop tag, finds the reader of the destination, and queues messages. It also
 //! dispatches feedback from counterparts. Only this thread accesses the readers; other tasks send
-//! commands, which take effect before the next frame is processed.
+//! commands, which take effect before the next frames are read.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Weak, mpsc};
@@ -29,6 +29,12 @@ use gdp_link::port::{DataSocket, InFrame, RecvBatch};
 
 /// Maximum sleep of the thread.
 const TICK: Duration = Duration::from_millis(100);
+
+/// Number of frames of a socket after which timers are looked at, and commands.
+const MOST_FRAMES: usize = 2048;
+
+/// A batch of fewer frames has emptied the socket. So a short message costs no second call.
+const FEW_FRAMES: usize = 8;
 
 /// The ECN bits of [`Header::flags`], and their value after congestion (RFC 3168).
 const ECN: u8 = 0b11;
@@ -74,7 +80,6 @@ impl Receiver {
                     Ok(Command::Stop) | Err(mpsc::TryRecvError::Disconnected) => return,
                 }
             }
-            subscriptions.tick();
             let mut received = false;
             subscriptions.is_amid = false;
             for place in &mut attached {
@@ -83,21 +88,32 @@ impl Receiver {
                 if batch.largest() < *largest {
                     *batch = RecvBatch::new(*largest);
                 }
-                match data.try_recv_batch(batch) {
-                    Ok(0) => {}
-                    Ok(_) => {
-                        received = true;
-                        links.refresh();
-                        subscriptions.take(batch, links);
-                    }
-                    Err(error) => {
-                        // The link is about to be lost as well. The next link provides a new
-                        // socket.
-                        tracing::debug!(%error, "the data socket failed");
-                        *place = None;
+                // A thread that had no processor finds frames here and overdue timers. What is here
+                // is not missing.
+                let mut read = 0;
+                while read < MOST_FRAMES {
+                    match data.try_recv_batch(batch) {
+                        Ok(0) => break,
+                        Ok(frames) => {
+                            (received, read) = (true, read + frames);
+                            links.refresh();
+                            subscriptions.take(batch, links);
+                            if frames < FEW_FRAMES {
+                                break;
+                            }
+                        }
+                        Err(error) => {
+                            // The link is about to be lost as well. The next link provides a new
+                            // socket.
+                            tracing::debug!(%error, "the data socket failed");
+                            *place = None;
+                            break;
+                        }
                     }
                 }
             }
+            subscriptions.poll_touched();
+            subscriptions.tick();
             if received {
                 rest.on_frames(subscriptions.is_amid);
             } else if rest.is_near() {
@@ -282,7 +298,7 @@ struct Subscriptions {
     early: EarlyFrames,
     /// Times at which subscriptions have work.
     timers: BTreeSet<(u64, Name)>,
-    /// Subscriptions that received frames in the current batch.
+    /// Subscriptions that received frames since they were last polled.
     touched: Vec<Name>,
     /// Whether a recently received message is still incomplete.
     is_amid: bool,
@@ -373,13 +389,20 @@ impl Subscriptions {
             {
                 receiver.count_early(reason, times, &counters);
             }
-            if self.touched.last() != Some(&name) && !self.touched.contains(&name) {
+            if !std::mem::replace(&mut receiver.is_touched, true) {
                 self.touched.push(name);
             }
         }
+    }
+
+    /// Runs the due work of the subscriptions that have received frames.
+    fn poll_touched(&mut self) {
         while let Some(name) = self.touched.pop() {
             self.poll(&name);
-            self.is_amid |= self.receivers.get(&name).is_some_and(|receiver| receiver.is_amid());
+            if let Some(receiver) = self.receivers.get_mut(&name) {
+                receiver.is_touched = false;
+                self.is_amid |= receiver.is_amid();
+            }
         }
     }
 

@@ -53,6 +53,8 @@ struct Sealing {
     unstored: Option<Unstored>,
     /// Whether the RIB has refused boxes permanently.
     refused: bool,
+    /// Number of statements that the RIB has taken.
+    statements: u64,
 }
 
 struct Unstored {
@@ -98,6 +100,7 @@ impl Sealer {
             latched: LatchedSamples::new(options.latched),
             unstored: None,
             refused: false,
+            statements: 0,
         };
         let (scheduler, ending, sealing) = (scheduler.clone(), ending.clone(), Mutex::new(sealing));
         Ok(Self { session, topic, name, scheduler, ending, sealing })
@@ -321,16 +324,29 @@ impl Sealer {
         sealing.unstored = Some(Unstored { boxes, at: unix_nanos() + pause, pause });
     }
 
+    /// Returns the number of statements that the RIB has taken, for [`Self::boxes_refused`].
+    pub fn statements(&self) -> u64 {
+        self.sealing.lock().statements
+    }
+
     /// Records that the RIB refuses these boxes permanently, until [another
-    /// statement](Self::stated).
-    pub fn boxes_refused(&self) {
+    /// statement](Self::stated). `statements`: their number when the boxes were offered. The answer
+    /// to a later statement may overtake the refusal; the boxes are then offered again.
+    pub fn boxes_refused(&self, statements: u64) {
         let sealing = &mut *self.sealing.lock();
-        (sealing.unstored, sealing.refused) = (None, true);
+        (sealing.unstored, sealing.refused) = (None, sealing.statements == statements);
+        if !sealing.refused {
+            sealing.ring.republish();
+        }
     }
 
     /// Records that the RIB has the current statement, and offers refused boxes again.
     pub fn stated(&self) {
-        let refused = std::mem::take(&mut self.sealing.lock().refused);
+        let refused = {
+            let sealing = &mut *self.sealing.lock();
+            sealing.statements += 1;
+            std::mem::take(&mut sealing.refused)
+        };
         if refused {
             self.store_again();
         }

@@ -82,6 +82,11 @@ impl Call {
         self.request.writer
     }
 
+    /// Identifies the request among those of its caller.
+    pub fn id(&self) -> MessageId {
+        MessageId { session: self.request.session, sequence: self.request.sequence }
+    }
+
     pub fn encoding(&self) -> Encoding {
         self.request.encoding
     }
@@ -157,18 +162,48 @@ impl Client {
     /// another server, because the first one may have executed it.
     pub async fn call(&self, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
         let pending = self.node.state.choose(self.name, None).ok_or(NodeError::NoServer(self.name))?;
-        self.call_there(pending, encoding, body).await
+        self.call_there(pending, encoding, body, |_| {}).await
     }
 
     /// Calls this server as [`Self::call`] does, independent of its distance, to continue an
     /// earlier exchange. Its name is the [writer](Message::writer) of an earlier reply.
     pub async fn call_at(&self, instance: Name, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
-        let absent = NodeError::NoInstance { service: self.name, instance };
-        let pending = self.node.state.choose(self.name, Some(&instance)).ok_or(absent)?;
-        self.call_there(pending, encoding, body).await
+        self.call_at_with(instance, encoding, body, |_| {}).await
     }
 
-    async fn call_there(&self, pending: PendingCall, encoding: Encoding, body: &[u8]) -> Result<Message, NodeError> {
+    /// Calls this server as [`Self::call_at`] does. Passes the request's ID to `begun` when it is
+    /// sent. The server sees the same [`Call::id`].
+    pub async fn call_at_with(
+        &self,
+        instance: Name,
+        encoding: Encoding,
+        body: &[u8],
+        begun: impl FnOnce(MessageId) + Send,
+    ) -> Result<Message, NodeError> {
+        let absent = NodeError::NoInstance { service: self.name, instance };
+        let pending = self.node.state.choose(self.name, Some(&instance)).ok_or(absent)?;
+        self.call_there(pending, encoding, body, begun).await
+    }
+
+    /// Sends a request to this server without waiting for a reply. `Ok` means that the request is
+    /// sent or queued. A reply to it is ignored.
+    pub async fn notify_at(&self, instance: Name, encoding: Encoding, body: &[u8]) -> Result<(), NodeError> {
+        let (state, service) = (&self.node.state, self.name);
+        let absent = || NodeError::NoInstance { service, instance };
+        // Only to a server of this service: the entity may have a publication for another one.
+        let _pending = state.choose(service, Some(&instance)).ok_or_else(absent)?;
+        let publication = state.send_path.publications.get(&instance).ok_or_else(absent)?;
+        let draft = Draft { service: Some(service), ..Draft::new(encoding, body) };
+        send_through(&publication, &state.send_path, &[draft], |_| {}).await.map(drop)
+    }
+
+    async fn call_there(
+        &self,
+        pending: PendingCall,
+        encoding: Encoding,
+        body: &[u8],
+        started: impl FnOnce(MessageId) + Send,
+    ) -> Result<Message, NodeError> {
         let (state, service, instance) = (&self.node.state, self.name, pending.instance);
         let left = || NodeError::InstanceLeft { service, instance };
         // A server that has just joined has no publication yet, and one that has left has none any
@@ -186,6 +221,7 @@ impl Client {
             let id = MessageId { session, sequence };
             guard.id = Some(id);
             state.calls.lock().insert(id, PendingReply { instance, reply });
+            started(id);
         };
         let draft = Draft { service: Some(service), ..Draft::new(encoding, body) };
         let drafts = [draft];

@@ -149,6 +149,8 @@ pub struct SubscriptionReceiver {
     seen_drops: [u64; DropReason::COUNT],
     /// The subscription's entry in the thread's timers.
     pub timer: Option<u64>,
+    /// Whether frames were received since the subscription was last polled.
+    pub is_touched: bool,
 }
 
 #[derive(Default)]
@@ -197,6 +199,7 @@ impl SubscriptionReceiver {
             received: Received::default(),
             seen_drops: [0; DropReason::COUNT],
             timer: None,
+            is_touched: false,
         }
     }
 

@@ -2,9 +2,9 @@
 
 The topics are /churn/t0, /churn/t1, ..., of std_msgs/msg/String.
 
-churn.py talk|listen TOPICS GATE
+churn.py talk|listen TOPICS GATE [EACH [SEED]]
 
-Each node has ten of the topics. Several times a second a node leaves, and returns within two
+Each node has EACH of the topics, ten by default. Several times a second a node leaves, and returns within two
 seconds. Once the file GATE exists, all nodes return and stay. A listener prints every second the
 number of topics that it received in the last three seconds, and the total number of nodes created.
 """
@@ -25,7 +25,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-NODE, PERIOD = 10, 0.3
+PERIOD = 0.3
 
 
 @dataclass
@@ -35,6 +35,9 @@ class String_(IdlStruct, typename="std_msgs::msg::dds_::String_"):
 
 
 verb, topics, gate = sys.argv[1], int(sys.argv[2]), sys.argv[3]
+NODE, seed = (int(number) for number in (sys.argv[4:6] + ["10", "0"][len(sys.argv[4:6]) :]))
+if seed:
+    random.seed(seed)
 qos = Qos(
     Policy.Reliability.Reliable(duration(seconds=1)),
     Policy.History.KeepLast(10),
@@ -81,5 +84,7 @@ while True:
     if verb == "listen" and now - said >= 1:
         said = now
         recent = sum(1 for at in heard.values() if now - at < 3)
-        print(json.dumps({"event": "heard", "topics": recent, "nodes": came, "settled": settled}), flush=True)
+        missing = [number for number in range(topics) if now - heard.get(number, 0) >= 3] if settled else []
+        line = {"event": "heard", "topics": recent, "nodes": came, "settled": settled, "missing": missing}
+        print(json.dumps(line), flush=True)
     time.sleep(0.5 if verb == "talk" else 0.2)

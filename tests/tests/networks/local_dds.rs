@@ -38,7 +38,7 @@ const HEAD: usize = 43;
 #[test]
 fn messages_of_a_robot_stay_on_loopback_once_each() -> Result<()> {
     for vendor in [Vendor::Rclpy, Vendor::FastDds, Vendor::Cyclone] {
-        let mut site = Site::build()?;
+        let mut site = Site::build(1)?;
         let mut talker =
             site.talk(vendor, &site.robot, 0, TOPIC, &["--count", "100", "--rate", "50", "--size", "200"])?;
         let mut listener = site.listen(Vendor::Cyclone, &site.cloud, 1, TOPIC)?;
@@ -50,7 +50,7 @@ fn messages_of_a_robot_stay_on_loopback_once_each() -> Result<()> {
 
 #[test]
 fn messages_for_a_robot_stay_on_loopback_once_for_each_subscriber() -> Result<()> {
-    let mut site = Site::build()?;
+    let mut site = Site::build(1)?;
     let vendors = [Vendor::Rclpy, Vendor::FastDds, Vendor::Cyclone];
     let mut listeners = Vec::new();
     for vendor in vendors {
@@ -68,7 +68,7 @@ fn messages_for_a_robot_stay_on_loopback_once_for_each_subscriber() -> Result<()
 #[test]
 fn a_large_reliable_topic_goes_on_where_every_datagram_comes_twice() -> Result<()> {
     const MESSAGES: u64 = 200;
-    let mut site = Site::build()?;
+    let mut site = Site::build(1)?;
     let _doubler = Doubler::start(&site.robot)?;
     let mut listener = site.listen(Vendor::FastDds, &site.cloud, 1, TOPIC)?;
     let options = ["--count", "200", "--rate", "10", "--size", "6000000"];
@@ -92,7 +92,7 @@ fn a_large_reliable_topic_goes_on_where_every_datagram_comes_twice() -> Result<(
 /// A robot's proxy starts at boot, before the cable to its second computer is plugged in.
 #[test]
 fn an_interface_that_comes_up_later_is_joined() -> Result<()> {
-    let mut site = Site::build()?;
+    let mut site = Site::build(1)?;
     let mut listener = site.listen(Vendor::Cyclone, &site.cloud, 1, TOPIC)?;
     for proxy in &mut site.proxies {
         proxy.wait_until("the graphs", TIMEOUT, |proxy| proxy.stderr().contains("in the ROS graphs").then_some(()))?;
@@ -111,7 +111,7 @@ fn an_interface_that_comes_up_later_is_joined() -> Result<()> {
 /// The access point of a robot may drop multicast.
 #[test]
 fn a_static_peer_is_found_without_multicast() -> Result<()> {
-    let mut site = Site::build()?;
+    let mut site = Site::build(1)?;
     let mut listener = site.listen(Vendor::Cyclone, &site.cloud, 1, TOPIC)?;
     // Without multicast, and told of no other host.
     let _talker = site.talk(Vendor::Cyclone, &site.arm, 0, TOPIC, &["--peer", "10.77.1.3"])?;
@@ -123,12 +123,50 @@ fn a_static_peer_is_found_without_multicast() -> Result<()> {
     Ok(())
 }
 
+/// A robot's Wi-Fi loses a datagram of several IP fragments much more often than one of a single
+/// frame.
+#[test]
+fn announcements_larger_than_a_frame_travel_as_fragments_of_rtps() -> Result<()> {
+    const TOPICS: usize = 120;
+    let mut site = Site::build(TOPICS)?;
+    let socket = PacketSocket::open(&site.arm, "e0")?;
+    socket.set_receive_buffer(64 << 20)?;
+    let _talker = site.talk(Vendor::FastDds, &site.cloud, 1, COMMANDS, &["--topics", &TOPICS.to_string()])?;
+    let mut graph = site.arm.command(site.tools.python()?)?;
+    graph.arg(site.tools.peer("rclpy_graph.py")).env("ROS_DOMAIN_ID", "0").env("ROS_LOG_DIR", site.folder.path());
+    let mut graph = Process::spawn("graph", graph, site.folder.path())?;
+    // All endpoints of one node are in one announcement, with 16 bytes each.
+    let all_mirrored = |graph: &Process| {
+        let latest = graph.json_lines().pop()?;
+        let nodes = latest["nodes"].as_object()?;
+        let most = nodes.values().filter_map(|node| Some(node["publishers"].as_object()?.len())).max()?;
+        (most >= TOPICS).then_some(())
+    };
+    graph.wait_until("all publishers", TIMEOUT, all_mirrored).with_context(|| site.report())?;
+    let (mut datagrams, mut rtps_fragments) = (0, 0);
+    let mut buffer = vec![0; 1 << 17];
+    while let Some(length) = socket.try_receive(&mut buffer)? {
+        let frame = &buffer[..length];
+        if frame[12..14] == [8, 0] {
+            datagrams += 1;
+            let fragment = u16::from_be_bytes([frame[ETHERNET + 6], frame[ETHERNET + 7]]) & 0x3fff;
+            ensure!(fragment == 0, "an IP fragment in a frame of {} bytes", frame.len());
+            rtps_fragments += usize::from(is_rtps_fragment(frame));
+        }
+    }
+    ensure!(rtps_fragments > 0, "none of {datagrams} datagrams is a fragment, though the announcement is larger");
+    for proxy in &mut site.proxies {
+        proxy.check_alive()?;
+    }
+    Ok(())
+}
+
 /// As the history policy KEEP_LAST requires: a writer replaces its oldest sample and waits for no
 /// reader.
 #[test]
 fn a_subscriber_that_was_killed_takes_nothing_from_the_others() -> Result<()> {
     const MESSAGES: i64 = 1200;
-    let site = Site::build()?;
+    let site = Site::build(1)?;
     let mut healthy = site.peer(Vendor::FastDds, &site.cloud, "listen", 1, TOPIC)?;
     healthy.args(["--depth", &MESSAGES.to_string()]);
     let mut healthy = Process::spawn("healthy", healthy, site.folder.path())?;
@@ -149,6 +187,28 @@ fn a_subscriber_that_was_killed_takes_nothing_from_the_others() -> Result<()> {
     healthy.wait_until("the last message", Duration::from_secs(8), last)?;
     ensure!(received(&healthy) == (0..MESSAGES).collect::<Vec<_>>(), "{} of {MESSAGES}", received(&healthy).len());
     Ok(())
+}
+
+/// Returns the name of one of the topics that cross to the robot.
+fn command_topic(number: usize) -> String {
+    if number == 0 { COMMANDS.to_owned() } else { format!("{COMMANDS}{number}") }
+}
+
+/// Whether an RTPS message has a DATA_FRAG submessage (RTPS 2.5, 9.4.5.1).
+fn is_rtps_fragment(frame: &[u8]) -> bool {
+    const DATA_FRAG: u8 = 0x16;
+    const RTPS_HEADER: usize = 20;
+    let Some(mut rest) = frame.get(ETHERNET + 28 + RTPS_HEADER..) else { return false };
+    while let [kind, flags, a, b, ..] = *rest {
+        let is_little_endian = flags & 1 == 1;
+        let length = if is_little_endian { u16::from_le_bytes([a, b]) } else { u16::from_be_bytes([a, b]) };
+        match (kind, rest.get(4 + usize::from(length)..)) {
+            (DATA_FRAG, _) => return true,
+            (_, Some(next)) if length > 0 => rest = next,
+            _ => return false,
+        }
+    }
+    false
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -191,7 +251,8 @@ struct Site {
 }
 
 impl Site {
-    fn build() -> Result<Self> {
+    /// `commands` topics cross to the robot: [`COMMANDS`], and others with a number appended.
+    fn build(commands: usize) -> Result<Self> {
         let tools = Tools::beside_this_test()?;
         let [robot, arm, cloud] = [Namespace::create("robot")?, Namespace::create("arm")?, Namespace::create("cloud")?];
         for (i, (interface, other)) in [("up0", &cloud), ("in0", &arm)].into_iter().enumerate() {
@@ -213,24 +274,28 @@ impl Site {
         let switch = Switch::start(&tools, &robot, folder.path(), ("s1", &name), config)?;
         wait_for("the switch", TIMEOUT, || Ok(switch.ctl(&tools, &["status"]).ok()))?;
         authority.topic()?;
-        authority.name("topic", COMMANDS, TYPE, "commands.card")?;
+        for i in 0..commands {
+            authority.name("topic", &command_topic(i), TYPE, &format!("commands{i}.card"))?;
+        }
         let mut site = Self { proxies: Vec::new(), _switch: switch, robot, arm, cloud, tools, folder };
         for (i, (label, to)) in [("robot", "udp://127.0.0.1"), ("cloud", "udp://10.77.0.2")].into_iter().enumerate() {
-            let proxy = site.proxy(label, i, to)?;
+            let proxy = site.proxy(label, i, to, commands)?;
             site.proxies.push(proxy);
         }
         Ok(site)
     }
 
-    /// Starts a proxy. The robot's publishes [`TOPIC`] and reads [`COMMANDS`]; the other one does
+    /// Starts a proxy. The robot's publishes [`TOPIC`] and reads the commands; the other one does
     /// the reverse.
-    fn proxy(&self, label: &str, domain: usize, link: &str) -> Result<Process> {
+    fn proxy(&self, label: &str, domain: usize, link: &str, commands: usize) -> Result<Process> {
         let authority = Authority { tools: &self.tools, folder: self.folder.path() };
         let entity = authority.proxy(label)?;
-        let topics = [("chatter", TOPIC), ("commands", COMMANDS)].into_iter().enumerate().map(|(i, (file, topic))| {
+        let chatter = ("chatter".to_owned(), TOPIC.to_owned(), 0);
+        let commands = (0..commands).map(|i| (format!("commands{i}"), command_topic(i), 1));
+        let topics = std::iter::once(chatter).chain(commands).map(|(file, topic, source)| {
             let (direction, key, right) =
-                if i == domain { ("out", "cert", "--publish") } else { ("in", "grant", "--read") };
-            authority.hand(label, &entity, &[right], file)?;
+                if source == domain { ("out", "cert", "--publish") } else { ("in", "grant", "--read") };
+            authority.hand(label, &entity, &[right], &file)?;
             let (card, cert) = (format!("{file}.card"), format!("{file}.cert"));
             Ok(json!({"topic": topic, "direction": direction, "card": card, (key): cert}))
         });

@@ -37,6 +37,7 @@ mod roaming;
 mod same_host;
 mod selfheal;
 mod selfheal_domains;
+mod soak;
 mod star;
 mod trace;
 mod traffic;

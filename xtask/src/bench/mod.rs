@@ -3,6 +3,7 @@
 //! The compared alternatives are measured in one run under the same conditions, in turn, so that a
 //! busy machine slows all of them.
 
+mod calls;
 mod control;
 mod forward;
 mod latency;
@@ -36,6 +37,9 @@ enum Figure {
     /// Measure latency and CPU time of ROS 2 messages through two proxies, compared with kernel
     /// routers and two zenoh bridges
     Ros(ros::Options),
+    /// Measure the time of a service call that goes to one, two or three servers at once, while one
+    /// of them is stalled for a part of each second
+    Calls(calls::Options),
     /// Measure throughput, CPU time and latency of this SDK's messages, compared with quinn and TLS
     /// over TCP
     Transport(transport::Options),
@@ -48,6 +52,7 @@ pub fn run(options: Options) -> Result<()> {
         Figure::Control(options) => control::run(options),
         Figure::Local(options) => local::run(options),
         Figure::Ros(options) => ros::run(options),
+        Figure::Calls(options) => calls::run(options),
         Figure::Transport(options) => transport::run(options),
     }
 }

@@ -5,9 +5,12 @@
 //!  gdp    talker ─lo─ gdp-proxy ──── s1 ── s2 ── s3 ──── gdp-proxy ─lo─ listener     (XDP)
 //!  zenoh  talker ─lo─ zenoh-bridge ─ r1 ── r2 ── r3 ─ zenoh-bridge ─lo─ listener     (kernel IPv4; TLS on both sides, or in clear)
 //!  ip     talker ─────────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
+//!  local  talker ─lo─ listener                                                       (one host, in clear)
 //! ```
 //!
 //! Both ends are Cyclone DDS. Loads with a high rate use Fast DDS, because its program is compiled.
+//! With `--hogs`, busy loops compete with everything for the processors.
+//!
 //! Zenoh has no such loads, because it carries only topics of a ROS node, and only the Cyclone
 //! program is one. Processor time is that of the programs between the two ends: proxies and daemons
 //! of switches, or bridges. The kernel's time for forwarding frames does not count.
@@ -23,6 +26,7 @@ use gdp_tests::fabric::{Fabric, FabricOptions};
 use gdp_tests::netns::{self, Namespace};
 use gdp_tests::peers::{self, Conversation, Received, Side, Traffic, Vendor};
 use gdp_tests::process::Process;
+use gdp_tests::programs::{Executable as _, Program};
 use gdp_tests::{Tools, wait};
 use serde::Serialize;
 
@@ -49,6 +53,9 @@ pub struct Options {
     /// Path to measure; repeat for several. Default: all paths
     #[arg(long = "path", value_enum)]
     paths: Vec<RosRoute>,
+    /// Number of busy loops beside each measurement
+    #[arg(long, default_value_t = 0)]
+    hogs: u32,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -56,11 +63,12 @@ pub struct Options {
 enum RosRoute {
     Gdp,
     Ip,
+    Local,
     ZenohTls,
     Zenoh,
 }
 
-const ROUTES: [RosRoute; 4] = [RosRoute::Gdp, RosRoute::Ip, RosRoute::ZenohTls, RosRoute::Zenoh];
+const ROUTES: [RosRoute; 5] = [RosRoute::Gdp, RosRoute::Ip, RosRoute::Local, RosRoute::ZenohTls, RosRoute::Zenoh];
 
 /// Messages of one size at one rate.
 struct Load {
@@ -68,21 +76,27 @@ struct Load {
     /// Messages per second, on all topics together.
     rate: f64,
     topics: u32,
+    depth: u32,
     vendor: Vendor,
 }
 
-const LOADS: [Load; 6] = [
-    Load { bytes: 64, rate: 30.0, topics: 1, vendor: Vendor::Cyclone },
-    Load { bytes: 8_000, rate: 30.0, topics: 1, vendor: Vendor::Cyclone },
-    Load { bytes: 1_000_000, rate: 30.0, topics: 1, vendor: Vendor::Cyclone },
-    Load { bytes: 6_000_000, rate: 30.0, topics: 1, vendor: Vendor::Cyclone },
-    Load { bytes: 64, rate: 5_000.0, topics: 1, vendor: Vendor::FastDds },
-    Load { bytes: 64, rate: 20_000.0, topics: 20, vendor: Vendor::FastDds },
+const LOADS: [Load; 8] = [
+    Load { bytes: 64, ..LOAD },
+    Load { bytes: 8_000, ..LOAD },
+    Load { bytes: 1_000_000, ..LOAD },
+    Load { bytes: 6_000_000, ..LOAD },
+    // A point cloud with the QoS that ROS drivers use.
+    Load { bytes: 6_000_000, rate: 10.0, depth: 5, ..LOAD },
+    Load { bytes: 6_000_000, rate: 10.0, depth: 5, vendor: Vendor::FastDds, ..LOAD },
+    Load { bytes: 64, rate: 5_000.0, vendor: Vendor::FastDds, ..LOAD },
+    Load { bytes: 64, rate: 20_000.0, topics: 20, vendor: Vendor::FastDds, ..LOAD },
 ];
+
+const LOAD: Load = Load { bytes: 0, rate: 30.0, topics: 1, depth: 10, vendor: Vendor::Cyclone };
 
 impl Load {
     fn is_carried_by(&self, route: RosRoute) -> bool {
-        self.vendor == Vendor::Cyclone || matches!(route, RosRoute::Gdp | RosRoute::Ip)
+        self.vendor == Vendor::Cyclone || matches!(route, RosRoute::Gdp | RosRoute::Ip | RosRoute::Local)
     }
 }
 
@@ -93,6 +107,7 @@ struct RosRow {
     /// Messages per second, on all topics together.
     rate: f64,
     topics: u32,
+    vendor: &'static str,
     sent: u64,
     received: u64,
     /// Number of messages that arrived damaged.
@@ -134,6 +149,7 @@ pub fn run(options: Options) -> Result<()> {
     };
     wait::catch_interrupts();
     netns::sweep()?;
+    let _hogs = (0..options.hogs).map(|_| Hog::start()).collect::<Result<Vec<_>>>()?;
     let bench = Bench { tools: workspace::tools(Profile::Dist), bridge };
     let mut rows = Vec::new();
     for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
@@ -171,8 +187,8 @@ struct Bench {
 impl Bench {
     fn measure(&self, route: RosRoute, load: &Load, count: u64) -> Result<Measured> {
         let on_loopback = load.vendor == Vendor::Cyclone && route != RosRoute::Ip;
-        let Load { bytes: size, rate, topics, .. } = *load;
-        let traffic = Traffic { count, rate, size, topics, on_loopback, ..Default::default() };
+        let Load { bytes: size, rate, topics, depth, .. } = *load;
+        let traffic = Traffic { count, rate, size, topics, depth, on_loopback, ..Default::default() };
         match route {
             RosRoute::Gdp => {
                 let mut fabric = Fabric::start(self.tools.clone(), FabricOptions { topics, ..Default::default() })?;
@@ -197,6 +213,12 @@ impl Bench {
                     &[],
                     folder.path(),
                 )
+            }
+            RosRoute::Local => {
+                let (host, folder) = (Namespace::create("local")?, logs()?);
+                host.enable_loopback_multicast()?;
+                let ends = [(&host, &traffic), (&host, &traffic)];
+                converse(&self.tools, load.vendor, ends, &[], folder.path())
             }
             RosRoute::ZenohTls | RosRoute::Zenoh => {
                 let Some(bridge) = &self.bridge else { bail!("the bridge was not built") };
@@ -266,31 +288,59 @@ fn row(route: RosRoute, load: &Load, sent: u64, all: &[Measured]) -> RosRow {
     let cpu: Option<Duration> = all.iter().map(|measured| measured.cpu).sum();
     let cpu_us = cpu.filter(|_| received > 0).map(|taken| taken.as_secs_f64() * 1e6 / received as f64);
     let damaged = messages().filter(|message| !message.intact).count() as u64;
-    let Load { bytes, rate, topics, .. } = *load;
-    RosRow { route, bytes, rate, topics, sent, received, damaged, latency_us, cpu_us }
+    let Load { bytes, rate, topics, vendor, .. } = *load;
+    let vendor = vendor_name(vendor);
+    RosRow { route, bytes, rate, topics, vendor, sent, received, damaged, latency_us, cpu_us }
 }
 
 fn name(route: RosRoute) -> &'static str {
     match route {
         RosRoute::Gdp => "gdp: proxy, 3 XDP switches, proxy",
         RosRoute::Ip => "ip: 3 kernel routers, in clear",
+        RosRoute::Local => "local: one host, in clear",
         RosRoute::ZenohTls => "zenoh: two bridges, 3 routers, TLS",
         RosRoute::Zenoh => "zenoh: two bridges, 3 routers",
+    }
+}
+
+fn vendor_name(vendor: Vendor) -> &'static str {
+    match vendor {
+        Vendor::Cyclone => "cyclone",
+        Vendor::FastDds => "fastdds",
+    }
+}
+
+/// A busy loop, until it is dropped.
+struct Hog(std::process::Child);
+
+impl Hog {
+    fn start() -> Result<Self> {
+        let mut command = Program::Sh.command();
+        Ok(Self(command.args(["-c", "while :; do :; done"]).spawn()?))
+    }
+}
+
+impl Drop for Hog {
+    fn drop(&mut self) {
+        // It may have been killed already.
+        _ = self.0.kill();
+        _ = self.0.wait();
     }
 }
 
 fn print_table(rows: &[RosRow]) {
     println!("ROS 2 messages, one way, in microseconds; processor time of what stands between the two DDS programs");
     println!(
-        "{:<36} {:>8} {:>6} {:>6} {:>13} {:>8} {:>8} {:>8} {:>8} {:>9}",
-        "path", "bytes", "Hz", "topics", "recv/sent", "p50", "p90", "p99", "max", "CPU"
+        "{:<36} {:>8} {:>8} {:>6} {:>6} {:>13} {:>8} {:>8} {:>8} {:>8} {:>9}",
+        "path", "vendor", "bytes", "Hz", "topics", "recv/sent", "p50", "p90", "p99", "max", "CPU"
     );
     for row in rows {
         let (l, got) = (&row.latency_us, format!("{}/{}", row.received, row.sent));
         let cpu = row.cpu_us.map_or_else(|| "-".to_owned(), |cpu| format!("{cpu:.0}"));
         println!(
-            "{:<36} {:>8} {:>6} {:>6} {got:>13} {:>8.0} {:>8.0} {:>8.0} {:>8.0} {cpu:>9}",
+            "{:<36} {:>8} {:>8} {:>6} {:>6} {got:>13} {:>8.0} {:>8.0} {:>8.0} {:>8.0} {cpu:>9}",
             name(row.route),
+            row.vendor,
             row.bytes,
             row.rate,
             row.topics,

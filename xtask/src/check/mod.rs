@@ -51,6 +51,10 @@ pub fn run(options: Options) -> Result<()> {
         Rule { name: "a word of the list that may not come back", findings: names::retired_words(&product) },
         Rule { name: "the facade shows more than 60 items", findings: facade::findings(&product) },
         Rule { name: "a crate depends on what it must not", findings: dependencies::findings()? },
+        Rule {
+            name: "a crate is used outside of the folder that is for it",
+            findings: dependencies::outside(&product),
+        },
     ];
     for rule in &rules {
         rule.print(options.all);

@@ -124,19 +124,24 @@ fn packages(missing: &[&SetupStep]) -> Vec<String> {
     vec![format!("{apt_get} update -q"), format!("{apt_get} install -y --no-install-recommends {names}")]
 }
 
-/// Returns the commands that make a Python environment and install the wheels of all steps at once.
-/// Debian requires a separate environment.
+/// Returns the commands that make Python environments, and install the wheels of all steps at once
+/// in each. Debian requires a separate environment.
 fn wheels(missing: &[&SetupStep]) -> Vec<String> {
-    let names: Vec<&str> = missing.iter().flat_map(|step| step.wheels).copied().collect();
-    if names.is_empty() {
-        return Vec::new();
-    }
-    let markers = missing.iter().filter_map(|step| step.marker());
-    let markers = markers.map(|marker| format!("\"$GDP_TARGET/venv/{marker}\"")).collect::<Vec<_>>().join(" ");
-    vec![
-        "/usr/bin/python3 -m venv \"$GDP_TARGET/venv\"".into(),
-        format!("\"$GDP_TARGET/venv/bin/pip\" install --quiet --disable-pip-version-check {}", names.join(" ")),
-        format!("touch {markers}"),
+    let environments: BTreeSet<&str> =
+        missing.iter().filter(|step| !step.wheels.is_empty()).map(|step| step.environment).collect();
+    environments.into_iter().flat_map(|environment| wheels_in(environment, missing)).collect()
+}
+
+fn wheels_in(environment: &str, missing: &[&SetupStep]) -> [String; 3] {
+    let steps = || missing.iter().filter(|step| step.environment == environment);
+    let names: Vec<&str> = steps().flat_map(|step| step.wheels).copied().collect();
+    let markers: Vec<String> =
+        steps().filter_map(|step| step.marker()).map(|marker| format!("\"$GDP_TARGET/{marker}\"")).collect();
+    let python = format!("\"$GDP_TARGET/{environment}/bin/python\"");
+    [
+        format!("/usr/bin/python3 -m venv \"$GDP_TARGET/{environment}\""),
+        format!("{python} -m pip install --quiet --disable-pip-version-check {}", names.join(" ")),
+        format!("touch {}", markers.join(" ")),
     ]
 }
 

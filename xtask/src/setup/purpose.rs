@@ -70,7 +70,7 @@ impl Purpose {
             Self::Unit => &[Workspace, Git, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
             Self::Test => &[Workspace, Git, Ebpf, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2],
             Self::Demo => &[Workspace, Ebpf, Namespaces, Dds],
-            Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Zenoh],
+            Self::Bench => &[Workspace, Ebpf, Namespaces, Dpdk, EtcdClient, Dds, Ros2, Zenoh],
             Self::Fresh => &[Fresh, Git, Namespaces],
             Self::Ci => {
                 &[Workspace, Git, Ebpf, Lints, Namespaces, Dpdk, Etcd, EtcdClient, Dds, Rosbags, Ros1, Ros2, Fresh]

@@ -1,7 +1,7 @@
 //! The table of setup steps: Debian packages, Python wheels, commands, and a check whether a step
 //! is done.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use gdp_tests::programs::{Executable as _, Program};
 
@@ -20,8 +20,10 @@ pub struct SetupStep {
     pub present: fn() -> bool,
     /// Packages of Debian 12, installed without recommended ones.
     pub packages: &'static [&'static str],
-    /// Python wheels for the environment in the target folder, as `NAME==VERSION`.
+    /// Python wheels, as `NAME==VERSION`.
     pub wheels: &'static [&'static str],
+    /// The Python environment of the wheels, as a folder in the target folder.
+    pub environment: &'static str,
     /// Shell commands that follow the packages and wheels, run as printed.
     pub commands: &'static [&'static str],
     /// Instructions for a system other than Debian 12, which are only printed. Wheels are the same
@@ -32,19 +34,14 @@ pub struct SetupStep {
 impl SetupStep {
     pub fn is_done(&self) -> bool {
         let programs = self.programs.iter().all(|program| program.find().is_some());
-        programs && self.marker().is_none_or(|marker| venv().join(marker).is_file()) && (self.present)()
+        programs && self.marker().is_none_or(|marker| workspace::target().join(marker).is_file()) && (self.present)()
     }
 
-    /// Returns the name of the file that marks the wheels as installed. Setup creates it last, so
-    /// that an interrupted installation does not count.
+    /// Returns the file that marks the wheels as installed, below the target folder. Setup creates
+    /// it last, so that an interrupted installation does not count.
     pub fn marker(&self) -> Option<String> {
-        self.wheels.first().map(|wheel| format!("gdp-{}", wheel.replace("==", "-")))
+        self.wheels.first().map(|wheel| format!("{}/gdp-{}", self.environment, wheel.replace("==", "-")))
     }
-}
-
-/// Returns the Python environment in the target folder.
-pub fn venv() -> PathBuf {
-    workspace::target().join("venv")
 }
 
 /// Defaults of all steps.
@@ -56,6 +53,7 @@ const NOTHING: SetupStep = SetupStep {
     present: || true,
     packages: &[],
     wheels: &[],
+    environment: "venv",
     commands: &[],
     elsewhere: "",
 };
@@ -180,6 +178,13 @@ pub const STEPS: &[SetupStep] = &[
         ..WHEELS
     },
     SetupStep {
+        part: SetupPart::Dds,
+        what: "dust_dds 0.15.0",
+        why: "a third DDS vendor that tests run; readers of 0.16.0 in Python have no content",
+        wheels: &["dust_dds==0.15.0"],
+        ..WHEELS
+    },
+    SetupStep {
         part: SetupPart::Rosbags,
         what: "rosbags 0.11.9",
         why: "tests compare messages of every ROS type with what it makes of them",
@@ -238,6 +243,28 @@ pub const STEPS: &[SetupStep] = &[
             "ros-std-srvs==5.5.1",
             "ros-test-msgs==2.3.0",
         ],
+        ..WHEELS
+    },
+    SetupStep {
+        part: SetupPart::Ros2,
+        what: "zenoh-ros2-sdk 0.1.8 and eclipse-zenoh 1.10.2",
+        why: "nodes and a router of a graph of rmw_zenoh, which tests join",
+        wheels: &["zenoh-ros2-sdk==0.1.8", "eclipse-zenoh==1.10.2"],
+        ..WHEELS
+    },
+    SetupStep {
+        part: SetupPart::Ros2,
+        what: "ROS 2 Jazzy's rclpy on Fast DDS 2.14",
+        why: "tests run applications of two ROS 2 distributions; both install a module `rclpy`, hence an environment \
+              for each",
+        wheels: &[
+            "ros-jazzy-rclpy==7.1.6",
+            "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
+            "ros-jazzy-std-msgs==5.3.6",
+            "ros-jazzy-std-srvs==5.3.6",
+            "ros-jazzy-test-msgs==2.0.3",
+        ],
+        environment: "venv-jazzy",
         ..WHEELS
     },
     SetupStep {

@@ -4,7 +4,7 @@
 use std::os::unix::fs::{DirBuilderExt, FileTypeExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use gdp_proto::admin::error::{ErrorCode, ErrorReply};
 use gdp_proto::admin::links::LinksReply;
@@ -13,6 +13,7 @@ use gdp_proto::admin::trace::{
 };
 use gdp_proto::admin::words::Outcome;
 use gdp_proto::control::{Crossing, RefusalCode, Response, TracedDomain, TracedEnd, TracedSwitch};
+use gdp_util::line_limit::LineLimit;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{UnixListener, UnixStream};
@@ -78,6 +79,7 @@ pub fn listen(daemon: &Arc<Daemon>, path: &Path) -> Result<Listening, AdminError
 
 async fn accept(daemon: Arc<Daemon>, listener: UnixListener) {
     let clients = Arc::new(Semaphore::new(MAX_CLIENTS));
+    let warnings = LineLimit::new(1, Duration::from_secs(60));
     loop {
         let Ok(permit) = clients.clone().acquire_owned().await else { return };
         match listener.accept().await {
@@ -91,7 +93,9 @@ async fn accept(daemon: Arc<Daemon>, listener: UnixListener) {
                 });
             }
             Err(error) => {
-                tracing::warn!(%error, "cannot accept an admin client");
+                if let Some(suppressed) = warnings.take(Instant::now()) {
+                    tracing::warn!(%error, suppressed, "cannot accept an admin client");
+                }
                 tokio::time::sleep(Duration::from_millis(100)).await;
             }
         }

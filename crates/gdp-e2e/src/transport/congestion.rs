@@ -14,6 +14,19 @@ pub const INITIAL_WINDOW: u64 = 32 * FRAME;
 /// Minimum window of a path.
 pub const MIN_WINDOW: u64 = 4 * FRAME;
 
+/// On a path with a shorter round trip, a thread that waits for a processor is away for many round
+/// trips. What is measured then says nothing about the path. So such a path has at least
+/// [`LOCAL_WINDOW`] in bytes, sent within [`LOCAL_BURST`], until it shows congestion.
+const LOCAL_RTT: u64 = MS;
+const LOCAL_WINDOW: u64 = 1 << 20;
+const LOCAL_BURST: u64 = 2 * MS;
+/// A local path whose round trips were all longer than the shortest by this, in the last
+/// [`QUEUE_TIME`] or two, has a queue. On a busy host some are short.
+const QUEUE: u64 = 5 * MS;
+const QUEUE_TIME: u64 = 100 * MS;
+/// Time after congestion in which a local path is measured as every other.
+const LOCAL_AGAIN: u64 = 10_000 * MS;
+
 /// Burst after a pause, as time at the known rate of the path. A topic with few and short messages
 /// measures only a small part of the path's capacity. Without the burst, it would be limited to
 /// that part.
@@ -104,6 +117,12 @@ pub struct Path {
     full_rounds: u32,
     /// Upper limit of the rate after congestion, until the next probe for bandwidth.
     ceiling: Option<u64>,
+    /// The shortest round-trip times of the last two periods of [`QUEUE_TIME`], the current one
+    /// first, and the start of that.
+    recent_rtt: [u64; 2],
+    recent_since: u64,
+    /// Time until which a local path is measured as every other.
+    congested_until: u64,
     /// No report about the last frames has arrived.
     silent: bool,
 }
@@ -127,6 +146,9 @@ impl Path {
             full_rate: 0,
             full_rounds: 0,
             ceiling: None,
+            recent_rtt: [0; 2],
+            recent_since: 0,
+            congested_until: 0,
             silent: false,
         }
     }
@@ -154,6 +176,7 @@ impl Path {
                 smoothed_rtt: self.smoothed_rtt,
                 last_report: Some(now),
                 round_ends: sample.sent,
+                congested_until: now + LOCAL_AGAIN,
                 ..Self::new()
             };
             return false;
@@ -173,6 +196,9 @@ impl Path {
         let mut congested = false;
         if sample.acknowledged >= self.round_ends {
             congested = self.end_round(sample.paused);
+            if congested {
+                self.congested_until = now + LOCAL_AGAIN;
+            }
             self.round += 1;
             self.round_ends = sample.sent;
         }
@@ -191,7 +217,10 @@ impl Path {
             Phase::Steady { step, .. } => CYCLE[step],
             Phase::Dry { .. } => 100,
         };
-        let least = bytes_per_second(MIN_WINDOW, self.rtt() + self.report_interval);
+        let least = match self.is_local() {
+            true => bytes_per_second(LOCAL_WINDOW, LOCAL_BURST),
+            false => bytes_per_second(MIN_WINDOW, self.rtt() + self.report_interval),
+        };
         (self.bandwidth() * gain / 100).max(least)
     }
 
@@ -201,11 +230,19 @@ impl Path {
             return INITIAL_WINDOW;
         }
         let rtt = self.min_rtt.unwrap_or(INITIAL_RTT);
+        let least = if self.is_local() { LOCAL_WINDOW } else { MIN_WINDOW };
         match self.phase {
-            Phase::Startup => (self.in_flight(rtt) * STARTUP_GAIN / 100).max(INITIAL_WINDOW),
-            Phase::Drain | Phase::Steady { .. } => (2 * self.in_flight(rtt)).max(MIN_WINDOW),
+            Phase::Startup => (self.in_flight(rtt) * STARTUP_GAIN / 100).max(INITIAL_WINDOW.max(least)),
+            Phase::Drain | Phase::Steady { .. } => (2 * self.in_flight(rtt)).max(least),
             Phase::Dry { .. } => (self.in_flight(rtt) / 2).max(MIN_WINDOW),
         }
+    }
+
+    /// Returns whether the path is so short that waiting for processors would dominate all
+    /// measurements, and shows no congestion.
+    fn is_local(&self) -> bool {
+        let is_short = self.min_rtt.is_some_and(|rtt| rtt < LOCAL_RTT);
+        is_short && self.last_report.is_some_and(|now| now >= self.congested_until)
     }
 
     /// Returns the burst in bytes when nothing is in flight and nothing was sent for a round trip.
@@ -250,6 +287,15 @@ impl Path {
 
     fn measure_rtt(&mut self, now: u64, rtt: u64) {
         self.round_rtt = self.round_rtt.min(rtt);
+        if now >= self.recent_since + QUEUE_TIME {
+            self.recent_rtt = [rtt, self.recent_rtt[0]];
+            self.recent_since = now;
+        }
+        self.recent_rtt[0] = self.recent_rtt[0].min(rtt);
+        let recent = self.recent_rtt[0].min(self.recent_rtt[1]);
+        if self.min_rtt.is_some_and(|shortest| recent > shortest + QUEUE) {
+            self.congested_until = now + LOCAL_AGAIN;
+        }
         self.smoothed_rtt = Some(self.smoothed_rtt.map_or(rtt, |smoothed| (7 * smoothed + rtt) / 8));
         let dry = matches!(self.phase, Phase::Dry { .. });
         let expired = dry && now.saturating_sub(self.min_rtt_at) > RTT_WINDOW;

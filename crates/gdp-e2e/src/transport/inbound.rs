@@ -6,13 +6,10 @@ use std::collections::VecDeque;
 
 use gdp_wire::Name;
 
+use super::reordering::{LEAST_TOLERANCE, ReorderingWindow};
 use super::slot::{Body, Slot};
 use super::{MS, Position};
 use crate::feedback_wire::{Feedback, MAX_MISSING, MAX_SEQUENCE};
-
-/// Minimum tolerance for reordered segments. The tolerance is an eighth of the round-trip time, if
-/// that is longer. A gap is requested at an age of one to two tolerances.
-const LEAST_PATIENCE: u64 = 2 * MS;
 
 /// Minimum interval between reports while segments arrive. The interval is half a round trip, up to
 /// [`SLOWEST_REPORT`].
@@ -46,6 +43,7 @@ pub struct Inbound<M> {
     /// Bytes charged to the slots.
     bytes: usize,
     rtt: u64,
+    reordering: ReorderingWindow,
     /// Time from a request to its repair: a round trip plus the delay of the writer's budget and
     /// queues.
     repair_time: u64,
@@ -82,6 +80,7 @@ impl<M> Inbound<M> {
             highest: Position { sequence: 0, index: 0 },
             bytes: 0,
             rtt: rtt.clamp(MS, LONGEST_RTT),
+            reordering: ReorderingWindow::default(),
             repair_time: rtt.clamp(MS, LONGEST_RTT),
             mark: None,
             due: Position { sequence: 0, index: 0 },
@@ -112,7 +111,7 @@ impl<M> Inbound<M> {
             return false;
         }
         if position.sequence < self.next {
-            self.counters.duplicates += 1;
+            self.on_duplicate(now, position);
             // If a report was lost, the writer must learn that the segment has arrived.
             self.plan_report(now);
             return false;
@@ -127,12 +126,13 @@ impl<M> Inbound<M> {
         let answered = slot.answered_in(now, position.index);
         let before = slot.total();
         if !slot.add(cut, position.index, total) {
-            self.counters.duplicates += 1;
+            self.on_duplicate(now, position);
             self.plan_report(now);
             return false;
         }
         self.bytes = self.bytes + Slot::<M>::cost(slot.total()) - Slot::<M>::cost(before);
         if let Some(took) = answered {
+            self.reordering.on_answer(position);
             self.repair_time = ((7 * self.repair_time + took) / 8).clamp(self.rtt, LONGEST_RTT);
         }
         self.segments += 1;
@@ -142,8 +142,9 @@ impl<M> Inbound<M> {
         if position > self.highest {
             self.highest = position;
         }
+        self.reordering.look(now);
         if self.mark.is_none() {
-            self.mark = Some((now + self.timeout_factor(), self.highest));
+            self.mark = Some((now + self.reordering.tolerance(self.rtt), self.highest));
         }
         self.plan_report(now);
         true
@@ -236,7 +237,7 @@ impl<M> Inbound<M> {
             && at <= now
         {
             self.due = self.due.max(position);
-            self.mark = (self.highest > position).then(|| (now + self.timeout_factor(), self.highest));
+            self.mark = (self.highest > position).then(|| (now + self.reordering.tolerance(self.rtt), self.highest));
             self.plan_ask(now);
         }
         // The writer stopped in the middle of a message, or its last segments were lost.
@@ -299,14 +300,16 @@ impl<M> Inbound<M> {
         }
     }
 
-    fn timeout_factor(&self) -> u64 {
-        (self.rtt / 8).max(LEAST_PATIENCE)
+    /// Processes a segment that was already received.
+    fn on_duplicate(&mut self, now: u64, position: Position) {
+        self.counters.duplicates += 1;
+        self.reordering.on_duplicate(now, position, self.rtt);
     }
 
     /// Returns the time when nothing is in flight any more, even if the writer had to wait for a
     /// report.
     fn idle_at(&self) -> u64 {
-        self.received_at + self.rtt + self.rtt / 2 + self.report_interval()
+        self.received_at + self.rtt + self.rtt / 2 + self.report_interval() + self.reordering.extra()
     }
 
     fn report_interval(&self) -> u64 {
@@ -416,7 +419,7 @@ impl<M> Inbound<M> {
             }
         }
         self.ask_at = u64::MAX;
-        self.plan_ask(now + LEAST_PATIENCE);
+        self.plan_ask(now + LEAST_TOLERANCE);
         let (name, session) = (self.name, self.session);
         (!missing.is_empty()).then_some(Feedback::Nack { name, session, missing })
     }

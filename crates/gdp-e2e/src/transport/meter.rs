@@ -48,12 +48,14 @@ impl Speed {
     /// Returns the bytes per second.
     pub fn get(&mut self, now: u64) -> u64 {
         self.advance(now);
-        let over = STEP + (now - self.since);
+        let over = STEP + now.saturating_sub(self.since);
         (u128::from(self.before + self.bytes) * 1_000_000_000 / u128::from(over)) as u64
     }
 
+    /// Starts the step of this time. Threads read the clock before they lock, so an earlier time
+    /// may follow a later one.
     fn advance(&mut self, now: u64) {
-        let steps = (now - self.since) / STEP;
+        let steps = now.saturating_sub(self.since) / STEP;
         if steps > 0 {
             self.before = if steps == 1 { self.bytes } else { 0 };
             (self.bytes, self.since) = (0, self.since + steps * STEP);
@@ -65,3 +67,7 @@ impl Speed {
 pub fn nanoseconds(bytes: u64, rate: u64) -> u64 {
     (u128::from(bytes) * 1_000_000_000 / u128::from(rate.max(1))).min(u128::from(u64::MAX)) as u64
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/transport/meter.rs"]
+mod tests;

@@ -39,6 +39,7 @@ mod inbound;
 mod meter;
 mod outbox;
 mod peers;
+mod reordering;
 mod sealed;
 mod sent_log;
 mod slot;

@@ -8,7 +8,7 @@
 use bytes::Bytes;
 use gdp_core::cbor;
 use gdp_core::cbor::CborError;
-use gdp_e2e::seal::Encoding;
+use gdp_e2e::seal::{Encoding, MessageId};
 use serde::{Deserialize, Serialize};
 
 use crate::roster::{Kind, MAX_DEFINITION, MAX_NODE};
@@ -49,6 +49,8 @@ pub enum Request {
         epoch: Epoch,
         after: u64,
     },
+    /// The caller no longer needs the answer to this call of a service. There is no reply.
+    Cancel(MessageId),
 }
 
 /// The ROS service that a call goes to.
@@ -154,6 +156,9 @@ impl Request {
             Self::Describe => vec![VERSION, 0],
             Self::Call { epoch, part, body } => [&[VERSION, 1, *part as u8][..], &epoch.0.to_be_bytes(), body].concat(),
             Self::Events { epoch, after } => [&[VERSION, 2][..], &epoch.0.to_be_bytes(), &after.to_be_bytes()].concat(),
+            Self::Cancel(MessageId { session, sequence }) => {
+                [&[VERSION, 3][..], session, &sequence.to_be_bytes()].concat()
+            }
         }
     }
 
@@ -167,6 +172,7 @@ impl Request {
                 Self::Call { part, epoch: Epoch(from.word()?), body: from.rest() }
             }
             2 => Self::Events { epoch: Epoch(from.word()?), after: from.word()? },
+            3 => Self::Cancel(MessageId { session: from.session()?, sequence: from.word()? }),
             _ => return Err(CallError::Malformed),
         };
         from.end()?;
@@ -312,6 +318,10 @@ impl Cursor {
     fn word(&mut self) -> Result<u64, CallError> {
         let bytes = self.take(8)?;
         bytes[..].try_into().map(u64::from_be_bytes).map_err(|_| CallError::Malformed)
+    }
+
+    fn session(&mut self) -> Result<[u8; 16], CallError> {
+        self.take(16)?[..].try_into().map_err(|_| CallError::Malformed)
     }
 
     fn event(&mut self) -> Result<Event, CallError> {

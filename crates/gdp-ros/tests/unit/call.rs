@@ -11,7 +11,8 @@ fn requests() -> Vec<Request> {
     let (epoch, body) = (Epoch(0x0102_0304_0506_0708), Bytes::from_static(b"\0\x01\0\0goal"));
     let parts = [Part::Service, Part::SendGoal, Part::CancelGoal, Part::GetResult];
     let calls = parts.map(|part| Request::Call { epoch, part, body: body.clone() });
-    [Request::Describe, Request::Events { epoch, after: 9 }].into_iter().chain(calls).collect()
+    let cancel = Request::Cancel(MessageId { session: [7; 16], sequence: 9 });
+    [Request::Describe, Request::Events { epoch, after: 9 }, cancel].into_iter().chain(calls).collect()
 }
 
 fn replies() -> Vec<Reply> {
@@ -44,6 +45,8 @@ fn the_bytes_are_those_of_the_documentation() {
     let (epoch, body) = (Epoch(0x0102_0304_0506_0708), Bytes::from_static(b"goal"));
     let request = Request::Call { epoch, part: Part::GetResult, body };
     assert_eq!(request.to_bytes(), b"\x02\x01\x03\x01\x02\x03\x04\x05\x06\x07\x08goal");
+    let cancel = Request::Cancel(MessageId { session: *b"0123456789abcdef", sequence: 258 });
+    assert_eq!(cancel.to_bytes(), b"\x02\x030123456789abcdef\0\0\0\0\0\0\x01\x02");
     let failure = Reply::failure(FailureCode::Refused, "no");
     assert_eq!(failure.to_bytes().unwrap(), b"\x02\x02\x01no");
     let events = vec![Event::Feedback(Bytes::from_static(b"f")), Event::Status(Bytes::from_static(b"st"))];

@@ -11,6 +11,7 @@ use hyper_util::rt::TokioIo;
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 
+use crate::connections;
 use crate::xmlrpc::{Call, Fault, Mismatch, Value, XmlRpcError, decode_response, encode_call};
 
 /// Maximum size of a response, in bytes. A graph of ten thousand topics takes about two million.
@@ -42,16 +43,25 @@ pub enum RpcError {
     Refused(String),
 }
 
+/// What is called. The master is called also if few more files can be opened.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Callee {
+    Master,
+    Node,
+}
+
 /// Calls a method of the master or slave API at `uri`. Returns the third part of the response
 /// (code, text, value).
 pub async fn call(
+    callee: Callee,
     uri: &str,
     method: &str,
     params: impl IntoIterator<Item = Value>,
     limit: Duration,
 ) -> Result<Value, RpcError> {
     let call = Call { method: method.to_owned(), params: params.into_iter().collect() };
-    let answer = timeout(limit, exchange(uri, encode_call(&call))).await.map_err(|_| RpcError::Timeout(limit))??;
+    let answer =
+        timeout(limit, exchange(callee, uri, encode_call(&call))).await.map_err(|_| RpcError::Timeout(limit))??;
     let [code, text, value] = decode_response(&answer)??.into_tuple()?;
     if code.into_int()? != 1 {
         return Err(RpcError::Refused(text.into_string()?));
@@ -59,11 +69,15 @@ pub async fn call(
     Ok(value)
 }
 
-async fn exchange(uri: &str, body: String) -> Result<Bytes, RpcError> {
+async fn exchange(callee: Callee, uri: &str, body: String) -> Result<Bytes, RpcError> {
     let bad = || RpcError::Uri(uri.to_owned());
     let parsed: Uri = uri.parse().map_err(|_| bad())?;
     let (host, port) = host_and_port(&parsed).ok_or_else(bad)?;
-    let stream = TcpStream::connect((host, port)).await.map_err(RpcError::Connect)?;
+    let stream = match callee {
+        Callee::Master => TcpStream::connect((host, port)).await,
+        Callee::Node => connections::connect(host, port).await,
+    };
+    let stream = stream.map_err(RpcError::Connect)?;
     // Each side sends one small write, so a delay saves nothing. If the option cannot be set, only
     // time is lost.
     _ = stream.set_nodelay(true);

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::RpcError;
-use super::client::call;
+use super::client::{Callee, call};
 use crate::xmlrpc::{Mismatch, Value};
 
 /// The master of a node.
@@ -102,7 +102,7 @@ impl Master {
         read: impl FnOnce(Value) -> Result<T, Mismatch>,
     ) -> Result<T, MasterError> {
         let params = std::iter::once(self.caller_id.as_str()).chain(params).map(Value::from);
-        let answer = call(&self.uri, method, params, self.timeout).await;
+        let answer = call(Callee::Master, &self.uri, method, params, self.timeout).await;
         answer.and_then(|value| Ok(read(value)?)).map_err(|error| match error {
             RpcError::Refused(text) => MasterError::Refused { uri: self.uri.clone(), method, text },
             source => MasterError::Unreachable { uri: self.uri.clone(), source },

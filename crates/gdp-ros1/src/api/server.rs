@@ -17,7 +17,7 @@ use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 use super::slave::{Refusal, SlaveCall, failure};
-use crate::accept::accept;
+use crate::connections::accept;
 use crate::xmlrpc::{Fault, Value, decode_call, encode_response};
 
 /// Maximum number of connections. Masters and tools close theirs after a call; roscpp keeps one

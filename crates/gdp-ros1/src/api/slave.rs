@@ -2,7 +2,7 @@
 //! <https://wiki.ros.org/ROS/Slave_API>
 
 use super::RpcError;
-use super::client::call;
+use super::client::{Callee, call};
 use crate::xmlrpc::{Call, Fault, Mismatch, Value};
 use std::time::Duration;
 
@@ -104,7 +104,8 @@ pub async fn request_topic(
     limit: Duration,
 ) -> Result<(String, u16), RpcError> {
     let protocols = Value::Array(vec![Value::array(["TCPROS"])]);
-    let answer = call(publisher, "requestTopic", [caller_id.into(), topic.into(), protocols], limit).await?;
+    let answer =
+        call(Callee::Node, publisher, "requestTopic", [caller_id.into(), topic.into(), protocols], limit).await?;
     let mut params = answer.into_array()?.into_iter();
     let (Some(protocol), Some(host), Some(port)) = (params.next(), params.next(), params.next()) else {
         return Err(Mismatch("a protocol, a host and a port").into());

@@ -10,7 +10,7 @@ use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 use super::{Header, Stream, TcprosError};
-use crate::accept::accept;
+use crate::connections::{accept, refused};
 
 /// Maximum number of connections to all topics and services.
 const MAX_CONNECTIONS: usize = 4096;
@@ -33,7 +33,7 @@ where
     loop {
         let socket = accept(&listener, &mut connections, MAX_CONNECTIONS).await;
         let Ok(handshake) = handshakes.clone().try_acquire_owned() else {
-            tracing::warn!(MAX_HANDSHAKES, "connection refused: too many others have not sent their header yet");
+            refused(&format!("{MAX_HANDSHAKES} others have not sent their header yet"));
             continue;
         };
         let serve = serve.clone();

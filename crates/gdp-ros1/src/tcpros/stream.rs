@@ -10,6 +10,7 @@ use tokio::net::TcpStream;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 
 use super::header::{Header, HeaderError, MAX_HEADER};
+use crate::connections;
 
 /// Size of the read buffer, in bytes. Larger reads go directly to the message.
 const READ: usize = 64 << 10;
@@ -60,7 +61,7 @@ impl Stream {
     }
 
     pub async fn connect(host: &str, port: u16) -> io::Result<Self> {
-        Self::new(TcpStream::connect((host, port)).await?)
+        Self::new(connections::connect(host, port).await?)
     }
 
     pub async fn read_header(&mut self) -> Result<Header, TcprosError> {

@@ -136,10 +136,14 @@ impl Process {
         self.child.wait().unwrap();
     }
 
+    pub fn signal(&self, signal: i32) {
+        // SAFETY: no memory is involved; the child is not reaped yet, so this is its number.
+        assert_eq!(unsafe { libc::kill(self.child.id() as i32, signal) }, 0);
+    }
+
     /// As Ctrl-C does it: it takes leave of the master, and ends.
     pub async fn stop(&mut self) {
-        // SAFETY: no memory is involved; the child is not reaped yet, so this is its number.
-        assert_eq!(unsafe { libc::kill(self.child.id() as i32, libc::SIGINT) }, 0);
+        self.signal(libc::SIGINT);
         until(&format!("{} ends", self.name), async || self.child.try_wait().unwrap()).await;
     }
 

@@ -15,16 +15,20 @@ peer.py NAME ask ACTION GOAL        actionlib/TestAction: waits for the server a
 peer.py NAME compute ACTION PACKAGE SECONDS  PACKAGE/FibonacciAction: so many seconds for each number, with feedback; may be
                                     cancelled, and rejects what is negative; several goals at once
 peer.py NAME send ACTION PACKAGE ORDER [N [HOW]]  the same; after the N-th feedback cancels its `goal`, `all` or what is `before` now
+peer.py NAME crowd NODE TOPIC N     N connections to a publisher, which say nothing and are opened again when they end
 peer.py NAME nodes                  names of all nodes at the master
 peer.py NAME call SERVICE true|false[,…]  std_srvs/SetBool, once or several times over one connection
 """
 
 import hashlib
 import json
+import resource
+import select
 import socket
 import struct
 import sys
 import threading
+import xmlrpc.client
 from io import BytesIO
 
 import actionlib
@@ -263,6 +267,22 @@ def send(action, package, order, cancel_after="0", how="goal"):
     finished = client.wait_for_result(rospy.Duration(60))
     length = len(getattr(client.get_result(), "sequence", []))
     say("result", finished=finished, state=client.get_state(), length=length, text=client.get_goal_status_text())
+
+
+def crowd(node, topic, count):
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    master = rosgraph.Master(rospy.get_name())
+    api = xmlrpc.client.ServerProxy(master.lookupNode(node))
+    port = api.requestTopic(rospy.get_name(), topic, [["TCPROS"]])[2][2]
+    connections = [socket.create_connection(("localhost", port)) for _ in range(int(count))]
+    say("ready")
+    while not rospy.is_shutdown():
+        ended, _, _ = select.select(connections, [], [], 0.1)
+        for connection in ended:
+            connections.remove(connection)
+            connection.close()
+            connections.append(socket.create_connection(("localhost", port)))
 
 
 def nodes():

@@ -31,6 +31,9 @@ impl Route {
             let goal = cdr::goal_of(&request).unwrap_or(cdr::ANY_GOAL);
             let is_new = matches!(&targets, Ok((_, true)));
             let asking = Asking::new(client, part, request);
+            if matches!(&targets, Ok((targets, _)) if part == Part::Service && targets.len() > 1) {
+                self.counters.replicated();
+            }
             let answer = async {
                 let (targets, _) = targets?;
                 asking.answer(&targets).await
@@ -53,6 +56,9 @@ impl Route {
                 None => Ok(()),
                 Some(Ok(response)) => {
                     self.counters.answered();
+                    if asking.copies.is_won_by_other() {
+                        self.counters.answered_by_other();
+                    }
                     local.answer(part, asker, response).await
                 }
                 Some(Err(Failed { failure, reason })) => {
@@ -63,12 +69,13 @@ impl Route {
             if let Err(error) = answered {
                 self.failed(Reason::Unanswered, error);
             }
+            self.counters.copies_cancelled(asking.copies.cancel(client).await);
             asking.changed()
         }));
     }
 
     /// Returns the servers for a request, usually one, and whether the request begins an unknown
-    /// goal.
+    /// goal. A call of a service goes to as many as `replicate` says.
     fn targets(&self, to: &In<'_>, part: Part, request: &[u8]) -> Result<(Vec<Arc<Known>>, bool), Failure> {
         let known = |name: &Name| match to.remotes.get(name) {
             Some(Remote::Known(known)) => Some(known.clone()),
@@ -77,7 +84,7 @@ impl Route {
         // In order of distance, nearest first.
         let all: Vec<_> = to.client.instances().iter().filter_map(|one| known(&one.name)).collect();
         if part == Part::Service {
-            return Ok((all.into_iter().take(1).collect(), false));
+            return Ok((all.into_iter().take(self.config.copies()).collect(), false));
         }
         let malformed = |error| Failure::new(FailureCode::Malformed, error);
         let (goal, mut goals): (GoalId, _) = (cdr::goal_of(request).map_err(malformed)?, to.goals.lock());

@@ -50,9 +50,7 @@ impl Route {
                 Some(Remote::Asked | Remote::Known(_)) => false,
             };
             if ask {
-                to.remotes.insert(name, Remote::Asked);
-                let client = to.client;
-                doing.push(Box::pin(async move { Done::Description(name, describe(client, name).await) }));
+                ask_for_description(to, name, doing);
             }
         }
         self.withdraw_if_alone(to, doing);
@@ -94,6 +92,10 @@ impl Route {
             return Ok(());
         }
         to.lose_goals(Instant::now(), known.instance);
+        let Some(now) = now else {
+            ask_for_description(to, known.instance, doing);
+            return Ok(());
+        };
         let is_same = now.as_ref().is_ok_and(|(epoch, _)| *epoch == known.epoch);
         let now = if is_same { Err("it says that it is another, and that it is the same".into()) } else { now };
         self.described(to, known.instance, now, doing)
@@ -211,6 +213,12 @@ pub(super) async fn withdraw(local: Arc<Stands>, statuses: Bytes) -> Result<(), 
         Ok(())
     };
     tokio::time::timeout(LAST_WORDS, said).await.unwrap_or(Ok(()))
+}
+
+fn ask_for_description<'a>(to: &mut In<'a>, name: Name, doing: &Doing<'a>) {
+    to.remotes.insert(name, Remote::Asked);
+    let client = to.client;
+    doing.push(Box::pin(async move { Done::Description(name, describe(client, name).await) }));
 }
 
 pub(super) fn ask_for_events(

@@ -10,7 +10,8 @@ use tokio::time::timeout;
 
 use super::mapping::{Headless, Id, Mapping, RequestId, request, with_header};
 use crate::ros2::discovery::Writers;
-use crate::ros2::raw::{Participant, RawReader, RawSample, RawWriter, Unreadable, WriteError, participant};
+use crate::ros2::raw::{Participant, RawReader, RawWriter, Unreadable, WriteError, participant};
+use crate::ros2::sample::RawSample;
 
 /// Timeout for discovery to announce a client whose request has arrived.
 const MATCH_TIMEOUT: Duration = Duration::from_secs(3);

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use gdp_core::cert::{AdCert, issue};
+use gdp_core::cert::{AdCert, Grantee, ReadGrant, issue};
 
 use super::*;
 use crate::material::tests::{Files, watcher};
@@ -10,11 +10,22 @@ use crate::material::{Material, Permission};
 
 /// With a name of this kind and type, and what is said of it.
 fn load(kind: &str, of: &str, said: &str) -> Result<Vec<RouteMaterial>, MaterialError> {
+    load_marked(kind, of, said, &[])
+}
+
+/// The same, with more metadata in the name card.
+fn load_marked(kind: &str, of: &str, said: &str, marks: &[(&str, &str)]) -> Result<Vec<RouteMaterial>, MaterialError> {
     let files = Files::new();
     let card = NameCard::create(files.owner.verify_key(), kind, "/light", of, None).unwrap();
+    let mut metadata = card.metadata().clone();
+    metadata.extend(marks.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())));
+    let card = NameCard::new(*card.owner_key(), metadata).unwrap();
     card.save_new(&files.path("light.card")).unwrap();
     let cert = AdCert { name: card.name(), ..files.claims() };
     fs::write(files.path("light.ad"), issue(&files.owner, &cert).unwrap().to_pem()).unwrap();
+    let (name, to) = (card.name(), Grantee::Entity(cert.entity));
+    let grant = ReadGrant { name, to, serial: 1, not_before: 0, not_after: u64::MAX };
+    fs::write(files.path("light.grant"), issue(&files.owner, &grant).unwrap().to_pem()).unwrap();
     let text = format!("{{version: 1, identity: id.pem, links: [{{to: 'eth://r0'}}], services: [{said}]}}");
     let config = Config::parse(&text, &files.path("robot.yaml")).unwrap();
     Material::load(&config, &watcher()).map(|material| material.calls.into_iter().map(|(_, call)| call).collect())
@@ -28,6 +39,18 @@ fn files_that_belong_together_are_taken() {
     let [light] = &loaded[..] else { panic!("one service") };
     assert_eq!(light.kind.as_ref().unwrap().as_str(), "std_srvs/srv/SetBool");
     assert!(matches!(light.permission, Permission::Publish(_)));
+}
+
+#[test]
+fn only_the_owner_lets_a_call_go_to_several_servers() {
+    let said = "{service: /light, direction: in, card: light.card, grant: light.grant, replicate: 2}";
+    let load = |kind, marks: &[_]| load_marked(kind, "std_srvs/srv/SetBool", said, marks);
+    assert_eq!(load("service", &[("idempotent", "true")]).unwrap().len(), 1);
+    for marks in [&[][..], &[("idempotent", "no")]] {
+        let refusal = load("service", marks).err().expect("a refusal").to_string();
+        assert!(refusal.starts_with("services[0].replicate: the owner has not marked"), "{refusal}");
+        assert!(refusal.contains("light.card") && refusal.contains("--idempotent"), "{refusal}");
+    }
 }
 
 #[test]

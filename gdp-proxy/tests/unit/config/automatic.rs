@@ -40,6 +40,21 @@ fn a_pattern_says_what_differs() {
 }
 
 #[test]
+fn idempotent_services_are_marked_and_nothing_else() {
+    let config =
+        "owner: o\ncatalog: c\ntopics: [/**]\nservices: [/map/*, /light]\nactions: [/**]\nidempotent: [/map/**]\n";
+    let config: ExposeConfig = serde_saphyr::from_str(config).unwrap();
+    let mark = |thing, name: &str| {
+        let rule_options = config.rule_options(thing, &TopicName::parse(name).unwrap())?;
+        Some(rule_options.meta.get(IDEMPOTENT).cloned())
+    };
+    let service = Thing::Call(What::Service);
+    assert_eq!(mark(service, "/map/get_plan"), Some(Some("true".into())));
+    assert_eq!([mark(service, "/light"), mark(service, "/map/of/all")], [Some(None), None]);
+    assert_eq!([Thing::Topic, Thing::Call(What::Action)].map(|thing| mark(thing, "/map/a")), [Some(None), Some(None)]);
+}
+
+#[test]
 fn something_must_be_meant_and_what_is_misspelt_is_named() {
     let parse = |graph: &str, says: &str| {
         let text =
@@ -60,6 +75,10 @@ fn something_must_be_meant_and_what_is_misspelt_is_named() {
         (ros2, expose("service: [/**]"), "did you mean `services`?"),
         (ros2, expose("services: [{service: /a, max_hz: 5}]"), "p.yaml: "),
         (ros2, expose("services: [light]"), "is no pattern of names"),
+        (ros2, expose("topics: [/a], idempotent: [/b]"), "p.yaml: expose.idempotent: is for services"),
+        (ros2, expose("services: [/a], defaults: {meta: {idempotent: 'true'}}"), "p.yaml: expose.meta: idempotent is"),
+        (ros2, import("topics: [/a], replicate: 2"), "p.yaml: import[0].replicate: is for services"),
+        (ros2, import("services: [/a], replicate: 1"), "p.yaml: import[0].replicate: a call goes to 2 to 8 servers"),
     ] {
         let said = parse(graph, &says).unwrap_err();
         assert!(said.contains(refusal), "{says}: {said}");
@@ -70,9 +89,21 @@ fn something_must_be_meant_and_what_is_misspelt_is_named() {
 fn frames_of_what_is_imported_get_a_prefix_as_its_topics_do() {
     let config = "catalog: c\ngrant: g\ntopics: [/**]\nprefix: /r2\nframe_prefix: r2/\n";
     let config: ImportConfig = serde_saphyr::from_str(config).unwrap();
-    let topic = config.local_name(&TopicName::parse("/odom").unwrap()).unwrap();
+    let topic = config.local_name(Thing::Topic, &TopicName::parse("/odom").unwrap()).unwrap();
     let topic = config.rule_options().topic(&topic, "here", None, Direction::In);
     assert_eq!((topic.topic.as_str(), topic.frame_prefix.unwrap().as_str()), ("/r2/odom", "r2/"));
+}
+
+#[test]
+fn topics_that_merge_get_no_prefix() {
+    let config = "catalog: c\ngrant: g\ntopics: [/**]\nprefix: /r2\nmerge: [/tf*, /rosout]\n";
+    let config: ImportConfig = serde_saphyr::from_str(config).unwrap();
+    let name = |text: &str| TopicName::parse(text).unwrap();
+    let local = |thing, text: &str| config.local_name(thing, &name(text)).unwrap().to_string();
+    assert_eq!(local(Thing::Topic, "/tf_static"), "/tf_static");
+    assert_eq!(local(Thing::Topic, "/odom"), "/r2/odom");
+    assert_eq!(local(Thing::Call(What::Service), "/tf"), "/r2/tf", "two servers would execute each call");
+    assert!(!config.wants(Thing::Topic, &name("/rosout")), "a name that ROS uses itself is imported by name only");
 }
 
 #[test]

@@ -25,10 +25,19 @@ fn services_and_actions_are_read_and_their_files_lie_beside() {
     assert!(light.kind.is_none() && parse("").unwrap().calls().next().is_none());
 }
 
+#[test]
+fn a_call_goes_to_one_server_unless_more_are_wanted() {
+    let replicated = SERVICE.replace("direction: out", "direction: in, replicate: 3").replace("cert:", "grant:");
+    for (text, copies) in [(&replicated[..], 3), (SERVICE, 1), (ACTION, 1)] {
+        assert_eq!(parse(text).unwrap().calls().next().unwrap().1.copies(), copies, "{text}");
+    }
+}
+
 /// Each refusal names the key, and what is wrong.
 #[test]
 fn what_is_wrong_is_refused_and_named() {
     let twice = "[{service: /a, direction: out, card: c, cert: d}, {service: /a, direction: in, card: c, grant: d}]";
+    let inward = |said: &str| format!("services: [{{service: /a, direction: in, card: c, grant: d, {said}}}]");
     let cases = [
         (SERVICE.replace("service: /light", "topic: /light"), "topic"),
         (SERVICE.replace("direction: out", "direction: both"), "both"),
@@ -42,6 +51,10 @@ fn what_is_wrong_is_refused_and_named() {
         ),
         (ACTION.replace("card:", "type: a/srv/B, card:"), "write it as package/action/Name"),
         (SERVICE.replace("card:", "graph: lab, card:"), "services[0].graph: there is no graph lab"),
+        (SERVICE.replace("card:", "replicate: 2, card:"), "services[0].replicate: is for direction: in"),
+        (ACTION.replace("card:", "replicate: 2, card:"), "actions[0].replicate: is for services only"),
+        (inward("replicate: 1"), "services[0].replicate: a call goes to 2 to 8 servers at once, and not to 1"),
+        (inward("replicate: 9"), "services[0].replicate: a call goes to 2 to 8 servers at once, and not to 9"),
         (format!("services: {twice}"), "services[1].service: /a is already services[0]"),
     ];
     for (text, says) in cases {

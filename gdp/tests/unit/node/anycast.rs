@@ -74,6 +74,30 @@ async fn calls_are_shared_and_each_stays_with_its_server() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_request_has_one_id_at_both_ends_and_another_may_name_it() {
+    let fabric = Fabric::start().await;
+    let owner = Owner::new("/plan");
+    let (robot, cloud) = (fabric.node("proxy").await, fabric.node("proxy").await);
+    let mut server = owner.serve(&robot).await;
+    let client = owner.client(&cloud).await;
+    let (begun, mut id) = tokio::sync::oneshot::channel();
+    let asking = client.call_at_with(robot.name(), Encoding::Bytes, b"where to?", move |id| _ = begun.send(id));
+    let asked = tokio::select! {
+        call = soon(server.recv()) => call.unwrap(),
+        reply = asking => panic!("nobody replied: {reply:?}"),
+    };
+    assert_eq!(Ok(asked.id()), id.try_recv());
+    // The call is dropped now, and the notification has no reply.
+    client.notify_at(robot.name(), Encoding::Bytes, b"never mind").await.unwrap();
+    assert_eq!(&soon(server.recv()).await.unwrap().body()[..], b"never mind");
+    asked.reply(Encoding::Bytes, b"left").await.unwrap();
+    assert_eq!(client.instances()[0].waiting, 0);
+    assert!(cloud.0.state.calls.lock().is_empty());
+    let nowhere = client.notify_at(cloud.name(), Encoding::Bytes, b"").await;
+    assert!(matches!(nowhere, Err(NodeError::NoInstance { .. })), "{nowhere:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_call_fails_at_once_when_its_server_is_revoked() {
     let fabric = Fabric::start().await;
     let owner = Owner::new("/plan");

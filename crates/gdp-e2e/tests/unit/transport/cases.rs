@@ -202,6 +202,95 @@ fn what_is_too_fast_for_its_path_arrives_as_far_as_the_path_goes() {
     assert!(delivered * 500_000 * 8 >= 10 * 40 * MBIT * 7 / 10, "{delivered} messages");
 }
 
+/// A gigabit between two hosts.
+fn lan() -> Faults {
+    Faults { rate: Some(1000 * MBIT), queue: Some(8 << 20), ..Faults::delay(MS / 10) }
+}
+
+/// Runs a reliable topic between two hosts whose processors are away at times. Returns the
+/// delivered messages, their latencies, and the number of repeated frames.
+fn run_on_busy_hosts(app: App, writer: Option<Away>, reader: Option<Away>) -> (usize, Vec<u64>, u64) {
+    let mut sim = Simulation::new(11);
+    let [a, b] = [(); 2].map(|()| sim.node());
+    sim.join(a, b, lan(), lan());
+    let options = TopicOptions {
+        reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+        ..TopicOptions::reliable()
+    };
+    let topic = sim.publish(a, options, app);
+    sim.subscribe(b, topic, MS, InboundOptions::every());
+    writer.into_iter().for_each(|away| sim.take_away(a, away));
+    reader.into_iter().for_each(|away| sim.take_away(b, away));
+    sim.run(app.until + SECOND);
+    let delivered = sim.topics[topic].readers[&b].delivered.len();
+    (delivered, sim.latencies(topic, b), sim.topic_counters(topic).repeated)
+}
+
+/// Half of the processors' time belongs to others, in slices of the scheduler.
+#[test]
+fn hosts_without_a_processor_at_times_lose_nothing_and_are_as_fast() {
+    let half = Away { period: 20 * MS, away: 10 * MS };
+    let other = Away { period: 20 * MS, away: 9 * MS };
+    for (writer, reader) in [(None, Some(half)), (Some(half), None), (Some(half), Some(other))] {
+        let app = App::new(1_000_000, 30, 10 * SECOND);
+        let (delivered, latencies, repeated) = run_on_busy_hosts(app, writer, reader);
+        assert_eq!((delivered, repeated), (301, 0), "{writer:?} {reader:?}");
+        let p99 = percentile(&latencies, 99);
+        assert!(p99 < 30 * MS, "{writer:?} {reader:?}: {} ms", p99 / MS);
+        // As fast as the path allows.
+        let app = App::new(1_000_000, 200, 5 * SECOND);
+        let (alone, ..) = run_on_busy_hosts(app, None, None);
+        let (busy, _, repeated) = run_on_busy_hosts(app, None, reader);
+        assert_eq!(repeated, 0, "{reader:?}");
+        assert!(busy * 10 >= alone * 8, "{reader:?}: {busy} of {alone}");
+    }
+}
+
+/// A hundred megabits behind a switch with a small buffer. The first bursts overflow it.
+#[test]
+fn a_short_path_that_is_narrow_is_found_to_be_so() {
+    for seed in 0..3 {
+        let mut sim = Simulation::new(seed);
+        let [a, b] = [(); 2].map(|()| sim.node());
+        let narrow = Faults { rate: Some(100 * MBIT), queue: Some(128_000), ..Faults::delay(MS / 10) };
+        sim.join(a, b, narrow, Faults::delay(MS / 10));
+        let options = TopicOptions {
+            reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+            history: History { messages: 256, bytes: 4_000_000 },
+            ..TopicOptions::reliable()
+        };
+        let topic = sim.publish(a, options, App::new(500_000, 40, 30 * SECOND));
+        sim.subscribe(b, topic, MS, InboundOptions::every());
+        sim.run(30 * SECOND);
+        let delivered = sim.topics[topic].readers[&b].delivered.len() as u64;
+        let (sent, repeated) = (sim.topics[topic].sent_bytes, sim.topics[topic].repeated_bytes);
+        assert!(delivered * 500_000 * 8 >= 30 * 100 * MBIT * 7 / 10, "{delivered} messages");
+        assert!(repeated * 10 < sent, "{repeated} of {sent} bytes are repairs");
+    }
+}
+
+/// A hundred megabits behind a switch with a large buffer, which loses nothing. The messages of
+/// another topic do not stand behind a megabyte.
+#[test]
+fn a_short_path_with_a_large_buffer_has_no_standing_queue() {
+    let mut sim = Simulation::new(3);
+    let [a, b] = [(); 2].map(|()| sim.node());
+    let narrow = Faults { rate: Some(100 * MBIT), queue: Some(8 << 20), ..Faults::delay(MS / 10) };
+    sim.join(a, b, narrow, Faults::delay(MS / 10));
+    let options = TopicOptions {
+        reliability: Reliability::Reliable { overflow: Overflow::DropOldest },
+        history: History { messages: 256, bytes: 4_000_000 },
+        ..TopicOptions::reliable()
+    };
+    let large = sim.publish(a, options, App::new(500_000, 40, 20 * SECOND));
+    sim.subscribe(b, large, MS, InboundOptions::every());
+    let small = sim.publish(a, TopicOptions::reliable(), App::new(64, 100, 20 * SECOND));
+    sim.subscribe(b, small, MS, InboundOptions::every());
+    sim.run(20 * SECOND);
+    let median = percentile(&sim.latencies(small, b), 50);
+    assert!(median < 60 * MS, "{} ms", median / MS);
+}
+
 /// Messages of a few frames with pauses between them. None of them waits because earlier messages
 /// have measured little of the path.
 #[test]

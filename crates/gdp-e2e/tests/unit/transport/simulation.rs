@@ -25,8 +25,29 @@ pub struct Simulation {
     uplinks: BTreeMap<(usize, usize), Uplink>,
     pub topics: Vec<TopicSim>,
     pub max_payload: usize,
+    /// Nodes that lack a processor at times.
+    away: BTreeMap<usize, Away>,
+    /// What has arrived at nodes that were away.
+    held: BTreeMap<usize, VecDeque<(usize, Delivery<Packet>)>>,
+    /// A node reads what it held, before it looks at its timers.
+    is_draining: bool,
     /// Number of steps so far, which is limited.
     events: u64,
+}
+
+/// A node whose processor belongs to others for `away` of every `period`.
+#[derive(Clone, Copy, Debug)]
+pub struct Away {
+    pub period: u64,
+    pub away: u64,
+}
+
+impl Away {
+    /// Returns when a node that wants to run at `at` does.
+    fn runs_at(self, at: u64) -> u64 {
+        let phase = at % self.period;
+        if phase < self.away { at - phase + self.away } else { at }
+    }
 }
 
 /// A topic, its publisher and its readers.
@@ -116,6 +137,9 @@ impl Simulation {
             uplinks: BTreeMap::new(),
             topics: Vec::new(),
             max_payload: PAYLOAD,
+            away: BTreeMap::new(),
+            held: BTreeMap::new(),
+            is_draining: false,
             events: 0,
         }
     }
@@ -172,6 +196,33 @@ impl Simulation {
             heartbeats: 0,
         });
         index
+    }
+
+    /// Takes the processor from a node for a part of the time.
+    pub fn take_away(&mut self, node: usize, away: Away) {
+        self.away.insert(node, away);
+    }
+
+    fn runs_at(&self, node: usize, at: u64) -> u64 {
+        self.away.get(&node).map_or(at, |away| away.runs_at(at))
+    }
+
+    /// Lets the nodes that are back read what has arrived meanwhile.
+    fn drain(&mut self) {
+        let now = self.net.now();
+        let back = self.held.keys().copied().filter(|node| self.runs_at(*node, now) == now);
+        for node in back.collect::<Vec<_>>() {
+            self.is_draining = true;
+            for (from, delivery) in self.held.remove(&node).into_iter().flatten() {
+                self.arrived(node, from, delivery);
+            }
+            self.is_draining = false;
+            let topics = (0..self.topics.len()).filter(|topic| self.topics[*topic].readers.contains_key(&node));
+            topics.collect::<Vec<_>>().into_iter().for_each(|topic| self.poll_reader(node, topic));
+            if self.uplinks.keys().any(|(writer, _)| *writer == node) {
+                self.poll_writer(node);
+            }
+        }
     }
 
     /// Returns the first uplink of a writer, creating it with this budget if necessary.
@@ -252,17 +303,24 @@ impl Simulation {
             assert!(self.events < 50_000_000, "a livelock at {}", self.net.now());
             let wake = self.next_wake().min(until);
             match self.net.arrival(wake) {
+                Some(arrival) if self.runs_at(arrival.to, self.net.now()) > self.net.now() => {
+                    self.held.entry(arrival.to).or_default().push_back((arrival.from, arrival.delivery));
+                }
                 Some(arrival) => self.arrived(arrival.to, arrival.from, arrival.delivery),
                 None => {
                     let now = self.net.now();
+                    self.drain();
                     self.applications(now);
                     let due = |uplink: &Uplink| uplink.next_wake().is_some_and(|at| at <= now);
-                    let writers: Vec<usize> =
-                        self.uplinks.iter().filter(|(_, uplink)| due(uplink)).map(|((writer, _), _)| *writer).collect();
+                    let is_there = |node: usize| self.runs_at(node, now) == now;
+                    let writers = self.uplinks.iter().filter(|((writer, _), uplink)| due(uplink) && is_there(*writer));
+                    let writers: Vec<usize> = writers.map(|((writer, _), _)| *writer).collect();
                     writers.into_iter().for_each(|writer| self.poll_writer(writer));
                     for topic in 0..self.topics.len() {
                         let due = |reading: &Reading| reading.inbound.next_wake().is_some_and(|at| at <= now);
-                        let readers = self.topics[topic].readers.iter().filter(|(_, reading)| due(reading));
+                        let is_there = |node: usize| self.runs_at(node, now) == now;
+                        let readers = self.topics[topic].readers.iter();
+                        let readers = readers.filter(|(reader, reading)| due(reading) && is_there(**reader));
                         let readers: Vec<usize> = readers.map(|(reader, _)| *reader).collect();
                         readers.into_iter().for_each(|reader| self.poll_reader(reader, topic));
                     }
@@ -282,10 +340,18 @@ impl Simulation {
     fn next_wake(&self) -> u64 {
         let apps = self.topics.iter().filter(|topic| topic.waiting.is_none() && topic.next_at < topic.app.until);
         let apps = apps.map(|topic| topic.next_at);
-        let uplinks = self.uplinks.values().filter_map(Uplink::next_wake);
-        let readings = self.topics.iter().flat_map(|topic| topic.readers.values());
-        let readings = readings.filter_map(|reading| reading.inbound.next_wake());
-        apps.chain(uplinks).chain(readings).min().unwrap_or(u64::MAX)
+        let uplinks = self.uplinks.iter();
+        let uplinks = uplinks.filter_map(|((writer, _), uplink)| Some(self.wake_at(*writer, uplink.next_wake()?)));
+        let readings = self.topics.iter().flat_map(|topic| &topic.readers);
+        let readings =
+            readings.filter_map(|(reader, reading)| Some(self.wake_at(*reader, reading.inbound.next_wake()?)));
+        let held = self.held.keys().map(|node| self.runs_at(*node, self.net.now()));
+        apps.chain(uplinks).chain(readings).chain(held).min().unwrap_or(u64::MAX)
+    }
+
+    /// Returns when a node reaches a timer for `at`, which may have passed.
+    fn wake_at(&self, node: usize, at: u64) -> u64 {
+        self.runs_at(node, at.max(self.net.now()))
     }
 
     fn applications(&mut self, now: u64) {
@@ -420,7 +486,9 @@ impl Simulation {
                 let id = self.topics[topic].id;
                 let name = name_of(*reader);
                 self.uplink(node, None).feedback(now, id, name, feedback);
-                self.poll_writer(node);
+                if !self.is_draining {
+                    self.poll_writer(node);
+                }
             }
             content => {
                 let bytes = match content {
@@ -436,6 +504,9 @@ impl Simulation {
     }
 
     fn poll_reader(&mut self, node: usize, topic: usize) {
+        if self.is_draining {
+            return;
+        }
         let now = self.net.now();
         let mut out = Vec::new();
         let reading = self.topics[topic].readers.get_mut(&node).unwrap();

@@ -1,0 +1,116 @@
+//! What a newcomer finds after thousands of endpoints have come and gone, how soon, and what the
+//! participant remembers of them.
+
+use std::time::{Duration, Instant};
+
+use gdp_proxy::ros2::{Domain, Qos, RawWriter, TopicName};
+use gdp_ros::roster::Offer;
+
+use crate::peer::{Peer, Vendor, within};
+use crate::{domain, string, topic, write};
+
+/// Endpoints that come and go before memory is measured the first and the second time.
+const FIRST: usize = 1_000;
+const ALL: usize = 20_000;
+
+/// Bytes that may remain of an endpoint. RustDDS keeps some hundred of each.
+const REMAINDER: usize = 600;
+
+/// What a newcomer needs may vary by this much on a busy machine.
+const SLACK: Duration = Duration::from_millis(1500);
+
+/// A newcomer finds what is there, however much has come and gone before it, and no later.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn newcomers_find_the_oldest_writer_and_none_of_thousands_that_are_gone() {
+    // In a domain of its own: what was killed here would be waited for there.
+    let fresh = Domain::join(domain(10), "gdp_proxy_test").unwrap();
+    let _fresh_oldest = oldest(&fresh).await;
+    let before = times(domain(10)).await;
+
+    let here = Domain::join(domain(15), "gdp_proxy_test").unwrap();
+    let _oldest = oldest(&here).await;
+    come_and_go(&here, 0..FIRST).await;
+    let resident = resident_kb();
+    come_and_go(&here, FIRST..ALL).await;
+    let resident_after = resident_kb();
+    let after = times(domain(15)).await;
+    println!("resident: {resident} kB after {FIRST}, {resident_after} kB after {ALL} endpoints");
+    for ((vendor, before), (_, after)) in before.iter().zip(&after) {
+        println!("{vendor:?}: found after {before:?} at the start, after {after:?} at the end");
+    }
+    let growth = resident_after.saturating_sub(resident);
+    assert!(
+        growth * 1024 <= resident * 1024 / 10 + (ALL - FIRST) * REMAINDER,
+        "{resident} kB, then {resident_after} kB"
+    );
+    for ((vendor, before), (_, after)) in before.into_iter().zip(after) {
+        assert!(after <= before * 3 / 2 + SLACK, "{vendor:?}: {before:?}, then {after:?}");
+    }
+
+    // Also the first graph that a tool reads has nothing of what is gone.
+    let mut tool = Peer::graph(domain(15), None);
+    within("the oldest writer in rclpy's graph", async {
+        loop {
+            let graph = tool.event("graph").await;
+            let topics = graph["topics"].as_object().unwrap();
+            assert!(!topics.keys().any(|topic| topic.starts_with("/gone_")), "{topics:?}");
+            if topics.contains_key("/chatter") {
+                break;
+            }
+        }
+    })
+    .await;
+    let graph_observer = Domain::join(domain(15), "graph_observer").unwrap();
+    let mut graph = graph_observer.graph();
+    within("the oldest writer", async {
+        while !graph.borrow_and_update().topics.contains_key(&topic()) {
+            graph.changed().await.unwrap();
+            assert!(graph.borrow().topics.len() <= 1, "{:?}", graph.borrow().topics.keys());
+        }
+    })
+    .await;
+    fresh.leave().await;
+    here.leave().await;
+    graph_observer.leave().await;
+}
+
+fn latched() -> Offer {
+    Offer { transient_local: true, depth: 1, ..Qos::default().into() }
+}
+
+/// The writer that is there all the time, with a message for whoever comes later.
+async fn oldest(domain: &Domain) -> RawWriter {
+    let mut writer = domain.writer(&topic(), &string(), &latched()).unwrap();
+    write(&mut writer, 7, 64).await;
+    writer
+}
+
+/// On the same names again and again, as those of nodes that restart: RustDDS keeps a cache for
+/// each name of a topic that there ever was (`DDSCache::topic_caches`).
+async fn come_and_go(domain: &Domain, numbers: std::ops::Range<usize>) {
+    for number in numbers {
+        let topic = TopicName::parse(&format!("/gone_{}", number % FIRST)).unwrap();
+        drop(domain.writer(&topic, &string(), &latched()).unwrap());
+        tokio::task::yield_now().await;
+    }
+}
+
+/// How long a newcomer of each vendor takes, from its subscription to the message of the oldest
+/// writer. One at a time.
+async fn times(id: u16) -> Vec<(Vendor, Duration)> {
+    let mut times = Vec::new();
+    for vendor in Vendor::ALL {
+        let mut newcomer = Peer::topic(vendor, "listen", id, &["--transient-local"]);
+        newcomer.event("ready").await;
+        let since = Instant::now();
+        assert_eq!(newcomer.message().await["seq"], 7, "{vendor:?}");
+        times.push((vendor, since.elapsed()));
+    }
+    times
+}
+
+fn resident_kb() -> usize {
+    let statm = std::fs::read_to_string("/proc/self/statm").unwrap();
+    // The second field is in pages of 4 kB (proc_pid_statm(5)).
+    statm.split(' ').nth(1).unwrap().parse::<usize>().unwrap() * 4
+}
