@@ -11,6 +11,7 @@ use gdp_core::cert::{AdCert, Mode, issue};
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_proxy::ros2::{Domain, TopicName, TypeName};
 use gdp_ros::roster::Offer;
+use gdp_tests::dds_domain::lease;
 use gdp_tests::process::terminate;
 use gdp_tests::programs::{Executable as _, Program, own};
 use gdp_util::escape::is_control;
@@ -62,7 +63,7 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
     let catalog = NameCard::create(owner.verify_key(), "catalog", "/robot", "", None).unwrap();
     catalog.save_new(&files.path("catalog.card")).unwrap();
     let mut text = fs::read_to_string(files.path("robot.yaml")).unwrap();
-    let domain = 50 + std::process::id() % 40;
+    let domain = lease();
     text += &format!(
         "graphs: {{a: {{domain_id: {domain}}}}}\nexpose: {{owner: owner.pem, catalog: catalog.card, topics: [/a/**], \
          services: [/a/**], deny: [/a/secret]}}\n"
@@ -71,7 +72,7 @@ fn a_dry_run_shows_what_would_cross_under_which_name() {
 
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let _entered = runtime.enter();
-    let node = Domain::join(domain as u16, "talker").unwrap();
+    let node = Domain::join(domain, "talker").unwrap();
     let kind = TypeName::parse("std_msgs/msg/String").unwrap();
     let offer = Offer::DEFAULT;
     let topics = ["/a/b", "/a/secret", "/c", "/chatter"];

@@ -3,6 +3,7 @@
 //! 127.0.0.1, so loopback multicast is not needed.
 
 use std::collections::HashSet;
+use std::sync::LazyLock;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -10,6 +11,7 @@ use gdp_proxy::config::Graphs;
 use gdp_proxy::graph::{self, Arrived, Event, Reader};
 use gdp_proxy::ros2::{Domain, Range, RawReader, RawSample, RawWriter, TopicName, TypeName};
 use gdp_ros::roster::Offer;
+use gdp_tests::dds_domain::lease;
 
 const RELIABLE: Offer = Offer::DEFAULT;
 const LATCHED: Offer = Offer { transient_local: true, ..RELIABLE };
@@ -234,9 +236,10 @@ fn kind() -> TypeName {
     TypeName::parse("some_msgs/msg/Unheard").unwrap()
 }
 
-/// Processes that test at the same time get other domains, or at least other topics.
+/// The domain of all these tests, which have topics of their own.
 fn domain_id() -> u16 {
-    (std::process::id() % 100) as u16
+    static ID: LazyLock<u16> = LazyLock::new(lease);
+    *ID
 }
 
 fn topic(test: &str) -> TopicName {

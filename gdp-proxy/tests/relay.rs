@@ -24,6 +24,7 @@ use gdp_core::identity::{Identity, SigningKey};
 use gdp_daemon::config::{DomainConfig, Neighbour, NeighbourAddress, Via};
 use gdp_daemon::serve::{Running, start};
 use gdp_e2e::seal::Encoding;
+use gdp_tests::dds_domain::lease;
 use gdp_tests::programs::own;
 use gdp_wire::Name;
 use tokio::time::timeout;
@@ -140,9 +141,10 @@ impl Site {
         let hub_addr = hub.udp_addr().unwrap();
         let config = format!(
             "version: 1\nidentity: robot.pem\nlinks: [{{to: 'udp://{hub_addr}', switch: {}}}]\ngraphs: {{a: \
-             {{domain_id: 97}}}}\n{member}\
+             {{domain_id: {}}}}}\n{member}\
              relay: {{udp: '{relay_addr}'}}\n",
-            hub.name()
+            hub.name(),
+            lease()
         );
         fs::write(path("robot.yaml"), config).unwrap();
         Self { folder, domain, in_domain, hub, hub_addr, relay, relay_addr }

@@ -6,6 +6,7 @@
 //! - [`ring`]: five daemons in a ring; [`replicas`]: three replicas of the RIB, on [`etcd`]
 //! - [`federation`]: three trust domains, and a robot that roams between two of them
 //! - [`dpdk`]: switches with a DPDK data plane
+//! - [`dds_domain`]: a DDS domain for each test
 //! - [`fabric`]: the daemons and proxies on a chain; [`peers`]: the foreign DDS programs at its
 //!   ends
 //! - [`frames`]: frames byte by byte, and the forwarding cases of `fixtures/frames.json`
@@ -18,6 +19,7 @@
 //! Dropping the guard of a resource removes the resource, also after a panic or Ctrl-C.
 
 pub mod chain;
+pub mod dds_domain;
 pub mod dpdk;
 pub mod etcd;
 pub mod fabric;

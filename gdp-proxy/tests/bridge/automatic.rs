@@ -1,5 +1,6 @@
 //! Topics that cross by pattern, and a configuration that changes while its proxy runs.
 
+use gdp_tests::dds_domain::lease;
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -14,7 +15,7 @@ use super::{RELIABLE, TIMEOUT, cdr, graph, within};
 #[tokio::test(flavor = "multi_thread")]
 async fn what_matches_crosses_while_it_is_published_and_deny_wins() {
     let site = Site::start().await;
-    let (here, there) = (site.domain_id() + 20, site.domain_id() + 30);
+    let (here, there) = (lease(), lease());
     let (expose, import) = by_pattern(&site);
     let _robot = site.begin("robot", &format!("{{domain_id: {here}}}"), &expose);
     let _cloud = site.begin("cloud", &format!("{{domain_id: {there}}}"), &import);
@@ -95,7 +96,7 @@ async fn what_rospy_publishes_crosses_by_pattern_and_outlives_its_master() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
     let site = Site::start().await;
-    let domain = site.domain_id() + 25;
+    let domain = lease();
     let graph = format!("{{domain_id: {domain}}}");
     let topics = ["/steady", "/second"].map(|topic| site.topic(topic, "std_msgs/msg/String"));
     let [steady, second] = [0, 1].map(|i| site.give("robot", i, &topics[i], "direction: out"));
@@ -144,7 +145,7 @@ async fn a_changed_configuration_disturbs_no_topic_that_is_the_same() {
     let says = |what: &str| fs::read_to_string(&log).unwrap().contains(what);
     site.configure("robot", &graph, &format!("topics:\n{steady}{}", second.replace("direction", "dirction")));
     until("the mistake is said", || says("not taken") && says("did you mean `direction`? at line 7")).await;
-    site.configure("robot", "{domain_id: 1}", &format!("topics:\n{steady}"));
+    site.configure("robot", &format!("{{domain_id: {}}}", lease()), &format!("topics:\n{steady}"));
     until("what cannot change is said", || says("graphs.a: cannot change while the proxy runs")).await;
     assert_eq!(site.carried("robot").len(), 2);
 

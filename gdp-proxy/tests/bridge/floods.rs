@@ -1,5 +1,6 @@
 //! Graphs with more topics than a proxy carries: the log says so in a few lines.
 
+use gdp_tests::dds_domain::lease;
 use std::time::Duration;
 
 use gdp_ros::catalog::MAX_ENTRIES;
@@ -42,7 +43,7 @@ async fn twenty_thousand_topics_of_rospy_are_a_few_lines_of_the_log() {
 #[tokio::test(flavor = "multi_thread")]
 async fn five_thousand_topics_of_a_dds_participant_are_a_few_lines_of_the_log() {
     let site = Site::start().await;
-    let domain = site.domain_id() + 32;
+    let domain = lease();
     let (expose, _) = site.by_pattern("robot", "cloud", "topics: [/**]", "topics: [/**]");
     let proxy = site.begin("robot", &format!("{{domain_id: {domain}}}"), &expose);
     let mut peer = Peer::topic(Vendor::Cyclone, "talk", domain, &["--no-wait", "--more-topics", "5000"]);

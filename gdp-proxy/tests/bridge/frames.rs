@@ -7,6 +7,7 @@
 //!    robot2 ── proxy ─┘
 //! ```
 
+use gdp_tests::dds_domain::lease;
 use std::collections::BTreeSet;
 use std::fs;
 use std::sync::Arc;
@@ -30,7 +31,7 @@ const FIXED: [&str; 5] = ["base_link", "laser", "camera", "arm", "hand"];
 #[tokio::test(flavor = "multi_thread")]
 async fn the_frames_of_two_robots_merge_and_are_told_apart() {
     let site = Site::start().await;
-    let ids = [14, 15, 16].map(|i| site.domain_id() + i);
+    let ids = [(); 3].map(|()| lease());
     let topics = ["/tf", "/tf_static"].map(|name| site.topic(name, "tf2_msgs/msg/TFMessage"));
     let mut plain = site.subscribe(&topics[0]).await;
     let _robots = [("robot1", ids[0]), ("robot2", ids[1])].map(|(robot, id)| {
@@ -102,7 +103,7 @@ async fn the_frames_of_two_robots_merge_and_are_told_apart() {
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_of_a_type_that_nobody_knows_do_not_cross_and_the_status_says_why() {
     let site = Site::start().await;
-    let ids = [17, 18].map(|i| site.domain_id() + i);
+    let ids = [(); 2].map(|()| lease());
     let topics = [site.topic("/own", "my_robot/msg/Unheard")];
     let out = site.proxy("robot", &domain(ids[0]), &topics, "direction: out, frame_prefix: r1/");
     let graph = Domain::join(ids[0], "robot").unwrap();

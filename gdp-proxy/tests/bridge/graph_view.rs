@@ -1,5 +1,6 @@
 //! The graph of far nodes as ROS tools see it, through rclpy's graph interface.
 
+use gdp_tests::dds_domain::lease;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -17,7 +18,7 @@ const PARAMETERS: &str = "/**/list_parameters, /**/get_parameters, /**/set_param
 #[tokio::test(flavor = "multi_thread")]
 async fn far_nodes_appear_with_their_endpoints_types_and_parameters() {
     let site = Site::start().await;
-    let (near, far) = (site.domain_id() + 26, site.domain_id() + 27);
+    let (near, far) = (lease(), lease());
     let (expose, import) = site.by_pattern(
         "robot",
         "cloud",
@@ -72,7 +73,7 @@ async fn until(seen: &mut Peer, is_so: impl Fn(&Value) -> bool) -> Value {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_life_cycle_of_a_far_node_is_read_and_changed() {
     let site = Site::start().await;
-    let (near, far) = (site.domain_id() + 8, site.domain_id() + 9);
+    let (near, far) = (lease(), lease());
     let services = "services: [/camera/**]";
     let (expose, import) = site.by_pattern("robot", "cloud", services, &format!("{services}, prefix: /robot7"));
     let _robot = site.begin("robot", &format!("{{domain_id: {near}}}"), &expose);

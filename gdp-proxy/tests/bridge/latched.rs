@@ -1,5 +1,6 @@
 //! Late subscribers get as much of a latched topic as its publisher keeps.
 
+use gdp_tests::dds_domain::lease;
 use std::time::Duration;
 
 use crate::peer::{Peer, Vendor};
@@ -13,9 +14,9 @@ const MESSAGES: i64 = 8;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn late_subscribers_get_as_many_messages_as_the_publisher_keeps() {
-    for (i, vendor) in [Vendor::Rclpy, Vendor::Cyclone].into_iter().enumerate() {
+    for vendor in [Vendor::Rclpy, Vendor::Cyclone] {
         let site = Site::start().await;
-        let (near, far) = (site.domain_id() + 2 * i as u16, site.domain_id() + 2 * i as u16 + 1);
+        let (near, far) = (lease(), lease());
         let topics = [site.topic("/chatter", "std_msgs/msg/String")];
         let mut early = Peer::topic(Vendor::Rclpy, "listen", far, &["--transient-local"]);
         early.event("ready").await;

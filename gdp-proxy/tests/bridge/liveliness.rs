@@ -1,5 +1,6 @@
 //! The liveliness of publishers: what watchdogs of robots rely on.
 
+use gdp_tests::dds_domain::lease;
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -21,9 +22,9 @@ const BUSY: Duration = Duration::from_secs(8);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_end_of_a_killed_publisher_is_seen_elsewhere_when_its_lease_ends() {
-    for (i, vendor) in [Vendor::Rclpy, Vendor::Cyclone].into_iter().enumerate() {
+    for vendor in [Vendor::Rclpy, Vendor::Cyclone] {
         let site = Site::start().await;
-        let (near, far) = (site.domain_id() + 21 + i as u16, site.domain_id() + 23 + i as u16);
+        let (near, far) = (lease(), lease());
         let topics = [site.topic("/chatter", "std_msgs/msg/String")];
         let _out = site.proxy("robot", &domain(near), &topics, "direction: out");
         let _in = site.proxy("cloud", &domain(far), &topics, "direction: in");
@@ -47,7 +48,7 @@ async fn the_end_of_a_killed_publisher_is_seen_elsewhere_when_its_lease_ends() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_publisher_that_asserts_its_liveliness_by_itself_is_alive_while_it_does() {
     let site = Site::start().await;
-    let (near, far) = (site.domain_id() + 29, site.domain_id() + 31);
+    let (near, far) = (lease(), lease());
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let _out = site.proxy("robot", &domain(near), &topics, "direction: out");
     let _in = site.proxy("cloud", &domain(far), &topics, "direction: in");

@@ -1,6 +1,7 @@
 //! Publishers that come and go: whoever is there hears what they say, and nobody takes one for
 //! there that has gone.
 
+use gdp_tests::dds_domain::lease;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
@@ -18,7 +19,7 @@ use crate::{LATCHED, RELIABLE, cdr, graph, text, texts, until, within};
 async fn a_publisher_of_a_single_message_is_heard() {
     let site = Site::start().await;
     let (here, there) = (Master::start().await, Master::start().await);
-    let (near, far) = (site.domain_id() + 1, site.domain_id() + 2);
+    let (near, far) = (lease(), lease());
     let topics = [site.topic("/ros1", "std_msgs/msg/String")];
     let others = [site.topic("/ros2", "std_msgs/msg/String")];
     let _proxies = [
@@ -91,7 +92,7 @@ async fn the_proxy_has_as_many_nodes_as_a_topic_has_latching_publishers() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_publisher_beside_one_that_latches_does_not_latch_and_the_last_of_a_burst_is_not_lost() {
     let site = Site::start().await;
-    let id = site.domain_id() + 3;
+    let id = lease();
     let topics = [site.topic("/mixed", "std_msgs/msg/String")];
     let _proxy = site.proxy("robot", &domain(id), &topics, "direction: out, max_hz: 2");
     let talking = Domain::join(id, "talker").unwrap();
@@ -119,7 +120,7 @@ async fn a_publisher_beside_one_that_latches_does_not_latch_and_the_last_of_a_bu
 #[tokio::test(flavor = "multi_thread")]
 async fn a_publisher_that_is_not_heard_of_is_missed_and_comes_back_with_what_it_latches() {
     let (site, there) = (Site::start().await, Master::start().await);
-    let near = site.domain_id() + 4;
+    let near = lease();
     let topics = [site.topic("/map", "std_msgs/msg/String")];
     let out = site.proxy("robot", &domain(near), &topics, "direction: out");
     let _in = site.proxy("cloud", &graph(&there), &topics, "direction: in");
@@ -150,7 +151,8 @@ async fn a_publisher_that_is_not_heard_of_is_missed_and_comes_back_with_what_it_
 async fn the_status_says_which_publisher_has_no_counterpart_until_it_has_gone() {
     let site = Site::start().await;
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
-    let proxy = site.proxy("cloud", &domain(site.domain_id() + 6), &topics, "direction: in");
+    let id = lease();
+    let proxy = site.proxy("cloud", &domain(id), &topics, "direction: in");
     status(&proxy, "up").await;
     let publisher = site.publish(&topics[0]).await;
     let int32 = Kind { dialect: Dialect::Ros2, name: "std_msgs/msg/Int32".into(), hash: vec![] };
@@ -164,7 +166,7 @@ async fn the_status_says_which_publisher_has_no_counterpart_until_it_has_gone() 
     let mut roster = Outgoing::new(Kind { name: "std_msgs/msg/String".into(), ..int32 }, None);
     roster.joined('a', "", Offer { reliable: false, ..RELIABLE });
     roster.announce(Instant::now(), &publisher).unwrap();
-    let listening = Domain::join(site.domain_id() + 6, "listener").unwrap();
+    let listening = Domain::join(id, "listener").unwrap();
     let reader = listening.reader(&topic("/chatter"), &string(), &RELIABLE).unwrap();
     status(&proxy, "incompatible QoS: a subscriber here asks for more in reliability than publisher 0 of").await;
     drop(reader);
@@ -175,7 +177,7 @@ async fn the_status_says_which_publisher_has_no_counterpart_until_it_has_gone() 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_status_says_that_a_topic_has_keys() {
     let site = Site::start().await;
-    let id = site.domain_id() + 28;
+    let id = lease();
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let proxy = site.proxy("robot", &domain(id), &topics, "direction: out");
     let keyed = Peer::topic(Vendor::Cyclone, "talk", id, &["--keyed", "--no-wait"]);
@@ -186,7 +188,7 @@ async fn the_status_says_that_a_topic_has_keys() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_status_says_which_publisher_is_not_heard_and_why() {
     let site = Site::start().await;
-    let id = site.domain_id() + 12;
+    let id = lease();
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let proxy = site.proxy("robot", &domain(id), &topics, "direction: out, qos: {reliability: reliable}");
     let talking = Domain::join(id, "talker").unwrap();
@@ -221,7 +223,7 @@ async fn a_proxy_that_ends_leaves_nothing_at_the_master() {
 #[tokio::test(flavor = "multi_thread")]
 async fn diagnostics_say_how_a_topic_does_in_either_version() {
     let (site, master) = (Site::start().await, Master::start().await);
-    let id = site.domain_id() + 13;
+    let id = lease();
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let _proxies = [("a", domain(id)), ("b", graph(&master))]
         .map(|(label, graph)| site.proxy_of(label, &graph, &topics, "direction: out", "diagnostics: true"));

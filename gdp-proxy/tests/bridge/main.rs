@@ -26,6 +26,7 @@ mod peer;
 mod site;
 mod twins;
 
+use gdp_tests::dds_domain::lease;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -72,7 +73,7 @@ async fn what_rospy_says_at_one_master_rospy_hears_at_another() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_one_ros_version_says_the_other_understands_both_ways() {
     let site = Site::start().await;
-    let (master, domain) = (Master::start().await, site.domain_id());
+    let (master, domain) = (Master::start().await, lease());
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let back = [site.topic("/answers", "std_msgs/msg/String")];
     let (to, fro) = (&graph(&master), &format!("{{domain_id: {domain}}}"));

@@ -1,6 +1,7 @@
 //! Topics that every robot has, such as `/tf` and `/rosout`: what crosses unasked, and how those of
 //! several robots merge.
 
+use gdp_tests::dds_domain::lease;
 use std::collections::BTreeSet;
 use std::time::Instant;
 
@@ -19,7 +20,7 @@ const UNASKED: [&str; 4] = ["/chatter", "/diagnostics", "/tf", "/tf_static"];
 #[tokio::test(flavor = "multi_thread")]
 async fn a_wide_pattern_leaves_the_time_logs_and_parameters_of_a_robot_at_home() {
     let site = Site::start().await;
-    let near = site.domain_id() + 4;
+    let near = lease();
     let (expose, _) = site.by_pattern("robot", "cloud", "topics: [/**]", "topics: [/**]");
     let _robot = Robot::start(near, "/driver").await;
     let _proxy = site.begin("robot", &domain(near), &expose);
@@ -31,10 +32,10 @@ async fn a_wide_pattern_leaves_the_time_logs_and_parameters_of_a_robot_at_home()
 #[tokio::test(flavor = "multi_thread")]
 async fn topics_of_two_robots_merge_and_their_clocks_stay_apart() {
     let site = Site::start().await;
-    let far = site.domain_id() + 5;
+    let far = lease();
     let (mut robots, mut imports) = (vec![], vec![]);
-    for (i, robot) in ["robot1", "robot2"].into_iter().enumerate() {
-        let near = site.domain_id() + 6 + i as u16;
+    for robot in ["robot1", "robot2"] {
+        let near = lease();
         let named = "/rosout, /clock, /parameter_events";
         let (expose, import) = site.by_pattern(
             robot,

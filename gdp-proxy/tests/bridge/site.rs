@@ -91,12 +91,6 @@ impl Site {
         Self { folder, hub }
     }
 
-    /// The first of 33, none of whose ports the system gives to sockets that want any. Processes
-    /// that test at the same time may get others.
-    pub fn domain_id(&self) -> u16 {
-        1 + (std::process::id() % 3) as u16 * 33
-    }
-
     pub fn topic(&self, topic: &str, kind: &str) -> Topic {
         self.name("topic", topic, kind)
     }

@@ -1,5 +1,6 @@
 //! One copy of each message, however many proxies could carry it.
 
+use gdp_tests::dds_domain::lease;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
@@ -8,7 +9,7 @@ use gdp_ros::roster::{Dialect, Kind, Outgoing, ROSTER};
 
 use crate::lives::{domain, string, topic};
 use crate::site::{Proxy, Site};
-use crate::{RELIABLE, cdr, text, until, within};
+use crate::{RELIABLE, TIMEOUT, cdr, text, until, within};
 
 /// ```text
 ///    proxy a ──┐
@@ -18,7 +19,7 @@ use crate::{RELIABLE, cdr, text, until, within};
 #[tokio::test(flavor = "multi_thread")]
 async fn of_two_proxies_in_one_graph_one_carries_and_the_other_takes_over() {
     let site = Site::start().await;
-    let (x, y) = (site.domain_id() + 7, site.domain_id() + 8);
+    let (x, y) = (lease(), lease());
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let start = |label, id| site.proxy(label, &domain(id), &topics, "direction: both");
     let mut twins = vec![start("a", x), start("b", x)];
@@ -42,7 +43,7 @@ async fn of_two_proxies_in_one_graph_one_carries_and_the_other_takes_over() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_proxy_that_can_make_no_counterpart_leaves_the_topic_to_one_that_can() {
     let site = Site::start().await;
-    let graph = domain(site.domain_id() + 5);
+    let graph = domain(lease());
     let topics = [site.topic("/chatter", "")];
     let mut labels = ["a", "b"];
     labels.sort_by_key(|label| site.identity(label).name());
@@ -66,7 +67,7 @@ async fn a_proxy_that_can_make_no_counterpart_leaves_the_topic_to_one_that_can()
 #[tokio::test(flavor = "multi_thread")]
 async fn three_sites_that_all_say_and_hear_a_topic_hear_each_message_once() {
     let site = Site::start().await;
-    let ids = [9, 10, 11].map(|i| site.domain_id() + i);
+    let ids = [(); 3].map(|()| lease());
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let _proxies = ids.map(|id| site.proxy(&id.to_string(), &domain(id), &topics, "direction: both"));
     let mut ends = ids.map(End::join);
@@ -106,8 +107,9 @@ impl End {
         }
     }
 
-    fn has_heard(&self, text: &str) -> bool {
-        self.heard.contains_key(text)
+    /// Whether a message of a warm-up of this end was heard.
+    fn has_heard(&self, from: usize) -> bool {
+        self.heard.keys().any(|text| text.starts_with(&format!("warm {from} ")))
     }
 }
 
@@ -118,29 +120,29 @@ fn stands_by(proxy: &Proxy) -> bool {
 
 /// Until each hears each other, and what was said on the way has come.
 async fn warm_up(ends: &mut [End]) {
-    within("each hears each other", async {
-        let mut round = 0;
-        loop {
-            round += 1;
-            for (i, end) in ends.iter_mut().enumerate() {
-                end.say(&format!("warm {i} {round}")).await;
-            }
-            for end in ends.iter_mut() {
-                end.heard.clear();
-                end.listen(Duration::from_millis(200)).await;
-            }
-            let hears = |i: usize, end: &End| {
-                (0..ends.len()).all(|from| from == i || end.has_heard(&format!("warm {from} {round}")))
-            };
-            if ends.iter().enumerate().all(|(i, end)| hears(i, end)) {
-                break;
-            }
+    let count = ends.len();
+    let deadline = Instant::now() + TIMEOUT;
+    for round in 0.. {
+        for (i, end) in ends.iter_mut().enumerate() {
+            end.say(&format!("warm {i} {round}")).await;
         }
-    })
-    .await;
+        for end in ends.iter_mut() {
+            end.listen(Duration::from_millis(200)).await;
+        }
+        let missing: Vec<_> = (0..count)
+            .flat_map(|to| (0..count).map(move |from| (from, to)))
+            .filter(|(from, to)| from != to && !ends[*to].has_heard(*from))
+            .collect();
+        if missing.is_empty() {
+            break;
+        }
+        assert!(Instant::now() < deadline, "not heard in {TIMEOUT:?}, from and to: {missing:?}");
+    }
     for end in ends {
-        end.listen(Duration::from_millis(500)).await;
-        end.heard.clear();
+        while !end.heard.is_empty() {
+            end.heard.clear();
+            end.listen(Duration::from_millis(500)).await;
+        }
     }
 }
 

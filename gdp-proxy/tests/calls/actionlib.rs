@@ -26,7 +26,7 @@ const REJECTED: u64 = 5;
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_of_ros_2_has_its_server_in_ros_1() {
     let site = Site::start().await;
-    let (robot, cloud) = (Master::start().await, Ros2::new(18));
+    let (robot, cloud) = (Master::start().await, Ros2::new());
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     let _out = knowing(&site, "ros1", "robot", &graph(&robot), &actions, OUT);
     let _in = site.proxy("cloud", &cloud.graph(), &actions, IN);
@@ -70,7 +70,7 @@ async fn a_client_of_ros_2_has_its_server_in_ros_1() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_of_ros_1_has_its_server_in_ros_2() {
     let site = Site::start().await;
-    let (robot, cloud) = (Ros2::new(19), Master::start().await);
+    let (robot, cloud) = (Ros2::new(), Master::start().await);
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     // The other proxy learns the definition from this one.
     let _out = knowing(&site, "ros2", "robot", &robot.graph(), &actions, OUT);
@@ -119,7 +119,7 @@ async fn a_client_of_ros_1_has_its_server_in_ros_2() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_of_ros_2_has_its_server_in_roscpp_which_prefers_the_later_goal() {
     let site = Site::start().await;
-    let (robot, cloud) = (Master::start().await, Ros2::new(20));
+    let (robot, cloud) = (Master::start().await, Ros2::new());
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     let _out = knowing(&site, "ros1", "robot", &graph(&robot), &actions, OUT);
     let _in = site.proxy("cloud", &cloud.graph(), &actions, IN);
@@ -139,7 +139,7 @@ async fn a_client_of_ros_2_has_its_server_in_roscpp_which_prefers_the_later_goal
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_in_roscpp_has_its_server_in_ros_2() {
     let site = Site::start().await;
-    let (robot, cloud) = (Ros2::new(21), Master::start().await);
+    let (robot, cloud) = (Ros2::new(), Master::start().await);
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     let _out = knowing(&site, "ros2", "robot", &robot.graph(), &actions, OUT);
     let _in = site.proxy("cloud", &graph(&cloud), &actions, IN);
@@ -202,7 +202,7 @@ async fn the_status_says_which_definition_is_missing_or_differs() {
     says(&aware, unmatched).await;
     let unknown = "there is no definition of test_msgs/action/Fibonacci";
     // Nor does the proxy of a server in ROS 2 know it.
-    let (other, cloud) = (Ros2::new(22), Master::start().await);
+    let (other, cloud) = (Ros2::new(), Master::start().await);
     let elsewhere = [site.name("action", "/elsewhere", FIBONACCI)];
     let _out = site.proxy("other", &other.graph(), &elsewhere, OUT);
     let _server_elsewhere = other.peer("server", &["compute", "/elsewhere", "1"]).await;

@@ -30,7 +30,7 @@ const FIBONACCI: &str = "test_msgs/action/Fibonacci";
 #[tokio::test(flavor = "multi_thread")]
 async fn a_service_is_there_while_its_server_lives() {
     let site = Site::start().await;
-    let (robot, cloud) = (Ros2::new(0), Ros2::new(1));
+    let (robot, cloud) = (Ros2::new(), Ros2::new());
     // No type: both proxies learn it.
     let services = [site.name("service", "/add", "")];
     let _out = site.proxy("robot", &robot.graph(), &services, OUT);
@@ -55,7 +55,7 @@ async fn a_service_is_there_while_its_server_lives() {
 #[tokio::test(flavor = "multi_thread")]
 async fn ros_1_calls_ros_2_and_hears_at_once_that_a_server_has_gone() {
     let site = Site::start().await;
-    let (robot, master) = (Ros2::new(2), Master::start().await);
+    let (robot, master) = (Ros2::new(), Master::start().await);
     let services = [site.name("service", "/light", "std_srvs/srv/SetBool")];
     let _out = site.proxy("robot", &robot.graph(), &services, OUT);
     let _in = site.proxy("cloud", &graph(&master), &services, IN);
@@ -77,7 +77,7 @@ async fn ros_1_calls_ros_2_and_hears_at_once_that_a_server_has_gone() {
 #[tokio::test(flavor = "multi_thread")]
 async fn ros_2_calls_ros_1() {
     let site = Site::start().await;
-    let (master, cloud) = (Master::start().await, Ros2::new(3));
+    let (master, cloud) = (Master::start().await, Ros2::new());
     let services = [site.name("service", "/lamp", "std_srvs/srv/SetBool")];
     let _out = site.proxy("robot", &graph(&master), &services, OUT);
     let _in = site.proxy("cloud", &cloud.graph(), &services, IN);
@@ -89,7 +89,7 @@ async fn ros_2_calls_ros_1() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_action_gives_feedback_is_cancelled_and_takes_its_time() {
     let site = Site::start().await;
-    let (robot, cloud) = (Ros2::new(4), Ros2::new(5));
+    let (robot, cloud) = (Ros2::new(), Ros2::new());
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     let _out = site.proxy("robot", &robot.graph(), &actions, OUT);
     let _in = site.proxy("cloud", &cloud.graph(), &actions, IN);
@@ -119,7 +119,7 @@ async fn an_action_gives_feedback_is_cancelled_and_takes_its_time() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_goal_stays_with_its_server_and_ends_with_it() {
     let site = Site::start().await;
-    let (robots, cloud) = ([Ros2::new(6), Ros2::new(7)], Ros2::new(8));
+    let (robots, cloud) = ([Ros2::new(), Ros2::new()], Ros2::new());
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     let _out = [("one", &robots[0]), ("two", &robots[1])]
         .map(|(label, robot)| site.proxy(label, &robot.graph(), &actions, OUT));

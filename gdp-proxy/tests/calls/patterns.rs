@@ -8,7 +8,7 @@ use crate::site::{Proxy, Site};
 #[tokio::test(flavor = "multi_thread")]
 async fn what_matches_is_called_from_elsewhere_while_it_is_served_and_never_comes_back() {
     let site = Site::start().await;
-    let (robot, cloud) = (Ros2::new(18), Ros2::new(19));
+    let (robot, cloud) = (Ros2::new(), Ros2::new());
     let patterns = "services: [/**], actions: [/**]";
     let says = |more: &str| format!("{patterns}, {more}");
     let (out, far) = site.by_pattern(
@@ -62,7 +62,7 @@ async fn what_matches_is_called_from_elsewhere_while_it_is_served_and_never_come
 #[tokio::test(flavor = "multi_thread")]
 async fn a_service_of_ros_1_is_called_from_ros_2_by_pattern() {
     let site = Site::start().await;
-    let (master, cloud) = (Master::start().await, Ros2::new(20));
+    let (master, cloud) = (Master::start().await, Ros2::new());
     let (out, far) = site.by_pattern("robot", "cloud", "services: [/**]", "services: [/**], prefix: /far");
     let robots = site.begin("robot", &graph(&master), &out);
     let clouds = site.begin("cloud", &cloud.graph(), &far);

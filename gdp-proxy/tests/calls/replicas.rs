@@ -24,7 +24,7 @@ const SITES: [&str; 3] = ["one", "two", "three"];
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stalled_server_delays_no_call_that_goes_to_others_as_well() {
     let site = Site::start().await;
-    let (masters, robot) = ([Master::start().await, Master::start().await], Ros2::new(15));
+    let (masters, robot) = ([Master::start().await, Master::start().await], Ros2::new());
     let services = [site.idempotent("/lamp", "std_srvs/srv/SetBool")];
     let servers = [graph(&masters[0]), graph(&masters[1]), robot.graph()];
     let out = [0, 1, 2].map(|i| site.proxy(SITES[i], &servers[i], &services, OUT));
@@ -32,7 +32,7 @@ async fn a_stalled_server_delays_no_call_that_goes_to_others_as_well() {
     let (_second, _) = masters[1].peer("lamp", &["serve", "/lamp"]).await;
     let _third = robot.peer("lamp", &["switch", "/lamp"]).await;
 
-    let (alone, cloud, ros2) = (Master::start().await, Master::start().await, Ros2::new(23));
+    let (alone, cloud, ros2) = (Master::start().await, Master::start().await, Ros2::new());
     let client = |prefix, graph: &str, copies| {
         let says = if copies > 1 { format!("{IN}, replicate: {copies}") } else { IN.to_owned() };
         site.proxy(&nearest_to_one(&site, prefix), graph, &services, &says)

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use gdp_tests::dds_domain::lease;
 use gdp_tests::programs::own;
 use tempfile::TempDir;
 
@@ -13,9 +14,8 @@ pub struct Ros2 {
 }
 
 impl Ros2 {
-    /// Tests of one process have others; processes that test at the same time most likely, too.
-    pub fn new(test: u16) -> Self {
-        Self { id: 20 + (std::process::id() % 3) as u16 * 24 + test, folder: tempfile::tempdir().unwrap() }
+    pub fn new() -> Self {
+        Self { id: lease(), folder: tempfile::tempdir().unwrap() }
     }
 
     /// As a configuration says it.

@@ -18,7 +18,7 @@ use crate::{FIBONACCI, IN, OUT, graph};
 #[tokio::test(flavor = "multi_thread")]
 async fn of_two_proxies_in_one_graph_one_takes_each_call_and_the_other_takes_over() {
     let site = Site::start().await;
-    let (robot, cloud) = (Ros2::new(9), Ros2::new(10));
+    let (robot, cloud) = (Ros2::new(), Ros2::new());
     let services = [site.name("service", "/add", "")];
     let _out = site.proxy("robot", &robot.graph(), &services, OUT);
     let mut server = robot.peer("adder", &["serve", "/add"]).await;
@@ -51,7 +51,7 @@ async fn of_two_proxies_in_one_graph_one_takes_each_call_and_the_other_takes_ove
 #[tokio::test(flavor = "multi_thread")]
 async fn who_takes_calls_is_not_disturbed_by_one_that_comes() {
     let site = Site::start().await;
-    let (robot, cloud) = (Ros2::new(16), Ros2::new(17));
+    let (robot, cloud) = (Ros2::new(), Ros2::new());
     let services = [site.name("service", "/light", "std_srvs/srv/SetBool")];
     let _out = site.proxy("robot", &robot.graph(), &services, OUT);
     let mut light = robot.peer("light", &["switch", "/light"]).await;
@@ -72,7 +72,7 @@ async fn who_takes_calls_is_not_disturbed_by_one_that_comes() {
 #[tokio::test(flavor = "multi_thread")]
 async fn those_who_wait_are_told_when_the_proxy_stops() {
     let site = Site::start().await;
-    let (robot, cloud, master) = (Ros2::new(11), Ros2::new(12), Master::start().await);
+    let (robot, cloud, master) = (Ros2::new(), Ros2::new(), Master::start().await);
     let (services, actions) =
         ([site.name("service", "/light", "std_srvs/srv/SetBool")], [site.name("action", "/fibonacci", FIBONACCI)]);
     let _outs =
@@ -96,7 +96,7 @@ async fn those_who_wait_are_told_when_the_proxy_stops() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_has_gone_waits_no_more() {
     let site = Site::start().await;
-    let (robot, cloud) = (Ros2::new(13), Ros2::new(14));
+    let (robot, cloud) = (Ros2::new(), Ros2::new());
     let services = [site.name("service", "/light", "std_srvs/srv/SetBool")];
     let _out = site.proxy("robot", &robot.graph(), &services, OUT);
     let proxy = site.proxy("cloud", &cloud.graph(), &services, IN);

@@ -17,34 +17,36 @@ use gdp_proxy::ros2::{
 };
 
 use gdp_ros::roster::Offer;
+use gdp_tests::dds_domain::lease;
 use peer::{Peer, Vendor, within};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_service_of_cyclone_is_called_and_one_is_offered_to_it() {
-    service_both_ways(Vendor::Cyclone, domain(0)).await;
+    service_both_ways(Vendor::Cyclone, lease()).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_service_of_fast_dds_is_called_and_one_is_offered_to_it() {
-    service_both_ways(Vendor::FastDds, domain(1)).await;
+    service_both_ways(Vendor::FastDds, lease()).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn services_of_both_distributions_of_ros_2_are_called_and_offered() {
-    for (index, vendor) in [Vendor::Rclpy, Vendor::Jazzy].into_iter().enumerate() {
-        lamp_both_ways(vendor, domain(16 + index as u16)).await;
+    for vendor in [Vendor::Rclpy, Vendor::Jazzy] {
+        lamp_both_ways(vendor, lease()).await;
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn clients_of_both_vendors_are_answered_by_one_server_while_it_lives() {
-    let domain = Domain::join(domain(2), "gdp_proxy_test").unwrap();
-    let graph_observer = Domain::join(self::domain(2), "graph_observer").unwrap();
+    let id = lease();
+    let domain = Domain::join(id, "gdp_proxy_test").unwrap();
+    let graph_observer = Domain::join(id, "graph_observer").unwrap();
     let server = domain.server(&service(), &add_two_ints(), None).unwrap();
     seen(&graph_observer, "the server", |service| service.servers.len() == 1).await;
     let answering = tokio::spawn(add(server));
     for vendor in [Vendor::Cyclone, Vendor::FastDds] {
-        let mut client = Peer::call(vendor, self::domain(2), 20, 22);
+        let mut client = Peer::call(vendor, id, 20, 22);
         assert_eq!(client.event("reply").await["sum"], 42, "{vendor:?}");
     }
     answering.abort();
@@ -56,9 +58,10 @@ async fn clients_of_both_vendors_are_answered_by_one_server_while_it_lives() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_graph_has_what_vendors_announce_and_loses_what_leaves() {
-    let domain = Domain::join(domain(3), "gdp_proxy_test").unwrap();
-    let mut talker = Peer::topic(Vendor::Cyclone, "talk", self::domain(3), &["--transient-local", "--no-wait"]);
-    let mut listener = Peer::topic(Vendor::FastDds, "listen", self::domain(3), &["--best-effort"]);
+    let id = lease();
+    let domain = Domain::join(id, "gdp_proxy_test").unwrap();
+    let mut talker = Peer::topic(Vendor::Cyclone, "talk", id, &["--transient-local", "--no-wait"]);
+    let mut listener = Peer::topic(Vendor::FastDds, "listen", id, &["--best-effort"]);
     talker.event("ready").await;
     listener.event("ready").await;
     let chatter = topic();
@@ -83,8 +86,7 @@ async fn the_graph_has_what_vendors_announce_and_loses_what_leaves() {
 /// As after an outage of the network that is longer than the lease of the participants.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_participant_that_returns_after_its_lease_is_heard_again() {
-    // The test of services has no topics there.
-    let id = self::domain(2);
+    let id = lease();
     let domain = Domain::join(id, "gdp_proxy_test").unwrap();
     let reader = domain.reader(&topic(), &string(), &Qos::default().into()).unwrap();
     let talker = Peer::topic(Vendor::Cyclone, "talk", id, &["--rate", "20"]);
@@ -103,11 +105,12 @@ async fn a_participant_that_returns_after_its_lease_is_heard_again() {
 /// What a proxy mirrors of a publisher elsewhere, and takes away when that is lost.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_lease_is_kept_while_the_writer_is_there_and_its_end_is_seen() {
-    let domain = Domain::join(domain(4), "gdp_proxy_test").unwrap();
+    let id = lease();
+    let domain = Domain::join(id, "gdp_proxy_test").unwrap();
     let lease_ns = 1_000_000_000;
     let offers = Offer { deadline_ns: lease_ns, liveliness_ns: lease_ns, ..Qos::default().into() };
     let mut writer = domain.writer(&topic(), &string(), &offers).unwrap();
-    let mut listener = Peer::topic(Vendor::Cyclone, "listen", self::domain(4), &["--lease", "1000"]);
+    let mut listener = Peer::topic(Vendor::Cyclone, "listen", id, &["--lease", "1000"]);
     warm_up(&mut writer, &mut listener).await;
     // Nothing is written for several leases: the deadline is missed, and the writer lives.
     for _ in 0..3 {
@@ -123,9 +126,9 @@ async fn a_lease_is_kept_while_the_writer_is_there_and_its_end_is_seen() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn large_messages_reach_every_vendor() {
-    for (index, vendor) in Vendor::ALL.into_iter().enumerate() {
+    for vendor in Vendor::ALL {
         // The killed listener would be waited for, until its lease ends.
-        let id = self::domain(18 + index as u16);
+        let id = lease();
         let domain = Domain::join(id, "gdp_proxy_test").unwrap();
         let mut writer = domain.writer(&topic(), &string(), &Qos::default().into()).unwrap();
         let mut listener = Peer::topic(vendor, "listen", id, &[]);
@@ -147,9 +150,9 @@ async fn large_messages_reach_every_vendor() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn large_messages_come_from_every_vendor() {
-    for (index, vendor) in Vendor::ALL.into_iter().enumerate() {
-        for (offset, size) in LARGE.into_iter().enumerate() {
-            let id = self::domain(23 + (3 * index + offset) as u16);
+    for vendor in Vendor::ALL {
+        for size in LARGE {
+            let id = lease();
             let domain = Domain::join(id, "gdp_proxy_test").unwrap();
             let reader = domain.reader(&topic(), &string(), &Qos::default().into()).unwrap();
             let size_text = size.to_string();
@@ -169,8 +172,8 @@ async fn large_messages_come_from_every_vendor() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn latched_messages_come_from_every_vendor_and_reach_it() {
     let latched = Offer { transient_local: true, depth: 1, ..Qos::default().into() };
-    for (index, vendor) in Vendor::ALL.into_iter().enumerate() {
-        let id = self::domain(5 + index as u16);
+    for vendor in Vendor::ALL {
+        let id = lease();
         let domain = Domain::join(id, "gdp_proxy_test").unwrap();
         let options = ["--transient-local", "--no-wait", "--count", "3", "--rate", "100"];
         let mut talker = Peer::topic(vendor, "talk", id, &options);
@@ -198,8 +201,8 @@ async fn latched_messages_come_from_every_vendor_and_reach_it() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_reliable_listener_that_was_killed_or_stopped_takes_nothing_from_the_others() {
     const MESSAGES: i64 = 4000;
-    for (index, signal) in [libc::SIGKILL, libc::SIGSTOP].into_iter().enumerate() {
-        let id = self::domain(13 + index as u16);
+    for signal in [libc::SIGKILL, libc::SIGSTOP] {
+        let id = lease();
         let domain = Domain::join(id, "gdp_proxy_test").unwrap();
         let mut writer = domain.writer(&topic(), &string(), &Qos::default().into()).unwrap();
         let depth = MESSAGES.to_string();
@@ -368,12 +371,6 @@ fn cdr(body: &[u8]) -> RawSample {
 fn number(sample: &RawSample, index: usize) -> i64 {
     let at = 4 + 8 * index;
     i64::from_le_bytes(sample.bytes[at..at + 8].try_into().unwrap())
-}
-
-/// Processes that test at the same time may get others: 40 domains for each, none of whose ports
-/// the system gives to sockets that want any.
-fn domain(test: u16) -> u16 {
-    1 + (std::process::id() % 2) as u16 * 40 + test
 }
 
 fn service() -> TopicName {

@@ -5,9 +5,10 @@ use std::time::{Duration, Instant};
 
 use gdp_proxy::ros2::{Domain, Qos, RawWriter, TopicName};
 use gdp_ros::roster::Offer;
+use gdp_tests::dds_domain::lease;
 
 use crate::peer::{Peer, Vendor, within};
-use crate::{domain, string, topic, write};
+use crate::{string, topic, write};
 
 /// Endpoints that come and go before memory is measured the first and the second time.
 const FIRST: usize = 1_000;
@@ -23,17 +24,18 @@ const SLACK: Duration = Duration::from_millis(1500);
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn newcomers_find_the_oldest_writer_and_none_of_thousands_that_are_gone() {
     // In a domain of its own: what was killed here would be waited for there.
-    let fresh = Domain::join(domain(10), "gdp_proxy_test").unwrap();
+    let (fresh_id, id) = (lease(), lease());
+    let fresh = Domain::join(fresh_id, "gdp_proxy_test").unwrap();
     let _fresh_oldest = oldest(&fresh).await;
-    let before = times(domain(10)).await;
+    let before = times(fresh_id).await;
 
-    let here = Domain::join(domain(15), "gdp_proxy_test").unwrap();
+    let here = Domain::join(id, "gdp_proxy_test").unwrap();
     let _oldest = oldest(&here).await;
     come_and_go(&here, 0..FIRST).await;
     let resident = resident_kb();
     come_and_go(&here, FIRST..ALL).await;
     let resident_after = resident_kb();
-    let after = times(domain(15)).await;
+    let after = times(id).await;
     println!("resident: {resident} kB after {FIRST}, {resident_after} kB after {ALL} endpoints");
     for ((vendor, before), (_, after)) in before.iter().zip(&after) {
         println!("{vendor:?}: found after {before:?} at the start, after {after:?} at the end");
@@ -48,7 +50,7 @@ async fn newcomers_find_the_oldest_writer_and_none_of_thousands_that_are_gone() 
     }
 
     // Also the first graph that a tool reads has nothing of what is gone.
-    let mut tool = Peer::graph(domain(15), None);
+    let mut tool = Peer::graph(id, None);
     within("the oldest writer in rclpy's graph", async {
         loop {
             let graph = tool.event("graph").await;
@@ -60,7 +62,7 @@ async fn newcomers_find_the_oldest_writer_and_none_of_thousands_that_are_gone() 
         }
     })
     .await;
-    let graph_observer = Domain::join(domain(15), "graph_observer").unwrap();
+    let graph_observer = Domain::join(id, "graph_observer").unwrap();
     let mut graph = graph_observer.graph();
     within("the oldest writer", async {
         while !graph.borrow_and_update().topics.contains_key(&topic()) {

@@ -4,13 +4,14 @@
 use crate::peer::{Peer, target};
 use crate::site::Site;
 use crate::{IN, OUT, Router, dds};
+use gdp_tests::dds_domain::lease;
 
 const FIBONACCI: &str = "test_msgs/action/Fibonacci";
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_dds_client_sends_a_goal_to_a_zenoh_server() {
     let site = Site::start().await;
-    let (router, domain) = (Router::start().await, site.domain_id() + 25);
+    let (router, domain) = (Router::start().await, lease());
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     let _proxies = [site.proxy("a", &router.graph(), &actions, OUT), site.proxy("b", &dds(domain), &actions, IN)];
     let mut server = router.action("compute", &[]);
@@ -26,7 +27,7 @@ async fn a_dds_client_sends_a_goal_to_a_zenoh_server() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_zenoh_client_sends_a_goal_to_a_dds_server() {
     let site = Site::start().await;
-    let (router, domain) = (Router::start().await, site.domain_id() + 26);
+    let (router, domain) = (Router::start().await, lease());
     let actions = [site.name("action", "/fibonacci", FIBONACCI)];
     // Only the proxy in DDS knows the type, which DDS does not announce.
     let types = format!("definitions: {{ros2: ['{}']}}", target().join("venv/share").display());

@@ -15,6 +15,7 @@ mod peer;
 #[path = "../bridge/site.rs"]
 mod site;
 
+use gdp_tests::dds_domain::lease;
 use std::time::{Duration, Instant};
 
 use gdp_proxy::ros2::{Domain, TopicName, TypeName};
@@ -34,7 +35,7 @@ const ELECTION: Duration = Duration::from_secs(4);
 #[tokio::test(flavor = "multi_thread")]
 async fn a_topic_crosses_from_zenoh_to_dds() {
     let site = Site::start().await;
-    let (router, domain) = (Router::start().await, site.domain_id() + 20);
+    let (router, domain) = (Router::start().await, lease());
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let _out = site.proxy("robot", &router.graph(), &topics, OUT);
     let _in = site.proxy("cloud", &dds(domain), &topics, IN);
@@ -62,7 +63,7 @@ async fn a_topic_crosses_from_zenoh_to_dds() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_topic_crosses_from_dds_to_zenoh() {
     let site = Site::start().await;
-    let (router, domain) = (Router::start().await, site.domain_id() + 21);
+    let (router, domain) = (Router::start().await, lease());
     let topics = [site.topic("/chatter", "std_msgs/msg/String")];
     let _out = site.proxy("robot", &dds(domain), &topics, OUT);
     let _in = site.proxy("cloud", &router.graph(), &topics, IN);
@@ -91,7 +92,7 @@ async fn a_topic_crosses_from_dds_to_zenoh() {
 #[tokio::test(flavor = "multi_thread")]
 async fn late_subscribers_receive_latched_messages_both_ways() {
     let site = Site::start().await;
-    let (router, other, domain) = (Router::start().await, Router::start().await, site.domain_id() + 22);
+    let (router, other, domain) = (Router::start().await, Router::start().await, lease());
     let to_dds = [site.topic("/map", "std_msgs/msg/String")];
     let to_zenoh = [site.topic("/plan", "std_msgs/msg/String")];
     let _proxies = [
@@ -121,7 +122,7 @@ async fn late_subscribers_receive_latched_messages_both_ways() {
 #[tokio::test(flavor = "multi_thread")]
 async fn services_are_called_both_ways_and_leave() {
     let site = Site::start().await;
-    let (router, domain) = (Router::start().await, site.domain_id() + 23);
+    let (router, domain) = (Router::start().await, lease());
     let _proxies = services_both_ways(&site, &router, domain);
     let light = router.node("switch", &["--service", "/light", "--node", "light"]);
     let mut client = Peer::rclpy_service("set", domain, "/light");
@@ -162,7 +163,7 @@ async fn what_hostile_nodes_publish_is_dropped_and_counted() {
 #[tokio::test(flavor = "multi_thread")]
 async fn broken_requests_and_responses_end_no_service() {
     let site = Site::start().await;
-    let (router, domain) = (Router::start().await, site.domain_id() + 28);
+    let (router, domain) = (Router::start().await, lease());
     let _proxies = services_both_ways(&site, &router, domain);
     let _fan = Peer::rclpy_service("switch", domain, "/fan");
     let mut hostile = router.node("misanswer", &["--service", "/light", "/fan", "--node", "hostile"]);
@@ -236,7 +237,7 @@ async fn what_one_proxy_publishes_in_a_graph_another_does_not_carry_on() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_router_may_start_later_and_again() {
     let site = Site::start().await;
-    let (port, domain) = (free_port(), site.domain_id() + 24);
+    let (port, domain) = (free_port(), lease());
     let carried = [site.topic("/chatter", "std_msgs/msg/String"), site.name("service", "/fan", "std_srvs/srv/SetBool")];
     let graph = format!("{{zenoh: 'tcp/127.0.0.1:{port}', domain_id: 0}}");
     let _out = site.proxy("robot", &dds(domain), &carried, OUT);
@@ -266,7 +267,7 @@ async fn a_router_may_start_later_and_again() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_type_whose_hash_nobody_knows_is_refused() {
     let site = Site::start().await;
-    let (router, domain) = (Router::start().await, site.domain_id() + 27);
+    let (router, domain) = (Router::start().await, lease());
     let topics = [site.topic("/odd", "odd_msgs/msg/Odd")];
     let _out = site.proxy("robot", &dds(domain), &topics, OUT);
     let cloud = site.proxy("cloud", &router.graph(), &topics, IN);
