@@ -58,7 +58,7 @@ fn feedback() -> Seeds {
     let (echo, echo_index, delay_us) = (7, 1, 100);
     let seeds = [
         ("hello", Feedback::Hello { name, challenge, wants: Wants::Every }),
-        ("welcome", Feedback::Welcome { name, challenge, session, sequence: 5, reliable: true }),
+        ("welcome", Feedback::Welcome { name, challenge, session, sequence: 5, history: 1024 }),
         (
             "report",
             Feedback::Report {
@@ -68,6 +68,7 @@ fn feedback() -> Seeds {
                 acknowledged: 6,
                 received_segments,
                 received_bytes,
+                needless_bytes: 0,
                 ce,
                 echo,
                 echo_index,

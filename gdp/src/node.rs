@@ -26,6 +26,7 @@ mod links;
 mod message_batch;
 mod network;
 mod options;
+mod outgoing_feedback;
 mod pairs;
 mod pause;
 mod peer_updates;

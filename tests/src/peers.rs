@@ -1,4 +1,4 @@
-//! The foreign DDS programs of `tests/peers`, at either end of a chain.
+//! The foreign programs of `tests/peers`, at either end of a chain: DDS, and TCP for comparison.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -13,11 +13,13 @@ use crate::process::Process;
 use crate::tools::Tools;
 use crate::wait::check_interrupt;
 
-/// The DDS implementation of a program.
+/// The DDS implementation of a program, or TCP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Vendor {
     Cyclone,
     FastDds,
+    /// A connection between the two programs, to the listener's [`Traffic::peer`].
+    Tcp,
 }
 
 /// The messages of a talker, and the QoS of both ends.
@@ -188,6 +190,11 @@ fn program(tools: &Tools, at: &Namespace, vendor: Vendor, verb: &str, traffic: &
             if traffic.on_loopback {
                 python.env("CYCLONEDDS_URI", ON_LOOPBACK);
             }
+            python
+        }
+        Vendor::Tcp => {
+            let mut python = at.command(tools.python()?)?;
+            python.arg(tools.peer("tcp.py"));
             python
         }
     };

@@ -9,15 +9,16 @@ use gdp_wire::Name;
 /// every link supports.
 pub const MAX_MISSING: usize = 63;
 
-/// The largest encoding, in bytes: a Nack with all its ranges.
+/// The largest encoding, in bytes: a Nack with all its ranges. Several messages have no more
+/// together.
 pub const MAX_FEEDBACK: usize = NACK_LEN + MAX_MISSING * MISSING_LEN;
 
 /// Sequences have 48 bits (`docs/wire-format.md`, "Sealed segments").
 pub const MAX_SEQUENCE: u64 = (1 << 48) - 1;
 
 const HELLO_LEN: usize = 1 + 32 + 16 + 1;
-const WELCOME_LEN: usize = 1 + 32 + 16 + 16 + 8 + 1;
-const REPORT_LEN: usize = 1 + 32 + 16 + 4 * 8 + 4 + 8 + 4 + 4;
+const WELCOME_LEN: usize = 1 + 32 + 16 + 16 + 8 + 4;
+const REPORT_LEN: usize = 1 + 32 + 16 + 5 * 8 + 4 + 8 + 4 + 4;
 const NACK_LEN: usize = 1 + 32 + 16 + 1;
 const MISSING_LEN: usize = 6 + 2 + 4 + 4;
 const UNAVAILABLE_LEN: usize = 1 + 32 + 16 + 8;
@@ -39,8 +40,9 @@ pub enum Feedback {
     /// Reader → writer: requests the writer's current session.
     Hello { name: Name, challenge: [u8; 16], wants: Wants },
     /// Writer → reader, with the challenge of its Hello: the current session, and the first
-    /// sequence for the reader. `reliable`: the writer retains every message for retransmission.
-    Welcome { name: Name, challenge: [u8; 16], session: [u8; 16], sequence: u64, reliable: bool },
+    /// sequence for the reader. `history`: number of messages that the writer retains for
+    /// retransmission; 0: best effort.
+    Welcome { name: Name, challenge: [u8; 16], session: [u8; 16], sequence: u64, history: u32 },
     /// Reader → writer: the reception state of the writer's session.
     Report {
         name: Name,
@@ -53,6 +55,9 @@ pub enum Feedback {
         received_segments: u64,
         /// Their bytes, including frame headers.
         received_bytes: u64,
+        /// Bytes of segments that were requested and have arrived twice: their first transmission
+        /// was late, not lost.
+        needless_bytes: u64,
         /// Frames received with a congestion mark.
         ce: u32,
         /// The sequence of the last received segment, for the round-trip time. 0: none since the
@@ -111,7 +116,7 @@ pub enum FeedbackError {
     Ranges(usize),
     #[error("ranges of a Nack that are empty, overlap or are not in ascending order")]
     Order,
-    #[error("a flag of {0} where 0 and 1 are possible")]
+    #[error("a flag of {0} where 0 to 2 are possible")]
     Flag(u8),
     #[error("sequence {0} where at most {MAX_SEQUENCE} is possible")]
     Sequence(u64),
@@ -129,6 +134,17 @@ impl Feedback {
         }
     }
 
+    /// Returns the length of the encoding in bytes.
+    pub fn encoded_len(&self) -> usize {
+        match self {
+            Self::Hello { .. } => HELLO_LEN,
+            Self::Welcome { .. } => WELCOME_LEN,
+            Self::Report { .. } => REPORT_LEN,
+            Self::Nack { missing, .. } => NACK_LEN + missing.len() * MISSING_LEN,
+            Self::Unavailable { .. } => UNAVAILABLE_LEN,
+        }
+    }
+
     /// Appends the encoding to `out`. Appends nothing if a field is out of bounds.
     pub fn encode(&self, out: &mut Vec<u8>) -> Result<(), FeedbackError> {
         self.check()?;
@@ -136,9 +152,9 @@ impl Feedback {
             Self::Hello { name, challenge, wants } => {
                 put(out, &[&[kind::HELLO][..], name.as_bytes(), challenge, &[*wants as u8]]);
             }
-            Self::Welcome { name, challenge, session, sequence, reliable } => {
+            Self::Welcome { name, challenge, session, sequence, history } => {
                 put(out, &[&[kind::WELCOME][..], name.as_bytes(), challenge, session, &sequence.to_be_bytes()]);
-                out.push(u8::from(*reliable));
+                put(out, &[history.to_be_bytes()]);
             }
             Self::Report {
                 name,
@@ -147,13 +163,15 @@ impl Feedback {
                 acknowledged,
                 received_segments,
                 received_bytes,
+                needless_bytes,
                 ce,
                 echo,
                 echo_index,
                 delay_us,
             } => {
                 put(out, &[&[kind::REPORT][..], name.as_bytes(), session]);
-                put(out, &[highest, acknowledged, received_segments, received_bytes].map(|field| field.to_be_bytes()));
+                let counts = [highest, acknowledged, received_segments, received_bytes, needless_bytes];
+                put(out, &counts.map(|count| count.to_be_bytes()));
                 put(out, &[ce.to_be_bytes().as_slice(), &echo.to_be_bytes()]);
                 put(out, &[echo_index, delay_us].map(|field| field.to_be_bytes()));
             }
@@ -171,10 +189,22 @@ impl Feedback {
         Ok(())
     }
 
-    /// Returns the message that `bytes` encode. Every message has exactly one encoding.
-    pub fn decode(bytes: &[u8]) -> Result<Self, FeedbackError> {
+    /// Returns the messages that `bytes` encode, one after the other. There is at least one. Every
+    /// message has exactly one encoding.
+    pub fn decode_all(mut bytes: &[u8]) -> Result<Vec<Self>, FeedbackError> {
+        let mut messages = Vec::new();
+        while messages.is_empty() || !bytes.is_empty() {
+            let (message, rest) = Self::split(bytes)?;
+            messages.push(message);
+            bytes = rest;
+        }
+        Ok(messages)
+    }
+
+    /// Returns the first message of `bytes`, and the bytes after it.
+    fn split(bytes: &[u8]) -> Result<(Self, &[u8]), FeedbackError> {
         let too_short = FeedbackError::Length { got: 0, expected: HELLO_LEN };
-        let (&kind, rest) = bytes.split_first().ok_or(too_short)?;
+        let (&kind, _) = bytes.split_first().ok_or(too_short)?;
         let expected = match kind {
             kind::HELLO => HELLO_LEN,
             kind::WELCOME => WELCOME_LEN,
@@ -188,16 +218,14 @@ impl Feedback {
             kind => return Err(FeedbackError::Kind(kind)),
         };
         let wrong_length = FeedbackError::Length { got: bytes.len(), expected };
-        if bytes.len() != expected {
-            return Err(wrong_length);
-        }
-        if let (kind::HELLO, Some(&flag @ 3..)) | (kind::WELCOME, Some(&flag @ 2..)) = (kind, bytes.last()) {
+        let (message, rest) = bytes.split_at_checked(expected).ok_or(wrong_length)?;
+        if let (kind::HELLO, Some(&flag @ 3..)) = (kind, message.last()) {
             return Err(FeedbackError::Flag(flag));
         }
         // The length matches the kind, so no field is truncated.
-        let feedback = Self::decode_fields(kind, &mut Fields(rest)).ok_or(wrong_length)?;
+        let feedback = Self::decode_fields(kind, &mut Fields(&message[1..])).ok_or(wrong_length)?;
         feedback.check()?;
-        Ok(feedback)
+        Ok((feedback, rest))
     }
 
     fn decode_fields(kind: u8, fields: &mut Fields<'_>) -> Option<Self> {
@@ -206,7 +234,7 @@ impl Feedback {
             kind::HELLO => Self::Hello { name, challenge: fields.take()?, wants: fields.wants()? },
             kind::WELCOME => {
                 let (challenge, session) = (fields.take()?, fields.take()?);
-                Self::Welcome { name, challenge, session, sequence: fields.u64()?, reliable: fields.flag()? }
+                Self::Welcome { name, challenge, session, sequence: fields.u64()?, history: fields.u32()? }
             }
             kind::REPORT => Self::Report {
                 name,
@@ -215,6 +243,7 @@ impl Feedback {
                 acknowledged: fields.u64()?,
                 received_segments: fields.u64()?,
                 received_bytes: fields.u64()?,
+                needless_bytes: fields.u64()?,
                 ce: fields.u32()?,
                 echo: fields.u64()?,
                 echo_index: fields.u32()?,
@@ -285,10 +314,6 @@ impl Fields<'_> {
             [2] => Some(Wants::Offered),
             _ => None,
         }
-    }
-
-    fn flag(&mut self) -> Option<bool> {
-        self.take().map(|[flag]| flag == 1)
     }
 
     fn u32(&mut self) -> Option<u32> {

@@ -130,10 +130,11 @@ impl SubscribeOptions {
 }
 
 impl SubscribeOptions {
-    /// Returns the options for one writer's session. `reliable`: both sides want every message.
-    pub(super) fn inbound(&self, reliable: bool) -> InboundOptions {
-        if reliable {
-            return InboundOptions::every();
+    /// Returns the options for one writer's session. `history`: both sides want every message, and
+    /// the writer retains so many.
+    pub(super) fn inbound(&self, history: Option<u32>) -> InboundOptions {
+        if let Some(history) = history {
+            return InboundOptions::every_of(history);
         }
         let ReaderLimits { deadline, max_memory_per_source, .. } = self.limits;
         // A subscription that requests every message would wait too long for a writer that stores

@@ -62,14 +62,14 @@ impl Pairs {
 
     /// Writes the payload of a frame to the entity's own name into `out`. Returns `None` if the
     /// entity is no counterpart.
-    pub fn seal(&self, entity: &Name, feedback: &Feedback, out: &mut Vec<u8>) -> Option<Result<(), PairError>> {
+    pub fn seal(&self, entity: &Name, feedback: &[Feedback], out: &mut Vec<u8>) -> Option<Result<(), PairError>> {
         let counterparts = &mut *self.counterparts.lock();
         let keys = counterparts.get_mut(entity)?.keys(&self.identity, entity);
         Some(keys.map_err(PairError::Crypto).and_then(|(sealer, _)| sealer.seal(feedback, out)))
     }
 
     /// Opens feedback from the entity. Returns `None` if the entity is no counterpart.
-    pub fn open(&self, entity: &Name, payload: &[u8]) -> Option<Result<Feedback, PairError>> {
+    pub fn open(&self, entity: &Name, payload: &[u8]) -> Option<Result<Vec<Feedback>, PairError>> {
         let counterparts = &mut *self.counterparts.lock();
         let keys = counterparts.get_mut(entity)?.keys(&self.identity, entity);
         Some(keys.map_err(PairError::Crypto).and_then(|(_, opener)| opener.open(payload)))

@@ -37,7 +37,8 @@ const MOST_ABSENT: usize = 64;
 pub struct Publication {
     pub name: Name,
     pub sealer: Sealer,
-    pub is_reliable: bool,
+    /// Number of messages that are retained for retransmission; 0: best effort.
+    history: u32,
     /// Notified when a waiting publisher should check again: space is available, or waiting is
     /// pointless.
     pub room: Notify,
@@ -100,7 +101,10 @@ impl Publication {
         Ok(Self {
             name,
             sealer: Sealer::new(name, identity, options, scheduler, &ending)?,
-            is_reliable: matches!(options.reliability, Reliability::Reliable { .. }),
+            history: match options.reliability {
+                Reliability::Reliable { .. } => u32::try_from(options.history.max(1)).unwrap_or(u32::MAX),
+                Reliability::BestEffort { .. } => 0,
+            },
             room: Notify::new(),
             boxing: tokio::sync::Mutex::default(),
             scheduler: scheduler.clone(),
@@ -129,7 +133,7 @@ impl Publication {
     /// Returns the number of attached readers that request every message from a best-effort
     /// publication.
     pub fn incompatible_readers(&self) -> usize {
-        if self.is_reliable {
+        if self.is_reliable() {
             0
         } else {
             self.readers.lock().attached().filter(|(_, reader)| reader.wants == Wants::Every).count()
@@ -142,7 +146,7 @@ impl Publication {
         let readers = self.readers.lock();
         let waiting = self.sealer.waiting();
         let (unsent, lacking) = self.scheduler.uplink().unfinished(self.topic()).unwrap_or_default();
-        let lacking = lacking.into_iter().filter(|(reader, _)| self.is_reliable && readers.asks_for_all(reader));
+        let lacking = lacking.into_iter().filter(|(reader, _)| self.is_reliable() && readers.asks_for_all(reader));
         Unflushed { unsent: unsent + waiting, unacknowledged: lacking.collect() }
     }
 
@@ -160,12 +164,16 @@ impl Publication {
         self.sealer.send_latched();
     }
 
+    pub fn is_reliable(&self) -> bool {
+        self.history > 0
+    }
+
     /// Answers a reader's Hello with the session.
     pub fn welcome(&self, reader: &Name, challenge: [u8; 16], wants: Wants) -> Option<Feedback> {
         let readers = &mut *self.readers.lock();
         let entry = readers.known.get_mut(reader)?;
         entry.wants = wants;
-        if wants == Wants::Every && !self.is_reliable && !std::mem::replace(&mut readers.has_warned, true) {
+        if wants == Wants::Every && !self.is_reliable() && !std::mem::replace(&mut readers.has_warned, true) {
             tracing::warn!(name = %self.name, %reader, "incompatible QoS: the reader asks for every message, and \
                                                         this writer offers the newest only (best effort); it takes \
                                                         those");
@@ -178,8 +186,8 @@ impl Publication {
                 entry.from = self.admit(*reader)?;
             }
         }
-        let (name, session, sequence, reliable) = (self.name, self.sealer.session, entry.from, self.is_reliable);
-        Some(Feedback::Welcome { name, challenge, session, sequence, reliable })
+        let (name, session, sequence) = (self.name, self.sealer.session, entry.from);
+        Some(Feedback::Welcome { name, challenge, session, sequence, history: self.history })
     }
 
     /// Processes the return of a detached reader. If the reader has restarted, it receives messages

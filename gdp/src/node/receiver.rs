@@ -17,6 +17,7 @@ use super::command::Command;
 use super::counters::Counters;
 use super::early_frames::EarlyFrames;
 use super::feedback::Feedbacks;
+use super::outgoing_feedback::OutgoingFeedback;
 use super::send_path::SendPath;
 use super::shared_entry::SharedEntry;
 use super::subscription_receiver::{Change, SubscriptionReceiver, Verdict};
@@ -35,6 +36,11 @@ const MOST_FRAMES: usize = 2048;
 
 /// A batch of fewer frames has emptied the socket. So a short message costs no second call.
 const FEW_FRAMES: usize = 8;
+
+/// Reports that are due within this time travel with other feedback to the same writer, in
+/// nanoseconds. Bounds the subscriptions that are looked at for it.
+const TOGETHER: u64 = 50_000_000;
+const MOST_TOGETHER: usize = 256;
 
 /// The ECN bits of [`Header::flags`], and their value after congestion (RFC 3168).
 const ECN: u8 = 0b11;
@@ -114,6 +120,7 @@ impl Receiver {
             }
             subscriptions.poll_touched();
             subscriptions.tick();
+            subscriptions.send_feedback();
             if received {
                 rest.on_frames(subscriptions.is_amid);
             } else if rest.is_near() {
@@ -300,6 +307,7 @@ struct Subscriptions {
     timers: BTreeSet<(u64, Name)>,
     /// Subscriptions that received frames since they were last polled.
     touched: Vec<Name>,
+    outgoing: OutgoingFeedback,
     /// Whether a recently received message is still incomplete.
     is_amid: bool,
 }
@@ -313,6 +321,7 @@ impl Subscriptions {
             early: EarlyFrames::default(),
             timers: BTreeSet::new(),
             touched: Vec::new(),
+            outgoing: OutgoingFeedback::default(),
             is_amid: false,
         }
     }
@@ -416,24 +425,29 @@ impl Subscriptions {
             Some(Err(_)) => return counters.feedback_malformed.add(1),
         };
         counters.feedback_received.add(1);
+        feedback.iter().for_each(|feedback| self.apply(source, feedback));
+    }
+
+    /// Processes one message of feedback.
+    fn apply(&mut self, source: Name, feedback: &Feedback) {
         let (name, now) = (feedback.name(), self.send_path.clock.now());
-        match &feedback {
+        match feedback {
             Feedback::Hello { challenge, wants, .. } => {
                 let publication = self.send_path.publications.get(&name);
                 let welcome = publication.and_then(|it| it.welcome(&source, *challenge, *wants));
                 if let Some(welcome) = welcome {
-                    self.send_path.tell(&source, &welcome);
+                    self.outgoing.push(&source, welcome);
                     self.send_path.upkeep.notify_one();
                 }
             }
             Feedback::Report { .. } | Feedback::Nack { .. } => {
                 if let Some(publication) = self.send_path.publications.get(&name) {
-                    self.send_path.scheduler.feedback(now, publication.topic(), source, &feedback);
+                    self.send_path.scheduler.feedback(now, publication.topic(), source, feedback);
                 }
             }
             Feedback::Welcome { .. } | Feedback::Unavailable { .. } => {
                 let Some(receiver) = self.receivers.get_mut(&name) else { return };
-                if receiver.hear(now, &source, &feedback) {
+                if receiver.hear(now, &source, feedback) {
                     self.release(&name, &source);
                 }
                 self.poll(&name);
@@ -445,13 +459,37 @@ impl Subscriptions {
     fn poll(&mut self, name: &Name) {
         let Some(receiver) = self.receivers.get_mut(name) else { return };
         let send_path = &self.send_path;
-        receiver.poll(send_path.clock.now(), &send_path.counters, |writer, feedback| send_path.tell(writer, feedback));
+        let outgoing = &mut self.outgoing;
+        receiver.poll(send_path.clock.now(), &send_path.counters, |writer, feedback| outgoing.push(writer, feedback));
+        self.schedule(name);
+    }
+
+    /// Schedules the next wake-up of a receiver.
+    fn schedule(&mut self, name: &Name) {
+        let Some(receiver) = self.receivers.get_mut(name) else { return };
         let next = receiver.next_wake();
         let before = std::mem::replace(&mut receiver.timer, next);
         if before != next {
             before.map(|at| self.timers.remove(&(at, *name)));
             next.map(|at| self.timers.insert((at, *name)));
         }
+    }
+
+    /// Sends the feedback that is due. Reports that are due soon travel along.
+    fn send_feedback(&mut self) {
+        if self.outgoing.is_empty() {
+            return;
+        }
+        let now = self.send_path.clock.now();
+        let before = now + TOGETHER;
+        let soon = self.timers.iter().take_while(|(at, _)| *at <= before).take(MOST_TOGETHER);
+        for name in soon.map(|(_, name)| *name).collect::<Vec<_>>() {
+            if let Some(receiver) = self.receivers.get_mut(&name) {
+                receiver.report_early(now, before, &mut self.outgoing);
+            }
+            self.schedule(&name);
+        }
+        self.outgoing.flush(|writer, feedback| self.send_path.tell(writer, feedback));
     }
 
     fn tick(&mut self) {

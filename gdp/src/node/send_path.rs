@@ -122,7 +122,7 @@ impl SendPath {
     /// a link.
     pub fn check_link(&self, publication: &Publication) -> Result<(), NodeError> {
         match self.links.sending_on() {
-            Err(NodeError::Detached(_)) if publication.is_reliable => Ok(()),
+            Err(NodeError::Detached(_)) if publication.is_reliable() => Ok(()),
             link => link.map(drop),
         }
     }
@@ -144,16 +144,17 @@ impl SendPath {
         self.scheduler.plan(next);
     }
 
-    /// Sends feedback to a counterpart, if it is one and there is a link. The frame is not
-    /// retransmitted.
-    pub fn tell(&self, peer: &Name, feedback: &Feedback) {
+    /// Sends feedback to a counterpart in one frame, if it is one and there is a link. The frame is
+    /// not retransmitted. `feedback` has at most [`gdp_e2e::feedback_wire::MAX_FEEDBACK`] bytes.
+    pub fn tell(&self, peer: &Name, feedback: &[Feedback]) {
         let mut payload = Vec::new();
         match self.pairs.seal(peer, feedback, &mut payload) {
             Some(Ok(())) => {}
             Some(Err(error)) => return tracing::warn!(%peer, %error, "feedback could not be sealed"),
             None => return,
         }
-        if self.links.send_one(*peer, &payload, self.scheduler.is_doubled(&feedback.name())) {
+        let doubled = feedback.iter().any(|feedback| self.scheduler.is_doubled(&feedback.name()));
+        if self.links.send_one(*peer, &payload, doubled) {
             self.counters.feedback_sent.add(1);
         }
     }
@@ -222,7 +223,7 @@ impl SendPath {
             Output::Unavailable { topic, reader, oldest } => {
                 let Some(publication) = self.publications.of(topic) else { return };
                 let (name, session) = (publication.name, publication.sealer.session);
-                self.tell(&reader, &Feedback::Unavailable { name, session, oldest });
+                self.tell(&reader, &[Feedback::Unavailable { name, session, oldest }]);
             }
         }
     }

@@ -13,6 +13,7 @@ use tokio::sync::mpsc;
 use super::counters::{Counters, SubscriptionCounters};
 use super::greeting::Greeting;
 use super::options::SubscribeOptions;
+use super::outgoing_feedback::OutgoingFeedback;
 use gdp_core::crypto::Backend;
 use gdp_core::identity::VerifyKey;
 use gdp_e2e::feedback_wire::{Feedback, Wants};
@@ -242,7 +243,7 @@ impl SubscriptionReceiver {
     pub fn hear(&mut self, now: u64, writer: &Name, feedback: &Feedback) -> bool {
         let Some(known) = self.writers.get_mut(writer) else { return false };
         match feedback {
-            Feedback::Welcome { challenge, session, sequence, reliable, .. } => {
+            Feedback::Welcome { challenge, session, sequence, history, .. } => {
                 let Some(rtt) = known.greeting.answered(now, challenge) else { return false };
                 if self.reader.confirm_session(writer, *session, *sequence).is_err() {
                     return false;
@@ -252,8 +253,9 @@ impl SubscriptionReceiver {
                     // its position: earlier messages were sent, and those it lacks are missing.
                     known.inbound.heartbeat(now, *sequence, 0);
                 } else {
-                    let reliable = self.options.wants != Wants::Newest && *reliable;
-                    let inbound = Inbound::new(self.name, *session, *sequence, rtt, self.options.inbound(reliable));
+                    let reliable = self.options.wants != Wants::Newest && *history > 0;
+                    let options = self.options.inbound(reliable.then_some(*history));
+                    let inbound = Inbound::new(self.name, *session, *sequence, rtt, options);
                     let (seen, from) = (InboundCounters::default(), *sequence);
                     known.session = Some(Session { id: *session, inbound, seen, from, latched: 0, reliable });
                     self.compare();
@@ -342,13 +344,13 @@ impl SubscriptionReceiver {
 
     /// Runs due work: delivers messages to the application, and passes feedback for writers to
     /// `tell`.
-    pub fn poll(&mut self, now: u64, counters: &Counters, mut tell: impl FnMut(&Name, &Feedback)) {
+    pub fn poll(&mut self, now: u64, counters: &Counters, mut tell: impl FnMut(&Name, Feedback)) {
         self.take_up(counters);
         let Self { name, writers, options, queue, shared, stalled, .. } = self;
         let mut out = Out { options, queue, shared, stalled };
         for (writer, known) in writers.iter_mut() {
             if let Some(challenge) = known.greeting.poll(now) {
-                tell(writer, &Feedback::Hello { name: *name, challenge, wants: out.options.wants });
+                tell(writer, Feedback::Hello { name: *name, challenge, wants: out.options.wants });
             }
             let Some(session) = &mut known.session else { continue };
             while let Some(arrival) = session.inbound.poll(now) {
@@ -362,7 +364,7 @@ impl SubscriptionReceiver {
                             false => _ = out.shared.counters.repeats.fetch_add(1, Ordering::Relaxed),
                         }
                     }
-                    Arrival::Feedback(feedback) => tell(writer, &feedback),
+                    Arrival::Feedback(feedback) => tell(writer, feedback),
                 }
             }
             out.shared.counters.add(session.inbound.counters(), &mut session.seen);
@@ -371,6 +373,19 @@ impl SubscriptionReceiver {
             self.reader.expire(now);
         }
         self.count_drops(counters);
+    }
+
+    /// Adds the reports that are due before this time, if a frame to their writer will be sent
+    /// anyway.
+    pub fn report_early(&mut self, now: u64, before: u64, outgoing: &mut OutgoingFeedback) {
+        for (writer, known) in &mut self.writers {
+            if outgoing.has(writer)
+                && let Some(session) = &mut known.session
+                && let Some(report) = session.inbound.report_early(now, before)
+            {
+                outgoing.push(writer, report);
+            }
+        }
     }
 
     /// Returns the time at which [`Self::poll`] has work, without other events.

@@ -6,6 +6,7 @@
 mod calls;
 mod control;
 mod forward;
+mod hogs;
 mod latency;
 mod local;
 mod program;
@@ -37,6 +38,8 @@ enum Figure {
     /// Measure latency and CPU time of ROS 2 messages through two proxies, compared with kernel
     /// routers and two zenoh bridges
     Ros(ros::Options),
+    /// Measure ROS 2 messages while busy loops compete for the processors, compared with TCP
+    Hogs(hogs::Options),
     /// Measure the time of a service call that goes to one, two or three servers at once, while one
     /// of them is stalled for a part of each second
     Calls(calls::Options),
@@ -52,6 +55,7 @@ pub fn run(options: Options) -> Result<()> {
         Figure::Control(options) => control::run(options),
         Figure::Local(options) => local::run(options),
         Figure::Ros(options) => ros::run(options),
+        Figure::Hogs(options) => hogs::run(options),
         Figure::Calls(options) => calls::run(options),
         Figure::Transport(options) => transport::run(options),
     }

@@ -6,6 +6,7 @@
 //!  zenoh  talker ─lo─ zenoh-bridge ─ r1 ── r2 ── r3 ─ zenoh-bridge ─lo─ listener     (kernel IPv4; TLS on both sides, or in clear)
 //!  ip     talker ─────────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, in clear)
 //!  local  talker ─lo─ listener                                                       (one host, in clear)
+//!  tcp    talker ─────────────────── r1 ── r2 ── r3 ─────────────────── listener     (kernel IPv4, one connection, no DDS)
 //! ```
 //!
 //! Both ends are Cyclone DDS. Loads with a high rate use Fast DDS, because its program is compiled.
@@ -60,24 +61,26 @@ pub struct Options {
 
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
-enum RosRoute {
+pub(super) enum RosRoute {
     Gdp,
     Ip,
     Local,
+    Tcp,
     ZenohTls,
     Zenoh,
 }
 
-const ROUTES: [RosRoute; 5] = [RosRoute::Gdp, RosRoute::Ip, RosRoute::Local, RosRoute::ZenohTls, RosRoute::Zenoh];
+const ROUTES: [RosRoute; 6] =
+    [RosRoute::Gdp, RosRoute::Ip, RosRoute::Local, RosRoute::Tcp, RosRoute::ZenohTls, RosRoute::Zenoh];
 
 /// Messages of one size at one rate.
-struct Load {
-    bytes: usize,
+pub(super) struct Load {
+    pub bytes: usize,
     /// Messages per second, on all topics together.
-    rate: f64,
-    topics: u32,
-    depth: u32,
-    vendor: Vendor,
+    pub rate: f64,
+    pub topics: u32,
+    pub depth: u32,
+    pub vendor: Vendor,
 }
 
 const LOADS: [Load; 8] = [
@@ -92,7 +95,7 @@ const LOADS: [Load; 8] = [
     Load { bytes: 64, rate: 20_000.0, topics: 20, vendor: Vendor::FastDds, ..LOAD },
 ];
 
-const LOAD: Load = Load { bytes: 0, rate: 30.0, topics: 1, depth: 10, vendor: Vendor::Cyclone };
+pub(super) const LOAD: Load = Load { bytes: 0, rate: 30.0, topics: 1, depth: 10, vendor: Vendor::Cyclone };
 
 impl Load {
     fn is_carried_by(&self, route: RosRoute) -> bool {
@@ -127,9 +130,11 @@ struct Latency {
 }
 
 /// The result of one conversation.
-struct Measured {
-    received: Vec<Received>,
-    cpu: Option<Duration>,
+pub(super) struct Measured {
+    pub received: Vec<Received>,
+    pub cpu: Option<Duration>,
+    /// Frames that the sending proxy sent again.
+    pub repeated: Option<u64>,
 }
 
 pub fn run(options: Options) -> Result<()> {
@@ -137,20 +142,8 @@ pub fn run(options: Options) -> Result<()> {
         bail!("network namespaces need root");
     }
     let routes = if options.paths.is_empty() { ROUTES.to_vec() } else { options.paths };
-    setup::ensure(Purpose::Bench)?;
-    if routes.contains(&RosRoute::Gdp) {
-        build::executables(Executables::All, Profile::Dist, Features::default())?;
-    }
-    peer_programs::build_dds()?;
-    let bridge = if routes.iter().any(|route| matches!(route, RosRoute::Zenoh | RosRoute::ZenohTls)) {
-        Some(peer_programs::build_zenoh()?)
-    } else {
-        None
-    };
-    wait::catch_interrupts();
-    netns::sweep()?;
-    let _hogs = (0..options.hogs).map(|_| Hog::start()).collect::<Result<Vec<_>>>()?;
-    let bench = Bench { tools: workspace::tools(Profile::Dist), bridge };
+    let bench = Bench::prepare(&routes)?;
+    let _hogs = Hog::several(options.hogs)?;
     let mut rows = Vec::new();
     for load in LOADS.iter().filter(|load| options.bytes.is_empty() || options.bytes.contains(&load.bytes)) {
         let routes: Vec<RosRoute> = routes.iter().copied().filter(|route| load.is_carried_by(*route)).collect();
@@ -179,13 +172,30 @@ pub fn run(options: Options) -> Result<()> {
     Ok(())
 }
 
-struct Bench {
+pub(super) struct Bench {
     tools: Tools,
     bridge: Option<PathBuf>,
 }
 
 impl Bench {
-    fn measure(&self, route: RosRoute, load: &Load, count: u64) -> Result<Measured> {
+    /// Builds the programs of these routes, and removes namespaces of earlier runs.
+    pub fn prepare(routes: &[RosRoute]) -> Result<Self> {
+        setup::ensure(Purpose::Bench)?;
+        if routes.contains(&RosRoute::Gdp) {
+            build::executables(Executables::All, Profile::Dist, Features::default())?;
+        }
+        peer_programs::build_dds()?;
+        let bridge = if routes.iter().any(|route| matches!(route, RosRoute::Zenoh | RosRoute::ZenohTls)) {
+            Some(peer_programs::build_zenoh()?)
+        } else {
+            None
+        };
+        wait::catch_interrupts();
+        netns::sweep()?;
+        Ok(Self { tools: workspace::tools(Profile::Dist), bridge })
+    }
+
+    pub fn measure(&self, route: RosRoute, load: &Load, count: u64) -> Result<Measured> {
         let on_loopback = load.vendor == Vendor::Cyclone && route != RosRoute::Ip;
         let Load { bytes: size, rate, topics, depth, .. } = *load;
         let traffic = Traffic { count, rate, size, topics, depth, on_loopback, ..Default::default() };
@@ -196,7 +206,15 @@ impl Bench {
                 let ends = [(fabric.chain.robot(), &traffic), (fabric.chain.cloud(), &traffic)];
                 let switches = fabric.switches.iter().map(|switch| &switch.process);
                 let between: Vec<&Process> = switches.chain(&fabric.robot).chain(&fabric.cloud).collect();
-                converse(&self.tools, load.vendor, ends, &between, fabric.folder())
+                let measured = converse(&self.tools, load.vendor, ends, &between, fabric.folder())?;
+                Ok(Measured { repeated: Some(repeated(&fabric)), ..measured })
+            }
+            RosRoute::Tcp => {
+                let (chain, folder) = (routers()?, logs()?);
+                let (_, cloud) = chain.ip_ends();
+                let talks = Traffic { peer: Some(cloud), ..traffic.clone() };
+                let ends = [(chain.robot(), &talks), (chain.cloud(), &traffic)];
+                converse(&self.tools, Vendor::Tcp, ends, &[], folder.path())
             }
             RosRoute::Ip => {
                 let chain = routers()?;
@@ -259,7 +277,7 @@ fn converse(
         Err(error) => {
             wait::check_interrupt()?;
             eprintln!("nothing arrives: {error:#}");
-            return Ok(Measured { received: Vec::new(), cpu: None });
+            return Ok(Measured { received: Vec::new(), cpu: None, repeated: None });
         }
     };
     let before = cpu(between)?;
@@ -267,7 +285,7 @@ fn converse(
     let sending = Duration::from_secs_f64(talks.count as f64 / talks.rate);
     let received = both.finish(sending, Duration::from_secs(10))?;
     let taken = cpu(between)?.saturating_sub(before);
-    Ok(Measured { received, cpu: (!between.is_empty()).then_some(taken) })
+    Ok(Measured { received, cpu: (!between.is_empty()).then_some(taken), repeated: None })
 }
 
 fn cpu(processes: &[&Process]) -> Result<Duration> {
@@ -298,6 +316,7 @@ fn name(route: RosRoute) -> &'static str {
         RosRoute::Gdp => "gdp: proxy, 3 XDP switches, proxy",
         RosRoute::Ip => "ip: 3 kernel routers, in clear",
         RosRoute::Local => "local: one host, in clear",
+        RosRoute::Tcp => "tcp: 3 kernel routers, in clear",
         RosRoute::ZenohTls => "zenoh: two bridges, 3 routers, TLS",
         RosRoute::Zenoh => "zenoh: two bridges, 3 routers",
     }
@@ -307,13 +326,24 @@ fn vendor_name(vendor: Vendor) -> &'static str {
     match vendor {
         Vendor::Cyclone => "cyclone",
         Vendor::FastDds => "fastdds",
+        Vendor::Tcp => "tcp",
     }
 }
 
+/// Returns the frames that the robot's proxy has sent again, by its statistics at its end.
+fn repeated(fabric: &Fabric) -> u64 {
+    let topics = fabric.proxy_stats("robot")["topics"].as_array().cloned().unwrap_or_default();
+    topics.iter().filter_map(|topic| topic["fabric"]["repeated"].as_u64()).sum()
+}
+
 /// A busy loop, until it is dropped.
-struct Hog(std::process::Child);
+pub(super) struct Hog(std::process::Child);
 
 impl Hog {
+    pub fn several(count: u32) -> Result<Vec<Self>> {
+        (0..count).map(|_| Self::start()).collect()
+    }
+
     fn start() -> Result<Self> {
         let mut command = Program::Sh.command();
         Ok(Self(command.args(["-c", "while :; do :; done"]).spawn()?))

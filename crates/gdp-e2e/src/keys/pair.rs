@@ -22,7 +22,8 @@ pub const MAX_PAIR_PAYLOAD: usize = HEADER_LEN + MAX_FEEDBACK + TAG_LEN;
 
 const PAIR_CONTEXT: &[u8] = b"gdp/pair/1";
 const SESSION_CONTEXT: &[u8] = b"gdp/pair-session/1";
-const VERSION: u8 = 1;
+/// The highest bit tells feedback from sealed segments.
+const VERSION: u8 = 0x82;
 const HEADER_LEN: usize = 1 + 8 + 8;
 
 /// Maximum number of messages of a session; then the sealer starts another.
@@ -109,9 +110,9 @@ pub struct PairSealer {
 }
 
 impl PairSealer {
-    /// Seals `feedback` into the payload of a frame to the peer. Replaces the contents of `out`;
-    /// after an error `out` is empty.
-    pub fn seal(&mut self, feedback: &Feedback, out: &mut Vec<u8>) -> Result<(), PairError> {
+    /// Seals messages of at most [`MAX_FEEDBACK`] bytes into the payload of a frame to the peer.
+    /// Replaces the contents of `out`; after an error `out` is empty.
+    pub fn seal(&mut self, feedback: &[Feedback], out: &mut Vec<u8>) -> Result<(), PairError> {
         out.clear();
         if self.next > MESSAGES {
             *self = self.key.sealer().map_err(PairError::Crypto)?;
@@ -126,10 +127,15 @@ impl PairSealer {
         result
     }
 
-    fn seal_behind(&self, header: PairHeader, feedback: &Feedback, out: &mut Vec<u8>) -> Result<(), PairError> {
+    fn seal_behind(&self, header: PairHeader, feedback: &[Feedback], out: &mut Vec<u8>) -> Result<(), PairError> {
         let clear = header.to_bytes();
         out.extend_from_slice(&clear);
-        feedback.encode(out)?;
+        for message in feedback {
+            message.encode(out)?;
+        }
+        if !(HEADER_LEN + 1..=HEADER_LEN + MAX_FEEDBACK).contains(&out.len()) {
+            return Err(PairError::Length(out.len()));
+        }
         let tag = self.aead.seal(&header.nonce(), &clear, &mut out[HEADER_LEN..]).map_err(PairError::Crypto)?;
         out.extend_from_slice(&tag);
         Ok(())
@@ -151,8 +157,8 @@ struct PairSession {
 }
 
 impl PairOpener {
-    /// Returns the feedback in the payload of a frame from the peer.
-    pub fn open(&mut self, payload: &[u8]) -> Result<Feedback, PairError> {
+    /// Returns the messages in the payload of a frame from the peer.
+    pub fn open(&mut self, payload: &[u8]) -> Result<Vec<Feedback>, PairError> {
         if !(HEADER_LEN + TAG_LEN..=MAX_PAIR_PAYLOAD).contains(&payload.len()) {
             return Err(PairError::Length(payload.len()));
         }
@@ -181,7 +187,7 @@ impl PairOpener {
             _ => self.keep(session),
         }
         opened.map_err(|_| PairError::Forged)?;
-        Ok(Feedback::decode(&plaintext)?)
+        Ok(Feedback::decode_all(&plaintext)?)
     }
 
     /// Adds a session as the most recent one, and drops the least recent one if there are too many.

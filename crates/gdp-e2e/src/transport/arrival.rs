@@ -24,15 +24,24 @@ pub struct InboundOptions {
     pub messages: usize,
     /// Maximum bytes of messages that wait for an earlier one, and of the state of incomplete ones.
     pub bytes: usize,
+    /// Number of unreported messages that cause an early report.
+    pub report_after: u64,
 }
 
 impl InboundOptions {
     pub fn newest() -> Self {
-        Self { order: Order::Newest, deadline: 200 * MS, messages: 64, bytes: 16 << 20 }
+        Self { order: Order::Newest, deadline: 200 * MS, messages: 64, bytes: 16 << 20, report_after: u64::MAX }
     }
 
     pub fn every() -> Self {
-        Self { order: Order::Every, deadline: 30_000 * MS, messages: 1024, bytes: 64 << 20 }
+        let deadline = 30_000 * MS;
+        Self { order: Order::Every, deadline, messages: 1024, bytes: 64 << 20, report_after: u64::MAX }
+    }
+
+    /// Returns options for all messages of a writer that retains the last `history` of them. The
+    /// writer learns what has arrived before its history is full.
+    pub fn every_of(history: u32) -> Self {
+        Self { report_after: u64::from(history / 4).max(1), ..Self::every() }
     }
 }
 

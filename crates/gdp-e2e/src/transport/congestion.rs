@@ -4,6 +4,7 @@
 //! not slow the path down. Many losses in a round do, and so do marks. `docs/decisions.md` explains
 //! why no existing controller is used.
 
+use super::inbound::SOME_BYTES;
 use super::{FRAME_HEADER, MS};
 
 /// A full frame in bytes, for limits in frames.
@@ -11,8 +12,8 @@ const FRAME: u64 = 1400 + FRAME_HEADER;
 
 /// Initial window in bytes. RFC 6928 recommends 10 frames; large senders use up to this many today.
 pub const INITIAL_WINDOW: u64 = 32 * FRAME;
-/// Minimum window of a path.
-pub const MIN_WINDOW: u64 = 4 * FRAME;
+/// Minimum window of a path: what a reader may leave unreported, and a few frames.
+pub const MIN_WINDOW: u64 = SOME_BYTES + 4 * FRAME;
 
 /// On a path with a shorter round trip, a thread that waits for a processor is away for many round
 /// trips. What is measured then says nothing about the path. So such a path has at least
@@ -56,6 +57,8 @@ const MAX_RATE: u128 = 1 << 40;
 const LOSS_LIMIT: u64 = 15;
 /// Reduction of the rate after a round with congestion, in percent of the rate.
 const BACK_OFF: u64 = 80;
+/// Number of rounds in which a reduction is undone if its losses prove to be needless requests.
+const UNDO_ROUNDS: u64 = 16;
 
 /// The measurements of a report.
 #[derive(Clone, Copy, Debug, Default)]
@@ -71,6 +74,8 @@ pub struct Sample {
     pub paused: bool,
     /// Bytes that were requested again.
     pub lost: u64,
+    /// Bytes of earlier requests that were needless: their first transmission arrived as well.
+    pub needless: u64,
     /// Frames received with a mark.
     pub marks: u64,
     /// Bytes of the topic that the report covers, and all bytes sent.
@@ -123,8 +128,23 @@ pub struct Path {
     recent_since: u64,
     /// Time until which a local path is measured as every other.
     congested_until: u64,
-    /// No report about the last frames has arrived.
-    silent: bool,
+    /// The state before the reductions of the last rounds.
+    undo: Option<Undo>,
+    /// Number of bytes that were in flight when reports stopped.
+    silent: Option<u64>,
+}
+
+/// The state before losses reduced the rate, as in Eifel (RFC 4015).
+#[derive(Clone, Copy, Debug)]
+struct Undo {
+    round: u64,
+    phase: Phase,
+    ceiling: Option<u64>,
+    congested_until: u64,
+    /// Bytes of the rounds that reduced the rate: received, requested again, and needlessly so.
+    seen: u64,
+    lost: u64,
+    needless: u64,
 }
 
 impl Path {
@@ -149,17 +169,19 @@ impl Path {
             recent_rtt: [0; 2],
             recent_since: 0,
             congested_until: 0,
-            silent: false,
+            undo: None,
+            silent: None,
         }
     }
 
     /// Reduces the window until the next report, to test whether the path still exists.
-    pub fn on_silence(&mut self) {
-        self.silent = true;
+    /// `under_way`: bytes in flight.
+    pub fn on_silence(&mut self, under_way: u64) {
+        self.silent = Some(self.silent.unwrap_or(0) + under_way);
     }
 
     pub fn is_silent(&self) -> bool {
-        self.silent
+        self.silent.is_some()
     }
 
     /// Processes a report. Returns whether the report indicates congestion. Losses of frames sent
@@ -170,7 +192,11 @@ impl Path {
             self.report_interval = (7 * self.report_interval + interval) / 8;
         }
         self.last_report = Some(now);
-        if self.silent {
+        if let Some(under_way) = self.silent.take() {
+            if sample.delivered >= under_way - under_way / 8 {
+                // The reader, or its reports, were late.
+                return false;
+            }
             // The path may have changed.
             *self = Self {
                 smoothed_rtt: self.smoothed_rtt,
@@ -186,6 +212,7 @@ impl Path {
         }
         self.round_delivered += sample.delivered;
         self.round_lost += sample.lost;
+        self.undo_needless(sample.needless);
         self.round_marks += sample.marks;
         if sample.delivered > 0 && sample.interval > 0 {
             let rate = bytes_per_second(sample.delivered, sample.interval);
@@ -199,6 +226,7 @@ impl Path {
             if congested {
                 self.congested_until = now + LOCAL_AGAIN;
             }
+            self.undo.take_if(|undo| self.round > undo.round + UNDO_ROUNDS);
             self.round += 1;
             self.round_ends = sample.sent;
         }
@@ -226,7 +254,7 @@ impl Path {
 
     /// Returns the maximum number of bytes in flight.
     pub fn window(&self) -> u64 {
-        if self.rates.get() == 0 || self.silent {
+        if self.rates.get() == 0 || self.is_silent() {
             return INITIAL_WINDOW;
         }
         let rtt = self.min_rtt.unwrap_or(INITIAL_RTT);
@@ -247,7 +275,7 @@ impl Path {
 
     /// Returns the burst in bytes when nothing is in flight and nothing was sent for a round trip.
     pub fn burst(&self) -> u64 {
-        let is_known = self.rates.get() > 0 && !self.silent;
+        let is_known = self.rates.get() > 0 && !self.is_silent();
         if is_known { bytes_in(self.bandwidth(), BURST_TIME).min(INITIAL_WINDOW) } else { 0 }
     }
 
@@ -305,10 +333,30 @@ impl Path {
         }
     }
 
+    /// Restores the state before reductions whose losses were needless requests.
+    fn undo_needless(&mut self, needless: u64) {
+        // Those of the current round have reduced nothing yet.
+        let current = needless.min(self.round_lost);
+        self.round_lost -= current;
+        let Some(undo) = &mut self.undo else { return };
+        undo.needless += needless - current;
+        if !is_lossy(undo.lost.saturating_sub(undo.needless), undo.seen) {
+            let Undo { phase, ceiling, congested_until, .. } = *undo;
+            (self.phase, self.ceiling, self.congested_until) = (phase, ceiling, congested_until);
+            self.undo = None;
+        }
+    }
+
     fn end_round(&mut self, paused: bool) -> bool {
         let seen = self.round_delivered + self.round_lost;
-        let lossy = self.round_lost > 4 * FRAME && self.round_lost * 100 > seen * LOSS_LIMIT;
+        let lossy = is_lossy(self.round_lost, seen);
         let congested = self.round_marks > 0 || lossy;
+        if lossy && self.round_marks == 0 {
+            let Self { round, phase, ceiling, congested_until, .. } = *self;
+            let before = Undo { round, phase, ceiling, congested_until, seen: 0, lost: 0, needless: 0 };
+            let undo = self.undo.get_or_insert(before);
+            (undo.seen, undo.lost) = (undo.seen + seen, undo.lost + self.round_lost);
+        }
         if congested {
             self.ceiling = Some(self.bandwidth() * BACK_OFF / 100);
             if self.phase == Phase::Startup {
@@ -399,6 +447,11 @@ impl MaxRate {
     }
 }
 
+/// Returns whether so many of the bytes were lost that the path is congested.
+fn is_lossy(lost: u64, seen: u64) -> bool {
+    lost > 4 * FRAME && lost * 100 > seen * LOSS_LIMIT
+}
+
 fn bytes_in(rate: u64, nanoseconds: u64) -> u64 {
     (u128::from(rate) * u128::from(nanoseconds) / 1_000_000_000) as u64
 }
@@ -406,3 +459,7 @@ fn bytes_in(rate: u64, nanoseconds: u64) -> u64 {
 fn bytes_per_second(bytes: u64, nanoseconds: u64) -> u64 {
     (u128::from(bytes) * 1_000_000_000 / u128::from(nanoseconds.max(1))).min(MAX_RATE) as u64
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/transport/congestion.rs"]
+mod tests;

@@ -11,15 +11,23 @@ use super::slot::{Body, Slot};
 use super::{MS, Position};
 use crate::feedback_wire::{Feedback, MAX_MISSING, MAX_SEQUENCE};
 
-/// Minimum interval between reports while segments arrive. The interval is half a round trip, up to
-/// [`SLOWEST_REPORT`].
-const FASTEST_REPORT: u64 = 10 * MS;
+/// Interval between reports of few bytes while nothing is missing, and the delay of the first one.
+/// Other reports to the same entity may travel along meanwhile.
 const SLOWEST_REPORT: u64 = 100 * MS;
+const REPORT_DELAY: u64 = 20 * MS;
 
-/// Number of bytes that cause an earlier report on short paths: half a round trip after the last
-/// one, but at least [`FASTEST_OF_MANY`].
+/// Number of bytes that cause an earlier report: half a round trip after the last one, but at least
+/// [`FASTEST_REPORT`].
+pub(super) const SOME_BYTES: u64 = 16 << 10;
+const FASTEST_REPORT: u64 = 10 * MS;
+
+/// Number of bytes that cause a still earlier report on short paths.
 const MANY_BYTES: u64 = 64 << 10;
 const FASTEST_OF_MANY: u64 = 2 * MS;
+
+/// Timers that are looked at later than this say nothing: this thread had no processor, and the
+/// writer may have had none either. They start once more.
+const AWAY: u64 = MS;
 
 /// Maximum interval between repeated requests.
 const SLOWEST_ASKING: u64 = 1_000 * MS;
@@ -49,15 +57,23 @@ pub struct Inbound<M> {
     repair_time: u64,
     /// At this time, segments missing up to this position are due for a request.
     mark: Option<(u64, Position)>,
+    /// The mark, or the time of the last segment, was moved because this thread was away.
+    is_mark_moved: bool,
+    is_idle_moved: bool,
     /// Segments missing up to this position are requested.
     due: Position,
     received_at: u64,
     ask_at: u64,
     report_at: u64,
     reported_at: Option<u64>,
+    /// The value of `next` in the last report.
+    reported_next: u64,
+    /// The writer has asked for a report, or lacks the last one.
+    is_report_urgent: bool,
     segments: u64,
     reported_bytes: u64,
     segment_bytes: u64,
+    needless_bytes: u64,
     ce: u32,
     /// The last new segment since the last report, and its arrival time.
     echo: Option<(Position, u64)>,
@@ -83,14 +99,19 @@ impl<M> Inbound<M> {
             reordering: ReorderingWindow::default(),
             repair_time: rtt.clamp(MS, LONGEST_RTT),
             mark: None,
+            is_mark_moved: false,
+            is_idle_moved: false,
             due: Position { sequence: 0, index: 0 },
             received_at: 0,
             ask_at: u64::MAX,
             report_at: u64::MAX,
             reported_at: None,
+            reported_next: from,
+            is_report_urgent: false,
             segments: 0,
             reported_bytes: 0,
             segment_bytes: 0,
+            needless_bytes: 0,
             ce: 0,
             echo: None,
             ready: VecDeque::new(),
@@ -111,14 +132,12 @@ impl<M> Inbound<M> {
             return false;
         }
         if position.sequence < self.next {
-            self.on_duplicate(now, position);
-            // If a report was lost, the writer must learn that the segment has arrived.
-            self.plan_report(now);
+            self.on_duplicate(now, position, bytes);
             return false;
         }
         if self.slot_for(now, position.sequence).is_none() || !self.make_room(position.sequence, total) {
             self.counters.beyond += 1;
-            self.plan_report(now);
+            self.expedite_report(now);
             return false;
         }
         let index = (position.sequence - self.next) as usize;
@@ -126,8 +145,7 @@ impl<M> Inbound<M> {
         let answered = slot.answered_in(now, position.index);
         let before = slot.total();
         if !slot.add(cut, position.index, total) {
-            self.on_duplicate(now, position);
-            self.plan_report(now);
+            self.on_duplicate(now, position, bytes);
             return false;
         }
         self.bytes = self.bytes + Slot::<M>::cost(slot.total()) - Slot::<M>::cost(before);
@@ -138,7 +156,7 @@ impl<M> Inbound<M> {
         self.segments += 1;
         self.segment_bytes += bytes as u64;
         self.echo = Some((position, now));
-        self.received_at = now;
+        (self.received_at, self.is_idle_moved) = (now, false);
         if position > self.highest {
             self.highest = position;
         }
@@ -213,7 +231,7 @@ impl<M> Inbound<M> {
             self.due = self.due.max(Position { sequence: next - 1, index: u32::MAX });
             self.plan_ask(now);
         }
-        self.plan_report(now);
+        self.expedite_report(now);
     }
 
     /// Processes feedback of the writer to this reader.
@@ -222,7 +240,7 @@ impl<M> Inbound<M> {
             && *session == self.session
         {
             self.set_unavailable((*oldest).min(MAX_SEQUENCE));
-            self.plan_report(now);
+            self.expedite_report(now);
         }
     }
 
@@ -233,17 +251,31 @@ impl<M> Inbound<M> {
         if let Some(message) = self.ready.pop_front() {
             return Some(Arrival::Message(message));
         }
+        if self.slots.is_empty() {
+            // Nothing is missing, and nobody waits for the mark.
+            (self.mark, self.is_mark_moved) = (None, false);
+        }
         if let Some((at, position)) = self.mark
             && at <= now
         {
-            self.due = self.due.max(position);
-            self.mark = (self.highest > position).then(|| (now + self.reordering.tolerance(self.rtt), self.highest));
-            self.plan_ask(now);
+            let next_mark = now + self.reordering.tolerance(self.rtt);
+            self.is_mark_moved = !self.is_mark_moved && now > at + AWAY;
+            if self.is_mark_moved {
+                self.mark = Some((next_mark, position));
+            } else {
+                self.due = self.due.max(position);
+                self.mark = (self.highest > position).then_some((next_mark, self.highest));
+                self.plan_ask(now);
+            }
         }
         // The writer stopped in the middle of a message, or its last segments were lost.
         if !self.slots.is_empty() && now >= self.idle_at() && self.due < self.highest_known() {
-            self.due = self.highest_known();
-            self.plan_ask(now);
+            if !self.is_idle_moved && now > self.idle_at() + AWAY {
+                (self.received_at, self.is_idle_moved) = (now, true);
+            } else {
+                self.due = self.highest_known();
+                self.plan_ask(now);
+            }
         }
         if self.ask_at <= now {
             let nack = self.ask(now);
@@ -251,18 +283,18 @@ impl<M> Inbound<M> {
                 return nack.map(Arrival::Feedback);
             }
         }
-        if self.report_at <= now {
-            return Some(Arrival::Feedback(self.report(now)));
-        }
-        None
+        self.report_early(now, now).map(Arrival::Feedback)
+    }
+
+    /// Returns the report if it is due before this time, for a frame that is sent anyway.
+    pub fn report_early(&mut self, now: u64, before: u64) -> Option<Feedback> {
+        (self.report_at <= before).then(|| self.report(now))
     }
 
     /// Returns the time when [`Self::poll`] will return an output, if no other call precedes it.
     pub fn next_wake(&self) -> Option<u64> {
         let ready = (!self.ready.is_empty()).then_some(0);
-        // If all messages with received segments are settled, the mark can wait for the next
-        // segment.
-        let mark = self.mark.filter(|_| !self.slots.is_empty()).map(|(at, _)| at);
+        let mark = self.mark.map(|(at, _)| at);
         let idle = (!self.slots.is_empty() && self.due < self.highest_known()).then(|| self.idle_at());
         let timers = [self.ask_at, self.report_at].into_iter().filter(|at| *at < u64::MAX);
         [ready, mark, idle, self.deadline()].into_iter().flatten().chain(timers).min()
@@ -301,9 +333,13 @@ impl<M> Inbound<M> {
     }
 
     /// Processes a segment that was already received.
-    fn on_duplicate(&mut self, now: u64, position: Position) {
+    fn on_duplicate(&mut self, now: u64, position: Position, bytes: usize) {
         self.counters.duplicates += 1;
-        self.reordering.on_duplicate(now, position, self.rtt);
+        if self.reordering.on_duplicate(now, position, self.rtt) {
+            self.needless_bytes += bytes as u64;
+        }
+        // If a report was lost, the writer must learn that the segment has arrived.
+        self.expedite_report(now);
     }
 
     /// Returns the time when nothing is in flight any more, even if the writer had to wait for a
@@ -450,17 +486,29 @@ impl<M> Inbound<M> {
     }
 
     fn plan_report(&mut self, now: u64) {
-        let many = self.segment_bytes - self.reported_bytes >= MANY_BYTES;
-        let interval =
-            if many { (self.rtt / 2).clamp(FASTEST_OF_MANY, SLOWEST_REPORT) } else { self.report_interval() };
-        let at = self.reported_at.map_or(now, |last| (last + interval).max(now));
+        let bytes = self.segment_bytes - self.reported_bytes;
+        let is_history_filling = self.next.saturating_sub(self.reported_next) >= self.options.report_after;
+        let (interval, delay) = if bytes >= MANY_BYTES || is_history_filling {
+            ((self.rtt / 2).clamp(FASTEST_OF_MANY, SLOWEST_REPORT), 0)
+        } else if bytes >= SOME_BYTES || self.is_report_urgent {
+            (self.report_interval(), 0)
+        } else {
+            (SLOWEST_REPORT, REPORT_DELAY)
+        };
+        let at = self.reported_at.map_or(now, |last| (last + interval).max(now + delay));
         self.report_at = self.report_at.min(at);
+    }
+
+    fn expedite_report(&mut self, now: u64) {
+        self.is_report_urgent = true;
+        self.plan_report(now);
     }
 
     fn report(&mut self, now: u64) -> Feedback {
         self.report_at = u64::MAX;
         self.reported_at = Some(now);
-        self.reported_bytes = self.segment_bytes;
+        self.is_report_urgent = false;
+        (self.reported_bytes, self.reported_next) = (self.segment_bytes, self.next);
         let (echo, received_at) = self.echo.take().unwrap_or((Position { sequence: 0, index: 0 }, now));
         Feedback::Report {
             name: self.name,
@@ -469,6 +517,7 @@ impl<M> Inbound<M> {
             acknowledged: self.next - 1,
             received_segments: self.segments,
             received_bytes: self.segment_bytes,
+            needless_bytes: self.needless_bytes,
             ce: self.ce,
             echo: echo.sequence,
             echo_index: echo.index,

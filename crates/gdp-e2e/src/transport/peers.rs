@@ -38,6 +38,7 @@ const LOOK: u64 = 16;
 pub struct Report {
     pub acknowledged: u64,
     pub received_bytes: u64,
+    pub needless_bytes: u64,
     pub ce: u32,
     pub echo: Option<Position>,
     pub delay: u64,
@@ -60,6 +61,7 @@ pub struct ReaderState {
     echo: Option<Sent>,
     reported_at: u64,
     received_bytes: u64,
+    needless_bytes: u64,
     ce: u32,
     /// Bytes of the topic that are no longer in flight to the reader.
     arrived: u64,
@@ -87,6 +89,7 @@ impl ReaderState {
             echo: None,
             reported_at: now,
             received_bytes: 0,
+            needless_bytes: 0,
             ce: 0,
             arrived: sent,
             progress_at: now,
@@ -131,9 +134,9 @@ impl ReaderState {
 
     /// Counts all bytes in flight as lost, because no report arrived. The path may be gone.
     pub fn forget_under_way(&mut self, now: u64, sent: u64) {
+        self.path.on_silence(self.under_way(sent));
         self.arrived = sent;
         self.progress_at = now;
-        self.path.on_silence();
     }
 
     /// Processes a report. Returns the number of frames with a mark since the previous report, and
@@ -167,6 +170,7 @@ impl ReaderState {
             interval: now.saturating_sub(self.reported_at).max(sent_in),
             paused: self.echo.is_some_and(|before| before.pauses != echo.pauses),
             lost: std::mem::take(&mut self.lost),
+            needless: report.needless_bytes.saturating_sub(self.needless_bytes).min(most),
             marks: u64::from(report.ce.wrapping_sub(self.ce)).min(1 << 16),
             acknowledged: self.arrived,
             sent,
@@ -177,6 +181,7 @@ impl ReaderState {
         }
         self.reported_at = now;
         (self.received_bytes, self.ce) = (report.received_bytes, report.ce);
+        self.needless_bytes = report.needless_bytes;
         if self.echo.is_none_or(|before| echo.total > before.total) {
             self.echo = Some(echo);
         }

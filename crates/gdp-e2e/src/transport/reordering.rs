@@ -15,7 +15,7 @@ const MOST_TOLERANCE: u64 = 64 * MS;
 const NEEDLESS_FOR: u64 = 5_000 * MS;
 
 /// Number of requested segments whose duplicates are recognised.
-const MOST_ANSWERED: usize = 64;
+const MOST_ANSWERED: usize = 256;
 
 /// The tolerance for reordered segments. A needless request doubles it, as in RACK (RFC 8985). The
 /// usual cause is a writer or a switch that waits for a processor.
@@ -47,14 +47,18 @@ impl ReorderingWindow {
         self.answered.push_back(position);
     }
 
-    /// Records that a segment has arrived again.
-    pub fn on_duplicate(&mut self, now: u64, position: Position, rtt: u64) {
+    /// Records that a segment has arrived again. Returns whether its request was needless.
+    pub fn on_duplicate(&mut self, now: u64, position: Position, rtt: u64) -> bool {
         let before = self.tolerance(rtt);
+        let Some(index) = self.answered.iter().position(|answered| *answered == position) else { return false };
+        // Each request counts once.
+        self.answered.remove(index);
         // All requests of one tolerance have one cause.
-        if self.answered.contains(&position) && now >= self.needless_at + before {
+        if now >= self.needless_at + before {
             self.extra = (2 * before).min(MOST_TOLERANCE.max(rtt));
             self.needless_at = now;
         }
+        true
     }
 
     /// Reduces the tolerance after some time without needless requests.

@@ -285,14 +285,24 @@ impl TopicState {
     /// reader requested an older one. Also returns whether a waiting publisher now has room.
     pub fn on_feedback(&mut self, now: u64, reader: &Name, feedback: &Feedback) -> (Option<u64>, bool) {
         match feedback {
-            Feedback::Report { session, acknowledged, received_bytes, ce, echo, echo_index, delay_us, .. }
-                if *session == self.session =>
-            {
+            Feedback::Report {
+                session,
+                acknowledged,
+                received_bytes,
+                needless_bytes,
+                ce,
+                echo,
+                echo_index,
+                delay_us,
+                ..
+            } if *session == self.session => {
                 let Some(peer) = self.peers.get_mut(reader) else { return (None, false) };
                 let echo = (*echo > 0).then_some(Position { sequence: *echo, index: *echo_index });
                 let delay = u64::from(*delay_us) * 1000;
-                let report =
-                    Report { acknowledged: *acknowledged, received_bytes: *received_bytes, ce: *ce, echo, delay };
+                // Both copies of a doubled frame may arrive.
+                let needless_bytes = if self.options.doubled { 0 } else { *needless_bytes };
+                let (acknowledged, received_bytes) = (*acknowledged, *received_bytes);
+                let report = Report { acknowledged, received_bytes, needless_bytes, ce: *ce, echo, delay };
                 let (marked, slowed) = peer.on_report(now, &report, &self.log, &self.outbox, self.sent);
                 self.outbox.count_congestion(marked, slowed);
                 self.large_unheard &= echo.is_none();

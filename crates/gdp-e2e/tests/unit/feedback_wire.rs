@@ -10,7 +10,8 @@ fn every_kind_survives_its_bytes() {
     for (feedback, len) in all() {
         let bytes = encoded(&feedback);
         assert_eq!(bytes.len(), len, "{feedback:?}");
-        assert_eq!(Feedback::decode(&bytes), Ok(feedback.clone()));
+        assert_eq!(feedback.encoded_len(), len);
+        assert_eq!(Feedback::decode_all(&bytes), Ok(vec![feedback.clone()]));
         assert_eq!(feedback.name(), NAME);
     }
     assert_eq!(encoded(&nack((1..=MAX_MISSING as u64).map(Missing::whole).collect())).len(), MAX_FEEDBACK);
@@ -22,7 +23,7 @@ fn fields_are_where_the_specification_says() {
     assert_eq!(hex::encode(&bytes[..2]), "0407");
     assert_eq!(hex::encode(&bytes[48..]), "0901010203040506000700000008 00000009".replace(' ', ""));
     let (report, _) = &all()[2];
-    let expected = "0000000000000005 0000000000000004 0000000000000006 0000000000000007 00000008 0000000000000009 \
+    let expected = "0000000000000005 0000000000000004 0000000000000006 0000000000000007 000000000000000c 00000008 0000000000000009 \
                     0000000a 0000000b";
     assert_eq!(hex::encode(&encoded(report)[49..]), expected.replace(' ', ""));
 }
@@ -32,13 +33,13 @@ fn other_lengths_and_kinds_are_refused() {
     for (feedback, _) in all() {
         let mut bytes = encoded(&feedback);
         for len in 0..bytes.len() {
-            assert!(Feedback::decode(&bytes[..len]).is_err(), "{len} bytes of {feedback:?}");
+            assert!(Feedback::decode_all(&bytes[..len]).is_err(), "{len} bytes of {feedback:?}");
         }
         bytes.push(0);
-        assert!(matches!(Feedback::decode(&bytes), Err(FeedbackError::Length { .. })));
+        assert_eq!(Feedback::decode_all(&bytes), Err(FeedbackError::Kind(0)));
         for kind in [0, 6, 0xff] {
             bytes[0] = kind;
-            assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Kind(kind)));
+            assert_eq!(Feedback::decode_all(&bytes), Err(FeedbackError::Kind(kind)));
         }
     }
 }
@@ -73,18 +74,30 @@ fn a_nack_asks_for_each_segment_once() {
 fn hostile_bytes_are_refused() {
     let two = encoded(&nack(vec![Missing::whole(1), Missing::whole(2)]));
     let twice = [&two[..NACK_LEN + MISSING_LEN], &two[NACK_LEN..NACK_LEN + MISSING_LEN]].concat();
-    assert_eq!(Feedback::decode(&twice), Err(FeedbackError::Order));
+    assert_eq!(Feedback::decode_all(&twice), Err(FeedbackError::Order));
     for count in [0, 64, 255] {
         let mut bytes = two.clone();
         bytes[NACK_LEN - 1] = count;
-        assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Ranges(count.into())));
+        assert_eq!(Feedback::decode_all(&bytes), Err(FeedbackError::Ranges(count.into())));
     }
     let (welcome, _) = &all()[1];
     let mut bytes = encoded(welcome);
-    bytes[WELCOME_LEN - 9] = 1;
-    assert!(matches!(Feedback::decode(&bytes), Err(FeedbackError::Sequence(_))));
-    bytes[WELCOME_LEN - 1] = 2;
-    assert_eq!(Feedback::decode(&bytes), Err(FeedbackError::Flag(2)));
+    bytes[WELCOME_LEN - 12] = 1;
+    assert!(matches!(Feedback::decode_all(&bytes), Err(FeedbackError::Sequence(_))));
+    let (hello, _) = &all()[0];
+    let mut bytes = encoded(hello);
+    bytes[HELLO_LEN - 1] = 3;
+    assert_eq!(Feedback::decode_all(&bytes), Err(FeedbackError::Flag(3)));
+}
+
+#[test]
+fn messages_follow_one_another() {
+    let both: Vec<_> = all().into_iter().map(|(feedback, _)| feedback).collect();
+    let mut bytes = both.iter().flat_map(encoded).collect::<Vec<_>>();
+    assert_eq!(Feedback::decode_all(&bytes), Ok(both));
+    bytes.pop();
+    assert!(matches!(Feedback::decode_all(&bytes), Err(FeedbackError::Length { .. })), "none is truncated");
+    assert!(Feedback::decode_all(&[]).is_err(), "there is at least one");
 }
 
 fn all() -> [(Feedback, usize); 5] {
@@ -96,6 +109,7 @@ fn all() -> [(Feedback, usize); 5] {
         acknowledged: 4,
         received_segments: 6,
         received_bytes: 7,
+        needless_bytes: 12,
         ce: 8,
         echo: 9,
         echo_index: 10,
@@ -103,8 +117,8 @@ fn all() -> [(Feedback, usize); 5] {
     };
     [
         (Feedback::Hello { name, challenge, wants: Wants::Offered }, 50),
-        (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE, reliable: false }, 74),
-        (report, 101),
+        (Feedback::Welcome { name, challenge, session, sequence: MAX_SEQUENCE, history: 0 }, 77),
+        (report, 109),
         (Feedback::Unavailable { name, session, oldest: 12 }, 57),
         (nack(vec![Missing::whole(4), Missing { sequence: 5, cut: 1, first: 2, count: 3 }]), 50 + 2 * 16),
     ]

@@ -20,14 +20,14 @@ fn what_was_lost_between_two_greetings_is_asked_for() {
     for (now, sequence) in [(0, 1), (1_000_000_000, 3)] {
         intake.change(now, Change::Authorise { writer, key: key.verify_key() });
         intake.poll(now, &counters, |_, said| match said {
-            Feedback::Hello { challenge, .. } => asked.push(*challenge),
+            Feedback::Hello { challenge, .. } => asked.push(challenge),
             other => panic!("{other:?}"),
         });
         let challenge = *asked.last().unwrap();
         assert!(intake.hear(
             now,
             &writer,
-            &Feedback::Welcome { name: NAME, challenge, session, sequence, reliable: true }
+            &Feedback::Welcome { name: NAME, challenge, session, sequence, history: 1024 }
         ));
     }
     assert_ne!(asked[0], asked[1]);
@@ -62,7 +62,7 @@ fn nothing_is_left_of_writers_that_came_and_went() {
         intake.change(now.steady_ns, Change::Key { writer, opened });
         let mut challenge = None;
         intake.poll(now.steady_ns, &counters, |_, said| match said {
-            Feedback::Hello { challenge: asked, .. } => challenge = Some(*asked),
+            Feedback::Hello { challenge: asked, .. } => challenge = Some(asked),
             other => panic!("{other:?}"),
         });
         let welcome = Feedback::Welcome {
@@ -70,7 +70,7 @@ fn nothing_is_left_of_writers_that_came_and_went() {
             challenge: challenge.unwrap(),
             session: seals.session(),
             sequence: 1,
-            reliable: true,
+            history: 1024,
         };
         assert!(intake.hear(now.steady_ns, &writer, &welcome));
         for body in [&b"whole"[..], &[7; 3000]] {

@@ -78,7 +78,7 @@ async fn what_another_says_to_a_reader_or_writer_does_not_open() -> Result<()> {
     let (robot, cloud) = (&scene.robot_identity, &scene.cloud_identity);
     // A Welcome of the robot to the cloud, and a Nack of the cloud to the robot, both made by the
     // rogue.
-    let welcome = Feedback::Welcome { name, challenge: [0; 16], session: [7; 16], sequence: 1, reliable: true };
+    let welcome = Feedback::Welcome { name, challenge: [0; 16], session: [7; 16], sequence: 1, history: 1024 };
     let nack = Feedback::Nack { name, session, missing: vec![Missing::whole(1)] };
     let gone = Feedback::Unavailable { name, session, oldest: 1 << 40 };
     for (as_whom, to, node, feedback) in
@@ -86,7 +86,7 @@ async fn what_another_says_to_a_reader_or_writer_does_not_open() -> Result<()> {
     {
         let key = PairKey::new((rogue.name(), rogue.identity.box_key()), (to.name(), &to.box_public()))?;
         let (mut sealer, mut payload) = (key.sealer()?, Vec::new());
-        sealer.seal(&feedback, &mut payload)?;
+        sealer.seal(&[feedback], &mut payload)?;
         let frame = say(as_whom.name(), to.name(), payload);
         let before = dropped(&node.counters(), "drop_feedback_forged");
         scene.switch.inject(&vec![frame; 100]);
@@ -129,7 +129,7 @@ async fn a_reader_that_asks_for_everything_again_and_again_stops_nobody() -> Res
     for i in 0..100u8 {
         for _ in 0..20 {
             let mut payload = Vec::new();
-            sealer.seal(&Feedback::Nack { name, session, missing: missing.clone() }, &mut payload)?;
+            sealer.seal(&[Feedback::Nack { name, session, missing: missing.clone() }], &mut payload)?;
             scene.switch.inject(&[say(rogue.name(), robot.name(), payload)]);
         }
         scene.passes(&[i; 1000]).await?;

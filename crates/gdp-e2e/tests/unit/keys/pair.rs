@@ -10,7 +10,7 @@ fn two_understand_each_other_and_nobody_else_does() {
     let [a, b, c] = [1, 2, 3].map(identity);
     let (mut to_b, mut from_a) = (pair(&a, &b).sealer().unwrap(), pair(&b, &a).opener());
     for i in 0..100 {
-        assert_eq!(from_a.open(&sealed(&mut to_b, i)), Ok(hello(i)));
+        assert_eq!(from_a.open(&sealed(&mut to_b, i)), Ok(vec![hello(i)]));
     }
     let payload = sealed(&mut to_b, 7);
     for (who, mut opener) in [
@@ -33,7 +33,7 @@ fn each_message_is_taken_once_in_any_order() {
     let mut payloads: Vec<_> = (0..200).map(|i| (i, sealed(&mut sealer, i))).collect();
     random.shuffle(&mut payloads);
     for (i, payload) in &payloads {
-        assert_eq!(opener.open(payload), Ok(hello(*i)));
+        assert_eq!(opener.open(payload), Ok(vec![hello(*i)]));
     }
     for (_, payload) in &payloads {
         assert_eq!(opener.open(payload), Err(PairError::Replayed));
@@ -54,7 +54,7 @@ fn a_restarted_peer_is_understood_and_what_it_said_before_is_not_taken_again() {
         let mut sealer = pair(&a, &b).sealer().unwrap();
         for i in 0..2 {
             let payload = sealed(&mut sealer, i);
-            assert_eq!(opener.open(&payload), Ok(hello(i)));
+            assert_eq!(opener.open(&payload), Ok(vec![hello(i)]));
             recorded.push(payload);
         }
     }
@@ -99,7 +99,7 @@ fn hostile_payloads_are_refused_and_change_nothing() {
     let mut ahead = payload.clone();
     ahead[9..17].fill(0xff);
     assert_eq!(opener.open(&ahead), Err(PairError::Forged));
-    assert_eq!(opener.open(&payload), Ok(hello(1)));
+    assert_eq!(opener.open(&payload), Ok(vec![hello(1)]));
 }
 
 #[test]
@@ -107,7 +107,7 @@ fn a_nonce_is_never_repeated() {
     let (mut sealer, mut opener) = channel();
     let bad = Feedback::Nack { name: name(1), session: [1; 16], missing: vec![] };
     let mut out = vec![1];
-    assert_eq!(sealer.seal(&bad, &mut out), Err(PairError::Feedback(FeedbackError::Ranges(0))));
+    assert_eq!(sealer.seal(&[bad], &mut out), Err(PairError::Feedback(FeedbackError::Ranges(0))));
     assert!(out.is_empty());
     let first = sealed(&mut sealer, 1);
     assert_eq!(first[9..17], 2u64.to_be_bytes());
@@ -115,7 +115,7 @@ fn a_nonce_is_never_repeated() {
     let (last, next) = (sealed(&mut sealer, 2), sealed(&mut sealer, 3));
     assert_ne!(last[1..9], next[1..9], "another session");
     for (i, payload) in [first, last, next].iter().enumerate() {
-        assert_eq!(opener.open(payload), Ok(hello(i as u8 + 1)));
+        assert_eq!(opener.open(payload), Ok(vec![hello(i as u8 + 1)]));
     }
 }
 
@@ -125,9 +125,15 @@ fn the_largest_feedback_fits_the_smallest_link() {
     let missing = (1..=MAX_MISSING as u64).map(Missing::whole).collect();
     let nack = Feedback::Nack { name: name(1), session: [1; 16], missing };
     let mut out = Vec::new();
-    sealer.seal(&nack, &mut out).unwrap();
+    sealer.seal(std::slice::from_ref(&nack), &mut out).unwrap();
     assert_eq!(out.len(), MAX_PAIR_PAYLOAD);
-    assert_eq!(opener.open(&out), Ok(nack));
+    assert_eq!(opener.open(&out), Ok(vec![nack.clone()]));
+    let more = [nack, hello(1)];
+    assert_eq!(
+        sealer.seal(&more, &mut out),
+        Err(PairError::Length(HEADER_LEN + MAX_FEEDBACK + hello(1).encoded_len()))
+    );
+    assert_eq!(sealer.seal(&[], &mut out), Err(PairError::Length(HEADER_LEN)));
     // QUIC's smallest packet, 1200 bytes, minus the header of a frame.
     const { assert!(MAX_PAIR_PAYLOAD <= 1200 - 96) };
 }
@@ -152,7 +158,7 @@ fn pair(own: &Identity, peer: &Identity) -> PairKey {
 
 fn sealed(sealer: &mut PairSealer, i: u8) -> Vec<u8> {
     let mut out = Vec::new();
-    sealer.seal(&hello(i), &mut out).unwrap();
+    sealer.seal(&[hello(i)], &mut out).unwrap();
     out
 }
 

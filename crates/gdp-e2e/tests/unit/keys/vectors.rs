@@ -35,11 +35,11 @@ fn vectors_of_keys_and_feedback() {
     let back = PairKey::new((writer.name(), writer.box_key()), (reader.name(), &reader.box_public())).unwrap();
     let mut sealer = pair.sealer_in([0x55; 8]).unwrap();
     let mut opener = back.opener();
-    let mut payload = |feedback: &Feedback| {
+    let mut payload = |feedback: &[Feedback]| {
         let (mut clear, mut payload) = (Vec::new(), Vec::new());
-        feedback.encode(&mut clear).unwrap();
+        feedback.iter().for_each(|feedback| feedback.encode(&mut clear).unwrap());
         sealer.seal(feedback, &mut payload).unwrap();
-        assert_eq!(opener.open(&payload).as_ref(), Ok(feedback));
+        assert_eq!(opener.open(&payload).as_deref(), Ok(feedback));
         json!({ "plaintext": hex::encode(clear), "payload": hex::encode(payload) })
     };
     let (name, session, challenge) = (NAME, [0x33; 16], [0x44; 16]);
@@ -51,6 +51,7 @@ fn vectors_of_keys_and_feedback() {
         acknowledged: 6,
         received_segments: 40,
         received_bytes: 50_000,
+        needless_bytes: 1_400,
         ce: 1,
         echo: 7,
         echo_index: 3,
@@ -70,11 +71,12 @@ fn vectors_of_keys_and_feedback() {
             "from": "reader",
             "to": "writer",
             "session": hex::encode([0x55; 8]),
-            "hello": payload(&Feedback::Hello { name, challenge, wants: Wants::Every }),
-            "welcome": payload(&Feedback::Welcome { name, challenge, session, sequence: 9, reliable: false }),
-            "report": payload(&report),
-            "nack": payload(&Feedback::Nack { name, session, missing }),
-            "gone": payload(&Feedback::Unavailable { name, session, oldest: 8 }),
+            "hello": payload(&[Feedback::Hello { name, challenge, wants: Wants::Every }]),
+            "welcome": payload(&[Feedback::Welcome { name, challenge, session, sequence: 9, history: 1024 }]),
+            "report": payload(std::slice::from_ref(&report)),
+            "nack": payload(&[Feedback::Nack { name, session, missing }]),
+            "gone": payload(&[Feedback::Unavailable { name, session, oldest: 8 }]),
+            "two": payload(&[report, Feedback::Unavailable { name, session, oldest: 8 }]),
         },
     });
     crate::vectors::check("keys.json", &vectors);

@@ -246,6 +246,38 @@ fn hosts_without_a_processor_at_times_lose_nothing_and_are_as_fast() {
     }
 }
 
+/// Each small message cost a report of its own.
+#[test]
+fn small_messages_are_reported_ten_times_a_second() {
+    for hz in [5, 30, 100] {
+        let mut sim = Simulation::new(5);
+        let [a, b] = [(); 2].map(|()| sim.node());
+        sim.join(a, b, lan(), lan());
+        let topic = sim.publish(a, TopicOptions::reliable(), App::new(64, hz, 10 * SECOND));
+        sim.subscribe(b, topic, MS, InboundOptions::every_of(1024));
+        sim.run(11 * SECOND);
+        let reading = &sim.topics[topic].readers[&b];
+        assert!(reading.delivered.len() as u64 >= 10 * hz && reading.nacks == 0, "{} Nacks", reading.nacks);
+        // One at the start and one at the end besides.
+        assert!(reading.reports <= 10 * hz.min(10) + 2, "{} reports at {hz} Hz", reading.reports);
+    }
+}
+
+/// A publisher with a short history would wait for its readers, or lose what it could repair.
+#[test]
+fn a_short_history_is_reported_before_it_is_full() {
+    let mut sim = Simulation::new(6);
+    let [a, b] = [(); 2].map(|()| sim.node());
+    sim.join(a, b, lan(), lan());
+    let options = TopicOptions { history: History { messages: 10, bytes: 1 << 20 }, ..TopicOptions::reliable() };
+    let topic = sim.publish(a, options, App::new(64, 1000, 2 * SECOND));
+    sim.subscribe(b, topic, MS, InboundOptions::every_of(10));
+    sim.run(3 * SECOND);
+    assert_eq!(sim.topics[topic].readers[&b].delivered.len(), 2000);
+    let worst = percentile(&sim.latencies(topic, b), 100);
+    assert!(worst < 5 * MS, "{} ms", worst / MS);
+}
+
 /// A hundred megabits behind a switch with a small buffer. The first bursts overflow it.
 #[test]
 fn a_short_path_that_is_narrow_is_found_to_be_so() {

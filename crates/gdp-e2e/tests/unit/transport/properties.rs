@@ -214,6 +214,7 @@ fn lie(random: &mut Random, topic: usize) -> crate::feedback_wire::Feedback {
         acknowledged: random.up_to(3),
         received_segments: random.number(),
         received_bytes: random.number(),
+        needless_bytes: random.number(),
         ce: random.number() as u32,
         echo: random.up_to(150),
         echo_index: random.up_to(30) as u32,

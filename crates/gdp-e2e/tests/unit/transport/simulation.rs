@@ -533,7 +533,7 @@ impl Simulation {
         for feedback in out {
             let mut bytes = Vec::new();
             feedback.encode(&mut bytes).unwrap();
-            assert_eq!(Feedback::decode(&bytes).as_ref(), Ok(&feedback));
+            assert_eq!(Feedback::decode_all(&bytes).as_deref(), Ok(std::slice::from_ref(&feedback)));
             let size = size_of_feedback(&feedback);
             let reading = self.topics[topic].readers.get_mut(&node).unwrap();
             reading.feedback_bytes += size as u64;
