@@ -75,7 +75,17 @@ fn feedback() -> Seeds {
                 delay_us,
             },
         ),
-        ("nack", Feedback::Nack { name, session, missing: vec![Missing::whole(4), Missing::whole(6)] }),
+        (
+            "nack",
+            Feedback::Nack {
+                name,
+                session,
+                highest: 7,
+                highest_index: 1,
+                waited_us: 500,
+                missing: vec![Missing::whole(4), Missing::whole(6)],
+            },
+        ),
         ("gone", Feedback::Unavailable { name, session, oldest: 5 }),
     ];
     let encode = |feedback: &Feedback| {

@@ -7,7 +7,7 @@ use gdp_wire::Name;
 
 /// Maximum number of ranges in a [`Feedback::Nack`]. Sealed, they fit a frame of 1200 bytes, which
 /// every link supports.
-pub const MAX_MISSING: usize = 63;
+pub const MAX_MISSING: usize = 62;
 
 /// The largest encoding, in bytes: a Nack with all its ranges. Several messages have no more
 /// together.
@@ -19,7 +19,7 @@ pub const MAX_SEQUENCE: u64 = (1 << 48) - 1;
 const HELLO_LEN: usize = 1 + 32 + 16 + 1;
 const WELCOME_LEN: usize = 1 + 32 + 16 + 16 + 8 + 4;
 const REPORT_LEN: usize = 1 + 32 + 16 + 5 * 8 + 4 + 8 + 4 + 4;
-const NACK_LEN: usize = 1 + 32 + 16 + 1;
+const NACK_LEN: usize = 1 + 32 + 16 + 8 + 4 + 4 + 1;
 const MISSING_LEN: usize = 6 + 2 + 4 + 4;
 const UNAVAILABLE_LEN: usize = 1 + 32 + 16 + 8;
 
@@ -72,6 +72,12 @@ pub enum Feedback {
     Nack {
         name: Name,
         session: [u8; 16],
+        /// The sequence and index of the received segment that was sent last; 0: none. With the
+        /// time since its arrival, they tell which segments may still be in flight.
+        highest: u64,
+        highest_index: u32,
+        /// Microseconds since that segment arrived.
+        waited_us: u32,
         /// 1 to [`MAX_MISSING`] ranges, in ascending order of sequence and first index. Ranges of
         /// one message do not overlap.
         missing: Vec<Missing>,
@@ -175,8 +181,10 @@ impl Feedback {
                 put(out, &[ce.to_be_bytes().as_slice(), &echo.to_be_bytes()]);
                 put(out, &[echo_index, delay_us].map(|field| field.to_be_bytes()));
             }
-            Self::Nack { name, session, missing } => {
-                put(out, &[&[kind::NACK][..], name.as_bytes(), session, &[missing.len() as u8]]);
+            Self::Nack { name, session, highest, highest_index, waited_us, missing } => {
+                put(out, &[&[kind::NACK][..], name.as_bytes(), session, &highest.to_be_bytes()]);
+                put(out, &[highest_index, waited_us].map(|field| field.to_be_bytes()));
+                out.push(missing.len() as u8);
                 for Missing { sequence, cut, first, count } in missing {
                     put(out, &[&sequence.to_be_bytes()[2..], &cut.to_be_bytes()]);
                     put(out, &[first, count].map(|field| field.to_be_bytes()));
@@ -251,10 +259,11 @@ impl Feedback {
             },
             kind::UNAVAILABLE => Self::Unavailable { name, session: fields.take()?, oldest: fields.u64()? },
             _ => {
-                let session = fields.take()?;
+                let (session, highest) = (fields.take()?, fields.u64()?);
+                let (highest_index, waited_us) = (fields.u32()?, fields.u32()?);
                 let [count] = fields.take()?;
                 let missing = (0..count).map(|_| fields.missing()).collect::<Option<_>>()?;
-                Self::Nack { name, session, missing }
+                Self::Nack { name, session, highest, highest_index, waited_us, missing }
             }
         })
     }
@@ -270,7 +279,8 @@ impl Feedback {
             Self::Report { highest, acknowledged, echo, .. } => {
                 [highest, acknowledged, echo].into_iter().try_for_each(|number| sequence(*number))
             }
-            Self::Nack { missing, .. } => {
+            Self::Nack { highest, missing, .. } => {
+                sequence(*highest)?;
                 if !(1..=MAX_MISSING).contains(&missing.len()) {
                     return Err(FeedbackError::Ranges(missing.len()));
                 }

@@ -46,8 +46,9 @@ pub struct Inbound<M> {
     slots: VecDeque<Slot<M>>,
     /// Signed data proves that all messages before this one exist.
     exists: u64,
-    /// The last received segment, in the order of sending.
+    /// The last received segment, in the order of sending, and its arrival time.
     highest: Position,
+    highest_at: u64,
     /// Bytes charged to the slots.
     bytes: usize,
     rtt: u64,
@@ -94,6 +95,7 @@ impl<M> Inbound<M> {
             slots: VecDeque::new(),
             exists: from,
             highest: Position { sequence: 0, index: 0 },
+            highest_at: 0,
             bytes: 0,
             rtt: rtt.clamp(MS, LONGEST_RTT),
             reordering: ReorderingWindow::default(),
@@ -158,7 +160,7 @@ impl<M> Inbound<M> {
         self.echo = Some((position, now));
         (self.received_at, self.is_idle_moved) = (now, false);
         if position > self.highest {
-            self.highest = position;
+            (self.highest, self.highest_at) = (position, now);
         }
         self.reordering.look(now);
         if self.mark.is_none() {
@@ -456,8 +458,11 @@ impl<M> Inbound<M> {
         }
         self.ask_at = u64::MAX;
         self.plan_ask(now + LEAST_TOLERANCE);
-        let (name, session) = (self.name, self.session);
-        (!missing.is_empty()).then_some(Feedback::Nack { name, session, missing })
+        let (name, session, highest) = (self.name, self.session, self.highest);
+        let waited_us = u32::try_from(now.saturating_sub(self.highest_at) / 1000).unwrap_or(u32::MAX);
+        let (highest, highest_index) = (highest.sequence, highest.index);
+        let nack = Feedback::Nack { name, session, highest, highest_index, waited_us, missing };
+        matches!(&nack, Feedback::Nack { missing, .. } if !missing.is_empty()).then_some(nack)
     }
 
     /// Creates slots for messages that exist but have no received segment.

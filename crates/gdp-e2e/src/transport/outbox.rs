@@ -344,10 +344,16 @@ impl Outbox {
         }
     }
 
-    /// Queues the segments that a reader lacks. Repairs sent after `too_early` are still in flight
-    /// to the reader. `pay` returns whether a frame of its length is within the reader's budget.
-    /// Returns the bytes queued for this reader.
-    pub fn ask(&mut self, range: &Missing, too_early: u64, mut pay: impl FnMut(u64) -> bool) -> u64 {
+    /// Queues the segments that a reader lacks. Segments from `in_flight` on, and repairs sent after
+    /// `too_early`, are still in flight to the reader. `pay` returns whether a frame of its length
+    /// is within the reader's budget. Returns the bytes queued for this reader.
+    pub fn ask(
+        &mut self,
+        range: &Missing,
+        too_early: u64,
+        in_flight: Option<Position>,
+        mut pay: impl FnMut(u64) -> bool,
+    ) -> u64 {
         let Some(index) = self.find(range.sequence) else { return 0 };
         let entry = &mut self.entries[index];
         let message = &entry.message;
@@ -362,7 +368,8 @@ impl Outbox {
         // Frames that are not yet sent will be sent anyway.
         for frame in frames.start..frames.end.min(entry.sent) {
             let repeated = &mut entry.repeated[frame];
-            if repeated.queued || (repeated.at > 0 && repeated.at > too_early) {
+            let is_in_flight = in_flight.is_some_and(|from| message.position(frame) >= from);
+            if repeated.queued || (repeated.at == 0 && is_in_flight) || repeated.at > too_early {
                 continue;
             }
             let bytes = message.len(frame) as u64;

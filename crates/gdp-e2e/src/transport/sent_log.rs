@@ -43,6 +43,11 @@ impl SentLog {
         let behind = self.0.partition_point(|sent| sent.position <= position);
         behind.checked_sub(1).and_then(|index| self.0.get(index).copied())
     }
+
+    /// Returns the position of the first sample that was sent later than this time.
+    pub fn first_after(&self, at: u64) -> Option<Position> {
+        self.0.get(self.0.partition_point(|sent| sent.at <= at)).map(|sent| sent.position)
+    }
 }
 
 #[cfg(test)]

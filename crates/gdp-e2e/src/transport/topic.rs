@@ -314,19 +314,29 @@ impl TopicState {
                 self.wait(now);
                 (self.outbox.skips(awaited), self.take_room())
             }
-            Feedback::Nack { session, missing, .. } if *session == self.session => {
-                (self.on_nack(now, reader, missing), false)
+            Feedback::Nack { session, highest, highest_index, waited_us, missing, .. } if *session == self.session => {
+                let highest = Position { sequence: *highest, index: *highest_index };
+                let waited = u64::from(*waited_us) * 1000;
+                // This thread may process the request late. What was sent since then is in flight, or
+                // was in a queue of the path.
+                let queue = self.peers.get(reader).map_or(0, |peer| peer.path().rtt() / 2);
+                let before = self.log.find(highest).map(|sent| (sent.at + waited).saturating_sub(queue));
+                let in_flight = before.and_then(|before| self.log.first_after(before));
+                let behind = Position { index: highest.index.saturating_add(1), ..highest };
+                let in_flight = in_flight.map(|position| position.max(behind));
+                (self.on_nack(now, reader, missing, in_flight), false)
             }
             _ => (None, false),
         }
     }
 
-    fn on_nack(&mut self, now: u64, reader: &Name, missing: &[Missing]) -> Option<u64> {
+    /// Queues repairs. Segments from `in_flight` on were sent after the request.
+    fn on_nack(&mut self, now: u64, reader: &Name, missing: &[Missing], in_flight: Option<Position>) -> Option<u64> {
         let rate = self.fresh.get(now);
         let peer = self.peers.get_mut(reader)?;
         let too_early = now.saturating_sub(peer.path().rtt() * 3 / 4);
         for range in missing.iter().take(MAX_MISSING) {
-            let queued = self.outbox.ask(range, too_early, |bytes| peer.pay(now, bytes, rate));
+            let queued = self.outbox.ask(range, too_early, in_flight, |bytes| peer.pay(now, bytes, rate));
             let first = Position { sequence: range.sequence, index: range.first };
             peer.on_lost(queued, self.log.find(first).map_or(0, |sent| sent.at));
         }

@@ -79,7 +79,8 @@ async fn what_another_says_to_a_reader_or_writer_does_not_open() -> Result<()> {
     // A Welcome of the robot to the cloud, and a Nack of the cloud to the robot, both made by the
     // rogue.
     let welcome = Feedback::Welcome { name, challenge: [0; 16], session: [7; 16], sequence: 1, history: 1024 };
-    let nack = Feedback::Nack { name, session, missing: vec![Missing::whole(1)] };
+    let nack =
+        Feedback::Nack { name, session, highest: 0, highest_index: 0, waited_us: 0, missing: vec![Missing::whole(1)] };
     let gone = Feedback::Unavailable { name, session, oldest: 1 << 40 };
     for (as_whom, to, node, feedback) in
         [(robot, cloud, &scene.cloud, welcome), (robot, cloud, &scene.cloud, gone), (cloud, robot, &scene.robot, nack)]
@@ -129,7 +130,17 @@ async fn a_reader_that_asks_for_everything_again_and_again_stops_nobody() -> Res
     for i in 0..100u8 {
         for _ in 0..20 {
             let mut payload = Vec::new();
-            sealer.seal(&[Feedback::Nack { name, session, missing: missing.clone() }], &mut payload)?;
+            sealer.seal(
+                &[Feedback::Nack {
+                    name,
+                    session,
+                    highest: 0,
+                    highest_index: 0,
+                    waited_us: 0,
+                    missing: missing.clone(),
+                }],
+                &mut payload,
+            )?;
             scene.switch.inject(&[say(rogue.name(), robot.name(), payload)]);
         }
         scene.passes(&[i; 1000]).await?;

@@ -105,7 +105,8 @@ fn hostile_payloads_are_refused_and_change_nothing() {
 #[test]
 fn a_nonce_is_never_repeated() {
     let (mut sealer, mut opener) = channel();
-    let bad = Feedback::Nack { name: name(1), session: [1; 16], missing: vec![] };
+    let bad =
+        Feedback::Nack { name: name(1), session: [1; 16], highest: 0, highest_index: 0, waited_us: 0, missing: vec![] };
     let mut out = vec![1];
     assert_eq!(sealer.seal(&[bad], &mut out), Err(PairError::Feedback(FeedbackError::Ranges(0))));
     assert!(out.is_empty());
@@ -123,7 +124,7 @@ fn a_nonce_is_never_repeated() {
 fn the_largest_feedback_fits_the_smallest_link() {
     let (mut sealer, mut opener) = channel();
     let missing = (1..=MAX_MISSING as u64).map(Missing::whole).collect();
-    let nack = Feedback::Nack { name: name(1), session: [1; 16], missing };
+    let nack = Feedback::Nack { name: name(1), session: [1; 16], highest: 0, highest_index: 0, waited_us: 0, missing };
     let mut out = Vec::new();
     sealer.seal(std::slice::from_ref(&nack), &mut out).unwrap();
     assert_eq!(out.len(), MAX_PAIR_PAYLOAD);

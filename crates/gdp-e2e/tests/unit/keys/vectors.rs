@@ -74,7 +74,7 @@ fn vectors_of_keys_and_feedback() {
             "hello": payload(&[Feedback::Hello { name, challenge, wants: Wants::Every }]),
             "welcome": payload(&[Feedback::Welcome { name, challenge, session, sequence: 9, history: 1024 }]),
             "report": payload(std::slice::from_ref(&report)),
-            "nack": payload(&[Feedback::Nack { name, session, missing }]),
+            "nack": payload(&[Feedback::Nack { name, session, highest: 7, highest_index: 3, waited_us: 12_000, missing }]),
             "gone": payload(&[Feedback::Unavailable { name, session, oldest: 8 }]),
             "two": payload(&[report, Feedback::Unavailable { name, session, oldest: 8 }]),
         },

@@ -246,6 +246,18 @@ fn hosts_without_a_processor_at_times_lose_nothing_and_are_as_fast() {
     }
 }
 
+/// A writer that processes a request late does not repeat what it has sent meanwhile.
+#[test]
+fn hosts_that_wait_long_for_a_processor_repeat_nothing() {
+    for (writer, reader) in [(40, 25), (30, 60), (15, 35)] {
+        let writer = Away { period: 2 * writer * MS, away: writer * MS };
+        let reader = Away { period: 2 * reader * MS, away: reader * MS };
+        let app = App::new(1_000_000, 10, 10 * SECOND);
+        let (delivered, _, repeated) = run_on_busy_hosts(app, Some(writer), Some(reader));
+        assert_eq!((delivered, repeated), (100, 0), "{writer:?} {reader:?}");
+    }
+}
+
 /// Each small message cost a report of its own.
 #[test]
 fn small_messages_are_reported_ten_times_a_second() {

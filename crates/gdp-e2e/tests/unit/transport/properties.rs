@@ -205,7 +205,14 @@ fn lie(random: &mut Random, topic: usize) -> crate::feedback_wire::Feedback {
     if random.chance(0.5) {
         let from = 1 + random.up_to(150);
         let missing = (from..from + MAX_MISSING as u64).map(Missing::whole).collect();
-        return Feedback::Nack { name, session, missing };
+        return Feedback::Nack {
+            name,
+            session,
+            highest: random.up_to(150),
+            highest_index: random.up_to(30) as u32,
+            waited_us: random.number() as u32,
+            missing,
+        };
     }
     Feedback::Report {
         name,
