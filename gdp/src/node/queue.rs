@@ -7,7 +7,7 @@ use gdp_wire::Name;
 use tokio::sync::mpsc;
 
 use super::command::{Command, Commands};
-use super::subscription_receiver::QueueState;
+use super::queue_state::QueueState;
 use gdp_e2e::seal::Message;
 
 /// The queue of verified messages from the receiving thread.

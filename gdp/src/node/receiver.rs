@@ -5,27 +5,24 @@
 //! commands, which take effect before the next frames are read.
 
 use std::collections::{BTreeSet, HashMap};
-use std::sync::{Arc, Weak, mpsc};
+use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
-use gdp_wire::replay::{self, Window};
-use gdp_wire::{Counter, ErrorCode, FrameType, Header, Name, forward};
+use gdp_wire::{Counter, FrameType, Header, Name, forward};
 use zerocopy::FromBytes;
 
-use super::attachment::Attachment;
 use super::command::Command;
 use super::counters::Counters;
 use super::early_frames::EarlyFrames;
 use super::feedback::Feedbacks;
+use super::ingress::{Ingress, Ingresses};
 use super::outgoing_feedback::OutgoingFeedback;
 use super::send_path::SendPath;
-use super::shared_entry::SharedEntry;
 use super::subscription_receiver::{Change, SubscriptionReceiver, Verdict};
 use gdp_core::peer::MAX_LANES;
 use gdp_e2e::feedback_wire::Feedback;
 use gdp_e2e::keys::PairError;
 use gdp_e2e::seal::{DropReason, SEGMENT_VERSION};
-use gdp_link::link::KeyedEntry;
 use gdp_link::port::{DataSocket, InFrame, RecvBatch};
 
 /// Maximum sleep of the thread.
@@ -194,107 +191,6 @@ struct Socket {
     /// Size of the largest frame, in bytes.
     largest: usize,
     links: Ingresses,
-}
-
-/// The links on which frames may arrive.
-struct Ingresses {
-    current: Ingress,
-    /// Stale links, and the time until which each is retained. There are few: one is added each
-    /// time the switch returns.
-    stale: Vec<(Ingress, Instant)>,
-}
-
-impl Ingresses {
-    fn new(current: Ingress) -> Self {
-        Self { current, stale: Vec::new() }
-    }
-
-    /// Creates the state for a new link. `stale` is the stale link, which continues with its state
-    /// from `earlier`. The current link in `earlier` may be another one that was never in service.
-    fn after(earlier: Option<Self>, new: Ingress, stale: Option<(Ingress, Instant)>) -> Self {
-        let mut links = Self::new(new);
-        let Some((silent, until)) = stale else { return links };
-        let mut before = Vec::new();
-        if let Some(earlier) = earlier {
-            before = earlier.stale;
-            if earlier.current.entry.id == silent.entry.id {
-                before.push((earlier.current, until));
-            }
-        }
-        if before.iter().all(|(link, _)| link.entry.id != silent.entry.id) {
-            before.push((silent, until));
-        }
-        links.stale = before;
-        links
-    }
-
-    /// Loads the latest keys of all links. Call it after frames were received.
-    fn refresh(&mut self) {
-        let stale = self.stale.iter_mut().map(|(link, _)| link);
-        stale.chain([&mut self.current]).for_each(|link| link.entry = link.shared.get());
-    }
-
-    /// Returns the link that a frame's id names. Other frames are assigned to the current link,
-    /// which refuses them.
-    fn of(&self, header: &Header) -> &Ingress {
-        let stale = self.stale.iter().map(|(link, _)| link).find(|link| link.entry.id == header.link_id());
-        stale.unwrap_or(&self.current)
-    }
-}
-
-/// A link that frames arrive on, with its replay window.
-struct Ingress {
-    shared: SharedEntry,
-    /// A copy of the shared entry for the current batch.
-    entry: KeyedEntry,
-    window: Box<Window>,
-    /// The attachment for answers, as long as the node sends on the link.
-    attachment: Weak<Attachment>,
-}
-
-impl Ingress {
-    fn new(shared: SharedEntry, attachment: Weak<Attachment>) -> Self {
-        Self { entry: shared.get(), shared, window: Box::new(replay::empty()), attachment }
-    }
-
-    fn of(attachment: &Arc<Attachment>) -> Self {
-        Self::new(attachment.entry.clone(), Arc::downgrade(attachment))
-    }
-
-    /// Processes a frame from the switch to this node itself.
-    fn notice(
-        &self,
-        frame_type: FrameType,
-        header: &Header,
-        counters: &Counters,
-        feedback: &Feedbacks,
-    ) -> Result<(), Counter> {
-        match (frame_type, header.egress_set) {
-            (FrameType::Error, code) => {
-                let code = ErrorCode::from_number(code).ok_or(Counter::Unknown)?;
-                counters.errors[code.index()].add(1);
-                feedback.add(code, header);
-                if let Some(attachment) = self.attachment.upgrade() {
-                    attachment.frame_size.learn(code, header);
-                }
-            }
-            (FrameType::Echo, Header::ASKS) => {
-                if let Some(attachment) = self.attachment.upgrade() {
-                    let mut answer = *header;
-                    answer.become_answer();
-                    attachment.send(answer);
-                    counters.echoes_answered.add(1);
-                }
-            }
-            (FrameType::Echo, Header::ANSWERS) => {
-                if let Some(attachment) = self.attachment.upgrade() {
-                    attachment.answered(header.egress_bits());
-                }
-            }
-            _ => return Err(Counter::Unknown),
-        }
-        Ok(())
-    }
 }
 
 struct Subscriptions {

@@ -1,5 +1,5 @@
-//! Measures ROS 2 messages through two proxies while busy loops compete for the processors. Compares
-//! them with a TCP connection over kernel routers, in turn (`ros.rs` has both paths).
+//! Measures ROS 2 messages through two proxies while busy loops compete for the processors.
+//! Compares them with a TCP connection over kernel routers, in turn (`ros.rs` has both paths).
 //!
 //! A figure is the median of the rounds. No cable loses a frame, so each repair is needless.
 

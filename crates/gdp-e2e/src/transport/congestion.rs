@@ -4,7 +4,7 @@
 //! not slow the path down. Many losses in a round do, and so do marks. `docs/decisions.md` explains
 //! why no existing controller is used.
 
-use super::inbound::SOME_BYTES;
+use super::reports::SOME_BYTES;
 use super::{FRAME_HEADER, MS};
 
 /// A full frame in bytes, for limits in frames.

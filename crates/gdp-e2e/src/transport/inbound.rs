@@ -7,23 +7,10 @@ use std::collections::VecDeque;
 use gdp_wire::Name;
 
 use super::reordering::{LEAST_TOLERANCE, ReorderingWindow};
+use super::reports::{Reports, report_interval};
 use super::slot::{Body, Slot};
 use super::{MS, Position};
 use crate::feedback_wire::{Feedback, MAX_MISSING, MAX_SEQUENCE};
-
-/// Interval between reports of few bytes while nothing is missing, and the delay of the first one.
-/// Other reports to the same entity may travel along meanwhile.
-const SLOWEST_REPORT: u64 = 100 * MS;
-const REPORT_DELAY: u64 = 20 * MS;
-
-/// Number of bytes that cause an earlier report: half a round trip after the last one, but at least
-/// [`FASTEST_REPORT`].
-pub(super) const SOME_BYTES: u64 = 16 << 10;
-const FASTEST_REPORT: u64 = 10 * MS;
-
-/// Number of bytes that cause a still earlier report on short paths.
-const MANY_BYTES: u64 = 64 << 10;
-const FASTEST_OF_MANY: u64 = 2 * MS;
 
 /// Timers that are looked at later than this say nothing: this thread had no processor, and the
 /// writer may have had none either. They start once more.
@@ -65,19 +52,7 @@ pub struct Inbound<M> {
     due: Position,
     received_at: u64,
     ask_at: u64,
-    report_at: u64,
-    reported_at: Option<u64>,
-    /// The value of `next` in the last report.
-    reported_next: u64,
-    /// The writer has asked for a report, or lacks the last one.
-    is_report_urgent: bool,
-    segments: u64,
-    reported_bytes: u64,
-    segment_bytes: u64,
-    needless_bytes: u64,
-    ce: u32,
-    /// The last new segment since the last report, and its arrival time.
-    echo: Option<(Position, u64)>,
+    reports: Reports,
     ready: VecDeque<M>,
     counters: InboundCounters,
 }
@@ -106,16 +81,7 @@ impl<M> Inbound<M> {
             due: Position { sequence: 0, index: 0 },
             received_at: 0,
             ask_at: u64::MAX,
-            report_at: u64::MAX,
-            reported_at: None,
-            reported_next: from,
-            is_report_urgent: false,
-            segments: 0,
-            reported_bytes: 0,
-            segment_bytes: 0,
-            needless_bytes: 0,
-            ce: 0,
-            echo: None,
+            reports: Reports::new(from),
             ready: VecDeque::new(),
             counters: InboundCounters::default(),
         }
@@ -123,7 +89,7 @@ impl<M> Inbound<M> {
 
     /// Counts a frame of this session with a congestion mark.
     pub fn congested(&mut self) {
-        self.ce = self.ce.wrapping_add(1);
+        self.reports.on_mark();
     }
 
     /// Processes a segment. Returns false if the segment is useless: its message is settled, it was
@@ -155,9 +121,7 @@ impl<M> Inbound<M> {
             self.reordering.on_answer(position);
             self.repair_time = ((7 * self.repair_time + took) / 8).clamp(self.rtt, LONGEST_RTT);
         }
-        self.segments += 1;
-        self.segment_bytes += bytes as u64;
-        self.echo = Some((position, now));
+        self.reports.on_segment(now, position, bytes);
         (self.received_at, self.is_idle_moved) = (now, false);
         if position > self.highest {
             (self.highest, self.highest_at) = (position, now);
@@ -290,7 +254,8 @@ impl<M> Inbound<M> {
 
     /// Returns the report if it is due before this time, for a frame that is sent anyway.
     pub fn report_early(&mut self, now: u64, before: u64) -> Option<Feedback> {
-        (self.report_at <= before).then(|| self.report(now))
+        let due = self.reports.due_at() <= before;
+        due.then(|| self.reports.report(now, self.name, self.session, self.highest.sequence, self.next))
     }
 
     /// Returns the time when [`Self::poll`] will return an output, if no other call precedes it.
@@ -298,7 +263,7 @@ impl<M> Inbound<M> {
         let ready = (!self.ready.is_empty()).then_some(0);
         let mark = self.mark.map(|(at, _)| at);
         let idle = (!self.slots.is_empty() && self.due < self.highest_known()).then(|| self.idle_at());
-        let timers = [self.ask_at, self.report_at].into_iter().filter(|at| *at < u64::MAX);
+        let timers = [self.ask_at, self.reports.due_at()].into_iter().filter(|at| *at < u64::MAX);
         [ready, mark, idle, self.deadline()].into_iter().flatten().chain(timers).min()
     }
 
@@ -338,7 +303,7 @@ impl<M> Inbound<M> {
     fn on_duplicate(&mut self, now: u64, position: Position, bytes: usize) {
         self.counters.duplicates += 1;
         if self.reordering.on_duplicate(now, position, self.rtt) {
-            self.needless_bytes += bytes as u64;
+            self.reports.on_needless(bytes);
         }
         // If a report was lost, the writer must learn that the segment has arrived.
         self.expedite_report(now);
@@ -347,11 +312,7 @@ impl<M> Inbound<M> {
     /// Returns the time when nothing is in flight any more, even if the writer had to wait for a
     /// report.
     fn idle_at(&self) -> u64 {
-        self.received_at + self.rtt + self.rtt / 2 + self.report_interval() + self.reordering.extra()
-    }
-
-    fn report_interval(&self) -> u64 {
-        (self.rtt / 2).clamp(FASTEST_REPORT, SLOWEST_REPORT)
+        self.received_at + self.rtt + self.rtt / 2 + report_interval(self.rtt) + self.reordering.extra()
     }
 
     /// Returns the end of the newest message with a received segment.
@@ -491,43 +452,12 @@ impl<M> Inbound<M> {
     }
 
     fn plan_report(&mut self, now: u64) {
-        let bytes = self.segment_bytes - self.reported_bytes;
-        let is_history_filling = self.next.saturating_sub(self.reported_next) >= self.options.report_after;
-        let (interval, delay) = if bytes >= MANY_BYTES || is_history_filling {
-            ((self.rtt / 2).clamp(FASTEST_OF_MANY, SLOWEST_REPORT), 0)
-        } else if bytes >= SOME_BYTES || self.is_report_urgent {
-            (self.report_interval(), 0)
-        } else {
-            (SLOWEST_REPORT, REPORT_DELAY)
-        };
-        let at = self.reported_at.map_or(now, |last| (last + interval).max(now + delay));
-        self.report_at = self.report_at.min(at);
+        self.reports.plan(now, self.rtt, self.next, self.options.report_after);
     }
 
     fn expedite_report(&mut self, now: u64) {
-        self.is_report_urgent = true;
+        self.reports.expedite();
         self.plan_report(now);
-    }
-
-    fn report(&mut self, now: u64) -> Feedback {
-        self.report_at = u64::MAX;
-        self.reported_at = Some(now);
-        self.is_report_urgent = false;
-        (self.reported_bytes, self.reported_next) = (self.segment_bytes, self.next);
-        let (echo, received_at) = self.echo.take().unwrap_or((Position { sequence: 0, index: 0 }, now));
-        Feedback::Report {
-            name: self.name,
-            session: self.session,
-            highest: self.highest.sequence,
-            acknowledged: self.next - 1,
-            received_segments: self.segments,
-            received_bytes: self.segment_bytes,
-            needless_bytes: self.needless_bytes,
-            ce: self.ce,
-            echo: echo.sequence,
-            echo_index: echo.index,
-            delay_us: u32::try_from((now - received_at) / 1000).unwrap_or(u32::MAX),
-        }
     }
 }
 

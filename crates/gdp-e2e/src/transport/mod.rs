@@ -40,6 +40,7 @@ mod meter;
 mod outbox;
 mod peers;
 mod reordering;
+mod reports;
 mod sealed;
 mod sent_log;
 mod slot;

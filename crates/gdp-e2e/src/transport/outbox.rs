@@ -344,9 +344,9 @@ impl Outbox {
         }
     }
 
-    /// Queues the segments that a reader lacks. Segments from `in_flight` on, and repairs sent after
-    /// `too_early`, are still in flight to the reader. `pay` returns whether a frame of its length
-    /// is within the reader's budget. Returns the bytes queued for this reader.
+    /// Queues the segments that a reader lacks. Segments from `in_flight` on, and repairs sent
+    /// after `too_early`, are still in flight to the reader. `pay` returns whether a frame of its
+    /// length is within the reader's budget. Returns the bytes queued for this reader.
     pub fn ask(
         &mut self,
         range: &Missing,

@@ -317,8 +317,8 @@ impl TopicState {
             Feedback::Nack { session, highest, highest_index, waited_us, missing, .. } if *session == self.session => {
                 let highest = Position { sequence: *highest, index: *highest_index };
                 let waited = u64::from(*waited_us) * 1000;
-                // This thread may process the request late. What was sent since then is in flight, or
-                // was in a queue of the path.
+                // This thread may process the request late. What was sent since then is in flight,
+                // or was in a queue of the path.
                 let queue = self.peers.get(reader).map_or(0, |peer| peer.path().rtt() / 2);
                 let before = self.log.find(highest).map(|sent| (sent.at + waited).saturating_sub(queue));
                 let in_flight = before.and_then(|before| self.log.first_after(before));

@@ -3,8 +3,10 @@
 use super::*;
 use gdp_wire::{LinkEntry, hop};
 use std::collections::BTreeMap;
+use std::sync::Weak;
 
 use super::super::options::SubscribeOptions;
+use super::super::shared_entry::SharedEntry;
 use gdp_core::identity::Identity;
 use gdp_core::link_target::LinkTarget;
 use gdp_link::port::LinkAddr;
