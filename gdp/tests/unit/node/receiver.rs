@@ -1,7 +1,7 @@
 //! Unit tests of `node::receiver`.
 
 use super::*;
-use gdp_wire::{LinkEntry, hop};
+use gdp_wire::{ErrorCode, LinkEntry, hop, replay};
 use std::collections::BTreeMap;
 use std::sync::Weak;
 
