@@ -70,7 +70,7 @@ fn a_daemon_is_given_no_probe_right_after_another() {
     }
     let onward: Expected = sends(&probe(WEST, 1 << 3), EAST, 1 << 3).into();
     assert_eq!(both(&probe(WEST, 1 << 3)), [onward.clone(), onward], "one that goes on costs the daemon nothing");
-    let answer = probe(WEST, 9).with(|f| (f.version_type, f.egress_set) = (0x14, 1));
+    let answer = probe(WEST, 9).with(|f| (f.version_type, f.egress_set) = (0x24, 1));
     assert_eq!(both(&answer), [pass("slow"), pass("notice")], "and what is not a probe goes on being heard");
 }
 
@@ -257,6 +257,7 @@ fn cases() -> Vec<Case> {
         replays(),
         sizes(),
         tags(),
+        uncovered(),
         echoes_and_errors(),
         probes(),
         other_frames(),
@@ -564,8 +565,8 @@ fn tags() -> Vec<Case> {
         ("link counter", 12, 0x01, "drop_bad_tag"),
         ("tag", 16, 0x01, "drop_bad_tag"),
         ("egress bits", 24, 0x01, "drop_bad_tag"),
-        ("destination", 63, 0x01, "drop_bad_tag"),
-        ("source", 95, 0x01, "drop_bad_tag"),
+        ("destination", 32, 0x80, "drop_bad_tag"),
+        ("first half of the destination", 47, 0x01, "drop_bad_tag"),
     ];
     let mut cases = Vec::new();
     for (field, offset, bit, counter) in flips {
@@ -588,10 +589,68 @@ fn tags() -> Vec<Case> {
     cases
 }
 
+/// The fields of a data frame that its tag does not cover are changed in transit. The tag of the
+/// original stays. Who would act on the field refuses the frame, or does not look at it.
+fn uncovered() -> Vec<Case> {
+    let altered = |sent: &Sent, at: usize| {
+        let tag = u64::from_be_bytes(fixtures::array(&fixtures::hex(&sent.frame.header()[16..24])));
+        let names = sent.clone().with(|f| if at < 64 { f.destination[at - 32] ^= 1 } else { f.source[at - 64] ^= 1 });
+        (names.clone().with(|f| f.tag = Some(tag)), names)
+    };
+    let (out, transit) = (from(ROBOT).to("far"), from(WEST).bits(1 << 3).to("far"));
+    let (to_reader, abroad) = (from(EAST).bits(OWN).to("here"), from(ABROAD).to("home and abroad"));
+    let mut cases = Vec::new();
+    for at in [48, 63] {
+        let refused = |sent: &Sent| {
+            let (altered, names) = altered(sent, at);
+            (altered, names.error("drop_no_route", 1, 0))
+        };
+        for (sent, place) in [(&out, "by an endpoint"), (&to_reader, "for a reader here"), (&abroad, "from abroad")] {
+            let (altered, error) = refused(sent);
+            cases.push(altered.case(&format!("byte {at} is another: no name, {place}"), error));
+        }
+        let (altered, names) = altered(&transit, at);
+        let name = format!("byte {at} is another: in transit nobody reads the name");
+        cases.push(altered.case(&name, sends(&names, EAST, 1 << 3)));
+    }
+    for at in [64, 95] {
+        for (sent, place) in [(&out, "by an endpoint"), (&abroad, "from abroad")] {
+            let (altered, names) = altered(sent, at);
+            let name = format!("byte {at} is another: no writer, {place}");
+            cases.push(altered.case(&name, names.error("drop_source", 4, 0)));
+        }
+        let (through, names) = altered(&transit, at);
+        let name = format!("byte {at} is another: in transit nobody reads the source");
+        cases.push(through.case(&name, sends(&names, EAST, 1 << 3)));
+        let (delivered, names) = altered(&to_reader, at);
+        let name = format!("byte {at} is another: the reader has no key of that writer");
+        cases.push(delivered.case(&name, delivers(&names, CLOUD)));
+    }
+    // What ends at a neighbour is covered as a whole.
+    let echo = from(WEST).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x24, 1, vec![]));
+    let error = from(EAST).with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x22, 1, 1, vec![]));
+    for (sent, kind) in [(probe(WEST, OWN).to("here"), "a probe"), (error, "an error"), (echo, "an echo")] {
+        for at in [32, 47, 48, 63, 64, 95] {
+            let (altered, _) = altered(&sent, at);
+            cases.push(altered.case(&format!("byte {at} of {kind} is another"), drop("drop_bad_tag")));
+        }
+    }
+    // A tag is good for the kind of frame that it was made for only.
+    for (kind, code) in [(0x22, 4), (0x23, 0), (0x24, 0)] {
+        let (turned, _) = altered(&transit, 32);
+        let turned = turned.with(|f| {
+            f.destination = transit.frame.destination;
+            (f.version_type, f.egress_set) = (kind, code);
+        });
+        cases.push(turned.case(&format!("a data frame as type {kind:#x}"), drop("drop_bad_tag")));
+    }
+    cases
+}
+
 /// Frames between neighbours.
 fn echoes_and_errors() -> Vec<Case> {
     let echo = |from: Sent| {
-        from.bits(0x1122_3344_5566_7788).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x14, 1, vec![]))
+        from.bits(0x1122_3344_5566_7788).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x24, 1, vec![]))
     };
     let answer = |sent: &Sent, by: u32| Expected {
         counter: "echoed".into(),
@@ -603,7 +662,7 @@ fn echoes_and_errors() -> Vec<Case> {
     let loaded = echo(from(WEST)).with(|f| f.payload = vec![7; 100]);
     let over_udp = echo(from(UDP));
     let error =
-        from(EAST).bits(9).with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x12, 1, 1, vec![]));
+        from(EAST).bits(9).with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x22, 1, 1, vec![]));
     vec![
         asked.case("an echo comes back", answer(&asked, WEST)),
         by_endpoint.case("also to an endpoint", answer(&by_endpoint, ROBOT)),
@@ -617,7 +676,7 @@ fn echoes_and_errors() -> Vec<Case> {
         notice(error.clone(), "and so is an error"),
         from(ROBOT)
             .bits(9)
-            .with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x12, 1, 1, vec![]))
+            .with(|f| (f.version_type, f.hop_limit, f.egress_set, f.payload) = (0x22, 1, 1, vec![]))
             .case("an endpoint has nothing to refuse", drop("drop_unknown")),
         error.with(|f| f.tag = Some(1)).case("but not one that the neighbour did not send", drop("drop_bad_tag")),
     ]
@@ -674,9 +733,14 @@ fn other_frames() -> Vec<Case> {
         first_byte(0x11).case("a control frame is the daemon's", pass("control")),
         raw("also a short one", &short_control, pass("control")),
         first_byte(0x00).case("version 0", drop("drop_unknown")),
-        first_byte(0x20).case("version 2", drop("drop_unknown")),
-        first_byte(0x15).case("the first type that is not known", drop("drop_unknown")),
-        first_byte(0x1f).case("the last type", drop("drop_unknown")),
+        first_byte(0x10).case("version 1", drop("drop_unknown")),
+        first_byte(0x30).case("version 3", drop("drop_unknown")),
+        first_byte(0x12).case("an error of version 1", drop("drop_unknown")),
+        first_byte(0x13).case("a probe of version 1", drop("drop_unknown")),
+        first_byte(0x14).case("an echo of version 1", drop("drop_unknown")),
+        first_byte(0x21).case("a control frame of version 2", drop("drop_unknown")),
+        first_byte(0x25).case("the first type that is not known", drop("drop_unknown")),
+        first_byte(0x2f).case("the last type", drop("drop_unknown")),
         first_byte(0x40).case("what would be QUIC on UDP", drop("drop_unknown")),
         first_byte(0xff).case("the last first byte", drop("drop_unknown")),
         header_words(11).case("a shorter header", drop("drop_unknown")),
@@ -715,7 +779,7 @@ fn crossings() -> Vec<Case> {
             padded.case(&format!("what is behind a frame stays behind, from {label}"), sends(&padded, to, bit(to))),
         );
         cases.push(from(by).bits(1 << 62).refused(&format!("an error goes back to {label}"), "drop_no_egress"));
-        let echo = from(by).bits(7).with(|f| (f.version_type, f.hop_limit) = (0x14, 1));
+        let echo = from(by).bits(7).with(|f| (f.version_type, f.hop_limit) = (0x24, 1));
         let answer = sends(&echo, by, 7).with(|f| (f.hop_limit, f.egress_set, f.payload) = (1, 1, vec![]));
         cases.push(
             echo.case(&format!("an echo goes back to {label}"), Expected { counter: "echoed".into(), ..answer.into() }),
@@ -773,7 +837,7 @@ fn congestion() -> Vec<Case> {
             frame: Some(Bytes::new(&with_mark(&both, by, bits).0.bytes())),
             counter: "forwarded".into(),
         };
-        let echo = deaf(7).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x14, 1, vec![]));
+        let echo = deaf(7).with(|f| (f.version_type, f.hop_limit, f.payload) = (0x24, 1, vec![]));
         let answer = sends(&echo, by, 7).with(|f| (f.hop_limit, f.egress_set) = (1, 1));
         let nowhere = marked(1 << 62);
         cases.extend([
@@ -903,7 +967,7 @@ fn from(id: u32) -> Sent {
 
 /// Returns a probe as a switch forwards it.
 fn probe(id: u32, bits: u64) -> Sent {
-    from(id).bits(bits).with(|f| (f.version_type, f.payload) = (0x13, vec![0x77; 8]))
+    from(id).bits(bits).with(|f| (f.version_type, f.payload) = (0x23, vec![0x77; 8]))
 }
 
 impl Sent {
@@ -951,7 +1015,7 @@ impl Sent {
     fn error(&self, counter: &str, code: u8, mtu: u64) -> Expected {
         let told = mtu << 32 | u64::from(self.frame.link_counter as u32);
         let error = sends(self, self.frame.link_id, told).with(|f| {
-            (f.version_type, f.hop_limit, f.egress_set) = (0x12, 1, code);
+            (f.version_type, f.hop_limit, f.egress_set) = (0x22, 1, code);
             (f.payload, f.payload_len) = (vec![], None);
         });
         Expected { counter: counter.into(), ..error.into() }

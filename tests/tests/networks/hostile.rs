@@ -279,7 +279,7 @@ fn forged_and_replayed_errors_and_echoes_are_refused_by_the_next_switch() -> Res
     let scene = Scene::set()?;
     let forged = |frame_type: u8, code: u8| {
         let mut frame = scene.frame.clone();
-        (frame[ETHERNET], frame[ETHERNET + 2], frame[ETHERNET + 3]) = (0x10 | frame_type, 1, code);
+        (frame[ETHERNET], frame[ETHERNET + 2], frame[ETHERNET + 3]) = (0x20 | frame_type, 1, code);
         frame
     };
     let errors: Vec<_> = (0..=5).map(|code| forged(2, code)).collect();
@@ -359,7 +359,7 @@ fn a_flood_of_unknown_names_draws_few_errors_and_stops_nobody() -> Result<()> {
         stranger.send_frames(&batch)?;
         sent += batch.len() as u64;
         for error in stranger.receive(Duration::ZERO)? {
-            ensure!(error.version_type == 0x12 && error.egress_set == ErrorCode::NoRoute as u8, "{error:?}");
+            ensure!(error.version_type == 0x22 && error.egress_set == ErrorCode::NoRoute as u8, "{error:?}");
             errors += 1;
         }
     }

@@ -21,7 +21,7 @@ use gdp_core::name::NameProof;
 use gdp_core::peer::{MAX_LANES, Peer, Role};
 use gdp_proto::control;
 
-const VERSION: u8 = 5;
+const VERSION: u8 = 6;
 
 /// Maximum length of an encoded hello, in bytes. A typical hello has about 100 bytes, or about 1000
 /// with a membership.

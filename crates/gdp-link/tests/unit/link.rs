@@ -251,7 +251,7 @@ async fn data_frames_pass_beside_quic() {
     assert_eq!(received.await.unwrap(), 200);
 
     let elsewhere = LinkAddr::Ethernet { ifindex: 1, mac: [0; 6] };
-    let lost = dialler.data().send_batch([OutFrame { to: elsewhere, head: &[0x10], body: &[] }]);
+    let lost = dialler.data().send_batch([OutFrame { to: elsewhere, head: &[0x20], body: &[] }]);
     assert_eq!((lost.sent, lost.lost, dialler.data().send_drops()), (0, 1, 1));
 }
 
