@@ -48,7 +48,7 @@ pub enum ErrorCode {
     TooBig = 2,
     /// The hop limit is used up.
     HopLimit = 3,
-    /// The link may not send to this name, or as this source.
+    /// The link may not send to this name.
     NotAuthorised = 4,
 }
 
@@ -134,8 +134,8 @@ impl Header {
     pub const LEN: usize = 96;
     /// Byte range of the hop tag in the header.
     pub const TAG: core::ops::Range<usize> = 16..24;
-    /// Number of words that the hop tag of a data frame covers. They are in the first 48 bytes.
-    pub const DATA_WORDS: usize = 5;
+    /// Number of words that the hop tag covers.
+    pub const TAGGED_WORDS: usize = 7;
 
     /// Flag: the key phase of the tag, one of the two link keys that are valid at a time.
     pub const KEY_PHASE: u8 = 0x80;
@@ -296,53 +296,19 @@ impl Header {
     }
 
     /// Returns the hop tag of this header under a key of its link, for the whole count of the frame.
-    ///
-    /// The tag of a data frame covers what switches forward by. Other frames are rare, and their
-    /// names are read where they end, so their tag covers the whole header. `docs/security.md`
-    /// states what an attacker can do with the other fields of a data frame.
     #[inline(always)]
     pub fn tag_for(&self, key: [u64; 2], count: u64) -> u64 {
-        if self.is_data() { siphash24(key, &self.data_words(count)) } else { self.whole_tag(key[0], key[1], count) }
+        siphash24(key, &self.tagged_words(count))
     }
 
-    /// Returns whether this is the header of a data frame.
+    /// Returns the little-endian words that the hop tag covers: the header up to the source, without
+    /// the tag, and the high 32 bits of the link's count. Those bits are not in the header. They are
+    /// XORed onto the link id, which is constant under a key. `docs/security.md` states who checks
+    /// the source.
     #[inline(always)]
-    pub fn is_data(&self) -> bool {
-        self.version_type == FrameType::Data.first_byte()
-    }
-
-    /// Returns the little-endian words that the tag of a data frame covers: all before the tag, the
-    /// egress bits, and the first half of the destination.
-    #[inline(always)]
-    pub fn data_words(&self, count: u64) -> [u64; Self::DATA_WORDS] {
-        [self.word(0), self.link_word(count), self.word(3), self.word(4), self.word(5)]
-    }
-
-    /// Returns the tag over all words of the header but its own. A function of its own, so that the
-    /// XDP programs contain it once.
-    #[inline(never)]
-    fn whole_tag(&self, key0: u64, key1: u64, count: u64) -> u64 {
-        let words = [
-            self.word(0),
-            self.link_word(count),
-            self.word(3),
-            self.word(4),
-            self.word(5),
-            self.word(6),
-            self.word(7),
-            self.word(8),
-            self.word(9),
-            self.word(10),
-            self.word(11),
-        ];
-        siphash24([key0, key1], &words)
-    }
-
-    /// Returns the word with link id and counter. The high 32 bits of the link's count are not in
-    /// the header. They are XORed onto the link id, which is constant under a key.
-    #[inline(always)]
-    fn link_word(&self, count: u64) -> u64 {
-        self.word(1) ^ u64::from(((count >> 32) as u32).swap_bytes())
+    pub fn tagged_words(&self, count: u64) -> [u64; Self::TAGGED_WORDS] {
+        let link = self.word(1) ^ u64::from(((count >> 32) as u32).swap_bytes());
+        [self.word(0), link, self.word(3), self.word(4), self.word(5), self.word(6), self.word(7)]
     }
 
     /// Returns a word of the header; `i` is below 12.

@@ -189,7 +189,8 @@ impl SubscriptionReceiver {
         }
     }
 
-    /// Processes a frame's payload from a known writer. `marked`: the frame met congestion.
+    /// Processes a frame's payload from a known writer. `marked`: the frame met congestion. The mark
+    /// counts if the frame turns out to be of the writer's session.
     pub fn push(
         &mut self,
         now: Timestamps,
@@ -201,9 +202,6 @@ impl SubscriptionReceiver {
         let Some(writer) = self.writers.get_mut(&source) else { return Verdict::Done };
         let steady = now.steady_ns;
         if let Some(Session { id, inbound, reliable, .. }) = &mut writer.session {
-            if marked {
-                inbound.congested();
-            }
             // The writer retransmits what does not fit. Opening it would count it as delivered.
             let most = inbound.next_sequence().saturating_add(REACH);
             let is_beyond = |id: [u8; 16], sequence| {
@@ -231,6 +229,12 @@ impl SubscriptionReceiver {
             received.clear();
             return verdict;
         };
+        // Hop tags do not cover the source between switches. Only what opened shows that the frame
+        // is this writer's, and that the mark is for it.
+        let mut sessions = received.segments.iter().chain(&received.repeated).map(|segment| segment.session);
+        if marked && (sessions.any(|of| of == *id) || received.heartbeats.iter().any(|beat| beat.session == *id)) {
+            inbound.congested();
+        }
         // Includes repeated segments: after a lost report, the writer must learn that they have
         // arrived. Segments that did not open are unauthenticated and do not count.
         for segment in received.segments.iter().chain(&received.repeated).filter(|segment| segment.session == *id) {

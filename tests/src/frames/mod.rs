@@ -110,18 +110,14 @@ impl Frame {
     }
 }
 
-/// Returns the hop tag: SipHash-2-4 over bytes 0 to 15 and 24 to 47 of a data frame's header, and
-/// over the header without the tag of any other frame. The link id is first XORed with the high half
-/// of the link counter.
+/// Returns the hop tag: SipHash-2-4 over bytes 0 to 15 and 24 to 63 of the header. The link id is
+/// first XORed with the high half of the link counter.
 pub fn hop_tag(key: [u64; 2], count: u64, header: &[u8; 96]) -> u64 {
     let mut header = *header;
     for (byte, high) in header[8..12].iter_mut().zip(((count >> 32) as u32).to_be_bytes()) {
         *byte ^= high;
     }
     let word = |i: usize| u64::from_le_bytes(header[i * 8..i * 8 + 8].try_into().expect("eight bytes"));
-    if header[0] == 0x20 {
-        return siphash24(key, &[word(0), word(1), word(3), word(4), word(5)]);
-    }
-    let words: [u64; 11] = std::array::from_fn(|i| word(if i < 2 { i } else { i + 1 }));
+    let words: [u64; 7] = std::array::from_fn(|i| word(if i < 2 { i } else { i + 1 }));
     siphash24(key, &words)
 }

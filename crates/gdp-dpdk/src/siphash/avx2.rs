@@ -64,10 +64,10 @@ fn store(a: Vector, words: &mut [u64]) {
 /// Returns a vector of the first tagged words of all headers, a vector of the second, and so on.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; Header::DATA_WORDS] {
+fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; Header::TAGGED_WORDS] {
     let [w0, w1, _, w3] = columns::<0>(headers);
-    let [w4, w5, _, _] = columns::<4>(headers);
-    [w0, w1, w3, w4, w5]
+    let [w4, w5, w6, w7] = columns::<4>(headers);
+    [w0, w1, w3, w4, w5, w6, w7]
 }
 
 /// Transposes four words of all headers, from `FROM` (0 … 8) on. Vector `i` contains word `FROM +

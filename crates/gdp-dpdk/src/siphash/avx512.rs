@@ -63,13 +63,13 @@ fn store(a: Vector, words: &mut [u64]) {
 /// Returns a vector of the first tagged words of all headers, a vector of the second, and so on.
 #[target_feature(enable = "avx512f")]
 #[inline]
-fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; Header::DATA_WORDS] {
+fn load_words(headers: [&[u64; 12]; LANES]) -> [Vector; Header::TAGGED_WORDS] {
     let mut rows = [splat(0); LANES];
     for (row, header) in rows.iter_mut().zip(headers) {
         *row = load(header);
     }
-    let [w0, w1, _, w3, w4, w5, ..] = transpose(rows);
-    [w0, w1, w3, w4, w5]
+    let [w0, w1, _, w3, w4, w5, w6, w7] = transpose(rows);
+    [w0, w1, w3, w4, w5, w6, w7]
 }
 
 /// Transposes the rows: row `i` of the result contains word `i` of each row.

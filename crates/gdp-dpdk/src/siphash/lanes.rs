@@ -7,7 +7,7 @@ pub const INITIAL: [u64; 4] =
     [0x736f_6d65_7073_6575, 0x646f_7261_6e64_6f6d, 0x6c79_6765_6e65_7261, 0x7465_6462_7974_6573];
 
 /// The final word of the input: the number of bytes modulo 256 in its highest byte.
-pub const LENGTH: u64 = ((Header::DATA_WORDS * 8) as u64) << 56;
+pub const LENGTH: u64 = ((Header::TAGGED_WORDS * 8) as u64) << 56;
 
 /// Defines `make` for one kind of vector. The scope must contain `Vector` and its number of words,
 /// `LANES`. For CPUs with the feature it must also contain `splat`, `add`, `xor`, `rotate` (left,
@@ -67,7 +67,7 @@ macro_rules! in_lanes {
         #[inline]
         fn hash<const GROUPS: usize>(first: usize, of: &mut Tags, headers: &[Header]) {
             let mut states = [State([splat(0); 4]); GROUPS];
-            let mut loaded = [[splat(0); Header::DATA_WORDS]; GROUPS];
+            let mut loaded = [[splat(0); Header::TAGGED_WORDS]; GROUPS];
             for group in 0..GROUPS {
                 let lanes = first + group * LANES..first + (group + 1) * LANES;
                 let mut frames = [&headers[0]; LANES];
@@ -78,7 +78,7 @@ macro_rules! in_lanes {
                 loaded[group] = load_words(frames.map(|frame| zerocopy::transmute_ref!(frame)));
                 loaded[group][1] = xor(loaded[group][1], load(&of.highs[lanes]));
             }
-            for word in 0..Header::DATA_WORDS {
+            for word in 0..Header::TAGGED_WORDS {
                 let mut each = [splat(0); GROUPS];
                 for group in 0..GROUPS {
                     each[group] = loaded[group][word];
@@ -101,7 +101,7 @@ macro_rules! in_lanes {
             }
         }
 
-        /// Computes the tags of data frames, as `Tags::make` does.
+        /// Computes the tags, as `Tags::make` does.
         #[target_feature(enable = $feature)]
         pub fn make(of: &mut Tags, headers: &[Header]) {
             const BOTH: usize = 2 * LANES;

@@ -1,7 +1,6 @@
 //! Hop tags of many frames at once: SipHash-2-4 in the lanes of vectors. [`Header::tag_for`]
 //! defines the tag. This module computes the same function for the frames of one burst, whose tags
-//! are independent of each other. The lanes contain data frames; the tags of other frames cover
-//! more, and each is computed by itself.
+//! are independent of each other.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -22,13 +21,11 @@ impl Tags {
         {
             if is_x86_feature_detected!("avx512f") {
                 // SAFETY: the CPU has the feature.
-                unsafe { avx512::make(self, headers) };
-                return self.make_others(headers);
+                return unsafe { avx512::make(self, headers) };
             }
             if is_x86_feature_detected!("avx2") {
                 // SAFETY: the CPU has the feature.
-                unsafe { avx2::make(self, headers) };
-                return self.make_others(headers);
+                return unsafe { avx2::make(self, headers) };
             }
         }
         self.make_each(headers);

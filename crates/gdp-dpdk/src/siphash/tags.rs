@@ -59,16 +59,6 @@ impl Tags {
         (0..self.length).for_each(|i| self.make_one(i, headers));
     }
 
-    /// Computes the tags of all frames but data frames.
-    #[inline]
-    pub fn make_others(&mut self, headers: &[Header]) {
-        for i in 0..self.length {
-            if !headers[self.positions[i] as usize].is_data() {
-                self.make_one(i, headers);
-            }
-        }
-    }
-
     #[inline]
     pub fn make_one(&mut self, i: usize, headers: &[Header]) {
         let key = [self.keys[0][i], self.keys[1][i]];

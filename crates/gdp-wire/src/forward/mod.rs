@@ -130,7 +130,7 @@ fn classify_action<'t, T: Tables>(header: &Header, ingress: &'t LinkEntry, table
         counter: Counter::Notice,
         refusal,
     };
-    if header.is_data() {
+    if header.version_type == FrameType::Data.first_byte() {
         match route(header, header.frame_len(), ingress, tables) {
             Ok(Egress::One { link, bits, set, counter }) => {
                 Decision { what: ActionKind::Send, link, bits, set, counter, ..none }
