@@ -19,6 +19,8 @@ pub struct Assembly {
     missing: u32,
     last_len: usize,
     proof: Option<Vec<u8>>,
+    /// Commitment to the key that the first segment opened under.
+    pub commitment: [u8; 32],
     pub deadline: u64,
     pub cost: usize,
 }
@@ -36,7 +38,7 @@ impl Assembly {
         count.checked_mul(per_segment).and_then(|n| n.checked_add(FIXED_COST)).ok_or(DropReason::TooLarge)
     }
 
-    pub fn new(header: &SegmentHeader, deadline: u64, cost: usize) -> Self {
+    pub fn new(header: &SegmentHeader, commitment: [u8; 32], deadline: u64, cost: usize) -> Self {
         let count = header.count as usize;
         Self {
             header: *header,
@@ -48,6 +50,7 @@ impl Assembly {
             missing: header.count,
             last_len: 0,
             proof: None,
+            commitment,
             deadline,
             cost,
         }

@@ -34,6 +34,9 @@ pub use wire::{MAX_BATCH, MAX_CUT, MIN_PAYLOAD};
 pub use writer::{MAX_SEGMENTS, SealError, Writer};
 
 #[cfg(test)]
+#[path = "../../tests/unit/seal/equivocation.rs"]
+mod equivocation;
+#[cfg(test)]
 #[path = "../../tests/unit/seal/hostile_tests.rs"]
 mod hostile_tests;
 #[cfg(test)]

@@ -8,7 +8,7 @@ use super::message::{Message, Preamble};
 use super::segment::Segment;
 use super::session::{SegmentPosition, Session};
 use super::wire::{self, HeartbeatBody, Kind, Proof, SegmentHeader};
-use crate::seal::event::{Heartbeat, Lost, Push, ReaderContext, Timestamps};
+use crate::seal::event::{Heartbeat, Lost, Push, ReaderContext};
 use bytes::{Buf, Bytes};
 use gdp_core::crypto::{CryptoError, Verifier};
 use gdp_core::keys::EpochKey;
@@ -57,7 +57,7 @@ impl WriterState {
 
     pub fn drop_key(&mut self, epoch: u32) {
         self.keys.retain(|(of, _)| *of != epoch);
-        self.sessions.iter_mut().for_each(|session| session.aeads.forget(epoch));
+        self.sessions.iter_mut().for_each(|session| session.keys.forget(epoch));
     }
 
     /// Confirms a session. If too many sessions are confirmed, discards the least recently used
@@ -135,13 +135,15 @@ impl WriterState {
         let proof_place = &mut rest[..proof.plaintext_len];
         let (_, key) = self.keys.iter().find(|(epoch, _)| *epoch == body.header.epoch)?;
         let session = &mut self.sessions[at];
-        let derive = || key.session_aead(push.shared.backend, &push.shared.name, &self.name, &session.id);
-        let aead = session.aeads.of(body.header.epoch, derive).ok()?;
-        body.open(aead, body_place).ok()?;
-        proof.open(aead, proof_place).ok()?;
+        let derive = || key.session_key(push.shared.backend, &push.shared.name, &self.name, &session.id);
+        let key = session.keys.of(body.header.epoch, derive).ok()?;
+        body.open(&key.aead, body_place).ok()?;
+        proof.open(&key.aead, proof_place).ok()?;
+        let commitment = key.commitment;
         push.out.segments.extend([body.id(), proof.id()]);
         let digest = body.digest(push.shared.backend);
-        Some(self.deliver(push, at, &body.header, Cow::Borrowed(body_place), &[digest], proof_place))
+        let signed = SignedParts { commitment, digests: &[digest], proof: proof_place };
+        Some(self.deliver(push, at, &body.header, Cow::Borrowed(body_place), signed))
     }
 
     /// Processes one segment, from its header to delivery.
@@ -164,11 +166,11 @@ impl WriterState {
         }
         let place = (header.sequence, header.cut);
         let (_, key) = self.keys.iter().find(|(epoch, _)| *epoch == header.epoch).ok_or(DropReason::NoKey)?;
-        let derive = || key.session_aead(push.shared.backend, &push.shared.name, &self.name, &header.session);
-        let at = match self.position(&header.session) {
+        let derive = || key.session_key(push.shared.backend, &push.shared.name, &self.name, &header.session);
+        let (at, commitment) = match self.position(&header.session) {
             Some(at) => {
                 let session = &mut self.sessions[at];
-                let aead = session.aeads.of(header.epoch, derive)?;
+                let key = session.keys.of(header.epoch, derive)?;
                 if let Some(assembly) = session.assemblies.get_mut(&place)
                     && header.kind == Kind::Body
                     && assembly.fits(header)
@@ -176,20 +178,21 @@ impl WriterState {
                 {
                     // The common case of a large message: opened directly in its slot, without a
                     // copy.
-                    segment.open(aead, assembly.slot(header, segment.plaintext_len))?;
+                    segment.open(&key.aead, assembly.slot(header, segment.plaintext_len))?;
                     assembly.mark(header, segment.plaintext_len, segment.digest(push.shared.backend));
                     push.out.segments.push(segment.id());
                     return self.deliver_if_complete(push, at, header);
                 }
-                segment.open(aead, scratch)?;
-                at
+                segment.open(&key.aead, scratch)?;
+                (at, key.commitment)
             }
             None => {
-                let aead = derive().map_err(|_| DropReason::Internal)?;
-                segment.open(&aead, scratch)?;
+                let key = derive().map_err(|_| DropReason::Internal)?;
+                segment.open(&key.aead, scratch)?;
+                let commitment = key.commitment;
                 let mut session = Session::new(header.session);
-                session.aeads.of(header.epoch, || Ok(aead))?;
-                self.admit(push.shared, session)
+                session.keys.of(header.epoch, || Ok(key))?;
+                (self.admit(push.shared, session), commitment)
             }
         };
 
@@ -211,7 +214,7 @@ impl WriterState {
             Some(_) => {}
             None => {
                 self.make_room(push, at, place, cost)?;
-                self.begin_assembly(push.shared, push.now, at, header, cost);
+                self.begin_assembly(push, at, header, commitment, cost);
             }
         }
         let assembly = self.sessions[at].assemblies.get_mut(&place).ok_or(DropReason::Internal)?;
@@ -256,7 +259,7 @@ impl WriterState {
         }
         let (body, signature) = HeartbeatBody::parse(plaintext).ok_or(DropReason::BadMessage)?;
         let statement = body.statement(&push.shared.name, &self.name, header);
-        self.verifier.verify(&statement, signature).map_err(|_| DropReason::BadSignature)?;
+        self.verifier.verify(&statement, signature).map_err(unsigned)?;
         check_age(push, body.timestamp_ns)?;
         session.heartbeat = header.index;
         push.out.heartbeats.push(Heartbeat {
@@ -270,16 +273,17 @@ impl WriterState {
 
     fn begin_assembly(
         &mut self,
-        shared: &mut ReaderContext,
-        now: Timestamps,
+        push: &mut Push<'_>,
         at: usize,
         header: &SegmentHeader,
+        commitment: [u8; 32],
         cost: usize,
     ) {
-        let timeout_factor = u64::try_from(shared.limits.deadline.as_nanos()).unwrap_or(u64::MAX);
-        let deadline = now.steady_ns.saturating_add(timeout_factor);
+        let shared = &mut *push.shared;
+        let timeout = u64::try_from(shared.limits.deadline.as_nanos()).unwrap_or(u64::MAX);
+        let deadline = push.now.steady_ns.saturating_add(timeout);
         let place = (header.sequence, header.cut);
-        self.sessions[at].assemblies.insert(place, Assembly::new(header, deadline, cost));
+        self.sessions[at].assemblies.insert(place, Assembly::new(header, commitment, deadline, cost));
         self.memory += cost;
         shared.memory += cost;
         shared.next_deadline = shared.next_deadline.min(deadline);
@@ -338,8 +342,10 @@ impl WriterState {
         }
         let assembly = assemblies.remove(&place).ok_or(DropReason::Internal)?;
         self.free(push.shared, assembly.cost);
+        let commitment = assembly.commitment;
         let (plaintext, digests, proof) = assembly.into_parts();
-        self.deliver(push, at, header, Cow::Owned(plaintext), &digests, &proof)
+        let signed = SignedParts { commitment, digests: &digests, proof: &proof };
+        self.deliver(push, at, header, Cow::Owned(plaintext), signed)
     }
 
     /// Delivers a complete and opened message, if the writer signed it and it is still wanted.
@@ -349,10 +355,9 @@ impl WriterState {
         at: usize,
         header: &SegmentHeader,
         plaintext: Cow<'_, [u8]>,
-        digests: &[[u8; 32]],
-        proof: &[u8],
+        signed: SignedParts<'_>,
     ) -> Result<(), DropReason> {
-        let result = self.deliver_signed(push, at, header, plaintext, digests, proof);
+        let result = self.deliver_signed(push, at, header, plaintext, signed);
         if let Err(reason) = result {
             let again = !matches!(reason, DropReason::TooOld | DropReason::TooLarge);
             push.out.lost.push(Lost { session: header.session, sequence: header.sequence, again });
@@ -366,18 +371,17 @@ impl WriterState {
         at: usize,
         header: &SegmentHeader,
         plaintext: Cow<'_, [u8]>,
-        digests: &[[u8; 32]],
-        proof: &[u8],
+        signed: SignedParts<'_>,
     ) -> Result<(), DropReason> {
         let ReaderContext { backend, name, limits, .. } = &*push.shared;
-        let leaf = wire::leaf(*backend, name, &self.name, header, digests);
-        let proof = Proof::parse(proof).ok_or(DropReason::BadMessage)?;
+        let leaf = wire::leaf(*backend, &signed.commitment, (name, &self.name), header, signed.digests);
+        let proof = Proof::parse(signed.proof).ok_or(DropReason::BadMessage)?;
         let is_signed = |root: &[u8; 32]| -> Result<(), CryptoError> {
             self.verifier.verify(&wire::batch_statement(root), proof.signature)
         };
         self.signed
             .verify(*backend, leaf, proof.position, proof.path, is_signed)
-            .map_err(|_| DropReason::BadSignature)?;
+            .map_err(unsigned)?;
         let preamble = Preamble::parse(&plaintext).ok_or(DropReason::BadMessage)?;
         if plaintext.len() - preamble.body_at > limits.max_message {
             return Err(DropReason::TooLarge);
@@ -428,6 +432,17 @@ impl WriterState {
         self.memory -= bytes;
         shared.memory -= bytes;
     }
+}
+
+/// What the signature of a message covers besides its header, and its proof segment.
+struct SignedParts<'a> {
+    commitment: [u8; 32],
+    digests: &'a [[u8; 32]],
+    proof: &'a [u8],
+}
+
+fn unsigned(error: CryptoError) -> DropReason {
+    if error == CryptoError::HighS { DropReason::HighS } else { DropReason::BadSignature }
 }
 
 fn check_age(push: &Push<'_>, timestamp_ns: u64) -> Result<(), DropReason> {

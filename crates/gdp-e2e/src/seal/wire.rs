@@ -5,11 +5,11 @@
 use gdp_core::crypto::{Backend, NONCE_LEN, SIGNATURE_LEN, TAG_LEN};
 use gdp_core::name::Name;
 
-const MESSAGE_CONTEXT: &[u8] = b"gdp/message/1";
-const BATCH_CONTEXT: &[u8] = b"gdp/batch/1";
+const MESSAGE_CONTEXT: &[u8] = b"gdp/message/2";
+const BATCH_CONTEXT: &[u8] = b"gdp/batch/2";
 const HEARTBEAT_CONTEXT: &[u8] = b"gdp/heartbeat/1";
 
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 const FLAG_PROOF: u8 = 1;
 const FLAG_HEARTBEAT: u8 = 2;
 pub const HEADER_LEN: usize = 44;
@@ -206,12 +206,22 @@ impl<'a> Proof<'a> {
     }
 }
 
-/// Returns the leaf of a message in the signed tree. `digests` are the SHA-256 of each body
-/// segment's ciphertext with its tag, in order.
-pub fn leaf(backend: Backend, name: &Name, writer: &Name, header: &SegmentHeader, digests: &[[u8; 32]]) -> [u8; 32] {
+/// Returns the leaf of a message in the signed tree. `commitment` is that of the session's key, and
+/// `digests` are the SHA-256 of each body segment's ciphertext with its tag, in order.
+///
+/// Without the commitment, a writer could give readers different keys under which one ciphertext
+/// opens to different messages, all below one valid signature.
+pub fn leaf(
+    backend: Backend,
+    commitment: &[u8; 32],
+    (name, writer): (&Name, &Name),
+    header: &SegmentHeader,
+    digests: &[[u8; 32]],
+) -> [u8; 32] {
     // Sequence, cut, session, count, size and epoch.
     let message = &header.to_bytes()[8..];
-    backend.sha256(&[&[0], MESSAGE_CONTEXT, name.as_bytes(), writer.as_bytes(), message, digests.as_flattened()])
+    let (name, writer) = (name.as_bytes(), writer.as_bytes());
+    backend.sha256(&[&[0], MESSAGE_CONTEXT, commitment, name, writer, message, digests.as_flattened()])
 }
 
 /// Returns the signed statement for the tree with this root.

@@ -9,9 +9,9 @@ use super::segments::Segments;
 use super::used_cuts::UsedCuts;
 use super::wire::{self, HeartbeatBody, Kind, OVERHEAD, Proof, SegmentHeader};
 use gdp_core::crypto;
-use gdp_core::crypto::{Aead, Backend, CryptoError, Signer, TAG_LEN};
+use gdp_core::crypto::{Backend, CryptoError, Signer, TAG_LEN};
 use gdp_core::identity::SigningKey;
-use gdp_core::keys::EpochKey;
+use gdp_core::keys::{EpochKey, SessionKey};
 use gdp_core::name::Name;
 use std::collections::VecDeque;
 use std::fmt;
@@ -69,7 +69,7 @@ pub struct Writer {
 /// The key of an epoch, for sealing.
 struct Epoch {
     number: u32,
-    aead: Aead,
+    key: SessionKey,
     /// Number of sealed segments.
     used: u64,
 }
@@ -138,11 +138,11 @@ impl Writer {
         {
             return Err(SealError::EpochGoesBack { epoch, current });
         }
-        let aead = key.session_aead(self.backend, &self.name, &self.writer, &self.session)?;
+        let key = key.session_key(self.backend, &self.name, &self.writer, &self.session)?;
         if self.before.len() == EPOCHS_KEPT {
             self.before.pop_front();
         }
-        self.before.extend(self.epoch.replace(Epoch { number: epoch, aead, used: 0 }));
+        self.before.extend(self.epoch.replace(Epoch { number: epoch, key, used: 0 }));
         Ok(())
     }
 
@@ -248,7 +248,7 @@ impl Writer {
                 let epoch = epoch.ok_or(refused("the key it was sealed under is gone"))?;
                 let at = plaintext.len();
                 plaintext.resize(at + segment.plaintext_len, 0);
-                let opened = segment.open(&epoch.aead, &mut plaintext[at..]);
+                let opened = segment.open(&epoch.key.aead, &mut plaintext[at..]);
                 opened.map_err(|_| refused("it is none of this session"))?;
                 continue;
             }
@@ -277,7 +277,7 @@ impl Writer {
         let signature = self.signer.sign(&body.statement(&self.name, &self.writer, &header))?;
         let mut plaintext = body.to_bytes(&signature);
         let clear = header.to_bytes();
-        let tag = self.aead()?.seal(&header.nonce(), &clear, &mut plaintext)?;
+        let tag = self.key()?.aead.seal(&header.nonce(), &clear, &mut plaintext)?;
         out.begin(wire::HEADER_LEN + usize::from(header.sealed_len), usize::MAX);
         [&clear[..], &plaintext, &tag].iter().for_each(|part| out.buffer().extend_from_slice(part));
         Ok(())
@@ -303,8 +303,8 @@ impl Writer {
         Ok(epoch.number)
     }
 
-    fn aead(&self) -> Result<&Aead, SealError> {
-        self.epoch.as_ref().map(|epoch| &epoch.aead).ok_or(SealError::NoEpoch)
+    fn key(&self) -> Result<&SessionKey, SealError> {
+        self.epoch.as_ref().map(|epoch| &epoch.key).ok_or(SealError::NoEpoch)
     }
 
     fn seal_run(
@@ -332,13 +332,9 @@ impl Writer {
             };
             let preamble = &message.preamble(timestamp_ns)[..message.preamble_len()];
             self.seal_body(header, preamble, message.body, max_payload, out)?;
-            self.scratch.leaves.push(wire::leaf(
-                self.backend,
-                &self.name,
-                &self.writer,
-                &header,
-                &self.scratch.digests,
-            ));
+            let (commitment, place) = (&self.key()?.commitment, (&self.name, &self.writer));
+            let leaf = wire::leaf(self.backend, commitment, place, &header, &self.scratch.digests);
+            self.scratch.leaves.push(leaf);
             self.reserve_proof(header, depth, max_payload, out);
         }
         self.seal_proofs(out)
@@ -369,7 +365,7 @@ impl Writer {
             buffer.extend_from_slice(from_head);
             buffer.extend_from_slice(from_body);
             let sealed = at + wire::HEADER_LEN;
-            let tag = self.aead()?.seal(&header.nonce(), &clear, &mut buffer[sealed..])?;
+            let tag = self.key()?.aead.seal(&header.nonce(), &clear, &mut buffer[sealed..])?;
             buffer.extend_from_slice(&tag);
             self.scratch.digests.push(self.backend.sha256(&[&buffer[sealed..]]));
         }
@@ -389,7 +385,7 @@ impl Writer {
         let Scratch { leaves, pending, tree, path, .. } = &mut self.scratch;
         tree.build(self.backend, leaves);
         let signature = self.signer.sign(&wire::batch_statement(&tree.root()))?;
-        let aead = self.epoch.as_ref().map(|epoch| &epoch.aead).ok_or(SealError::NoEpoch)?;
+        let aead = self.epoch.as_ref().map(|epoch| &epoch.key.aead).ok_or(SealError::NoEpoch)?;
         for (position, PendingProof { at, header }) in pending.iter().enumerate() {
             tree.path(position, path);
             let clear = header.to_bytes();

@@ -297,7 +297,7 @@ fn proofs_cannot_be_exchanged_within_a_batch() {
         (&payload[..ends[0]], &payload[ends[0]..ends[1]], &payload[ends[2]..ends[3]]);
 
     // An insider opens the second proof and seals it again as that of the first message.
-    let aead = f.epoch_key.session_aead(Backend::default(), &f.name, &f.writer_name(), &session).unwrap();
+    let aead = f.epoch_key.session_key(Backend::default(), &f.name, &f.writer_name(), &session).unwrap().aead;
     let open = |segment: &[u8]| {
         let (clear, sealed) = segment.split_first_chunk::<HEADER_LEN>().unwrap();
         let (ciphertext, tag) = sealed.split_last_chunk::<TAG_LEN>().unwrap();

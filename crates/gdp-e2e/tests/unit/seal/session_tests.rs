@@ -284,7 +284,7 @@ fn another_reader_cannot_forge_a_heartbeat() {
         assert_eq!(refusal(&mut reader, &f, &beat(&mut insider, 40)), Some(DropReason::BadSignature));
     }
     // The writer's own signature, with another number, next sequence or age, or in another session.
-    let aead = f.epoch_key.session_aead(f.writing, &f.name, &f.writer_name(), &writer.session()).unwrap();
+    let aead = f.epoch_key.session_key(f.writing, &f.name, &f.writer_name(), &writer.session()).unwrap().aead;
     let clear: [u8; HEADER_LEN] = true_one[..HEADER_LEN].try_into().unwrap();
     let header = SegmentHeader::parse(&clear).unwrap();
     let (ciphertext, tag) = true_one[HEADER_LEN..].split_last_chunk().unwrap();

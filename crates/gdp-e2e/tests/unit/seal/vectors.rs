@@ -163,6 +163,11 @@ fn vectors_of_segments() {
                 &epoch_key,
                 &[b"gdp/session/1", name.as_bytes(), writer_name.as_bytes()],
             ).unwrap()),
+            "commitment": hex::encode(*Backend::default().hkdf_sha256(
+                &session,
+                &epoch_key,
+                &[b"gdp/commit/1", name.as_bytes(), writer_name.as_bytes()],
+            ).unwrap()),
             "verify_key": key.verify_key(),
             "vectors": vectors,
             "cut_anew": cut_anew,

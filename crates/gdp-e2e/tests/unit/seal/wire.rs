@@ -22,7 +22,7 @@ fn headers_round_trip_and_other_versions_are_unknown() {
     let bytes = HEADER.to_bytes();
     assert_eq!(bytes[8..16], [1, 2, 3, 4, 5, 6, 7, 8]);
     assert_eq!(HEADER.nonce(), [1, 2, 3, 4, 5, 6, 7, 8, 0, 0, 0, 2]);
-    for (at, value) in [(0, 0), (0, 1), (0, 3), (1, 3), (1, 4), (1, 0x81)] {
+    for (at, value) in [(0, 0), (0, 2), (0, 4), (1, 3), (1, 4), (1, 0x81)] {
         let mut other = bytes;
         other[at] = value;
         assert_eq!(SegmentHeader::parse(&other), None, "byte {at} = {value}");
