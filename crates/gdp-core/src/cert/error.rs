@@ -11,6 +11,8 @@ use crate::name::Name;
 pub enum CertError {
     #[error("bad signature: the {what} was changed after it was signed")]
     BadSignature { what: &'static str },
+    #[error("high s: the {what} has the form of signature that anybody can make of another; have it issued anew")]
+    HighS { what: &'static str },
     #[error("wrong key: the {what} was signed by {got}, but must be signed by {expected}; sign it with that key")]
     WrongKey { what: &'static str, expected: String, got: String },
     #[error("not yet valid: begins at Unix time {from}, now is {now}; wait, or check the clock")]

@@ -66,7 +66,10 @@ impl<T: Claims> Signed<T> {
         let bad = CertError::BadSignature { what: T::KIND };
         cose.verify_signature(T::CONTEXT.as_bytes(), |signature, message| {
             let signature: &[u8; SIGNATURE_LEN] = signature.try_into().map_err(|_| bad.clone())?;
-            key.verify(message, signature).map_err(|_| bad.clone())
+            key.verify(message, signature).map_err(|error| match error {
+                CryptoError::HighS => CertError::HighS { what: T::KIND },
+                _ => bad.clone(),
+            })
         })?;
         Ok(claims)
     }

@@ -84,6 +84,17 @@ fn no_changed_bit_verifies() {
     assert!(Signed::<AdCert>::from_bytes(longer).unwrap().verify(&key, NOW).is_err());
 }
 
+/// Anybody can make the other form of a signature. With it, a certificate would have two encodings.
+#[test]
+fn a_signature_has_one_form() {
+    let f = Fixture::new();
+    let cert = f.ad_cert(|_| ());
+    let (signed, signature) = cert.as_bytes().split_last_chunk().unwrap();
+    let restated = [signed, &crate::crypto::tests::restated(signature)].concat();
+    let restated = Signed::<AdCert>::from_bytes(restated).unwrap();
+    assert_eq!(restated.verify(&f.owner.verify_key(), NOW), Err(CertError::HighS { what: "AdCert" }));
+}
+
 /// A ReadGrant whose claims are those of an RtCert would be one if the kind were not signed.
 #[test]
 fn one_kind_never_verifies_as_another() {

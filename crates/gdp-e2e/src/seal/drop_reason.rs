@@ -54,6 +54,8 @@ reasons! {
     BadMessage = "bad_message",
     /// The writer did not sign this message.
     BadSignature = "bad_signature",
+    /// The signature has a high `s`, the form that anybody can make of a good signature.
+    HighS = "high_s",
     /// The sequence is before the first one that the writer has confirmed for its session.
     Stale = "stale",
     /// The cryptographic library failed.

@@ -71,7 +71,7 @@ impl TierRefusal {
             | Self::Box { source, .. }
             | Self::Revocation { source, .. }
             | Self::Locator { source, .. } => match **source {
-                CertError::BadSignature { .. } | CertError::WrongKey { .. } => "signature",
+                CertError::BadSignature { .. } | CertError::HighS { .. } | CertError::WrongKey { .. } => "signature",
                 CertError::NotYetValid { .. } => "not_yet_valid",
                 CertError::Expired { .. } => "expired",
                 CertError::Revoked { .. } => "revoked",
