@@ -3,8 +3,8 @@
 
 use gdp_core::card::NameCard;
 use gdp_core::cert::{
-    AdCert, Adjoining, Advert, AdvertOp, Delegation, Grantee, Issued, LinkState, MemberCert, Membership, Mode,
-    ReadGrant, Reading, Revocation, RtCert, Signed, issue,
+    AdCert, Adjoining, Advert, AdvertOp, Delegation, Grantee, Issued, LinkState, MemberCert, Membership, ReadGrant,
+    Reading, Revocation, RtCert, Signed, issue,
 };
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::KeyBox;
@@ -162,8 +162,8 @@ impl Credentials {
         let card = NameCard::create(owner.verify_key(), "topic", "/chatter", "T", None).expect("a card");
         let (name, entity, switch) = (card.name(), robot.name(), card.name());
         let (serial, not_before, not_after) = (7, 0, 1 << 40);
-        let (mode, scope, box_key) = (Mode::Unicast, vec![name], robot.box_public());
-        let ad_cert = AdCert { name, entity, mode, scope, serial, not_before, not_after };
+        let (scope, box_key) = (vec![name], robot.box_public());
+        let ad_cert = AdCert { name, entity, scope, serial, not_before, not_after };
         let (delegate, publish, read) = (robot.key().verify_key(), true, true);
         let delegation = Delegation { name, delegate, publish, read, serial, not_before, not_after };
         let delegation = issue(&owner, &delegation).expect("a delegation");

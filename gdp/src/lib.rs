@@ -18,7 +18,7 @@
 mod node;
 
 pub use gdp_core::card::NameCard;
-pub use gdp_core::cert::{AdCert, Grantee, Issued, Membership, Mode, ReadGrant, Reading};
+pub use gdp_core::cert::{AdCert, Grantee, Issued, Membership, ReadGrant, Reading};
 pub use gdp_core::identity::{Identity, SigningKey, VerifyKey};
 pub use gdp_core::link_target::{LinkTarget, LinkTargetError};
 pub use gdp_core::name::{Name, NamePrefix, NameProof};

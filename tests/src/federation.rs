@@ -308,7 +308,7 @@ impl Federation {
         let authority = Authority { tools: &self.tools, folder: self.files.path() };
         let name = authority.topic()?;
         let Domains { enterprise, university, .. } = &self.domains;
-        let publish = ["--publish", "--mode", "multicast", "--scope", enterprise, "--scope", university];
+        let publish = ["--publish", "--scope", enterprise, "--scope", university];
         authority.grant("robot", &self.admit("robot")?, &publish)?;
         authority.grant("cloud", &self.admit("cloud")?, &["--read"])?;
         self.cloud_proxy = Some(self.start_proxy("cloud", "in", &self.cloud, &[CLOUD_LINK], &[])?);

@@ -30,22 +30,12 @@ pub trait AboutName: Claims {
     fn set_validity(&mut self, validity: Validity);
 }
 
-/// Delivery mode of a name's messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Mode {
-    Multicast,
-    Anycast,
-    Unicast,
-}
-
 /// Certificate of a name's owner that an entity may publish or serve the name.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AdCert {
     pub name: Name,
     pub entity: Name,
-    pub mode: Mode,
     /// Domains in which the name may be known. If empty, only the domain in which it is advertised.
     pub scope: Vec<Name>,
     pub serial: u64,

@@ -232,7 +232,7 @@ impl Fixture {
 
     fn ad_cert_claims(&self) -> AdCert {
         let (name, entity) = (self.name, self.entity.name());
-        AdCert { name, entity, mode: Mode::Unicast, scope: vec![], serial: 7, not_before: NOW - 5, not_after: NOW + 5 }
+        AdCert { name, entity, scope: vec![], serial: 7, not_before: NOW - 5, not_after: NOW + 5 }
     }
 
     fn grant_claims(&self) -> ReadGrant {

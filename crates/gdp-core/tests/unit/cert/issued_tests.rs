@@ -281,7 +281,6 @@ impl Fixture {
         AdCert {
             name: self.name,
             entity: self.robot(),
-            mode: Mode::Unicast,
             scope: vec![],
             serial: ISSUED,
             not_before: NOW - 5,
