@@ -54,6 +54,10 @@ impl Claims for MemberCert {
         Validity { not_before: self.not_before, not_after: self.not_after }
     }
 
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
+    }
+
     fn check_bounds(&self) -> Result<(), CertError> {
         check_role(&self.role)?;
         self.validity().check_order()
@@ -84,6 +88,10 @@ impl Claims for Invite {
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
     }
 
     fn check_bounds(&self) -> Result<(), CertError> {
@@ -156,6 +164,10 @@ impl Claims for PeerCert {
         Validity { not_before: self.not_before, not_after: self.not_after }
     }
 
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
+    }
+
     fn check_bounds(&self) -> Result<(), CertError> {
         if self.peer == self.domain {
             return Err(CertError::Malformed("a domain is no peer of its own".into()));
@@ -176,7 +188,7 @@ impl Signed<PeerCert> {
         let claims = self.verify_signature(&proof.verify_key()?)?;
         expect_domain(proof.name()?, claims.domain)?;
         check_not_revoked(PeerCert::KIND, claims.serial, revocation)?;
-        claims.validity().check(now)?;
+        claims.check_time(now)?;
         Ok(claims)
     }
 }
@@ -205,7 +217,7 @@ impl Membership {
     pub fn verify(&self, domain: Name, revocation: Option<&Revocation>, now: u64) -> Result<MemberCert, CertError> {
         let claims = self.verify_signatures(domain)?;
         self.check_revoked(revocation)?;
-        claims.validity().check(now)?;
+        claims.check_time(now)?;
         Ok(claims)
     }
 

@@ -17,6 +17,11 @@ pub enum CertError {
     WrongKey { what: &'static str, expected: String, got: String },
     #[error("not yet valid: begins at Unix time {from}, now is {now}; wait, or check the clock")]
     NotYetValid { from: u64, now: u64 },
+    #[error(
+        "issued later: the {what} has serial {serial}, a time of issue in ns, and now is {now} s; have it issued anew, \
+         or check the clock"
+    )]
+    IssuedLater { what: &'static str, serial: u64, now: u64 },
     #[error("expired at Unix time {at}, now is {now}; have a new one issued, or check the clock")]
     Expired { at: u64, now: u64 },
     #[error("malformed certificate: {0}")]

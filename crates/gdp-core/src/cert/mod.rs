@@ -24,7 +24,7 @@ mod statements;
 mod switch;
 
 pub use advert_op::AdvertOp;
-pub use claims::{CLOCKS_DIFFER, Claims, Validity};
+pub use claims::{CLOCKS_DIFFER, Claims, SERIAL_AHEAD, Validity, last_serial};
 pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
 pub use error::CertError;
 pub use issued::{Issued, MAX_CERT_FILE, Reading};

@@ -52,6 +52,10 @@ impl Claims for AdCert {
         Validity { not_before: self.not_before, not_after: self.not_after }
     }
 
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
+    }
+
     fn check_bounds(&self) -> Result<(), CertError> {
         if self.scope.len() > MAX_SCOPE {
             return Err(CertError::Malformed(format!(
@@ -124,6 +128,10 @@ impl Claims for ReadGrant {
         Validity { not_before: self.not_before, not_after: self.not_after }
     }
 
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
+    }
+
     fn check_bounds(&self) -> Result<(), CertError> {
         if let Grantee::Role { role, .. } = &self.to {
             check_role(role)?;
@@ -171,6 +179,10 @@ impl Claims for Delegation {
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }
+    }
+
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
     }
 }
 

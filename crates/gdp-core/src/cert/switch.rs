@@ -43,6 +43,10 @@ impl Claims for SwitchStatement {
         Validity { not_before: 0, not_after: self.not_after }
     }
 
+    fn issued_at(&self) -> Option<u64> {
+        Some(self.serial)
+    }
+
     fn check_bounds(&self) -> Result<(), CertError> {
         let count = self.addresses.len();
         if count > MAX_ADDRESSES {

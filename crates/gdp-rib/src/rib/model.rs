@@ -101,7 +101,7 @@ pub fn limit_reached(what: String) -> Refusal {
 pub fn refusal(error: CertError) -> Refusal {
     let code = match &error {
         CertError::BadSignature { .. } | CertError::HighS { .. } | CertError::WrongKey { .. } => RefusalCode::BadSignature,
-        CertError::NotYetValid { .. } => RefusalCode::NotYetValid,
+        CertError::NotYetValid { .. } | CertError::IssuedLater { .. } => RefusalCode::NotYetValid,
         CertError::Expired { .. } => RefusalCode::Expired,
         CertError::WrongName { .. } => RefusalCode::WrongName,
         CertError::WrongEntity { .. } => RefusalCode::WrongEntity,

@@ -72,7 +72,7 @@ impl TierRefusal {
             | Self::Revocation { source, .. }
             | Self::Locator { source, .. } => match **source {
                 CertError::BadSignature { .. } | CertError::HighS { .. } | CertError::WrongKey { .. } => "signature",
-                CertError::NotYetValid { .. } => "not_yet_valid",
+                CertError::NotYetValid { .. } | CertError::IssuedLater { .. } => "not_yet_valid",
                 CertError::Expired { .. } => "expired",
                 CertError::Revoked { .. } => "revoked",
                 CertError::WrongDomain { .. } => "wrong_domain",
