@@ -35,7 +35,6 @@ pub mod roles {
 
 /// Certificate of a domain that an entity has this role among its members.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct MemberCert {
     pub domain: Name,
     pub entity: Name,
@@ -48,7 +47,7 @@ pub struct MemberCert {
 impl Claims for MemberCert {
     const KIND: &'static str = "MemberCert";
     const LABEL: &'static str = "GDP MEMBER CERT";
-    const CONTEXT: &'static str = "application/vnd.gdp.member-cert.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.member-cert.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }
@@ -69,7 +68,6 @@ impl Claims for MemberCert {
 /// The first such entity that the domain's RIB sees is admitted. The validity bounds the use of the
 /// invitation; the admitted membership may last longer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Invite {
     pub domain: Name,
     pub key: VerifyKey,
@@ -84,7 +82,7 @@ pub struct Invite {
 impl Claims for Invite {
     const KIND: &'static str = "Invite";
     const LABEL: &'static str = "GDP INVITE";
-    const CONTEXT: &'static str = "application/vnd.gdp.invite.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.invite.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }
@@ -145,7 +143,6 @@ impl FromStr for PeerRights {
 
 /// Certificate of a domain that grants these rights to another domain.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct PeerCert {
     pub domain: Name,
     pub peer: Name,
@@ -158,7 +155,7 @@ pub struct PeerCert {
 impl Claims for PeerCert {
     const KIND: &'static str = "PeerCert";
     const LABEL: &'static str = "GDP PEER CERT";
-    const CONTEXT: &'static str = "application/vnd.gdp.peer-cert.v1+cbor";
+    const CONTEXT: &'static str = "application/vnd.gdp.peer-cert.v2+cbor";
 
     fn validity(&self) -> Validity {
         Validity { not_before: self.not_before, not_after: self.not_after }

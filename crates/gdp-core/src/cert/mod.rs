@@ -13,6 +13,7 @@ mod advert_op;
 mod claims;
 pub mod domain;
 mod error;
+mod extension;
 mod issued;
 mod link_state;
 mod name_proof;
@@ -37,6 +38,9 @@ pub use signed::{MAX_SIGNED, Signed, issue};
 pub use statements::{Advert, RtCert};
 pub use switch::{Host, Locator, MAX_ADDRESSES, MAX_LOCATED, MAX_LOCATOR, SwitchStatement};
 
+#[cfg(test)]
+#[path = "../../tests/unit/cert/extension_tests.rs"]
+mod extension_tests;
 #[cfg(test)]
 #[path = "../../tests/unit/cert/issued_tests.rs"]
 mod issued_tests;

@@ -1,6 +1,6 @@
 //! Exact bytes of a certificate, and their verification.
 
-use super::Claims;
+use super::{Claims, extension};
 use crate::cbor;
 use crate::cert::error::CertError;
 use crate::crypto::{CryptoError, SIGNATURE_LEN};
@@ -79,7 +79,8 @@ impl<T: Claims> Signed<T> {
         Ok(self.parse()?.1)
     }
 
-    /// Parses the bytes. Accepts only the encoding that [`issue`] produces.
+    /// Parses the bytes. Accepts only the encoding that [`issue`] produces, and unknown fields that
+    /// are not critical.
     fn parse(&self) -> Result<(CoseSign1, T), CertError> {
         let cose = CoseSign1::from_tagged_slice(&self.bytes).map_err(malformed)?;
         let header = &cose.protected.header;
@@ -89,12 +90,16 @@ impl<T: Claims> Signed<T> {
                 Some(coset::ContentType::Text(text)) => text.as_str(),
                 _ => "something else",
             };
+            if *found == T::CONTEXT.replace(".v2+", ".v1+") {
+                return Err(CertError::OldVersion { what: T::KIND });
+            }
             return Err(CertError::Malformed(format!("expected {} ({}), found {found}", T::KIND, T::CONTEXT)));
         }
         let signer = VerifyKey::from_bytes(&header.key_id)
             .map_err(|_| CertError::Malformed("the key id is not a P-256 public key".into()))?;
         let payload = cose.payload.clone().ok_or_else(|| CertError::Malformed("no payload".into()))?;
-        let claims: T = cbor::decode(&payload, MAX_SIGNED)?;
+        let (claims, others): (T, _) = cbor::decode_open(&payload, MAX_SIGNED)?;
+        extension::check::<T>(&others)?;
         claims.check_bounds()?;
         let canonical = envelope::<T>(&signer, payload).signature(cose.signature.clone()).build();
         if canonical.to_tagged_vec().map_err(malformed)?[..] != *self.bytes {

@@ -220,4 +220,4 @@ pub fn random<const N: usize>() -> Result<[u8; N], CryptoError> {
 
 #[cfg(test)]
 #[path = "../../tests/unit/crypto.rs"]
-mod tests;
+pub(crate) mod tests;

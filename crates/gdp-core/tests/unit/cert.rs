@@ -113,7 +113,7 @@ fn one_kind_never_verifies_as_another() {
     impl Claims for Other {
         const KIND: &'static str = "Other";
         const LABEL: &'static str = "OTHER";
-        const CONTEXT: &'static str = "application/vnd.gdp.readXgrant.v1+cbor";
+        const CONTEXT: &'static str = "application/vnd.gdp.readXgrant.v2+cbor";
         fn validity(&self) -> Validity {
             self.0.validity()
         }
@@ -139,7 +139,7 @@ fn a_certificate_is_plain_cose() {
             f.owner.verify_key().verify(message, signature.try_into().unwrap())
         })
     };
-    assert_eq!(check(b"application/vnd.gdp.ad-cert.v1+cbor"), Ok(()));
+    assert_eq!(check(b"application/vnd.gdp.ad-cert.v2+cbor"), Ok(()));
     assert!(check(b"").is_err());
 }
 

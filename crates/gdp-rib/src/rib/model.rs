@@ -114,6 +114,7 @@ pub fn refusal(error: CertError) -> Refusal {
         | CertError::ByInvitation { .. }
         | CertError::WrongRole { .. }
         | CertError::WrongDomain { .. } => RefusalCode::NotEntitled,
+        CertError::OldVersion { .. } | CertError::UnknownField { .. } => RefusalCode::Unsupported,
         CertError::Malformed(_) | CertError::WrongOperation { .. } | CertError::Crypto(_) => RefusalCode::Malformed,
     };
     Refusal::new(code, error.to_string())
