@@ -253,9 +253,7 @@ impl Port {
                 .endpoint
                 .connect_with(self.client.clone(), address, link::SERVER_NAME)
                 .map_err(|error| LinkError::Handshake(format!("{to}: {error}")))?;
-            let connection = connecting
-                .await
-                .map_err(|error| {
+            let connection = connecting.await.map_err(|error| {
                 let error = link::close_reason(&error);
                 LinkError::Handshake(format!("no answer from {to} that is one of a peer: {error}"))
             })?;

@@ -370,8 +370,7 @@ impl Owner {
 
     fn ad(&self, entity: Name) -> gdp_core::cert::Signed<AdCert> {
         let (name, scope) = (self.card.name(), Vec::new());
-        issue(&self.key, &AdCert { name, entity, scope, serial: 1, not_before: 0, not_after: tomorrow() })
-            .unwrap()
+        issue(&self.key, &AdCert { name, entity, scope, serial: 1, not_before: 0, not_after: tomorrow() }).unwrap()
     }
 }
 

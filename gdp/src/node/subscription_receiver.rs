@@ -20,7 +20,7 @@ use gdp_core::identity::VerifyKey;
 use gdp_e2e::feedback_wire::{Feedback, Wants};
 use gdp_e2e::keys::Opened;
 use gdp_e2e::seal::{DropReason, Message, Reader, Received, Timestamps, segment_ids};
-use gdp_e2e::transport::{Arrival, Inbound, InboundCounters, Position, Segment};
+use gdp_e2e::transport::{Arrival, Inbound, InboundCounters, Segment};
 
 /// A change of a reader's writers and keys.
 #[derive(Debug)]
@@ -205,7 +205,7 @@ impl SubscriptionReceiver {
             // The writer retransmits what does not fit. Opening it would count it as delivered.
             let most = inbound.next_sequence().saturating_add(REACH);
             let is_beyond = |id: [u8; 16], sequence| {
-                segment_ids(payload).any(|segment| segment.session == id && segment.sequence >= sequence)
+                segment_ids(payload).any(|segment| segment.session == id && segment.last() >= sequence)
             };
             if *reliable && (!self.stalled.is_empty() || is_beyond(*id, most)) {
                 counters.beyond.add(1);
@@ -238,7 +238,7 @@ impl SubscriptionReceiver {
         // Includes repeated segments: after a lost report, the writer must learn that they have
         // arrived. Segments that did not open are unauthenticated and do not count.
         for segment in received.segments.iter().chain(&received.repeated).filter(|segment| segment.session == *id) {
-            inbound.segment(steady, &as_segment(segment));
+            Segment::of(segment).for_each(|part| _ = inbound.segment(steady, &part));
         }
         for lost in received.lost.iter().filter(|lost| lost.session == *id) {
             if lost.again {
@@ -425,11 +425,6 @@ impl Out<'_> {
 /// How far beyond the first missing message others are accepted: the size of the reader's replay
 /// window.
 const REACH: u64 = 1024;
-
-fn as_segment(id: &gdp_e2e::seal::SegmentId) -> Segment {
-    let position = Position { sequence: id.sequence, index: id.index };
-    Segment { position, cut: id.cut, total: id.count.saturating_add(1), bytes: id.len }
-}
 
 #[cfg(test)]
 #[path = "../../tests/unit/node/subscription_receiver.rs"]

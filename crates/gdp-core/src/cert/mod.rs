@@ -30,9 +30,7 @@ pub use domain::{Invite, MemberCert, Membership, PeerCert, PeerRights};
 pub use error::CertError;
 pub use issued::{Issued, MAX_CERT_FILE, Reading};
 pub use link_state::{Adjoining, LinkState, MAX_BORDERS, MAX_NEIGHBOURS};
-pub use owner::{
-    AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, ReadGrant, Revocation,
-};
+pub use owner::{AboutName, AdCert, Delegation, Grantee, MAX_REVOKED, MAX_ROLE, MAX_SCOPE, ReadGrant, Revocation};
 pub use request::{Requester, Side, authorise_advertise, authorise_subscribe, authorise_withdraw, verify_statement};
 pub use signed::{MAX_SIGNED, Signed, issue};
 pub use statements::{Advert, RtCert};

@@ -25,8 +25,13 @@ macro_rules! reasons {
 reasons! {
     /// The payload ends within a segment.
     Truncated = "truncated",
-    /// Another version, or inconsistent header fields.
+    /// Inconsistent header fields.
     BadHeader = "bad_header",
+    /// Another version of segments. The release of the writer or of this reader is too old.
+    OtherVersion = "other_version",
+    /// An unknown kind of segments or a critical extension that is unknown. The release of this
+    /// reader is too old.
+    Unsupported = "unsupported",
     /// The message would be larger than the limit.
     TooLarge = "too_large",
     /// The writer of this name is not or no longer authorised.

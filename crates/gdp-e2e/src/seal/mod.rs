@@ -8,10 +8,13 @@
 //! payloads. Callers also authorise writers and interpret the body.
 
 mod assembly;
+mod delivery;
 mod drop_reason;
 mod event;
+mod heartbeat;
 mod merkle;
 mod message;
+mod plan;
 mod reader;
 mod segment;
 mod segments;

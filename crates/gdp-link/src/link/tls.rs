@@ -48,11 +48,7 @@ pub struct QuicMtu {
 
 /// Returns the client and server configurations for an entity with this key that speaks these
 /// versions.
-pub fn configs(
-    key: &SigningKey,
-    mtu: QuicMtu,
-    versions: Versions,
-) -> Result<(ClientConfig, ServerConfig), LinkError> {
+pub fn configs(key: &SigningKey, mtu: QuicMtu, versions: Versions) -> Result<(ClientConfig, ServerConfig), LinkError> {
     let provider = Arc::new(aws_lc_rs::default_provider());
     let verifier = Arc::new(RawKeyVerifier(provider.signature_verification_algorithms));
     let certified = Arc::new(certified_key(key)?);

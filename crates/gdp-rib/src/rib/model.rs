@@ -100,7 +100,9 @@ pub fn limit_reached(what: String) -> Refusal {
 /// Converts a certificate error into a refusal for the requester.
 pub fn refusal(error: CertError) -> Refusal {
     let code = match &error {
-        CertError::BadSignature { .. } | CertError::HighS { .. } | CertError::WrongKey { .. } => RefusalCode::BadSignature,
+        CertError::BadSignature { .. } | CertError::HighS { .. } | CertError::WrongKey { .. } => {
+            RefusalCode::BadSignature
+        }
         CertError::NotYetValid { .. } | CertError::IssuedLater { .. } => RefusalCode::NotYetValid,
         CertError::Expired { .. } => RefusalCode::Expired,
         CertError::WrongName { .. } => RefusalCode::WrongName,

@@ -35,8 +35,8 @@ async fn what_a_switch_alters_is_dropped() -> Result<()> {
     };
     let cut = |payload: &mut Vec<u8>| _ = payload.pop();
     let cases: [(&str, Alter, &str); _] = [
-        ("version", Box::new(flip(0)), "seal_bad_header"),
-        ("flags", Box::new(flip(1)), "seal_bad_header"),
+        ("version", Box::new(flip(0)), "seal_other_version"),
+        ("flags", Box::new(flip(1)), "seal_forged"),
         ("length", Box::new(flip(2)), "seal_bad_header"),
         ("sequence", Box::new(flip(10)), "seal_forged"),
         ("session", Box::new(flip(20)), "seal_forged"),
@@ -169,7 +169,7 @@ async fn what_a_switch_makes_up_is_dropped() -> Result<()> {
     other_sequence[11] ^= 1;
     for (reason, frame) in [
         ("seal_truncated", made_up(topic, robot, &[])),
-        ("seal_bad_header", made_up(topic, robot, &[0xff; 1000])),
+        ("seal_other_version", made_up(topic, robot, &[0xff; 1000])),
         ("seal_forged", made_up(topic, robot, &other_sequence)),
         ("seal_unknown_writer", made_up(topic, stranger, &honest.payload)),
         ("drop_not_subscribed", made_up(stranger, robot, &honest.payload)),

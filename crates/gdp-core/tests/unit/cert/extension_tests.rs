@@ -48,12 +48,7 @@ fn unknown_fields_are_skipped_unless_they_are_critical() {
         ),
         ("a critical field that this release knows", context, fields(&[("critical", names(&["scope"]))]), Ok(())),
         ("what is critical is not a list", context, fields(&[("critical", true.into())]), malformed()),
-        (
-            "what is critical is not a name",
-            context,
-            fields(&[("critical", Value::Array(vec![1.into()]))]),
-            malformed(),
-        ),
+        ("what is critical is not a name", context, fields(&[("critical", Value::Array(vec![1.into()]))]), malformed()),
         (
             "the first format version",
             "application/vnd.gdp.ad-cert.v1+cbor",

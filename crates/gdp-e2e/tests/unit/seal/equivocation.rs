@@ -1,19 +1,18 @@
 //! A malicious writer against its own readers. It gives two readers different keys of one epoch,
 //! and makes one ciphertext that opens under both, to different messages. AES-GCM does not prevent
 //! that: a tag is linear in the ciphertext, so one free block makes two tags equal. The signature
-//! must.
+//! must: it covers the plaintext, and commits to the key.
 
 use super::tests::{EPOCH, Fixture, at};
 use super::wire::{self, HEADER_LEN, Kind, Proof, SegmentHeader};
 use super::*;
 use gdp_core::crypto::{Aead, Backend, TAG_LEN};
 use gdp_core::keys::{EpochKey, SessionKey};
-use std::collections::HashMap;
 
 const SESSION: [u8; 16] = [5; 16];
 const BLOCK: usize = 16;
 /// The length of the header before a message's extensions and body.
-const PREAMBLE: usize = 16;
+const PREAMBLE: usize = 12;
 /// A type of extensions that readers skip.
 const UNKNOWN_EXTENSION: u16 = 0x7fff;
 
@@ -21,9 +20,10 @@ const UNKNOWN_EXTENSION: u16 = 0x7fff;
 fn a_writer_cannot_tell_two_readers_different_things_under_one_signature() {
     let f = Fixture::new();
     let forgery = Forgery::new(&f);
-    let told = |first: &[u8; 32], second: &[u8; 32]| {
-        let told = [first, second].into_iter().zip(&forgery.keys).map(|(commitment, key)| {
-            let frames = forgery.frames(&f, commitment);
+    // What each reader believes, if the signature is for this one's key and that one's message.
+    let told = |key: usize, message: usize| {
+        let frames = forgery.frames(&f, key, message);
+        forgery.keys.each_ref().map(|key| {
             let mut reader = Reader::new(f.name, f.reading, f.limits);
             reader.authorise(f.writer_name(), f.entity.key().verify_key()).unwrap();
             reader.set_key(&f.writer_name(), EPOCH, key.clone()).unwrap();
@@ -34,18 +34,15 @@ fn a_writer_cannot_tell_two_readers_different_things_under_one_signature() {
                 let _ = reader.push(at(0), f.writer_name(), frame, &mut out);
             }
             out.messages.pop().map(|message| message.body.to_vec())
-        });
-        told.collect::<Vec<_>>()
+        })
     };
-    let [first, second] = [0, 1].map(|reader| forgery.session_keys[reader].commitment);
-    // Each reader alone would believe it, so only the commitment stands between them.
-    let different = told(&first, &second);
-    assert!(different[0].as_ref().unwrap()[4..].starts_with(b"forward"));
-    assert!(different[1].as_ref().unwrap().starts_with(b"backward"));
-    // Under one signature only one of them does, whichever key it commits to.
-    assert_eq!(told(&first, &first)[1], None);
-    assert_eq!(told(&second, &second)[0], None);
-    assert_eq!(told(&[0; 32], &[0; 32]), [None, None]);
+    // The one ciphertext opens for both: each believes it below a signature for it.
+    let ([forward, nothing], [neither, backward]) = (told(0, 0), told(1, 1));
+    assert!(forward.unwrap()[4..].starts_with(b"forward"));
+    assert!(backward.unwrap().starts_with(b"backward"));
+    // But below no signature both do.
+    assert_eq!([nothing, neither], [None, None]);
+    assert_eq!([told(0, 1), told(1, 0)], [[None, None], [None, None]]);
 }
 
 /// One body segment that opens under two keys.
@@ -88,15 +85,18 @@ impl Forgery {
         Self { keys, session_keys, header, sealed }
     }
 
-    /// Returns the body segment, and the proof sealed for each reader. The signature covers this
-    /// commitment.
-    fn frames(&self, f: &Fixture, commitment: &[u8; 32]) -> Vec<Vec<u8>> {
+    /// Returns the body segment, and the proof sealed for each reader. The signature is for the key
+    /// of one reader, and the message that one sees.
+    fn frames(&self, f: &Fixture, key: usize, message: usize) -> Vec<Vec<u8>> {
         let backend = Backend::default();
-        let digest = backend.sha256(&[&self.sealed]);
-        let root = wire::leaf(backend, commitment, (&f.name, &f.writer_name()), &self.header, &[digest]);
+        let ciphertext = &self.sealed[..self.sealed.len() - TAG_LEN];
+        let plaintext = xor(ciphertext, &keystream(&self.session_keys[message].aead, &self.header, ciphertext.len()));
+        let digests = [&plaintext[..], b""].map(|part| backend.sha256(&[part]));
+        let (commitment, place) = (&self.session_keys[key].commitment, (&f.name, &f.writer_name()));
+        let root = wire::leaf(backend, commitment, place, &self.header, &digests);
         let signature = f.entity.key().sign(&wire::batch_statement(&root)).unwrap();
         let len = wire::proof_len(0);
-        let header = SegmentHeader { kind: Kind::Proof, index: 1, sealed_len: (len + TAG_LEN) as u16, ..self.header };
+        let header = SegmentHeader { kind: Kind::Last, index: 1, sealed_len: (len + TAG_LEN) as u16, ..self.header };
         let proofs = self.session_keys.iter().map(|key| {
             let (clear, mut sealed) = (header.to_bytes(), vec![0; len]);
             Proof { position: 0, path: &[], signature: &signature }.write(&mut sealed);
@@ -114,26 +114,22 @@ const HEADER: SegmentHeader = SegmentHeader {
     sequence: 1,
     cut: 0,
     session: SESSION,
-    count: 1,
+    count: 2,
     size: 0,
     epoch: EPOCH,
 };
 
-/// Searches two keys whose keystreams agree where the header of a message has zeros. Returns them
-/// and the length of the extensions that the second reader sees.
+/// Searches two keys, so that the second reader sees extensions of a few bytes where the first one
+/// sees none. Returns them and that length.
 fn similar_keys(f: &Fixture) -> ([EpochKey; 2], usize) {
-    let mut seen: HashMap<[u8; 4], (u32, [u8; 2])> = HashMap::new();
-    for number in 0u32.. {
+    let length = |number| {
         let stream = keystream(&session_key(f, &numbered(number)).aead, &HEADER, PREAMBLE);
-        let (length, reserved) = ([stream[10], stream[11]], [stream[12], stream[13], stream[14], stream[15]]);
-        if let Some((other, earlier)) = seen.insert(reserved, (number, length)) {
-            let extensions = u16::from_be_bytes([length[0] ^ earlier[0], length[1] ^ earlier[1]]).into();
-            if (24..60_000).contains(&extensions) {
-                return ([other, number].map(numbered), extensions);
-            }
-        }
-    }
-    unreachable!("half of all pairs of 2^17 keys agree")
+        u16::from_be_bytes([stream[10], stream[11]])
+    };
+    let first = length(0);
+    let extensions = |number| usize::from(length(number) ^ first);
+    let second = (1..).find(|number| (24..1000).contains(&extensions(*number))).unwrap();
+    ([0, second].map(numbered), extensions(second))
 }
 
 fn numbered(number: u32) -> EpochKey {

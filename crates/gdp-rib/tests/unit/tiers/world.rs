@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use gdp_core::cert::domain::roles;
 use gdp_core::cert::{
-    AdCert, Advert, Grantee, Host, Locator, MemberCert, Membership, ReadGrant, Revocation, Signed,
-    SwitchStatement, issue,
+    AdCert, Advert, Grantee, Host, Locator, MemberCert, Membership, ReadGrant, Revocation, Signed, SwitchStatement,
+    issue,
 };
 use gdp_core::identity::{Identity, SigningKey};
 use gdp_core::keys::KeyBox;
