@@ -409,6 +409,10 @@ impl Out<'_> {
         if queued > 0 && queued.saturating_add(length) > self.options.queue_bytes {
             return Some(message);
         }
+        let Some(message) = self.shared.direct.pass(message, self.queue) else {
+            counters.messages_received.add(1);
+            return None;
+        };
         match self.queue.try_reserve() {
             Ok(place) => {
                 // Counted first, because the recipient of the message may read the counters.
