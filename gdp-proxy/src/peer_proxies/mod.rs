@@ -103,6 +103,12 @@ pub struct Candidate {
     part: RoutePart,
 }
 
+/// The proxies of the same graph that publish one name.
+pub struct Twins {
+    peer_proxies: Arc<PeerProxies>,
+    name: Name,
+}
+
 /// Errors in the announcement of another proxy.
 #[derive(Debug, thiserror::Error)]
 pub enum ClaimsError {
@@ -224,8 +230,19 @@ impl Candidate {
 
     /// Whether `entity` publishes the name from the same graph.
     pub fn is_twin(&self, now: Instant, entity: &Name) -> bool {
+        self.twins().contain(now, entity)
+    }
+
+    /// Returns the twins of this proxy: those that publish the name from the same graph.
+    pub fn twins(&self) -> Twins {
+        Twins { peer_proxies: self.peer_proxies.clone(), name: self.part.name }
+    }
+}
+
+impl Twins {
+    pub fn contain(&self, now: Instant, entity: &Name) -> bool {
         let state = self.peer_proxies.lock();
-        let publishes = |part: &RoutePart| part.side == Side::Out && part.name == self.part.name;
+        let publishes = |part: &RoutePart| part.side == Side::Out && part.name == self.name;
         state.others.get(entity).is_some_and(|other| other.is_there(now) && other.able.keys().any(publishes))
     }
 }

@@ -87,6 +87,11 @@ impl<K: std::hash::Hash + Eq> Outgoing<K> {
         self.numbers.get(key).copied()
     }
 
+    /// Returns all publishers with their numbers.
+    pub fn numbers(&self) -> impl Iterator<Item = (&K, u32)> {
+        self.numbers.iter().map(|(key, number)| (key, *number))
+    }
+
     /// Returns number and QoS of all publishers.
     pub fn offers(&self) -> impl Iterator<Item = (u32, Offer)> {
         self.writers.iter().map(|(number, writer)| (*number, writer.offers))
