@@ -64,6 +64,7 @@ use gdp_wire::Name;
 use parking_lot::Mutex;
 use tokio::sync::{mpsc, watch};
 
+use self::command::Commands;
 use self::handle::Handle;
 use self::home::Home;
 use self::links::Connection;
@@ -110,12 +111,12 @@ impl Node {
             return Err(NodeError::Links(links.len()));
         }
         let home = Home::new(&identity, credentials)?;
-        let (commands, command_queue) = std::sync::mpsc::channel();
+        let (commands, command_queue, wake) = Commands::new()?;
         let (updates, update_queue) = mpsc::unbounded_channel();
         let revoked = Revoked::open(state.as_deref(), identity.name())?;
         let state = Arc::new(State::new(identity, home, &links, revoked, commands, updates));
         let (send_path, feedback) = (state.send_path.clone(), state.feedback.clone());
-        let receiver = Receiver { commands: command_queue, send_path, feedback };
+        let receiver = Receiver { commands: command_queue, wake, send_path, feedback };
         spawn("gdp-receive", move || receiver.run())?;
 
         // From here on, dropping the handle stops the node.

@@ -51,6 +51,7 @@ pub use handshakes::{HandshakeCounters, HandshakeCounts};
 use handshakes::{Handshakes, MAX_HANDSHAKES, Verdict};
 pub(crate) use host::CurrentPair;
 pub use host::HostPair;
+pub use sys::WakeFd;
 
 /// Largest QUIC packet on Ethernet. Control traffic does not gain from larger packets, and some
 /// devices do not pass jumbo frames.
