@@ -83,7 +83,7 @@ pub fn executables(which: Executables, profile: Profile, features: Features) -> 
     };
     if profile == Profile::Checked {
         // As the tests are built, so that nothing is compiled twice.
-        command.args(["--workspace", "--features", crate::test::FEATURES]);
+        command.args(["--workspace", "--features", workspace::FEATURES]);
     }
     for (is_wanted, feature) in [(features.dpdk, "gdp-ctl/dpdk"), (features.etcd, "gdp-ctl/etcd")] {
         if is_wanted {
