@@ -64,7 +64,7 @@ pub fn expect(tags: &mut Tags, headers: &[Header], tables: &impl Tables) {
             known = tables.link(last).and_then(|link| Some((link, tables.window(link)?)));
         }
         let keyed = known.as_ref().map(|(link, window)| forward::keyed(header, link, window));
-        let (key, count) = keyed.map_or(([0; 2], 0), |(key, candidate)| (key, candidate.count));
+        let (key, count) = keyed.unwrap_or_default();
         tags.add(place, key, count);
     }
     tags.make(headers);

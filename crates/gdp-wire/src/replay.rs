@@ -18,7 +18,7 @@
 //! always refused if the frames between have arrived.
 //!
 //! **Wrapping.** Frames carry the low 32 bits of their count. The receiver derives the high bits
-//! from the window ([`Candidate::of`]) and includes them in the hop tag, like the extended sequence numbers
+//! from the window ([`whole`]) and includes them in the hop tag, like the extended sequence numbers
 //! of RFC 4303. A link can therefore carry more than 2³² frames, and recorded frames do not
 //! become fresh after the wrap. The count has 52 bits, which last 71 years at 2 million frames a
 //! second.
@@ -48,65 +48,39 @@ pub trait Words {
     fn compare_exchange(&self, index: usize, current: u64, new: u64) -> u64;
 }
 
-/// The count of an arriving frame, and the word of the window that decides about it. The word is
-/// loaded once: nothing is lost if it changes before [`Self::take`].
-#[derive(Clone, Copy)]
-pub struct Candidate {
-    /// The whole count.
-    pub count: u64,
-    word: u64,
+/// Returns the whole count of a frame with these low bits. The result is the count nearest to the
+/// contents of the window. It is right as long as fewer than 2³¹ frames in a row are lost.
+#[inline(always)]
+pub fn whole(words: &impl Words, low: u32) -> u64 {
+    let known = block(words.load(index(low.into()))) * BLOCK;
+    let ahead = low.wrapping_sub(known as u32) as i32;
+    let count = known.wrapping_add_signed(ahead.into());
+    // No count precedes the first.
+    if (count as i64) < 0 { low.into() } else { count }
 }
 
-impl Candidate {
-    /// Returns the whole count of a frame with these low bits. The result is the count nearest to
-    /// the contents of the window. It is right as long as fewer than 2³¹ frames in a row are lost.
-    #[inline(always)]
-    pub fn of(words: &impl Words, low: u32) -> Self {
-        // The index is that of the whole count too.
-        let word = words.load(index(low.into()));
-        let known = block(word) * BLOCK;
-        let ahead = low.wrapping_sub(known as u32) as i32;
-        let count = known.wrapping_add_signed(ahead.into());
-        // No count precedes the first.
-        Self { count: if (count as i64) < 0 { low.into() } else { count }, word }
-    }
-
-    /// Returns whether the count could be accepted when the word was loaded.
-    #[inline(always)]
-    pub fn is_fresh(&self) -> bool {
-        with(self.word, self.count).is_some()
-    }
-
-    /// Records the count. Returns `false` if the count was already recorded, or is older than the
-    /// window.
-    #[inline(always)]
-    pub fn take(self, words: &impl Words) -> bool {
-        let index = index(self.count);
-        let mut word = self.word;
-        let mut tries = 0;
-        while tries < TRIES {
-            let Some(new) = with(word, self.count) else { return false };
-            let found = words.compare_exchange(index, word, new);
-            if found == word {
-                return true;
-            }
-            word = found;
-            tries += 1;
-        }
-        false
-    }
-}
-
-/// Returns whether a frame of this whole count could be accepted now. Changes nothing.
+/// Returns whether a frame of this count could be accepted now. Changes nothing.
 #[inline(always)]
 pub fn is_fresh(words: &impl Words, count: u64) -> bool {
     with(words.load(index(count)), count).is_some()
 }
 
-/// Records a whole count, as [`Candidate::take`] does.
+/// Records a count. Returns `false` if the count was already recorded, or is older than the window.
 #[inline(always)]
 pub fn take(words: &impl Words, count: u64) -> bool {
-    Candidate { count, word: words.load(index(count)) }.take(words)
+    let index = index(count);
+    let mut word = words.load(index);
+    let mut tries = 0;
+    while tries < TRIES {
+        let Some(new) = with(word, count) else { return false };
+        let found = words.compare_exchange(index, word, new);
+        if found == word {
+            return true;
+        }
+        word = found;
+        tries += 1;
+    }
+    false
 }
 
 /// Returns the value of `word` after recording `count`, or `None` if `count` is refused.
@@ -173,7 +147,6 @@ impl Words for Window {
 const _: () = {
     assert!(WORDS.is_power_of_two() && BLOCK.is_power_of_two());
     assert!(TOLERANCE >= 64);
-    assert!((1 << 32) % (WORDS as u64 * BLOCK) == 0, "the low bits of a count select its word");
 };
 
 #[cfg(test)]

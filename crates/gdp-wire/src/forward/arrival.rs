@@ -2,7 +2,7 @@
 
 use super::FrameType;
 use super::frame_type::frame_type;
-use crate::replay::{Candidate, Words};
+use crate::replay::{self, Words};
 use crate::tables::Tables;
 use crate::{Counter, Header, LinkEntry};
 
@@ -10,8 +10,8 @@ use crate::{Counter, Header, LinkEntry};
 pub struct Arrival<'t, W> {
     pub link: &'t LinkEntry,
     pub window: W,
-    /// The count of the frame on its link, which is not recorded yet.
-    pub candidate: Candidate,
+    /// The whole count of the frame on its link.
+    pub count: u64,
 }
 
 /// Returns the link of a frame, its replay window and the frame's count, if the frame is
@@ -25,8 +25,8 @@ pub fn arrival<'t, T: Tables>(
     well_formed(header, available)?;
     let link = tables.link(header.link_id()).ok_or(Counter::NoLink)?;
     let window = tables.window(link).ok_or(Counter::NoLink)?;
-    let candidate = authentic(header, link, &window, |key, count| tables.has_tag(header, key, count))?;
-    if candidate.is_fresh() { Ok(Arrival { link, window, candidate }) } else { Err(Counter::Replayed) }
+    let count = authentic(header, link, &window, |key, count| tables.has_tag(header, key, count))?;
+    if replay::is_fresh(&window, count) { Ok(Arrival { link, window, count }) } else { Err(Counter::Replayed) }
 }
 
 /// Accepts a frame that an endpoint receives on `link`. Checks that the frame is well-formed,
@@ -36,8 +36,8 @@ pub fn accept(header: &Header, available: usize, link: &LinkEntry, window: &impl
     if header.link_id() != link.id {
         return Err(Counter::NoLink);
     }
-    let candidate = authentic(header, link, window, |key, count| header.tag_for(key, count) == header.tag())?;
-    if candidate.take(window) { Ok(frame_type) } else { Err(Counter::Replayed) }
+    let count = authentic(header, link, window, |key, count| header.tag_for(key, count) == header.tag())?;
+    if replay::take(window, count) { Ok(frame_type) } else { Err(Counter::Replayed) }
 }
 
 #[inline(always)]
@@ -63,18 +63,18 @@ fn authentic(
     link: &LinkEntry,
     window: &impl Words,
     has_tag: impl FnOnce([u64; 2], u64) -> bool,
-) -> Result<Candidate, Counter> {
-    let (key, candidate) = keyed(header, link, window);
+) -> Result<u64, Counter> {
+    let (key, count) = keyed(header, link, window);
     // An entry that is being written or removed may have no key. The zero key is public.
     if key == [0; 2] {
         return Err(Counter::BadTag);
     }
-    if has_tag(key, candidate.count) { Ok(candidate) } else { Err(Counter::BadTag) }
+    if has_tag(key, count) { Ok(count) } else { Err(Counter::BadTag) }
 }
 
-/// Returns the key of a frame's tag, and the frame's count on its link if it is authentic.
+/// Returns the key of a frame's tag, and the frame's whole count on its link if it is authentic.
 #[inline(always)]
-pub fn keyed(header: &Header, link: &LinkEntry, window: &impl Words) -> ([u64; 2], Candidate) {
-    let candidate = Candidate::of(window, header.link_counter());
-    (if header.flags & Header::KEY_PHASE != 0 { link.rx_keys[1] } else { link.rx_keys[0] }, candidate)
+pub fn keyed(header: &Header, link: &LinkEntry, window: &impl Words) -> ([u64; 2], u64) {
+    let count = replay::whole(window, header.link_counter());
+    (if header.flags & Header::KEY_PHASE != 0 { link.rx_keys[1] } else { link.rx_keys[0] }, count)
 }

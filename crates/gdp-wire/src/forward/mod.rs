@@ -23,7 +23,7 @@ pub use copy::{Copy, copy};
 
 use crate::header::FrameType;
 use crate::tables::Tables;
-use crate::{Counter, Header, LinkEntry, LinkRole};
+use crate::{Counter, Header, LinkEntry, LinkRole, replay};
 
 use arrival::{Arrival, arrival};
 use route::{Egress, Refusal, is_foreign, route};
@@ -51,7 +51,7 @@ pub fn decide<'t, T: Tables>(
     traffic: u8,
     tables: &'t T,
 ) -> Verdict<'t, T::NextHop> {
-    let Arrival { link: ingress, window, candidate } = match arrival(header, available, tables) {
+    let Arrival { link: ingress, window, count } = match arrival(header, available, tables) {
         Ok(arrival) => arrival,
         Err(counter) => return Verdict::Drop(counter),
     };
@@ -62,7 +62,7 @@ pub fn decide<'t, T: Tables>(
     if !T::LAST && !is_for_this_plane(&decision, header.frame_len(), tables, &mut hop) {
         return Verdict::Slow;
     }
-    if !candidate.take(&window) {
+    if !replay::take(&window, count) {
         return Verdict::Drop(Counter::Replayed);
     }
     match decision.what {

@@ -34,15 +34,15 @@ fn what_is_within_the_tolerance_is_taken_and_what_a_later_block_replaced_is_not(
 #[test]
 fn the_high_bits_follow_from_the_window() {
     const RING: u64 = WORDS as u64 * BLOCK;
-    assert_eq!(Candidate::of(&empty(), 0xffff_ffff).count, 0xffff_ffff, "nothing lies before the first");
+    assert_eq!(whole(&empty(), 0xffff_ffff), 0xffff_ffff, "nothing lies before the first");
     let mut random = random(2);
     for start in [0, (1 << 32) - 5000, 1 << 32, (5 << 32) - 20_000] {
         let window = empty();
         (start.max(RING) - RING..start).for_each(|count| assert!(take(&window, count)));
         for count in start..start + 30_000 {
             let late = count.saturating_sub(random(TOLERANCE));
-            assert_eq!(Candidate::of(&window, late as u32).count, late, "after {count}");
-            assert_eq!(Candidate::of(&window, count as u32).count, count);
+            assert_eq!(whole(&window, late as u32), late, "after {count}");
+            assert_eq!(whole(&window, count as u32), count);
             // One frame in ten is lost.
             assert!(random(10) == 0 || take(&window, count));
         }
@@ -68,20 +68,6 @@ fn threads_that_share_a_window_take_each_count_once() {
     });
     // A thread may be late by a whole ring, but then another thread has taken the missed counts.
     assert!(taken.iter().all(|taken| taken.load(Ordering::Relaxed) == 1));
-}
-
-/// A word that was loaded before others changed it takes no count twice, and loses none.
-#[test]
-fn a_candidate_is_decided_by_the_window_when_it_is_taken() {
-    let window = empty();
-    assert!(take(&window, 1000));
-    let [first, second, other] = [1001, 1001, 1002].map(|low| Candidate::of(&window, low));
-    assert!(first.is_fresh() && second.is_fresh());
-    assert!(first.take(&window) && !second.take(&window), "the same count");
-    assert!(other.take(&window), "another count of the word");
-    let late = Candidate::of(&window, 1003);
-    assert!(take(&window, 1003 + WORDS as u64 * BLOCK));
-    assert!(late.is_fresh() && !late.take(&window), "its block was replaced meanwhile");
 }
 
 /// Returns a generator of bounded random numbers, the same in every run.
