@@ -25,7 +25,8 @@ pub use gdp_core::name::{Name, NamePrefix, NameProof};
 pub use gdp_e2e::seal::{Encoding, MessageId};
 pub use gdp_wire::ErrorCode;
 pub use node::{
-    Call, Client, Ended, Feedback, FrameError, ImmediateSender, Instance, LinkConfig, LinkState, LinkStatus, Meter,
-    Node, NodeConfig, NodeCounters, NodeError, Overflow, PublishOptions, Publisher, PublisherCounters, Reliability,
-    Rotation, SETTLING, Server, Sink, Stated, SubscribeOptions, Subscription, SubscriptionCounters, Unflushed, Wants,
+    Call, Client, Ended, Feedback, FrameError, ImmediateSender, Instance, LinkConfig, LinkState, LinkStatus,
+    MessageSink, Meter, Node, NodeConfig, NodeCounters, NodeError, Overflow, PublishOptions, Publisher,
+    PublisherCounters, Reliability, Rotation, SETTLING, Server, Stated, SubscribeOptions, Subscription,
+    SubscriptionCounters, Unflushed, Wants,
 };

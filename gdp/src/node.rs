@@ -93,7 +93,7 @@ pub use options::{Overflow, PublishOptions, Reliability, Rotation, SubscribeOpti
 pub use publisher::Publisher;
 pub use service_instances::Instance;
 pub use services::{Call, Client, Server};
-pub use sink::Sink;
+pub use sink::MessageSink;
 pub use statement::Stated;
 pub use subscription::Subscription;
 

@@ -85,7 +85,7 @@ pub struct Arrived {
 
 /// Takes a message on the graph's receiving thread and returns true, or leaves it to
 /// [`Reader::next`](super::Reader::next).
-pub type Sink = Arc<dyn Fn(&Arrived) -> bool + Send + Sync>;
+pub type ArrivalSink = Arc<dyn Fn(&Arrived) -> bool + Send + Sync>;
 
 /// Reasons for which a message was not written.
 #[derive(Debug, thiserror::Error)]

@@ -10,7 +10,7 @@ mod ros2;
 mod services;
 mod zenoh;
 
-pub use crate::graph::event::{Arrived, Event, GraphError, Incompatibility, Key, NODE, Sink, WriteError};
+pub use crate::graph::event::{ArrivalSink, Arrived, Event, GraphError, Incompatibility, Key, NODE, WriteError};
 pub use actions::{ActionCaller, ActionStand};
 pub use services::{Asked, Asker, Caller, CallerError, Peer, Servers, Stand};
 
@@ -200,7 +200,7 @@ impl Reader<'_> {
     /// Sets a function that takes messages of known publishers without the task that calls
     /// [`Self::next`]. It is asked only while that call waits and no earlier event is pending, so
     /// messages stay in their order. Only graphs of ROS 2 ask it.
-    pub fn set_sink(&mut self, sink: Option<&Sink>) {
+    pub fn set_sink(&mut self, sink: Option<&ArrivalSink>) {
         if let Self::Ros2(reader) = self {
             reader.set_sink(sink);
         }

@@ -8,7 +8,7 @@ use bytes::Bytes;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::graph::event::{Event, Incompatibility, Key, Sink, WriteError};
+use crate::graph::event::{ArrivalSink, Event, Incompatibility, Key, WriteError};
 use crate::ros2::{
     self, Depth, DisplayedQos, Domain, Durability, Endpoint, Graph, Qos, RawReader, RawSample, RawWriter, Reliability,
     RosError, TopicName, TypeName, WriterChange,
@@ -273,14 +273,14 @@ impl<'a> Ros2Reader<'a> {
     }
 
     /// See [`Reader::set_sink`](super::Reader::set_sink).
-    pub fn set_sink(&self, sink: Option<&Sink>) {
+    pub fn set_sink(&self, sink: Option<&ArrivalSink>) {
         for (is_latched, half) in self.halves() {
             half.reader.set_sink(sink.map(|sink| self.sink_of(is_latched, sink.clone())));
         }
     }
 
     /// Returns the sink of one reader. It does for known publishers what [`Self::take`] does.
-    fn sink_of(&self, is_latched: bool, sink: Sink) -> ros2::Sink {
+    fn sink_of(&self, is_latched: bool, sink: ArrivalSink) -> ros2::SampleSink {
         let is_here = |known: &Known| self.qos.is_some() || known.offers.transient_local == is_latched;
         let known: HashMap<Key, bool> = self.known.iter().map(|(key, known)| (*key, is_here(known))).collect();
         Box::new(move |arrived| {

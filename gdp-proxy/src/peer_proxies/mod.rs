@@ -106,7 +106,7 @@ pub struct Candidate {
 }
 
 /// The proxies of the same graph that publish one name.
-pub struct Twins {
+pub struct SiblingProxies {
     peer_proxies: Arc<PeerProxies>,
     name: Name,
 }
@@ -246,16 +246,16 @@ impl Candidate {
 
     /// Whether `entity` publishes the name from the same graph.
     pub fn is_twin(&self, now: Instant, entity: &Name) -> bool {
-        self.twins().contain(now, entity)
+        self.siblings().contain(now, entity)
     }
 
-    /// Returns the twins of this proxy: those that publish the name from the same graph.
-    pub fn twins(&self) -> Twins {
-        Twins { peer_proxies: self.peer_proxies.clone(), name: self.part.name }
+    /// Returns the siblings of this proxy: those that publish the name from the same graph.
+    pub fn siblings(&self) -> SiblingProxies {
+        SiblingProxies { peer_proxies: self.peer_proxies.clone(), name: self.part.name }
     }
 }
 
-impl Twins {
+impl SiblingProxies {
     pub fn contain(&self, now: Instant, entity: &Name) -> bool {
         let state = self.peer_proxies.lock();
         let publishes = |part: &RoutePart| part.side == Side::Out && part.name == self.name;

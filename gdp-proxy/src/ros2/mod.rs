@@ -29,7 +29,7 @@ pub use names::{Part, TopicName, TypeName};
 pub use qos::{Depth, Durability, Qos, Reliability};
 pub use range::{Range, RangeError};
 pub use raw::{ImmediateWriter, RawWriter, WriteError};
-pub use raw_reader::{Arrived, RawReader, Sink, Unreadable, WriterChange};
+pub use raw_reader::{Arrived, RawReader, SampleSink, Unreadable, WriterChange};
 pub use sample::{ENCAPSULATION, RawSample, Representation};
 
 pub use service::{BadRequest, CallError, Client, ClientLife, Headless, Mapping, ReceivedRequest, RequestId, Server};

@@ -61,28 +61,28 @@ pub struct Unreadable(String);
 ///
 /// That thread receives nothing meanwhile, so the sink must return soon. It must not use the
 /// reader, whose lock is held.
-pub type Sink = Box<dyn FnMut(&Arrived) -> bool + Send>;
+pub type SampleSink = Box<dyn FnMut(&Arrived) -> bool + Send>;
 
 /// A reader of a topic of any type. It ignores messages that this participant itself wrote.
 pub struct RawReader {
-    shared: Arc<Shared>,
+    shared: Arc<SharedReader>,
     /// Registers the expected type at discovery, so that different types of others are logged.
     _kind: Arc<str>,
     node: NodeEntry,
 }
 
 /// What DDS's receiving thread uses as well.
-struct Shared {
+struct SharedReader {
     reader: SimpleDataReader<RawSample, Adapter>,
     /// DDS calls it for new messages.
     on_data: Waker,
-    state: Mutex<State>,
+    state: Mutex<ReaderState>,
 }
 
 #[derive(Default)]
-struct State {
+struct ReaderState {
     gaps: Gaps,
-    sink: Option<Sink>,
+    sink: Option<SampleSink>,
     /// Whether the task waits for a message.
     is_waiting: bool,
     task: Option<Waker>,
@@ -101,7 +101,7 @@ impl RawReader {
     ) -> Result<Self, CreateError> {
         let reader = subscriber.create_simple_datareader_no_key::<RawSample, Adapter>(topic, Some(qos))?;
         let node = nodes.add(reader.guid());
-        let shared = Arc::new_cyclic(|shared: &Weak<Shared>| Shared {
+        let shared = Arc::new_cyclic(|shared: &Weak<SharedReader>| SharedReader {
             reader,
             on_data: Arc::new(OnData(shared.clone())).into(),
             state: Mutex::default(),
@@ -150,7 +150,7 @@ impl RawReader {
     }
 
     /// Sets the sink of messages. It is not asked before [`Self::recv`] waits again.
-    pub fn set_sink(&self, sink: Option<Sink>) {
+    pub fn set_sink(&self, sink: Option<SampleSink>) {
         let mut state = self.shared.state.lock();
         state.is_waiting = false;
         let before = std::mem::replace(&mut state.sink, sink);
@@ -166,7 +166,7 @@ impl RawReader {
     /// Waits for the next message, without polling. A cancelled call loses no message.
     pub async fn recv(&self) -> Result<Arrived, Unreadable> {
         // Other tasks get their turn, however much there is to read.
-        cooperative(poll_fn(|context| self.shared.poll(context, Shared::next))).await
+        cooperative(poll_fn(|context| self.shared.poll(context, SharedReader::next))).await
     }
 
     /// Waits for the next message as [`recv`](Self::recv), and returns it with its identity. Only
@@ -176,8 +176,8 @@ impl RawReader {
     }
 }
 
-impl Shared {
-    fn poll<T>(&self, context: &Context<'_>, next: impl Fn(&Self, &mut State) -> Option<T>) -> Poll<T> {
+impl SharedReader {
+    fn poll<T>(&self, context: &Context<'_>, next: impl Fn(&Self, &mut ReaderState) -> Option<T>) -> Poll<T> {
         let state = &mut *self.state.lock();
         state.is_waiting = false;
         if let Some(taken) = next(self, state) {
@@ -211,7 +211,7 @@ impl Shared {
         task.into_iter().for_each(Waker::wake);
     }
 
-    fn next(&self, state: &mut State) -> Option<Result<Arrived, Unreadable>> {
+    fn next(&self, state: &mut ReaderState) -> Option<Result<Arrived, Unreadable>> {
         if let Some(left) = state.left.take() {
             return Some(left);
         }
@@ -250,7 +250,7 @@ impl Shared {
 }
 
 /// The waker that DDS's receiving thread calls.
-struct OnData(Weak<Shared>);
+struct OnData(Weak<SharedReader>);
 
 impl Wake for OnData {
     fn wake(self: Arc<Self>) {

@@ -7,23 +7,33 @@
 //!
 //! [`Reader::set_sink`]: crate::graph::Reader::set_sink
 
+use std::cell::Cell;
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use gdp::ImmediateSender;
 use gdp_e2e::seal::{Draft, Encoding, Message};
 use gdp_wire::Name;
 use parking_lot::Mutex;
 
-use crate::graph::{Arrived, ImmediateWriter, Key, Sink};
-use crate::peer_proxies::Twins;
+use crate::graph::{ArrivalSink, Arrived, ImmediateWriter, Key};
+use crate::peer_proxies::SiblingProxies;
 use crate::stats::RouteCounters;
 use gdp_ros::roster;
 
 /// Bound on the bytes of a message on the direct path. The sealing of a larger one would keep the
 /// receiving thread from its work.
 const MAX_BODY: usize = 16 << 10;
+
+/// Time that a receiving thread has for its other work after it has sent a message. It leaves what
+/// follows sooner to the task, so that its socket does not overflow on a busy machine.
+const REST: Duration = Duration::from_micros(50);
+
+thread_local! {
+    /// When this receiving thread has sent a message the last time.
+    static SENT: Cell<Option<Instant>> = const { Cell::new(None) };
+}
 
 /// The time of the last message that was written for a publisher.
 pub type LastWrite = Arc<Mutex<Option<Instant>>>;
@@ -38,7 +48,7 @@ pub struct Outward {
 }
 
 impl Outward {
-    pub fn into_sink(self) -> Sink {
+    pub fn into_sink(self) -> ArrivalSink {
         Arc::new(move |arrived| self.send(arrived))
     }
 
@@ -49,11 +59,15 @@ impl Outward {
             return false;
         }
         let began = Instant::now();
+        if SENT.get().is_some_and(|last| began - last < REST) {
+            return false;
+        }
         let draft = Draft { origin, ..Draft::new(self.encoding, bytes) };
         // The task meets the same error, and handles it.
         if !self.sender.send(&draft).unwrap_or(false) {
             return false;
         }
+        SENT.set(Some(Instant::now()));
         written_ns.iter().for_each(|written_ns| self.counters.arrival.record_since(*written_ns));
         self.counters.handling.record(began.elapsed());
         self.counters.passed_directly(bytes.len());
@@ -63,7 +77,7 @@ impl Outward {
 
 /// The direct path from the fabric into a ROS graph.
 pub struct Inward {
-    pub twins: Twins,
+    pub siblings: SiblingProxies,
     /// The writers by entity, session and number of their publisher.
     pub locals: HashMap<(Name, [u8; 16], u32), DirectLocal>,
     pub counters: Arc<RouteCounters>,
@@ -76,7 +90,7 @@ pub struct DirectLocal {
 }
 
 impl Inward {
-    pub fn into_sink(self) -> gdp::Sink {
+    pub fn into_sink(self) -> gdp::MessageSink {
         Box::new(move |message| (!self.write(&message)).then_some(message))
     }
 
@@ -88,7 +102,7 @@ impl Inward {
         let Some(number) = roster::number(origin) else { return false };
         let Some(local) = self.locals.get(&(*writer, *session, number)) else { return false };
         let began = Instant::now();
-        if self.twins.contain(began, writer) || !local.writer.write(body.clone(), *timestamp_ns) {
+        if self.siblings.contain(began, writer) || !local.writer.write(body.clone(), *timestamp_ns) {
             return false;
         }
         *local.written.lock() = Some(Instant::now());

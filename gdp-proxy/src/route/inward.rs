@@ -111,7 +111,7 @@ impl Route {
                     for (whose, local) in to.locals.all() {
                         let written = local.made_mut().and_then(|made| made.last_write());
                         if let (Some((writer, _)), Some(at)) = (whose, written) {
-                            to.incoming.heard(writer, at);
+                            to.incoming.refresh(writer, at);
                         }
                     }
                     for event in to.incoming.poll(Instant::now()) {
@@ -138,7 +138,7 @@ impl Route {
             let session = incoming.session(&writer, number)?;
             Some(((writer, session, number), local.direct(&self.types)?))
         });
-        direct::Inward { locals: direct.collect(), twins: to.candidate.twins(), counters: self.counters.clone() }
+        direct::Inward { locals: direct.collect(), siblings: to.candidate.siblings(), counters: self.counters.clone() }
     }
 
     async fn take(&self, to: &mut In<'_>, message: Message) {

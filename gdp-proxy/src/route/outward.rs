@@ -14,7 +14,7 @@ use tokio::runtime::Handle;
 use super::format::Outbound;
 use super::pace::Pace;
 use super::{Published, Route, Way, direct};
-use crate::graph::{Arrived, Event, GraphError, Key, Reader, Sink};
+use crate::graph::{ArrivalSink, Arrived, Event, GraphError, Key, Reader};
 use crate::offload::is_large;
 use crate::qos_mapping::publish_options;
 use crate::route_status::{RETRY, Right, RouteError, ended_because, ticks};
@@ -262,7 +262,7 @@ impl Route {
     }
 
     /// Returns the direct path of messages, unless they must be converted or limited in their rate.
-    fn direct_out(&self, out: &Out<'_>, publisher: &Publisher) -> Option<Sink> {
+    fn direct_out(&self, out: &Out<'_>, publisher: &Publisher) -> Option<ArrivalSink> {
         let encoding = out.format.unchanged().filter(|_| self.config.max_hz.is_none())?;
         let numbers = out.roster.numbers().filter(|(key, _)| !out.incompatible_publishers.contains_key(key));
         let origins = numbers.map(|(key, number)| (*key, roster::origin(number))).collect();

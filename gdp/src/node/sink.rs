@@ -15,21 +15,21 @@ use gdp_e2e::seal::Message;
 ///
 /// The receiving thread of the node calls it, which receives nothing meanwhile. It must return
 /// soon. It must not use the subscription, because its lock is held.
-pub type Sink = Box<dyn FnMut(Message) -> Option<Message> + Send>;
+pub type MessageSink = Box<dyn FnMut(Message) -> Option<Message> + Send>;
 
 /// The sink of a subscription, if there is one.
 #[derive(Default)]
-pub struct DirectPath(Mutex<State>);
+pub struct DirectPath(Mutex<SinkState>);
 
 #[derive(Default)]
-struct State {
-    sink: Option<Sink>,
+struct SinkState {
+    sink: Option<MessageSink>,
     /// Whether the application waits for the next message.
     is_waiting: bool,
 }
 
 impl DirectPath {
-    pub fn set(&self, sink: Option<Sink>) {
+    pub fn set(&self, sink: Option<MessageSink>) {
         // The earlier sink is dropped after the lock.
         let _before = std::mem::replace(&mut self.0.lock().sink, sink);
     }

@@ -8,7 +8,7 @@ use super::ending::{Ended, Ending};
 use super::error::NodeError;
 use super::handle::Handle;
 use super::queue::Queue;
-use super::sink::Sink;
+use super::sink::MessageSink;
 use super::statement::{Stated, Statement};
 use gdp_core::cert::Reading;
 use gdp_e2e::seal::Message;
@@ -38,7 +38,7 @@ impl Subscription {
     /// Sets a function that takes messages on the receiving thread, before they are queued. It is
     /// asked only while [`Self::recv`] waits and nothing is queued, so that messages stay in their
     /// order. `None` queues all messages.
-    pub fn set_sink(&mut self, sink: Option<Sink>) {
+    pub fn set_sink(&mut self, sink: Option<MessageSink>) {
         self.queue.shared.direct.set(sink);
     }
 

@@ -123,7 +123,8 @@ struct RosRow {
     latency_us: Latency,
     /// Processor time per message in microseconds, or `None` over routers.
     cpu_us: Option<f64>,
-    /// Wake-ups of both proxies or bridges per message: voluntary context switches of their threads.
+    /// Wake-ups of both proxies or bridges per message: the voluntary context switches of their
+    /// threads.
     wakeups: Option<f64>,
     /// System calls of both per message, or `None` where the kernel does not count them.
     system_calls: Option<f64>,

@@ -209,7 +209,7 @@ impl Incoming {
     }
 
     /// Records that a message of the writer arrived at `at`, other than by [`Self::receive`].
-    pub fn heard(&mut self, writer: &Name, at: Instant) {
+    pub fn refresh(&mut self, writer: &Name, at: Instant) {
         if let Some(peer) = self.peers.get_mut(writer) {
             peer.last_seen = peer.last_seen.max(at);
         }
